@@ -1,0 +1,104 @@
+use super::{Code, Command};
+use crate::element::Discrete;
+use crate::wire::{FieldError, FieldReader, FieldWriter};
+
+/// 41: starts or stops the PLC.
+///
+/// ```text
+/// request  control: 0 stop, 1 run
+/// reply    -
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum ControlPlc {
+    /// The ladder program stops.
+    Stop,
+    /// The ladder program runs.
+    Run,
+}
+
+impl Command for ControlPlc {
+    type Reply = ();
+    const CODE: Code = Code::ControlPlc;
+
+    fn write_request<W: FieldWriter>(&self, fields: &mut W) {
+        fields.bit(*self == Self::Run);
+    }
+
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+        match fields.code()? {
+            0 => Ok(Self::Stop),
+            1 => Ok(Self::Run),
+            other => Err(FieldError::UnknownCode(other)),
+        }
+    }
+
+    fn write_reply<W: FieldWriter>(&self, (): &(), _fields: &mut W) {}
+
+    fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
+        Ok(())
+    }
+}
+
+/// What 42 does to a discrete.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum DiscreteControl {
+    /// Its state no longer follows the program or the input: it is forced.
+    Disable = 1,
+    /// Its state follows the program or the input again.
+    Enable = 2,
+    /// On.
+    Set = 3,
+    /// Off.
+    Reset = 4,
+}
+
+/// 42: controls one discrete.
+///
+/// ```text
+/// request  code: 1 disable, 2 enable, 3 set, 4 reset · element
+/// reply    -
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ControlDiscrete {
+    /// What is done.
+    pub control: DiscreteControl,
+    /// To which discrete.
+    pub discrete: Discrete,
+}
+
+impl ControlDiscrete {
+    /// Does this to that.
+    #[must_use]
+    pub fn new(control: DiscreteControl, discrete: Discrete) -> Self {
+        Self { control, discrete }
+    }
+}
+
+impl Command for ControlDiscrete {
+    type Reply = ();
+    const CODE: Code = Code::ControlDiscrete;
+
+    fn write_request<W: FieldWriter>(&self, fields: &mut W) {
+        fields.code(self.control as u8);
+        fields.element(self.discrete.into());
+    }
+
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+        let control = match fields.code()? {
+            1 => DiscreteControl::Disable,
+            2 => DiscreteControl::Enable,
+            3 => DiscreteControl::Set,
+            4 => DiscreteControl::Reset,
+            other => return Err(FieldError::UnknownCode(other)),
+        };
+        fields.layout(1, 0)?;
+        Ok(Self { control, discrete: fields.element()?.try_into()? })
+    }
+
+    fn write_reply<W: FieldWriter>(&self, (): &(), _fields: &mut W) {}
+
+    fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
+        Ok(())
+    }
+}

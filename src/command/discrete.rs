@@ -1,0 +1,145 @@
+use super::{Code, Command, InvalidRequest, limits};
+use crate::element::Discrete;
+use crate::wire::{FieldError, FieldReader, FieldWriter};
+
+read_states! {
+    /// 43: reads which of consecutive discretes are disabled.
+    ///
+    /// ```text
+    /// request  N (256 as 00) · first discrete
+    /// reply    N states: 1 disabled, 0 enabled
+    /// ```
+    ReadDisabled
+}
+
+read_states! {
+    /// 44: reads the states of consecutive discretes.
+    ///
+    /// ```text
+    /// request  N (256 as 00) · first discrete
+    /// reply    N states: 1 on, 0 off
+    /// ```
+    ReadDiscretes
+}
+
+/// 45: writes the states of consecutive discretes.
+///
+/// ```text
+/// request  N (256 as 00) · first discrete · N states: 1 on, 0 off
+/// reply    -
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct WriteDiscretes {
+    first: Discrete,
+    states: Vec<bool>,
+}
+
+impl WriteDiscretes {
+    /// Writes these states to `first` and those after it.
+    ///
+    /// # Errors
+    /// [`InvalidRequest::Count`] unless there are 1 to 256; [`InvalidRequest::PastTheEnd`].
+    pub fn new(first: Discrete, states: impl Into<Vec<bool>>) -> Result<Self, InvalidRequest> {
+        let states = states.into();
+        limits::consecutive(Self::CODE, first.into(), states.len())?;
+        Ok(Self { first, states })
+    }
+
+    /// The first discrete.
+    #[must_use]
+    pub fn first(&self) -> Discrete {
+        self.first
+    }
+
+    /// The states: `true` is on.
+    #[must_use]
+    pub fn states(&self) -> &[bool] {
+        &self.states
+    }
+}
+
+impl Command for WriteDiscretes {
+    type Reply = ();
+    const CODE: Code = Code::WriteDiscretes;
+
+    fn write_request<W: FieldWriter>(&self, fields: &mut W) {
+        fields.count(self.states.len());
+        fields.element(self.first.into());
+        self.states.iter().for_each(|&state| fields.bit(state));
+    }
+
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+        let count = fields.count()?;
+        fields.layout(1, count)?;
+        let first = fields.element()?.try_into()?;
+        let states = (0..count).map(|_| fields.bit()).collect::<Result<Vec<_>, _>>()?;
+        Ok(Self::new(first, states)?)
+    }
+
+    fn write_reply<W: FieldWriter>(&self, (): &(), _fields: &mut W) {}
+
+    fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
+        Ok(())
+    }
+}
+
+/// 43 and 44 differ in their code and in what the states mean.
+macro_rules! read_states {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub struct $name {
+            first: Discrete,
+            count: usize,
+        }
+
+        impl $name {
+            /// Reads `count` discretes from `first` on.
+            ///
+            /// # Errors
+            /// [`InvalidRequest::Count`] unless `count` is 1 to 256; [`InvalidRequest::PastTheEnd`].
+            pub fn new(first: Discrete, count: usize) -> Result<Self, InvalidRequest> {
+                limits::consecutive(Self::CODE, first.into(), count)?;
+                Ok(Self { first, count })
+            }
+
+            /// The first discrete.
+            #[must_use]
+            pub fn first(&self) -> Discrete {
+                self.first
+            }
+
+            /// How many are read.
+            #[must_use]
+            pub fn count(&self) -> usize {
+                self.count
+            }
+        }
+
+        impl Command for $name {
+            type Reply = Vec<bool>;
+            const CODE: Code = Code::$name;
+
+            fn write_request<W: FieldWriter>(&self, fields: &mut W) {
+                fields.count(self.count);
+                fields.element(self.first.into());
+            }
+
+            fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+                let count = fields.count()?;
+                fields.layout(1, 0)?;
+                let first = fields.element()?.try_into()?;
+                Ok(Self::new(first, count)?)
+            }
+
+            fn write_reply<W: FieldWriter>(&self, reply: &Vec<bool>, fields: &mut W) {
+                reply.iter().for_each(|&state| fields.bit(state));
+            }
+
+            fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Vec<bool>, FieldError> {
+                (0..self.count).map(|_| fields.bit()).collect()
+            }
+        }
+    };
+}
+use read_states;

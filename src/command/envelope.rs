@@ -1,0 +1,135 @@
+//! Request and reply as frames: what stands around a command's own fields.
+
+use bytes::BytesMut;
+
+use super::{Command, ErrorField, InvalidRequest};
+use crate::error::ErrorCode;
+use crate::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, FieldWriter, Framing, Side, ascii, binary};
+
+/// Appends a request as a whole frame.
+///
+/// ```
+/// use bytes::BytesMut;
+/// use fatek::command::{ReadRegisters, encode_request};
+/// use fatek::wire::Framing;
+///
+/// let mut frame = BytesMut::new();
+/// encode_request(&ReadRegisters::new(fatek::register!("R12"), 3)?, Framing::Ascii, 1, &mut frame)?;
+/// assert_eq!(&frame[..], b"\x02014603R0001275\x03");
+/// # Ok::<(), fatek::command::InvalidRequest>(())
+/// ```
+///
+/// # Errors
+/// [`InvalidRequest`] when the request cannot be sent in this framing; then nothing is appended.
+pub fn encode_request<C: Command>(
+    request: &C,
+    framing: Framing,
+    station: u8,
+    dst: &mut BytesMut,
+) -> Result<(), InvalidRequest> {
+    request.check(framing)?;
+    let code = C::CODE.into();
+    match framing {
+        Framing::Ascii => ascii::emit(dst, station, code, |fields| request.write_request(fields)),
+        Framing::Binary => binary::emit(dst, Side::Client, station, code, |fields| request.write_request(fields)),
+    }
+    Ok(())
+}
+
+/// Appends the reply to a request as a whole frame, as the PLC sends it.
+pub fn encode_reply<C: Command>(
+    request: &C,
+    reply: Result<&C::Reply, ErrorCode>,
+    framing: Framing,
+    station: u8,
+    dst: &mut BytesMut,
+) {
+    let code = C::CODE.into();
+    match framing {
+        Framing::Ascii => ascii::emit(dst, station, code, |fields| write_reply(request, reply, fields)),
+        Framing::Binary => binary::emit(dst, Side::Plc, station, code, |fields| write_reply(request, reply, fields)),
+    }
+}
+
+/// Reads the data of a reply, which must be exactly what this request asks for.
+///
+/// Station and command have been compared by the caller.
+///
+/// # Errors
+/// [`ReplyError::Plc`] when the PLC refused the request, [`ReplyError::Mismatch`] when the data is no reply to it.
+pub fn decode_reply<C: Command>(request: &C, framing: Framing, data: &[u8]) -> Result<C::Reply, ReplyError> {
+    match framing {
+        Framing::Ascii => read_reply(request, || AsciiReader::new(data)),
+        Framing::Binary => read_reply(request, || BinaryReader::new(data)),
+    }
+}
+
+/// What a frame with the right station and command is, when it is not the reply that was hoped for.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReplyError {
+    /// The PLC refused the request.
+    #[error(transparent)]
+    Plc(#[from] ErrorCode),
+    /// It is no reply to this request.
+    #[error("not a reply to this request: {0}")]
+    Mismatch(#[from] FieldError),
+}
+
+fn write_reply<C: Command, W: FieldWriter>(request: &C, reply: Result<&C::Reply, ErrorCode>, fields: &mut W) {
+    match reply {
+        Err(error) => fields.code(error.into()),
+        Ok(reply) => {
+            if C::CODE.error_field() != ErrorField::Absent {
+                fields.code(0);
+            }
+            request.write_reply(reply, fields);
+        }
+    }
+}
+
+fn read_reply<C: Command, R: FieldReader>(request: &C, fields: impl Fn() -> R) -> Result<C::Reply, ReplyError> {
+    match C::CODE.error_field() {
+        ErrorField::Leading => read_with_error(request, &mut fields()),
+        // The echo first: a device may refuse a loop-back with an error digit, and that digit may also be the echo.
+        ErrorField::Absent => {
+            read_without_error(request, &mut fields()).or_else(|mismatch| refused(&mut fields(), mismatch))
+        }
+        ErrorField::ByLength => match read_with_error(request, &mut fields()) {
+            Err(ReplyError::Mismatch(_)) => Ok(read_without_error(request, &mut fields())?),
+            result => result,
+        },
+    }
+}
+
+fn read_with_error<C: Command>(request: &C, fields: &mut impl FieldReader) -> Result<C::Reply, ReplyError> {
+    match ErrorCode::from_u8(fields.code().map_err(ReplyError::Mismatch)?) {
+        None => Ok(read_without_error(request, fields)?),
+        Some(error) => {
+            // The data is absent when there is an error: anything else is no error reply.
+            fields.finish()?;
+            Err(error.into())
+        }
+    }
+}
+
+fn read_without_error<C: Command>(request: &C, fields: &mut impl FieldReader) -> Result<C::Reply, FieldError> {
+    let reply = request.read_reply(fields)?;
+    fields.finish()?;
+    Ok(reply)
+}
+
+fn refused<T>(fields: &mut impl FieldReader, mismatch: FieldError) -> Result<T, ReplyError> {
+    match (fields.code().map(ErrorCode::from_u8), fields.finish()) {
+        (Ok(Some(error)), Ok(())) => Err(error.into()),
+        _ => Err(mismatch.into()),
+    }
+}
+
+/// Appends the reply that refuses a request which could not even be read.
+pub fn encode_refusal(code: u8, error: ErrorCode, framing: Framing, station: u8, dst: &mut BytesMut) {
+    match framing {
+        Framing::Ascii => ascii::emit(dst, station, code, |fields| fields.code(error.into())),
+        Framing::Binary => binary::emit(dst, Side::Plc, station, code, |fields| fields.code(error.into())),
+    }
+}

@@ -1,0 +1,122 @@
+//! The limits of the commands, each in one place, and the error that names the one that is broken.
+
+use super::{Code, Value};
+use crate::element::{Element, ElementError, Width};
+use crate::wire::Framing;
+
+/// 43, 44 and 45: the most discretes in one request.
+pub const MAX_POINTS: usize = 256;
+/// 46 and 47: the most units in one request; a 32-bit register counts two.
+pub const MAX_UNITS: usize = 64;
+/// 48: the most units in one request; a 32-bit register counts two.
+pub const MAX_MIXED_READ_UNITS: usize = 64;
+/// 49: the most units in one request; a 32-bit register counts two.
+pub const MAX_MIXED_WRITE_UNITS: usize = 32;
+/// 4E: the most data, in characters or bytes.
+pub const MAX_LOOP_BACK: usize = 256;
+
+/// A request that was not sent, because it breaks a rule: what was asked, and the rule.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidRequest {
+    /// No such element.
+    #[error(transparent)]
+    Element(#[from] ElementError),
+    /// Too few or too many items.
+    #[error("{code}: {count} items were asked for, and it takes {min} to {max}")]
+    Count {
+        /// The command.
+        code: Code,
+        /// How many items were asked for.
+        count: usize,
+        /// The fewest it takes.
+        min: usize,
+        /// The most it takes.
+        max: usize,
+    },
+    /// Too many units, where 32-bit registers count two.
+    #[error("{code}: the elements count {units} units (a 32-bit register counts 2), and it takes at most {max}")]
+    Units {
+        /// The command.
+        code: Code,
+        /// How many units were asked for.
+        units: usize,
+        /// The most it takes.
+        max: usize,
+    },
+    /// Consecutive elements that reach past the last address.
+    #[error("{count} elements from {first} on reach past the last address, {}{}", first.symbol(), first.symbol().last_address())]
+    PastTheEnd {
+        /// The first element.
+        first: Element,
+        /// How many were asked for.
+        count: usize,
+    },
+    /// A value that is not as wide as its element.
+    #[error("{element} is {}, and the value {value} is for {}", element.width(), value.width())]
+    WrongWidth {
+        /// The element.
+        element: Element,
+        /// The value.
+        value: Value,
+    },
+    /// The framing does not have this command.
+    #[error("{code} does not exist in the {framing} framing")]
+    NotInFraming {
+        /// The command.
+        code: Code,
+        /// The framing of the link.
+        framing: Framing,
+    },
+    /// The binary framing would send these elements as bytes that can also be read as other elements.
+    ///
+    /// It does not say how long a symbol is: `R` at address 5400h begins as `RT` does. Ask for fewer of them at once.
+    #[error(
+        "{code}: as bytes of the binary framing, these elements can also be read as others; ask for them one by one"
+    )]
+    Ambiguous {
+        /// The command.
+        code: Code,
+    },
+    /// Loop-back data that the ASCII framing cannot carry.
+    #[error("{code}: the byte {byte:02X}h at position {position} cannot be sent in the ASCII framing (20h to 7Eh can)")]
+    NotPrintable {
+        /// The command.
+        code: Code,
+        /// The byte.
+        byte: u8,
+        /// Where it stands, from 0.
+        position: usize,
+    },
+    /// Not a station number.
+    #[error("{station} is not a station: PLCs are 1 to 254 (0 is the broadcast, which `Link::broadcast` is for)")]
+    Station {
+        /// The number given.
+        station: u8,
+    },
+}
+
+pub(super) fn in_framing(code: Code, framing: Framing) -> Result<(), InvalidRequest> {
+    if code.is_in(framing) { Ok(()) } else { Err(InvalidRequest::NotInFraming { code, framing }) }
+}
+
+pub(super) fn count(code: Code, count: usize, min: usize, max: usize) -> Result<(), InvalidRequest> {
+    if (min..=max).contains(&count) { Ok(()) } else { Err(InvalidRequest::Count { code, count, min, max }) }
+}
+
+pub(super) fn units(code: Code, units: usize, max: usize) -> Result<(), InvalidRequest> {
+    if units <= max { Ok(()) } else { Err(InvalidRequest::Units { code, units, max }) }
+}
+
+/// Consecutive elements: how many of this width a request takes, and that all of them exist.
+pub(super) fn consecutive(code: Code, first: Element, n: usize) -> Result<(), InvalidRequest> {
+    let max = match first.width() {
+        Width::Bit => MAX_POINTS,
+        width => MAX_UNITS / width.units(),
+    };
+    count(code, n, 1, max)?;
+    match first.nth(n - 1) {
+        Ok(_) => Ok(()),
+        Err(_) => Err(InvalidRequest::PastTheEnd { first, count: n }),
+    }
+}

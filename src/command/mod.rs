@@ -1,0 +1,78 @@
+//! The commands: what can be asked of a PLC.
+//!
+//! Each command is one type. It knows its code and limits, is checked when it is made, and writes and reads both its
+//! request and its reply through [`FieldWriter`] and [`FieldReader`], so that it does not know the framing. Client and
+//! simulator share these types, and nothing else.
+//!
+//! Most programs never name them: [`Station`](crate::Station) has a method for each.
+//!
+//! Source: protocol reference, section 5 (manuals 000 and 002 section 4.2, 001 section 2.5).
+
+mod code;
+mod control;
+mod discrete;
+mod envelope;
+mod limits;
+mod loopback;
+mod mixed;
+mod program;
+mod register;
+mod request;
+mod status;
+
+use std::fmt;
+
+pub use code::{Class, Code, ErrorField};
+pub use control::{ControlDiscrete, ControlPlc, DiscreteControl};
+pub use discrete::{ReadDisabled, ReadDiscretes, WriteDiscretes};
+pub use envelope::{ReplyError, decode_reply, encode_refusal, encode_reply, encode_request};
+pub use limits::{InvalidRequest, MAX_LOOP_BACK, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, MAX_POINTS, MAX_UNITS};
+pub use loopback::LoopBack;
+pub use mixed::{ReadMixed, Value, WriteMixed};
+pub use program::{PAGE_WORDS, ProgramPage, ReadProgramPage, WriteProgramPage};
+pub use register::{ReadRegisters, RegisterElement, WriteRegisters};
+pub use request::Request;
+pub use status::{
+    BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, ReadDetailedStatus, ReadStatus, Series, StatusFlags,
+};
+
+use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
+
+/// A command: one request, and the reply that belongs to it.
+///
+/// A value of such a type has passed the command's limits. The four methods are the two directions of request and
+/// reply; the error digit that most replies begin with is not theirs (see [`ErrorField`]).
+pub trait Command: Clone + fmt::Debug + Send + Sync + 'static {
+    /// What the PLC answers, once the error code has said that all went well.
+    type Reply: Clone + fmt::Debug + PartialEq + Send + 'static;
+
+    /// Which command it is.
+    const CODE: Code;
+
+    /// Puts the request's fields behind the command code.
+    fn write_request<W: FieldWriter>(&self, fields: &mut W);
+
+    /// Takes the request's fields; the caller checks that nothing follows.
+    ///
+    /// # Errors
+    /// [`FieldError`] for anything that no such request would hold.
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError>;
+
+    /// Puts the reply's fields behind the error code.
+    fn write_reply<W: FieldWriter>(&self, reply: &Self::Reply, fields: &mut W);
+
+    /// Takes the reply's fields, which must be those that this very request asks for; the caller checks that nothing
+    /// follows.
+    ///
+    /// # Errors
+    /// [`FieldError`] for anything that is no reply to this request.
+    fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Self::Reply, FieldError>;
+
+    /// Checks what depends on the framing. Encoding a request does it first.
+    ///
+    /// # Errors
+    /// [`InvalidRequest::NotInFraming`], and what the command itself adds.
+    fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
+        limits::in_framing(Self::CODE, framing)
+    }
+}

@@ -1,0 +1,182 @@
+use std::fmt;
+
+use super::{Code, Command, InvalidRequest, Value, limits};
+use crate::element::{Element, ElementError, Register, Register32};
+use crate::wire::{FieldError, FieldReader, FieldWriter};
+
+/// An element that 46 and 47 take: [`Register`], whose value is a `u16`, or [`Register32`], whose value is a `u32`.
+pub trait RegisterElement:
+    Copy
+    + fmt::Debug
+    + fmt::Display
+    + PartialEq
+    + Into<Element>
+    + TryFrom<Element, Error = ElementError>
+    + Send
+    + Sync
+    + sealed::Sealed
+    + 'static
+{
+    /// What it holds.
+    type Value: Copy + fmt::Debug + PartialEq + Eq + std::hash::Hash + Into<Value> + Send + Sync + 'static;
+
+    /// Puts a value behind the fields.
+    fn write<W: FieldWriter>(value: Self::Value, fields: &mut W);
+
+    /// Takes a value.
+    ///
+    /// # Errors
+    /// [`FieldError::Truncated`], [`FieldError::NotHex`].
+    fn read<R: FieldReader>(fields: &mut R) -> Result<Self::Value, FieldError>;
+}
+
+impl RegisterElement for Register {
+    type Value = u16;
+
+    fn write<W: FieldWriter>(value: u16, fields: &mut W) {
+        fields.word(value);
+    }
+
+    fn read<R: FieldReader>(fields: &mut R) -> Result<u16, FieldError> {
+        fields.word()
+    }
+}
+
+impl RegisterElement for Register32 {
+    type Value = u32;
+
+    fn write<W: FieldWriter>(value: u32, fields: &mut W) {
+        fields.double(value);
+    }
+
+    fn read<R: FieldReader>(fields: &mut R) -> Result<u32, FieldError> {
+        fields.double()
+    }
+}
+
+/// 46: reads consecutive registers.
+///
+/// ```text
+/// request  N · first register
+/// reply    N values, of 16 or 32 bits as the register
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ReadRegisters<E> {
+    first: E,
+    count: usize,
+}
+
+impl<E: RegisterElement> ReadRegisters<E> {
+    /// Reads `count` registers from `first` on.
+    ///
+    /// # Errors
+    /// [`InvalidRequest::Count`] unless `count` is 1 to 64, or 1 to 32 of 32 bits; [`InvalidRequest::PastTheEnd`].
+    pub fn new(first: E, count: usize) -> Result<Self, InvalidRequest> {
+        limits::consecutive(Self::CODE, first.into(), count)?;
+        Ok(Self { first, count })
+    }
+
+    /// The first register.
+    #[must_use]
+    pub fn first(&self) -> E {
+        self.first
+    }
+
+    /// How many are read.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.count
+    }
+}
+
+impl<E: RegisterElement> Command for ReadRegisters<E> {
+    type Reply = Vec<E::Value>;
+    const CODE: Code = Code::ReadRegisters;
+
+    fn write_request<W: FieldWriter>(&self, fields: &mut W) {
+        fields.count(self.count);
+        fields.element(self.first.into());
+    }
+
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+        let count = fields.count()?;
+        fields.layout(1, 0)?;
+        let first = fields.element()?.try_into()?;
+        Ok(Self::new(first, count)?)
+    }
+
+    fn write_reply<W: FieldWriter>(&self, reply: &Vec<E::Value>, fields: &mut W) {
+        reply.iter().for_each(|&value| E::write(value, fields));
+    }
+
+    fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Vec<E::Value>, FieldError> {
+        (0..self.count).map(|_| E::read(fields)).collect()
+    }
+}
+
+/// 47: writes consecutive registers.
+///
+/// ```text
+/// request  N · first register · N values, of 16 or 32 bits as the register
+/// reply    -
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct WriteRegisters<E: RegisterElement> {
+    first: E,
+    values: Vec<E::Value>,
+}
+
+impl<E: RegisterElement> WriteRegisters<E> {
+    /// Writes these values to `first` and those after it.
+    ///
+    /// # Errors
+    /// [`InvalidRequest::Count`] unless there are 1 to 64, or 1 to 32 of 32 bits; [`InvalidRequest::PastTheEnd`].
+    pub fn new(first: E, values: impl Into<Vec<E::Value>>) -> Result<Self, InvalidRequest> {
+        let values = values.into();
+        limits::consecutive(Self::CODE, first.into(), values.len())?;
+        Ok(Self { first, values })
+    }
+
+    /// The first register.
+    #[must_use]
+    pub fn first(&self) -> E {
+        self.first
+    }
+
+    /// The values.
+    #[must_use]
+    pub fn values(&self) -> &[E::Value] {
+        &self.values
+    }
+}
+
+impl<E: RegisterElement> Command for WriteRegisters<E> {
+    type Reply = ();
+    const CODE: Code = Code::WriteRegisters;
+
+    fn write_request<W: FieldWriter>(&self, fields: &mut W) {
+        fields.count(self.values.len());
+        fields.element(self.first.into());
+        self.values.iter().for_each(|&value| E::write(value, fields));
+    }
+
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+        let count = fields.count()?;
+        fields.layout(1, count)?;
+        let first = fields.element()?.try_into()?;
+        let values = (0..count).map(|_| E::read(fields)).collect::<Result<Vec<_>, _>>()?;
+        Ok(Self::new(first, values)?)
+    }
+
+    fn write_reply<W: FieldWriter>(&self, (): &(), _fields: &mut W) {}
+
+    fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
+        Ok(())
+    }
+}
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for crate::element::Register {}
+    impl Sealed for crate::element::Register32 {}
+}

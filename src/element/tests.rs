@@ -1,0 +1,98 @@
+use proptest::prelude::*;
+
+use super::*;
+
+#[test]
+fn every_symbol_round_trips_at_its_first_and_last_address() {
+    assert_eq!(Symbol::ALL.len(), 28);
+    for &symbol in Symbol::ALL {
+        for address in [0, symbol.last_address()] {
+            let element = Element::new(symbol, address).unwrap();
+            assert_eq!(element.to_string().parse(), Ok(element));
+            assert_eq!(format!("{element:#}").parse(), Ok(element));
+            assert_eq!(element.to_string().to_lowercase().parse(), Ok(element));
+            assert_eq!(format!("{element:#}").len(), symbol.as_str().len() + symbol.digits());
+        }
+        let past = u32::from(symbol.last_address()) + u32::from(symbol.alignment());
+        assert!(format!("{symbol}{past}").parse::<Element>().is_err(), "{symbol}{past}");
+    }
+}
+
+#[test]
+fn the_ascii_form_of_the_manual_is_five_six_or_seven_characters() {
+    for &symbol in Symbol::ALL {
+        let len = symbol.as_str().len() + symbol.digits();
+        let expected = match symbol.width() {
+            Width::Bit => 5,
+            Width::Word => 6,
+            Width::Double => 7,
+        };
+        assert_eq!(len, expected, "{symbol}");
+    }
+}
+
+#[test]
+fn canonical_forms() {
+    for (input, canonical) in
+        [("R12", "R12"), ("R00012", "R12"), ("dwm0", "DWM0"), ("X0007", "X7"), ("drt9998", "DRT9998")]
+    {
+        assert_eq!(input.parse::<Element>().unwrap().to_string(), canonical);
+    }
+}
+
+#[test]
+fn consecutive_elements_step_as_the_manual_says() {
+    let nth = |text: &str, n| text.parse::<Element>().unwrap().nth(n).map(|e| e.to_string());
+    assert_eq!(nth("WY8", 1).unwrap(), "WY24");
+    assert_eq!(nth("DWM0", 1).unwrap(), "DWM32");
+    assert_eq!(nth("DR0", 1).unwrap(), "DR2");
+    assert_eq!(nth("R12", 2).unwrap(), "R14");
+    assert_eq!(nth("X50", 5).unwrap(), "X55");
+    assert_eq!(nth("R65535", 0).unwrap(), "R65535");
+    assert_eq!(nth("R65535", 1), Err(ElementError::OutOfRange { symbol: Symbol::R, address: 65536 }));
+    assert!(nth("WX9984", 1).is_err());
+    assert!(nth("X0", usize::MAX).is_err());
+}
+
+#[test]
+fn errors_name_the_input_and_the_rule() {
+    let message = |text: &str| text.parse::<Element>().unwrap_err().to_string();
+    assert_eq!(message("R65536"), "`R65536` is not an element: R65536 is past the last address, R65535");
+    assert_eq!(message("WM4"), "`WM4` is not an element: WM4: the address of WM must be a multiple of 8");
+    assert_eq!(message("R"), "`R` is not an element: R needs a decimal address, such as R0");
+    assert_eq!(message("R1A"), "`R1A` is not an element: the address of R must be decimal digits and nothing else");
+    assert!(message("Q7").starts_with("`Q7` is not an element: no element has these letters (known: X Y M"));
+    assert!(message("").contains("no element has these letters"));
+    let error = "R5".parse::<Discrete>().unwrap_err().to_string();
+    assert_eq!(error, "`R5` is not an element: R is a 16-bit register, not a discrete");
+}
+
+#[test]
+fn a_wide_element_and_its_low_word_are_each_others() {
+    for &symbol in Symbol::ALL.iter().filter(|s| s.width() == Width::Double) {
+        let wide = Register32::new(symbol, 8).unwrap();
+        assert_eq!(wide.low().widened(), Ok(wide));
+        assert_eq!(format!("D{}", wide.low().symbol()), symbol.as_str());
+    }
+    assert!(Register::r(65535).widened().is_err());
+}
+
+proptest! {
+    #[test]
+    fn no_text_panics_and_every_accepted_text_round_trips(text in "\\PC{0,12}|[xymstcwrdf]{0,4}[0-9]{0,12}") {
+        if let Ok(element) = text.parse::<Element>() {
+            prop_assert_eq!(element.to_string().parse::<Element>(), Ok(element));
+        }
+    }
+
+    #[test]
+    fn no_address_panics(symbol in prop::sample::select(Symbol::ALL), address: u16, n: usize) {
+        if let Ok(element) = Element::new(symbol, address) {
+            prop_assert!(address <= symbol.last_address());
+            prop_assert_eq!(address % symbol.alignment(), 0);
+            if let Ok(other) = element.nth(n) {
+                prop_assert_eq!(usize::from(other.address()), usize::from(address) + n * usize::from(symbol.step()));
+            }
+        }
+    }
+}

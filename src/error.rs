@@ -1,0 +1,168 @@
+//! What can go wrong, and whose fault it is.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::command::{Code, InvalidRequest};
+
+/// The error code of a reply.
+///
+/// Source: protocol reference, section 4 (manuals 000 and 002 section 3, 001 section 2.3).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+#[non_exhaustive]
+pub enum ErrorCode {
+    /// 2: illegal value.
+    #[error("illegal value (2)")]
+    IllegalValue,
+    /// 3: the memory is a ROM pack.
+    #[error("write prohibited, the PLC has a ROM pack (3)")]
+    WriteProhibited,
+    /// 4: illegal format, or the command cannot be executed.
+    #[error("illegal format, or the command cannot be executed (4)")]
+    IllegalFormat,
+    /// 5: cannot run, the checksum of the ladder is wrong.
+    #[error("cannot run: ladder checksum error (5)")]
+    LadderChecksum,
+    /// 6: cannot run, the id of the PLC is not that of the ladder.
+    #[error("cannot run: the PLC's id is not the ladder's (6)")]
+    IdMismatch,
+    /// 7: cannot run, the ladder does not pass the syntax check.
+    #[error("cannot run: syntax error (7)")]
+    Syntax,
+    /// 9: cannot run, the ladder uses a function that the PLC does not have.
+    #[error("cannot run: function not supported (9)")]
+    NotSupported,
+    /// A: illegal address.
+    #[error("illegal address (A)")]
+    IllegalAddress,
+    /// A code that no manual names.
+    #[error("unknown error code ({0:X})")]
+    Unknown(u8),
+}
+
+impl ErrorCode {
+    /// The error with this code; `None` for 0, which says that all went well.
+    #[must_use]
+    pub fn from_u8(code: u8) -> Option<Self> {
+        Some(match code {
+            0x0 => return None,
+            0x2 => Self::IllegalValue,
+            0x3 => Self::WriteProhibited,
+            0x4 => Self::IllegalFormat,
+            0x5 => Self::LadderChecksum,
+            0x6 => Self::IdMismatch,
+            0x7 => Self::Syntax,
+            0x9 => Self::NotSupported,
+            0xA => Self::IllegalAddress,
+            other => Self::Unknown(other),
+        })
+    }
+}
+
+impl From<ErrorCode> for u8 {
+    fn from(code: ErrorCode) -> Self {
+        match code {
+            ErrorCode::IllegalValue => 0x2,
+            ErrorCode::WriteProhibited => 0x3,
+            ErrorCode::IllegalFormat => 0x4,
+            ErrorCode::LadderChecksum => 0x5,
+            ErrorCode::IdMismatch => 0x6,
+            ErrorCode::Syntax => 0x7,
+            ErrorCode::NotSupported => 0x9,
+            ErrorCode::IllegalAddress => 0xA,
+            ErrorCode::Unknown(code) => code,
+        }
+    }
+}
+
+/// Why a call failed.
+///
+/// [`may_have_executed`](Self::may_have_executed) tells whether the PLC may have done what was asked all the same.
+#[derive(Clone, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The caller's fault: the request breaks a rule of the protocol. Nothing was sent.
+    #[error("invalid request: {0}")]
+    Invalid(#[from] InvalidRequest),
+    /// The PLC's answer: it refused the request.
+    #[error("station {station} refused {code}: {error}")]
+    Plc {
+        /// The station.
+        station: u8,
+        /// The command.
+        code: Code,
+        /// What it answered.
+        error: ErrorCode,
+    },
+    /// Nothing came back in time.
+    #[error("station {station} did not answer {code} within {after:?}")]
+    Timeout {
+        /// The station.
+        station: u8,
+        /// The command.
+        code: Code,
+        /// How long was waited.
+        after: Duration,
+        /// Whether the request itself had been sent; `false` when the station did not answer the loop-back that had
+        /// to come before it.
+        sent: bool,
+    },
+    /// Something came back in time, and none of it was a reply to this request.
+    #[error("station {station} gave no usable reply to {code} within {after:?}: {reason}")]
+    BadReply {
+        /// The station.
+        station: u8,
+        /// The command.
+        code: Code,
+        /// How long was waited.
+        after: Duration,
+        /// What was wrong with the last thing that came.
+        reason: String,
+    },
+    /// The connection could not be opened. Nothing was sent.
+    #[error("cannot connect to {endpoint}: {source}")]
+    Connect {
+        /// Where to.
+        endpoint: String,
+        /// Why not.
+        source: Arc<io::Error>,
+    },
+    /// The connection was lost.
+    #[error("the connection to {endpoint} was lost: {source}")]
+    Disconnected {
+        /// Where to.
+        endpoint: String,
+        /// How.
+        source: Arc<io::Error>,
+        /// Whether the request, or a part of it, had been sent.
+        sent: bool,
+    },
+    /// The link has been closed, or its task has ended with its runtime. Nothing was sent.
+    #[error("the link is closed")]
+    Closed,
+}
+
+impl Error {
+    /// Whether the PLC may have executed the request.
+    ///
+    /// `false` is certain: the request was not sent, or the PLC refused it. `true` means that nobody can know, and
+    /// whether to repeat a write is the caller's to decide.
+    #[must_use]
+    pub fn may_have_executed(&self) -> bool {
+        match self {
+            Self::Invalid(_) | Self::Plc { .. } | Self::Connect { .. } | Self::Closed => false,
+            Self::BadReply { .. } => true,
+            Self::Timeout { sent, .. } | Self::Disconnected { sent, .. } => *sent,
+        }
+    }
+
+    /// What the PLC answered, if that is the error.
+    #[must_use]
+    pub fn error_code(&self) -> Option<ErrorCode> {
+        match self {
+            Self::Plc { error, .. } => Some(*error),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! A PLC in memory.

@@ -1,0 +1,368 @@
+//! The binary framing: the M series, over serial and TCP.
+//!
+//! ```text
+//! header   id   length   payload                  CRC      terminator
+//! 51h/52h  10h  2 bytes  station command data …   2 bytes  55h AAh
+//! ```
+//!
+//! 51h is a query, 52h a reply. The length counts the payload and is big-endian. The CRC is CRC-16/MODBUS over length
+//! and payload, low byte first. The terminator can occur inside the payload: a frame ends by its length. Source:
+//! protocol reference, section 2 (manual 001, sections 1 and 2).
+
+use std::io;
+
+use bytes::{Buf, BufMut, BytesMut};
+use crc::{CRC_16_MODBUS, Crc, Table};
+use tokio_util::codec::{Decoder, Encoder};
+
+use super::field::{FieldError, FieldReader, FieldWriter};
+use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received, Side};
+use super::readings;
+use crate::element::Element;
+
+/// The first byte of a query.
+pub const QUERY: u8 = 0x51;
+/// The first byte of a reply.
+pub const REPLY: u8 = 0x52;
+/// The second byte of every frame.
+pub const ID: u8 = 0x10;
+/// The last two bytes of every frame.
+pub const TERMINATOR: [u8; 2] = [0x55, 0xAA];
+
+/// The `tokio_util` codec of the binary framing.
+///
+/// [`client`](Self::client) sends queries and receives replies, [`plc`](Self::plc) the other way round. Decoding
+/// yields [`Received`], which counts noise as items instead of failing; the only errors come from the transport.
+///
+/// A frame that has begun is waited for as its length says, even when what has come of it holds another whole frame:
+/// a payload may well hold one. When the line falls silent instead, [`skip_partial`](Self::skip_partial) gives it up;
+/// at the end of the input that is done of itself.
+///
+/// ```
+/// use bytes::BytesMut;
+/// use fatek::wire::{BinaryCodec, Received};
+/// use tokio_util::codec::Decoder;
+///
+/// let mut buffer = BytesMut::from(&b"\x52\x10\x00\x03\x01\x41\x00\x45\xD4\x55\xAA"[..]);
+/// let Some(Received::Frame(frame)) = BinaryCodec::client().decode(&mut buffer)? else { panic!() };
+/// assert_eq!((frame.station, frame.command, &frame.data[..]), (1, 0x41, &b"\x00"[..]));
+/// # Ok::<(), std::io::Error>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct BinaryCodec {
+    side: Side,
+    max_frame_len: usize,
+    /// The buffer begins with bytes that are known to begin no frame.
+    skip: usize,
+}
+
+impl BinaryCodec {
+    /// A codec that sends queries and receives replies, with the default limit, [`MAX_FRAME_LEN`].
+    #[must_use]
+    pub fn client() -> Self {
+        Self { side: Side::Client, max_frame_len: MAX_FRAME_LEN, skip: 0 }
+    }
+
+    /// A codec that receives queries and sends replies, with the default limit, [`MAX_FRAME_LEN`].
+    #[must_use]
+    pub fn plc() -> Self {
+        Self { side: Side::Plc, ..Self::client() }
+    }
+
+    /// Sets the longest frame, in bytes from header to terminator.
+    #[must_use]
+    pub fn max_frame_len(mut self, bytes: usize) -> Self {
+        self.max_frame_len = bytes;
+        self
+    }
+
+    /// Gives up the frame that has begun but not ended; see [`Codec::skip_partial`](super::Codec::skip_partial).
+    pub fn skip_partial(&mut self) {
+        self.skip = 1;
+    }
+
+    /// Forgets where it was, for a buffer that has been emptied.
+    pub fn reset(&mut self) {
+        self.skip = 0;
+    }
+
+    fn emits(&self) -> u8 {
+        match self.side {
+            Side::Client => QUERY,
+            Side::Plc => REPLY,
+        }
+    }
+}
+
+impl Decoder for BinaryCodec {
+    type Item = Received;
+    type Error = io::Error;
+
+    fn decode(&mut self, src: &mut BytesMut) -> Result<Option<Received>, io::Error> {
+        let garbage = begin(src, self.skip);
+        if garbage > 0 {
+            let reason = if self.skip > 0 { Discard::Truncated } else { Discard::Garbage };
+            self.skip = 0;
+            return Ok(Some(Received::Discarded { reason, bytes: src.split_to(garbage).freeze() }));
+        }
+        self.skip = 0;
+        let reason = match measure(src, self.max_frame_len) {
+            Measure::Partial => return Ok(None),
+            Measure::Bad(reason) => reason,
+            Measure::Whole { len, good: true } => {
+                let side = if src.first() == Some(&self.emits()) { Err(Discard::WrongSide) } else { Ok(()) };
+                let bytes = src.split_to(len).freeze();
+                return Ok(Some(match side {
+                    Err(reason) => Received::Discarded { reason, bytes },
+                    Ok(()) => Received::Frame(frame(bytes)),
+                }));
+            }
+            Measure::Whole { good: false, .. } => Discard::BadChecksum,
+        };
+        // What looked like a frame is none. A good one may begin inside it, so only the bytes up to the next
+        // beginning go.
+        let bytes = src.split_to(begin(src, 1)).freeze();
+        Ok(Some(Received::Discarded { reason, bytes }))
+    }
+
+    fn decode_eof(&mut self, src: &mut BytesMut) -> Result<Option<Received>, io::Error> {
+        loop {
+            match self.decode(src)? {
+                None if src.is_empty() => return Ok(None),
+                None => self.skip_partial(),
+                item => return Ok(item),
+            }
+        }
+    }
+}
+
+impl Encoder<&Frame> for BinaryCodec {
+    type Error = EncodeError;
+
+    fn encode(&mut self, frame: &Frame, dst: &mut BytesMut) -> Result<(), EncodeError> {
+        let len = frame.data.len().saturating_add(OVERHEAD);
+        let max = self.max_frame_len.min(LONGEST);
+        if len > max {
+            return Err(EncodeError::TooLong { len, max });
+        }
+        emit(dst, self.side, frame.station, frame.command, |fields| fields.raw(&frame.data));
+        Ok(())
+    }
+}
+
+impl Encoder<Frame> for BinaryCodec {
+    type Error = EncodeError;
+
+    fn encode(&mut self, frame: Frame, dst: &mut BytesMut) -> Result<(), EncodeError> {
+        self.encode(&frame, dst)
+    }
+}
+
+/// Appends a frame whose data the closure writes.
+pub(crate) fn emit(dst: &mut BytesMut, side: Side, station: u8, command: u8, data: impl FnOnce(&mut BinaryWriter<'_>)) {
+    let header = match side {
+        Side::Client => QUERY,
+        Side::Plc => REPLY,
+    };
+    let start = dst.len();
+    dst.put_slice(&[header, ID, 0, 0, station, command]);
+    data(&mut BinaryWriter { dst });
+    let payload = dst.len().saturating_sub(start).saturating_sub(HEAD);
+    let length_field = start.saturating_add(2);
+    // Every caller has checked the length; a payload that does not fit would be sent as one that no PLC answers.
+    let length = u16::try_from(payload).unwrap_or_default().to_be_bytes();
+    if let Some(field) = dst.get_mut(length_field..).and_then(|tail| tail.first_chunk_mut()) {
+        *field = length;
+    }
+    let crc = crc(dst.get(length_field..).unwrap_or_default());
+    dst.put_u16_le(crc);
+    dst.put_slice(&TERMINATOR);
+}
+
+/// CRC-16/MODBUS.
+#[must_use]
+pub fn crc(bytes: &[u8]) -> u16 {
+    CRC.checksum(bytes)
+}
+
+static CRC: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_MODBUS);
+
+/// Header, id and length.
+const HEAD: usize = 4;
+/// CRC and terminator.
+const TAIL: usize = 4;
+/// All of a frame but its data: head, station, command, tail.
+const OVERHEAD: usize = HEAD + 2 + TAIL;
+/// The longest frame that the length field can say.
+const LONGEST: usize = 65_535 + HEAD + TAIL;
+
+/// Where the next frame can begin at the earliest, looking from `from` on; the end of the buffer if nowhere.
+fn begin(bytes: &[u8], from: usize) -> usize {
+    let tail = bytes.get(from..).unwrap_or_default();
+    let at = tail.iter().enumerate().position(|(i, &byte)| {
+        let id = tail.get(i.saturating_add(1));
+        matches!(byte, QUERY | REPLY) && id.is_none_or(|&id| id == ID)
+    });
+    at.map_or(bytes.len(), |at| from.saturating_add(at))
+}
+
+enum Measure {
+    /// It may become a frame.
+    Partial,
+    /// It is none.
+    Bad(Discard),
+    /// It is all there.
+    Whole { len: usize, good: bool },
+}
+
+/// What the bytes at the beginning of the buffer amount to; header and id have been looked at.
+fn measure(bytes: &[u8], max: usize) -> Measure {
+    let Some(&[_, _, high, low]) = bytes.first_chunk::<HEAD>() else {
+        return Measure::Partial;
+    };
+    let payload = usize::from(u16::from_be_bytes([high, low]));
+    let len = payload.saturating_add(HEAD).saturating_add(TAIL);
+    if payload < 2 {
+        return Measure::Bad(Discard::Malformed);
+    }
+    if len > max {
+        return Measure::Bad(Discard::TooLong);
+    }
+    let Some(frame) = bytes.get(..len) else {
+        return Measure::Partial;
+    };
+    // The terminator first: it is cheap, and it turns most noise away before the CRC is computed.
+    let good = frame
+        .strip_suffix(&TERMINATOR)
+        .and_then(<[u8]>::split_last_chunk)
+        .is_some_and(|(covered, stated)| u16::from_le_bytes(*stated) == crc(covered.get(2..).unwrap_or_default()));
+    Measure::Whole { len, good }
+}
+
+/// The content of a whole, good frame.
+fn frame(mut bytes: bytes::Bytes) -> Frame {
+    let end = bytes.len().saturating_sub(TAIL);
+    bytes.truncate(end);
+    let station = bytes.get(HEAD).copied().unwrap_or_default();
+    let command = bytes.get(HEAD + 1).copied().unwrap_or_default();
+    bytes.advance(bytes.len().min(HEAD + 2));
+    Frame { station, command, data: bytes }
+}
+
+/// Writes fields as bytes.
+#[derive(Debug)]
+pub struct BinaryWriter<'a> {
+    dst: &'a mut BytesMut,
+}
+
+impl<'a> BinaryWriter<'a> {
+    /// Appends to this buffer.
+    pub fn new(dst: &'a mut BytesMut) -> Self {
+        Self { dst }
+    }
+}
+
+impl FieldWriter for BinaryWriter<'_> {
+    fn count(&mut self, count: usize) {
+        let [low, ..] = count.to_le_bytes();
+        self.dst.put_u8(low);
+    }
+
+    fn code(&mut self, code: u8) {
+        self.dst.put_u8(code);
+    }
+
+    fn byte(&mut self, byte: u8) {
+        self.dst.put_u8(byte);
+    }
+
+    fn word(&mut self, word: u16) {
+        self.dst.put_u16(word);
+    }
+
+    fn double(&mut self, double: u32) {
+        self.dst.put_u32(double);
+    }
+
+    fn element(&mut self, element: Element) {
+        self.dst.put_slice(element.symbol().as_str().as_bytes());
+        self.dst.put_u16(element.address());
+    }
+
+    fn raw(&mut self, bytes: &[u8]) {
+        self.dst.put_slice(bytes);
+    }
+}
+
+/// Reads fields from bytes.
+#[derive(Clone, Debug)]
+pub struct BinaryReader<'a> {
+    data: &'a [u8],
+    /// The lengths of the symbols that lie ahead, the next one last.
+    symbols: Vec<u8>,
+}
+
+impl<'a> BinaryReader<'a> {
+    /// Reads this data.
+    #[must_use]
+    pub fn new(data: &'a [u8]) -> Self {
+        Self { data, symbols: Vec::new() }
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], FieldError> {
+        let (taken, rest) = self.data.split_first_chunk().ok_or(FieldError::Truncated)?;
+        self.data = rest;
+        Ok(*taken)
+    }
+}
+
+impl FieldReader for BinaryReader<'_> {
+    fn count(&mut self) -> Result<usize, FieldError> {
+        Ok(match self.byte()? {
+            0 => 256,
+            n => usize::from(n),
+        })
+    }
+
+    fn code(&mut self) -> Result<u8, FieldError> {
+        self.byte()
+    }
+
+    fn byte(&mut self) -> Result<u8, FieldError> {
+        let [byte] = self.take()?;
+        Ok(byte)
+    }
+
+    fn word(&mut self) -> Result<u16, FieldError> {
+        Ok(u16::from_be_bytes(self.take()?))
+    }
+
+    fn double(&mut self) -> Result<u32, FieldError> {
+        Ok(u32::from_be_bytes(self.take()?))
+    }
+
+    fn layout(&mut self, elements: usize, values: usize) -> Result<(), FieldError> {
+        self.symbols = readings::symbol_lengths(self.data, elements, values)?;
+        self.symbols.reverse();
+        Ok(())
+    }
+
+    fn element(&mut self) -> Result<Element, FieldError> {
+        let length = self.symbols.pop().ok_or(FieldError::Unreadable)?;
+        let (letters, rest) = self.data.split_at_checked(usize::from(length)).ok_or(FieldError::Truncated)?;
+        let symbol = readings::symbol(letters).ok_or(FieldError::Unreadable)?;
+        self.data = rest;
+        Ok(Element::new(symbol, self.word()?)?)
+    }
+
+    fn rest(&mut self) -> &[u8] {
+        std::mem::take(&mut self.data)
+    }
+
+    fn is_empty(&self) -> bool {
+        self.data.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests;
