@@ -119,6 +119,26 @@ pub enum Error {
         after: Duration,
         /// What was wrong with the last thing that came.
         reason: String,
+        /// Whether the request itself had been sent.
+        sent: bool,
+    },
+    /// The station has not answered several times in a row; nothing is sent to it until it answers a probe.
+    #[error("station {station} is offline; the next probe is due in {probe_in:?}")]
+    Offline {
+        /// The station.
+        station: u8,
+        /// When it is asked next whether it is there.
+        probe_in: Duration,
+        /// Whether the request had been sent before the station was found to be offline.
+        sent: bool,
+    },
+    /// More calls wait for this station than the link holds. Nothing was sent.
+    #[error("{limit} calls are waiting for station {station} already")]
+    QueueFull {
+        /// The station.
+        station: u8,
+        /// How many calls can wait.
+        limit: usize,
     },
     /// The connection could not be opened. Nothing was sent.
     #[error("cannot connect to {endpoint}: {source}")]
@@ -151,9 +171,11 @@ impl Error {
     #[must_use]
     pub fn may_have_executed(&self) -> bool {
         match self {
-            Self::Invalid(_) | Self::Plc { .. } | Self::Connect { .. } | Self::Closed => false,
-            Self::BadReply { .. } => true,
-            Self::Timeout { sent, .. } | Self::Disconnected { sent, .. } => *sent,
+            Self::Invalid(_) | Self::Plc { .. } | Self::Connect { .. } | Self::QueueFull { .. } | Self::Closed => false,
+            Self::Timeout { sent, .. }
+            | Self::BadReply { sent, .. }
+            | Self::Offline { sent, .. }
+            | Self::Disconnected { sent, .. } => *sent,
         }
     }
 

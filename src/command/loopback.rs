@@ -26,6 +26,11 @@ impl LoopBack {
         Ok(Self { data })
     }
 
+    /// A loop-back whose data nobody else sends: 16 characters, legal in both framings.
+    pub(crate) fn nonce(nonce: u64) -> Self {
+        Self { data: format!("{nonce:016X}").into() }
+    }
+
     /// The data.
     #[must_use]
     pub fn data(&self) -> &Bytes {

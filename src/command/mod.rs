@@ -44,7 +44,7 @@ use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 /// reply; the error digit that most replies begin with is not theirs (see [`ErrorField`]).
 pub trait Command: Clone + fmt::Debug + Send + Sync + 'static {
     /// What the PLC answers, once the error code has said that all went well.
-    type Reply: Clone + fmt::Debug + PartialEq + Send + 'static;
+    type Reply: Clone + fmt::Debug + PartialEq + Send + Sync + 'static;
 
     /// Which command it is.
     const CODE: Code;

@@ -1,0 +1,225 @@
+//! A call: a request on its way through the link, and the slot its result comes back in.
+//!
+//! ```text
+//! queued ──▶ sent ──▶ done
+//!    └────────┴─────▶ abandoned   (the caller's future was dropped, or its deadline passed)
+//! ```
+//!
+//! The caller and the link task share one allocation. The link task sees it without its type, as [`AnyCall`]; what it
+//! needs for scheduling stands beside it in the [`Ticket`].
+
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+
+use bytes::BytesMut;
+use futures::task::AtomicWaker;
+use tokio::time::Instant;
+
+use super::options::{CallOptions, Lane};
+use crate::command::{self, Code, Command, InvalidRequest, ReplyError};
+use crate::error::{Error, ErrorCode};
+use crate::wire::{FieldError, Framing};
+
+/// What the link task can do with a call whose type it does not know.
+pub(crate) trait AnyCall: Send + Sync {
+    /// Appends the request as a frame.
+    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest>;
+
+    /// Offers the data of a frame with the right station and command. It is taken if it is exactly a reply to this
+    /// request; then the call is done.
+    fn offer(&self, framing: Framing, station: u8, data: &[u8]) -> Result<Option<ErrorCode>, FieldError>;
+
+    /// The request is about to be sent: from now on the PLC may execute it.
+    fn mark_sent(&self);
+
+    /// Ends a call that has no reply to wait for: a broadcast.
+    fn complete_unanswered(&self);
+
+    /// Ends the call.
+    fn fail(&self, error: Error);
+
+    /// Whether nobody waits for the result any more.
+    fn is_abandoned(&self) -> bool;
+
+    /// Whether the request, or a part of it, has been sent at least once.
+    fn was_sent(&self) -> bool;
+}
+
+/// A call in the link task's hands. Dropped without a result, it ends with [`Error::Closed`], so that no caller waits for
+/// a task that is gone.
+pub(crate) struct Ticket {
+    pub(crate) call: Arc<dyn AnyCall>,
+    pub(crate) station: u8,
+    pub(crate) code: Code,
+    pub(crate) lane: Lane,
+    /// When the caller gives up, whatever happens.
+    pub(crate) deadline: Instant,
+    pub(crate) queued_at: Instant,
+    pub(crate) options: CallOptions,
+    /// How often it can still be sent after it has failed.
+    pub(crate) retries_left: u32,
+}
+
+impl Ticket {
+    /// Whether the caller still waits at this time.
+    pub(crate) fn is_wanted(&self, now: Instant) -> bool {
+        now < self.deadline && !self.call.is_abandoned()
+    }
+
+    /// Ends a call that is not wanted any more.
+    pub(crate) fn expire(&self) {
+        let after = self.options.call_timeout;
+        self.call.fail(Error::Timeout { station: self.station, code: self.code, after, sent: self.call.was_sent() });
+    }
+
+    pub(crate) fn is_broadcast(&self) -> bool {
+        self.station == 0
+    }
+}
+
+impl Drop for Ticket {
+    fn drop(&mut self) {
+        self.call.fail(Error::Closed);
+    }
+}
+
+impl std::fmt::Debug for Ticket {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Ticket(station {}, {}, {:?})", self.station, self.code, self.lane)
+    }
+}
+
+/// The caller's half of a call: a future of its result. Dropping it abandons the call.
+#[derive(Debug)]
+pub(crate) struct Completion<C: Command> {
+    slot: Arc<Slot<C>>,
+}
+
+/// Makes the two halves of a call that a reply ends.
+pub(crate) fn new<C: Command>(request: C) -> (Arc<dyn AnyCall>, Completion<C>) {
+    halves(request, None)
+}
+
+/// Makes the two halves of a call that ends, with this, once it has been sent.
+pub(crate) fn unanswered<C: Command>(request: C, reply: C::Reply) -> (Arc<dyn AnyCall>, Completion<C>) {
+    halves(request, Some(reply))
+}
+
+fn halves<C: Command>(request: C, unanswered: Option<C::Reply>) -> (Arc<dyn AnyCall>, Completion<C>) {
+    let slot = Arc::new(Slot {
+        request,
+        unanswered,
+        state: AtomicU8::new(QUEUED),
+        was_sent: AtomicU8::new(0),
+        result: Mutex::new(None),
+        waker: AtomicWaker::new(),
+    });
+    (slot.clone(), Completion { slot })
+}
+
+impl<C: Command> Completion<C> {
+    /// Whether the request, or a part of it, has been sent.
+    pub(crate) fn was_sent(&self) -> bool {
+        self.slot.was_sent()
+    }
+}
+
+impl<C: Command> Future for Completion<C> {
+    type Output = Result<C::Reply, Error>;
+
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
+        self.slot.waker.register(cx.waker());
+        if self.slot.state.load(Ordering::Acquire) != DONE {
+            return Poll::Pending;
+        }
+        // A future is not polled again after it is ready, so the result is there; a caller that does so all the same
+        // gets an error rather than a panic.
+        Poll::Ready(lock(&self.slot.result).take().unwrap_or(Err(Error::Closed)))
+    }
+}
+
+impl<C: Command> Drop for Completion<C> {
+    fn drop(&mut self) {
+        self.slot.state.store(ABANDONED, Ordering::Release);
+    }
+}
+
+#[derive(Debug)]
+struct Slot<C: Command> {
+    request: C,
+    /// What the caller gets when there is no reply to wait for.
+    unanswered: Option<C::Reply>,
+    state: AtomicU8,
+    /// 1 once the request has been sent; apart from the state, for it stays true when a read is queued again.
+    was_sent: AtomicU8,
+    result: Mutex<Option<Result<C::Reply, Error>>>,
+    waker: AtomicWaker,
+}
+
+const QUEUED: u8 = 0;
+const DONE: u8 = 1;
+const ABANDONED: u8 = 2;
+
+impl<C: Command> Slot<C> {
+    /// The first result stays: nothing that comes later can replace it.
+    fn finish(&self, result: Result<C::Reply, Error>) {
+        let mut slot = lock(&self.result);
+        if self.state.load(Ordering::Acquire) != QUEUED {
+            return;
+        }
+        *slot = Some(result);
+        drop(slot);
+        // Fails only if the caller has gone in the meantime; then nobody looks at the result.
+        if self.state.compare_exchange(QUEUED, DONE, Ordering::AcqRel, Ordering::Acquire).is_ok() {
+            self.waker.wake();
+        }
+    }
+}
+
+impl<C: Command> AnyCall for Slot<C> {
+    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
+        command::encode_request(&self.request, framing, station, dst)
+    }
+
+    fn offer(&self, framing: Framing, station: u8, data: &[u8]) -> Result<Option<ErrorCode>, FieldError> {
+        match command::decode_reply(&self.request, framing, data) {
+            Ok(reply) => {
+                self.finish(Ok(reply));
+                Ok(None)
+            }
+            Err(ReplyError::Plc(error)) => {
+                self.finish(Err(Error::Plc { station, code: C::CODE, error }));
+                Ok(Some(error))
+            }
+            Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
+        }
+    }
+
+    fn mark_sent(&self) {
+        self.was_sent.store(1, Ordering::Release);
+    }
+
+    fn complete_unanswered(&self) {
+        self.finish(self.unanswered.clone().ok_or(Error::Closed));
+    }
+
+    fn fail(&self, error: Error) {
+        self.finish(Err(error));
+    }
+
+    fn is_abandoned(&self) -> bool {
+        self.state.load(Ordering::Acquire) == ABANDONED
+    }
+
+    fn was_sent(&self) -> bool {
+        self.was_sent.load(Ordering::Acquire) == 1
+    }
+}
+
+/// A lock whose holder panicked is still good here: it only ever holds a whole result.
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,185 @@
+//! The task that owns the connection: it moves bytes and time between the [`Core`] and the world, and decides nothing.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::future::BoxFuture;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::time::{Instant, sleep_until, timeout_at};
+
+use super::LinkState;
+use super::call::Ticket;
+use super::core::{Core, Step};
+use super::transport::{BoxIo, Connector};
+
+/// What the handles tell the task.
+#[derive(Debug)]
+pub(crate) enum Message {
+    Call(Ticket),
+    /// End; say when that is done.
+    Close(oneshot::Sender<()>),
+}
+
+/// Everything the task needs to run.
+#[derive(Debug)]
+pub(crate) struct Driver {
+    pub(crate) core: Core,
+    pub(crate) connector: Connector,
+    pub(crate) connect_timeout: Duration,
+    pub(crate) messages: mpsc::Receiver<Message>,
+    pub(crate) state: watch::Sender<LinkState>,
+}
+
+/// How much is read at once. The longest reply fits; the buffer grows no further, for what is no frame is discarded.
+const READ_LEN: usize = 1024;
+
+impl Driver {
+    /// Runs until the link is closed, its last handle is dropped, or its one connection has ended.
+    pub(crate) async fn run(mut self) {
+        let mut io: Option<BoxIo> = None;
+        let mut opening: Option<BoxFuture<'static, io::Result<BoxIo>>> = None;
+        let mut closing: Option<oneshot::Sender<()>> = None;
+        let mut orphaned = false;
+        loop {
+            // A peer that never stops sending must not keep the handles from being heard.
+            while let Ok(message) = self.messages.try_recv() {
+                self.hear(message, &mut closing);
+            }
+            // What is on the wire is finished first, so that the PLC is not cut off in the middle of its answer.
+            if (closing.is_some() || orphaned) && self.core.is_idle() {
+                break;
+            }
+            match self.core.step(Instant::now()) {
+                Step::Connect => match self.connector.open(self.connect_timeout) {
+                    Some(future) => {
+                        self.state.send_replace(LinkState::Connecting);
+                        opening = Some(future);
+                    }
+                    None => break,
+                },
+                Step::Send(by) => {
+                    let written = match &mut io {
+                        Some(io) => write(io, self.core.outgoing(), by).await,
+                        None => Err(io::ErrorKind::NotConnected.into()),
+                    };
+                    match written {
+                        Ok(()) => self.core.sent(Instant::now()),
+                        Err(error) => {
+                            if !self.lose(&mut io, error) {
+                                break;
+                            }
+                        }
+                    }
+                }
+                Step::Wait(until) => tokio::select! {
+                    // In this order, so that a run can be repeated: what has come is dealt with before time passes.
+                    biased;
+                    read = read(&mut io, &mut self.core) => match read {
+                        Ok(()) => self.core.received(Instant::now()),
+                        Err(error) => {
+                            if !self.lose(&mut io, error) {
+                                break;
+                            }
+                        }
+                    },
+                    opened = opened(&mut opening) => {
+                        opening = None;
+                        self.opened(opened, &mut io);
+                    }
+                    message = self.messages.recv(), if !orphaned => match message {
+                        Some(message) => self.hear(message, &mut closing),
+                        None => orphaned = true,
+                    },
+                    () = pause(until) => {}
+                },
+            }
+        }
+        self.messages.close();
+        self.core.close();
+        self.state.send_replace(LinkState::Closed);
+        drop(io);
+        if let Some(done) = closing {
+            let _ = done.send(());
+        }
+    }
+
+    fn hear(&mut self, message: Message, closing: &mut Option<oneshot::Sender<()>>) {
+        match message {
+            Message::Call(ticket) => self.core.push(ticket, Instant::now()),
+            Message::Close(done) => {
+                self.messages.close();
+                self.core.close();
+                *closing = Some(done);
+            }
+        }
+    }
+
+    fn opened(&mut self, opened: io::Result<BoxIo>, io: &mut Option<BoxIo>) {
+        match opened {
+            Ok(opened) => {
+                tracing::debug!("connected");
+                *io = Some(opened);
+                self.core.connected(Instant::now());
+                self.state.send_replace(LinkState::Up);
+            }
+            Err(error) => {
+                tracing::debug!(%error, "cannot connect");
+                let error = Arc::new(error);
+                self.state.send_replace(LinkState::Down { error: error.clone() });
+                self.core.connect_failed(&error, Instant::now());
+            }
+        }
+    }
+
+    /// The connection is lost; says whether there can be another.
+    fn lose(&mut self, io: &mut Option<BoxIo>, error: io::Error) -> bool {
+        tracing::debug!(%error, "connection lost");
+        *io = None;
+        let error = Arc::new(error);
+        let reopens = self.connector.reopens();
+        if reopens {
+            self.core.disconnected(&error, Instant::now());
+        } else {
+            self.core.abort(&error);
+        }
+        self.state.send_replace(LinkState::Down { error });
+        reopens
+    }
+}
+
+async fn write(io: &mut BoxIo, bytes: &[u8], by: Instant) -> io::Result<()> {
+    let written = timeout_at(by, async {
+        io.write_all(bytes).await?;
+        io.flush().await
+    });
+    written
+        .await
+        .unwrap_or_else(|_| Err(io::Error::new(io::ErrorKind::TimedOut, "the request could not be written in time")))
+}
+
+/// Waits for bytes and puts them where the core looks for them; for ever if there is no connection.
+async fn read(io: &mut Option<BoxIo>, core: &mut Core) -> io::Result<()> {
+    let Some(io) = io else { return std::future::pending().await };
+    let incoming = core.incoming();
+    incoming.reserve(READ_LEN);
+    match io.read_buf(incoming).await? {
+        0 => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the other end closed it")),
+        _ => Ok(()),
+    }
+}
+
+async fn opened(opening: &mut Option<BoxFuture<'static, io::Result<BoxIo>>>) -> io::Result<BoxIo> {
+    match opening {
+        Some(opening) => opening.await,
+        None => std::future::pending().await,
+    }
+}
+
+async fn pause(until: Option<Instant>) {
+    match until {
+        Some(until) => sleep_until(until).await,
+        None => std::future::pending().await,
+    }
+}

@@ -1,0 +1,392 @@
+//! The link: one connection, shared by many callers and many stations.
+//!
+//! - [`Link`] is the handle: cheap to clone, nothing but a sender to the task.
+//! - `driver` is the task that owns the connection. It moves bytes and time, and decides nothing.
+//! - `core` decides: which call is next, when to connect, whom to believe. It does no I/O and reads no clock.
+//! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others.
+//! - `call` is what a caller and the task share.
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::indexing_slicing,
+        clippy::arithmetic_side_effects
+    )
+)]
+
+mod call;
+mod core;
+mod driver;
+mod exchange;
+mod options;
+mod random;
+mod scheduler;
+mod transport;
+
+use std::fmt;
+use std::future::Future;
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::runtime::Handle;
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::time::{Instant, timeout_at};
+
+use self::call::{AnyCall, Completion, Ticket};
+use self::core::{Config, Core};
+use self::driver::{Driver, Message};
+use self::random::Random;
+use self::transport::Connector;
+use crate::command::{Code, Command, InvalidRequest};
+use crate::endpoint::Endpoint;
+use crate::error::Error;
+use crate::station::{Broadcast, Station};
+use crate::wire::Framing;
+
+pub use self::options::CallOptions;
+
+/// One connection to one or more PLCs. Cheap to clone; all clones share the connection.
+///
+/// Making a link does no I/O: the connection is opened by the first call, and again by the next call after it was
+/// lost. A task of the Tokio runtime owns it; it ends when the last handle (this, or a [`Station`] or [`Broadcast`] of
+/// it) is dropped, or with [`close`](Self::close).
+///
+/// ```no_run
+/// use fatek::{Link, register};
+///
+/// # async fn example() -> Result<(), Box<dyn std::error::Error>> {
+/// let link = Link::new("tcp://192.168.2.3:500".parse()?);
+/// let station = link.station(1)?;
+/// let values = station.read_registers(register!("R12"), 3).await?;
+/// println!("R12 to R14: {values:?}");
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone)]
+pub struct Link {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    name: Arc<str>,
+    framing: Framing,
+    options: CallOptions,
+    messages: mpsc::Sender<Message>,
+    state: watch::Receiver<LinkState>,
+    /// The task, until the first call starts it.
+    driver: Mutex<Option<Box<Driver>>>,
+}
+
+/// What a link's connection is doing.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum LinkState {
+    /// Not opened yet: no call has been made.
+    Idle,
+    /// Being opened.
+    Connecting,
+    /// Open.
+    Up,
+    /// Lost, or not to be opened; the next call, or one that waits, tries again.
+    Down {
+        /// What happened.
+        error: Arc<io::Error>,
+    },
+    /// Closed for good.
+    Closed,
+}
+
+impl Link {
+    /// A link to this endpoint, with the default settings.
+    #[must_use]
+    pub fn new(endpoint: Endpoint) -> Self {
+        Self::builder(endpoint).build()
+    }
+
+    /// A link to this endpoint, with settings.
+    pub fn builder(endpoint: Endpoint) -> LinkBuilder {
+        let framing = endpoint.framing();
+        let name = endpoint.to_string();
+        LinkBuilder::with_connector(Connector::Endpoint(endpoint), framing, &name)
+    }
+
+    /// A link over a connection that is open already, and cannot be opened again once it is lost.
+    ///
+    /// For anything that reads and writes bytes: a `tokio::io::duplex` in a test, a tunnel, a port that was set up
+    /// elsewhere.
+    #[must_use]
+    pub fn from_stream(stream: impl AsyncRead + AsyncWrite + Send + Unpin + 'static, framing: Framing) -> Self {
+        Self::stream_builder(stream, framing).build()
+    }
+
+    /// As [`from_stream`](Self::from_stream), with settings.
+    pub fn stream_builder(
+        stream: impl AsyncRead + AsyncWrite + Send + Unpin + 'static,
+        framing: Framing,
+    ) -> LinkBuilder {
+        LinkBuilder::with_connector(Connector::Once(Some(Box::new(stream))), framing, "the given stream")
+    }
+
+    /// A link over connections that `open` opens: the first one and, after each loss, the next one.
+    ///
+    /// ```
+    /// use fatek::{Link, wire::Framing};
+    ///
+    /// let link = Link::connector_builder("bench PLC", Framing::Ascii, || async {
+    ///     tokio::net::TcpStream::connect("192.168.2.3:500").await
+    /// })
+    /// .build();
+    /// ```
+    pub fn connector_builder<F, Fut, T>(name: &str, framing: Framing, open: F) -> LinkBuilder
+    where
+        F: FnMut() -> Fut + Send + 'static,
+        Fut: Future<Output = io::Result<T>> + Send + 'static,
+        T: AsyncRead + AsyncWrite + Send + Unpin + 'static,
+    {
+        LinkBuilder::with_connector(Connector::custom(open), framing, name)
+    }
+
+    /// The PLC with this station number, 1 to 254.
+    ///
+    /// # Errors
+    /// [`InvalidRequest::Station`] for 0 and 255.
+    pub fn station(&self, station: u8) -> Result<Station, InvalidRequest> {
+        Station::new(self.clone(), station, self.shared.options)
+    }
+
+    /// All PLCs of the link at once. None of them answers.
+    #[must_use]
+    pub fn broadcast(&self) -> Broadcast {
+        Broadcast::new(self.clone(), self.shared.options)
+    }
+
+    /// How frames look on this link.
+    #[must_use]
+    pub fn framing(&self) -> Framing {
+        self.shared.framing
+    }
+
+    /// What the connection is doing now.
+    #[must_use]
+    pub fn state(&self) -> LinkState {
+        self.shared.state.borrow().clone()
+    }
+
+    /// What the connection is doing, to be watched.
+    #[must_use]
+    pub fn watch_state(&self) -> watch::Receiver<LinkState> {
+        self.shared.state.clone()
+    }
+
+    /// Closes the link for all its handles: what waits fails with [`Error::Closed`], the request on the wire is
+    /// finished, the connection is closed. Returns when that is done; calls made later fail at once.
+    pub async fn close(&self) {
+        // A task that has not been started has nothing to finish.
+        if self.take_driver().is_some() {
+            return;
+        }
+        let (done, closed) = oneshot::channel();
+        if self.shared.messages.send(Message::Close(done)).await.is_ok() {
+            let _ = closed.await;
+        }
+    }
+
+    pub(crate) async fn call<C: Command>(
+        &self,
+        station: u8,
+        request: C,
+        options: CallOptions,
+    ) -> Result<C::Reply, Error> {
+        request.check(self.framing())?;
+        let (call, completion) = call::new(request);
+        self.submit(station, C::CODE, call, completion, options).await
+    }
+
+    /// Sends a request that no station answers.
+    pub(crate) async fn cast<C: Command<Reply = ()>>(&self, request: C, options: CallOptions) -> Result<(), Error> {
+        request.check(self.framing())?;
+        let (call, completion) = call::unanswered(request, ());
+        self.submit(0, C::CODE, call, completion, options).await
+    }
+
+    async fn submit<C: Command>(
+        &self,
+        station: u8,
+        code: Code,
+        call: Arc<dyn AnyCall>,
+        mut completion: Completion<C>,
+        options: CallOptions,
+    ) -> Result<C::Reply, Error> {
+        self.start()?;
+        let queued_at = Instant::now();
+        let deadline = queued_at.checked_add(options.call_timeout.min(LONGEST_TIMEOUT)).unwrap_or(queued_at);
+        let ticket = Ticket {
+            call,
+            station,
+            code,
+            lane: options.lane(code.class()),
+            deadline,
+            queued_at,
+            options,
+            retries_left: options.retries_for(code.class()),
+        };
+        let answered = timeout_at(deadline, async {
+            self.shared.messages.send(Message::Call(ticket)).await.map_err(|_| Error::Closed)?;
+            (&mut completion).await
+        });
+        let result = answered.await.unwrap_or_else(|_| {
+            let after = queued_at.elapsed();
+            Err(Error::Timeout { station, code, after, sent: completion.was_sent() })
+        });
+        match (result, &*self.shared.state.borrow()) {
+            // The time was spent on trying to connect: that is what the caller wants to know.
+            (Err(Error::Timeout { sent: false, .. }), LinkState::Down { error }) => {
+                Err(Error::Connect { endpoint: self.shared.name.to_string(), source: error.clone() })
+            }
+            (result, _) => result,
+        }
+    }
+
+    /// Starts the task, the first time.
+    fn start(&self) -> Result<(), Error> {
+        let Some(driver) = self.take_driver() else { return Ok(()) };
+        let runtime = Handle::try_current().map_err(|error| Error::Connect {
+            endpoint: self.shared.name.to_string(),
+            source: Arc::new(io::Error::other(error)),
+        })?;
+        runtime.spawn(driver.run());
+        Ok(())
+    }
+
+    fn take_driver(&self) -> Option<Box<Driver>> {
+        // Nothing panics while it holds this lock.
+        self.shared.driver.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+impl fmt::Debug for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Link({}, {})", self.shared.name, self.shared.framing)
+    }
+}
+
+/// Settings of a link. Each has a default that suits one PLC on an Ethernet module.
+#[derive(Debug)]
+#[must_use]
+pub struct LinkBuilder {
+    connector: Connector,
+    options: CallOptions,
+    connect_timeout: Duration,
+    config: Config,
+}
+
+impl LinkBuilder {
+    /// How calls are treated, unless a [`Station`] has options of its own.
+    pub fn options(mut self, options: CallOptions) -> Self {
+        self.options = options;
+        self
+    }
+
+    /// How long a PLC has for its answer; the same as [`CallOptions::response_timeout`]. Default: 1 s.
+    pub fn response_timeout(mut self, timeout: Duration) -> Self {
+        self.options = self.options.response_timeout(timeout);
+        self
+    }
+
+    /// How long a whole call may take; the same as [`CallOptions::call_timeout`]. Default: 10 s.
+    pub fn call_timeout(mut self, timeout: Duration) -> Self {
+        self.options = self.options.call_timeout(timeout);
+        self
+    }
+
+    /// How often a read is sent again; the same as [`CallOptions::retries`]. Default: 2.
+    pub fn retries(mut self, retries: u32) -> Self {
+        self.options = self.options.retries(retries);
+        self
+    }
+
+    /// How long one attempt to connect may take. Default: 3 s.
+    pub fn connect_timeout(mut self, timeout: Duration) -> Self {
+        self.connect_timeout = timeout;
+        self
+    }
+
+    /// Whether waiting calls fail as soon as an attempt to connect does. Default: `false`, they wait for the next
+    /// attempt until their own time is up.
+    pub fn fail_fast(mut self, fail_fast: bool) -> Self {
+        self.config.fail_fast = fail_fast;
+        self
+    }
+
+    /// The pause after a failed attempt to connect: it doubles from `shortest` to `longest`, less up to a half at
+    /// random. Default: 0.1 s to 30 s.
+    pub fn connect_backoff(mut self, shortest: Duration, longest: Duration) -> Self {
+        self.config.connect_backoff = (shortest, longest.max(shortest));
+        self
+    }
+
+    /// After how many timeouts in a row a station is offline; 0 for never. Default: 3.
+    pub fn offline_after(mut self, timeouts: u32) -> Self {
+        self.config.offline_after = if timeouts == 0 { u32::MAX } else { timeouts };
+        self
+    }
+
+    /// How many calls can wait for one station. Default: 1024.
+    pub fn queue_capacity(mut self, calls: usize) -> Self {
+        self.config.queue_capacity = calls.max(1);
+        self
+    }
+
+    /// Makes the link. The connection is opened by the first call.
+    #[must_use]
+    pub fn build(self) -> Link {
+        let (sender, messages) = mpsc::channel(CHANNEL_LEN);
+        let (state, watcher) = watch::channel(LinkState::Idle);
+        let config = Config { probe_timeout: self.options.response_timeout, ..self.config };
+        let shared = Shared {
+            name: config.name.clone(),
+            framing: config.framing,
+            options: self.options,
+            messages: sender,
+            state: watcher,
+            driver: Mutex::new(Some(Box::new(Driver {
+                core: Core::new(config, Random::seed()),
+                connector: self.connector,
+                connect_timeout: self.connect_timeout,
+                messages,
+                state,
+            }))),
+        };
+        Link { shared: Arc::new(shared) }
+    }
+
+    fn with_connector(connector: Connector, framing: Framing, name: &str) -> Self {
+        let options = CallOptions::new();
+        let config = Config {
+            framing,
+            name: name.into(),
+            queue_capacity: 1024,
+            ageing: Duration::from_secs(1),
+            probe_timeout: options.response_timeout,
+            offline_after: 3,
+            probe_interval: (Duration::from_secs(1), Duration::from_secs(60)),
+            probe_pause: 49,
+            connect_backoff: (Duration::from_millis(100), Duration::from_secs(30)),
+            fail_fast: false,
+            quiet: options.response_timeout,
+            settle: Duration::from_millis(30),
+            broadcast_gap: Duration::ZERO,
+        };
+        Self { connector, options, connect_timeout: Duration::from_secs(3), config }
+    }
+}
+
+/// How many calls can be on their way to the task. Those that do not fit wait for their turn, within their deadline.
+const CHANNEL_LEN: usize = 64;
+
+/// A day: far more than any call should take, and still within what a clock can hold.
+const LONGEST_TIMEOUT: Duration = Duration::from_secs(86_400);

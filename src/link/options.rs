@@ -1,0 +1,109 @@
+use std::time::Duration;
+
+use crate::command::Class;
+
+/// How one call is treated: how long it may take, and how often it may be sent.
+///
+/// A link has one for all its stations ([`LinkBuilder::options`](super::LinkBuilder::options)), and
+/// [`Station::with_options`](crate::Station::with_options) makes a handle with its own.
+///
+/// ```
+/// use std::time::Duration;
+/// use fatek::CallOptions;
+///
+/// let patient = CallOptions::new().response_timeout(Duration::from_secs(3)).retry_writes(true);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CallOptions {
+    pub(crate) response_timeout: Duration,
+    pub(crate) call_timeout: Duration,
+    pub(crate) retries: u32,
+    pub(crate) retry_writes: bool,
+    pub(crate) background: bool,
+}
+
+impl CallOptions {
+    /// The defaults: 1 s for the response, 10 s for the whole call, 2 retries, reads only.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            response_timeout: Duration::from_secs(1),
+            call_timeout: Duration::from_secs(10),
+            retries: 2,
+            retry_writes: false,
+            background: false,
+        }
+    }
+
+    /// How long the PLC has for its answer, from the moment the request has been sent. Default: 1 s.
+    #[must_use]
+    pub fn response_timeout(mut self, timeout: Duration) -> Self {
+        self.response_timeout = timeout;
+        self
+    }
+
+    /// How long the whole call may take: queueing, connecting and retries included. Default: 10 s.
+    #[must_use]
+    pub fn call_timeout(mut self, timeout: Duration) -> Self {
+        self.call_timeout = timeout;
+        self
+    }
+
+    /// How often a request is sent again after no answer, or a bad one, has come. Default: 2.
+    ///
+    /// Only reads are, unless [`retry_writes`](Self::retry_writes) says otherwise.
+    #[must_use]
+    pub fn retries(mut self, retries: u32) -> Self {
+        self.retries = retries;
+        self
+    }
+
+    /// Whether writes and control commands may be sent again, too. Default: `false`.
+    ///
+    /// The PLC may have executed the first one: choose it only where doing it twice does no harm.
+    #[must_use]
+    pub fn retry_writes(mut self, retry: bool) -> Self {
+        self.retry_writes = retry;
+        self
+    }
+
+    /// Whether reads give way to all other calls of the link, as polling should. Default: `false`.
+    #[must_use]
+    pub fn background(mut self, background: bool) -> Self {
+        self.background = background;
+        self
+    }
+
+    pub(crate) fn lane(&self, class: Class) -> Lane {
+        match class {
+            Class::Control => Lane::Control,
+            Class::Write => Lane::Write,
+            Class::Read if self.background => Lane::Background,
+            Class::Read => Lane::Read,
+        }
+    }
+
+    pub(crate) fn retries_for(&self, class: Class) -> u32 {
+        if class == Class::Read || self.retry_writes { self.retries } else { 0 }
+    }
+}
+
+impl Default for CallOptions {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Which calls come first, the first one first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Lane {
+    Control,
+    Write,
+    Read,
+    Background,
+}
+
+impl Lane {
+    pub(crate) const COUNT: usize = 4;
+}

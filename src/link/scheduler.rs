@@ -1,0 +1,173 @@
+//! Which call is next.
+//!
+//! Every station has a bounded queue for each [`Lane`]. The next call is the first one of the best lane; among
+//! stations with calls in that lane it is the turn of the one that has used the least bus time, so that a slow or
+//! dead station costs the others no more than its share. A call that has waited rises by one lane for each
+//! [`Scheduler::ageing`] it has waited, so that nothing starves.
+//!
+//! What must always hold: a queue is never longer than its bound; calls of one station and lane keep their order; a
+//! station that was idle gains no credit for it.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::call::Ticket;
+use super::options::Lane;
+
+#[derive(Debug)]
+pub(crate) struct Scheduler {
+    stations: BTreeMap<u8, Queues>,
+    /// How many calls a station can have waiting.
+    capacity: usize,
+    /// A call that has waited this long rises by one lane.
+    ageing: Duration,
+    /// The bus time of the station that was served last: where a station that was idle begins.
+    served: Duration,
+}
+
+#[derive(Debug, Default)]
+struct Queues {
+    lanes: [VecDeque<Ticket>; Lane::COUNT],
+    /// How much bus time it has used, as far as that matters for fairness.
+    used: Duration,
+    /// Not served before then.
+    blocked_until: Option<Instant>,
+}
+
+impl Queues {
+    fn len(&self) -> usize {
+        self.lanes.iter().map(VecDeque::len).sum()
+    }
+}
+
+impl Scheduler {
+    pub(crate) fn new(capacity: usize, ageing: Duration) -> Self {
+        Self { stations: BTreeMap::new(), capacity, ageing, served: Duration::ZERO }
+    }
+
+    /// Puts a call at the end of its queue; gives it back when the station's queues are full.
+    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) -> Result<(), Ticket> {
+        let capacity = self.capacity;
+        let queues = self.queues(ticket.station);
+        if queues.len() >= capacity {
+            queues.lanes.iter_mut().for_each(|lane| lane.retain(|waiting| keep(waiting, now)));
+        }
+        if queues.len() >= capacity {
+            return Err(ticket);
+        }
+        if let Some(lane) = queues.lanes.get_mut(index(ticket.lane)) {
+            lane.push_back(ticket);
+        }
+        Ok(())
+    }
+
+    /// Puts a call that was taken back before all others of its queue. It had its place, so no bound applies.
+    pub(crate) fn push_front(&mut self, ticket: Ticket) {
+        if let Some(lane) = self.queues(ticket.station).lanes.get_mut(index(ticket.lane)) {
+            lane.push_front(ticket);
+        }
+    }
+
+    /// Takes the next call that is still wanted, if there is one whose station may be served.
+    pub(crate) fn pop(&mut self, now: Instant) -> Option<Ticket> {
+        loop {
+            let (station, lane) = self.next(now)?;
+            let queues = self.stations.get_mut(&station)?;
+            let ticket = queues.lanes.get_mut(lane)?.pop_front()?;
+            self.served = queues.used;
+            if keep(&ticket, now) {
+                return Some(ticket);
+            }
+        }
+    }
+
+    /// Whether a call is waiting whose station may be served now.
+    pub(crate) fn has_work(&mut self, now: Instant) -> bool {
+        while let Some((station, lane)) = self.next(now) {
+            let queue = self.stations.get_mut(&station).and_then(|queues| queues.lanes.get_mut(lane));
+            match queue {
+                Some(queue) if queue.front().is_some_and(|ticket| keep(ticket, now)) => return true,
+                Some(queue) => drop(queue.pop_front()),
+                None => return false,
+            }
+        }
+        false
+    }
+
+    /// Takes every call of a station.
+    pub(crate) fn drain(&mut self, station: u8) -> Vec<Ticket> {
+        match self.stations.get_mut(&station) {
+            Some(queues) => queues.lanes.iter_mut().flat_map(std::mem::take).collect(),
+            None => Vec::new(),
+        }
+    }
+
+    /// Takes every call.
+    pub(crate) fn drain_all(&mut self) -> Vec<Ticket> {
+        let stations: Vec<u8> = self.stations.keys().copied().collect();
+        stations.into_iter().flat_map(|station| self.drain(station)).collect()
+    }
+
+    /// Counts bus time that a station has used.
+    pub(crate) fn charge(&mut self, station: u8, time: Duration) {
+        let queues = self.queues(station);
+        queues.used = queues.used.saturating_add(time);
+    }
+
+    /// Does not serve a station before then.
+    pub(crate) fn block(&mut self, station: u8, until: Instant) {
+        self.queues(station).blocked_until = Some(until);
+    }
+
+    /// When the next station that is blocked and has calls may be served.
+    pub(crate) fn next_unblocked(&self) -> Option<Instant> {
+        self.stations.values().filter(|queues| queues.len() > 0).filter_map(|queues| queues.blocked_until).min()
+    }
+
+    fn queues(&mut self, station: u8) -> &mut Queues {
+        let served = self.served;
+        let queues = self.stations.entry(station).or_default();
+        if queues.len() == 0 {
+            queues.used = queues.used.max(served);
+        }
+        queues
+    }
+
+    /// The station and lane whose turn it is.
+    fn next(&self, now: Instant) -> Option<(u8, usize)> {
+        let heads = self.stations.iter().filter(|(_, queues)| queues.blocked_until.is_none_or(|until| until <= now));
+        let heads = heads.flat_map(|(&station, queues)| {
+            let used = queues.used;
+            let fronts = queues.lanes.iter().enumerate().filter_map(|(lane, queue)| Some((lane, queue.front()?)));
+            fronts.map(move |(lane, ticket)| (self.rank(ticket, now), used, ticket.queued_at, station, lane))
+        });
+        heads.min().map(|(.., station, lane)| (station, lane))
+    }
+
+    /// The lane, less one for each ageing period waited.
+    fn rank(&self, ticket: &Ticket, now: Instant) -> u128 {
+        let waited = now.saturating_duration_since(ticket.queued_at).as_nanos();
+        let risen = waited.checked_div(self.ageing.as_nanos()).unwrap_or_default();
+        u128::try_from(index(ticket.lane)).unwrap_or_default().saturating_sub(risen)
+    }
+}
+
+/// Whether the call is still wanted; ends it if not.
+fn keep(ticket: &Ticket, now: Instant) -> bool {
+    let wanted = ticket.is_wanted(now);
+    if !wanted {
+        ticket.expire();
+    }
+    wanted
+}
+
+fn index(lane: Lane) -> usize {
+    match lane {
+        Lane::Control => 0,
+        Lane::Write => 1,
+        Lane::Read => 2,
+        Lane::Background => 3,
+    }
+}

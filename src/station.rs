@@ -1,0 +1,457 @@
+//! The handles with the commands: [`Station`] for one PLC, [`Broadcast`] for all of them.
+
+use std::fmt;
+
+use bytes::Bytes;
+
+use crate::command::{
+    BriefStatus, Command, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, InvalidRequest, LoopBack,
+    ProgramPage, ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadMixed, ReadProgramPage, ReadRegisters,
+    ReadStatus, Value, WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters,
+};
+use crate::element::{Discrete, Element, Register, Register32};
+use crate::error::Error;
+use crate::link::{CallOptions, Link};
+
+/// One PLC on a [`Link`]. Cheap to clone; every method takes `&self`, so that one handle serves many tasks.
+///
+/// Each method sends one request and gives its reply. All of them fail alike:
+///
+/// - [`Error::Invalid`] when an argument breaks a rule of the protocol; nothing is sent;
+/// - [`Error::Plc`] when the PLC refuses the request;
+/// - [`Error::Timeout`], [`Error::BadReply`], [`Error::Disconnected`], [`Error::Connect`], [`Error::Offline`],
+///   [`Error::QueueFull`] and [`Error::Closed`] when there is no usable answer. Reads have been repeated by then, as
+///   [`CallOptions::retries`] says; writes and control have not, unless [`CallOptions::retry_writes`] says so.
+///   [`Error::may_have_executed`] tells whether the PLC may have done what was asked.
+///
+/// A call can be dropped at any time. A request that has not been sent is then not sent any more; one that has been
+/// sent is executed by the PLC, and its reply is given to nobody.
+///
+/// One request is answered from one scan of the PLC; two requests are not.
+#[derive(Clone)]
+pub struct Station {
+    link: Link,
+    number: u8,
+    options: CallOptions,
+}
+
+impl Station {
+    pub(crate) fn new(link: Link, number: u8, options: CallOptions) -> Result<Self, InvalidRequest> {
+        match number {
+            1..=254 => Ok(Self { link, number, options }),
+            _ => Err(InvalidRequest::Station { station: number }),
+        }
+    }
+
+    /// The same station, with options of its own.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # fatek::sim::doctest(|station| async move {
+    /// use fatek::CallOptions;
+    ///
+    /// let hasty = station.with_options(CallOptions::new().response_timeout(Duration::from_millis(100)).retries(0));
+    /// hasty.loop_back("ping").await?;
+    /// # Ok(()) });
+    /// ```
+    #[must_use]
+    pub fn with_options(&self, options: CallOptions) -> Self {
+        Self { options, ..self.clone() }
+    }
+
+    /// Its station number, 1 to 254.
+    #[must_use]
+    pub fn number(&self) -> u8 {
+        self.number
+    }
+
+    /// The link it is on.
+    #[must_use]
+    pub fn link(&self) -> &Link {
+        &self.link
+    }
+
+    /// Sends any [`Command`] and gives its reply. The methods below are this, by name.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// use fatek::command::ReadRegisters;
+    ///
+    /// let request = ReadRegisters::new(fatek::register!("D0"), 2)?; // checked here, to be sent as often as needed
+    /// assert_eq!(station.call(request).await?, [0, 0]);
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn call<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
+        self.link.call(self.number, request, self.options).await
+    }
+
+    /// 40: reads the brief status: whether it runs, and what is wrong.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.run().await?;
+    /// assert!(station.read_status().await?.flags().running());
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn read_status(&self) -> Result<BriefStatus, Error> {
+        self.call(ReadStatus).await
+    }
+
+    /// 53: reads the detailed status: what it is, and how large its memory is.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// let status = station.read_detailed_status().await?;
+    /// println!("{} words of ladder, {} registers R", status.ladder_words(), status.r_registers());
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn read_detailed_status(&self) -> Result<DetailedStatus, Error> {
+        self.call(ReadDetailedStatus).await
+    }
+
+    /// 41: starts the ladder program.
+    ///
+    /// # Errors
+    /// As for every method of this type; the PLC may refuse with [`LadderChecksum`](crate::ErrorCode::LadderChecksum),
+    /// [`IdMismatch`](crate::ErrorCode::IdMismatch), [`Syntax`](crate::ErrorCode::Syntax) or
+    /// [`NotSupported`](crate::ErrorCode::NotSupported).
+    pub async fn run(&self) -> Result<(), Error> {
+        self.call(ControlPlc::Run).await
+    }
+
+    /// 41: stops the ladder program.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.stop().await?;
+    /// assert!(!station.read_status().await?.flags().running());
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn stop(&self) -> Result<(), Error> {
+        self.call(ControlPlc::Stop).await
+    }
+
+    /// 42: disables a discrete: its state no longer follows the program or the input, and stays as it is set or reset.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// let sensor = fatek::discrete!("X16");
+    /// station.disable(sensor).await?;
+    /// station.set(sensor).await?; // forced on
+    /// assert_eq!(station.read_disabled(sensor, 1).await?, [true]);
+    /// station.enable(sensor).await?;
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn disable(&self, discrete: Discrete) -> Result<(), Error> {
+        self.control(DiscreteControl::Disable, discrete).await
+    }
+
+    /// 42: enables a discrete: its state follows the program or the input again.
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn enable(&self, discrete: Discrete) -> Result<(), Error> {
+        self.control(DiscreteControl::Enable, discrete).await
+    }
+
+    /// 42: sets a discrete: on.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.set(fatek::discrete!("Y3")).await?;
+    /// assert_eq!(station.read_discretes(fatek::discrete!("Y2"), 3).await?, [false, true, false]);
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn set(&self, discrete: Discrete) -> Result<(), Error> {
+        self.control(DiscreteControl::Set, discrete).await
+    }
+
+    /// 42: resets a discrete: off.
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn reset(&self, discrete: Discrete) -> Result<(), Error> {
+        self.control(DiscreteControl::Reset, discrete).await
+    }
+
+    async fn control(&self, control: DiscreteControl, discrete: Discrete) -> Result<(), Error> {
+        self.call(ControlDiscrete::new(control, discrete)).await
+    }
+
+    /// 43: reads which of `count` consecutive discretes, 1 to 256, are disabled: `true` is disabled.
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn read_disabled(&self, first: Discrete, count: usize) -> Result<Vec<bool>, Error> {
+        self.call(ReadDisabled::new(first, count)?).await
+    }
+
+    /// 44: reads the states of `count` consecutive discretes, 1 to 256: `true` is on.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// let relays = station.read_discretes(fatek::discrete!("M0"), 256).await?;
+    /// assert_eq!(relays.len(), 256);
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn read_discretes(&self, first: Discrete, count: usize) -> Result<Vec<bool>, Error> {
+        self.call(ReadDiscretes::new(first, count)?).await
+    }
+
+    /// 45: writes the states of 1 to 256 consecutive discretes: `true` is on.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.write_discretes(fatek::discrete!("Y0"), &[true, false, false, true]).await?;
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn write_discretes(&self, first: Discrete, states: &[bool]) -> Result<(), Error> {
+        self.call(WriteDiscretes::new(first, states)?).await
+    }
+
+    /// 46: reads `count` consecutive registers of 16 bits, 1 to 64.
+    ///
+    /// Words of discretes count as registers: after `WY8` comes `WY24`.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// let values = station.read_registers(fatek::register!("R12"), 3).await?; // R12, R13, R14
+    /// assert_eq!(values.len(), 3);
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn read_registers(&self, first: Register, count: usize) -> Result<Vec<u16>, Error> {
+        self.call(ReadRegisters::new(first, count)?).await
+    }
+
+    /// 47: writes 1 to 64 consecutive registers of 16 bits.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.write_registers(fatek::register!("WY8"), &[0xAAAA, 0x5555]).await?; // Y8 to Y39
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn write_registers(&self, first: Register, values: &[u16]) -> Result<(), Error> {
+        self.call(WriteRegisters::new(first, values)?).await
+    }
+
+    /// 46: reads `count` consecutive registers of 32 bits, 1 to 32: `DR0`, `DR2`, `DR4` …
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.write_registers(fatek::register!("R100"), &[0x9680, 0x0098]).await?; // the low word first
+    /// assert_eq!(station.read_registers32(fatek::register32!("DR100"), 1).await?, [10_000_000]);
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn read_registers32(&self, first: Register32, count: usize) -> Result<Vec<u32>, Error> {
+        self.call(ReadRegisters::new(first, count)?).await
+    }
+
+    /// 47: writes 1 to 32 consecutive registers of 32 bits.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.write_registers32(fatek::register32!("DR2"), &[(-500.125_f32).to_bits()]).await?;
+    /// assert_eq!(station.read_registers(fatek::register!("R2"), 2).await?, [0x1000, 0xC3FA]);
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn write_registers32(&self, first: Register32, values: &[u32]) -> Result<(), Error> {
+        self.call(WriteRegisters::new(first, values)?).await
+    }
+
+    /// 48: reads any elements in one request, in the order given: up to 64, where one of 32 bits counts two.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// use fatek::{Value, element};
+    ///
+    /// let values = station.read_mixed(&[element!("R1"), element!("Y9"), element!("DWM0")]).await?;
+    /// assert_eq!(values, [Value::Word(0), Value::Bit(false), Value::Double(0)]);
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn read_mixed(&self, elements: &[Element]) -> Result<Vec<Value>, Error> {
+        self.call(ReadMixed::new(elements)?).await
+    }
+
+    /// 49: writes any elements in one request: up to 32, where one of 32 bits counts two.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// use fatek::element;
+    ///
+    /// station.write_mixed(&[(element!("Y0"), true.into()), (element!("DR2"), 0xFF_u32.into())]).await?;
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn write_mixed(&self, items: &[(Element, Value)]) -> Result<(), Error> {
+        self.call(WriteMixed::new(items)?).await
+    }
+
+    /// 4E: sends up to 256 characters (ASCII framing) or bytes (binary framing), which the PLC must return as they are.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.loop_back("ABCDEFG").await?;
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn loop_back(&self, data: impl Into<Bytes>) -> Result<(), Error> {
+        self.call(LoopBack::new(data)?).await
+    }
+
+    /// 4F: reads one page of the program; page 0 is the header. ASCII framing only.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// let header = station.read_program_page(0).await?;
+    /// assert_eq!(header.to_bytes()[0], b'F');
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type; [`InvalidRequest::NotInFraming`] in the binary framing.
+    pub async fn read_program_page(&self, page: u16) -> Result<ProgramPage, Error> {
+        self.call(ReadProgramPage::new(page)).await
+    }
+
+    /// 50: writes one page of the program, as [`read_program_page`](Self::read_program_page) gave it. ASCII framing
+    /// only.
+    ///
+    /// A PLC that runs may refuse with [`IllegalFormat`](crate::ErrorCode::IllegalFormat): stop it first.
+    ///
+    /// # Errors
+    /// As for every method of this type; [`InvalidRequest::NotInFraming`] in the binary framing.
+    pub async fn write_program_page(&self, page: u16, content: &ProgramPage) -> Result<(), Error> {
+        self.call(WriteProgramPage::new(page, content.clone())).await
+    }
+}
+
+impl fmt::Debug for Station {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Station({} on {:?})", self.number, self.link)
+    }
+}
+
+/// All PLCs of a [`Link`] at once: station 0. Cheap to clone.
+///
+/// Every PLC obeys and none answers, so there are only the commands that make sense without an answer, and their `Ok`
+/// says that the request was sent, not that anybody has executed it. They are never repeated.
+#[derive(Clone)]
+pub struct Broadcast {
+    link: Link,
+    options: CallOptions,
+}
+
+impl Broadcast {
+    pub(crate) fn new(link: Link, options: CallOptions) -> Self {
+        Self { link, options }
+    }
+
+    /// 41: starts the ladder programs.
+    ///
+    /// # Errors
+    /// As for every method of [`Station`], except that there are no answers to go wrong.
+    pub async fn run(&self) -> Result<(), Error> {
+        self.cast(ControlPlc::Run).await
+    }
+
+    /// 41: stops the ladder programs.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run).
+    pub async fn stop(&self) -> Result<(), Error> {
+        self.cast(ControlPlc::Stop).await
+    }
+
+    /// 42: disables, enables, sets or resets a discrete.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run).
+    pub async fn control(&self, control: DiscreteControl, discrete: Discrete) -> Result<(), Error> {
+        self.cast(ControlDiscrete::new(control, discrete)).await
+    }
+
+    /// 45: writes the states of 1 to 256 consecutive discretes: `true` is on.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run).
+    pub async fn write_discretes(&self, first: Discrete, states: &[bool]) -> Result<(), Error> {
+        self.cast(WriteDiscretes::new(first, states)?).await
+    }
+
+    /// 47: writes 1 to 64 consecutive registers of 16 bits.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run).
+    pub async fn write_registers(&self, first: Register, values: &[u16]) -> Result<(), Error> {
+        self.cast(WriteRegisters::new(first, values)?).await
+    }
+
+    /// 47: writes 1 to 32 consecutive registers of 32 bits.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run).
+    pub async fn write_registers32(&self, first: Register32, values: &[u32]) -> Result<(), Error> {
+        self.cast(WriteRegisters::new(first, values)?).await
+    }
+
+    /// 49: writes any elements in one request: up to 32, where one of 32 bits counts two.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run).
+    pub async fn write_mixed(&self, items: &[(Element, Value)]) -> Result<(), Error> {
+        self.cast(WriteMixed::new(items)?).await
+    }
+
+    async fn cast<C: Command<Reply = ()>>(&self, request: C) -> Result<(), Error> {
+        self.link.cast(request, self.options.retries(0)).await
+    }
+}
+
+impl fmt::Debug for Broadcast {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Broadcast(on {:?})", self.link)
+    }
+}

@@ -1,0 +1,489 @@
+//! The link against a peer whose every byte the test decides.
+
+use std::time::Duration;
+
+use bytes::BytesMut;
+use fatek::command::InvalidRequest;
+use fatek::wire::{Codec, Frame, Framing, Side};
+use fatek::{CallOptions, Error, ErrorCode, Link, Station, discrete, register, register32};
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+use tokio::time::{Instant, sleep, timeout};
+use tokio_util::codec::{Decoder, Encoder};
+
+/// The PLC's end of a line.
+struct Peer {
+    stream: DuplexStream,
+    codec: Codec,
+    received: BytesMut,
+}
+
+impl Peer {
+    /// The next request.
+    async fn request(&mut self) -> Frame {
+        loop {
+            if let Some(frame) = self.codec.decode(&mut self.received).unwrap().and_then(|item| item.frame()) {
+                return frame;
+            }
+            assert_ne!(self.stream.read_buf(&mut self.received).await.unwrap(), 0, "the client has hung up");
+        }
+    }
+
+    /// Whether the client sends nothing for a second.
+    async fn hears_nothing(&mut self) -> bool {
+        timeout(Duration::from_secs(1), self.request()).await.is_err()
+    }
+
+    /// Answers with this data, error digit included.
+    async fn reply(&mut self, station: u8, command: u8, data: &str) {
+        let mut bytes = BytesMut::new();
+        self.codec.encode(&Frame { station, command, data: data.to_owned().into() }, &mut bytes).unwrap();
+        self.raw(&bytes).await;
+    }
+
+    async fn raw(&mut self, bytes: &[u8]) {
+        self.stream.write_all(bytes).await.unwrap();
+    }
+
+    /// Echoes the loop-back that must come now.
+    async fn echo(&mut self) {
+        let request = self.request().await;
+        assert_eq!(request.command, 0x4E, "a dirty station must first echo a loop-back");
+        let data = String::from_utf8(request.data.to_vec()).unwrap();
+        self.reply(request.station, 0x4E, &data).await;
+    }
+}
+
+fn line() -> (Link, Peer) {
+    let (client, plc) = duplex(4096);
+    let link = Link::from_stream(client, Framing::Ascii);
+    (link, Peer { stream: plc, codec: Codec::new(Framing::Ascii, Side::Plc), received: BytesMut::new() })
+}
+
+fn station(link: &Link) -> Station {
+    link.station(1).unwrap()
+}
+
+fn once(station: &Station) -> Station {
+    station.with_options(CallOptions::new().retries(0))
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_read_is_one_request_and_one_reply() {
+    let (link, mut peer) = line();
+    let plc = tokio::spawn(async move {
+        let request = peer.request().await;
+        assert_eq!((request.station, request.command, &request.data[..]), (1, 0x46, &b"03R00012"[..]));
+        peer.raw(b"\x020146010A57FC4000189\x03").await;
+        peer
+    });
+    assert_eq!(station(&link).read_registers(register!("R12"), 3).await.unwrap(), [0x10A5, 0x7FC4, 1]);
+    let mut peer = plc.await.unwrap();
+    assert!(peer.hears_nothing().await);
+}
+
+#[tokio::test(start_paused = true)]
+async fn bad_arguments_are_named_and_nothing_is_sent() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let reading = |first: &str, count| {
+        let (station, first) = (station.clone(), first.parse().unwrap());
+        async move { station.read_registers(first, count).await.unwrap_err().to_string() }
+    };
+    assert_eq!(
+        reading("R0", 65).await,
+        "invalid request: read registers (46): 65 items were asked for, and it takes 1 to 64"
+    );
+    assert_eq!(
+        reading("R0", 0).await,
+        "invalid request: read registers (46): 0 items were asked for, and it takes 1 to 64"
+    );
+    assert_eq!(
+        reading("R65530", 7).await,
+        "invalid request: 7 elements from R65530 on reach past the last address, R65535"
+    );
+    let error = station.write_registers32(register32!("DR0"), &[0; 33]).await.unwrap_err();
+    assert!(error.to_string().contains("33 items were asked for, and it takes 1 to 32"), "{error}");
+    assert!(!error.may_have_executed());
+    let error = station.loop_back("caf\u{e9}").await.unwrap_err();
+    assert!(error.to_string().contains("the byte C3h at position 3 cannot be sent in the ASCII framing"), "{error}");
+    assert_eq!(link.station(0).unwrap_err(), InvalidRequest::Station { station: 0 });
+    assert!(link.station(255).unwrap_err().to_string().starts_with("255 is not a station"));
+    assert!(peer.hears_nothing().await);
+}
+
+#[tokio::test(start_paused = true)]
+async fn program_pages_are_refused_in_the_binary_framing_before_any_io() {
+    let (client, mut plc) = duplex(64);
+    let link = Link::from_stream(client, Framing::Binary);
+    let error = station(&link).read_program_page(0).await.unwrap_err();
+    assert_eq!(error.to_string(), "invalid request: read program page (4F) does not exist in the binary framing");
+    drop(link);
+    assert_eq!(plc.read(&mut [0; 8]).await.unwrap(), 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_the_plc_refuses_is_a_typed_error() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let call = tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await });
+    peer.request().await;
+    peer.reply(1, 0x47, "A").await;
+    let error = call.await.unwrap().unwrap_err();
+    assert_eq!(error.error_code(), Some(ErrorCode::IllegalAddress));
+    assert_eq!(error.to_string(), "station 1 refused write registers (47): illegal address (A)");
+    assert!(!error.may_have_executed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn only_the_exact_reply_is_taken_and_the_deadline_keeps_running() {
+    let (link, mut peer) = line();
+    let station = once(&station(&link));
+    let began = Instant::now();
+    let call = tokio::spawn(async move { station.read_registers(register!("R0"), 2).await });
+    peer.request().await;
+    peer.reply(2, 0x46, "000010002").await; // another station
+    peer.reply(1, 0x44, "000010002").await; // another command
+    peer.reply(1, 0x46, "00001").await; // too short
+    peer.reply(1, 0x46, "0000100020003").await; // too long
+    peer.reply(1, 0x46, "00001000G").await; // not hexadecimal
+    peer.reply(1, 0x46, "A0001").await; // an error with data
+    sleep(Duration::from_millis(500)).await;
+    peer.reply(1, 0x46, "000030004").await;
+    assert_eq!(call.await.unwrap().unwrap(), [3, 4]);
+    assert!(began.elapsed() < Duration::from_millis(600));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_reply_that_is_never_right_is_a_bad_reply_and_silence_is_a_timeout() {
+    let (link, mut peer) = line();
+    let station = once(&station(&link));
+    let call = {
+        let station = station.clone();
+        tokio::spawn(async move { station.read_registers(register!("R0"), 1).await })
+    };
+    peer.request().await;
+    peer.reply(1, 0x46, "000010002").await;
+    let error = call.await.unwrap().unwrap_err();
+    assert!(matches!(error, Error::BadReply { station: 1, .. }), "{error:?}");
+    assert!(error.to_string().ends_with("the data is too long"), "{error}");
+
+    let call = tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await });
+    peer.echo().await;
+    peer.request().await;
+    let error = call.await.unwrap().unwrap_err();
+    assert!(matches!(error, Error::Timeout { station: 1, sent: true, .. }), "{error:?}");
+    assert!(error.may_have_executed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn late_reply_to_a_timed_out_read_is_never_given_to_the_next_read() {
+    let (link, mut peer) = line();
+    let station = once(&station(&link));
+    let read = |first: &'static str| {
+        let station = station.clone();
+        tokio::spawn(async move { station.read_registers(first.parse().unwrap(), 1).await })
+    };
+    let first = read("R1");
+    peer.request().await;
+    assert!(matches!(first.await.unwrap(), Err(Error::Timeout { .. })));
+
+    let second = read("R2");
+    let barrier = peer.request().await;
+    assert_eq!(barrier.command, 0x4E);
+    peer.reply(1, 0x46, "01111").await; // R1, late: the PLC answers in order
+    peer.reply(1, 0x4E, std::str::from_utf8(&barrier.data).unwrap()).await;
+    assert_eq!(&peer.request().await.data[..], b"01R00002");
+    peer.reply(1, 0x46, "02222").await;
+    assert_eq!(second.await.unwrap().unwrap(), [0x2222]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_old_echo_does_not_pass_for_a_new_one() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let call = tokio::spawn(async move { station.read_registers(register!("R1"), 1).await });
+    peer.request().await; // unanswered: the station is dirty
+    let first = peer.request().await;
+    assert_eq!(first.command, 0x4E); // unanswered too
+    let second = peer.request().await;
+    assert_eq!(second.command, 0x4E);
+    assert_ne!(first.data, second.data, "a nonce is never used again");
+    peer.reply(1, 0x4E, std::str::from_utf8(&first.data).unwrap()).await;
+    assert!(timeout(Duration::from_millis(500), peer.request()).await.is_err());
+    peer.reply(1, 0x4E, std::str::from_utf8(&second.data).unwrap()).await;
+    assert_eq!(peer.request().await.command, 0x46);
+    peer.reply(1, 0x46, "00007").await;
+    assert_eq!(call.await.unwrap().unwrap(), [7]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_frame_that_nobody_asked_for_makes_the_station_prove_itself() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    for unasked in [false, true] {
+        let station = station.clone();
+        let call = tokio::spawn(async move { station.read_registers(register!("R1"), 1).await });
+        if unasked {
+            peer.echo().await;
+        }
+        peer.request().await;
+        peer.reply(1, 0x46, "00001").await;
+        assert_eq!(call.await.unwrap().unwrap(), [1]);
+        peer.reply(1, 0x46, "00001").await; // once more than asked
+        sleep(Duration::from_millis(1)).await;
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_device_without_loop_back_gets_a_quiet_period() {
+    let (link, mut peer) = line();
+    let station = once(&station(&link));
+    let read = || {
+        let station = station.clone();
+        tokio::spawn(async move { station.read_registers(register!("R1"), 1).await })
+    };
+    let first = read();
+    peer.request().await;
+    assert!(first.await.unwrap().is_err());
+    let second = read();
+    assert_eq!(peer.request().await.command, 0x4E);
+    peer.reply(1, 0x4E, "4").await;
+    let asked = Instant::now();
+    assert_eq!(peer.request().await.command, 0x46);
+    assert!(asked.elapsed() >= Duration::from_secs(1), "{:?}", asked.elapsed());
+    peer.reply(1, 0x46, "00009").await;
+    assert_eq!(second.await.unwrap().unwrap(), [9]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn reads_are_repeated_and_writes_are_not() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let read = {
+        let station = station.clone();
+        tokio::spawn(async move { station.read_registers(register!("R1"), 1).await })
+    };
+    peer.request().await;
+    peer.echo().await;
+    assert_eq!(peer.request().await.command, 0x46);
+    peer.reply(1, 0x46, "00001").await;
+    assert_eq!(read.await.unwrap().unwrap(), [1]);
+
+    let write = tokio::spawn(async move { station.write_registers(register!("R1"), &[5]).await });
+    peer.request().await;
+    assert!(write.await.unwrap().unwrap_err().may_have_executed());
+    assert!(peer.hears_nothing().await);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_corrupt_reply_is_repeated_without_waiting_for_the_whole_timeout() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let began = Instant::now();
+    let read = tokio::spawn(async move { station.read_registers(register!("R1"), 1).await });
+    peer.request().await;
+    peer.raw(b"\x0201460000199\x03").await;
+    peer.echo().await;
+    peer.request().await;
+    peer.reply(1, 0x46, "00001").await;
+    assert_eq!(read.await.unwrap().unwrap(), [1]);
+    assert!(began.elapsed() < Duration::from_millis(200), "{:?}", began.elapsed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_dropped_future_harms_nobody() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let sent = {
+        let station = station.clone();
+        tokio::spawn(async move { station.read_registers(register!("R1"), 1).await })
+    };
+    peer.request().await;
+    let queued = {
+        let station = station.clone();
+        tokio::spawn(async move { station.read_registers(register!("R2"), 1).await })
+    };
+    tokio::task::yield_now().await;
+    let wanted = tokio::spawn(async move { station.read_registers(register!("R3"), 1).await });
+    tokio::task::yield_now().await;
+    sent.abort();
+    queued.abort();
+    peer.reply(1, 0x46, "01111").await;
+    assert_eq!(&peer.request().await.data[..], b"01R00003", "R2 was not sent yet, so nobody wants it");
+    peer.reply(1, 0x46, "03333").await;
+    assert_eq!(wanted.await.unwrap().unwrap(), [0x3333]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_broadcast_does_not_wait_for_an_answer() {
+    let (link, mut peer) = line();
+    let began = Instant::now();
+    link.broadcast().write_registers(register!("R0"), &[7]).await.unwrap();
+    link.broadcast().stop().await.unwrap();
+    assert!(began.elapsed() < Duration::from_millis(1));
+    assert_eq!((peer.request().await.station, peer.request().await.command), (0, 0x41));
+}
+
+#[tokio::test(start_paused = true)]
+async fn control_goes_before_writes_and_writes_before_reads() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let mut calls = Vec::new();
+    for code in [0x46, 0x46, 0x47, 0x41] {
+        let station = station.clone();
+        calls.push(tokio::spawn(async move {
+            match code {
+                0x46 => station.read_registers(register!("R0"), 1).await.map(drop),
+                0x47 => station.write_registers(register!("R0"), &[1]).await,
+                _ => station.run().await,
+            }
+        }));
+        tokio::task::yield_now().await;
+    }
+    let mut order = Vec::new();
+    for _ in 0..4 {
+        let request = peer.request().await;
+        order.push(request.command);
+        peer.reply(1, request.command, if request.command == 0x46 { "00000" } else { "0" }).await;
+    }
+    assert_eq!(order, [0x46, 0x41, 0x47, 0x46], "the first was on its way before the others came");
+    for call in calls {
+        call.await.unwrap().unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_silent_station_goes_offline_fails_fast_and_comes_back() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let error = station.read_status().await.unwrap_err();
+    assert!(matches!(error, Error::Timeout { .. }), "{error:?}");
+    let began = Instant::now();
+    let error = station.read_status().await.unwrap_err();
+    assert!(matches!(error, Error::Offline { station: 1, sent: false, .. }), "{error:?}");
+    assert!(began.elapsed() < Duration::from_millis(1));
+    peer.received.clear();
+    let mut heard = Vec::new();
+    while heard.len() < 4 {
+        heard.push(peer.request().await.command);
+    }
+    assert_eq!(heard, [0x40, 0x4E, 0x4E, 0x4E], "one request, two barriers, and then the probe");
+    peer.echo().await;
+    sleep(Duration::from_millis(1)).await;
+    let call = tokio::spawn(async move { station.set(discrete!("Y0")).await });
+    peer.request().await;
+    peer.reply(1, 0x42, "0").await;
+    call.await.unwrap().unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn other_stations_go_on_while_one_is_silent() {
+    let (link, mut peer) = line();
+    let began = Instant::now();
+    let mut calls = Vec::new();
+    for (number, reads) in [(1, 5), (2, 1)] {
+        for _ in 0..reads {
+            let station = link.station(number).unwrap();
+            calls.push(tokio::spawn(async move {
+                let result = station.read_registers(register!("R0"), 1).await;
+                (number, result.is_ok(), began.elapsed())
+            }));
+            tokio::task::yield_now().await;
+        }
+    }
+    let plc = tokio::spawn(async move {
+        loop {
+            let request = peer.request().await;
+            if request.station == 2 {
+                peer.reply(2, 0x46, "00002").await;
+            }
+        }
+    });
+    for call in calls {
+        let (number, ok, after) = call.await.unwrap();
+        if number == 2 {
+            assert!(ok);
+            assert!(after <= Duration::from_millis(1001), "it waited {after:?}, more than one timeout");
+        }
+    }
+    plc.abort();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_lost_connection_fails_what_waits_at_once() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let began = Instant::now();
+    let calls: Vec<_> = (0..3)
+        .map(|_| {
+            let station = station.clone();
+            tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await })
+        })
+        .collect();
+    peer.request().await;
+    drop(peer);
+    let mut sent = 0;
+    for call in calls {
+        let error = call.await.unwrap().unwrap_err();
+        assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+        sent += u32::from(error.may_have_executed());
+    }
+    assert_eq!(sent, 1, "only the first had been sent");
+    assert!(began.elapsed() < Duration::from_millis(1));
+    assert!(matches!(station.read_status().await.unwrap_err(), Error::Closed));
+}
+
+#[tokio::test(start_paused = true)]
+async fn closing_fails_what_waits_and_finishes_what_is_on_the_wire() {
+    let (link, mut peer) = line();
+    let calls: Vec<_> = (0..2)
+        .map(|_| {
+            let station = station(&link);
+            tokio::spawn(async move { station.read_registers(register!("R0"), 1).await })
+        })
+        .collect();
+    peer.request().await;
+    let closing = {
+        let link = link.clone();
+        tokio::spawn(async move { link.close().await })
+    };
+    sleep(Duration::from_millis(10)).await;
+    peer.reply(1, 0x46, "00001").await;
+    closing.await.unwrap();
+    let mut results = Vec::new();
+    for call in calls {
+        results.push(call.await.unwrap());
+    }
+    assert_eq!(results[0].as_ref().unwrap(), &[1]);
+    assert!(matches!(results[1], Err(Error::Closed)));
+    assert!(matches!(station(&link).read_status().await, Err(Error::Closed)));
+    assert_eq!(peer.stream.read(&mut [0; 1]).await.unwrap(), 0, "the connection is closed");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_link_that_was_never_used_can_be_closed() {
+    let (link, _peer) = line();
+    link.close().await;
+    assert!(matches!(station(&link).read_status().await, Err(Error::Closed)));
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_call_ends_by_its_deadline() {
+    let (link, peer) = line();
+    let options = CallOptions::new().call_timeout(Duration::from_millis(2500)).retries(100);
+    let began = Instant::now();
+    let calls: Vec<_> = (0..20)
+        .map(|number| {
+            let station = link.station(number % 5 + 1).unwrap().with_options(options);
+            tokio::spawn(async move {
+                let error = station.read_status().await.unwrap_err();
+                assert!(matches!(error, Error::Timeout { .. } | Error::Offline { .. }), "{error:?}");
+            })
+        })
+        .collect();
+    for call in calls {
+        call.await.unwrap();
+    }
+    assert!(began.elapsed() <= Duration::from_millis(2510), "{:?}", began.elapsed());
+    drop(peer);
+}
