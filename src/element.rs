@@ -61,6 +61,9 @@ symbols! {
     Double  DF   5  65534   2  1;
 }
 
+/// The length of the longest symbol, in letters.
+pub(crate) const LONGEST_SYMBOL: usize = 3;
+
 impl Symbol {
     /// The letters, upper case: one to three of them.
     #[must_use]

@@ -1,14 +1,28 @@
 //! Where a PLC is: endpoints and how they are written.
 
+mod serial;
+
 use std::fmt;
 use std::str::FromStr;
 
 use crate::wire::Framing;
 
+pub use serial::{DataBits, MAX_BAUD, MIN_BAUD, Parity, SerialSettings, StopBits};
+
 /// Where a PLC is, and how it talks.
 ///
-/// Written as `tcp://host[:port][?framing=ascii|binary]`. The framing is ASCII unless stated; the port is 500 unless
-/// stated, but must be stated for the binary framing, which has no usual one. An IPv6 address stands in brackets.
+/// | | |
+/// |---|---|
+/// | `tcp://host[:port]` | a TCP connection, as to an Ethernet module |
+/// | `udp://host[:port]` | UDP, one frame a datagram |
+/// | `serial:path[?baud=9600&frame=7E1]` | a serial port: its path or name, its speed, and its data bits, parity (`N`, `E`, `O`) and stop bits |
+///
+/// Each can be followed by `?framing=ascii` or `?framing=binary`; the framing is ASCII unless stated. Several options are
+/// joined by `&`.
+///
+/// The port is 500 unless stated, but must be stated for the binary framing, which has no usual one. An IPv6 address
+/// stands in brackets. A serial port has 9600 baud unless stated, and 7E1, or 8N1 for the binary framing, which needs 8
+/// data bits.
 ///
 /// ```
 /// use fatek::Endpoint;
@@ -16,8 +30,10 @@ use crate::wire::Framing;
 ///
 /// let endpoint: Endpoint = "tcp://192.168.2.3".parse()?;
 /// assert_eq!(endpoint.to_string(), "tcp://192.168.2.3:500");
-/// let endpoint: Endpoint = "tcp://[fe80::1]:5000?framing=binary".parse()?;
+/// let endpoint: Endpoint = "udp://[fe80::1]:5000?framing=binary".parse()?;
 /// assert_eq!(endpoint.framing(), Framing::Binary);
+/// let endpoint: Endpoint = "serial:/dev/ttyUSB0?baud=19200&frame=7E1".parse()?;
+/// assert_eq!(endpoint.to_string(), "serial:/dev/ttyUSB0?baud=19200");
 /// # Ok::<(), fatek::ParseEndpointError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -37,9 +53,23 @@ pub enum Transport {
         /// The port.
         port: u16,
     },
+    /// UDP, one frame a datagram.
+    Udp {
+        /// A name or an address; an IPv6 address without its brackets.
+        host: String,
+        /// The port.
+        port: u16,
+    },
+    /// A serial port.
+    Serial {
+        /// What the operating system calls it: `/dev/ttyUSB0`, `COM3`.
+        path: String,
+        /// How it is set.
+        settings: SerialSettings,
+    },
 }
 
-/// The port of FATEK's Ethernet modules.
+/// The port of FATEK's Ethernet modules, of TCP and of UDP.
 pub const DEFAULT_PORT: u16 = 500;
 
 impl Endpoint {
@@ -49,10 +79,59 @@ impl Endpoint {
         Self { transport: Transport::Tcp { host: host.into(), port }, framing: Framing::Ascii }
     }
 
+    /// A UDP endpoint with the ASCII framing.
+    #[must_use]
+    pub fn udp(host: impl Into<String>, port: u16) -> Self {
+        Self { transport: Transport::Udp { host: host.into(), port }, framing: Framing::Ascii }
+    }
+
+    /// A serial port with the ASCII framing, 9600 baud and 7E1.
+    ///
+    /// ```
+    /// use fatek::Endpoint;
+    /// use fatek::endpoint::SerialSettings;
+    /// use fatek::wire::Framing;
+    ///
+    /// let fast = SerialSettings::new(Framing::Ascii).with_baud(115_200)?;
+    /// let endpoint = Endpoint::serial("/dev/ttyUSB0").with_serial(fast)?;
+    /// assert_eq!(endpoint.to_string(), "serial:/dev/ttyUSB0?baud=115200");
+    /// # Ok::<(), fatek::endpoint::InvalidSettings>(())
+    /// ```
+    #[must_use]
+    pub fn serial(path: impl Into<String>) -> Self {
+        let framing = Framing::Ascii;
+        Self { transport: Transport::Serial { path: path.into(), settings: SerialSettings::new(framing) }, framing }
+    }
+
+    /// The same with other settings of the serial port.
+    ///
+    /// # Errors
+    /// [`InvalidSettings::NotSerial`] for another transport; [`InvalidSettings::DataBits`] for 7 data bits with the
+    /// binary framing.
+    pub fn with_serial(mut self, serial: SerialSettings) -> Result<Self, InvalidSettings> {
+        match &mut self.transport {
+            Transport::Serial { settings, .. } => {
+                *settings = serial.check(self.framing)?;
+                Ok(self)
+            }
+            Transport::Tcp { .. } | Transport::Udp { .. } => {
+                Err(InvalidSettings::NotSerial { endpoint: self.to_string() })
+            }
+        }
+    }
+
     /// The same with another framing.
+    ///
+    /// Binary frames do not pass through a serial port with 7 data bits, so such a port is set to 8N1.
     #[must_use]
     pub fn with_framing(mut self, framing: Framing) -> Self {
         self.framing = framing;
+        if let Transport::Serial { settings, .. } = &mut self.transport
+            && settings.check(framing).is_err()
+        {
+            *settings =
+                settings.with_data_bits(DataBits::Eight).with_parity(Parity::None).with_stop_bits(StopBits::One);
+        }
         self
     }
 
@@ -86,15 +165,66 @@ impl FromStr for Endpoint {
 
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut options = Vec::new();
         match &self.transport {
-            Transport::Tcp { host, port } if host.contains(':') => write!(f, "tcp://[{host}]:{port}")?,
-            Transport::Tcp { host, port } => write!(f, "tcp://{host}:{port}")?,
+            Transport::Tcp { host, port } => write!(f, "tcp://{}", Authority { host, port: *port })?,
+            Transport::Udp { host, port } => write!(f, "udp://{}", Authority { host, port: *port })?,
+            Transport::Serial { path, settings } => {
+                write!(f, "serial:{path}")?;
+                let usual = SerialSettings::new(self.framing);
+                if settings.baud() != usual.baud() {
+                    options.push(format!("baud={}", settings.baud()));
+                }
+                if settings.character() != usual.character() {
+                    options.push(format!("frame={}", settings.character()));
+                }
+            }
         }
         match self.framing {
-            Framing::Ascii => Ok(()),
-            framing @ Framing::Binary => write!(f, "?framing={framing}"),
+            Framing::Ascii => {}
+            framing @ Framing::Binary => options.push(format!("framing={framing}")),
         }
+        for (position, option) in options.iter().enumerate() {
+            write!(f, "{}{option}", if position == 0 { '?' } else { '&' })?;
+        }
+        Ok(())
     }
+}
+
+struct Authority<'a> {
+    host: &'a str,
+    port: u16,
+}
+
+impl fmt::Display for Authority<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { host, port } = self;
+        if host.contains(':') { write!(f, "[{host}]:{port}") } else { write!(f, "{host}:{port}") }
+    }
+}
+
+/// Settings that an endpoint cannot have.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidSettings {
+    /// A speed that no serial port has.
+    #[error("the baud rate {baud} is not within {MIN_BAUD} to {MAX_BAUD}")]
+    Baud {
+        /// The speed.
+        baud: u32,
+    },
+    /// Too few data bits for the binary framing, which uses all values of a byte.
+    #[error("the binary framing needs 8 data bits, and {settings} has {}", settings.data_bits())]
+    DataBits {
+        /// The settings.
+        settings: SerialSettings,
+    },
+    /// A serial port's settings for something else.
+    #[error("{endpoint} is no serial port")]
+    NotSerial {
+        /// The endpoint.
+        endpoint: String,
+    },
 }
 
 /// A text that is not an endpoint: the text, and the rule it breaks.
@@ -106,26 +236,19 @@ pub struct ParseEndpointError {
 }
 
 fn parse(text: &str) -> Result<Endpoint, String> {
-    let Some((scheme, rest)) = text.split_once("://") else {
-        return Err("it must begin with `tcp://`".to_owned());
-    };
-    if !scheme.eq_ignore_ascii_case("tcp") {
-        return Err(format!("the transport `{scheme}` is not known, only `tcp` is"));
+    let (scheme, rest) = text.split_once(':').ok_or(SCHEMES)?;
+    if scheme.eq_ignore_ascii_case("serial") {
+        return parse_serial(rest);
     }
-    let (authority, query) = match rest.split_once('?') {
-        Some((authority, query)) => (authority, Some(query)),
-        None => (rest, None),
+    let rest = rest.strip_prefix("//").ok_or(SCHEMES)?;
+    let endpoint: fn(String, u16) -> Endpoint = match scheme.to_ascii_lowercase().as_str() {
+        "tcp" => Endpoint::tcp,
+        "udp" => Endpoint::udp,
+        _ => return Err(format!("the transport `{scheme}` is not known, only `tcp`, `udp` and `serial` are")),
     };
-    let mut framing = Framing::Ascii;
-    for option in query.into_iter().flat_map(|query| query.split('&')) {
-        match option.split_once('=') {
-            Some(("framing", value)) => framing = value.parse().map_err(|error| format!("{error}"))?,
-            _ => {
-                return Err(format!(
-                    "the option `{option}` is not known, only `framing=ascii` and `framing=binary` are"
-                ));
-            }
-        }
+    let (authority, options) = split_options(rest)?;
+    if let Some(name) = options.baud.and(Some("baud")).or(options.frame.and(Some("frame"))) {
+        return Err(format!("the option `{name}` is for serial ports, not for {scheme}"));
     }
     let authority = authority.strip_suffix('/').unwrap_or(authority);
     let (host, port) = split_authority(authority)?;
@@ -134,14 +257,79 @@ fn parse(text: &str) -> Result<Endpoint, String> {
             Ok(number) if number > 0 && port.bytes().all(|b| b.is_ascii_digit()) => number,
             _ => return Err(format!("the port `{port}` must be a number from 1 to 65535")),
         },
-        None if framing == Framing::Ascii => DEFAULT_PORT,
+        None if options.framing == Framing::Ascii => DEFAULT_PORT,
         None => {
-            return Err(
-                "the binary framing has no usual port: state it, as in `tcp://host:port?framing=binary`".to_owned()
-            );
+            return Err(format!(
+                "the binary framing has no usual port: state it, as in `{scheme}://host:port?framing=binary`"
+            ));
         }
     };
-    Ok(Endpoint { transport: Transport::Tcp { host: host.to_owned(), port }, framing })
+    Ok(endpoint(host.to_owned(), port).with_framing(options.framing))
+}
+
+const SCHEMES: &str = "it must begin with `tcp://`, `udp://` or `serial:`";
+
+fn parse_serial(rest: &str) -> Result<Endpoint, String> {
+    let (path, options) = split_options(rest)?;
+    // An URL with an empty authority, `serial:///dev/ttyUSB0`, means the same path.
+    let path = path.strip_prefix("//").filter(|path| path.starts_with('/')).unwrap_or(path);
+    if path.is_empty() {
+        return Err("the path of the port is missing, as in `serial:/dev/ttyUSB0` or `serial:COM3`".to_owned());
+    }
+    if path.starts_with("//") {
+        return Err("the path follows `serial:` without `//`, as in `serial:/dev/ttyUSB0` or `serial:COM3`".to_owned());
+    }
+    if let Some(c) = path.chars().find(|c| c.is_control()) {
+        return Err(format!("the path has the character {c:?}, which no path of a port has"));
+    }
+    let mut settings = SerialSettings::new(options.framing);
+    if let Some(text) = options.baud {
+        let baud = text.parse().ok().filter(|_| text.bytes().all(|b| b.is_ascii_digit()));
+        settings = baud
+            .and_then(|baud| settings.with_baud(baud).ok())
+            .ok_or_else(|| format!("the baud rate `{text}` must be a number from {MIN_BAUD} to {MAX_BAUD}"))?;
+    }
+    if let Some(text) = options.frame {
+        settings = settings.with_character(text).ok_or_else(|| {
+            format!("the frame `{text}` must be data bits (7, 8), parity (N, E, O) and stop bits (1, 2), as in `7E1`")
+        })?;
+    }
+    let endpoint = Endpoint::serial(path).with_framing(options.framing);
+    endpoint.with_serial(settings).map_err(|invalid| invalid.to_string())
+}
+
+/// What stands behind the `?`.
+#[derive(Default)]
+struct Options<'a> {
+    framing: Framing,
+    baud: Option<&'a str>,
+    frame: Option<&'a str>,
+}
+
+fn split_options(text: &str) -> Result<(&str, Options<'_>), String> {
+    let mut options = Options::default();
+    let Some((address, query)) = text.split_once('?') else { return Ok((text, options)) };
+    let mut framing = None;
+    for option in query.split('&') {
+        let (name, value) = option.split_once('=').unwrap_or((option, ""));
+        let place = match name {
+            "framing" => &mut framing,
+            "baud" => &mut options.baud,
+            "frame" => &mut options.frame,
+            _ => {
+                return Err(format!(
+                    "the option `{option}` is not known, only `framing` is and, for a serial port, `baud` and `frame`"
+                ));
+            }
+        };
+        if place.replace(value).is_some() {
+            return Err(format!("the option `{name}` is given twice"));
+        }
+    }
+    if let Some(framing) = framing {
+        options.framing = framing.parse().map_err(|error| format!("{error}"))?;
+    }
+    Ok((address, options))
 }
 
 /// Host and port of `host`, `host:port`, `[v6]` and `[v6]:port`.
@@ -173,58 +361,4 @@ fn split_authority(authority: &str) -> Result<(&str, Option<&str>), String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn endpoints_round_trip() {
-        for (text, canonical) in [
-            ("tcp://10.0.0.7", "tcp://10.0.0.7:500"),
-            ("TCP://plc-1.example:501", "tcp://plc-1.example:501"),
-            ("tcp://10.0.0.7:500?framing=ascii", "tcp://10.0.0.7:500"),
-            ("tcp://10.0.0.7:4000/?framing=BINARY", "tcp://10.0.0.7:4000?framing=binary"),
-            ("tcp://[::1]", "tcp://[::1]:500"),
-            ("tcp://[fe80::1]:7?framing=binary", "tcp://[fe80::1]:7?framing=binary"),
-        ] {
-            let endpoint: Endpoint = text.parse().unwrap();
-            assert_eq!(endpoint.to_string(), canonical);
-            assert_eq!(canonical.parse(), Ok(endpoint));
-        }
-    }
-
-    #[test]
-    fn a_bad_endpoint_is_named_with_the_rule_it_breaks() {
-        for (text, rule) in [
-            ("", "it must begin with `tcp://`"),
-            ("10.0.0.7:500", "it must begin with `tcp://`"),
-            ("http://10.0.0.7", "the transport `http` is not known"),
-            ("tcp://", "the host is missing"),
-            ("tcp://:500", "the host is missing"),
-            ("tcp://plc:0", "the port `0` must be a number from 1 to 65535"),
-            ("tcp://plc:65536", "the port `65536` must be a number from 1 to 65535"),
-            ("tcp://plc:+5", "the port `+5` must be a number from 1 to 65535"),
-            ("tcp://plc:", "the port `` must be a number from 1 to 65535"),
-            ("tcp://plc?framing=rtu", "`rtu` is not a framing"),
-            ("tcp://plc?baud=9600", "the option `baud=9600` is not known"),
-            ("tcp://plc?framing=binary", "the binary framing has no usual port"),
-            ("tcp://[::1", "the bracket of the IPv6 address is not closed"),
-            ("tcp://[plc]", "`plc` is not an IPv6 address"),
-            ("tcp://[::1]500", "`500` follows the IPv6 address"),
-            ("tcp://pl c", "the character ' '"),
-            ("tcp://user@plc", "the character '@'"),
-        ] {
-            let message = text.parse::<Endpoint>().unwrap_err().to_string();
-            assert!(message.starts_with(&format!("`{text}` is not an endpoint: ")), "{message}");
-            assert!(message.contains(rule), "{message} should say: {rule}");
-        }
-    }
-
-    proptest::proptest! {
-        #[test]
-        fn no_text_panics_and_every_accepted_text_round_trips(text in "(tcp://)?[\\PC]{0,24}") {
-            if let Ok(endpoint) = text.parse::<Endpoint>() {
-                proptest::prop_assert_eq!(endpoint.to_string().parse::<Endpoint>(), Ok(endpoint));
-            }
-        }
-    }
-}
+mod tests;

@@ -71,7 +71,8 @@ impl From<ErrorCode> for u8 {
             ErrorCode::Syntax => 0x7,
             ErrorCode::NotSupported => 0x9,
             ErrorCode::IllegalAddress => 0xA,
-            ErrorCode::Unknown(code) => code,
+            // An error must never look like success, even one that is none.
+            ErrorCode::Unknown(code) => code.max(1),
         }
     }
 }
@@ -87,6 +88,7 @@ pub enum Error {
     Invalid(#[from] InvalidRequest),
     /// The PLC's answer: it refused the request.
     #[error("station {station} refused {code}: {error}")]
+    #[non_exhaustive]
     Plc {
         /// The station.
         station: u8,
@@ -94,9 +96,12 @@ pub enum Error {
         code: Code,
         /// What it answered.
         error: ErrorCode,
+        /// Whether the request had been sent before, without an answer: it may have been executed then.
+        repeated: bool,
     },
     /// Nothing came back in time.
     #[error("station {station} did not answer {code} within {after:?}")]
+    #[non_exhaustive]
     Timeout {
         /// The station.
         station: u8,
@@ -110,6 +115,7 @@ pub enum Error {
     },
     /// Something came back in time, and none of it was a reply to this request.
     #[error("station {station} gave no usable reply to {code} within {after:?}: {reason}")]
+    #[non_exhaustive]
     BadReply {
         /// The station.
         station: u8,
@@ -124,6 +130,7 @@ pub enum Error {
     },
     /// The station has not answered several times in a row; nothing is sent to it until it answers a probe.
     #[error("station {station} is offline; the next probe is due in {probe_in:?}")]
+    #[non_exhaustive]
     Offline {
         /// The station.
         station: u8,
@@ -134,22 +141,27 @@ pub enum Error {
     },
     /// More calls wait for this station than the link holds. Nothing was sent.
     #[error("{limit} calls are waiting for station {station} already")]
+    #[non_exhaustive]
     QueueFull {
         /// The station.
         station: u8,
         /// How many calls can wait.
         limit: usize,
     },
-    /// The connection could not be opened. Nothing was sent.
+    /// The connection could not be opened.
     #[error("cannot connect to {endpoint}: {source}")]
+    #[non_exhaustive]
     Connect {
         /// Where to.
         endpoint: String,
         /// Why not.
         source: Arc<io::Error>,
+        /// Whether the request had been sent before, over a connection that was lost.
+        sent: bool,
     },
     /// The connection was lost.
     #[error("the connection to {endpoint} was lost: {source}")]
+    #[non_exhaustive]
     Disconnected {
         /// Where to.
         endpoint: String,
@@ -158,24 +170,31 @@ pub enum Error {
         /// Whether the request, or a part of it, had been sent.
         sent: bool,
     },
-    /// The link has been closed, or its task has ended with its runtime. Nothing was sent.
+    /// The link has been closed, or its task has ended with its runtime.
     #[error("the link is closed")]
-    Closed,
+    #[non_exhaustive]
+    Closed {
+        /// Whether the request had been sent before.
+        sent: bool,
+    },
 }
 
 impl Error {
     /// Whether the PLC may have executed the request.
     ///
-    /// `false` is certain: the request was not sent, or the PLC refused it. `true` means that nobody can know, and
+    /// `false` is certain: the request was never sent, or the PLC refused it. `true` means that nobody can know, and
     /// whether to repeat a write is the caller's to decide.
     #[must_use]
     pub fn may_have_executed(&self) -> bool {
         match self {
-            Self::Invalid(_) | Self::Plc { .. } | Self::Connect { .. } | Self::QueueFull { .. } | Self::Closed => false,
+            Self::Invalid(_) | Self::QueueFull { .. } => false,
+            Self::Plc { repeated, .. } => *repeated,
             Self::Timeout { sent, .. }
             | Self::BadReply { sent, .. }
             | Self::Offline { sent, .. }
-            | Self::Disconnected { sent, .. } => *sent,
+            | Self::Connect { sent, .. }
+            | Self::Disconnected { sent, .. }
+            | Self::Closed { sent } => *sent,
         }
     }
 

@@ -1,9 +1,73 @@
-//! fatek
+//! An async client for FATEK / FACON PLCs: the ASCII and the binary framing, one link shared by many callers and many
+//! stations, and a simulated PLC to test against.
+//!
+//! ```
+//! # #[cfg(feature = "sim")]
+//! # #[tokio::main(flavor = "current_thread")]
+//! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use fatek::sim::{Bus, Plc, Server};
+//! use fatek::wire::Framing;
+//! use fatek::{Endpoint, Link, discrete, register};
+//!
+//! // A PLC to talk to. Yours is at an address such as "tcp://192.168.2.3:500".
+//! let server = Server::bind("127.0.0.1:0", Bus::new().with_station(1, Plc::new())?, Framing::Ascii).await?;
+//! let endpoint = Endpoint::from(server.local_addr());
+//!
+//! let link = Link::new(endpoint); // connects when it is first used
+//! let station = link.station(1)?;
+//! station.write_registers(register!("R12"), &[0x10A5, 0x7FC4, 1]).await?;
+//! station.set(discrete!("Y3")).await?;
+//! assert_eq!(station.read_registers(register!("R12"), 3).await?, [0x10A5, 0x7FC4, 1]);
+//! # Ok(())
+//! # }
+//! # #[cfg(not(feature = "sim"))]
+//! # fn main() {}
+//! ```
+//!
+//! # The layers
+//!
+//! ```text
+//! station.read_registers(R12, 3)                    Station      one async method per command
+//!   → ReadRegisters { first, count }                command      what is asked: typed, checked, framing-free
+//!   → "03" "R00012"  |  03 52 00 0C                 wire         its fields, in ASCII or in binary
+//!   → STX 01 46 … ETX  |  51 10 00 06 … 55 AA       wire         tokio_util codec: frames in, frames out
+//!   → queued, sent, awaited, matched                link         one task owns one connection
+//! and back the same way: bytes → frame → matched to its request → fields → Vec<u16>
+//! ```
+//!
+//! - [`mod@element`]: what a PLC is made of: `X0`, `WM8`, `R12`, `DR100` …
+//! - [`tag`]: an element, or a range of them, with a type: `R100:f32`.
+//! - [`command`]: the fourteen commands, each one type.
+//! - [`wire`]: the two framings, usable alone.
+//! - [`link`]: [`Link`], [`Station`] and [`Broadcast`], and what decides between them.
+#![cfg_attr(feature = "sim", doc = "- [`sim`]: a PLC in memory, and its server.")]
+//!
+//! # What it promises
+//!
+//! 1. **No reply reaches the wrong request.** The protocol has no transaction id, so a reply must match station, command
+//!    and the exact shape that its request expects; and after any doubt (a timeout, a corrupt reply, a frame that nobody
+//!    asked for) the station must echo a loop-back with a nonce before anything else is asked of it.
+//! 2. **No write is repeated behind the caller's back.** Reads are repeated, writes and control only by choice
+//!    ([`CallOptions::retry_writes`]); [`Error::may_have_executed`] tells what is known.
+//! 3. **Every call ends by its deadline**, queueing, connecting and retries included.
+//! 4. **One silent station does not stop the others.** Its calls fail at once while it is offline.
+//! 5. **No bytes from the wire can panic, hang or grow it.**
+//! 6. **A dropped future harms nobody.**
+//! 7. **Broadcasts never wait for an answer.**
+//!
+//! # Features
+//!
+//! - `sim`: the simulated PLC.
+//! - `cli`: the `fatek` command line.
+#![cfg_attr(docsrs, feature(doc_cfg))]
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
 pub mod command;
 pub mod element;
 pub mod endpoint;
 mod error;
 pub mod link;
+mod random;
 #[cfg(feature = "sim")]
 pub mod sim;
 mod station;
@@ -14,5 +78,10 @@ pub use command::Value;
 pub use element::{Discrete, Element, Register, Register32, Symbol, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode};
-pub use link::{CallOptions, Link, LinkBuilder, LinkState};
+pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
 pub use station::{Broadcast, Station};
+
+/// The code in the README compiles and runs.
+#[cfg(all(doctest, feature = "sim"))]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use bytes::Bytes;
+use tokio::sync::watch;
 
 use crate::command::{
     BriefStatus, Command, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, InvalidRequest, LoopBack,
@@ -11,7 +12,7 @@ use crate::command::{
 };
 use crate::element::{Discrete, Element, Register, Register32};
 use crate::error::Error;
-use crate::link::{CallOptions, Link};
+use crate::link::{CallOptions, Link, StationState, StationStats};
 
 /// One PLC on a [`Link`]. Cheap to clone; every method takes `&self`, so that one handle serves many tasks.
 ///
@@ -69,6 +70,31 @@ impl Station {
     #[must_use]
     pub fn link(&self) -> &Link {
         &self.link
+    }
+
+    /// What it has been asked and has answered so far, by all handles of the link: a snapshot.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.loop_back("x").await?;
+    /// assert!(station.stats().round_trip.is_some());
+    /// # Ok(()) });
+    /// ```
+    #[must_use]
+    pub fn stats(&self) -> StationStats {
+        self.link.board().station(self.number)
+    }
+
+    /// Whether it answers, to be watched.
+    #[must_use]
+    pub fn watch_state(&self) -> watch::Receiver<StationState> {
+        self.link.board().watch(self.number)
+    }
+
+    /// The options of its calls.
+    #[must_use]
+    pub fn options(&self) -> CallOptions {
+        self.options
     }
 
     /// Sends any [`Command`] and gives its reply. The methods below are this, by name.

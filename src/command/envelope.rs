@@ -20,7 +20,8 @@ use crate::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, FieldWrite
 /// ```
 ///
 /// # Errors
-/// [`InvalidRequest`] when the request cannot be sent in this framing; then nothing is appended.
+/// [`InvalidRequest`] when the request cannot be sent in this framing, or 255 is given as the station; then nothing is
+/// appended.
 pub fn encode_request<C: Command>(
     request: &C,
     framing: Framing,
@@ -28,6 +29,9 @@ pub fn encode_request<C: Command>(
     dst: &mut BytesMut,
 ) -> Result<(), InvalidRequest> {
     request.check(framing)?;
+    if station == u8::MAX {
+        return Err(InvalidRequest::Station { station });
+    }
     let code = C::CODE.into();
     match framing {
         Framing::Ascii => ascii::emit(dst, station, code, |fields| request.write_request(fields)),

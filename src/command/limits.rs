@@ -1,5 +1,7 @@
 //! The limits of the commands, each in one place, and the error that names the one that is broken.
 
+use std::fmt;
+
 use super::{Code, Value};
 use crate::element::{Element, ElementError, Width};
 use crate::wire::Framing;
@@ -70,13 +72,17 @@ pub enum InvalidRequest {
     },
     /// The binary framing would send these elements as bytes that can also be read as other elements.
     ///
-    /// It does not say how long a symbol is: `R` at address 5400h begins as `RT` does. Ask for fewer of them at once.
+    /// It does not say how long a symbol is: `R` at address 5400h begins as `RT` does, so `RT87 X0` is also `R21504 WX0`.
+    /// Ask for fewer of them at once: one alone always has one reading.
     #[error(
-        "{code}: as bytes of the binary framing, these elements can also be read as others; ask for them one by one"
+        "{code}: as bytes of the binary framing, {} can also be read as other elements; ask for them one by one",
+        List(elements)
     )]
     Ambiguous {
         /// The command.
         code: Code,
+        /// The elements.
+        elements: Vec<Element>,
     },
     /// Loop-back data that the ASCII framing cannot carry.
     #[error("{code}: the byte {byte:02X}h at position {position} cannot be sent in the ASCII framing (20h to 7Eh can)")]
@@ -94,6 +100,21 @@ pub enum InvalidRequest {
         /// The number given.
         station: u8,
     },
+}
+
+/// Elements as people write them.
+struct List<'a>(&'a [Element]);
+
+impl fmt::Display for List<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, element) in self.0.iter().enumerate() {
+            if i > 0 {
+                f.write_str(" ")?;
+            }
+            write!(f, "{element}")?;
+        }
+        Ok(())
+    }
 }
 
 pub(super) fn in_framing(code: Code, framing: Framing) -> Result<(), InvalidRequest> {

@@ -114,7 +114,7 @@ impl Command for ReadMixed {
 
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)?;
-        one_reading(self, framing)
+        one_reading(self, framing, || self.elements.clone())
     }
 }
 
@@ -184,13 +184,17 @@ impl Command for WriteMixed {
 
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)?;
-        one_reading(self, framing)
+        one_reading(self, framing, || self.items.iter().map(|&(element, _)| element).collect())
     }
 }
 
 /// What the PLC reads must be what was written. In the binary framing a list of elements may have two readings, and
 /// then a wrong register could be read, or written.
-fn one_reading<C: Command>(request: &C, framing: Framing) -> Result<(), InvalidRequest> {
+fn one_reading<C: Command>(
+    request: &C,
+    framing: Framing,
+    elements: impl Fn() -> Vec<Element>,
+) -> Result<(), InvalidRequest> {
     if framing == Framing::Ascii {
         return Ok(());
     }
@@ -198,6 +202,6 @@ fn one_reading<C: Command>(request: &C, framing: Framing) -> Result<(), InvalidR
     request.write_request(&mut BinaryWriter::new(&mut data));
     match C::read_request(&mut BinaryReader::new(&data)) {
         Ok(_) => Ok(()),
-        Err(_) => Err(InvalidRequest::Ambiguous { code: C::CODE }),
+        Err(_) => Err(InvalidRequest::Ambiguous { code: C::CODE, elements: elements() }),
     }
 }

@@ -42,7 +42,9 @@ use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 ///
 /// A value of such a type has passed the command's limits. The four methods are the two directions of request and
 /// reply; the error digit that most replies begin with is not theirs (see [`ErrorField`]).
-pub trait Command: Clone + fmt::Debug + Send + Sync + 'static {
+///
+/// The protocol has these fourteen and no others, so the trait cannot be implemented elsewhere.
+pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
     /// What the PLC answers, once the error code has said that all went well.
     type Reply: Clone + fmt::Debug + PartialEq + Send + Sync + 'static;
 
@@ -75,4 +77,25 @@ pub trait Command: Clone + fmt::Debug + Send + Sync + 'static {
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)
     }
+}
+
+mod sealed {
+    use super::*;
+
+    pub trait Sealed {}
+
+    impl Sealed for ReadStatus {}
+    impl Sealed for ControlPlc {}
+    impl Sealed for ControlDiscrete {}
+    impl Sealed for ReadDisabled {}
+    impl Sealed for ReadDiscretes {}
+    impl Sealed for WriteDiscretes {}
+    impl<E: RegisterElement> Sealed for ReadRegisters<E> {}
+    impl<E: RegisterElement> Sealed for WriteRegisters<E> {}
+    impl Sealed for ReadMixed {}
+    impl Sealed for WriteMixed {}
+    impl Sealed for LoopBack {}
+    impl Sealed for ReadProgramPage {}
+    impl Sealed for WriteProgramPage {}
+    impl Sealed for ReadDetailedStatus {}
 }

@@ -208,10 +208,10 @@ impl Command for ReadDetailedStatus {
 
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<DetailedStatus, FieldError> {
         let mut raw = Vec::with_capacity(64);
-        while !fields.is_empty() {
+        while !fields.is_empty() && raw.len() <= DetailedStatus::MAX_LEN {
             raw.push(fields.byte()?);
         }
-        DetailedStatus::from_raw(raw).ok_or(FieldError::Truncated)
+        DetailedStatus::from_raw(raw).ok_or(FieldError::WrongLength)
     }
 }
 
@@ -222,11 +222,11 @@ pub struct DetailedStatus {
 }
 
 impl DetailedStatus {
-    /// A status of these bytes, STATUS1 first; `None` for fewer than 28.
+    /// A status of these bytes, STATUS1 first; `None` for fewer than 28, and for more than fit into an ASCII frame (249).
     #[must_use]
     pub fn from_raw(raw: impl Into<Bytes>) -> Option<Self> {
         let raw = raw.into();
-        (raw.len() >= Self::LEN).then_some(Self { raw })
+        (Self::MIN_LEN..=Self::MAX_LEN).contains(&raw.len()).then_some(Self { raw })
     }
 
     /// The bytes as the PLC sent them, STATUS1 first: 28 or more, 64 by the manual.
@@ -350,7 +350,9 @@ impl DetailedStatus {
     }
 
     /// The fewest bytes that hold every field.
-    const LEN: usize = 28;
+    const MIN_LEN: usize = 28;
+    /// The most that 500 characters hold, two each, behind the error digit.
+    const MAX_LEN: usize = 249;
 
     /// The byte that the manual numbers from 1.
     fn status(&self, number: usize) -> u8 {
@@ -360,6 +362,13 @@ impl DetailedStatus {
     /// The big-endian word whose high byte the manual numbers so.
     fn word(&self, high: usize) -> u16 {
         u16::from_be_bytes([self.status(high), self.status(high + 1)])
+    }
+}
+
+impl From<[u8; 64]> for DetailedStatus {
+    /// A status of the length that the manual gives.
+    fn from(raw: [u8; 64]) -> Self {
+        Self { raw: Bytes::copy_from_slice(&raw) }
     }
 }
 

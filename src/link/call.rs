@@ -32,8 +32,8 @@ pub(crate) trait AnyCall: Send + Sync {
     /// request; then the call is done.
     fn offer(&self, framing: Framing, station: u8, data: &[u8]) -> Result<Option<ErrorCode>, FieldError>;
 
-    /// The request is about to be sent: from now on the PLC may execute it.
-    fn mark_sent(&self);
+    /// The request is about to be sent, and from now on the PLC may execute it; `false`: nobody wants that any more.
+    fn mark_sent(&self) -> bool;
 
     /// Ends a call that has no reply to wait for: a broadcast.
     fn complete_unanswered(&self);
@@ -82,7 +82,7 @@ impl Ticket {
 
 impl Drop for Ticket {
     fn drop(&mut self) {
-        self.call.fail(Error::Closed);
+        self.call.fail(Error::Closed { sent: self.call.was_sent() });
     }
 }
 
@@ -112,8 +112,8 @@ fn halves<C: Command>(request: C, unanswered: Option<C::Reply>) -> (Arc<dyn AnyC
     let slot = Arc::new(Slot {
         request,
         unanswered,
-        state: AtomicU8::new(QUEUED),
-        was_sent: AtomicU8::new(0),
+        state: AtomicU8::new(0),
+        sends: AtomicU8::new(0),
         result: Mutex::new(None),
         waker: AtomicWaker::new(),
     });
@@ -121,9 +121,9 @@ fn halves<C: Command>(request: C, unanswered: Option<C::Reply>) -> (Arc<dyn AnyC
 }
 
 impl<C: Command> Completion<C> {
-    /// Whether the request, or a part of it, has been sent.
-    pub(crate) fn was_sent(&self) -> bool {
-        self.slot.was_sent()
+    /// Gives the call up; says whether the request, or a part of it, has been sent. If not, it never will be.
+    pub(crate) fn abandon(&self) -> bool {
+        self.slot.state.fetch_or(ABANDONED, Ordering::AcqRel) & SENT != 0
     }
 }
 
@@ -132,18 +132,18 @@ impl<C: Command> Future for Completion<C> {
 
     fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
         self.slot.waker.register(cx.waker());
-        if self.slot.state.load(Ordering::Acquire) != DONE {
+        if self.slot.state.load(Ordering::Acquire) & DONE == 0 {
             return Poll::Pending;
         }
         // A future is not polled again after it is ready, so the result is there; a caller that does so all the same
         // gets an error rather than a panic.
-        Poll::Ready(lock(&self.slot.result).take().unwrap_or(Err(Error::Closed)))
+        Poll::Ready(lock(&self.slot.result).take().unwrap_or(Err(Error::Closed { sent: true })))
     }
 }
 
 impl<C: Command> Drop for Completion<C> {
     fn drop(&mut self) {
-        self.slot.state.store(ABANDONED, Ordering::Release);
+        self.abandon();
     }
 }
 
@@ -153,29 +153,29 @@ struct Slot<C: Command> {
     /// What the caller gets when there is no reply to wait for.
     unanswered: Option<C::Reply>,
     state: AtomicU8,
-    /// 1 once the request has been sent; apart from the state, for it stays true when a read is queued again.
-    was_sent: AtomicU8,
+    /// How often the request has been sent, as far as 255.
+    sends: AtomicU8,
     result: Mutex<Option<Result<C::Reply, Error>>>,
     waker: AtomicWaker,
 }
 
-const QUEUED: u8 = 0;
+/// Bits of the state. A call that is neither done nor abandoned is queued or on the wire.
 const DONE: u8 = 1;
 const ABANDONED: u8 = 2;
+/// The request has been sent at least once; it stays so when it is queued again.
+const SENT: u8 = 4;
 
 impl<C: Command> Slot<C> {
     /// The first result stays: nothing that comes later can replace it.
     fn finish(&self, result: Result<C::Reply, Error>) {
         let mut slot = lock(&self.result);
-        if self.state.load(Ordering::Acquire) != QUEUED {
+        if self.state.load(Ordering::Acquire) & (DONE | ABANDONED) != 0 {
             return;
         }
         *slot = Some(result);
         drop(slot);
-        // Fails only if the caller has gone in the meantime; then nobody looks at the result.
-        if self.state.compare_exchange(QUEUED, DONE, Ordering::AcqRel, Ordering::Acquire).is_ok() {
-            self.waker.wake();
-        }
+        self.state.fetch_or(DONE, Ordering::AcqRel);
+        self.waker.wake();
     }
 }
 
@@ -191,19 +191,27 @@ impl<C: Command> AnyCall for Slot<C> {
                 Ok(None)
             }
             Err(ReplyError::Plc(error)) => {
-                self.finish(Err(Error::Plc { station, code: C::CODE, error }));
+                let repeated = self.sends.load(Ordering::Acquire) > 1;
+                self.finish(Err(Error::Plc { station, code: C::CODE, error, repeated }));
                 Ok(Some(error))
             }
             Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
         }
     }
 
-    fn mark_sent(&self) {
-        self.was_sent.store(1, Ordering::Release);
+    fn mark_sent(&self) -> bool {
+        // One of the two is first: the caller, who gives up and is told that nothing was sent, or the link, which sends.
+        let wanted = |state| (state & ABANDONED == 0).then_some(state | SENT);
+        let sends = self.state.fetch_update(Ordering::AcqRel, Ordering::Acquire, wanted).is_ok();
+        if sends {
+            let count = self.sends.load(Ordering::Acquire);
+            self.sends.store(count.saturating_add(1), Ordering::Release);
+        }
+        sends
     }
 
     fn complete_unanswered(&self) {
-        self.finish(self.unanswered.clone().ok_or(Error::Closed));
+        self.finish(self.unanswered.clone().ok_or(Error::Closed { sent: true }));
     }
 
     fn fail(&self, error: Error) {
@@ -211,11 +219,11 @@ impl<C: Command> AnyCall for Slot<C> {
     }
 
     fn is_abandoned(&self) -> bool {
-        self.state.load(Ordering::Acquire) == ABANDONED
+        self.state.load(Ordering::Acquire) & ABANDONED != 0
     }
 
     fn was_sent(&self) -> bool {
-        self.was_sent.load(Ordering::Acquire) == 1
+        self.state.load(Ordering::Acquire) & SENT != 0
     }
 }
 

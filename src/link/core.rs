@@ -2,9 +2,10 @@
 //!
 //! ```text
 //! connection   down ──Connect──▶ connecting ──▶ up ──lost──▶ down (again after a back-off)
-//! station      clean ──doubt──▶ dirty ──loop-back echoed──▶ clean
-//!              online ──timeouts in a row──▶ offline ──probe echoed──▶ online
 //! ```
+//!
+//! The states of a station are [`Stations`], those of the request on the wire [`Exchange`], the order of the others is
+//! [`Scheduler`]; this is what ties them together.
 //!
 //! The protocol has no transaction id: after a timeout, a late reply to the same kind of request looks right. So any
 //! doubt makes the station *dirty*: a timeout, a corrupt reply, a frame that nobody asked for. A dirty station is asked
@@ -18,7 +19,6 @@
 //!   a quiet period);
 //! - a station that does not answer costs the others no more than one response timeout at a time.
 
-use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,17 +27,21 @@ use bytes::BytesMut;
 use tokio::time::Instant;
 
 use super::call::Ticket;
-use super::exchange::{Active, Event, Exchange, Goal};
-use super::random::Random;
+use super::exchange::{Active, Check, Event, Exchange, Goal, spoils};
+use super::later;
+use super::options::EchoMode;
 use super::scheduler::Scheduler;
+use super::stations::{Rules, Stations};
+use super::stats::{Board, StationState, add};
 use crate::command::LoopBack;
 use crate::error::Error;
-use crate::wire::{Discard, Framing};
+use crate::random::Random;
+use crate::wire::Framing;
 
 /// What the driver has to do next.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Step {
-    /// Open the connection, then say [`Core::connected`] or [`Core::connect_failed`].
+    /// Close the connection if there is one and open another, then say [`Core::connected`] or [`Core::connect_failed`].
     Connect,
     /// Write [`Core::outgoing`], by this time, then say [`Core::sent`] or [`Core::disconnected`].
     Send(Instant),
@@ -53,21 +57,25 @@ pub(crate) struct Config {
     pub(crate) name: Arc<str>,
     pub(crate) queue_capacity: usize,
     pub(crate) ageing: Duration,
+    pub(crate) rules: Rules,
     /// The response timeout of a probe.
     pub(crate) probe_timeout: Duration,
-    pub(crate) offline_after: u32,
-    pub(crate) probe_interval: (Duration, Duration),
-    /// After a probe that took a time, none for so many times as long.
-    pub(crate) probe_pause: u32,
     pub(crate) connect_backoff: (Duration, Duration),
     /// Whether calls fail as soon as an attempt to connect does, instead of waiting for the next one.
     pub(crate) fail_fast: bool,
     /// How long the line must be silent about a station that refuses loop-backs.
     pub(crate) quiet: Duration,
-    /// How long to go on listening after a corrupt frame, in which the reply may have been.
+    /// How long to go on listening while a frame is coming in, or after a corrupt one in which the reply may have been.
     pub(crate) settle: Duration,
+    /// How long the longest frame takes on the line; nothing on a network.
+    pub(crate) frame_time: Duration,
+    /// How long the line is left alone between a reply and the next request.
+    pub(crate) gap: Duration,
     /// How long the line is left alone after a broadcast.
     pub(crate) broadcast_gap: Duration,
+    /// Whether what carries the bytes can reorder or double them, so that a doubt asks for a new connection, too.
+    pub(crate) fresh_on_doubt: bool,
+    pub(crate) echo: EchoMode,
 }
 
 #[derive(Debug)]
@@ -75,18 +83,21 @@ pub(crate) struct Core {
     config: Config,
     exchange: Exchange,
     scheduler: Scheduler,
-    stations: BTreeMap<u8, Health>,
+    stations: Stations,
+    board: Arc<Board>,
     /// A call whose barrier has just been passed: it is sent before all others.
     cleared: Option<Ticket>,
     connection: Connection,
     /// Attempts to connect, and connections that ended without a single reply, since the last reply.
     failures: u32,
+    /// Whether a doubt has arisen since the connection was opened.
+    doubted: bool,
     hold_until: Option<Instant>,
-    probe_allowed_at: Option<Instant>,
+    /// Whether nothing new is sent any more.
+    closing: bool,
     nonce: u64,
     random: Random,
     outgoing: BytesMut,
-    stale_bytes: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,46 +107,34 @@ enum Connection {
     Up { replied: bool },
 }
 
-/// What is known of a station.
-#[derive(Debug, Default)]
-struct Health {
-    dirty: bool,
-    /// Timeouts in a row.
-    timeouts: u32,
-    offline: Option<Offline>,
-    refuses_loop_back: bool,
-}
-
-#[derive(Debug)]
-struct Offline {
-    probe_at: Instant,
-    interval: Duration,
-}
-
 impl Core {
-    pub(crate) fn new(config: Config, seed: u64) -> Self {
+    pub(crate) fn new(config: Config, board: Arc<Board>, seed: u64) -> Self {
         let mut random = Random::new(seed);
         Self {
-            exchange: Exchange::new(config.framing),
+            exchange: Exchange::new(config.framing, config.echo),
             scheduler: Scheduler::new(config.queue_capacity, config.ageing),
-            stations: BTreeMap::new(),
+            stations: Stations::new(config.rules),
+            board,
             cleared: None,
             connection: Connection::Down { retry_at: None },
             failures: 0,
+            doubted: false,
             hold_until: None,
-            probe_allowed_at: None,
+            closing: false,
             nonce: random.next(),
             random,
             outgoing: BytesMut::new(),
-            stale_bytes: 0,
             config,
         }
     }
 
     /// Takes a call.
     pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) {
-        if let Some(offline) = self.stations.get(&ticket.station).and_then(|health| health.offline.as_ref()) {
-            return ticket.call.fail(offline_error(&ticket, offline, now));
+        if self.closing {
+            return; // Dropped, it ends with the right error.
+        }
+        if let Some(probe_at) = self.stations.offline_until(ticket.station) {
+            return ticket.call.fail(offline(&ticket, probe_at, now));
         }
         if let Err(ticket) = self.scheduler.push(ticket, now) {
             let limit = self.config.queue_capacity;
@@ -154,11 +153,10 @@ impl Core {
                 continue;
             }
             match self.connection {
-                Connection::Up { .. } => {}
                 Connection::Connecting => return Step::Wait(None),
                 Connection::Down { retry_at } => {
                     if !self.has_work(now) {
-                        return Step::Wait(self.scheduler.next_unblocked());
+                        return Step::Wait(self.next_timer());
                     }
                     if let Some(at) = retry_at.filter(|&at| now < at) {
                         return Step::Wait(Some(at));
@@ -166,6 +164,14 @@ impl Core {
                     self.connection = Connection::Connecting;
                     return Step::Connect;
                 }
+                Connection::Up { .. } if self.doubted && self.config.fresh_on_doubt => {
+                    if !self.has_work(now) {
+                        return Step::Wait(self.next_timer());
+                    }
+                    self.connection = Connection::Connecting;
+                    return Step::Connect;
+                }
+                Connection::Up { .. } => {}
             }
             if let Some(until) = self.hold_until.filter(|&until| now < until) {
                 return Step::Wait(Some(until));
@@ -184,21 +190,20 @@ impl Core {
         &self.outgoing
     }
 
-    /// All of [`outgoing`](Self::outgoing) has been written, and left the machine at this time.
-    pub(crate) fn sent(&mut self, now: Instant) {
+    /// All of [`outgoing`](Self::outgoing) has been written, and has left or will have left the machine at this time.
+    pub(crate) fn sent(&mut self, at: Instant) {
         self.outgoing.clear();
         let Some(active) = self.exchange.active() else { return };
-        match &active.goal {
-            Goal::Call(ticket) if ticket.is_broadcast() => {
-                ticket.call.complete_unanswered();
-                self.exchange.end();
-                self.hold_until = now.checked_add(self.config.broadcast_gap);
-            }
-            goal => {
-                let (deadline, patient) = self.response_deadline(goal, now);
-                self.exchange.expect_until(deadline, patient);
-            }
+        if let Goal::Call(ticket) = &active.goal
+            && ticket.is_broadcast()
+        {
+            ticket.call.complete_unanswered();
+            self.exchange.end();
+            self.hold_until = Some(later(at, self.config.broadcast_gap));
+            return;
         }
+        let (deadline, patient) = self.response_deadline(&active.goal, at);
+        self.exchange.sent(at, deadline, patient);
     }
 
     /// Where the driver puts the bytes it receives; then it says [`received`](Self::received).
@@ -211,30 +216,43 @@ impl Core {
         while let Some(event) = self.exchange.next_event() {
             self.on_event(event, now);
         }
+        // A frame is coming in: it is given the time it takes, but not for ever.
+        if let (Some(active), false) = (self.exchange.active(), self.exchange.received.is_empty())
+            && let Some(sent) = active.sent
+        {
+            let (usual, _) = self.response_deadline(&active.goal, sent);
+            let latest = active.goal.call().map_or(usual, |ticket| ticket.deadline);
+            let extended = later(now, self.config.settle).min(later(usual, self.config.frame_time)).min(latest);
+            self.exchange.expect_until(extended.max(active.deadline));
+        }
     }
 
     /// The connection is open.
     pub(crate) fn connected(&mut self, now: Instant) {
         self.connection = Connection::Up { replied: false };
-        self.exchange.forget();
-        // Whatever was the matter with the stations, it may have been the connection: ask again soon.
-        for offline in self.stations.values_mut().filter_map(|health| health.offline.as_mut()) {
-            offline.probe_at = now;
+        self.exchange.reconnected();
+        if !(self.doubted && self.config.fresh_on_doubt) {
+            self.stations.hurry(now);
         }
+        self.doubted = false;
+        self.board.count(|link| add(&mut link.connects, 1));
     }
 
     /// The connection could not be opened.
     pub(crate) fn connect_failed(&mut self, error: &Arc<io::Error>, now: Instant) {
+        self.board.count(|link| add(&mut link.connect_failures, 1));
         self.failed_to_connect(now);
         if self.config.fail_fast {
             for ticket in self.scheduler.drain_all() {
-                ticket.call.fail(self.connect_error(error));
+                let (endpoint, sent) = (self.config.name.to_string(), ticket.call.was_sent());
+                ticket.call.fail(Error::Connect { endpoint, source: error.clone(), sent });
             }
         }
     }
 
     /// The connection is lost.
     pub(crate) fn disconnected(&mut self, error: &Arc<io::Error>, now: Instant) {
+        self.board.count(|link| add(&mut link.disconnects, 1));
         if self.connection == (Connection::Up { replied: true }) {
             self.connection = Connection::Down { retry_at: None };
         } else {
@@ -247,39 +265,33 @@ impl Core {
             // the station stays clean.
             self.scheduler.push_front(ticket);
         }
-        if let Some(active) = self.exchange.end() {
-            let station = active.goal.station();
-            if station != 0 {
-                self.health(station).dirty = true;
-            }
-            let endpoint = self.config.name.to_string();
-            let source = error.clone();
-            match active.goal {
-                Goal::Call(ticket) => {
-                    self.retry_or_fail(ticket, now, |sent| Error::Disconnected { endpoint, source, sent })
-                }
-                Goal::Barrier { call: Some(ticket), .. } => {
-                    self.retry_or_fail(ticket, now, |sent| Error::Disconnected { endpoint, source, sent });
-                }
-                Goal::Barrier { call: None, .. } => self.probe_failed(station, now),
+        let Some(active) = self.exchange.end() else { return };
+        let station = active.goal.station();
+        if station != BROADCAST {
+            self.stations.doubt(station);
+        }
+        match active.goal.into_call() {
+            None => self.probe_failed(station, now),
+            Some(ticket) => {
+                let endpoint = self.config.name.to_string();
+                let source = error.clone();
+                self.retry_or_fail(ticket, now, |sent| Error::Disconnected { endpoint, source, sent });
             }
         }
     }
 
-    /// Fails all that waits; what is on the wire goes on.
+    /// Fails all that waits, and sends nothing any more; what is on the wire goes on until it has ended.
     pub(crate) fn close(&mut self) {
-        for ticket in self.cleared.take().into_iter().chain(self.scheduler.drain_all()) {
-            ticket.call.fail(Error::Closed);
-        }
+        self.closing = true;
+        self.cleared = None;
+        self.scheduler.drain_all();
     }
 
     /// Fails all there is: the link cannot go on.
     pub(crate) fn abort(&mut self, error: &Arc<io::Error>) {
-        let active = self.exchange.end().map(|active| match active.goal {
-            Goal::Call(ticket) => Some(ticket),
-            Goal::Barrier { call, .. } => call,
-        });
-        for ticket in active.flatten().into_iter().chain(self.cleared.take()).chain(self.scheduler.drain_all()) {
+        self.board.count(|link| add(&mut link.disconnects, 1));
+        let active = self.exchange.end().and_then(|active| active.goal.into_call());
+        for ticket in active.into_iter().chain(self.cleared.take()).chain(self.scheduler.drain_all()) {
             let sent = ticket.call.was_sent();
             let endpoint = self.config.name.to_string();
             ticket.call.fail(Error::Disconnected { endpoint, source: error.clone(), sent });
@@ -291,111 +303,140 @@ impl Core {
         self.exchange.active().is_none()
     }
 
-    pub(crate) fn connect_error(&self, error: &Arc<io::Error>) -> Error {
-        Error::Connect { endpoint: self.config.name.to_string(), source: error.clone() }
-    }
-
     fn has_work(&mut self, now: Instant) -> bool {
-        self.cleared.is_some() || self.scheduler.has_work(now)
+        // A station that is offline is asked nothing but probes, so a probe is reason enough to connect.
+        !self.closing
+            && (self.cleared.is_some() || self.scheduler.has_work(now) || self.stations.due_probe(now).is_some())
     }
 
     fn next_goal(&mut self, now: Instant) -> Option<Goal> {
+        if self.closing {
+            return None;
+        }
         match self.cleared.take() {
+            // A doubt may have arisen behind the echo.
+            Some(ticket) if self.stations.is_dirty(ticket.station) => self.scheduler.push_front(ticket),
             Some(ticket) if ticket.is_wanted(now) => return Some(Goal::Call(ticket)),
             Some(ticket) => ticket.expire(),
             None => {}
         }
-        if let Some(station) = self.due_probe(now) {
-            return Some(self.barrier(station, None));
+        if let Some(station) = self.stations.due_probe(now) {
+            return Some(self.check(station, None));
         }
         loop {
             let ticket = self.scheduler.pop(now)?;
+            let station = ticket.station;
             if ticket.is_broadcast() {
                 return Some(Goal::Call(ticket));
             }
-            let station = ticket.station;
-            let quiet = self.config.quiet;
-            let health = self.health(station);
-            if let Some(offline) = &health.offline {
-                ticket.call.fail(offline_error(&ticket, offline, now));
-            } else if !health.dirty {
-                return Some(Goal::Call(ticket));
-            } else if !health.refuses_loop_back {
-                return Some(self.barrier(station, Some(ticket)));
-            } else {
-                // The next best thing to an echo: silence. Whatever still comes makes the station dirty again.
-                health.dirty = false;
-                self.scheduler.push_front(ticket);
-                self.scheduler.block(station, later(now, quiet));
+            if self.exchange.must_learn_echo() {
+                return Some(self.check(station, Some(ticket)));
             }
+            if !self.stations.is_dirty(station) {
+                return Some(Goal::Call(ticket));
+            }
+            if !self.stations.refuses_loop_back(station) {
+                return Some(self.check(station, Some(ticket)));
+            }
+            // The next best thing to an echo: silence. Whatever still comes makes the station dirty again.
+            self.stations.clear(station);
+            self.scheduler.push_front(ticket);
+            self.scheduler.block(station, later(now, self.config.quiet));
         }
     }
 
     fn begin(&mut self, goal: Goal, now: Instant) -> Option<Step> {
         let (deadline, _) = self.response_deadline(&goal, now);
-        let call = match &goal {
-            Goal::Call(ticket) => Some(ticket.call.clone()),
-            Goal::Barrier { .. } => None,
-        };
+        // A line needs the time to write it, too.
+        let deadline = later(deadline, self.config.frame_time);
         self.outgoing.clear();
-        let stale = self.exchange.begin(goal, now, deadline, &mut self.outgoing)?;
-        self.stale_bytes = self.stale_bytes.saturating_add(u64::try_from(stale).unwrap_or(u64::MAX));
-        if let Some(call) = call {
-            call.mark_sent();
+        if let Goal::Call(ticket) = &goal
+            && !ticket.call.mark_sent()
+        {
+            return None;
         }
+        let stale = self.exchange.begin(goal, now, deadline, &mut self.outgoing)?;
+        let active = self.exchange.active()?;
+        let station = active.goal.station();
+        if stale > 0 {
+            self.board.count(|link| add(&mut link.stale_bytes, u64::try_from(stale).unwrap_or(u64::MAX)));
+        }
+        match &active.goal {
+            Goal::Call(ticket) => {
+                if ticket.is_broadcast() {
+                    self.board.count(|link| add(&mut link.broadcasts, 1));
+                } else {
+                    self.board.count_for(station, |stats| add(&mut stats.requests, 1));
+                }
+            }
+            Goal::Check { .. } => self.board.count_for(station, |stats| add(&mut stats.checks, 1)),
+        }
+        tracing::trace!(station, bytes = %self.outgoing.escape_ascii(), "sending");
         Some(Step::Send(deadline))
     }
 
     fn on_event(&mut self, event: Event, now: Instant) {
         match event {
-            Event::Replied(active) => self.replied(active, now),
-            Event::Refused(active) => {
-                let station = active.goal.station();
-                self.answered(&active, now);
-                self.health(station).refuses_loop_back = true;
-                if let Goal::Barrier { call: Some(ticket), .. } = active.goal {
-                    self.scheduler.push_front(ticket);
+            Event::Replied { refused } => {
+                if let Some(active) = self.exchange.end() {
+                    self.replied(active, refused, now);
                 }
             }
+            Event::Echoed => self.board.count(|link| add(&mut link.echoes, 1)),
             Event::Stray { station } => {
+                self.board.count_for(station, |stats| add(&mut stats.stray_frames, 1));
                 let awaited = self.exchange.active().is_some_and(|active| active.goal.station() == station);
                 // A station that nobody has asked anything is nobody's concern.
-                if let (false, Some(health)) = (awaited, self.stations.get_mut(&station)) {
-                    health.dirty = true;
+                if !awaited && self.stations.knows(station) {
+                    self.doubt(station);
                 }
             }
-            Event::Noise(Discard::BadChecksum | Discard::Malformed) => {
-                if let Some(deadline) = self.exchange.active().map(|active| active.deadline) {
-                    self.exchange.expect_until(deadline.min(later(now, self.config.settle)), false);
+            Event::Noise { reason, bytes } => {
+                self.board.discarded(reason, bytes);
+                // The reply may have been in it. If it was not, it comes at once, or finds the station dirty. A call
+                // that is not repeated has nothing to gain from giving up early.
+                if let (Some(active), true) = (self.exchange.active(), spoils(reason))
+                    && active.goal.call().is_some_and(|ticket| ticket.retries_left > 0)
+                {
+                    let deadline = active.deadline.min(later(now, self.config.settle));
+                    self.exchange.expect_until(deadline);
                 }
             }
-            Event::Noise(_) => {}
         }
     }
 
-    fn replied(&mut self, active: Active, now: Instant) {
-        self.answered(&active, now);
+    fn replied(&mut self, active: Active, refused: bool, now: Instant) {
         let station = active.goal.station();
-        match active.goal {
-            Goal::Call(_) => self.health(station).dirty |= active.doubtful,
-            Goal::Barrier { call, .. } => {
-                self.health(station).dirty = false;
-                self.cleared = call;
-            }
-        }
-    }
-
-    /// What any answer of a station shows: it is there, and so is the connection.
-    fn answered(&mut self, active: &Active, now: Instant) {
         self.connection = Connection::Up { replied: true };
         self.failures = 0;
-        let station = active.goal.station();
-        self.scheduler.charge(station, now.saturating_duration_since(active.began));
-        let health = self.health(station);
-        health.timeouts = 0;
-        if health.offline.take().is_some() {
+        self.hold_until = Some(later(now, self.config.gap));
+        let took = now.saturating_duration_since(active.began);
+        self.scheduler.charge(station, took);
+        let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
+        if self.stations.answered(station, Some(round_trip)) {
             tracing::info!(station, "station is back");
-            self.probe_ended(active, now);
+        }
+        self.board.state(station, StationState::Online);
+        match active.goal {
+            Goal::Call(_) => {
+                self.board.count_for(station, |stats| stats.replied(round_trip, refused));
+                if active.doubtful {
+                    self.doubt(station);
+                }
+            }
+            Goal::Check { check, call, .. } => {
+                let passed = matches!(check, Check::Barrier(_)) && !refused;
+                match check {
+                    Check::Barrier(_) if refused => self.stations.loop_back_refused(station),
+                    Check::Barrier(_) => self.stations.clear(station),
+                    Check::Echo => {}
+                }
+                match call {
+                    None => self.stations.probe_ended(took, now),
+                    Some(ticket) if passed => self.cleared = Some(ticket),
+                    Some(ticket) => self.scheduler.push_front(ticket),
+                }
+            }
         }
     }
 
@@ -408,20 +449,19 @@ impl Core {
         let station = active.goal.station();
         let after = now.saturating_duration_since(active.began);
         self.scheduler.charge(station, after);
-        let offline_after = self.config.offline_after;
-        let health = self.health(station);
-        health.dirty = true;
+        self.doubt(station);
+        self.board.count_for(station, |stats| match &active.fault {
+            Some(_) => add(&mut stats.bad_replies, 1),
+            None => add(&mut stats.timeouts, 1),
+        });
         // A caller whose own time was up before the response timeout says nothing about the station.
-        if active.fault.is_none() && active.patient {
-            health.timeouts = health.timeouts.saturating_add(1);
-        }
-        let lost = health.timeouts >= offline_after && health.offline.is_none();
-        match active.goal {
-            Goal::Barrier { call: None, .. } => {
-                self.probe_ended(&active, now);
+        let silent = active.fault.is_none() && active.patient;
+        match active.goal.into_call() {
+            None => {
+                self.stations.probe_ended(after, now);
                 self.probe_failed(station, now);
             }
-            Goal::Call(ticket) | Goal::Barrier { call: Some(ticket), .. } => {
+            Some(ticket) => {
                 let code = ticket.code;
                 let fault = active.fault;
                 self.retry_or_fail(ticket, now, |sent| match fault {
@@ -430,50 +470,34 @@ impl Core {
                 });
             }
         }
-        if lost {
-            self.take_offline(station, now);
+        if silent && let Some(probe_at) = self.stations.timed_out(station, now) {
+            tracing::warn!(station, "station is offline");
+            self.board.state(station, StationState::Offline { probe_at });
+            for ticket in self.scheduler.drain(station) {
+                ticket.call.fail(offline(&ticket, probe_at, now));
+            }
         }
     }
 
     fn retry_or_fail(&mut self, mut ticket: Ticket, now: Instant, error: impl FnOnce(bool) -> Error) {
         match ticket.retries_left.checked_sub(1) {
-            Some(left) if ticket.is_wanted(now) => {
+            Some(left) if ticket.is_wanted(now) && !self.closing => {
                 ticket.retries_left = left;
+                self.board.count_for(ticket.station, |stats| add(&mut stats.retries, 1));
                 self.scheduler.push_front(ticket);
             }
             _ => ticket.call.fail(error(ticket.call.was_sent())),
         }
     }
 
-    fn take_offline(&mut self, station: u8, now: Instant) {
-        let (interval, _) = self.config.probe_interval;
-        let offline = Offline { probe_at: later(now, interval), interval };
-        tracing::warn!(station, probe_in = ?interval, "station is offline");
-        for ticket in self.scheduler.drain(station) {
-            ticket.call.fail(offline_error(&ticket, &offline, now));
-        }
-        self.health(station).offline = Some(offline);
-    }
-
-    fn due_probe(&self, now: Instant) -> Option<u8> {
-        if self.probe_allowed_at.is_some_and(|at| now < at) {
-            return None;
-        }
-        let offline =
-            self.stations.iter().filter_map(|(&station, health)| Some((health.offline.as_ref()?.probe_at, station)));
-        offline.min().filter(|&(at, _)| at <= now).map(|(_, station)| station)
-    }
-
-    fn probe_ended(&mut self, active: &Active, now: Instant) {
-        let took = now.saturating_duration_since(active.began);
-        self.probe_allowed_at = now.checked_add(took.saturating_mul(self.config.probe_pause));
+    fn doubt(&mut self, station: u8) {
+        self.stations.doubt(station);
+        self.doubted = true;
     }
 
     fn probe_failed(&mut self, station: u8, now: Instant) {
-        let (_, longest) = self.config.probe_interval;
-        if let Some(offline) = &mut self.health(station).offline {
-            offline.interval = offline.interval.saturating_mul(2).min(longest);
-            offline.probe_at = later(now, offline.interval);
+        if let Some(probe_at) = self.stations.probe_failed(station, now) {
+            self.board.state(station, StationState::Offline { probe_at });
         }
     }
 
@@ -482,44 +506,42 @@ impl Core {
         let doubled = shortest.saturating_mul(1_u32.checked_shl(self.failures).unwrap_or(u32::MAX));
         self.failures = self.failures.saturating_add(1).min(31);
         let delay = self.random.jitter(doubled.min(longest));
-        self.connection = Connection::Down { retry_at: now.checked_add(delay) };
+        self.connection = Connection::Down { retry_at: Some(later(now, delay)) };
     }
 
-    fn barrier(&mut self, station: u8, call: Option<Ticket>) -> Goal {
+    /// What must be settled about a station before a call: first whether the line echoes, then whether it can be
+    /// believed.
+    fn check(&mut self, station: u8, call: Option<Ticket>) -> Goal {
+        if self.exchange.must_learn_echo() {
+            return Goal::Check { station, check: Check::Echo, call };
+        }
         self.nonce = self.nonce.wrapping_add(1);
-        // 16 characters are far below the limit of a loop-back, so this always succeeds.
-        let nonce = LoopBack::nonce(self.nonce);
-        Goal::Barrier { station, nonce, call }
+        Goal::Check { station, check: Check::Barrier(LoopBack::nonce(self.nonce)), call }
     }
 
     /// Until when the reply is waited for, and whether that is the whole response timeout.
     fn response_deadline(&self, goal: &Goal, now: Instant) -> (Instant, bool) {
-        match goal {
-            Goal::Call(ticket) | Goal::Barrier { call: Some(ticket), .. } => {
-                let deadline = later(now, ticket.options.response_timeout);
-                (deadline.min(ticket.deadline), deadline <= ticket.deadline)
-            }
-            Goal::Barrier { call: None, .. } => (later(now, self.config.probe_timeout), true),
-        }
+        let Some(ticket) = goal.call() else {
+            return (later(now, self.config.probe_timeout), true);
+        };
+        let longest = ticket.options.response_timeout;
+        let timeout = match ticket.options.adaptive {
+            Some(shortest) => self.stations.patience(ticket.station, shortest, longest),
+            None => longest,
+        };
+        let deadline = later(now, timeout);
+        (deadline.min(ticket.deadline), deadline <= ticket.deadline)
     }
 
     fn next_timer(&self) -> Option<Instant> {
-        let probe = self.stations.values().filter_map(|health| Some(health.offline.as_ref()?.probe_at)).min();
-        let probe = probe.map(|at| self.probe_allowed_at.map_or(at, |allowed| at.max(allowed)));
-        [self.scheduler.next_unblocked(), probe].into_iter().flatten().min()
-    }
-
-    fn health(&mut self, station: u8) -> &mut Health {
-        self.stations.entry(station).or_default()
+        [self.scheduler.next_unblocked(), self.stations.next_probe()].into_iter().flatten().min()
     }
 }
 
-fn offline_error(ticket: &Ticket, offline: &Offline, now: Instant) -> Error {
-    let probe_in = offline.probe_at.saturating_duration_since(now);
+/// The station number of a broadcast.
+const BROADCAST: u8 = 0;
+
+fn offline(ticket: &Ticket, probe_at: Instant, now: Instant) -> Error {
+    let probe_in = probe_at.saturating_duration_since(now);
     Error::Offline { station: ticket.station, probe_in, sent: ticket.call.was_sent() }
-}
-
-/// An instant so far away that the clock cannot hold it is taken as a day from now.
-fn later(now: Instant, by: Duration) -> Instant {
-    now.checked_add(by.min(Duration::from_secs(86_400))).unwrap_or(now)
 }

@@ -4,7 +4,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use futures::future::BoxFuture;
+use futures::future::{BoxFuture, FutureExt};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::{Instant, sleep_until, timeout_at};
@@ -12,6 +12,8 @@ use tokio::time::{Instant, sleep_until, timeout_at};
 use super::LinkState;
 use super::call::Ticket;
 use super::core::{Core, Step};
+use super::later;
+use super::line::Line;
 use super::transport::{BoxIo, Connector};
 
 /// What the handles tell the task.
@@ -28,6 +30,10 @@ pub(crate) struct Driver {
     pub(crate) core: Core,
     pub(crate) connector: Connector,
     pub(crate) connect_timeout: Duration,
+    /// The serial line, if it is one.
+    pub(crate) line: Option<Line>,
+    /// Until when the line is busy with what has been written.
+    pub(crate) sent_until: Option<Instant>,
     pub(crate) messages: mpsc::Receiver<Message>,
     pub(crate) state: watch::Sender<LinkState>,
 }
@@ -40,32 +46,39 @@ impl Driver {
     pub(crate) async fn run(mut self) {
         let mut io: Option<BoxIo> = None;
         let mut opening: Option<BoxFuture<'static, io::Result<BoxIo>>> = None;
-        let mut closing: Option<oneshot::Sender<()>> = None;
+        let mut closing: Vec<oneshot::Sender<()>> = Vec::new();
         let mut orphaned = false;
         loop {
             // A peer that never stops sending must not keep the handles from being heard.
             while let Ok(message) = self.messages.try_recv() {
                 self.hear(message, &mut closing);
             }
-            // What is on the wire is finished first, so that the PLC is not cut off in the middle of its answer.
-            if (closing.is_some() || orphaned) && self.core.is_idle() {
-                break;
+            if self.core.is_idle() {
+                // What has come by now came before the next request, so it is no reply to that.
+                if let Some(Err(error)) = drain(&mut io, &mut self.core)
+                    && !self.lose(&mut io, error)
+                {
+                    break;
+                }
             }
             match self.core.step(Instant::now()) {
-                Step::Connect => match self.connector.open(self.connect_timeout) {
-                    Some(future) => {
-                        self.state.send_replace(LinkState::Connecting);
-                        opening = Some(future);
-                    }
-                    None => break,
-                },
+                Step::Connect => {
+                    io = None;
+                    let Some(future) = self.connector.open(self.connect_timeout) else { break };
+                    self.state.send_replace(LinkState::Connecting);
+                    opening = Some(future);
+                }
                 Step::Send(by) => {
                     let written = match &mut io {
-                        Some(io) => write(io, self.core.outgoing(), by).await,
+                        // Flushing a serial port blocks the thread until the last bit is on the line.
+                        Some(io) => write(io, self.core.outgoing(), self.line.is_none(), by).await,
                         None => Err(io::ErrorKind::NotConnected.into()),
                     };
                     match written {
-                        Ok(()) => self.core.sent(Instant::now()),
+                        Ok(()) => {
+                            let at = self.transmitted_at();
+                            self.core.sent(at);
+                        }
                         Err(error) => {
                             if !self.lose(&mut io, error) {
                                 break;
@@ -73,6 +86,8 @@ impl Driver {
                         }
                     }
                 }
+                // Not before what is on the wire has ended, so that the PLC is not cut off in the middle of its answer.
+                Step::Wait(_) if (!closing.is_empty() || orphaned) && self.core.is_idle() => break,
                 Step::Wait(until) => tokio::select! {
                     // In this order, so that a run can be repeated: what has come is dealt with before time passes.
                     biased;
@@ -98,22 +113,41 @@ impl Driver {
         }
         self.messages.close();
         self.core.close();
+        if let (Some(_), Some(until)) = (&io, self.sent_until) {
+            // A broadcast that has been said to be sent is not cut off.
+            sleep_until(until).await;
+        }
         self.state.send_replace(LinkState::Closed);
         drop(io);
-        if let Some(done) = closing {
+        for done in closing {
             let _ = done.send(());
         }
     }
 
-    fn hear(&mut self, message: Message, closing: &mut Option<oneshot::Sender<()>>) {
+    /// Ends it before it has begun.
+    pub(crate) fn never_run(self) {
+        self.state.send_replace(LinkState::Closed);
+    }
+
+    fn hear(&mut self, message: Message, closing: &mut Vec<oneshot::Sender<()>>) {
         match message {
             Message::Call(ticket) => self.core.push(ticket, Instant::now()),
             Message::Close(done) => {
                 self.messages.close();
                 self.core.close();
-                *closing = Some(done);
+                closing.push(done);
             }
         }
+    }
+
+    /// When what has just been written leaves the machine. On a serial line, it waits for what was written before.
+    fn transmitted_at(&mut self) -> Instant {
+        let now = Instant::now();
+        let Some(line) = self.line else { return now };
+        let begins = self.sent_until.map_or(now, |until| until.max(now));
+        let ends = later(begins, line.transmission(self.core.outgoing().len()));
+        self.sent_until = Some(ends);
+        ends
     }
 
     fn opened(&mut self, opened: io::Result<BoxIo>, io: &mut Option<BoxIo>) {
@@ -121,6 +155,7 @@ impl Driver {
             Ok(opened) => {
                 tracing::debug!("connected");
                 *io = Some(opened);
+                self.sent_until = None;
                 self.core.connected(Instant::now());
                 self.state.send_replace(LinkState::Up);
             }
@@ -149,10 +184,10 @@ impl Driver {
     }
 }
 
-async fn write(io: &mut BoxIo, bytes: &[u8], by: Instant) -> io::Result<()> {
+async fn write(io: &mut BoxIo, bytes: &[u8], flush: bool, by: Instant) -> io::Result<()> {
     let written = timeout_at(by, async {
         io.write_all(bytes).await?;
-        io.flush().await
+        if flush { io.flush().await } else { Ok(()) }
     });
     written
         .await
@@ -168,6 +203,17 @@ async fn read(io: &mut Option<BoxIo>, core: &mut Core) -> io::Result<()> {
         0 => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the other end closed it")),
         _ => Ok(()),
     }
+}
+
+/// Takes what can be read without waiting.
+fn drain(io: &mut Option<BoxIo>, core: &mut Core) -> Option<io::Result<()>> {
+    while io.is_some() {
+        match read(io, core).now_or_never()? {
+            Ok(()) => core.received(Instant::now()),
+            error => return Some(error),
+        }
+    }
+    None
 }
 
 async fn opened(opening: &mut Option<BoxFuture<'static, io::Result<BoxIo>>>) -> io::Result<BoxIo> {

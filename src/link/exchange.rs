@@ -3,47 +3,109 @@
 //! ```text
 //!          begin             reply that matches: Replied
 //!   idle ─────────▶ awaiting ────────────────────────────▶ idle
-//!                      │  ▲     loop-back refused: Refused
-//!                      └──┘     end (timeout, corruption, lost connection)
+//!                      │  ▲     end (timeout, corruption, lost connection)
+//!                      └──┘
 //!            anything else is an event, and the wait goes on
 //! ```
 //!
 //! What must always hold:
 //! - at most one request is on the wire;
 //! - what was received before a request was sent is never its reply;
-//! - a reply is given to a call only if station, command and exact shape are those it asks for.
+//! - a reply is given to a call only if station, command and exact shape are those it asks for;
+//! - the echo of a request, as an RS-485 adapter may send it, is never its reply.
+//!
+//! # Echoes
+//!
+//! In the ASCII framing a request looks like any frame, and the right reply to a loop-back or to STOP *is* its request. So
+//! it must be known whether the line echoes before such a request is sent. [`Echo::Unknown`] is settled by a status request
+//! (40), whose reply cannot equal it: if the request itself comes back, the line echoes. From then on the first copy of a
+//! request is its echo, and only what comes after it can be its reply.
 
 use bytes::BytesMut;
 use tokio::time::Instant;
 use tokio_util::codec::Decoder;
 
 use super::call::Ticket;
-use crate::command::{self, Code, LoopBack, ReplyError};
-use crate::wire::{Codec, Discard, Frame, Framing, Received, Side};
+use super::options::EchoMode;
+use crate::command::{self, Code, Command, LoopBack, ReadStatus, ReplyError};
+use crate::error::ErrorCode;
+use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side};
 
 /// What is on the wire.
 #[derive(Debug)]
 pub(crate) enum Goal {
     /// A call's request.
     Call(Ticket),
-    /// The loop-back that must come back before anything of a dirty station is believed; then, if there is one, the
-    /// call that it is for.
-    Barrier { station: u8, nonce: LoopBack, call: Option<Ticket> },
+    /// A request of the link itself; then, if there is one, the call that it is for.
+    Check { station: u8, check: Check, call: Option<Ticket> },
+}
+
+/// What the link itself asks a station.
+#[derive(Debug)]
+pub(crate) enum Check {
+    /// The loop-back that must come back before anything of a dirty station is believed.
+    Barrier(LoopBack),
+    /// The status, to learn whether the line echoes.
+    Echo,
 }
 
 impl Goal {
     pub(crate) fn station(&self) -> u8 {
         match self {
             Self::Call(ticket) => ticket.station,
-            Self::Barrier { station, .. } => *station,
+            Self::Check { station, .. } => *station,
+        }
+    }
+
+    /// The call that is on the wire, or waits for the check that is.
+    pub(crate) fn call(&self) -> Option<&Ticket> {
+        match self {
+            Self::Call(ticket) => Some(ticket),
+            Self::Check { call, .. } => call.as_ref(),
+        }
+    }
+
+    /// The same, taken.
+    pub(crate) fn into_call(self) -> Option<Ticket> {
+        match self {
+            Self::Call(ticket) => Some(ticket),
+            Self::Check { call, .. } => call,
         }
     }
 
     fn code(&self) -> Code {
         match self {
             Self::Call(ticket) => ticket.code,
-            Self::Barrier { .. } => Code::LoopBack,
+            Self::Check { check: Check::Barrier(_), .. } => LoopBack::CODE,
+            Self::Check { check: Check::Echo, .. } => ReadStatus::CODE,
         }
+    }
+
+    fn encode(&self, framing: Framing, tx: &mut BytesMut) -> Result<(), command::InvalidRequest> {
+        let station = self.station();
+        match self {
+            Self::Call(ticket) => ticket.call.encode(framing, station, tx),
+            Self::Check { check: Check::Barrier(nonce), .. } => command::encode_request(nonce, framing, station, tx),
+            Self::Check { check: Check::Echo, .. } => command::encode_request(&ReadStatus, framing, station, tx),
+        }
+    }
+
+    /// Offers the data of a frame with the right station and command; it is taken if it is the reply, which may be a
+    /// refusal.
+    fn offer(&self, framing: Framing, data: &[u8]) -> Result<Option<ErrorCode>, FieldError> {
+        match self {
+            Self::Call(ticket) => ticket.call.offer(framing, ticket.station, data),
+            Self::Check { check: Check::Barrier(nonce), .. } => verdict(command::decode_reply(nonce, framing, data)),
+            Self::Check { check: Check::Echo, .. } => verdict(command::decode_reply(&ReadStatus, framing, data)),
+        }
+    }
+}
+
+fn verdict<T>(reply: Result<T, ReplyError>) -> Result<Option<ErrorCode>, FieldError> {
+    match reply {
+        Ok(_) => Ok(None),
+        Err(ReplyError::Plc(refusal)) => Ok(Some(refusal)),
+        Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
     }
 }
 
@@ -53,6 +115,8 @@ pub(crate) struct Active {
     pub(crate) goal: Goal,
     /// When its sending began.
     pub(crate) began: Instant,
+    /// When its last bit was sent.
+    pub(crate) sent: Option<Instant>,
     /// When no reply is expected any more.
     pub(crate) deadline: Instant,
     /// Whether the deadline leaves the station the whole response timeout.
@@ -61,19 +125,29 @@ pub(crate) struct Active {
     pub(crate) fault: Option<String>,
     /// Whether a frame of this very station came that was not its reply: there may be more behind it.
     pub(crate) doubtful: bool,
+    /// The request as its echo would be received, until it has been.
+    echo: Option<Frame>,
+}
+
+/// Whether the line echoes what is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Echo {
+    Unknown,
+    Absent,
+    Present,
 }
 
 /// What the received bytes amount to.
 #[derive(Debug)]
 pub(crate) enum Event {
-    /// The reply has come, and the call has it.
-    Replied(Active),
-    /// The station refused the loop-back.
-    Refused(Active),
+    /// The reply has come; if it is that of a call, the call has it. What was on the wire can be taken off it.
+    Replied { refused: bool },
+    /// The request itself has come back.
+    Echoed,
     /// A good frame that is no reply to what is on the wire.
     Stray { station: u8 },
     /// Bytes that are no frame.
-    Noise(Discard),
+    Noise { reason: Discard, bytes: usize },
 }
 
 #[derive(Debug)]
@@ -82,15 +156,25 @@ pub(crate) struct Exchange {
     /// What has been received and not yet been understood.
     pub(crate) received: BytesMut,
     active: Option<Active>,
+    mode: EchoMode,
+    echo: Echo,
 }
 
 impl Exchange {
-    pub(crate) fn new(framing: Framing) -> Self {
-        Self { codec: Codec::new(framing, Side::Client), received: BytesMut::new(), active: None }
+    pub(crate) fn new(framing: Framing, mode: EchoMode) -> Self {
+        let codec = Codec::new(framing, Side::Client);
+        let mut exchange = Self { codec, received: BytesMut::new(), active: None, mode, echo: Echo::Unknown };
+        exchange.reconnected();
+        exchange
     }
 
     pub(crate) fn framing(&self) -> Framing {
         self.codec.framing()
+    }
+
+    /// Whether it must be learned first whether the line echoes.
+    pub(crate) fn must_learn_echo(&self) -> bool {
+        self.echo == Echo::Unknown
     }
 
     pub(crate) fn active(&self) -> Option<&Active> {
@@ -102,26 +186,33 @@ impl Exchange {
     /// What has been received so far came before it, and is forgotten; the number of such bytes is returned. `None`: it
     /// cannot be sent in this framing, and its call has failed.
     pub(crate) fn begin(&mut self, goal: Goal, now: Instant, deadline: Instant, tx: &mut BytesMut) -> Option<usize> {
-        let encoded = match &goal {
-            Goal::Call(ticket) => ticket.call.encode(self.framing(), ticket.station, tx),
-            Goal::Barrier { station, nonce, .. } => command::encode_request(nonce, self.framing(), *station, tx),
-        };
-        if let Err(invalid) = encoded {
-            if let Goal::Call(ticket) | Goal::Barrier { call: Some(ticket), .. } = &goal {
+        if let Err(invalid) = goal.encode(self.framing(), tx) {
+            if let Some(ticket) = goal.call() {
                 ticket.call.fail(invalid.into());
             }
             return None;
         }
         let stale = self.forget();
-        self.active = Some(Active { goal, began: now, deadline, patient: false, fault: None, doubtful: false });
+        let may_echo = self.framing() == Framing::Ascii && self.mode != EchoMode::Off;
+        let echo = if may_echo { as_received(tx) } else { None };
+        self.active =
+            Some(Active { goal, began: now, sent: None, deadline, patient: false, fault: None, doubtful: false, echo });
         Some(stale)
     }
 
-    /// Sets when the reply is given up.
-    pub(crate) fn expect_until(&mut self, deadline: Instant, patient: bool) {
+    /// The request has been sent, at this time; its reply is given up at that one.
+    pub(crate) fn sent(&mut self, at: Instant, deadline: Instant, patient: bool) {
         if let Some(active) = &mut self.active {
+            active.sent = Some(at);
             active.deadline = deadline;
             active.patient = patient;
+        }
+    }
+
+    /// Moves the time when the reply is given up.
+    pub(crate) fn expect_until(&mut self, deadline: Instant) {
+        if let Some(active) = &mut self.active {
+            active.deadline = deadline;
         }
     }
 
@@ -138,20 +229,30 @@ impl Exchange {
         len
     }
 
+    /// There is a new connection, perhaps over another adapter.
+    pub(crate) fn reconnected(&mut self) {
+        self.forget();
+        // The binary framing marks an echo by its header.
+        self.echo = match (self.mode, self.framing()) {
+            (EchoMode::Off, _) | (_, Framing::Binary) => Echo::Absent,
+            (EchoMode::On, _) => Echo::Present,
+            (EchoMode::Auto, _) => Echo::Unknown,
+        };
+    }
+
     /// Understands the next thing that has been received. `None`: more bytes are needed.
     pub(crate) fn next_event(&mut self) -> Option<Event> {
         // The codecs do no I/O, so they have no errors.
-        let event = match self.codec.decode(&mut self.received).ok().flatten()? {
-            Received::Frame(frame) => self.classify(frame),
+        Some(match self.codec.decode(&mut self.received).ok().flatten()? {
+            Received::Frame(frame) => self.classify(&frame),
             Received::Discarded { reason, bytes } => {
                 tracing::trace!(%reason, bytes = %bytes.escape_ascii(), "discarded");
-                if let (Some(active), true) = (&mut self.active, reason != Discard::Garbage) {
+                if let (Some(active), true) = (&mut self.active, spoils(reason)) {
                     active.fault = Some(reason.to_string());
                 }
-                Event::Noise(reason)
+                Event::Noise { reason, bytes: bytes.len() }
             }
-        };
-        Some(event)
+        })
     }
 
     /// As [`next_event`](Self::next_event), when the line has fallen silent: what looked like the beginning of a frame
@@ -160,46 +261,62 @@ impl Exchange {
         loop {
             match self.next_event() {
                 Some(event) => return Some(event),
-                None if self.received.is_empty() || self.framing() == Framing::Ascii => return None,
+                None if self.received.is_empty() || self.framing() == Framing::Ascii => break,
                 None => self.codec.skip_partial(),
             }
         }
+        if let (Some(active), false) = (&mut self.active, self.received.is_empty()) {
+            active.fault = Some("an incomplete frame".to_owned());
+        }
+        None
     }
 
-    fn classify(&mut self, frame: Frame) -> Event {
+    fn classify(&mut self, frame: &Frame) -> Event {
         tracing::trace!(station = frame.station, command = frame.command, data = %frame.data.escape_ascii(), "received");
-        let framing = self.framing();
         let Some(mut active) = self.active.take() else {
             return Event::Stray { station: frame.station };
         };
+        let copy = active.echo.take_if(|echo| echo == frame).is_some();
+        let learning = matches!(active.goal, Goal::Check { check: Check::Echo, .. });
+        if copy && (self.echo == Echo::Present || learning) {
+            self.echo = Echo::Present;
+            self.active = Some(active);
+            return Event::Echoed;
+        }
         let station = active.goal.station();
-        if frame.station != station {
-            self.active = Some(active);
-            return Event::Stray { station: frame.station };
-        }
-        if frame.command != u8::from(active.goal.code()) {
-            active.fault = Some(format!("a reply to command {:02X}", frame.command));
-            active.doubtful = true;
-            self.active = Some(active);
-            return Event::Stray { station };
-        }
-        let verdict = match &active.goal {
-            Goal::Call(ticket) => ticket.call.offer(framing, station, &frame.data).map(|_| true),
-            Goal::Barrier { nonce, .. } => match command::decode_reply(nonce, framing, &frame.data) {
-                Ok(()) => Ok(true),
-                Err(ReplyError::Plc(_)) => Ok(false),
-                Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
-            },
-        };
-        match verdict {
-            Ok(true) => Event::Replied(active),
-            Ok(false) => Event::Refused(active),
-            Err(mismatch) => {
-                active.fault = Some(mismatch.to_string());
-                active.doubtful = true;
-                self.active = Some(active);
-                Event::Stray { station }
+        let fault = if frame.station != station {
+            None
+        } else if frame.command != u8::from(active.goal.code()) {
+            Some(format!("a reply to command {:02X}", frame.command))
+        } else {
+            match active.goal.offer(self.framing(), &frame.data) {
+                Ok(refusal) => {
+                    if self.echo == Echo::Unknown {
+                        self.echo = Echo::Absent;
+                    }
+                    self.active = Some(active);
+                    return Event::Replied { refused: refusal.is_some() };
+                }
+                Err(mismatch) => Some(mismatch.to_string()),
             }
+        };
+        if copy && fault.is_some() {
+            // No reply, but the request itself, on a line that was believed not to echo: learn anew.
+            self.echo = Echo::Unknown;
         }
+        active.doubtful |= fault.is_some();
+        active.fault = fault.or(active.fault);
+        self.active = Some(active);
+        Event::Stray { station: frame.station }
     }
+}
+
+/// Whether a frame, and perhaps the reply, was lost with such bytes.
+pub(crate) fn spoils(reason: Discard) -> bool {
+    matches!(reason, Discard::BadChecksum | Discard::Malformed | Discard::Truncated | Discard::TooLong)
+}
+
+/// The request as its echo would be received.
+fn as_received(request: &[u8]) -> Option<Frame> {
+    Codec::new(Framing::Ascii, Side::Client).decode(&mut BytesMut::from(request)).ok().flatten()?.frame()
 }

@@ -20,15 +20,17 @@ mod call;
 mod core;
 mod driver;
 mod exchange;
+mod line;
 mod options;
-mod random;
 mod scheduler;
+mod stations;
+mod stats;
 mod transport;
 
 use std::fmt;
 use std::future::Future;
 use std::io;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -39,15 +41,19 @@ use tokio::time::{Instant, timeout_at};
 use self::call::{AnyCall, Completion, Ticket};
 use self::core::{Config, Core};
 use self::driver::{Driver, Message};
-use self::random::Random;
+use self::line::Line;
+use self::stations::Rules;
+use self::stats::Board;
 use self::transport::Connector;
 use crate::command::{Code, Command, InvalidRequest};
-use crate::endpoint::Endpoint;
+use crate::endpoint::{Endpoint, SerialSettings, Transport};
 use crate::error::Error;
+use crate::random::Random;
 use crate::station::{Broadcast, Station};
 use crate::wire::Framing;
 
-pub use self::options::CallOptions;
+pub use self::options::{CallOptions, EchoMode};
+pub use self::stats::{LinkStats, RoundTripStats, StationState, StationStats};
 
 /// One connection to one or more PLCs. Cheap to clone; all clones share the connection.
 ///
@@ -77,6 +83,7 @@ struct Shared {
     options: CallOptions,
     messages: mpsc::Sender<Message>,
     state: watch::Receiver<LinkState>,
+    board: Arc<Board>,
     /// The task, until the first call starts it.
     driver: Mutex<Option<Box<Driver>>>,
 }
@@ -111,7 +118,18 @@ impl Link {
     pub fn builder(endpoint: Endpoint) -> LinkBuilder {
         let framing = endpoint.framing();
         let name = endpoint.to_string();
-        LinkBuilder::with_connector(Connector::Endpoint(endpoint), framing, &name)
+        let transport = endpoint.transport().clone();
+        let connector = Connector::Endpoint { endpoint, keep_alive: true };
+        let mut builder = LinkBuilder::with_connector(connector, framing, &name);
+        match transport {
+            Transport::Tcp { .. } => builder,
+            Transport::Udp { .. } => {
+                // What comes late for one socket never reaches the next.
+                builder.config.fresh_on_doubt = true;
+                builder
+            }
+            Transport::Serial { settings, .. } => builder.serial_line(settings),
+        }
     }
 
     /// A link over a connection that is open already, and cannot be opened again once it is lost.
@@ -182,17 +200,38 @@ impl Link {
         self.shared.state.clone()
     }
 
+    /// What has gone over the link so far: a snapshot.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.read_status().await?;
+    /// let stats = station.link().stats();
+    /// assert_eq!((stats.stations.requests, stats.stations.replies, stats.checksum_errors), (1, 1, 0));
+    /// # Ok(()) });
+    /// ```
+    #[must_use]
+    pub fn stats(&self) -> LinkStats {
+        self.shared.board.link()
+    }
+
+    pub(crate) fn board(&self) -> &Board {
+        &self.shared.board
+    }
+
     /// Closes the link for all its handles: what waits fails with [`Error::Closed`], the request on the wire is
     /// finished, the connection is closed. Returns when that is done; calls made later fail at once.
     pub async fn close(&self) {
         // A task that has not been started has nothing to finish.
-        if self.take_driver().is_some() {
-            return;
+        if let Some(driver) = self.take_driver() {
+            return driver.never_run();
         }
         let (done, closed) = oneshot::channel();
         if self.shared.messages.send(Message::Close(done)).await.is_ok() {
             let _ = closed.await;
         }
+        // Somebody else may have closed it before; that may not be done yet. It is once the task has ended.
+        let mut state = self.shared.state.clone();
+        let _ = state.wait_for(|state| matches!(state, LinkState::Closed)).await;
     }
 
     pub(crate) async fn call<C: Command>(
@@ -223,7 +262,7 @@ impl Link {
     ) -> Result<C::Reply, Error> {
         self.start()?;
         let queued_at = Instant::now();
-        let deadline = queued_at.checked_add(options.call_timeout.min(LONGEST_TIMEOUT)).unwrap_or(queued_at);
+        let deadline = later(queued_at, options.call_timeout);
         let ticket = Ticket {
             call,
             station,
@@ -235,17 +274,17 @@ impl Link {
             retries_left: options.retries_for(code.class()),
         };
         let answered = timeout_at(deadline, async {
-            self.shared.messages.send(Message::Call(ticket)).await.map_err(|_| Error::Closed)?;
+            self.shared.messages.send(Message::Call(ticket)).await.map_err(|_| Error::Closed { sent: false })?;
             (&mut completion).await
         });
         let result = answered.await.unwrap_or_else(|_| {
             let after = queued_at.elapsed();
-            Err(Error::Timeout { station, code, after, sent: completion.was_sent() })
+            Err(Error::Timeout { station, code, after, sent: completion.abandon() })
         });
         match (result, &*self.shared.state.borrow()) {
             // The time was spent on trying to connect: that is what the caller wants to know.
             (Err(Error::Timeout { sent: false, .. }), LinkState::Down { error }) => {
-                Err(Error::Connect { endpoint: self.shared.name.to_string(), source: error.clone() })
+                Err(self.connect_error(error.clone()))
             }
             (result, _) => result,
         }
@@ -253,18 +292,29 @@ impl Link {
 
     /// Starts the task, the first time.
     fn start(&self) -> Result<(), Error> {
-        let Some(driver) = self.take_driver() else { return Ok(()) };
-        let runtime = Handle::try_current().map_err(|error| Error::Connect {
-            endpoint: self.shared.name.to_string(),
-            source: Arc::new(io::Error::other(error)),
-        })?;
-        runtime.spawn(driver.run());
+        let mut driver = self.lock_driver();
+        if driver.is_none() {
+            return Ok(());
+        }
+        // Only with a runtime at hand: a caller without one must not use the task up.
+        let runtime = Handle::try_current().map_err(|error| self.connect_error(Arc::new(io::Error::other(error))))?;
+        if let Some(driver) = driver.take() {
+            runtime.spawn(driver.run());
+        }
         Ok(())
     }
 
+    fn connect_error(&self, source: Arc<io::Error>) -> Error {
+        Error::Connect { endpoint: self.shared.name.to_string(), source, sent: false }
+    }
+
     fn take_driver(&self) -> Option<Box<Driver>> {
+        self.lock_driver().take()
+    }
+
+    fn lock_driver(&self) -> MutexGuard<'_, Option<Box<Driver>>> {
         // Nothing panics while it holds this lock.
-        self.shared.driver.lock().unwrap_or_else(PoisonError::into_inner).take()
+        self.shared.driver.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -281,7 +331,9 @@ pub struct LinkBuilder {
     connector: Connector,
     options: CallOptions,
     connect_timeout: Duration,
+    line: Option<Line>,
     config: Config,
+    seed: Option<u64>,
 }
 
 impl LinkBuilder {
@@ -291,7 +343,8 @@ impl LinkBuilder {
         self
     }
 
-    /// How long a PLC has for its answer; the same as [`CallOptions::response_timeout`]. Default: 1 s.
+    /// How long a PLC has for its answer; the same as [`CallOptions::response_timeout`]. Default: 1 s, on a serial line
+    /// 300 ms and the time that the bytes take.
     pub fn response_timeout(mut self, timeout: Duration) -> Self {
         self.options = self.options.response_timeout(timeout);
         self
@@ -315,6 +368,60 @@ impl LinkBuilder {
         self
     }
 
+    /// Whether TCP connections ask for signs of life when nothing has come for 30 s, then every 10 s, and end if there are
+    /// none. Default: `true`.
+    ///
+    /// Only for a link to an [`Endpoint`].
+    pub fn keep_alive(mut self, on: bool) -> Self {
+        if let Connector::Endpoint { keep_alive, .. } = &mut self.connector {
+            *keep_alive = on;
+        }
+        self
+    }
+
+    /// Says that the stream is a serial line with these settings, which is opened elsewhere. A link to a serial
+    /// [`Endpoint`] knows that already.
+    ///
+    /// The time that bytes take on the line is then heeded, the stream is never flushed (of a serial port that would
+    /// wait, and all other tasks with it, until the last bit is on the line), and what the settings of a serial link
+    /// default to is set. So call it before the others.
+    ///
+    /// ```
+    /// use fatek::Link;
+    /// use fatek::endpoint::SerialSettings;
+    /// use fatek::wire::Framing;
+    ///
+    /// let (port, _plc) = tokio::io::duplex(1024); // or a port that was opened in a special way
+    /// let settings = SerialSettings::new(Framing::Ascii);
+    /// let link = Link::stream_builder(port, Framing::Ascii).serial_line(settings).build();
+    /// ```
+    pub fn serial_line(mut self, settings: SerialSettings) -> Self {
+        let line = Line::from(settings);
+        self.line = Some(line);
+        self.options = self.options.response_timeout(Duration::from_millis(300));
+        self.config.frame_time = line.transmission(LONGEST_FRAME);
+        self.config.gap = line.gap();
+        self.config.broadcast_gap = Duration::from_millis(100);
+        self.config.settle = self.config.settle.max(line.gap());
+        // What another program or an earlier run has asked may still be answered.
+        self.config.rules.doubtful_start = true;
+        self.config.echo = EchoMode::Auto;
+        self
+    }
+
+    /// The pause between the end of an answer and the next request, in which RS-485 drivers turn around. Default: none,
+    /// on a serial line the time of three and a half characters, and at least 2 ms.
+    pub fn gap(mut self, gap: Duration) -> Self {
+        self.config.gap = gap;
+        self
+    }
+
+    /// The pause after a broadcast, in which the PLCs do what they were told. Default: none, on a serial line 100 ms.
+    pub fn broadcast_gap(mut self, gap: Duration) -> Self {
+        self.config.broadcast_gap = gap;
+        self
+    }
+
     /// Whether waiting calls fail as soon as an attempt to connect does. Default: `false`, they wait for the next
     /// attempt until their own time is up.
     pub fn fail_fast(mut self, fail_fast: bool) -> Self {
@@ -331,7 +438,7 @@ impl LinkBuilder {
 
     /// After how many timeouts in a row a station is offline; 0 for never. Default: 3.
     pub fn offline_after(mut self, timeouts: u32) -> Self {
-        self.config.offline_after = if timeouts == 0 { u32::MAX } else { timeouts };
+        self.config.rules.offline_after = if timeouts == 0 { u32::MAX } else { timeouts };
         self
     }
 
@@ -341,22 +448,46 @@ impl LinkBuilder {
         self
     }
 
+    /// The shortest and the longest time between two probes of a station that is offline: it doubles from the one to the
+    /// other. Default: 1 s to 60 s. All probes together use at most a fiftieth of the line's time.
+    pub fn probe_interval(mut self, shortest: Duration, longest: Duration) -> Self {
+        self.config.rules.probe_interval = (shortest, longest.max(shortest));
+        self
+    }
+
+    /// Whether the line echoes what is sent on it. Default: [`EchoMode::Off`], for serial lines [`EchoMode::Auto`].
+    pub fn echo(mut self, echo: EchoMode) -> Self {
+        self.config.echo = echo;
+        self
+    }
+
+    /// The seed of the nonces and of the jitter, so that a test can be repeated. Default: a new one for each link.
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.seed = Some(seed);
+        self
+    }
+
     /// Makes the link. The connection is opened by the first call.
     #[must_use]
     pub fn build(self) -> Link {
         let (sender, messages) = mpsc::channel(CHANNEL_LEN);
         let (state, watcher) = watch::channel(LinkState::Idle);
-        let config = Config { probe_timeout: self.options.response_timeout, ..self.config };
+        let timeout = self.options.response_timeout;
+        let config = Config { probe_timeout: timeout, quiet: timeout, ..self.config };
+        let board = Arc::new(Board::default());
         let shared = Shared {
             name: config.name.clone(),
             framing: config.framing,
             options: self.options,
             messages: sender,
             state: watcher,
+            board: board.clone(),
             driver: Mutex::new(Some(Box::new(Driver {
-                core: Core::new(config, Random::seed()),
+                core: Core::new(config, board, self.seed.unwrap_or_else(Random::seed)),
                 connector: self.connector,
                 connect_timeout: self.connect_timeout,
+                line: self.line,
+                sent_until: None,
                 messages,
                 state,
             }))),
@@ -372,21 +503,34 @@ impl LinkBuilder {
             queue_capacity: 1024,
             ageing: Duration::from_secs(1),
             probe_timeout: options.response_timeout,
-            offline_after: 3,
-            probe_interval: (Duration::from_secs(1), Duration::from_secs(60)),
-            probe_pause: 49,
+            rules: Rules {
+                offline_after: 3,
+                probe_interval: (Duration::from_secs(1), Duration::from_secs(60)),
+                probe_pause: 49,
+                doubtful_start: false,
+            },
             connect_backoff: (Duration::from_millis(100), Duration::from_secs(30)),
             fail_fast: false,
-            quiet: options.response_timeout,
+            quiet: Duration::ZERO,
             settle: Duration::from_millis(30),
+            frame_time: Duration::ZERO,
+            gap: Duration::ZERO,
             broadcast_gap: Duration::ZERO,
+            fresh_on_doubt: false,
+            echo: EchoMode::Off,
         };
-        Self { connector, options, connect_timeout: Duration::from_secs(3), config }
+        Self { connector, options, connect_timeout: Duration::from_secs(3), line: None, config, seed: None }
     }
 }
+
+/// The longest frame that the protocol has, in bytes.
+const LONGEST_FRAME: usize = 508;
 
 /// How many calls can be on their way to the task. Those that do not fit wait for their turn, within their deadline.
 const CHANNEL_LEN: usize = 64;
 
-/// A day: far more than any call should take, and still within what a clock can hold.
-const LONGEST_TIMEOUT: Duration = Duration::from_secs(86_400);
+/// An instant this much later. A day at the most: far more than any call should take, and still within what a clock can
+/// hold.
+fn later(now: Instant, by: Duration) -> Instant {
+    now.checked_add(by.min(Duration::from_secs(86_400))).unwrap_or(now)
+}

@@ -21,6 +21,7 @@ pub struct CallOptions {
     pub(crate) retries: u32,
     pub(crate) retry_writes: bool,
     pub(crate) background: bool,
+    pub(crate) adaptive: Option<Duration>,
 }
 
 impl CallOptions {
@@ -33,6 +34,7 @@ impl CallOptions {
             retries: 2,
             retry_writes: false,
             background: false,
+            adaptive: None,
         }
     }
 
@@ -75,6 +77,16 @@ impl CallOptions {
         self
     }
 
+    /// Gives each station the time that its answers have needed so far, and some more, instead of the whole response
+    /// timeout: between `shortest` and [`response_timeout`](Self::response_timeout). Default: not.
+    ///
+    /// The estimate is that of TCP: the smoothed round trip and four times its deviation, doubled with each timeout.
+    #[must_use]
+    pub fn adaptive_timeout(mut self, shortest: Duration) -> Self {
+        self.adaptive = Some(shortest);
+        self
+    }
+
     pub(crate) fn lane(&self, class: Class) -> Lane {
         match class {
             Class::Control => Lane::Control,
@@ -93,6 +105,22 @@ impl Default for CallOptions {
     fn default() -> Self {
         Self::new()
     }
+}
+
+/// Whether the line sends back what is sent on it, as some RS-485 adapters do.
+///
+/// In the ASCII framing the echo of a request looks like a frame, and the echo of a loop-back or of STOP looks like its
+/// reply; so it has to be known. The binary framing tells echoes by their header.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum EchoMode {
+    /// Found out with a status request at the beginning of each connection. The default for serial lines.
+    Auto,
+    /// It does.
+    On,
+    /// It does not. The default for networks and for streams.
+    #[default]
+    Off,
 }
 
 /// Which calls come first, the first one first.

@@ -1,9 +1,9 @@
 //! Which call is next.
 //!
-//! Every station has a bounded queue for each [`Lane`]. The next call is the first one of the best lane; among
-//! stations with calls in that lane it is the turn of the one that has used the least bus time, so that a slow or
-//! dead station costs the others no more than its share. A call that has waited rises by one lane for each
-//! [`Scheduler::ageing`] it has waited, so that nothing starves.
+//! Every station has a bounded queue for each [`Lane`]. Within a lane it is the turn of the station that has used the
+//! least bus time, so that a slow or dead station costs the others no more than its share. Among the lanes the best one
+//! comes first; but a call rises by one lane for each [`Scheduler::ageing`] that it has waited while nothing of its lane
+//! was served at its station, so that no lane starves another.
 //!
 //! What must always hold: a queue is never longer than its bound; calls of one station and lane keep their order; a
 //! station that was idle gains no credit for it.
@@ -32,6 +32,8 @@ struct Queues {
     lanes: [VecDeque<Ticket>; Lane::COUNT],
     /// How much bus time it has used, as far as that matters for fairness.
     used: Duration,
+    /// When each of its lanes was served last.
+    served_at: [Option<Instant>; Lane::COUNT],
     /// Not served before then.
     blocked_until: Option<Instant>,
 }
@@ -77,6 +79,9 @@ impl Scheduler {
             let queues = self.stations.get_mut(&station)?;
             let ticket = queues.lanes.get_mut(lane)?.pop_front()?;
             self.served = queues.used;
+            if let Some(served_at) = queues.served_at.get_mut(lane) {
+                *served_at = Some(now);
+            }
             if keep(&ticket, now) {
                 return Some(ticket);
             }
@@ -137,20 +142,24 @@ impl Scheduler {
 
     /// The station and lane whose turn it is.
     fn next(&self, now: Instant) -> Option<(u8, usize)> {
-        let heads = self.stations.iter().filter(|(_, queues)| queues.blocked_until.is_none_or(|until| until <= now));
-        let heads = heads.flat_map(|(&station, queues)| {
-            let used = queues.used;
-            let fronts = queues.lanes.iter().enumerate().filter_map(|(lane, queue)| Some((lane, queue.front()?)));
-            fronts.map(move |(lane, ticket)| (self.rank(ticket, now), used, ticket.queued_at, station, lane))
+        let lanes = (0..Lane::COUNT).filter_map(|lane| {
+            let waiting = self.stations.iter().filter_map(|(&station, queues)| {
+                let ticket = queues.lanes.get(lane)?.front()?;
+                let free = queues.blocked_until.is_none_or(|until| until <= now);
+                free.then_some((queues.used, ticket.queued_at, station))
+            });
+            let (_, queued_at, station) = waiting.min()?;
+            let served_at = self.stations.get(&station)?.served_at.get(lane)?.unwrap_or(queued_at);
+            Some((self.rank(lane, queued_at.max(served_at), now), lane, station))
         });
-        heads.min().map(|(.., station, lane)| (station, lane))
+        lanes.min().map(|(_, lane, station)| (station, lane))
     }
 
-    /// The lane, less one for each ageing period waited.
-    fn rank(&self, ticket: &Ticket, now: Instant) -> u128 {
-        let waited = now.saturating_duration_since(ticket.queued_at).as_nanos();
+    /// The lane, less one for each ageing period since then.
+    fn rank(&self, lane: usize, since: Instant, now: Instant) -> u128 {
+        let waited = now.saturating_duration_since(since).as_nanos();
         let risen = waited.checked_div(self.ageing.as_nanos()).unwrap_or_default();
-        u128::try_from(index(ticket.lane)).unwrap_or_default().saturating_sub(risen)
+        u128::try_from(lane).unwrap_or_default().saturating_sub(risen)
     }
 }
 

@@ -16,7 +16,7 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use super::field::{FieldError, FieldReader, FieldWriter};
 use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received};
-use crate::element::{Element, ElementError, Symbol};
+use crate::element::{Element, ElementError, LONGEST_SYMBOL, Symbol};
 
 /// The start code.
 pub const STX: u8 = 0x02;
@@ -224,7 +224,8 @@ impl FieldWriter for AsciiWriter<'_> {
     }
 
     fn code(&mut self, code: u8) {
-        self.dst.put_u8(digit(code & 0x0F));
+        // A code that has no digit of its own must not look like another one, least of all like 0.
+        self.dst.put_u8(digit(code.min(0x0F)));
     }
 
     fn byte(&mut self, byte: u8) {
@@ -310,9 +311,12 @@ impl FieldReader for AsciiReader<'_> {
     }
 
     fn element(&mut self) -> Result<Element, FieldError> {
-        let letters = self.data.iter().take_while(|b| b.is_ascii_alphabetic()).count();
-        let (letters, rest) = self.data.split_at_checked(letters).ok_or(FieldError::Truncated)?;
-        let symbol = Symbol::from_letters(letters).ok_or(FieldError::Element(ElementError::UnknownSymbol))?;
+        // The longest symbol that fits, so that a hexadecimal digit in the address is called that: `RA0012`.
+        let mut symbols = (1..=LONGEST_SYMBOL).rev().filter_map(|length| {
+            let (letters, rest) = self.data.split_at_checked(length)?;
+            Some((Symbol::from_letters(letters)?, rest))
+        });
+        let (symbol, rest) = symbols.next().ok_or(ElementError::UnknownSymbol)?;
         let (digits, rest) = rest.split_at_checked(symbol.digits()).ok_or(FieldError::Truncated)?;
         let mut address = 0_u32;
         for &digit in digits {

@@ -52,15 +52,17 @@ pub const TERMINATOR: [u8; 2] = [0x55, 0xAA];
 pub struct BinaryCodec {
     side: Side,
     max_frame_len: usize,
-    /// The buffer begins with bytes that are known to begin no frame.
-    skip: usize,
+    /// The buffer began with a part of a frame when it was last looked at.
+    partial: bool,
+    /// That part is to be given up if no more has come of it.
+    give_up: bool,
 }
 
 impl BinaryCodec {
     /// A codec that sends queries and receives replies, with the default limit, [`MAX_FRAME_LEN`].
     #[must_use]
     pub fn client() -> Self {
-        Self { side: Side::Client, max_frame_len: MAX_FRAME_LEN, skip: 0 }
+        Self { side: Side::Client, max_frame_len: MAX_FRAME_LEN, partial: false, give_up: false }
     }
 
     /// A codec that receives queries and sends replies, with the default limit, [`MAX_FRAME_LEN`].
@@ -78,12 +80,13 @@ impl BinaryCodec {
 
     /// Gives up the frame that has begun but not ended; see [`Codec::skip_partial`](super::Codec::skip_partial).
     pub fn skip_partial(&mut self) {
-        self.skip = 1;
+        self.give_up = self.partial;
     }
 
     /// Forgets where it was, for a buffer that has been emptied.
     pub fn reset(&mut self) {
-        self.skip = 0;
+        self.partial = false;
+        self.give_up = false;
     }
 
     fn emits(&self) -> u8 {
@@ -99,15 +102,21 @@ impl Decoder for BinaryCodec {
     type Error = io::Error;
 
     fn decode(&mut self, src: &mut BytesMut) -> Result<Option<Received>, io::Error> {
-        let garbage = begin(src, self.skip);
+        self.partial = false;
+        let garbage = begin(src, 0);
         if garbage > 0 {
-            let reason = if self.skip > 0 { Discard::Truncated } else { Discard::Garbage };
-            self.skip = 0;
-            return Ok(Some(Received::Discarded { reason, bytes: src.split_to(garbage).freeze() }));
+            return Ok(Some(Received::Discarded { reason: Discard::Garbage, bytes: src.split_to(garbage).freeze() }));
         }
-        self.skip = 0;
+        if src.is_empty() {
+            return Ok(None);
+        }
+        let give_up = std::mem::take(&mut self.give_up);
         let reason = match measure(src, self.max_frame_len) {
-            Measure::Partial => return Ok(None),
+            Measure::Partial if give_up => Discard::Truncated,
+            Measure::Partial => {
+                self.partial = true;
+                return Ok(None);
+            }
             Measure::Bad(reason) => reason,
             Measure::Whole { len, good: true } => {
                 let side = if src.first() == Some(&self.emits()) { Err(Discard::WrongSide) } else { Ok(()) };

@@ -135,6 +135,9 @@ pub enum FieldError {
     /// Something follows the last field.
     #[error("the data is too long")]
     Trailing,
+    /// The data is not as long as this reply can be.
+    #[error("the data is shorter or longer than it can be")]
+    WrongLength,
     /// A character that is no hexadecimal digit.
     #[error("{0:02X}h is not a hexadecimal digit")]
     NotHex(u8),

@@ -5,7 +5,7 @@ use bytes::Bytes;
 
 /// The longest frame the codecs accept and make by default, in bytes.
 ///
-/// The longest that the protocol has are 508 bytes in ASCII and 266 in binary.
+/// The longest that the protocol has are 508 bytes in ASCII and 270 in binary.
 pub const MAX_FRAME_LEN: usize = 1024;
 
 /// How frames look on the wire.

@@ -5,17 +5,13 @@
 //! sent, for nobody can know which one the PLC takes.
 
 use super::field::FieldError;
-use crate::element::{Element, Symbol, Width};
-
-/// The longest symbol, in letters.
-const LONGEST_SYMBOL: usize = 3;
+use crate::element::{Element, LONGEST_SYMBOL, Symbol, Width};
 
 /// The length of each symbol of `elements` elements, each followed by `values` values of its width, that fill `data`.
 pub(crate) fn symbol_lengths(data: &[u8], elements: usize, values: usize) -> Result<Vec<u8>, FieldError> {
     // Level by level, where the next element can begin. There is hardly ever more than one place, and never more
     // than the data is long.
-    let mut levels: Vec<Vec<Place>> = Vec::with_capacity(elements.saturating_add(1));
-    levels.push(vec![Place { at: 0, readings: 1, from: 0, length: 0 }]);
+    let mut levels: Vec<Vec<Place>> = vec![vec![Place { at: 0, readings: 1, from: 0, length: 0 }]];
     for _ in 0..elements {
         let mut next: Vec<Place> = Vec::new();
         for (from, place) in levels.last().into_iter().flatten().enumerate() {
@@ -26,6 +22,9 @@ pub(crate) fn symbol_lengths(data: &[u8], elements: usize, values: usize) -> Res
                 }
             }
         }
+        if next.is_empty() {
+            return Err(why_not(data));
+        }
         levels.push(next);
     }
     let last = levels.last().into_iter().flatten().enumerate().find(|(_, place)| place.at == data.len());
@@ -35,7 +34,7 @@ pub(crate) fn symbol_lengths(data: &[u8], elements: usize, values: usize) -> Res
         None => return Err(why_not(data)),
     };
     // Back from the end: the one reading there is.
-    let mut lengths = Vec::with_capacity(elements);
+    let mut lengths = Vec::with_capacity(levels.len());
     while let (Some(level), true) = (levels.pop(), !levels.is_empty()) {
         let place = level.get(index).ok_or(FieldError::Unreadable)?;
         lengths.push(place.length);

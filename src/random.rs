@@ -1,4 +1,4 @@
-//! Randomness for nonces and jitter: seeded, so that a run can be repeated. Not for secrets.
+//! Randomness for nonces, jitter and simulated faults: seeded, so that a run can be repeated. Not for secrets.
 
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;

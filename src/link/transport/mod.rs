@@ -1,5 +1,10 @@
 //! How the bytes get there: whatever the link task reads from and writes to, and how it is opened.
 
+#[cfg_attr(not(feature = "serial"), path = "no_serial.rs")]
+mod serial;
+mod tcp;
+mod udp;
+
 use std::fmt;
 use std::future::Future;
 use std::io;
@@ -7,7 +12,6 @@ use std::time::Duration;
 
 use futures::future::{BoxFuture, FutureExt};
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::TcpStream;
 
 use crate::endpoint::{Endpoint, Transport};
 
@@ -20,7 +24,11 @@ pub(crate) type BoxIo = Box<dyn Io>;
 /// Opens connections.
 pub(crate) enum Connector {
     /// To an endpoint, as often as needed.
-    Endpoint(Endpoint),
+    Endpoint {
+        endpoint: Endpoint,
+        /// Whether TCP asks for signs of life.
+        keep_alive: bool,
+    },
     /// The one connection there is.
     Once(Option<BoxIo>),
     /// As the user says.
@@ -48,7 +56,7 @@ impl Connector {
     /// Opens a connection, within the time. `None`: there will never be another.
     pub(crate) fn open(&mut self, within: Duration) -> Option<BoxFuture<'static, io::Result<BoxIo>>> {
         let opening = match self {
-            Self::Endpoint(endpoint) => open(endpoint.clone()).boxed(),
+            Self::Endpoint { endpoint, keep_alive } => open(endpoint.clone(), *keep_alive).boxed(),
             Self::Once(io) => {
                 let io = io.take()?;
                 async move { Ok(io) }.boxed()
@@ -68,20 +76,17 @@ impl Connector {
 impl fmt::Debug for Connector {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Endpoint(endpoint) => write!(f, "Connector({endpoint})"),
+            Self::Endpoint { endpoint, .. } => write!(f, "Connector({endpoint})"),
             Self::Once(_) => f.write_str("Connector(once)"),
             Self::Custom(_) => f.write_str("Connector(custom)"),
         }
     }
 }
 
-async fn open(endpoint: Endpoint) -> io::Result<BoxIo> {
-    match endpoint.transport() {
-        Transport::Tcp { host, port } => {
-            let stream = TcpStream::connect((host.as_str(), *port)).await?;
-            // Requests are single small writes that wait for their answer: coalescing them only adds delay.
-            stream.set_nodelay(true)?;
-            Ok(Box::new(stream))
-        }
-    }
+async fn open(endpoint: Endpoint, keep_alive: bool) -> io::Result<BoxIo> {
+    Ok(match endpoint.transport() {
+        Transport::Tcp { host, port } => Box::new(tcp::connect(host, *port, keep_alive).await?),
+        Transport::Udp { host, port } => Box::new(udp::connect(host, *port, endpoint.framing()).await?),
+        Transport::Serial { path, settings } => Box::new(serial::open(path, *settings).await?),
+    })
 }

@@ -1,0 +1,141 @@
+//! A reader of fields that keeps what it has read.
+//!
+//! The commands read their own requests through it, so that the fields shown here are those that a PLC reads.
+
+use fatek::Element;
+use fatek::command::Code;
+use fatek::wire::{FieldError, FieldReader};
+
+use super::explain::{Field, Part, Reading};
+use super::text;
+
+#[derive(Clone, Debug)]
+pub(super) struct Recorder<'a, R> {
+    inner: R,
+    data: &'a [u8],
+    code: Code,
+    part: Part,
+    fields: Vec<Field>,
+    /// The last element: the values that follow belong to it and to those after it.
+    element: Option<Element>,
+    /// How many values have followed it.
+    values: usize,
+}
+
+impl<'a, R: FieldReader + Clone> Recorder<'a, R> {
+    /// `inner` reads `data`.
+    pub(super) fn new(inner: R, data: &'a [u8], code: Code, part: Part) -> Self {
+        Self { inner, data, code, part, fields: Vec::new(), element: None, values: 0 }
+    }
+
+    /// What has been read, given how the reading ended.
+    pub(super) fn reading(self, result: Result<(), FieldError>) -> Reading {
+        let mut fields: Vec<Field> = Vec::with_capacity(self.fields.len());
+        // The 64 words of a page are one line.
+        for field in self.fields {
+            match fields.last_mut() {
+                Some(last) if field.name == PAGE && last.name == PAGE => last.bytes.extend(field.bytes),
+                _ => fields.push(field),
+            }
+        }
+        Reading { fields, fault: result.err().map(|error| error.to_string()) }
+    }
+
+    /// Reads a field under a name of its own.
+    pub(super) fn named<T>(
+        &mut self,
+        name: &str,
+        read: impl FnOnce(&mut R) -> Result<T, FieldError>,
+        meaning: impl FnOnce(&T) -> String,
+    ) -> Result<T, FieldError> {
+        let before = self.left();
+        let value = read(&mut self.inner)?;
+        let begin = self.data.len().saturating_sub(before);
+        let end = self.data.len().saturating_sub(self.left());
+        let bytes = self.data.get(begin..end).unwrap_or_default().to_vec();
+        self.fields.push(Field { part: self.part, name: name.to_owned(), bytes, meaning: meaning(&value) });
+        Ok(value)
+    }
+
+    /// A line without bytes of its own.
+    pub(super) fn remark(&mut self, name: &str, meaning: String) {
+        self.fields.push(Field { part: self.part, name: name.to_owned(), bytes: Vec::new(), meaning });
+    }
+
+    fn left(&self) -> usize {
+        self.inner.clone().rest().len()
+    }
+
+    /// What a value that comes now is called.
+    fn name_of_value(&mut self) -> String {
+        let n = self.values;
+        self.values += 1;
+        match (self.element.map(|element| element.nth(n)), self.code) {
+            (Some(Ok(element)), _) => element.to_string(),
+            (_, Code::ReadProgramPage | Code::WriteProgramPage) if self.part == Part::Request && n == 0 => {
+                "page".to_owned()
+            }
+            (_, Code::ReadProgramPage | Code::WriteProgramPage) => PAGE.to_owned(),
+            _ => format!("value {}", n + 1),
+        }
+    }
+}
+
+const PAGE: &str = "64 words";
+
+impl<R: FieldReader + Clone> FieldReader for Recorder<'_, R> {
+    fn count(&mut self) -> Result<usize, FieldError> {
+        self.named("N", R::count, |count| count.to_string())
+    }
+
+    fn code(&mut self) -> Result<u8, FieldError> {
+        let code = self.code;
+        self.named("control", R::code, |control| text::control(code, *control))
+    }
+
+    fn byte(&mut self) -> Result<u8, FieldError> {
+        self.named("byte", R::byte, |byte| format!("{byte:02X}h"))
+    }
+
+    fn word(&mut self) -> Result<u16, FieldError> {
+        let name = self.name_of_value();
+        let meaning = |word: &u16| if name == PAGE { String::new() } else { text::word(*word) };
+        self.named(&name, R::word, meaning)
+    }
+
+    fn double(&mut self) -> Result<u32, FieldError> {
+        let name = self.name_of_value();
+        self.named(&name, R::double, |double| text::double(*double))
+    }
+
+    fn bit(&mut self) -> Result<bool, FieldError> {
+        if self.code == Code::ControlPlc {
+            return self.named("control", R::bit, |on| text::control(Code::ControlPlc, u8::from(*on)));
+        }
+        let name = self.name_of_value();
+        let disabled = self.code == Code::ReadDisabled;
+        self.named(&name, R::bit, |on| text::state(*on, disabled).to_owned())
+    }
+
+    fn layout(&mut self, elements: usize, values: usize) -> Result<(), FieldError> {
+        self.inner.layout(elements, values)
+    }
+
+    fn element(&mut self) -> Result<Element, FieldError> {
+        let element = self.named("element", R::element, |element| format!("{element}, {}", element.width()))?;
+        (self.element, self.values) = (Some(element), 0);
+        Ok(element)
+    }
+
+    fn rest(&mut self) -> &[u8] {
+        // The copy is read to its end only to keep the bytes; the reader itself is what the caller gets.
+        let bytes = self.inner.clone().rest().to_vec();
+        let meaning = text::bytes(&bytes);
+        self.fields.push(Field { part: self.part, name: "data".to_owned(), bytes, meaning });
+        self.inner.rest()
+    }
+
+    fn is_empty(&self) -> bool {
+        self.inner.is_empty()
+    }
+}

@@ -1,0 +1,145 @@
+//! A frame's data as a reply.
+//!
+//! A reply does not say what was asked, so this takes every number of values that a request can ask for.
+
+use fatek::ErrorCode;
+use fatek::command::{BriefStatus, Code, DetailedStatus, ErrorField, MAX_LOOP_BACK, MAX_POINTS, MAX_UNITS, PAGE_WORDS};
+use fatek::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, Framing};
+
+use super::explain::{Part, Reading};
+use super::recorder::Recorder;
+use super::text;
+
+pub(super) fn read(code: Code, framing: Framing, data: &[u8]) -> Reading {
+    match framing {
+        Framing::Binary => read_fields(code, data, Recorder::new(BinaryReader::new(data), data, code, Part::Reply)),
+        _ => read_fields(code, data, Recorder::new(AsciiReader::new(data), data, code, Part::Reply)),
+    }
+}
+
+fn read_fields<R: FieldReader + Clone>(code: Code, data: &[u8], mut fields: Recorder<'_, R>) -> Reading {
+    let has_error_code = match code.error_field() {
+        ErrorField::Absent => false,
+        ErrorField::ByLength => data.len() != PAGE_CHARACTERS,
+        _ => true,
+    };
+    let result = read_result(code, has_error_code, &mut fields).and_then(|()| fields.finish());
+    fields.reading(result)
+}
+
+/// A program page without an error digit before it, in the ASCII framing, which alone has it.
+const PAGE_CHARACTERS: usize = 4 * PAGE_WORDS;
+
+fn read_result<R: FieldReader + Clone>(
+    code: Code,
+    has_error_code: bool,
+    fields: &mut Recorder<'_, R>,
+) -> Result<(), FieldError> {
+    if has_error_code {
+        let error = fields.named("error code", R::code, |code| match ErrorCode::from_u8(*code) {
+            None => "ok (0)".to_owned(),
+            Some(error) => error.to_string(),
+        })?;
+        // The data is absent when there is an error.
+        if error != 0 {
+            return Ok(());
+        }
+    }
+    match code {
+        Code::ReadStatus => brief_status(fields),
+        Code::ReadDetailedStatus => detailed_status(fields),
+        Code::ReadDisabled | Code::ReadDiscretes => states(fields),
+        Code::ReadRegisters => registers(fields),
+        Code::ReadMixed => mixed(fields),
+        Code::ReadProgramPage => (0..PAGE_WORDS).try_for_each(|_| fields.word().map(drop)),
+        Code::LoopBack => echo(fields),
+        _ => Ok(()),
+    }
+}
+
+fn brief_status<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<(), FieldError> {
+    let status = |raw| BriefStatus::from_raw(raw);
+    fields.named("STATUS1", R::byte, |&byte| status([byte, 0, 0]).flags().to_string())?;
+    fields.named("STATUS2", R::byte, |&byte| format!("program capacity: {}", status([0, byte, 0]).capacity()))?;
+    fields.named("STATUS3", R::byte, |byte| format!("{byte:02X}h, reserved"))?;
+    Ok(())
+}
+
+fn detailed_status<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<(), FieldError> {
+    // The library reads it; what it finds is shown at the bytes it is found in.
+    let mut ahead = fields.clone();
+    let mut raw = Vec::new();
+    while !ahead.is_empty() {
+        raw.push(ahead.byte()?);
+    }
+    let status = DetailedStatus::from_raw(raw).ok_or(FieldError::Truncated)?;
+    let (major, minor) = status.os_version();
+    fields.named("STATUS1", R::byte, |_| status.flags().to_string())?;
+    fields.named("STATUS2", R::byte, |_| format!("main unit: {}", status.main_unit()))?;
+    fields.named("STATUS3", R::byte, |byte| format!("I/O points of the main unit: code {byte:02X}h"))?;
+    fields.named("STATUS4", R::byte, |_| format!("operating system: version {major}.{minor}"))?;
+    for (name, number) in [
+        ("ladder", status.ladder_words()),
+        ("inputs", status.discrete_inputs()),
+        ("outputs", status.discrete_outputs()),
+        ("analog inputs", status.analog_inputs()),
+        ("analog outputs", status.analog_outputs()),
+        ("M", status.m_relays()),
+        ("S", status.s_relays()),
+        ("L", status.l_relays()),
+        ("R", status.r_registers()),
+        ("D", status.d_registers()),
+        ("timers", status.timers()),
+        ("counters", status.counters()),
+    ] {
+        let unit = if name == "ladder" { " words" } else { "" };
+        fields.named(name, R::word, |_| format!("{number}{unit}"))?;
+    }
+    if !fields.is_empty() {
+        fields.named("STATUS29 on", rest, |_| "reserved".to_owned())?;
+    }
+    Ok(())
+}
+
+fn states<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<(), FieldError> {
+    let mut count = 0;
+    while count == 0 || (count < MAX_POINTS && !fields.is_empty()) {
+        fields.bit()?;
+        count += 1;
+    }
+    Ok(())
+}
+
+fn registers<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<(), FieldError> {
+    let mut words = Vec::new();
+    while words.is_empty() || (words.len() < MAX_UNITS && !fields.is_empty()) {
+        words.push(fields.word()?);
+    }
+    if words.len().is_multiple_of(2) {
+        let doubles = words.chunks_exact(2).map(|pair| text::double(u32::from(pair[0]) << 16 | u32::from(pair[1])));
+        fields.remark("or of 32 bits", doubles.collect::<Vec<_>>().join("; "));
+    }
+    Ok(())
+}
+
+fn mixed<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<(), FieldError> {
+    // In the ASCII framing, all of it must be digits.
+    let mut digits = fields.clone();
+    while !digits.is_empty() {
+        digits.named("digit", R::code, |_| String::new())?;
+    }
+    if fields.is_empty() {
+        return Err(FieldError::Truncated);
+    }
+    fields.named("values", rest, |_| "in the order of the request, each as wide as its element".to_owned())?;
+    Ok(())
+}
+
+fn echo<R: FieldReader>(fields: &mut R) -> Result<(), FieldError> {
+    if fields.rest().len() > MAX_LOOP_BACK { Err(FieldError::Trailing) } else { Ok(()) }
+}
+
+fn rest<R: FieldReader>(fields: &mut R) -> Result<(), FieldError> {
+    fields.rest();
+    Ok(())
+}

@@ -1,0 +1,94 @@
+//! Why a subcommand failed, and the exit status that says so.
+
+use std::fmt;
+use std::io;
+use std::process::ExitCode;
+
+use crate::output::complain;
+
+#[derive(Debug)]
+pub(crate) enum Failure {
+    /// The command line has an error. Nothing was sent.
+    Usage(String),
+    /// A call failed; what it was for, if there can be a doubt.
+    Call { what: Option<String>, error: fatek::Error },
+    /// So many pings stayed without an answer.
+    Lost { lost: u32, sent: u32 },
+    /// So many pings had a bad answer.
+    Spoilt { spoilt: u32, sent: u32 },
+    /// So many frames, of all, are bad.
+    BadFrames { bad: usize, all: usize },
+    /// The simulator cannot listen.
+    Listen { url: String, error: io::Error },
+    /// Stdout cannot be written to.
+    Output(io::Error),
+    /// There is no runtime.
+    Runtime(io::Error),
+}
+
+impl Failure {
+    pub(crate) fn usage(error: impl fmt::Display) -> Self {
+        Self::Usage(error.to_string())
+    }
+
+    /// A failed call for this.
+    pub(crate) fn of(what: impl fmt::Display) -> impl FnOnce(fatek::Error) -> Self {
+        move |error| Self::Call { what: Some(what.to_string()), error }
+    }
+
+    /// Tells it on stderr, and gives the exit status.
+    pub(crate) fn report(&self) -> ExitCode {
+        // Who has closed our stdout does not want to know more: `fatek read … | head -1` went well.
+        if let Self::Output(error) = self
+            && error.kind() == io::ErrorKind::BrokenPipe
+        {
+            return ExitCode::SUCCESS;
+        }
+        complain(format_args!("error: {self}"));
+        if let Self::Usage(_) = self {
+            complain(format_args!("\nFor more information, try '--help'."));
+        }
+        ExitCode::from(self.exit_status())
+    }
+
+    fn exit_status(&self) -> u8 {
+        match self {
+            Self::Output(_) | Self::Runtime(_) => 1,
+            Self::Usage(_) => 2,
+            Self::Call { error, .. } => match error {
+                fatek::Error::Invalid(_) => 2,
+                fatek::Error::Plc { .. } => 3,
+                fatek::Error::Timeout { .. } | fatek::Error::Offline { .. } => 4,
+                fatek::Error::Connect { .. } | fatek::Error::Disconnected { .. } | fatek::Error::Closed { .. } => 5,
+                fatek::Error::BadReply { .. } => 6,
+                _ => 1,
+            },
+            Self::Lost { .. } => 4,
+            Self::Listen { .. } => 5,
+            Self::Spoilt { .. } | Self::BadFrames { .. } => 6,
+        }
+    }
+}
+
+impl From<fatek::Error> for Failure {
+    fn from(error: fatek::Error) -> Self {
+        Self::Call { what: None, error }
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Usage(message) => f.write_str(message),
+            Self::Call { what: Some(what), error } => write!(f, "{what}: {error}"),
+            Self::Call { what: None, error } => error.fmt(f),
+            Self::Lost { lost, sent } => write!(f, "{lost} of {sent} had no answer"),
+            Self::Spoilt { spoilt, sent } => write!(f, "{spoilt} of {sent} had a bad answer"),
+            Self::BadFrames { bad: 1, all: 1 } => f.write_str("this is no good frame"),
+            Self::BadFrames { bad, all } => write!(f, "{bad} of {all} are no good frames"),
+            Self::Listen { url, error } => write!(f, "cannot listen on {url}: {error}"),
+            Self::Output(error) => write!(f, "cannot write to stdout: {error}"),
+            Self::Runtime(error) => write!(f, "cannot start: {error}"),
+        }
+    }
+}

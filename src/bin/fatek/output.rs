@@ -1,0 +1,214 @@
+//! Data on stdout as a table, JSON or CSV; remarks on stderr.
+
+use std::fmt;
+use std::io::{self, Write};
+
+use clap::ValueEnum;
+use comfy_table::presets::NOTHING;
+use fatek::tag::TagValue;
+use serde_json::{Map, Value};
+
+use crate::failure::Failure;
+
+/// How data is printed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Format {
+    /// Columns for people
+    #[default]
+    Table,
+    /// One JSON document
+    Json,
+    /// Comma-separated values with a header
+    Csv,
+}
+
+#[derive(Debug)]
+pub(crate) struct Output {
+    pub(crate) format: Format,
+    quiet: bool,
+}
+
+impl Output {
+    pub(crate) fn new(format: Format, quiet: bool) -> Self {
+        Self { format, quiet }
+    }
+
+    /// Prints rows: JSON is an array of objects with the columns as keys.
+    pub(crate) fn rows(&self, rows: &Rows) -> Result<(), Failure> {
+        match self.format {
+            Format::Table => print(format_args!("{}", rows.table())),
+            Format::Json => self.json(&rows.json()),
+            Format::Csv => print_csv(rows).map_err(Failure::Output),
+        }
+    }
+
+    /// Prints one JSON document.
+    pub(crate) fn json(&self, document: &Value) -> Result<(), Failure> {
+        print(format_args!("{document:#}"))
+    }
+
+    /// Says on stderr what has been done, unless `--quiet` was given.
+    pub(crate) fn remark(&self, text: fmt::Arguments<'_>) {
+        if !self.quiet {
+            complain(text);
+        }
+    }
+}
+
+/// Prints a line on stdout.
+pub(crate) fn print(line: fmt::Arguments<'_>) -> Result<(), Failure> {
+    let mut stdout = io::BufWriter::new(io::stdout().lock());
+    writeln!(stdout, "{line}").and_then(|()| stdout.flush()).map_err(Failure::Output)
+}
+
+/// Prints a line on stderr. If nobody can read it, nothing is to be done about that.
+pub(crate) fn complain(line: fmt::Arguments<'_>) {
+    let _ = writeln!(io::stderr().lock(), "{line}");
+}
+
+/// Rows under columns.
+#[derive(Debug)]
+pub(crate) struct Rows {
+    columns: Vec<&'static str>,
+    rows: Vec<Vec<Cell>>,
+}
+
+impl Rows {
+    pub(crate) fn new<const N: usize>(columns: [&'static str; N]) -> Self {
+        Self { columns: columns.into(), rows: Vec::new() }
+    }
+
+    pub(crate) fn push<const N: usize>(&mut self, row: [Cell; N]) {
+        debug_assert_eq!(N, self.columns.len());
+        self.rows.push(row.into());
+    }
+
+    /// Columns for people; the last column is not padded.
+    pub(crate) fn table(&self) -> String {
+        let mut table = comfy_table::Table::new();
+        table.load_preset(NOTHING);
+        table.set_header(self.columns.iter().map(|column| column.to_uppercase()));
+        for row in &self.rows {
+            table.add_row(row.iter().map(|cell| &cell.text));
+        }
+        table.column_iter_mut().for_each(|column| {
+            column.set_padding((0, 2));
+        });
+        let text = table.to_string();
+        text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n")
+    }
+
+    pub(crate) fn json(&self) -> Value {
+        let object = |row: &Vec<Cell>| {
+            let keys = self.columns.iter().map(|&column| column.to_owned());
+            Value::Object(keys.zip(row.iter().map(|cell| cell.json.clone())).collect::<Map<_, _>>())
+        };
+        self.rows.iter().map(object).collect()
+    }
+}
+
+fn print_csv(rows: &Rows) -> io::Result<()> {
+    // Written to memory first: `csv` would hide that an error is a broken pipe.
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(&rows.columns)?;
+    for row in &rows.rows {
+        writer.write_record(row.iter().map(|cell| &cell.text))?;
+    }
+    let text = writer.into_inner().map_err(|error| error.into_error())?;
+    let mut stdout = io::stdout().lock();
+    stdout.write_all(&text)?;
+    stdout.flush()
+}
+
+/// What stands in a row: as text for the table and for CSV, and as JSON.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Cell {
+    pub(crate) text: String,
+    pub(crate) json: Value,
+}
+
+impl From<String> for Cell {
+    fn from(text: String) -> Self {
+        Self { json: text.clone().into(), text }
+    }
+}
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        text.to_owned().into()
+    }
+}
+
+impl From<bool> for Cell {
+    fn from(on: bool) -> Self {
+        Self { text: on.to_string(), json: on.into() }
+    }
+}
+
+impl From<u32> for Cell {
+    fn from(number: u32) -> Self {
+        Self { text: number.to_string(), json: number.into() }
+    }
+}
+
+impl From<TagValue> for Cell {
+    /// JSON has no hexadecimal numbers, no NaN and no infinity: those are strings, as in the table, so that what was
+    /// read can be told apart, and be written back.
+    fn from(value: TagValue) -> Self {
+        let text = value.to_string();
+        let json = match value {
+            TagValue::Bool(on) => on.into(),
+            TagValue::U16(number) => number.into(),
+            TagValue::I16(number) => number.into(),
+            TagValue::U32(number) => number.into(),
+            TagValue::I32(number) => number.into(),
+            // By way of its shortest text: 0.1 shall not become 0.10000000149011612.
+            TagValue::F32(number) if number.is_finite() => text.parse::<f64>().map_or(Value::Null, Value::from),
+            _ => text.clone().into(),
+        };
+        Self { text, json }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn json_has_values_of_the_types_they_have() {
+        for (value, json) in [
+            (TagValue::Bool(true), "true"),
+            (TagValue::U32(u32::MAX), "4294967295"),
+            (TagValue::I16(-1), "-1"),
+            (TagValue::F32(0.1), "0.1"),
+            (TagValue::F32(-500.125), "-500.125"),
+            (TagValue::F32(f32::NAN), "\"NaN\""),
+            (TagValue::F32(f32::NEG_INFINITY), "\"-inf\""),
+            (TagValue::Hex16(0xAA), "\"0x00AA\""),
+        ] {
+            assert_eq!(Cell::from(value).json.to_string(), json);
+        }
+    }
+
+    #[test]
+    fn a_table_has_upper_case_headers_and_no_trailing_blanks() {
+        let mut rows = Rows::new(["tag", "value"]);
+        rows.push(["R0".into(), 5_u32.into()]);
+        rows.push(["R10".into(), "long text".into()]);
+        assert_eq!(rows.table(), "TAG  VALUE\nR0   5\nR10  long text");
+        assert_eq!(rows.json().to_string(), r#"[{"tag":"R0","value":5},{"tag":"R10","value":"long text"}]"#);
+    }
+
+    proptest! {
+        #[test]
+        fn a_float_survives_json(bits: u32) {
+            let number = f32::from_bits(bits);
+            prop_assume!(number.is_finite());
+            let json = Cell::from(TagValue::F32(number)).json.to_string();
+            prop_assert_eq!(json.parse::<f32>().unwrap().to_bits(), bits);
+            // Even read as f64 and rounded, as most programs do.
+            prop_assert_eq!((json.parse::<f64>().unwrap() as f32).to_bits(), bits);
+        }
+    }
+}

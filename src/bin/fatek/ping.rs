@@ -1,0 +1,105 @@
+//! `fatek ping`
+
+use std::time::{Duration, Instant};
+
+use fatek::{Error, Station};
+
+use crate::args::PingArgs;
+use crate::failure::Failure;
+use crate::output::{Cell, Format, Output, Rows, print};
+
+pub(crate) async fn ping(station: &Station, args: &PingArgs, output: &Output) -> Result<(), Failure> {
+    let mut tally = Tally::default();
+    let mut rows = Rows::new(["sequence", "bytes", "time_ms"]);
+    let mut result = Ok(());
+    for sequence in 1..=args.count {
+        if sequence > 1 {
+            tokio::time::sleep(args.interval).await;
+        }
+        let sent_at = Instant::now();
+        let echo = station.loop_back(payload(sequence, args.size.into())).await;
+        let time = match tally.count(echo, sent_at.elapsed()) {
+            Ok(time) => time,
+            Err(error) => {
+                result = Err(error);
+                break;
+            }
+        };
+        if output.format == Format::Table {
+            print_line(sequence, args.size, &time)?;
+        }
+        rows.push([sequence.into(), u32::from(args.size).into(), time_cell(time.ok())]);
+    }
+    if output.format != Format::Table {
+        output.rows(&rows)?;
+    }
+    tally.summarize(output);
+    result?;
+    match tally {
+        Tally { sent, lost: lost @ 1.., .. } => Err(Failure::Lost { lost, sent }),
+        Tally { sent, spoilt: spoilt @ 1.., .. } => Err(Failure::Spoilt { spoilt, sent }),
+        _ => Ok(()),
+    }
+}
+
+#[derive(Debug, Default)]
+struct Tally {
+    sent: u32,
+    lost: u32,
+    spoilt: u32,
+    times: Vec<Duration>,
+}
+
+impl Tally {
+    /// Counts an answer, or its absence. Any other error ends it all: it is not the line that is at fault.
+    fn count(&mut self, echo: Result<(), Error>, time: Duration) -> Result<Result<Duration, Error>, Error> {
+        match echo {
+            Ok(()) => self.times.push(time),
+            Err(Error::Timeout { .. }) => self.lost += 1,
+            Err(Error::BadReply { .. }) => self.spoilt += 1,
+            Err(error) => return Err(error),
+        }
+        self.sent += 1;
+        Ok(echo.map(|()| time))
+    }
+
+    fn summarize(&self, output: &Output) {
+        let Self { sent, times, .. } = self;
+        output.remark(format_args!("{sent} sent, {} answered", times.len()));
+        let total: Duration = times.iter().sum();
+        if let (Some(shortest), Some(longest)) = (times.iter().min(), times.iter().max()) {
+            let mean = total.as_secs_f64() / times.len() as f64 * 1000.0;
+            output.remark(format_args!(
+                "shortest {:.3} ms, mean {mean:.3} ms, longest {:.3} ms",
+                millis(*shortest),
+                millis(*longest)
+            ));
+        }
+    }
+}
+
+fn print_line(sequence: u32, size: u16, time: &Result<Duration, Error>) -> Result<(), Failure> {
+    match time {
+        Ok(time) => print(format_args!("{sequence}: {size} bytes in {:.3} ms", millis(*time))),
+        Err(error) => print(format_args!("{sequence}: {error}")),
+    }
+}
+
+fn time_cell(time: Option<Duration>) -> Cell {
+    match time {
+        Some(time) => {
+            let text = format!("{:.3}", millis(time));
+            Cell { json: text.parse::<f64>().map_or(serde_json::Value::Null, Into::into), text }
+        }
+        None => Cell { text: String::new(), json: serde_json::Value::Null },
+    }
+}
+
+fn millis(time: Duration) -> f64 {
+    time.as_secs_f64() * 1000.0
+}
+
+/// Printable, because the ASCII framing carries nothing else, and another one each time.
+fn payload(sequence: u32, size: usize) -> String {
+    format!("{sequence:08X} fatek ping ").chars().cycle().take(size).collect()
+}

@@ -1,0 +1,84 @@
+//! `fatek status`
+
+use fatek::command::{BriefStatus, DetailedStatus};
+use fatek::{Error, Station};
+use serde_json::{Map, Value, json};
+
+use crate::failure::Failure;
+use crate::output::{Cell, Format, Output, Rows};
+
+pub(crate) async fn status(station: &Station, output: &Output) -> Result<(), Failure> {
+    let brief = station.read_status().await?;
+    let detailed = station.read_detailed_status().await;
+    print(&brief_fields(&brief), detailed.as_ref().ok().map(detailed_fields).as_deref(), output)?;
+    match detailed {
+        Ok(_) => Ok(()),
+        // Not every model has it, and what is asked for has been answered.
+        Err(error @ Error::Plc { .. }) => {
+            output.remark(format_args!("no detailed status: {error}"));
+            Ok(())
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+type Field = (&'static str, Cell);
+
+fn brief_fields(status: &BriefStatus) -> Vec<Field> {
+    let flags = status.flags();
+    vec![
+        ("running", flags.running().into()),
+        ("battery_low", flags.battery_low().into()),
+        ("ladder_checksum_error", flags.ladder_checksum_error().into()),
+        ("memory_card", flags.memory_card().into()),
+        ("watchdog_timeout", flags.watchdog_timeout().into()),
+        ("id_set", flags.id_set().into()),
+        ("emergency_stop", flags.emergency_stop().into()),
+        ("program_capacity", status.capacity().to_string().into()),
+        ("raw", hex(&status.raw()).into()),
+    ]
+}
+
+fn detailed_fields(status: &DetailedStatus) -> Vec<Field> {
+    let (major, minor) = status.os_version();
+    vec![
+        ("main_unit", status.main_unit().to_string().into()),
+        ("io_points_code", u32::from(status.io_points_code()).into()),
+        ("os_version", format!("{major}.{minor}").into()),
+        ("ladder_words", u32::from(status.ladder_words()).into()),
+        ("discrete_inputs", u32::from(status.discrete_inputs()).into()),
+        ("discrete_outputs", u32::from(status.discrete_outputs()).into()),
+        ("analog_inputs", u32::from(status.analog_inputs()).into()),
+        ("analog_outputs", u32::from(status.analog_outputs()).into()),
+        ("m_relays", u32::from(status.m_relays()).into()),
+        ("s_relays", u32::from(status.s_relays()).into()),
+        ("l_relays", u32::from(status.l_relays()).into()),
+        ("r_registers", u32::from(status.r_registers()).into()),
+        ("d_registers", u32::from(status.d_registers()).into()),
+        ("timers", u32::from(status.timers()).into()),
+        ("counters", u32::from(status.counters()).into()),
+        ("raw", hex(status.raw()).into()),
+    ]
+}
+
+/// JSON is an object of two objects, `detailed` being null when the PLC has none; the rest are rows.
+fn print(brief: &[Field], detailed: Option<&[Field]>, output: &Output) -> Result<(), Failure> {
+    if output.format == Format::Json {
+        return output.json(&json!({ "brief": object(brief), "detailed": detailed.map(object) }));
+    }
+    let mut rows = Rows::new(["status", "field", "value"]);
+    let fields = brief.iter().map(|field| ("brief", field));
+    let fields = fields.chain(detailed.unwrap_or_default().iter().map(|field| ("detailed", field)));
+    for (status, (name, cell)) in fields {
+        rows.push([status.into(), (*name).into(), cell.clone()]);
+    }
+    output.rows(&rows)
+}
+
+fn object(fields: &[Field]) -> Value {
+    Value::Object(fields.iter().map(|(name, cell)| ((*name).to_owned(), cell.json.clone())).collect::<Map<_, _>>())
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
+}

@@ -1,0 +1,202 @@
+use std::fmt;
+
+use super::InvalidSettings;
+use crate::wire::Framing;
+
+/// How a serial port is set: its speed, and what a character looks like on the line. There is no flow control.
+///
+/// ```
+/// use fatek::endpoint::{DataBits, Parity, SerialSettings};
+/// use fatek::wire::Framing;
+///
+/// let settings = SerialSettings::new(Framing::Ascii); // the factory setting of the PLCs
+/// assert_eq!(settings.to_string(), "9600 baud 7E1");
+///
+/// let settings = settings.with_baud(19_200)?.with_data_bits(DataBits::Eight).with_parity(Parity::None);
+/// assert_eq!(settings.to_string(), "19200 baud 8N1");
+/// # Ok::<(), fatek::endpoint::InvalidSettings>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct SerialSettings {
+    baud: u32,
+    data_bits: DataBits,
+    parity: Parity,
+    stop_bits: StopBits,
+}
+
+/// The slowest baud rate that is accepted.
+pub const MIN_BAUD: u32 = 300;
+
+/// The fastest baud rate that is accepted.
+pub const MAX_BAUD: u32 = 921_600;
+
+impl SerialSettings {
+    /// The usual settings for a framing: 9600 baud, and 7E1 for ASCII or 8N1 for binary.
+    #[must_use]
+    pub const fn new(framing: Framing) -> Self {
+        let (data_bits, parity) = match framing {
+            Framing::Ascii => (DataBits::Seven, Parity::Even),
+            Framing::Binary => (DataBits::Eight, Parity::None),
+        };
+        Self { baud: 9600, data_bits, parity, stop_bits: StopBits::One }
+    }
+
+    /// The same with another speed, in bits per second.
+    ///
+    /// # Errors
+    /// [`InvalidSettings::Baud`] unless it is [`MIN_BAUD`] to [`MAX_BAUD`].
+    pub const fn with_baud(mut self, baud: u32) -> Result<Self, InvalidSettings> {
+        if baud < MIN_BAUD || baud > MAX_BAUD {
+            return Err(InvalidSettings::Baud { baud });
+        }
+        self.baud = baud;
+        Ok(self)
+    }
+
+    /// The same with another number of data bits.
+    #[must_use]
+    pub const fn with_data_bits(mut self, data_bits: DataBits) -> Self {
+        self.data_bits = data_bits;
+        self
+    }
+
+    /// The same with another parity.
+    #[must_use]
+    pub const fn with_parity(mut self, parity: Parity) -> Self {
+        self.parity = parity;
+        self
+    }
+
+    /// The same with another number of stop bits.
+    #[must_use]
+    pub const fn with_stop_bits(mut self, stop_bits: StopBits) -> Self {
+        self.stop_bits = stop_bits;
+        self
+    }
+
+    /// The speed, in bits per second.
+    #[must_use]
+    pub const fn baud(&self) -> u32 {
+        self.baud
+    }
+
+    /// How many bits of a character are data.
+    #[must_use]
+    pub const fn data_bits(&self) -> DataBits {
+        self.data_bits
+    }
+
+    /// The bit that checks a character.
+    #[must_use]
+    pub const fn parity(&self) -> Parity {
+        self.parity
+    }
+
+    /// How many bits end a character.
+    #[must_use]
+    pub const fn stop_bits(&self) -> StopBits {
+        self.stop_bits
+    }
+
+    /// Data bits, parity and stop bits, as in `7E1`.
+    pub(super) fn character(&self) -> String {
+        format!("{}{}{}", self.data_bits, self.parity, self.stop_bits)
+    }
+
+    /// The same with data bits, parity and stop bits from a text such as `7E1`. `None` if it is no such text.
+    pub(super) fn with_character(self, text: &str) -> Option<Self> {
+        let mut letters = text.chars();
+        let data_bits = match letters.next()? {
+            '7' => DataBits::Seven,
+            '8' => DataBits::Eight,
+            _ => return None,
+        };
+        let parity = match letters.next()?.to_ascii_uppercase() {
+            'N' => Parity::None,
+            'E' => Parity::Even,
+            'O' => Parity::Odd,
+            _ => return None,
+        };
+        let stop_bits = match letters.next()? {
+            '1' => StopBits::One,
+            '2' => StopBits::Two,
+            _ => return None,
+        };
+        let settings = self.with_data_bits(data_bits).with_parity(parity).with_stop_bits(stop_bits);
+        letters.next().is_none().then_some(settings)
+    }
+
+    /// The binary framing uses all values of a byte.
+    pub(super) fn check(self, framing: Framing) -> Result<Self, InvalidSettings> {
+        match (framing, self.data_bits) {
+            (Framing::Binary, DataBits::Seven) => Err(InvalidSettings::DataBits { settings: self }),
+            _ => Ok(self),
+        }
+    }
+}
+
+impl fmt::Display for SerialSettings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} baud {}", self.baud, self.character())
+    }
+}
+
+/// How many bits of a character are data. The ASCII framing does with seven, the binary framing needs eight.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum DataBits {
+    /// 7.
+    Seven,
+    /// 8.
+    Eight,
+}
+
+impl fmt::Display for DataBits {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Seven => "7",
+            Self::Eight => "8",
+        })
+    }
+}
+
+/// The bit that checks a character.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Parity {
+    /// N: there is none.
+    None,
+    /// E: it makes the number of ones even.
+    Even,
+    /// O: it makes the number of ones odd.
+    Odd,
+}
+
+impl fmt::Display for Parity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::None => "N",
+            Self::Even => "E",
+            Self::Odd => "O",
+        })
+    }
+}
+
+/// How many bits end a character.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum StopBits {
+    /// 1.
+    One,
+    /// 2.
+    Two,
+}
+
+impl fmt::Display for StopBits {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::One => "1",
+            Self::Two => "2",
+        })
+    }
+}

@@ -1,0 +1,113 @@
+//! How long bytes take on a serial line: arithmetic, without a clock.
+
+use std::time::Duration;
+
+use crate::endpoint::{DataBits, Parity, SerialSettings, StopBits};
+
+/// The speed of a serial line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Line {
+    pub(crate) baud: u32,
+    /// Start bit, data bits, parity bit and stop bits.
+    pub(crate) bits_per_character: u8,
+}
+
+impl Line {
+    /// How long so many bytes take, rounded up to the nanosecond.
+    pub(crate) fn transmission(&self, bytes: usize) -> Duration {
+        let bits = u128::from(self.bits_per_character).saturating_mul(bytes.try_into().unwrap_or(u128::MAX));
+        self.half_bits(bits.saturating_mul(2))
+    }
+
+    /// How long the line is left alone between a reply and the next request: three and a half characters, as is the
+    /// custom on serial buses, and at least the 2 ms that a slow RS-485 driver may take to turn around.
+    pub(crate) fn gap(&self) -> Duration {
+        let three_and_a_half = self.half_bits(u128::from(self.bits_per_character).saturating_mul(7));
+        three_and_a_half.max(Duration::from_millis(2))
+    }
+
+    fn half_bits(&self, half_bits: u128) -> Duration {
+        let nanoseconds = half_bits.saturating_mul(500_000_000).div_ceil(u128::from(self.baud.max(1)));
+        Duration::from_nanos(u64::try_from(nanoseconds).unwrap_or(u64::MAX))
+    }
+}
+
+impl From<SerialSettings> for Line {
+    fn from(settings: SerialSettings) -> Self {
+        let data_bits: u8 = match settings.data_bits() {
+            DataBits::Seven => 7,
+            DataBits::Eight => 8,
+        };
+        let parity_bits = match settings.parity() {
+            Parity::None => 0,
+            Parity::Even | Parity::Odd => 1,
+        };
+        let stop_bits = match settings.stop_bits() {
+            StopBits::One => 1,
+            StopBits::Two => 2,
+        };
+        let bits = [1, data_bits, parity_bits, stop_bits].into_iter().fold(0, u8::saturating_add);
+        Self { baud: settings.baud(), bits_per_character: bits }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::Framing;
+
+    #[test]
+    fn a_character_is_its_start_data_parity_and_stop_bits() {
+        use {DataBits::*, Parity::*, StopBits::*};
+        for (data_bits, parity, stop_bits, bits) in [
+            (Seven, None, One, 9),
+            (Seven, Even, One, 10),
+            (Seven, Odd, Two, 11),
+            (Seven, None, Two, 10),
+            (Eight, None, One, 10),
+            (Eight, Even, One, 11),
+            (Eight, Odd, Two, 12),
+        ] {
+            let settings = SerialSettings::new(Framing::Ascii)
+                .with_data_bits(data_bits)
+                .with_parity(parity)
+                .with_stop_bits(stop_bits);
+            assert_eq!(Line::from(settings), Line { baud: 9600, bits_per_character: bits }, "{settings}");
+        }
+    }
+
+    #[test]
+    fn transmission_times_are_exact_and_rounded_up() {
+        let line = |baud, bits_per_character| Line { baud, bits_per_character };
+        for (line, bytes, nanoseconds) in [
+            (line(9600, 10), 0, 0),
+            (line(9600, 10), 1, 1_041_667),        // 1041666.66…
+            (line(9600, 10), 3, 3_125_000),        // not three times the rounded time of one
+            (line(9600, 10), 508, 529_166_667),    // the longest ASCII frame
+            (line(19_200, 11), 17, 9_739_584),     // 9739583.33…
+            (line(115_200, 10), 1, 86_806),        // 86805.55…
+            (line(921_600, 10), 1024, 11_111_112), // 11111111.11…
+            (line(300, 12), 1024, 40_960_000_000),
+        ] {
+            assert_eq!(line.transmission(bytes), Duration::from_nanos(nanoseconds), "{bytes} bytes on {line:?}");
+        }
+    }
+
+    #[test]
+    fn no_number_overflows() {
+        for baud in [0, 1, u32::MAX] {
+            for bits_per_character in [0, u8::MAX] {
+                let line = Line { baud, bits_per_character };
+                assert!(line.transmission(usize::MAX) <= Duration::from_nanos(u64::MAX));
+                assert!(line.gap() >= Duration::from_millis(2));
+            }
+        }
+    }
+
+    #[test]
+    fn the_gap_is_three_and_a_half_characters_and_at_least_two_milliseconds() {
+        assert_eq!(Line { baud: 9600, bits_per_character: 10 }.gap(), Duration::from_nanos(3_645_834));
+        assert_eq!(Line { baud: 19_200, bits_per_character: 11 }.gap(), Duration::from_nanos(2_005_209));
+        assert_eq!(Line { baud: 115_200, bits_per_character: 10 }.gap(), Duration::from_millis(2));
+    }
+}

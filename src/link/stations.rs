@@ -1,0 +1,211 @@
+//! What the link knows of each station: whether it can be believed, and whether it is there.
+//!
+//! ```text
+//! clean  ──doubt──▶ dirty   ──nonce echoed, or (where loop-backs are refused) silence──▶ clean
+//! online ──timeouts in a row──▶ offline ──any answer──▶ online
+//! ```
+//!
+//! What must always hold: a station in doubt stays so until something has cleared it; probes take no more than their
+//! share of the bus, however many stations are offline.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::later;
+
+#[derive(Debug)]
+pub(crate) struct Stations {
+    known: BTreeMap<u8, Health>,
+    rules: Rules,
+    probe_allowed_at: Option<Instant>,
+}
+
+/// When a station is offline, and how it is probed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rules {
+    /// After how many timeouts in a row.
+    pub(crate) offline_after: u32,
+    /// The shortest and the longest time between two probes of a station.
+    pub(crate) probe_interval: (Duration, Duration),
+    /// After a probe that took a time, none for so many times as long.
+    pub(crate) probe_pause: u32,
+    /// Whether a station is in doubt before it has been asked anything.
+    pub(crate) doubtful_start: bool,
+}
+
+#[derive(Debug)]
+struct Health {
+    dirty: bool,
+    refuses_loop_back: bool,
+    /// Timeouts in a row.
+    timeouts: u32,
+    offline: Option<Offline>,
+    round_trip: RoundTrip,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Offline {
+    probe_at: Instant,
+    interval: Duration,
+}
+
+impl Stations {
+    pub(crate) fn new(rules: Rules) -> Self {
+        Self { known: BTreeMap::new(), rules, probe_allowed_at: None }
+    }
+
+    /// Whether the station must prove itself before it is asked anything.
+    pub(crate) fn is_dirty(&mut self, station: u8) -> bool {
+        self.health(station).dirty
+    }
+
+    /// There is reason to doubt what the station sends next.
+    pub(crate) fn doubt(&mut self, station: u8) {
+        self.health(station).dirty = true;
+    }
+
+    /// The station has proved itself.
+    pub(crate) fn clear(&mut self, station: u8) {
+        self.health(station).dirty = false;
+    }
+
+    /// Whether anything has been asked of the station yet.
+    pub(crate) fn knows(&self, station: u8) -> bool {
+        self.known.contains_key(&station)
+    }
+
+    pub(crate) fn refuses_loop_back(&mut self, station: u8) -> bool {
+        self.health(station).refuses_loop_back
+    }
+
+    /// The station has refused the loop-back: it is asked no more of them.
+    pub(crate) fn loop_back_refused(&mut self, station: u8) {
+        self.health(station).refuses_loop_back = true;
+    }
+
+    /// The station has answered, within this time if that is known; says whether it was offline.
+    pub(crate) fn answered(&mut self, station: u8, within: Option<Duration>) -> bool {
+        let health = self.health(station);
+        health.timeouts = 0;
+        if let Some(within) = within {
+            health.round_trip.measured(within);
+        }
+        health.offline.take().is_some()
+    }
+
+    /// The station has not answered within its whole response timeout; says when the first probe is due if it is
+    /// offline from now on.
+    pub(crate) fn timed_out(&mut self, station: u8, now: Instant) -> Option<Instant> {
+        let Rules { offline_after, probe_interval: (interval, _), .. } = self.rules;
+        let health = self.health(station);
+        health.timeouts = health.timeouts.saturating_add(1);
+        health.round_trip.timed_out();
+        if health.timeouts < offline_after || health.offline.is_some() {
+            return None;
+        }
+        let probe_at = later(now, interval);
+        health.offline = Some(Offline { probe_at, interval });
+        Some(probe_at)
+    }
+
+    /// If the station is offline: when it is probed next.
+    pub(crate) fn offline_until(&self, station: u8) -> Option<Instant> {
+        Some(self.known.get(&station)?.offline?.probe_at)
+    }
+
+    /// Whatever was the matter with the stations may be over: those that are offline are probed soon.
+    pub(crate) fn hurry(&mut self, now: Instant) {
+        for offline in self.known.values_mut().filter_map(|health| health.offline.as_mut()) {
+            offline.probe_at = now;
+        }
+    }
+
+    /// The station whose probe is due.
+    pub(crate) fn due_probe(&self, now: Instant) -> Option<u8> {
+        if self.probe_allowed_at.is_some_and(|at| now < at) {
+            return None;
+        }
+        let probes = self.known.iter().filter_map(|(&station, health)| Some((health.offline?.probe_at, station)));
+        probes.min().filter(|&(at, _)| at <= now).map(|(_, station)| station)
+    }
+
+    /// When the next probe is due.
+    pub(crate) fn next_probe(&self) -> Option<Instant> {
+        let due = self.known.values().filter_map(|health| Some(health.offline?.probe_at)).min()?;
+        Some(self.probe_allowed_at.map_or(due, |allowed| due.max(allowed)))
+    }
+
+    /// A probe has ended, having used this much of the bus.
+    pub(crate) fn probe_ended(&mut self, took: Duration, now: Instant) {
+        self.probe_allowed_at = Some(later(now, took.saturating_mul(self.rules.probe_pause)));
+    }
+
+    /// A probe of the station was not answered; says when the next one is due.
+    pub(crate) fn probe_failed(&mut self, station: u8, now: Instant) -> Option<Instant> {
+        let (_, longest) = self.rules.probe_interval;
+        let offline = self.health(station).offline.as_mut()?;
+        offline.interval = offline.interval.saturating_mul(2).min(longest);
+        offline.probe_at = later(now, offline.interval);
+        Some(offline.probe_at)
+    }
+
+    /// How long the station should be given, by what it has needed so far: between the two limits.
+    pub(crate) fn patience(&self, station: u8, shortest: Duration, longest: Duration) -> Duration {
+        let estimate = self.known.get(&station).and_then(|health| health.round_trip.timeout());
+        estimate.map_or(longest, |estimate| estimate.max(shortest).min(longest))
+    }
+
+    fn health(&mut self, station: u8) -> &mut Health {
+        let dirty = self.rules.doubtful_start;
+        self.known.entry(station).or_insert_with(|| Health {
+            dirty,
+            refuses_loop_back: false,
+            timeouts: 0,
+            offline: None,
+            round_trip: RoundTrip::default(),
+        })
+    }
+}
+
+/// The round-trip time, smoothed as TCP does it (RFC 6298).
+#[derive(Debug, Default)]
+struct RoundTrip {
+    smoothed: Option<Duration>,
+    deviation: Duration,
+    /// How often the estimate has been doubled since the last answer.
+    doublings: u32,
+}
+
+impl RoundTrip {
+    fn measured(&mut self, sample: Duration) {
+        self.doublings = 0;
+        let Some(smoothed) = self.smoothed else {
+            self.smoothed = Some(sample);
+            self.deviation = half(sample);
+            return;
+        };
+        let off = smoothed.abs_diff(sample);
+        self.deviation = self.deviation.saturating_sub(quarter(self.deviation)).saturating_add(quarter(off));
+        let eighth = |time| half(quarter(time));
+        self.smoothed = Some(smoothed.saturating_sub(eighth(smoothed)).saturating_add(eighth(sample)));
+    }
+
+    fn timed_out(&mut self) {
+        self.doublings = self.doublings.saturating_add(1).min(16);
+    }
+
+    fn timeout(&self) -> Option<Duration> {
+        let timeout = self.smoothed?.saturating_add(self.deviation.saturating_mul(4));
+        Some(timeout.saturating_mul(1_u32.checked_shl(self.doublings).unwrap_or(u32::MAX)))
+    }
+}
+
+fn half(time: Duration) -> Duration {
+    time.checked_div(2).unwrap_or_default()
+}
+
+fn quarter(time: Duration) -> Duration {
+    time.checked_div(4).unwrap_or_default()
+}

@@ -1,0 +1,201 @@
+//! What can be seen of a link from outside: counters, and states to be watched.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::time::Instant;
+
+use crate::wire::Discard;
+
+/// What a station has been asked and has answered, since the link was made. A snapshot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct StationStats {
+    /// Requests sent: those of calls, repeated ones included. Loop-backs of the link itself are in `checks`.
+    pub requests: u64,
+    /// Replies given to calls, refusals included.
+    pub replies: u64,
+    /// Replies with an error code.
+    pub refusals: u64,
+    /// Requests and checks that were not answered in time.
+    pub timeouts: u64,
+    /// Requests and checks that were answered by something that was no reply to them.
+    pub bad_replies: u64,
+    /// Requests sent again.
+    pub retries: u64,
+    /// Loop-backs that the link sent to see whether the station can be believed, or is there.
+    pub checks: u64,
+    /// Good frames that were dropped, because they were no reply to what was on the wire.
+    pub stray_frames: u64,
+    /// How long replies took, from the end of the request to the end of the reply.
+    pub round_trip: Option<RoundTripStats>,
+}
+
+/// How long replies took.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct RoundTripStats {
+    /// The last one.
+    pub last: Duration,
+    /// The shortest one.
+    pub shortest: Duration,
+    /// The longest one.
+    pub longest: Duration,
+    /// The mean, where a reply counts an eighth and what was before it the rest.
+    pub smoothed: Duration,
+}
+
+/// What has gone over a link, since it was made. A snapshot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct LinkStats {
+    /// All stations together.
+    pub stations: StationStats,
+    /// Broadcasts sent.
+    pub broadcasts: u64,
+    /// Frames with a bad checksum.
+    pub checksum_errors: u64,
+    /// Bytes that were no part of a good frame, those of bad frames included.
+    pub garbage_bytes: u64,
+    /// Bytes that had come before a request was sent, and were forgotten then.
+    pub stale_bytes: u64,
+    /// Requests that came back from the line: the echo of an RS-485 adapter.
+    pub echoes: u64,
+    /// Connections opened.
+    pub connects: u64,
+    /// Connections lost.
+    pub disconnects: u64,
+    /// Attempts to connect that failed.
+    pub connect_failures: u64,
+}
+
+/// Whether a station answers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum StationState {
+    /// Nothing has been heard of it yet.
+    #[default]
+    Unknown,
+    /// It has answered.
+    Online,
+    /// It has not answered several times in a row. Calls fail at once until it answers a probe.
+    Offline {
+        /// When the next probe is due.
+        probe_at: Instant,
+    },
+}
+
+/// The counters and states of a link, shared by its task and its handles.
+#[derive(Debug, Default)]
+pub(crate) struct Board {
+    tallies: Mutex<Tallies>,
+}
+
+#[derive(Debug, Default)]
+struct Tallies {
+    link: LinkStats,
+    stations: BTreeMap<u8, Tally>,
+}
+
+#[derive(Debug, Default)]
+struct Tally {
+    stats: StationStats,
+    state: watch::Sender<StationState>,
+}
+
+impl Board {
+    pub(crate) fn link(&self) -> LinkStats {
+        let tallies = self.lock();
+        let stations = tallies.stations.values().fold(StationStats::default(), |sum, tally| sum.plus(&tally.stats));
+        LinkStats { stations, ..tallies.link }
+    }
+
+    pub(crate) fn station(&self, station: u8) -> StationStats {
+        self.lock().stations.get(&station).map(|tally| tally.stats).unwrap_or_default()
+    }
+
+    pub(crate) fn watch(&self, station: u8) -> watch::Receiver<StationState> {
+        self.lock().stations.entry(station).or_default().state.subscribe()
+    }
+
+    pub(crate) fn count(&self, count: impl FnOnce(&mut LinkStats)) {
+        count(&mut self.lock().link);
+    }
+
+    pub(crate) fn count_for(&self, station: u8, count: impl FnOnce(&mut StationStats)) {
+        count(&mut self.lock().stations.entry(station).or_default().stats);
+    }
+
+    pub(crate) fn discarded(&self, reason: Discard, bytes: usize) {
+        self.count(|link| match reason {
+            Discard::WrongSide => add(&mut link.echoes, 1),
+            reason => {
+                add(&mut link.garbage_bytes, u64::try_from(bytes).unwrap_or(u64::MAX));
+                add(&mut link.checksum_errors, u64::from(reason == Discard::BadChecksum));
+            }
+        });
+    }
+
+    pub(crate) fn state(&self, station: u8, state: StationState) {
+        self.lock().stations.entry(station).or_default().state.send_if_modified(|current| {
+            let changed = *current != state;
+            *current = state;
+            changed
+        });
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Tallies> {
+        // Nothing panics while it holds this lock.
+        self.tallies.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl StationStats {
+    pub(crate) fn replied(&mut self, within: Duration, refused: bool) {
+        add(&mut self.replies, 1);
+        add(&mut self.refusals, u64::from(refused));
+        self.round_trip = Some(match self.round_trip {
+            None => RoundTripStats { last: within, shortest: within, longest: within, smoothed: within },
+            Some(before) => RoundTripStats {
+                last: within,
+                shortest: before.shortest.min(within),
+                longest: before.longest.max(within),
+                smoothed: mean(before.smoothed, 7, within, 1),
+            },
+        });
+    }
+
+    fn plus(self, other: &Self) -> Self {
+        Self {
+            requests: self.requests.saturating_add(other.requests),
+            replies: self.replies.saturating_add(other.replies),
+            refusals: self.refusals.saturating_add(other.refusals),
+            timeouts: self.timeouts.saturating_add(other.timeouts),
+            bad_replies: self.bad_replies.saturating_add(other.bad_replies),
+            retries: self.retries.saturating_add(other.retries),
+            checks: self.checks.saturating_add(other.checks),
+            stray_frames: self.stray_frames.saturating_add(other.stray_frames),
+            round_trip: match (self.round_trip, other.round_trip) {
+                (Some(a), Some(b)) => Some(RoundTripStats {
+                    last: a.last.max(b.last),
+                    shortest: a.shortest.min(b.shortest),
+                    longest: a.longest.max(b.longest),
+                    smoothed: mean(a.smoothed, 1, b.smoothed, 1),
+                }),
+                (a, b) => a.or(b),
+            },
+        }
+    }
+}
+
+/// Adds to a counter.
+pub(crate) fn add(counter: &mut u64, count: u64) {
+    *counter = counter.saturating_add(count);
+}
+
+fn mean(a: Duration, weight_a: u32, b: Duration, weight_b: u32) -> Duration {
+    let sum = a.saturating_mul(weight_a).saturating_add(b.saturating_mul(weight_b));
+    sum.checked_div(weight_a.saturating_add(weight_b)).unwrap_or_default()
+}

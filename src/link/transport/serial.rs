@@ -1,0 +1,92 @@
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio_serial::{ClearBuffer, FlowControl, SerialPort as _, SerialPortBuilder, SerialStream};
+
+use crate::endpoint::{DataBits, Parity, SerialSettings, StopBits};
+
+/// Opens the port for this process alone, and forgets what it has received before.
+pub(super) async fn open(path: &str, settings: SerialSettings) -> io::Result<Port> {
+    let builder = builder(path, settings);
+    // Opening a device can take long: some drivers ask it first whether it is there.
+    let opening = tokio::task::spawn_blocking(move || {
+        let stream = SerialStream::open(&builder)?;
+        stream.clear(ClearBuffer::Input)?;
+        warn_of_other_settings(&stream, settings);
+        Ok(Port { stream })
+    });
+    opening.await.map_err(io::Error::other)?
+}
+
+fn builder(path: &str, settings: SerialSettings) -> SerialPortBuilder {
+    tokio_serial::new(path, settings.baud())
+        .data_bits(data_bits(settings))
+        .parity(parity(settings))
+        .stop_bits(match settings.stop_bits() {
+            StopBits::One => tokio_serial::StopBits::One,
+            StopBits::Two => tokio_serial::StopBits::Two,
+        })
+        .flow_control(FlowControl::None)
+        .exclusive(true)
+}
+
+fn data_bits(settings: SerialSettings) -> tokio_serial::DataBits {
+    match settings.data_bits() {
+        DataBits::Seven => tokio_serial::DataBits::Seven,
+        DataBits::Eight => tokio_serial::DataBits::Eight,
+    }
+}
+
+fn parity(settings: SerialSettings) -> tokio_serial::Parity {
+    match settings.parity() {
+        Parity::None => tokio_serial::Parity::None,
+        Parity::Even => tokio_serial::Parity::Even,
+        Parity::Odd => tokio_serial::Parity::Odd,
+    }
+}
+
+/// Some adapters cannot send 7 data bits or a parity bit, and their drivers accept the setting all the same. Then no PLC
+/// answers, and nothing else tells why.
+fn warn_of_other_settings(stream: &SerialStream, settings: SerialSettings) {
+    let (Ok(data_bits_kept), Ok(parity_kept)) = (stream.data_bits(), stream.parity()) else { return };
+    if (data_bits_kept, parity_kept) != (data_bits(settings), parity(settings)) {
+        let port = stream.name();
+        tracing::warn!(port, asked = %settings, %data_bits_kept, %parity_kept, "the port does not keep its settings");
+    }
+}
+
+/// An open port. It must never be flushed: that waits, on the thread that asks, until the last bit is on the line.
+#[derive(Debug)]
+pub(super) struct Port {
+    stream: SerialStream,
+}
+
+impl Drop for Port {
+    fn drop(&mut self) {
+        // What has not been sent by now shall not be, and closing a port waits for it. An unplugged one has nothing left
+        // to clear, so an error says nothing.
+        let _ = self.stream.clear(ClearBuffer::Output);
+    }
+}
+
+impl AsyncRead for Port {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_read(cx, buf)
+    }
+}
+
+impl AsyncWrite for Port {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write(cx, buf)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}

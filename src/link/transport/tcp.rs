@@ -1,0 +1,46 @@
+use std::io;
+use std::time::Duration;
+
+use socket2::{SockRef, TcpKeepalive};
+use tokio::net::TcpStream;
+
+/// Connects to the first address of the host that accepts.
+pub(super) async fn connect(host: &str, port: u16, keep_alive: bool) -> io::Result<TcpStream> {
+    let stream = TcpStream::connect((host, port)).await?;
+    // Requests are single small writes that wait for their answer: coalescing them only adds delay.
+    stream.set_nodelay(true)?;
+    if keep_alive {
+        SockRef::from(&stream).set_tcp_keepalive(&TcpKeepalive::new().with_time(IDLE).with_interval(INTERVAL))?;
+    }
+    Ok(stream)
+}
+
+/// After how long a silence the system asks whether the other end is still there. A module that was switched off says
+/// nothing, and holds one of its few connections until it is asked.
+const IDLE: Duration = Duration::from_secs(30);
+
+/// How long after a question without an answer the next one is asked.
+const INTERVAL: Duration = Duration::from_secs(10);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::net::TcpListener;
+
+    #[tokio::test]
+    async fn connections_send_at_once_and_ask_for_signs_of_life() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        for keep_alive in [true, false] {
+            let stream = connect("127.0.0.1", port, keep_alive).await.unwrap();
+            let socket = SockRef::from(&stream);
+            assert!(stream.nodelay().unwrap());
+            assert_eq!(socket.keepalive().unwrap(), keep_alive);
+            #[cfg(target_os = "linux")]
+            if keep_alive {
+                assert_eq!(socket.tcp_keepalive_time().unwrap(), IDLE);
+                assert_eq!(socket.tcp_keepalive_interval().unwrap(), INTERVAL);
+            }
+        }
+    }
+}

@@ -1,0 +1,148 @@
+use std::array;
+use std::collections::BTreeMap;
+
+use super::Error;
+use crate::command::Value;
+use crate::element::{Discrete, Element, Register, Register32, Symbol};
+
+/// The memory behind all elements. Nothing is allocated before it is written; what was never written is 0.
+///
+/// Every area is a string of bytes, least significant first: eight discretes a byte, two bytes a register. So a word
+/// is two bytes and a double word four, wherever it begins, and elements that overlap need no care.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Memory {
+    pages: BTreeMap<(Area, usize), Box<[u8; PAGE_LEN]>>,
+}
+
+impl Memory {
+    pub(super) fn read(&self, element: Element) -> Value {
+        match element {
+            Element::Discrete(discrete) => self.bit(discrete).into(),
+            Element::Register(register) => self.word(register).into(),
+            Element::Register32(register) => self.double(register).into(),
+        }
+    }
+
+    /// Fails with [`Error::WrongWidth`], and then writes nothing.
+    pub(super) fn write(&mut self, element: Element, value: Value) -> Result<(), Error> {
+        match (element, value) {
+            (Element::Discrete(discrete), Value::Bit(on)) => self.set_bit(discrete, on),
+            (Element::Register(register), Value::Word(word)) => self.set_word(register, word),
+            (Element::Register32(register), Value::Double(double)) => self.set_double(register, double),
+            _ => return Err(Error::WrongWidth { element, value }),
+        }
+        Ok(())
+    }
+
+    pub(super) fn bit(&self, discrete: Discrete) -> bool {
+        let [byte] = self.bytes(discrete.into());
+        byte & mask(discrete) != 0
+    }
+
+    pub(super) fn set_bit(&mut self, discrete: Discrete, on: bool) {
+        let [byte] = self.bytes(discrete.into());
+        let byte = if on { byte | mask(discrete) } else { byte & !mask(discrete) };
+        self.set_bytes(discrete.into(), [byte]);
+    }
+
+    pub(super) fn word(&self, register: Register) -> u16 {
+        u16::from_le_bytes(self.bytes(register.into()))
+    }
+
+    pub(super) fn set_word(&mut self, register: Register, word: u16) {
+        self.set_bytes(register.into(), word.to_le_bytes());
+    }
+
+    pub(super) fn double(&self, register: Register32) -> u32 {
+        u32::from_le_bytes(self.bytes(register.into()))
+    }
+
+    pub(super) fn set_double(&mut self, register: Register32, double: u32) {
+        self.set_bytes(register.into(), double.to_le_bytes());
+    }
+
+    fn bytes<const N: usize>(&self, element: Element) -> [u8; N] {
+        let (area, first) = place(element);
+        array::from_fn(|i| {
+            let at = first + i;
+            self.pages.get(&(area, at / PAGE_LEN)).map_or(0, |page| page[at % PAGE_LEN])
+        })
+    }
+
+    fn set_bytes<const N: usize>(&mut self, element: Element, bytes: [u8; N]) {
+        let (area, first) = place(element);
+        for (at, byte) in (first..).zip(bytes) {
+            let key = (area, at / PAGE_LEN);
+            // A page that is not there holds zeros already.
+            if byte != 0 || self.pages.contains_key(&key) {
+                self.pages.entry(key).or_insert_with(|| Box::new([0; PAGE_LEN]))[at % PAGE_LEN] = byte;
+            }
+        }
+    }
+}
+
+/// What is allocated at once, in bytes: 32 registers or 512 discretes.
+const PAGE_LEN: usize = 64;
+
+/// The area that an element lies in, and its first byte there.
+fn place(element: Element) -> (Area, usize) {
+    let area = Area::of(element.symbol());
+    let address = usize::from(element.address());
+    (area, if area.is_of_discretes() { address / 8 } else { address * 2 })
+}
+
+fn mask(discrete: Discrete) -> u8 {
+    1 << (discrete.address() % 8)
+}
+
+/// Memory of its own: elements of one area can overlap, elements of two never do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Area {
+    X,
+    Y,
+    M,
+    S,
+    T,
+    C,
+    Rt,
+    Rc,
+    R,
+    D,
+    F,
+}
+
+impl Area {
+    /// How many there are.
+    pub(super) const COUNT: usize = Self::F as usize + 1;
+
+    pub(super) fn of(symbol: Symbol) -> Self {
+        match symbol {
+            Symbol::X | Symbol::WX | Symbol::DWX => Self::X,
+            Symbol::Y | Symbol::WY | Symbol::DWY => Self::Y,
+            Symbol::M | Symbol::WM | Symbol::DWM => Self::M,
+            Symbol::S | Symbol::WS | Symbol::DWS => Self::S,
+            Symbol::T | Symbol::WT | Symbol::DWT => Self::T,
+            Symbol::C | Symbol::WC | Symbol::DWC => Self::C,
+            Symbol::RT | Symbol::DRT => Self::Rt,
+            Symbol::RC | Symbol::DRC => Self::Rc,
+            Symbol::R | Symbol::DR => Self::R,
+            Symbol::D | Symbol::DD => Self::D,
+            Symbol::F | Symbol::DF => Self::F,
+        }
+    }
+
+    fn is_of_discretes(self) -> bool {
+        self <= Self::C
+    }
+}
+
+/// The addresses that an element covers: of discretes, or of 16-bit registers. From the first to the last, both
+/// included.
+pub(super) fn covered(element: Element) -> (u16, u16) {
+    // Consecutive elements touch, so the step from one to the next is what each of them covers.
+    let first = element.address();
+    (first, first.saturating_add(element.symbol().step() - 1))
+}
+
+#[cfg(test)]
+mod tests;

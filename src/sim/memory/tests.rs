@@ -1,0 +1,150 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::element::Width;
+use crate::{discrete, element, register, register32};
+
+#[test]
+fn a_word_of_relays_overlaps_its_bits() {
+    let mut memory = Memory::default();
+    memory.set_bit(discrete!("M8"), true);
+    memory.set_bit(discrete!("M23"), true);
+    memory.set_bit(discrete!("M24"), true);
+    assert_eq!(memory.word(register!("WM8")), 0x8001);
+    memory.set_word(register!("WM16"), 0x0002);
+    assert!(memory.bit(discrete!("M17")));
+    assert!(!memory.bit(discrete!("M23")) && !memory.bit(discrete!("M24")));
+    assert_eq!(memory.double(register32!("DWM8")), 0x0000_0201);
+}
+
+#[test]
+fn a_double_register_is_two_registers_the_low_word_first() {
+    let mut memory = Memory::default();
+    memory.set_double(register32!("DR100"), 10_000_000);
+    assert_eq!((memory.word(register!("R100")), memory.word(register!("R101"))), (0x9680, 0x0098));
+    memory.set_word(register!("R102"), 1);
+    assert_eq!(memory.double(register32!("DR101")), 0x0001_0098);
+}
+
+#[test]
+fn a_timers_contact_and_its_value_are_apart() {
+    let mut memory = Memory::default();
+    memory.set_word(register!("WT0"), 0xFFFF);
+    memory.set_word(register!("WC0"), 0x00FF);
+    assert_eq!((memory.word(register!("RT0")), memory.word(register!("RC0"))), (0, 0));
+    memory.set_word(register!("RT0"), 0);
+    assert!(memory.bit(discrete!("T0")));
+}
+
+#[test]
+fn the_last_words_of_relays_reach_the_last_relay() {
+    let mut memory = Memory::default();
+    memory.set_word(register!("WM9984"), 0x8000);
+    assert!(memory.bit(discrete!("M9999")));
+    assert_eq!(memory.double(register32!("DWM9968")), 0x8000_0000);
+    memory.set_double(register32!("DR65534"), 0xABCD_0000);
+    assert_eq!(memory.word(register!("R65535")), 0xABCD);
+}
+
+#[test]
+fn a_value_of_the_wrong_width_is_refused_and_writes_nothing() {
+    let mut memory = Memory::default();
+    let element = element!("WM0");
+    let value = Value::Double(1);
+    assert_eq!(memory.write(element, value), Err(Error::WrongWidth { element, value }));
+    assert_eq!(memory.read(element), Value::Word(0));
+}
+
+#[test]
+fn nothing_is_allocated_before_something_is_written() {
+    let mut memory = Memory::default();
+    memory.set_double(register32!("DD7"), 0);
+    memory.set_bit(discrete!("M9999"), false);
+    assert!(memory.pages.is_empty());
+    memory.set_word(register!("D31"), 1);
+    memory.set_word(register!("D0"), 1);
+    assert_eq!(memory.pages.len(), 1);
+}
+
+proptest! {
+    #[test]
+    fn it_is_as_good_as_plain_arrays(steps in prop::collection::vec((any_element(), any::<u32>()), 1..40)) {
+        let mut memory = Memory::default();
+        let mut reference = Reference::default();
+        for &(element, bits) in &steps {
+            let value = match element.width() {
+                Width::Bit => Value::Bit(bits & 1 == 1),
+                Width::Word => Value::Word(bits as u16),
+                Width::Double => Value::Double(bits),
+            };
+            memory.write(element, value).unwrap();
+            reference.write(element, bits);
+            for &(other, _) in &steps {
+                prop_assert_eq!(memory.read(other), reference.read(other), "{} after {} = {}", other, element, value);
+            }
+        }
+    }
+}
+
+/// Elements of a few addresses, at both ends of the memory, so that many of them overlap.
+fn any_element() -> impl Strategy<Value = Element> {
+    (prop::sample::select(Symbol::ALL), 0_u16..48, any::<bool>()).prop_map(|(symbol, offset, at_the_end)| {
+        let address = if at_the_end { symbol.last_address() - offset } else { offset };
+        Element::new(symbol, address - address % symbol.alignment()).unwrap()
+    })
+}
+
+/// The memory as the manual's table has it: bits by letter, registers by letters.
+#[derive(Default)]
+struct Reference {
+    bits: BTreeMap<&'static str, Vec<bool>>,
+    words: BTreeMap<&'static str, Vec<u16>>,
+}
+
+impl Reference {
+    fn read(&mut self, element: Element) -> Value {
+        let bits = (0..element.width().bits()).map(|n| u32::from(self.bit(element, n)) << n).sum::<u32>();
+        match element.width() {
+            Width::Bit => Value::Bit(bits == 1),
+            Width::Word => Value::Word(bits as u16),
+            Width::Double => Value::Double(bits),
+        }
+    }
+
+    fn bit(&mut self, element: Element, n: u32) -> bool {
+        match self.locate(element) {
+            Place::Bits(bits) => bits[n as usize],
+            Place::Words(words) => words[n as usize / 16] >> (n % 16) & 1 == 1,
+        }
+    }
+
+    fn write(&mut self, element: Element, value: u32) {
+        for n in 0..element.width().bits() {
+            let on = value >> n & 1 == 1;
+            match self.locate(element) {
+                Place::Bits(bits) => bits[n as usize] = on,
+                Place::Words(words) => {
+                    let word = &mut words[n as usize / 16];
+                    *word = *word & !(1 << (n % 16)) | u16::from(on) << (n % 16);
+                }
+            }
+        }
+    }
+
+    fn locate(&mut self, element: Element) -> Place<'_> {
+        let letters = element.symbol().as_str();
+        let address = usize::from(element.address());
+        let letters = if element.width() == Width::Double { &letters[1..] } else { letters };
+        let letters = letters.strip_prefix('W').unwrap_or(letters);
+        if ["X", "Y", "M", "S", "T", "C"].contains(&letters) {
+            Place::Bits(&mut self.bits.entry(letters).or_insert_with(|| vec![false; 10_000])[address..])
+        } else {
+            Place::Words(&mut self.words.entry(letters).or_insert_with(|| vec![0; 65_536])[address..])
+        }
+    }
+}
+
+enum Place<'a> {
+    Bits(&'a mut [bool]),
+    Words(&'a mut [u16]),
+}

@@ -1,0 +1,178 @@
+use tokio::net::TcpStream;
+use tokio::time::Instant;
+
+use super::*;
+use crate::command::Value;
+use crate::register;
+use crate::sim::Plc;
+
+mod faults;
+
+const RUN: &[u8] = b"\x0201411F9\x03";
+const DONE: &[u8] = b"\x0201410F8\x03";
+const STOP_BINARY: &[u8] = b"\x51\x10\x00\x03\x01\x41\x00\x45\xD4\x55\xAA";
+const DONE_BINARY: &[u8] = b"\x52\x10\x00\x03\x01\x41\x00\x45\xD4\x55\xAA";
+
+#[tokio::test]
+async fn it_serves_a_stream_until_its_end() {
+    let plc = Plc::new();
+    let (mut client, serving) = start(&plc, Framing::Ascii);
+    send(&mut client, RUN).await;
+    expect(&mut client, DONE).await;
+    assert!(plc.is_running());
+    drop(client);
+    serving.await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn requests_sent_at_once_are_answered_in_order() {
+    let plc = Plc::new();
+    let (mut client, _serving) = start(&plc, Framing::Ascii);
+    send(&mut client, b"\x02014701R0000012343B\x03\x02014601R0000070\x03").await;
+    expect(&mut client, b"\x0201470FE\x03\x02014601234C7\x03").await;
+    assert_eq!(plc.read(register!("R0")), Value::Word(0x1234));
+}
+
+#[tokio::test]
+async fn a_request_that_comes_byte_by_byte_is_answered_once() {
+    let plc = Plc::new();
+    plc.run();
+    let (mut client, serving) = start(&plc, Framing::Binary);
+    for &byte in STOP_BINARY {
+        send(&mut client, &[byte]).await;
+        tokio::task::yield_now().await;
+    }
+    expect(&mut client, DONE_BINARY).await;
+    assert!(!plc.is_running());
+    assert_ends(client, serving).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_frame_that_stops_in_its_middle_does_not_swallow_the_next() {
+    // It announces 256 bytes, and only three come.
+    let beginning = b"\x51\x10\x01\x00\x01\x47\x02";
+    let (mut client, serving) = start(&Plc::new(), Framing::Binary);
+    send(&mut client, beginning).await;
+    time::sleep(2 * SILENCE).await;
+    send(&mut client, STOP_BINARY).await;
+    expect(&mut client, DONE_BINARY).await;
+    // Even when the next came so soon that it looked like the rest.
+    send(&mut client, beginning).await;
+    send(&mut client, STOP_BINARY).await;
+    expect(&mut client, DONE_BINARY).await;
+    assert_ends(client, serving).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_rest_of_a_frame_is_not_waited_for_longer_than_a_pause() {
+    let plc = Plc::new();
+    let (mut client, serving) = start(&plc, Framing::Ascii);
+    send(&mut client, &RUN[..4]).await;
+    time::sleep(2 * SILENCE).await;
+    send(&mut client, &RUN[4..]).await;
+    assert_ends(client, serving).await;
+    assert!(!plc.is_running());
+}
+
+#[tokio::test]
+async fn garbage_without_end_is_passed_over() {
+    let (mut client, serving) = start(&Plc::new(), Framing::Ascii);
+    for _ in 0..100 {
+        send(&mut client, &[b'7'; 1000]).await;
+        send(&mut client, b"\x02").await;
+    }
+    send(&mut client, RUN).await;
+    expect(&mut client, DONE).await;
+    assert_ends(client, serving).await;
+}
+
+#[tokio::test]
+async fn a_server_answers_several_connections_over_tcp() {
+    let plc = Plc::new();
+    let server = listen_on_tcp(&plc).await;
+    let mut clients = Vec::new();
+    for _ in 0..8 {
+        clients.push(TcpStream::connect(server.local_addr()).await.unwrap());
+    }
+    for client in &mut clients {
+        plc.stop();
+        send(client, RUN).await;
+        expect(client, DONE).await;
+        assert!(plc.is_running());
+    }
+    server.shutdown().await;
+}
+
+#[tokio::test]
+async fn connections_past_the_limit_wait_for_their_turn() {
+    let server = listen_on_tcp(&Plc::new()).await;
+    let mut clients = Vec::new();
+    for _ in 0..MAX_CONNECTIONS {
+        let mut client = TcpStream::connect(server.local_addr()).await.unwrap();
+        send(&mut client, RUN).await;
+        expect(&mut client, DONE).await;
+        clients.push(client);
+    }
+    let mut next = TcpStream::connect(server.local_addr()).await.unwrap();
+    send(&mut next, RUN).await;
+    let waiting = time::timeout(SILENCE, next.read_u8()).await;
+    assert!(waiting.is_err(), "{waiting:?}");
+    drop(clients.pop());
+    expect(&mut next, DONE).await;
+}
+
+#[tokio::test]
+async fn after_shutdown_connections_are_closed_and_none_is_accepted() {
+    let server = listen_on_tcp(&Plc::new()).await;
+    let address = server.local_addr();
+    let mut client = TcpStream::connect(address).await.unwrap();
+    send(&mut client, RUN).await;
+    expect(&mut client, DONE).await;
+    server.shutdown().await;
+    assert_eq!(client.read(&mut [0]).await.unwrap(), 0);
+    assert!(TcpStream::connect(address).await.is_err());
+    // The port is free for the next PLC.
+    Server::bind(address, Bus::new(), Framing::Ascii).await.unwrap().shutdown().await;
+}
+
+#[tokio::test]
+async fn dropping_the_server_closes_its_connections() {
+    let server = listen_on_tcp(&Plc::new()).await;
+    let mut client = TcpStream::connect(server.local_addr()).await.unwrap();
+    send(&mut client, RUN).await;
+    expect(&mut client, DONE).await;
+    drop(server);
+    assert_eq!(client.read(&mut [0]).await.unwrap(), 0);
+}
+
+fn start(plc: &Plc, framing: Framing) -> (DuplexStream, JoinHandle<io::Result<()>>) {
+    let (client, line) = duplex(64);
+    (client, tokio::spawn(serve(line, bus(plc), framing)))
+}
+
+async fn listen_on_tcp(plc: &Plc) -> Server {
+    Server::bind("127.0.0.1:0", bus(plc), Framing::Ascii).await.unwrap()
+}
+
+fn bus(plc: &Plc) -> Bus {
+    Bus::new().with_station(1, plc.clone()).unwrap()
+}
+
+async fn send(client: &mut (impl AsyncWrite + Unpin), bytes: &[u8]) {
+    client.write_all(bytes).await.unwrap();
+}
+
+async fn expect(client: &mut (impl AsyncRead + Unpin), bytes: &[u8]) {
+    let mut reply = vec![0; bytes.len()];
+    client.read_exact(&mut reply).await.unwrap();
+    assert_eq!(reply.escape_ascii().to_string(), bytes.escape_ascii().to_string());
+}
+
+/// Nothing more is answered.
+async fn assert_ends(mut client: DuplexStream, serving: JoinHandle<io::Result<()>>) {
+    client.shutdown().await.unwrap();
+    let mut rest = Vec::new();
+    client.read_to_end(&mut rest).await.unwrap();
+    assert!(rest.is_empty(), "{}", rest.escape_ascii());
+    serving.await.unwrap().unwrap();
+}

@@ -1,0 +1,493 @@
+//! The command line as its users meet it: as a process, against `fatek sim` as another one.
+#![cfg(feature = "cli")]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+const FRAMINGS: [&str; 2] = ["ascii", "binary"];
+
+#[test]
+fn what_the_simulator_was_set_to_is_read_in_both_framings_and_all_formats() {
+    for framing in FRAMINGS {
+        let sim =
+            Sim::start(&["--framing", framing, "--set", "R0=5", "R1:i16=-2", "--set", "R100:f32=0.1", "M0-M2=1,0,1"]);
+        let table = sim.fatek(&["read", "R0", "R1:i16", "R100:f32", "DR100:f32", "WM0:hex", "M0-M2"]).ok();
+        assert_eq!(
+            table,
+            "TAG    TYPE  VALUE\nR0     u16   5\nR1     i16   -2\nR100   f32   0.1\nDR100  f32   0.1\nWM0    hex   0x0005\n\
+             M0     bool  1\nM1     bool  0\nM2     bool  1\n"
+        );
+        let csv = sim.fatek(&["read", "R0-R1", "M0", "--format", "csv"]).ok();
+        assert_eq!(csv, "tag,type,value\nR0,u16,5\nR1,u16,65534\nM0,bool,1\n");
+        let json = sim.fatek(&["--format", "json", "read", "R0-R1", "M0", "R100:f32", "R0:hex"]).ok();
+        let expected = serde_json::json!([
+            { "tag": "R0", "type": "u16", "value": 5 },
+            { "tag": "R1", "type": "u16", "value": 65534 },
+            { "tag": "M0", "type": "bool", "value": true },
+            { "tag": "R100", "type": "f32", "value": 0.1 },
+            { "tag": "R0", "type": "hex", "value": "0x0005" },
+        ]);
+        assert_eq!(json.parse::<serde_json::Value>().unwrap(), expected);
+    }
+}
+
+#[test]
+fn what_is_written_is_read_back_in_both_framings() {
+    for framing in FRAMINGS {
+        let sim = Sim::start(&["--framing", framing]);
+        let written = [
+            "R5:i16=-7",
+            "R100:f32=-500.125",
+            "DR2:i32=-100000",
+            "D0-D2=1,2,3",
+            "Y0-Y2=on,off,true",
+            "WM0:hex=0xAAAA",
+            "R200-R203:u32=4294967295,7",
+            "DWM32=4026531841",
+            "R300:f32=nan",
+            "R302:f32=-inf",
+            "RT0=12",
+            "RC1=0x00FF",
+        ];
+        let done = sim.fatek(&[&["write"][..], &written].concat());
+        assert_eq!(done.stdout, "", "data only");
+        assert!(done.stderr.contains("wrote R100:f32=-500.125\n"), "{done:?}");
+        done.ok();
+        let tags = written.map(|assignment| assignment.split('=').next().unwrap());
+        let read = sim.fatek(&[&["read", "--format", "csv"][..], &tags].concat()).ok();
+        let values: Vec<_> = read.lines().skip(1).map(|line| line.rsplit(',').next().unwrap()).collect();
+        assert_eq!(
+            values,
+            [
+                "-7",
+                "-500.125",
+                "-100000",
+                "1",
+                "2",
+                "3",
+                "1",
+                "0",
+                "1",
+                "0xAAAA",
+                "4294967295",
+                "7",
+                "4026531841",
+                "NaN",
+                "-inf",
+                "12",
+                "255",
+            ]
+        );
+        // Low word first.
+        assert_eq!(
+            sim.fatek(&["read", "R100-R101:hex", "--format", "csv"]).ok(),
+            "tag,type,value\nR100,hex,0x1000\nR101,hex,0xC3FA\n"
+        );
+        let json: serde_json::Value = sim.fatek(&["read", "R300-R303:f32", "--format=json"]).ok().parse().unwrap();
+        assert_eq!((&json[0]["value"], &json[1]["value"]), (&"NaN".into(), &"-inf".into()));
+        assert_eq!(sim.fatek(&["-q", "write", "R0=1"]).stderr, "");
+    }
+}
+
+#[test]
+fn ranges_longer_than_a_request_are_read_and_written() {
+    let sim = Sim::start(&[]);
+    let values = |from: u32, to: u32| (from..=to).map(|n| n.to_string()).collect::<Vec<_>>().join(",");
+    let states = (0..300).map(|n| if n % 3 == 0 { "1" } else { "0" }).collect::<Vec<_>>().join(",");
+    let words = format!("R0-R199={}", values(1, 200));
+    let pairs = format!("R1001-R1200:u32={}", values(70_001, 70_100));
+    let doubles = format!("DR3000-DR3198={}", values(80_001, 80_100));
+    sim.fatek(&["write", &words, &pairs, &doubles, &format!("M0-M299={states}")]).ok();
+    for (tag, expected) in [
+        ("R0-R199", values(1, 200)),
+        ("R1001-R1200:u32", values(70_001, 70_100)),
+        ("DR3000-DR3198", values(80_001, 80_100)),
+        ("R3000-R3199:u32", values(80_001, 80_100)),
+        ("M0-M299", states),
+    ] {
+        let read = sim.fatek(&["read", tag, "--format", "csv"]).ok();
+        let values: Vec<_> = read.lines().skip(1).map(|line| line.rsplit(',').next().unwrap()).collect();
+        assert_eq!(values.join(","), expected, "{tag}");
+    }
+}
+
+#[test]
+fn a_plc_is_controlled() {
+    for framing in FRAMINGS {
+        let sim = Sim::start(&["--framing", framing]);
+        let is_running = || {
+            let status: serde_json::Value = sim.fatek(&["status", "--format", "json"]).ok().parse().unwrap();
+            assert_eq!(status["detailed"]["ladder_words"], 13184);
+            status["brief"]["running"].as_bool().unwrap()
+        };
+        assert!(!is_running());
+        assert_eq!(sim.fatek(&["run"]).ok(), "");
+        assert!(is_running());
+        assert_eq!(sim.fatek(&["stop"]).ok(), "");
+        assert!(!is_running());
+        let states = || sim.fatek(&["read", "X0-X1", "M5", "--format", "csv"]).ok();
+        sim.fatek(&["disable", "X0", "X1"]).ok();
+        sim.fatek(&["set", "X0", "X1", "M5"]).ok();
+        sim.fatek(&["reset", "X1"]).ok();
+        assert_eq!(states(), "tag,type,value\nX0,bool,1\nX1,bool,0\nM5,bool,1\n");
+        let enabled = sim.fatek(&["enable", "X0"]);
+        assert!(enabled.stderr.contains("enable X0: done"), "{enabled:?}");
+        enabled.ok();
+    }
+}
+
+#[test]
+fn status_is_printed_in_all_formats_and_without_the_detailed_one_too() {
+    let sim = Sim::start(&["--ladder-words", "8192"]);
+    let table = sim.fatek(&["status"]).ok();
+    assert!(table.contains("brief     running                false\n"), "{table}");
+    assert!(table.contains("detailed  ladder_words           8192\n"), "{table}");
+    assert!(sim.fatek(&["status", "--format", "csv"]).ok().contains("detailed,ladder_words,8192\n"));
+
+    let old = Fake::start(|request| match &request[3..5] {
+        b"40" => ascii("01400010000"),
+        _ => ascii("01534"),
+    });
+    let status = old.fatek(&["status", "--format", "json"]);
+    assert!(status.stderr.contains("no detailed status: station 1 refused"), "{status:?}");
+    let json: serde_json::Value = status.ok().parse().unwrap();
+    assert_eq!((&json["brief"]["running"], &json["detailed"]), (&true.into(), &serde_json::Value::Null));
+}
+
+#[test]
+fn a_simulator_has_as_many_plcs_as_it_was_given_each_with_its_own_memory() {
+    let sim = Sim::start(&["--station", "1", "--station", "2", "--set", "R0=5"]);
+    fatek(&["--link", &sim.url, "--station", "2", "write", "R0=6"]).ok();
+    for (station, value) in [("1", "5"), ("2", "6")] {
+        let read = fatek(&["--link", &sim.url, "--station", station, "read", "R0", "--format", "csv"]).ok();
+        assert_eq!(read, format!("tag,type,value\nR0,u16,{value}\n"));
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn a_simulator_prints_one_line_and_serves_until_it_is_told_to_stop() {
+    let mut sim = Sim::start(&["--listen", "tcp://127.0.0.1:0"]);
+    assert!(sim.url.starts_with("tcp://127.0.0.1:"), "{}", sim.url);
+    sim.fatek(&["read", "R0"]).ok();
+    Command::new("kill").arg(sim.child.id().to_string()).status().unwrap();
+    assert_eq!(sim.child.wait().unwrap().code(), Some(0));
+    let mut rest = String::new();
+    sim.stdout.read_to_string(&mut rest).unwrap();
+    assert_eq!(rest, "");
+    assert_eq!(sim.fatek(&["read", "R0"]).status, 5);
+}
+
+#[test]
+fn the_environment_gives_the_defaults() {
+    let sim = Sim::start(&["--station", "7", "--set", "R0=5"]);
+    let with = |link: &str, station: &str, args: &[&str]| {
+        run(Command::new(FATEK).args(args).env("FATEK_LINK", link).env("FATEK_STATION", station))
+    };
+    with(&sim.url, "7", &["read", "R0"]).ok();
+    // Options have precedence, before and after the subcommand.
+    with("tcp://127.0.0.1:1", "9", &["--link", &sim.url, "read", "--station", "7", "R0"]).ok();
+    with("tcp://127.0.0.1:1", "9", &["read", "R0", "--station", "7", "--link", &sim.url]).ok();
+    with(&sim.url, "9", &["--station", "8", "read", "R0", "--station", "7"]).ok();
+    assert!(with("", "1", &["read", "R0"]).usage().contains("Give --link URL, or set FATEK_LINK"));
+    assert!(with(&sim.url, "", &["read", "R0"]).usage().contains("Give --station N, or set FATEK_STATION"));
+    assert!(with(&sim.url, "seven", &["read", "R0"]).usage().contains("`seven` is not a station"));
+    with("nonsense", "nonsense", &["decode", "02 30 31 34 30 43 37 03"]).ok();
+}
+
+#[test]
+fn an_error_of_the_plc_is_status_3() {
+    for framing in FRAMINGS {
+        let sim = Sim::start(&["--framing", framing, "--last", "R100"]);
+        let refused = sim.fatek(&["read", "R0", "R101"]);
+        assert_eq!((refused.status, refused.stdout.as_str()), (3, ""));
+        assert_eq!(refused.stderr, "error: R101: station 1 refused read registers (46): illegal address (A)\n");
+        assert_eq!(sim.fatek(&["write", "R100:f32=1"]).status, 3);
+        sim.fatek(&["read", "R100"]).ok();
+    }
+}
+
+#[test]
+fn no_answer_is_status_4() {
+    let sim = Sim::start(&[]);
+    let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "read", "R0"]);
+    assert_eq!((absent.status, absent.stdout.as_str()), (4, ""), "{absent:?}");
+    assert!(absent.stderr.starts_with("error: R0: station 9 did not answer read registers (46)"), "{absent:?}");
+    let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "write", "R0=1"]);
+    assert_eq!(absent.status, 4, "{absent:?}");
+    assert!(absent.stderr.contains("R0 (it may have been written): "), "{absent:?}");
+}
+
+#[test]
+fn no_connection_is_status_5() {
+    let closed = {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        format!("tcp://{}", listener.local_addr().unwrap())
+    };
+    let refused = fatek(&["--link", &closed, "--station", "1", "read", "R0"]);
+    assert_eq!((refused.status, refused.stdout.as_str()), (5, ""), "{refused:?}");
+    assert!(refused.stderr.contains(&format!("cannot connect to {closed}")), "{refused:?}");
+    assert_eq!(fatek(&["--link", &closed, "--station", "1", "ping", "-c", "2"]).status, 5);
+}
+
+#[test]
+fn a_bad_reply_is_status_6() {
+    // Well-framed, right station and command, and one word too few.
+    let rubbish = Fake::start(|_| ascii("01460ABCD"));
+    let read = rubbish.fatek(&["--timeout", "200ms", "read", "R0-R1"]);
+    assert_eq!((read.status, read.stdout.as_str()), (6, ""), "{read:?}");
+    assert!(read.stderr.contains("gave no usable reply to read registers (46)"), "{read:?}");
+}
+
+#[test]
+fn nothing_is_sent_on_bad_input() {
+    let plc = Fake::start(|_| ascii("01460ABCD"));
+    let link = plc.url.as_str();
+    for (args, error) in [
+        (&["read", "R0", "Q0"][..], "`Q0` is not a tag: no element has these letters"),
+        (&["read", "R0", "R65536"], "`R65536` is not a tag: R65536 is past the last address, R65535"),
+        (&["read", "R0-R8:f32"], "`R0-R8:f32` is not a tag: f32 takes two 16-bit registers, and the range has 9"),
+        (&["read", "R0:bool"], "R is a 16-bit register, which has no type bool"),
+        (&["read", "WM4"], "the address of WM must be a multiple of 8"),
+        (&["read"], "required arguments were not provided"),
+        (&["write", "R0=1", "R1=65536"], "`65536` is not a value for R1: it does not fit: u16 takes 0 to 65535"),
+        (&["write", "R0=1", "R1"], "`R1` is not an assignment: it must be TAG=VALUE"),
+        (&["write", "R0-R2=1,2"], "`1,2` is not a value for R0-R2: R0-R2 takes 3 of them, not 2"),
+        (&["write", "R0:hex=10"], "`10` is not a value for R0:hex: a hexadecimal value begins with 0x"),
+        (&["set", "M0", "R0"], "`R0` is not an element: R is a 16-bit register, not a discrete"),
+        (&["ping", "-c", "0"], "invalid value '0' for '--count <COUNT>'"),
+        (&["ping", "-s", "257"], "257 is not in 0..=256"),
+        (&["read", "R0", "--timeout", "5"], "it must be a number and a unit"),
+        (&["read", "R0", "--format", "xml"], "invalid value 'xml' for '--format <FORMAT>'"),
+        (&["read", "R0", "--station", "0"], "`0` is not a station: it must be a number from 1 to 254"),
+        (&["read", "R0", "--station", "255"], "`255` is not a station: it must be a number from 1 to 254"),
+        (&["read", "R0", "--station", "+1"], "`+1` is not a station: it must be a number from 1 to 254"),
+        (&["read", "R0", "--link", "http://plc"], "`http://plc` is not an endpoint: the transport `http` is not known"),
+        (&["decode", "02 4"], "it ends with a single digit"),
+        (&["decode", "02 4G"], "character 5, 'G', is no hexadecimal digit"),
+        (&["sim", "--listen", "127.0.0.1:0"], "`127.0.0.1:0` is not where to listen: it must begin with `tcp://`"),
+        (&["sim", "--listen", "tcp://127.0.0.1"], "it must have a host and a port"),
+        (&["sim", "--station", "255"], "255 is not in 1..=254"),
+        (&["sim", "--set", "R0"], "`R0` is not an assignment"),
+        (&["sim", "--last", "R9", "--set", "R10=1"], "--set R10=1: R10 lies beyond the memory of this model"),
+        (&["fly"], "unrecognized subcommand 'fly'"),
+        (&[], "Usage: fatek"),
+    ] {
+        let ran = fatek(&[&["--link", link, "--station", "1"], args].concat());
+        let usage = ran.usage();
+        assert!(usage.contains(error), "{args:?} should say: {error}\n{usage}");
+    }
+    assert_eq!(plc.connections(), 0);
+    assert_eq!(plc.received(), b"");
+}
+
+#[test]
+fn a_value_of_two_registers_is_written_in_one_request() {
+    let plc = Fake::start(|_| ascii("01470"));
+    plc.fatek(&["write", "R100:f32=-500.125"]).ok();
+    assert_eq!(plc.received(), ascii("014702R001001000C3FA"));
+}
+
+#[test]
+fn pings_are_timed_and_lost_ones_are_status_4() {
+    for framing in FRAMINGS {
+        let sim = Sim::start(&["--framing", framing]);
+        let ping = sim.fatek(&["ping", "-c", "3", "-i", "0s"]);
+        assert!(ping.stderr.starts_with("3 sent, 3 answered\nshortest "), "{ping:?}");
+        let lines = ping.ok();
+        assert_eq!(lines.lines().count(), 3);
+        assert!(lines.starts_with("1: 16 bytes in "), "{lines}");
+        let json = sim.fatek(&["ping", "-c", "2", "-i", "0s", "-s", "256", "--format", "json"]).ok();
+        let json: serde_json::Value = json.parse().unwrap();
+        assert_eq!((&json[1]["sequence"], &json[1]["bytes"]), (&2.into(), &256.into()));
+        assert!(json[0]["time_ms"].as_f64().unwrap() > 0.0);
+        sim.fatek(&["ping", "-c", "1", "-s", "0"]).ok();
+    }
+    let sim = Sim::start(&[]);
+    let lost = fatek(&["--link", &sim.url, "--station", "9", "ping", "-c", "2", "-i", "0s", "--timeout", "50ms"]);
+    assert_eq!(lost.status, 4, "{lost:?}");
+    assert!(lost.stderr.contains("2 sent, 0 answered\nerror: 2 of 2 had no answer\n"), "{lost:?}");
+}
+
+#[test]
+fn decode_explains_good_frames_and_bad_ones() {
+    let good = fatek(&["decode", "02:30:31:34:36", "0x30,0x33 52303030313237 35", "03"]).ok();
+    assert!(good.starts_with("ASCII frame of 16 bytes: good\n"), "{good}");
+    assert!(good.contains("request  element  52 30 30 30 31 32  R12, a 16-bit register\n"), "{good}");
+
+    let bad = fatek(&["decode", "51 10 00 02 01 40 A1 85 55 AA"]);
+    assert_eq!(bad.status, 6);
+    assert!(bad.stdout.contains("frame  CRC         A1 85  BAD: A1 85 is stated, A1 84 is computed\n"), "{bad:?}");
+    assert!(bad.stdout.contains("frame  command     40     read brief status (40)\n"), "{bad:?}");
+    assert!(bad.stderr.contains("fault: CRC: A1 85 is stated"), "{bad:?}");
+
+    let query = "51 10 00 02 01 40 A1 84 55 AA";
+    fatek(&["decode", "--framing", "binary", query]).ok();
+    assert_eq!(fatek(&["decode", "--framing", "ascii", query]).status, 6);
+
+    let json: serde_json::Value = fatek(&["decode", query, "--format", "json"]).ok().parse().unwrap();
+    assert_eq!((&json[0]["framing"], &json[0]["good"]), (&"binary".into(), &true.into()));
+    assert_eq!(json[0]["fields"][3]["field"], "station");
+    let csv = fatek(&["decode", query, "--format", "csv"]).ok();
+    assert!(csv.starts_with("frame,part,field,bytes,meaning\n1,frame,header,51,request\n"), "{csv}");
+}
+
+#[test]
+fn a_reader_that_has_gone_away_is_no_error() {
+    let sim = Sim::start(&[]);
+    for format in ["table", "csv", "json"] {
+        let mut command = Command::new(FATEK);
+        command.args(["--link", &sim.url, "--station", "1", "--format", format, "read", "R0-R5999"]);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        assert_eq!((output.status.code(), String::from_utf8(output.stderr).unwrap()), (Some(0), String::new()));
+    }
+}
+
+#[test]
+fn help_and_version_are_data() {
+    assert!(fatek(&["--help"]).ok().contains("Exit status:"));
+    assert!(fatek(&["read", "--help"]).ok().contains("Examples:"));
+    assert!(fatek(&["--version"]).ok().starts_with("fatek "));
+}
+
+const FATEK: &str = env!("CARGO_BIN_EXE_fatek");
+
+/// How a process ended, and what it said.
+#[derive(Debug)]
+struct Ran {
+    status: i32,
+    stdout: String,
+    stderr: String,
+}
+
+impl Ran {
+    /// Its data, if all went well.
+    #[track_caller]
+    fn ok(self) -> String {
+        assert_eq!(self.status, 0, "{self:?}");
+        self.stdout
+    }
+
+    /// Its complaint about the command line.
+    #[track_caller]
+    fn usage(self) -> String {
+        assert_eq!((self.status, self.stdout.as_str()), (2, ""), "{self:?}");
+        self.stderr
+    }
+}
+
+fn fatek(args: &[&str]) -> Ran {
+    run(Command::new(FATEK).args(args).env_remove("FATEK_LINK").env_remove("FATEK_STATION"))
+}
+
+fn run(command: &mut Command) -> Ran {
+    let output = command.env_remove("RUST_LOG").output().unwrap();
+    Ran {
+        status: output.status.code().expect("no signal"),
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+/// `fatek sim` as a process of its own.
+struct Sim {
+    child: Child,
+    stdout: BufReader<std::process::ChildStdout>,
+    /// With the framing.
+    url: String,
+}
+
+impl Sim {
+    fn start(args: &[&str]) -> Self {
+        let mut child = Command::new(FATEK).arg("sim").args(args).stdout(Stdio::piped()).spawn().unwrap();
+        let mut stdout = BufReader::new(child.stdout.take().unwrap());
+        let mut line = String::new();
+        stdout.read_line(&mut line).unwrap();
+        let url = line.strip_prefix("listening ").and_then(|line| line.strip_suffix('\n'));
+        let mut url = url.unwrap_or_else(|| panic!("{line:?}")).to_owned();
+        if args.contains(&"binary") {
+            url += "?framing=binary";
+        }
+        Self { child, stdout, url }
+    }
+
+    /// Runs the command line on its station 1.
+    fn fatek(&self, args: &[&str]) -> Ran {
+        fatek(&[&["--link", &self.url, "--station", "1"], args].concat())
+    }
+}
+
+impl Drop for Sim {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A device that gives one reply to all it receives, and remembers that.
+struct Fake {
+    url: String,
+    seen: Arc<Mutex<Seen>>,
+}
+
+#[derive(Default)]
+struct Seen {
+    connections: usize,
+    received: Vec<u8>,
+}
+
+impl Fake {
+    fn start(reply: impl Fn(&[u8]) -> Vec<u8> + Send + Sync + 'static) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("tcp://{}", listener.local_addr().unwrap());
+        let seen = Arc::<Mutex<Seen>>::default();
+        let (shared, reply) = (seen.clone(), Arc::new(reply));
+        // The thread ends with the test's process.
+        thread::spawn(move || {
+            for stream in listener.incoming() {
+                shared.lock().unwrap().connections += 1;
+                let (shared, reply) = (shared.clone(), reply.clone());
+                thread::spawn(move || Self::serve(stream.unwrap(), &shared, &*reply));
+            }
+        });
+        Self { url, seen }
+    }
+
+    fn serve(mut stream: TcpStream, seen: &Mutex<Seen>, reply: &dyn Fn(&[u8]) -> Vec<u8>) {
+        let mut buffer = [0; 1024];
+        while let Ok(len @ 1..) = stream.read(&mut buffer) {
+            seen.lock().unwrap().received.extend_from_slice(&buffer[..len]);
+            let is_loop_back = buffer[..len].get(3..5) == Some(b"4E");
+            let bytes = if is_loop_back { buffer[..len].to_vec() } else { reply(&buffer[..len]) };
+            if stream.write_all(&bytes).is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Runs the command line on its station 1.
+    fn fatek(&self, args: &[&str]) -> Ran {
+        fatek(&[&["--link", &self.url, "--station", "1"], args].concat())
+    }
+
+    fn connections(&self) -> usize {
+        self.seen.lock().unwrap().connections
+    }
+
+    fn received(&self) -> Vec<u8> {
+        self.seen.lock().unwrap().received.clone()
+    }
+}
+
+/// A frame of the ASCII framing around this.
+fn ascii(content: &str) -> Vec<u8> {
+    let mut frame = format!("\x02{content}").into_bytes();
+    let lrc = frame.iter().fold(0_u8, |sum, &byte| sum.wrapping_add(byte));
+    frame.extend_from_slice(format!("{lrc:02X}\x03").as_bytes());
+    frame
+}

@@ -1,0 +1,301 @@
+//! The life of a link: connections that are lost, stations that come back, closing, runtimes that end.
+
+use std::io;
+use std::pin::pin;
+use std::task::{Context, Waker};
+use std::time::Duration;
+
+use fatek::wire::Framing;
+use fatek::{CallOptions, Error, Link, LinkBuilder, LinkState, StationState, register};
+use tokio::io::{AsyncReadExt, DuplexStream, duplex};
+use tokio::runtime::Builder;
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::time::{Instant, sleep};
+
+mod peer;
+
+use peer::{Peer, line, once, station};
+
+/// A link over connections whose other ends come out of the channel. Attempts for which the closure says no fail.
+fn reconnecting(
+    mut accepts: impl FnMut(u32) -> bool + Send + 'static,
+) -> (LinkBuilder, UnboundedReceiver<DuplexStream>) {
+    let (ends, peers) = unbounded_channel();
+    let mut attempts = 0;
+    let builder = Link::connector_builder("a test", Framing::Ascii, move || {
+        attempts += 1;
+        let opened = if accepts(attempts) {
+            let (client, plc) = duplex(4096);
+            ends.send(plc).unwrap();
+            Ok(client)
+        } else {
+            Err(io::Error::from(io::ErrorKind::ConnectionRefused))
+        };
+        async move { opened }
+    });
+    (builder, peers)
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_lost_connection_fails_what_waits_at_once() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let began = Instant::now();
+    let calls: Vec<_> = (0..3)
+        .map(|_| {
+            let station = station.clone();
+            tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await })
+        })
+        .collect();
+    peer.request().await;
+    drop(peer);
+    let mut sent = 0;
+    for call in calls {
+        let error = call.await.unwrap().unwrap_err();
+        assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+        sent += u32::from(error.may_have_executed());
+    }
+    assert_eq!(sent, 1, "only the first had been sent");
+    assert!(began.elapsed() < Duration::from_millis(1));
+    assert!(matches!(station.read_status().await.unwrap_err(), Error::Closed { .. }));
+}
+
+#[tokio::test(start_paused = true)]
+async fn closing_fails_what_waits_and_finishes_what_is_on_the_wire() {
+    let (link, mut peer) = line();
+    let calls: Vec<_> = (0..2)
+        .map(|_| {
+            let station = station(&link);
+            tokio::spawn(async move { station.read_registers(register!("R0"), 1).await })
+        })
+        .collect();
+    peer.request().await;
+    let closing = {
+        let link = link.clone();
+        tokio::spawn(async move { link.close().await })
+    };
+    sleep(Duration::from_millis(10)).await;
+    peer.reply(1, 0x46, "00001").await;
+    closing.await.unwrap();
+    let mut results = Vec::new();
+    for call in calls {
+        results.push(call.await.unwrap());
+    }
+    assert_eq!(results[0].as_ref().unwrap(), &[1]);
+    assert!(matches!(results[1], Err(Error::Closed { .. })));
+    assert!(matches!(station(&link).read_status().await, Err(Error::Closed { .. })));
+    assert_eq!(peer.stream.read(&mut [0; 1]).await.unwrap(), 0, "the connection is closed");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_link_that_was_never_used_can_be_closed() {
+    let (link, _peer) = line();
+    link.close().await;
+    assert!(matches!(station(&link).read_status().await, Err(Error::Closed { .. })));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_write_fails_at_once_with_its_connection_and_what_was_queued_goes_over_the_next_one() {
+    let (builder, mut peers) = reconnecting(|_| true);
+    let link = builder.build();
+    let began = Instant::now();
+    let calls: Vec<_> = (0..3)
+        .map(|_| {
+            let station = station(&link);
+            tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await })
+        })
+        .collect();
+    let mut first = Peer::new(peers.recv().await.unwrap());
+    first.request().await;
+    drop(first);
+    let mut second = Peer::new(peers.recv().await.unwrap());
+    second.echo().await; // what became of the first write is not known
+    tokio::spawn(second.serve());
+    let mut results = Vec::new();
+    for call in calls {
+        results.push(call.await.unwrap());
+    }
+    assert!(matches!(&results[0], Err(error @ Error::Disconnected { .. }) if error.may_have_executed()), "{results:?}");
+    assert!(results[1..].iter().all(Result::is_ok), "{results:?}");
+    assert!(began.elapsed() <= Duration::from_millis(100), "one back-off, for the connection gave no reply");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_station_that_was_offline_when_the_connection_was_lost_comes_back() {
+    let (builder, mut peers) = reconnecting(|_| true);
+    let link = builder.build();
+    let plc = station(&link);
+    let mut state = plc.watch_state();
+    assert!(plc.read_status().await.is_err()); // three timeouts
+    assert!(matches!(*state.borrow_and_update(), StationState::Offline { .. }));
+    drop(peers.recv().await); // the PLC's power is cycled
+    tokio::spawn(async move {
+        while let Some(end) = peers.recv().await {
+            tokio::spawn(Peer::new(end).serve());
+        }
+    });
+    state.wait_for(|state| *state == StationState::Online).await.unwrap();
+    assert!(plc.read_status().await.unwrap().flags().running());
+    assert_eq!(link.stats().connects, 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn attempts_to_connect_are_shared_and_ever_further_apart() {
+    let (builder, mut peers) = reconnecting(|attempt| attempt > 6);
+    let link = builder.build();
+    let began = Instant::now();
+    let calls: Vec<_> = (0..10)
+        .map(|_| {
+            let station = station(&link);
+            tokio::spawn(async move { station.read_status().await })
+        })
+        .collect();
+    tokio::spawn(Peer::new(peers.recv().await.unwrap()).serve());
+    // 0.1 + 0.2 + 0.4 + 0.8 + 1.6 + 3.2 s, each less up to a half.
+    let waited = began.elapsed();
+    assert!(Duration::from_millis(3150) <= waited && waited <= Duration::from_millis(6310), "{waited:?}");
+    for call in calls {
+        call.await.unwrap().unwrap();
+    }
+    assert_eq!((link.stats().connect_failures, link.stats().connects), (6, 1));
+}
+
+#[tokio::test(start_paused = true)]
+async fn with_fail_fast_a_failed_attempt_fails_all_that_waits() {
+    let (builder, _peers) = reconnecting(|_| false);
+    let link = builder.fail_fast(true).build();
+    let began = Instant::now();
+    let (first, second) = (station(&link), station(&link));
+    let (first, second) = tokio::join!(first.read_status(), second.read_status());
+    for error in [first.unwrap_err(), second.unwrap_err()] {
+        assert!(matches!(error, Error::Connect { .. }), "{error:?}");
+        assert!(!error.may_have_executed());
+    }
+    assert!(began.elapsed() < Duration::from_millis(1));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_write_that_was_sent_once_is_never_said_not_to_have_been() {
+    let options = CallOptions::new().retry_writes(true);
+
+    // Sent, then the connection is lost and cannot be opened again.
+    let (builder, mut peers) = reconnecting(|attempt| attempt == 1);
+    let plc = station(&builder.fail_fast(true).options(options).build());
+    let call = tokio::spawn(async move { plc.write_registers(register!("R0"), &[1]).await });
+    let mut end = Peer::new(peers.recv().await.unwrap());
+    end.request().await;
+    drop(end);
+    let error = call.await.unwrap().unwrap_err();
+    assert!(matches!(error, Error::Connect { .. }) && error.may_have_executed(), "{error:?}");
+
+    // Sent, not answered, and the link is closed before it is sent again.
+    let (link, mut end) = line();
+    let plc = station(&link).with_options(options);
+    let call = tokio::spawn(async move { plc.write_registers(register!("R0"), &[1]).await });
+    end.request().await;
+    assert_eq!(end.request().await.command, 0x4E);
+    end.reply(1, 0x4E, "4").await; // refused, so a quiet period follows
+    sleep(Duration::from_millis(10)).await;
+    link.close().await;
+    let error = call.await.unwrap().unwrap_err();
+    assert!(matches!(error, Error::Closed { .. }) && error.may_have_executed(), "{error:?}");
+
+    // Sent, not answered, sent again, and refused.
+    let (link, mut end) = line();
+    let plc = station(&link).with_options(options);
+    let call = tokio::spawn(async move { plc.write_registers(register!("R0"), &[1]).await });
+    end.request().await;
+    end.echo().await;
+    end.request().await;
+    end.reply(1, 0x47, "A").await;
+    let error = call.await.unwrap().unwrap_err();
+    assert!(matches!(error, Error::Plc { .. }) && error.may_have_executed(), "{error:?}");
+}
+
+#[test]
+fn a_runtime_that_ends_with_a_write_on_the_wire_leaves_it_in_doubt() {
+    let runtime = || Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+    let (with_the_task, with_the_caller) = (runtime(), runtime());
+    let (link, mut end) = line();
+    let plc = station(&link);
+    with_the_task.block_on(async {
+        let call = {
+            let plc = plc.clone();
+            tokio::spawn(async move { plc.read_status().await })
+        };
+        end.request().await;
+        end.reply(1, 0x40, "0000000").await;
+        call.await.unwrap().unwrap();
+    });
+    let call = with_the_caller.spawn(async move { plc.write_registers(register!("R0"), &[1]).await });
+    with_the_caller.block_on(end.request());
+    with_the_task.shutdown_background();
+    let error = with_the_caller.block_on(call).unwrap().unwrap_err();
+    assert!(matches!(error, Error::Closed { .. }) && error.may_have_executed(), "{error:?}");
+}
+
+#[test]
+fn a_first_call_without_a_runtime_fails_and_does_no_harm() {
+    let (link, end) = line();
+    let plc = station(&link);
+    {
+        let mut call = pin!(plc.read_status());
+        let poll = call.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        assert!(poll.is_ready());
+    }
+    Builder::new_current_thread().enable_all().build().unwrap().block_on(async move {
+        tokio::spawn(end.serve());
+        plc.read_status().await.unwrap();
+    });
+}
+
+#[tokio::test(start_paused = true)]
+async fn nothing_is_sent_after_close_not_even_what_was_on_its_way() {
+    let (link, mut end) = line();
+    let plc = station(&link);
+    let call = {
+        let plc = plc.clone();
+        tokio::spawn(async move { plc.read_status().await })
+    };
+    end.request().await;
+    end.reply(1, 0x40, "0000000").await;
+    call.await.unwrap().unwrap();
+    let ((), written, request) =
+        tokio::join!(biased; link.close(), plc.write_registers(register!("R0"), &[1]), end.request_if_any());
+    assert!(matches!(written, Err(Error::Closed { sent: false, .. })), "{written:?}");
+    assert_eq!(request, None);
+}
+
+#[tokio::test(start_paused = true)]
+async fn closing_does_not_go_on_with_retries() {
+    let (link, mut end) = line();
+    let plc = station(&link);
+    let call = tokio::spawn(async move { plc.read_status().await });
+    end.request().await;
+    let began = Instant::now();
+    let ((), after) = tokio::join!(link.close(), end.request_if_any());
+    assert_eq!(after, None);
+    assert!(began.elapsed() <= Duration::from_secs(1), "one response timeout, not three");
+    assert!(call.await.unwrap().is_err());
+}
+
+#[tokio::test(start_paused = true)]
+async fn whoever_closes_the_link_returns_when_it_is_closed() {
+    let (link, mut end) = line();
+    let plc = once(&station(&link));
+    tokio::spawn(async move { plc.read_status().await });
+    end.request().await;
+    let close = |after| {
+        let link = link.clone();
+        async move {
+            sleep(Duration::from_millis(after)).await;
+            link.close().await;
+            assert!(matches!(link.state(), LinkState::Closed));
+        }
+    };
+    tokio::join!(close(0), close(0), close(10), close(5000));
+
+    let (unused, _end) = line();
+    unused.close().await;
+    assert!(matches!(unused.state(), LinkState::Closed));
+}

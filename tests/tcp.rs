@@ -1,0 +1,97 @@
+//! The link over TCP: connecting, losing the connection, connecting again.
+#![cfg(feature = "sim")]
+
+use std::time::{Duration, Instant};
+
+use fatek::sim::{Bus, Plc, Server};
+use fatek::wire::Framing;
+use fatek::{CallOptions, Endpoint, Error, Link, LinkState, register};
+use tokio::io::AsyncReadExt;
+use tokio::net::TcpListener;
+
+async fn serve(address: &str, plc: &Plc, framing: Framing) -> Server {
+    Server::bind(address, Bus::new().with_station(1, plc.clone()).unwrap(), framing).await.unwrap()
+}
+
+#[tokio::test]
+async fn a_lost_connection_is_opened_again_by_the_next_call() {
+    for framing in [Framing::Ascii, Framing::Binary] {
+        let plc = Plc::new();
+        let server = serve("127.0.0.1:0", &plc, framing).await;
+        let address = server.local_addr();
+        let link = Link::new(Endpoint::from(address).with_framing(framing));
+        assert!(matches!(link.state(), LinkState::Idle));
+        let station = link.station(1).unwrap();
+        station.write_registers(register!("R0"), &[5]).await.unwrap();
+        assert!(matches!(link.state(), LinkState::Up));
+
+        let mut state = link.watch_state();
+        state.mark_unchanged();
+        server.shutdown().await;
+        state.changed().await.unwrap();
+        assert!(matches!(link.state(), LinkState::Down { .. }), "the loss is noticed while nothing is asked");
+
+        let _server = serve(&address.to_string(), &plc, framing).await;
+        assert_eq!(station.read_registers(register!("R0"), 1).await.unwrap(), [5]);
+    }
+}
+
+#[tokio::test]
+async fn a_port_where_nobody_listens_is_a_connect_error() {
+    let free = TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
+    let hasty = Link::builder(free.into()).fail_fast(true).build();
+    let began = Instant::now();
+    let error = hasty.station(1).unwrap().read_status().await.unwrap_err();
+    assert!(matches!(error, Error::Connect { .. }), "{error:?}");
+    assert!(error.to_string().starts_with(&format!("cannot connect to tcp://{free}: ")), "{error}");
+    assert!(!error.may_have_executed());
+    assert!(began.elapsed() < Duration::from_secs(5));
+
+    let patient = Link::builder(free.into()).call_timeout(Duration::from_millis(300)).build();
+    let error = patient.station(1).unwrap().read_status().await.unwrap_err();
+    assert!(matches!(error, Error::Connect { .. }), "{error:?}");
+}
+
+#[tokio::test]
+async fn a_call_waits_for_a_server_that_comes_up_in_time() {
+    let address = TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
+    let link = Link::new(address.into());
+    let station = link.station(1).unwrap();
+    let mut state = link.watch_state();
+    let call = tokio::spawn(async move { station.read_registers(register!("R0"), 1).await });
+    while !matches!(*state.borrow_and_update(), LinkState::Down { .. }) {
+        state.changed().await.unwrap();
+    }
+    let plc = Plc::new();
+    let _server = serve(&address.to_string(), &plc, Framing::Ascii).await;
+    assert_eq!(call.await.unwrap().unwrap(), [0]);
+}
+
+#[tokio::test]
+async fn a_connection_that_closes_without_an_answer_fails_a_write_at_once_and_says_that_it_was_sent() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let link = Link::new(listener.local_addr().unwrap().into());
+    let station = link.station(1).unwrap();
+    let call = tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await });
+    let (mut stream, _) = listener.accept().await.unwrap();
+    let mut request = [0; 64];
+    assert_ne!(stream.read(&mut request).await.unwrap(), 0);
+    drop(stream);
+    let error = call.await.unwrap().unwrap_err();
+    assert!(matches!(error, Error::Disconnected { sent: true, .. }), "{error:?}");
+    assert!(error.may_have_executed());
+}
+
+#[tokio::test]
+async fn dropping_the_last_handle_closes_the_connection() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let link = Link::new(listener.local_addr().unwrap().into());
+    let station = link.station(1).unwrap().with_options(CallOptions::new().call_timeout(Duration::from_millis(50)));
+    drop(link);
+    let call = tokio::spawn(async move { station.loop_back("x").await });
+    let (mut stream, _) = listener.accept().await.unwrap();
+    let mut received = Vec::new();
+    stream.read_to_end(&mut received).await.unwrap();
+    assert!(call.await.unwrap().is_err());
+    assert_eq!(received, b"\x02014Ex54\x03");
+}

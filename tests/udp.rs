@@ -1,0 +1,248 @@
+//! The link over UDP: one frame a datagram, a socket of its own after each doubt, and whatever else comes along.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use bytes::BytesMut;
+use fatek::wire::{Codec, Frame, Framing, Side};
+use fatek::{Endpoint, Error, Link, LinkBuilder, Station, register};
+use tokio::net::UdpSocket;
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+use tokio_util::codec::{Decoder, Encoder};
+
+const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
+
+/// Longer than anything here takes, even on a busy machine.
+const LONG: Duration = Duration::from_secs(10);
+
+/// A PLC whose every datagram the test decides.
+struct Peer {
+    socket: UdpSocket,
+    framing: Framing,
+}
+
+/// A request, and where it came from.
+struct Asked {
+    frame: Frame,
+    from: SocketAddr,
+}
+
+impl Peer {
+    async fn bind(framing: Framing) -> Self {
+        Self { socket: UdpSocket::bind("127.0.0.1:0").await.unwrap(), framing }
+    }
+
+    fn builder(&self) -> LinkBuilder {
+        let address = self.socket.local_addr().unwrap();
+        let endpoint = Endpoint::udp(address.ip().to_string(), address.port()).with_framing(self.framing);
+        Link::builder(endpoint).response_timeout(LONG).retries(0)
+    }
+
+    /// The next request, which must be the only frame of its datagram.
+    async fn request(&self) -> Asked {
+        let mut datagram = [0; 2048];
+        let received = timeout(LONG, self.socket.recv_from(&mut datagram)).await.expect("the client asks nothing");
+        let (len, from) = received.unwrap();
+        let mut bytes = BytesMut::from(&datagram[..len]);
+        let mut codec = Codec::new(self.framing, Side::Plc);
+        let frame = codec.decode(&mut bytes).unwrap().unwrap().frame().unwrap();
+        assert!(bytes.is_empty() && codec.decode(&mut bytes).unwrap().is_none(), "one frame a datagram");
+        Asked { frame, from }
+    }
+
+    async fn send(&self, to: &Asked, datagram: &[u8]) {
+        self.socket.send_to(datagram, to.from).await.unwrap();
+    }
+
+    /// Answers a read of one register.
+    async fn reply(&self, to: &Asked, value: u16) {
+        self.send(to, &self.reply_bytes(value)).await;
+    }
+
+    fn reply_bytes(&self, value: u16) -> BytesMut {
+        let data = match self.framing {
+            Framing::Ascii => format!("0{value:04X}").into_bytes(),
+            _ => [&[0][..], &value.to_be_bytes()].concat(),
+        };
+        self.frame(0x46, &data)
+    }
+
+    fn frame(&self, command: u8, data: &[u8]) -> BytesMut {
+        let mut bytes = BytesMut::new();
+        let frame = Frame { station: 1, command, data: data.to_vec().into() };
+        Codec::new(self.framing, Side::Plc).encode(frame, &mut bytes).unwrap();
+        bytes
+    }
+
+    /// The loop-back that must come now, echoed.
+    async fn echo(&self) -> Asked {
+        let asked = self.request().await;
+        assert_eq!(asked.frame.command, 0x4E, "a doubt asks for a loop-back");
+        self.send(&asked, &self.frame(0x4E, &asked.frame.data)).await;
+        asked
+    }
+}
+
+fn read(station: &Station) -> JoinHandle<Result<Vec<u16>, Error>> {
+    let station = station.clone();
+    tokio::spawn(async move { station.read_registers(register!("R1"), 1).await })
+}
+
+#[cfg(feature = "sim")]
+#[tokio::test]
+async fn a_value_written_is_read_back_in_both_framings() {
+    use fatek::sim::{Bus, Plc};
+
+    for framing in FRAMINGS {
+        let peer = Peer::bind(framing).await;
+        let link = peer.builder().build();
+        let plc = tokio::spawn(async move {
+            let bus = Bus::new().with_station(1, Plc::new()).unwrap();
+            loop {
+                let asked = peer.request().await;
+                let mut reply = BytesMut::new();
+                bus.answer(&fatek::wire::Received::Frame(asked.frame.clone()), framing, &mut reply);
+                peer.send(&asked, &reply).await;
+            }
+        });
+        let station = link.station(1).unwrap();
+        let values: Vec<u16> = (0..64).collect();
+        station.write_registers(register!("R0"), &values).await.unwrap();
+        assert_eq!(station.read_registers(register!("R0"), 64).await.unwrap(), values);
+        plc.abort();
+    }
+}
+
+#[tokio::test]
+async fn a_lost_datagram_costs_a_timeout_and_the_read_is_repeated_from_a_fresh_socket() {
+    for framing in FRAMINGS {
+        let peer = Peer::bind(framing).await;
+        let link = peer.builder().response_timeout(Duration::from_millis(100)).retries(2).build();
+        let call = read(&link.station(1).unwrap());
+        let lost = peer.request().await;
+        let barrier = peer.echo().await;
+        assert_ne!(lost.from.port(), barrier.from.port());
+        let repeated = peer.request().await;
+        assert_eq!(repeated.frame, lost.frame);
+        assert_eq!(repeated.from, barrier.from, "there is no doubt about this socket");
+        peer.reply(&repeated, 7).await;
+        assert_eq!(call.await.unwrap().unwrap(), [7]);
+    }
+}
+
+#[tokio::test]
+async fn a_late_datagram_is_not_given_to_the_next_read() {
+    for framing in FRAMINGS {
+        let peer = Peer::bind(framing).await;
+        let link = peer.builder().response_timeout(Duration::from_millis(100)).build();
+        let station = link.station(1).unwrap();
+        let call = read(&station);
+        let first = peer.request().await;
+        assert!(matches!(call.await.unwrap(), Err(Error::Timeout { sent: true, .. })));
+
+        let call = read(&station);
+        let barrier = peer.request().await;
+        peer.reply(&first, 1).await; // to where it was asked from
+        peer.reply(&barrier, 1).await; // and from a module that knows only the last to ask
+        peer.send(&barrier, &peer.frame(0x4E, &barrier.frame.data)).await;
+        let second = peer.request().await;
+        peer.reply(&first, 1).await;
+        peer.reply(&second, 2).await;
+        assert_eq!(call.await.unwrap().unwrap(), [2]);
+    }
+}
+
+#[tokio::test]
+async fn a_doubled_reply_makes_the_next_request_come_from_a_fresh_socket() {
+    let peer = Peer::bind(Framing::Ascii).await;
+    let link = peer.builder().build();
+    let station = link.station(1).unwrap();
+    let call = read(&station);
+    let first = peer.request().await;
+    peer.reply(&first, 1).await;
+    peer.reply(&first, 1).await;
+    assert_eq!(call.await.unwrap().unwrap(), [1]);
+    let noticed = async {
+        while link.stats().stations.stray_frames == 0 {
+            tokio::task::yield_now().await;
+        }
+    };
+    timeout(LONG, noticed).await.expect("the second reply is one too many");
+
+    let call = read(&station);
+    let barrier = peer.echo().await;
+    assert_ne!(first.from.port(), barrier.from.port());
+    let second = peer.request().await;
+    peer.reply(&second, 2).await;
+    assert_eq!(call.await.unwrap().unwrap(), [2]);
+}
+
+#[tokio::test]
+async fn a_datagram_from_a_stranger_is_ignored() {
+    for framing in FRAMINGS {
+        let (peer, stranger) = (Peer::bind(framing).await, Peer::bind(framing).await);
+        let link = peer.builder().build();
+        let call = read(&link.station(1).unwrap());
+        let asked = peer.request().await;
+        stranger.reply(&asked, 0xBAD).await;
+        peer.reply(&asked, 7).await;
+        assert_eq!(call.await.unwrap().unwrap(), [7]);
+    }
+}
+
+#[tokio::test]
+async fn empty_oversized_and_noisy_datagrams_harm_nobody() {
+    for framing in FRAMINGS {
+        let peer = Peer::bind(framing).await;
+        let link = peer.builder().build();
+        let call = read(&link.station(1).unwrap());
+        let asked = peer.request().await;
+        let good = peer.reply_bytes(0xBAD);
+        let swollen = [&good[..], &[0x20; 1024][..]].concat();
+        for datagram in [&b""[..], &swollen, &[0x51; 60_000], b"\x06", b""] {
+            peer.send(&asked, datagram).await;
+        }
+        peer.reply(&asked, 7).await;
+        assert_eq!(call.await.unwrap().unwrap(), [7]);
+    }
+}
+
+#[tokio::test]
+async fn a_frame_that_a_datagram_has_begun_is_not_ended_by_the_next() {
+    for framing in FRAMINGS {
+        let peer = Peer::bind(framing).await;
+        let link = peer.builder().build();
+        let call = read(&link.station(1).unwrap());
+        let asked = peer.request().await;
+        let wrong = peer.reply_bytes(0xBAD);
+        for cut in 1..wrong.len() {
+            peer.send(&asked, &wrong[..cut]).await;
+            peer.send(&asked, &wrong[cut..]).await;
+        }
+        peer.reply(&asked, 7).await;
+        assert_eq!(call.await.unwrap().unwrap(), [7]);
+    }
+}
+
+#[tokio::test]
+async fn the_longest_datagram_is_taken_whole() {
+    let peer = Peer::bind(Framing::Ascii).await;
+    let link = peer.builder().build();
+    let call = read(&link.station(1).unwrap());
+    let asked = peer.request().await;
+    let reply = peer.reply_bytes(7);
+    let noise = vec![0x06; 1024 - reply.len()];
+    peer.send(&asked, &[&noise, &reply[..]].concat()).await;
+    assert_eq!(call.await.unwrap().unwrap(), [7]);
+}
+
+#[tokio::test]
+async fn a_port_where_nobody_listens_is_a_lost_connection_and_not_a_timeout() {
+    let peer = Peer::bind(Framing::Ascii).await;
+    let link = peer.builder().build();
+    drop(peer);
+    let error = timeout(LONG / 2, read(&link.station(1).unwrap())).await.unwrap().unwrap().unwrap_err();
+    assert!(matches!(error, Error::Disconnected { sent: true, .. }), "{error:?}");
+    assert!(error.to_string().contains("refused"), "{error}");
+}
