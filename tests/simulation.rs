@@ -24,6 +24,8 @@ use tokio::time::{Instant, sleep, timeout};
 mod naive;
 
 const STATIONS: u8 = 32;
+/// The stations that are often late, and asked more than the others: where a late reply would do harm.
+const SLOW: std::ops::RangeInclusive<u8> = 1..=3;
 /// How many callers there are.
 const CALLERS: u32 = 48;
 /// The registers, and as many discretes, that are only read.
@@ -135,7 +137,10 @@ fn faults(seed: u64, framing: Framing, echo: bool) -> Faults {
             0 => faults.rule(some(Fault::WrongStation, 10).station(station)),
             // Late: some by a little, some by more than the client waits.
             _ => faults
-                .rule(some(Fault::Delay { min: ms(80), max: ms(400) }, 10).station(station))
+                .rule(
+                    some(Fault::Delay { min: ms(65), max: ms(200) }, if SLOW.contains(&station) { 80 } else { 10 })
+                        .station(station),
+                )
                 .rule(some(Fault::Delay { min: ms(1), max: ms(30) }, 50).station(station)),
         };
     }
@@ -171,7 +176,8 @@ async fn caller(link: Link, number: u32, mut dice: Dice, calls: u32) -> Outcome 
     let mut own: BTreeMap<u8, Vec<u32>> = BTreeMap::new();
     for nth in 0..calls {
         sleep(Duration::from_millis(dice.below(40))).await;
-        let station_number = 1 + dice.below(u64::from(STATIONS)) as u8;
+        let stations = if dice.in_thousand(500) { *SLOW.end() } else { STATIONS };
+        let station_number = 1 + dice.below(u64::from(stations)) as u8;
         let (options, deadline) = options(&mut dice);
         let station = link.station(station_number).unwrap().with_options(options);
         let patience = match dice.in_thousand(100) {
@@ -212,35 +218,36 @@ async fn call(
     dice: &mut Dice,
 ) -> Result<Result<u64, String>, Error> {
     let number = station.number();
-    let count = 1 + dice.below(16) as u16;
+    // Mostly of the same shape, so that a reply could be taken for another.
+    let count = if dice.in_thousand(800) { 1 } else { 1 + dice.below(16) as u16 };
     let first = dice.below(u64::from(READ_ONLY - 2 * count)) as u16;
     let own = Register32::new(Symbol::DD, 2 * caller as u16).unwrap();
     let check = |what: &str, good: bool, got: &dyn std::fmt::Debug| match good {
         true => Ok(u64::from(number) << 32 | u64::from(first) << 8 | u64::from(count)),
         false => Err(format!("station {number}, {what} from {first}, {count} of them: {got:?}")),
     };
-    Ok(match dice.below(7) {
-        0 | 1 => {
+    Ok(match dice.below(9) {
+        0..=3 => {
             let values = station.read_registers(Register::r(first), count.into()).await?;
             check("R", values.iter().copied().eq((first..first + count).map(|a| word(number, a))), &values)
         }
-        2 => {
+        4 => {
             let values = station.read_registers32(Register32::new(Symbol::DR, first).unwrap(), count.into()).await?;
             let expected = (0..count)
                 .map(|n| first + 2 * n)
                 .map(|a| u32::from(word(number, a + 1)) << 16 | u32::from(word(number, a)));
             check("DR", values.iter().copied().eq(expected), &values)
         }
-        3 => {
+        5 => {
             let states = station.read_discretes(Discrete::new(Symbol::M, first).unwrap(), count.into()).await?;
             check("M", states.iter().copied().eq((first..first + count).map(|a| bit(number, a))), &states)
         }
-        4 => {
+        6 => {
             let elements = [Element::from(Register::r(first)), Discrete::new(Symbol::M, first).unwrap().into()];
             let values = station.read_mixed(&elements).await?;
             check("R and M", values == [Value::Word(word(number, first)), Value::Bit(bit(number, first))], &values)
         }
-        5 => {
+        7 => {
             // From now on it may be there, whatever becomes of this future.
             held.push(serial);
             match station.write_registers32(own, &[serial]).await {
@@ -292,6 +299,7 @@ fn run(seed: u64, requests: u32) -> Outcome {
     in_paused_time(async move {
         let link = Link::connector_builder("simulated bus", framing, sim::connector(bus, framing))
             .connect_backoff(Duration::from_millis(5), Duration::from_millis(50))
+            .probe_interval(Duration::from_millis(50), Duration::from_millis(500))
             .echo(if echo { EchoMode::Auto } else { EchoMode::Off })
             .seed(seed)
             .build();
@@ -334,7 +342,7 @@ fn no_wrong_value_no_repeated_write_and_no_late_call_under_faults_of_every_kind(
         total.add(outcome);
     }
     println!("{} seeds: {total:#?}", seeds.len());
-    assert!(total.confirmed * 10 > total.requests * 6, "most calls succeed all the same: {total:#?}");
+    assert!(total.confirmed * 2 > total.requests, "most calls succeed all the same: {total:#?}");
     assert!(total.errors.len() >= 5, "the faults were felt: {total:#?}");
 }
 

@@ -16,6 +16,8 @@
     )
 )]
 
+#[cfg(all(test, feature = "sim"))]
+mod bus_time;
 mod call;
 mod core;
 mod driver;
@@ -37,6 +39,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::{Instant, timeout_at};
+use tracing::Instrument;
 
 use self::call::{AnyCall, Completion, Ticket};
 use self::core::{Config, Core};
@@ -276,7 +279,8 @@ impl Link {
         let answered = timeout_at(deadline, async {
             self.shared.messages.send(Message::Call(ticket)).await.map_err(|_| Error::Closed { sent: false })?;
             (&mut completion).await
-        });
+        })
+        .instrument(tracing::debug_span!("call", link = %self.shared.name, station, command = code.name()));
         let result = answered.await.unwrap_or_else(|_| {
             let after = queued_at.elapsed();
             Err(Error::Timeout { station, code, after, sent: completion.abandon() })
@@ -299,7 +303,7 @@ impl Link {
         // Only with a runtime at hand: a caller without one must not use the task up.
         let runtime = Handle::try_current().map_err(|error| self.connect_error(Arc::new(io::Error::other(error))))?;
         if let Some(driver) = driver.take() {
-            runtime.spawn(driver.run());
+            runtime.spawn(driver.run().instrument(tracing::debug_span!("link", name = %self.shared.name)));
         }
         Ok(())
     }

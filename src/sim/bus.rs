@@ -107,7 +107,7 @@ impl Bus {
         self.stations.keys().copied()
     }
 
-    pub(super) fn conditions(&self) -> Option<&Conditions> {
+    pub(crate) fn conditions(&self) -> Option<&Conditions> {
         self.conditions.as_ref()
     }
 }

@@ -101,7 +101,7 @@ use std::time::Duration;
 
 use crate::ErrorCode;
 
-pub(super) use self::conversation::{Conditions, Conversation, Output};
+pub(crate) use self::conversation::{Conditions, Conversation, Output};
 pub use self::faults::Faults;
 pub use self::line::Line;
 pub use self::log::{Applied, Heard, Log, LogEntry};

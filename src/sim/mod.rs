@@ -51,6 +51,8 @@ pub use bus::Bus;
 pub use doctest::doctest;
 pub use error::Error;
 pub use execute::Execute;
+#[cfg(test)]
+pub(crate) use fault::{Conversation, Output};
 pub use fault::{Fault, Faults, Line, Log, LogEntry, Moment, Rule};
 pub use model::{Model, PageReply};
 pub use plc::Plc;

@@ -90,3 +90,26 @@ impl AsyncWrite for Port {
         Poll::Ready(Ok(()))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::Framing;
+
+    /// A pseudo-terminal cannot show this: the kernel gives it 8 data bits and no parity bit, whatever it is asked for.
+    #[test]
+    fn ports_are_asked_for_the_settings_of_the_endpoint() {
+        use tokio_serial::{DataBits as Data, Parity as Check, StopBits as Stop};
+
+        let ascii = SerialSettings::new(Framing::Ascii);
+        let odd = ascii.with_parity(Parity::Odd).with_stop_bits(StopBits::Two).with_baud(115_200).unwrap();
+        for (settings, baud, data_bits, parity, stop_bits) in [
+            (ascii, 9600, Data::Seven, Check::Even, Stop::One),
+            (SerialSettings::new(Framing::Binary), 9600, Data::Eight, Check::None, Stop::One),
+            (odd, 115_200, Data::Seven, Check::Odd, Stop::Two),
+        ] {
+            let asked = tokio_serial::new("COM3", baud).data_bits(data_bits).parity(parity).stop_bits(stop_bits);
+            assert_eq!(builder("COM3", settings), asked.flow_control(FlowControl::None).exclusive(true));
+        }
+    }
+}

@@ -17,17 +17,17 @@ use crate::wire::{FieldError, Frame, Framing, Received};
 
 /// What a bus that is not as it should be has besides its PLCs. Clones are the same.
 #[derive(Clone, Debug)]
-pub(in crate::sim) struct Conditions {
+pub(crate) struct Conditions {
     faults: Faults,
     occupancy: Arc<Mutex<Occupancy>>,
 }
 
 impl Conditions {
-    pub(in crate::sim) fn new(faults: Faults) -> Self {
+    pub(crate) fn new(faults: Faults) -> Self {
         Self { faults, occupancy: Arc::default() }
     }
 
-    pub(in crate::sim) fn faults(&self) -> &Faults {
+    pub(crate) fn faults(&self) -> &Faults {
         &self.faults
     }
 
@@ -80,7 +80,7 @@ fn later(at: Instant, by: Duration) -> Instant {
 
 /// What is to be done to the connection.
 #[derive(Debug, PartialEq, Eq)]
-pub(in crate::sim) enum Output {
+pub(crate) enum Output {
     /// Write this.
     Bytes(Bytes),
     /// Close it, then say [`Conversation::hang_up`].
@@ -94,7 +94,7 @@ pub(in crate::sim) enum Output {
 /// - what has arrived is executed, unless a fault says otherwise;
 /// - nothing is due before its time, and nothing due is left while there is a timer to wait for.
 #[derive(Debug)]
-pub(in crate::sim) struct Conversation {
+pub(crate) struct Conversation {
     bus: Bus,
     conditions: Conditions,
     framing: Framing,
@@ -107,12 +107,12 @@ pub(in crate::sim) struct Conversation {
 }
 
 impl Conversation {
-    pub(in crate::sim) fn new(bus: Bus, conditions: Conditions, framing: Framing) -> Self {
+    pub(crate) fn new(bus: Bus, conditions: Conditions, framing: Framing) -> Self {
         Self { bus, conditions, framing, events: BTreeMap::new(), next: 0, unheard: false }
     }
 
     /// Takes what has come, with its bytes.
-    pub(in crate::sim) fn hear(&mut self, item: Received, bytes: Bytes, now: Instant) {
+    pub(crate) fn hear(&mut self, item: Received, bytes: Bytes, now: Instant) {
         match item {
             Received::Frame(frame) => self.hear_frame(frame, bytes, now),
             Received::Discarded { reason, .. } => {
@@ -124,7 +124,7 @@ impl Conversation {
     }
 
     /// The next thing to be done by now.
-    pub(in crate::sim) fn next(&mut self, now: Instant) -> Option<Output> {
+    pub(crate) fn next(&mut self, now: Instant) -> Option<Output> {
         loop {
             let first = self.events.first_entry().filter(|first| first.key().0 <= now)?;
             let ((at, number), event) = first.remove_entry();
@@ -150,17 +150,17 @@ impl Conversation {
     }
 
     /// When there is something to be done.
-    pub(in crate::sim) fn due(&self) -> Option<Instant> {
+    pub(crate) fn due(&self) -> Option<Instant> {
         self.events.first_key_value().map(|(&(at, _), _)| at)
     }
 
     /// Whether more may be taken.
-    pub(in crate::sim) fn has_room(&self) -> bool {
+    pub(crate) fn has_room(&self) -> bool {
         self.events.len() < MAX_EVENTS
     }
 
     /// The connection is closed: what waits for its execution is all that is left to be done.
-    pub(in crate::sim) fn hang_up(&mut self) {
+    pub(crate) fn hang_up(&mut self) {
         self.unheard = true;
         self.events.retain(|_, event| matches!(event, Event::Execute(_)));
     }

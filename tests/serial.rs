@@ -1,0 +1,394 @@
+//! Serial lines: their timing, and ports that come and go.
+
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use bytes::BytesMut;
+use fatek::endpoint::SerialSettings;
+use fatek::wire::{Codec, Frame, Framing, Side};
+use fatek::{CallOptions, EchoMode, Error, Link, LinkBuilder, register};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufStream, DuplexStream, ReadBuf, duplex};
+use tokio::time::{Instant, sleep_until};
+use tokio_util::codec::{Decoder, Encoder};
+
+/// The PLC's end of a line.
+struct Peer {
+    stream: DuplexStream,
+    received: BytesMut,
+}
+
+impl Peer {
+    /// The next request, when it was written, and when its last bit would have come.
+    async fn request(&mut self) -> (Frame, Instant, Instant) {
+        let mut codec = Codec::new(Framing::Ascii, Side::Plc);
+        loop {
+            let buffered = self.received.len();
+            if let Some(frame) = codec.decode(&mut self.received).unwrap().and_then(|item| item.frame()) {
+                // A duplex stream has no speed, so it was written just now.
+                let written = Instant::now();
+                let heard = written + CHARACTER * u32::try_from(buffered - self.received.len()).unwrap();
+                sleep_until(heard).await;
+                return (frame, written, heard);
+            }
+            assert_ne!(self.stream.read_buf(&mut self.received).await.unwrap(), 0, "the client has hung up");
+        }
+    }
+
+    async fn reply(&mut self, request: &Frame, data: impl Into<bytes::Bytes>) {
+        let mut bytes = BytesMut::new();
+        let frame = Frame { data: data.into(), ..request.clone() };
+        Codec::new(Framing::Ascii, Side::Plc).encode(frame, &mut bytes).unwrap();
+        self.stream.write_all(&bytes).await.unwrap();
+    }
+
+    /// Echoes the loop-back with which a serial link begins.
+    async fn echo(&mut self) {
+        let (request, ..) = self.request().await;
+        assert_eq!(request.command, 0x4E);
+        let data = request.data.clone();
+        self.reply(&request, data).await;
+    }
+}
+
+const BAUD: u32 = 1200;
+
+/// How long a character is at 1200 baud and 7E1, rounded up: ten bits.
+const CHARACTER: Duration = Duration::from_nanos(8_333_334);
+
+/// As much as the resolution of timers allows; a few of them in a row make up a pause.
+fn assert_about(took: Duration, expected: Duration) {
+    let least = expected.saturating_sub(Duration::from_millis(1));
+    let most = expected + Duration::from_millis(3);
+    assert!((least..=most).contains(&took), "{took:?}, not {expected:?}");
+}
+
+fn line() -> (LinkBuilder, Peer) {
+    let (client, plc) = duplex(4096);
+    let settings = SerialSettings::new(Framing::Ascii).with_baud(BAUD).unwrap();
+    let builder = Link::stream_builder(Unflushable(client), Framing::Ascii).serial_line(settings).echo(EchoMode::Off);
+    (builder, Peer { stream: plc, received: BytesMut::new() })
+}
+
+/// A stream like a serial port: to flush it is to stop the runtime.
+struct Unflushable(DuplexStream);
+
+impl AsyncRead for Unflushable {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<std::io::Result<()>> {
+        Pin::new(&mut self.0).poll_read(cx, buf)
+    }
+}
+
+impl AsyncWrite for Unflushable {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<std::io::Result<usize>> {
+        Pin::new(&mut self.0).poll_write(cx, buf)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        panic!("a serial port must not be flushed");
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        panic!("shutting a serial port down flushes it");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_time_for_an_answer_begins_when_the_last_bit_is_on_the_line() {
+    let (builder, mut peer) = line();
+    let station = builder.build().station(1).unwrap();
+    let call = tokio::spawn(async move {
+        let result = station.write_registers(register!("R0"), &[0; 64]).await;
+        (result, Instant::now())
+    });
+    peer.echo().await;
+    let (.., heard) = peer.request().await;
+    let (result, ended) = call.await.unwrap();
+    assert!(matches!(result, Err(Error::Timeout { sent: true, .. })), "{result:?}");
+    assert_about(ended - heard, Duration::from_millis(300));
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_line_is_left_alone_after_an_answer() {
+    for (gap, expected) in [(None, CHARACTER * 7 / 2), (Some(Duration::from_millis(50)), Duration::from_millis(50))] {
+        let (builder, mut peer) = line();
+        let builder = if let Some(gap) = gap { builder.gap(gap) } else { builder };
+        let station = builder.build().station(1).unwrap();
+        tokio::spawn(async move { while station.read_registers(register!("R0"), 1).await.is_ok() {} });
+        peer.echo().await;
+        for _ in 0..3 {
+            let (request, ..) = peer.request().await;
+            peer.reply(&request, "00001").await;
+            let answered = Instant::now();
+            let (request, asked, _) = peer.request().await;
+            assert_about(asked - answered, expected);
+            peer.reply(&request, "00001").await;
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_line_is_left_alone_while_a_broadcast_is_sent_and_done() {
+    let (builder, mut peer) = line();
+    let everyone = builder.build().broadcast();
+    let calls = tokio::spawn(async move {
+        everyone.stop().await.unwrap();
+        everyone.run().await.unwrap();
+    });
+    let (.., heard) = peer.request().await;
+    let (_, next, _) = peer.request().await;
+    calls.await.unwrap();
+    assert_about(next - heard, Duration::from_millis(100));
+}
+
+#[tokio::test(start_paused = true)]
+async fn closing_does_not_cut_a_broadcast_off() {
+    let (builder, mut peer) = line();
+    let link = builder.build();
+    link.broadcast().write_registers(register!("R0"), &[0; 64]).await.unwrap();
+    let closing = tokio::spawn(async move {
+        link.close().await;
+        Instant::now()
+    });
+    let (.., heard) = peer.request().await;
+    assert_about(closing.await.unwrap() - heard, Duration::ZERO);
+    assert_eq!(peer.stream.read(&mut [0; 1]).await.unwrap(), 0, "the port is closed");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_that_is_no_serial_line_is_flushed() {
+    let (client, plc) = duplex(4096);
+    let link = Link::from_stream(BufStream::new(client), Framing::Ascii);
+    let station = link.station(1).unwrap().with_options(CallOptions::new().retries(0));
+    let call = tokio::spawn(async move { station.read_registers(register!("R0"), 1).await });
+    let mut peer = Peer { stream: plc, received: BytesMut::new() };
+    let (request, ..) = peer.request().await;
+    peer.reply(&request, "00007").await;
+    assert_eq!(call.await.unwrap().unwrap(), [7]);
+}
+
+#[cfg(not(feature = "serial"))]
+#[tokio::test]
+async fn without_its_feature_a_serial_port_is_refused_by_name() {
+    let link = Link::builder("serial:/dev/ttyUSB0".parse().unwrap()).fail_fast(true).build();
+    let error = link.station(1).unwrap().read_status().await.unwrap_err();
+    let Error::Connect { source, .. } = &error else { panic!("{error:?}") };
+    assert_eq!(source.kind(), std::io::ErrorKind::Unsupported);
+    assert!(error.to_string().contains("feature `serial`"), "{error}");
+}
+
+/// Pseudo-terminals stand for ports, and a symbolic link is the path of a port that comes and goes.
+///
+/// Linux only: macOS refuses a baud rate for them.
+#[cfg(all(target_os = "linux", feature = "serial", feature = "sim"))]
+mod ports {
+    use std::fs::File;
+    use std::path::{Path, PathBuf};
+
+    use fatek::endpoint::{DataBits, Parity, StopBits};
+    use fatek::sim::{self, Bus, Plc};
+    use fatek::{Endpoint, LinkState, Value};
+    use rustix::termios::{ControlModes, InputModes, LocalModes, OutputModes, Termios, tcgetattr};
+    use tokio::task::JoinHandle;
+    use tokio::time::timeout;
+    use tokio_serial::{SerialPort as _, SerialStream};
+
+    use super::*;
+
+    /// Longer than anything here takes, even on a busy machine.
+    const LONG: Duration = Duration::from_secs(10);
+
+    /// A path for ports to come and go at.
+    struct Socket {
+        directory: PathBuf,
+    }
+
+    impl Socket {
+        fn new(test: &str) -> Self {
+            let directory = std::env::temp_dir().join(format!("fatek-{test}-{}", std::process::id()));
+            std::fs::create_dir_all(&directory).unwrap();
+            Self { directory }
+        }
+
+        fn path(&self) -> PathBuf {
+            self.directory.join("port")
+        }
+
+        fn plug(&self, port: &Path) {
+            let new = self.directory.join("new");
+            std::os::unix::fs::symlink(port, &new).unwrap();
+            std::fs::rename(new, self.path()).unwrap();
+        }
+
+        fn unplug(&self) {
+            std::fs::remove_file(self.path()).unwrap();
+        }
+    }
+
+    impl Drop for Socket {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_dir_all(&self.directory);
+        }
+    }
+
+    /// An adapter with PLCs behind it.
+    struct Adapter {
+        path: PathBuf,
+        /// The port as this test has it open: a line that nobody has open does not work.
+        port: File,
+        plcs: JoinHandle<()>,
+    }
+
+    impl Adapter {
+        fn new(bus: Bus, framing: Framing) -> Self {
+            let (line, port) = SerialStream::pair().unwrap();
+            let path = PathBuf::from(port.name().unwrap());
+            let port = File::open(&path).unwrap();
+            let plcs = tokio::spawn(async move { drop(sim::serve(line, bus, framing).await) });
+            Self { path, port, plcs }
+        }
+
+        fn endpoint(&self) -> Endpoint {
+            Endpoint::serial(self.path.to_str().unwrap())
+        }
+
+        fn settings(&self) -> Termios {
+            tcgetattr(&self.port).unwrap()
+        }
+
+        /// Takes it away, with the line behind it.
+        async fn gone(self) {
+            self.plcs.abort();
+            let _ = self.plcs.await;
+        }
+    }
+
+    fn bus(plc: &Plc) -> Bus {
+        Bus::new().with_station(1, plc.clone()).unwrap()
+    }
+
+    #[tokio::test]
+    async fn a_value_written_is_read_back_in_both_framings() {
+        for framing in [Framing::Ascii, Framing::Binary] {
+            let adapter = Adapter::new(bus(&Plc::new()), framing);
+            let fast = SerialSettings::new(framing).with_baud(115_200).unwrap();
+            let endpoint = adapter.endpoint().with_framing(framing).with_serial(fast).unwrap();
+            let link = Link::builder(endpoint).response_timeout(LONG).build();
+            let station = link.station(1).unwrap();
+            let values: Vec<u16> = (0..64).map(|n| n * 0x0101).collect();
+            station.write_registers(register!("R0"), &values).await.unwrap();
+            assert_eq!(station.read_registers(register!("R0"), 64).await.unwrap(), values);
+            link.close().await;
+            adapter.gone().await;
+        }
+    }
+
+    /// The kernel gives every pseudo-terminal 8 data bits and no parity bit, whatever it is asked for; it keeps the speed,
+    /// the stop bits, which parity it would be, and whether parity is checked.
+    #[tokio::test]
+    async fn a_port_is_set_as_the_endpoint_says() {
+        let ascii = SerialSettings::new(Framing::Ascii);
+        let odd = ascii.with_baud(57_600).unwrap().with_parity(Parity::Odd).with_stop_bits(StopBits::Two);
+        let (even, none) = ((false, true), (false, false));
+        for (framing, settings, baud, two_stop_bits, parity) in [
+            (Framing::Ascii, None, 9600, false, even),
+            (Framing::Binary, None, 9600, false, none),
+            (Framing::Ascii, Some(odd), 57_600, true, (true, true)),
+            (Framing::Binary, Some(odd.with_data_bits(DataBits::Eight)), 57_600, true, (true, true)),
+        ] {
+            let adapter = Adapter::new(bus(&Plc::new()), framing);
+            let mut endpoint = adapter.endpoint().with_framing(framing);
+            if let Some(settings) = settings {
+                endpoint = endpoint.with_serial(settings).unwrap();
+            }
+            let link = Link::builder(endpoint.clone()).response_timeout(LONG).build();
+            link.station(1).unwrap().read_status().await.unwrap();
+
+            let set = adapter.settings();
+            assert_eq!((set.input_speed(), set.output_speed()), (baud, baud), "{endpoint}");
+            assert_eq!(set.control_modes.contains(ControlModes::CSTOPB), two_stop_bits, "{endpoint}");
+            let is_odd = set.control_modes.contains(ControlModes::PARODD);
+            let is_checked = set.input_modes.contains(InputModes::INPCK);
+            assert_eq!((is_odd, is_checked), parity, "{endpoint}");
+            assert!(!set.control_modes.contains(ControlModes::CRTSCTS), "no flow control");
+            assert!(!set.input_modes.intersects(InputModes::IXON | InputModes::IXOFF | InputModes::ICRNL));
+            assert!(!set.output_modes.contains(OutputModes::OPOST), "nothing is translated");
+            assert!(!set.local_modes.intersects(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG));
+            link.close().await;
+            adapter.gone().await;
+        }
+    }
+
+    #[tokio::test]
+    async fn what_came_before_the_port_was_opened_is_not_read() {
+        let (mut line, port) = SerialStream::pair().unwrap();
+        line.write_all(b"\x020146077777D4\x03 and more").await.unwrap();
+        while port.bytes_to_read().unwrap() == 0 {
+            tokio::task::yield_now().await;
+        }
+        let endpoint = Endpoint::serial(port.name().unwrap());
+        let link = Link::builder(endpoint).response_timeout(LONG).build();
+        let plcs = tokio::spawn(sim::serve(line, bus(&Plc::new()), Framing::Ascii));
+        link.station(1).unwrap().read_status().await.unwrap();
+        let stats = link.stats();
+        assert_eq!((stats.stale_bytes, stats.garbage_bytes, stats.stations.stray_frames), (0, 0, 0));
+        plcs.abort();
+    }
+
+    #[tokio::test]
+    async fn a_port_is_for_one_link_alone() {
+        let adapter = Adapter::new(bus(&Plc::new()), Framing::Ascii);
+        let builder = || Link::builder(adapter.endpoint()).response_timeout(LONG).fail_fast(true);
+        let (first, second) = (builder().build(), builder().build());
+        first.station(1).unwrap().read_status().await.unwrap();
+        let error = second.station(1).unwrap().read_status().await.unwrap_err();
+        assert!(matches!(error, Error::Connect { .. }), "{error:?}");
+        first.close().await;
+        second.station(1).unwrap().read_status().await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn an_unplugged_port_fails_what_waits_and_a_replugged_one_is_used_again() {
+        let socket = Socket::new("replug");
+        let adapter = Adapter::new(bus(&Plc::new()), Framing::Ascii);
+        socket.plug(&adapter.path);
+        let endpoint = Endpoint::serial(socket.path().to_str().unwrap());
+        let link = Link::builder(endpoint.clone())
+            .options(CallOptions::new().response_timeout(LONG).call_timeout(2 * LONG))
+            .connect_backoff(Duration::from_millis(10), Duration::from_millis(50))
+            .build();
+        let station = link.station(1).unwrap();
+        assert_eq!(station.read_registers(register!("R0"), 1).await.unwrap(), [0]);
+
+        // Nobody is station 2, so this is on the line, or waits for it, for as long as the line is there.
+        let absent = link.station(2).unwrap();
+        let sent = link.stats().stations.requests + link.stats().stations.checks;
+        let waiting = tokio::spawn(async move { absent.write_registers(register!("R0"), &[5]).await });
+        let on_the_line = async {
+            while link.stats().stations.requests + link.stats().stations.checks == sent {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        timeout(LONG, on_the_line).await.unwrap();
+        socket.unplug();
+        adapter.gone().await;
+        let error = timeout(LONG / 2, waiting).await.expect("it does not wait for its timeout").unwrap().unwrap_err();
+        assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+
+        let hasty = station.with_options(CallOptions::new().call_timeout(Duration::from_millis(100)));
+        let error = hasty.read_registers(register!("R0"), 1).await.unwrap_err();
+        assert!(matches!(error, Error::Connect { .. }), "{error:?}");
+        assert!(error.to_string().starts_with(&format!("cannot connect to {endpoint}: ")), "{error}");
+        assert!(matches!(link.state(), LinkState::Down { .. } | LinkState::Connecting));
+
+        // The same place, another device.
+        let (first, second) = (Plc::new(), Plc::new());
+        let adapter = Adapter::new(bus(&first).with_station(2, second.clone()).unwrap(), Framing::Ascii);
+        socket.plug(&adapter.path);
+        station.write_registers(register!("R0"), &[7]).await.unwrap();
+        assert_eq!(first.read(register!("R0")), Value::Word(7));
+        assert_eq!(second.read(register!("R0")), Value::Word(0), "what was under way is not sent again");
+        link.close().await;
+        adapter.gone().await;
+    }
+}
