@@ -57,6 +57,7 @@
 //!
 //! # Features
 //!
+//! - `serial` (default): serial lines.
 //! - `sim`: the simulated PLC.
 //! - `cli`: the `fatek` command line.
 #![cfg_attr(docsrs, feature(doc_cfg))]

@@ -2,6 +2,7 @@
 //! between them a clock that this file turns.
 //!
 //! Tokio's timer counts whole milliseconds, which is too coarse for what is measured here.
+#![allow(clippy::print_stdout, reason = "the figures are what it is for")]
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
@@ -97,7 +98,7 @@ impl World {
     fn ask(&mut self, station: u8) {
         let request = ReadRegisters::new(Register::r(0), 64).unwrap();
         let (call, completion) = call::new(request);
-        let options = CallOptions::new().response_timeout(RESPONSE_TIMEOUT).call_timeout(Duration::from_secs(3600));
+        let options = CallOptions::new().call_timeout(Duration::from_secs(3600));
         self.core.push(
             Ticket {
                 call,
@@ -106,6 +107,7 @@ impl World {
                 lane: options.lane(Code::ReadRegisters.class()),
                 deadline: later(self.now, options.call_timeout),
                 queued_at: self.now,
+                response_timeout: RESPONSE_TIMEOUT,
                 options,
                 retries_left: 2,
             },

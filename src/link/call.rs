@@ -13,6 +13,7 @@ use std::pin::Pin;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll};
+use std::time::Duration;
 
 use bytes::BytesMut;
 use futures::task::AtomicWaker;
@@ -58,6 +59,7 @@ pub(crate) struct Ticket {
     /// When the caller gives up, whatever happens.
     pub(crate) deadline: Instant,
     pub(crate) queued_at: Instant,
+    pub(crate) response_timeout: Duration,
     pub(crate) options: CallOptions,
     /// How often it can still be sent after it has failed.
     pub(crate) retries_left: u32,

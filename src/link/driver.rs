@@ -38,6 +38,9 @@ pub(crate) struct Driver {
     pub(crate) state: watch::Sender<LinkState>,
 }
 
+/// How often is read before a request, to be rid of what came before it.
+const MAX_DRAINED_READS: usize = 64;
+
 /// How much is read at once. The longest reply fits; the buffer grows no further, for what is no frame is discarded.
 const READ_LEN: usize = 1024;
 
@@ -205,9 +208,10 @@ async fn read(io: &mut Option<BoxIo>, core: &mut Core) -> io::Result<()> {
     }
 }
 
-/// Takes what can be read without waiting.
+/// Takes what can be read without waiting; of a peer that never stops, no more than a few reads' worth.
 fn drain(io: &mut Option<BoxIo>, core: &mut Core) -> Option<io::Result<()>> {
-    while io.is_some() {
+    for _ in 0..MAX_DRAINED_READS {
+        io.as_ref()?;
         match read(io, core).now_or_never()? {
             Ok(()) => core.received(Instant::now()),
             error => return Some(error),

@@ -16,9 +16,11 @@
     )
 )]
 
+mod builder;
 #[cfg(all(test, feature = "sim"))]
 mod bus_time;
 mod call;
+mod config;
 mod core;
 mod driver;
 mod exchange;
@@ -42,19 +44,16 @@ use tokio::time::{Instant, timeout_at};
 use tracing::Instrument;
 
 use self::call::{AnyCall, Completion, Ticket};
-use self::core::{Config, Core};
 use self::driver::{Driver, Message};
-use self::line::Line;
-use self::stations::Rules;
 use self::stats::Board;
 use self::transport::Connector;
 use crate::command::{Code, Command, InvalidRequest};
-use crate::endpoint::{Endpoint, SerialSettings, Transport};
+use crate::endpoint::{Endpoint, Transport};
 use crate::error::Error;
-use crate::random::Random;
 use crate::station::{Broadcast, Station};
 use crate::wire::Framing;
 
+pub use self::builder::LinkBuilder;
 pub use self::options::{CallOptions, EchoMode};
 pub use self::stats::{LinkStats, RoundTripStats, StationState, StationStats};
 
@@ -84,6 +83,8 @@ struct Shared {
     name: Arc<str>,
     framing: Framing,
     options: CallOptions,
+    /// For calls whose options have none.
+    response_timeout: Duration,
     messages: mpsc::Sender<Message>,
     state: watch::Receiver<LinkState>,
     board: Arc<Board>,
@@ -273,6 +274,7 @@ impl Link {
             lane: options.lane(code.class()),
             deadline,
             queued_at,
+            response_timeout: options.response_timeout.unwrap_or(self.shared.response_timeout),
             options,
             retries_left: options.retries_for(code.class()),
         };
@@ -327,211 +329,6 @@ impl fmt::Debug for Link {
         write!(f, "Link({}, {})", self.shared.name, self.shared.framing)
     }
 }
-
-/// Settings of a link. Each has a default that suits one PLC on an Ethernet module.
-#[derive(Debug)]
-#[must_use]
-pub struct LinkBuilder {
-    connector: Connector,
-    options: CallOptions,
-    connect_timeout: Duration,
-    line: Option<Line>,
-    config: Config,
-    seed: Option<u64>,
-}
-
-impl LinkBuilder {
-    /// How calls are treated, unless a [`Station`] has options of its own.
-    pub fn options(mut self, options: CallOptions) -> Self {
-        self.options = options;
-        self
-    }
-
-    /// How long a PLC has for its answer; the same as [`CallOptions::response_timeout`]. Default: 1 s, on a serial line
-    /// 300 ms and the time that the bytes take.
-    pub fn response_timeout(mut self, timeout: Duration) -> Self {
-        self.options = self.options.response_timeout(timeout);
-        self
-    }
-
-    /// How long a whole call may take; the same as [`CallOptions::call_timeout`]. Default: 10 s.
-    pub fn call_timeout(mut self, timeout: Duration) -> Self {
-        self.options = self.options.call_timeout(timeout);
-        self
-    }
-
-    /// How often a read is sent again; the same as [`CallOptions::retries`]. Default: 2.
-    pub fn retries(mut self, retries: u32) -> Self {
-        self.options = self.options.retries(retries);
-        self
-    }
-
-    /// How long one attempt to connect may take. Default: 3 s.
-    pub fn connect_timeout(mut self, timeout: Duration) -> Self {
-        self.connect_timeout = timeout;
-        self
-    }
-
-    /// Whether TCP connections ask for signs of life when nothing has come for 30 s, then every 10 s, and end if there are
-    /// none. Default: `true`.
-    ///
-    /// Only for a link to an [`Endpoint`].
-    pub fn keep_alive(mut self, on: bool) -> Self {
-        if let Connector::Endpoint { keep_alive, .. } = &mut self.connector {
-            *keep_alive = on;
-        }
-        self
-    }
-
-    /// Says that the stream is a serial line with these settings, which is opened elsewhere. A link to a serial
-    /// [`Endpoint`] knows that already.
-    ///
-    /// The time that bytes take on the line is then heeded, the stream is never flushed (of a serial port that would
-    /// wait, and all other tasks with it, until the last bit is on the line), and what the settings of a serial link
-    /// default to is set. So call it before the others.
-    ///
-    /// ```
-    /// use fatek::Link;
-    /// use fatek::endpoint::SerialSettings;
-    /// use fatek::wire::Framing;
-    ///
-    /// let (port, _plc) = tokio::io::duplex(1024); // or a port that was opened in a special way
-    /// let settings = SerialSettings::new(Framing::Ascii);
-    /// let link = Link::stream_builder(port, Framing::Ascii).serial_line(settings).build();
-    /// ```
-    pub fn serial_line(mut self, settings: SerialSettings) -> Self {
-        let line = Line::from(settings);
-        self.line = Some(line);
-        self.options = self.options.response_timeout(Duration::from_millis(300));
-        self.config.frame_time = line.transmission(LONGEST_FRAME);
-        self.config.gap = line.gap();
-        self.config.broadcast_gap = Duration::from_millis(100);
-        self.config.settle = self.config.settle.max(line.gap());
-        // What another program or an earlier run has asked may still be answered.
-        self.config.rules.doubtful_start = true;
-        self.config.echo = EchoMode::Auto;
-        self
-    }
-
-    /// The pause between the end of an answer and the next request, in which RS-485 drivers turn around. Default: none,
-    /// on a serial line the time of three and a half characters, and at least 2 ms.
-    pub fn gap(mut self, gap: Duration) -> Self {
-        self.config.gap = gap;
-        self
-    }
-
-    /// The pause after a broadcast, in which the PLCs do what they were told. Default: none, on a serial line 100 ms.
-    pub fn broadcast_gap(mut self, gap: Duration) -> Self {
-        self.config.broadcast_gap = gap;
-        self
-    }
-
-    /// Whether waiting calls fail as soon as an attempt to connect does. Default: `false`, they wait for the next
-    /// attempt until their own time is up.
-    pub fn fail_fast(mut self, fail_fast: bool) -> Self {
-        self.config.fail_fast = fail_fast;
-        self
-    }
-
-    /// The pause after a failed attempt to connect: it doubles from `shortest` to `longest`, less up to a half at
-    /// random. Default: 0.1 s to 30 s.
-    pub fn connect_backoff(mut self, shortest: Duration, longest: Duration) -> Self {
-        self.config.connect_backoff = (shortest, longest.max(shortest));
-        self
-    }
-
-    /// After how many timeouts in a row a station is offline; 0 for never. Default: 3.
-    pub fn offline_after(mut self, timeouts: u32) -> Self {
-        self.config.rules.offline_after = if timeouts == 0 { u32::MAX } else { timeouts };
-        self
-    }
-
-    /// How many calls can wait for one station. Default: 1024.
-    pub fn queue_capacity(mut self, calls: usize) -> Self {
-        self.config.queue_capacity = calls.max(1);
-        self
-    }
-
-    /// The shortest and the longest time between two probes of a station that is offline: it doubles from the one to the
-    /// other. Default: 1 s to 60 s. All probes together use at most a fiftieth of the line's time.
-    pub fn probe_interval(mut self, shortest: Duration, longest: Duration) -> Self {
-        self.config.rules.probe_interval = (shortest, longest.max(shortest));
-        self
-    }
-
-    /// Whether the line echoes what is sent on it. Default: [`EchoMode::Off`], for serial lines [`EchoMode::Auto`].
-    pub fn echo(mut self, echo: EchoMode) -> Self {
-        self.config.echo = echo;
-        self
-    }
-
-    /// The seed of the nonces and of the jitter, so that a test can be repeated. Default: a new one for each link.
-    pub fn seed(mut self, seed: u64) -> Self {
-        self.seed = Some(seed);
-        self
-    }
-
-    /// Makes the link. The connection is opened by the first call.
-    #[must_use]
-    pub fn build(self) -> Link {
-        let (sender, messages) = mpsc::channel(CHANNEL_LEN);
-        let (state, watcher) = watch::channel(LinkState::Idle);
-        let timeout = self.options.response_timeout;
-        let config = Config { probe_timeout: timeout, quiet: timeout, ..self.config };
-        let board = Arc::new(Board::default());
-        let shared = Shared {
-            name: config.name.clone(),
-            framing: config.framing,
-            options: self.options,
-            messages: sender,
-            state: watcher,
-            board: board.clone(),
-            driver: Mutex::new(Some(Box::new(Driver {
-                core: Core::new(config, board, self.seed.unwrap_or_else(Random::seed)),
-                connector: self.connector,
-                connect_timeout: self.connect_timeout,
-                line: self.line,
-                sent_until: None,
-                messages,
-                state,
-            }))),
-        };
-        Link { shared: Arc::new(shared) }
-    }
-
-    fn with_connector(connector: Connector, framing: Framing, name: &str) -> Self {
-        let options = CallOptions::new();
-        let config = Config {
-            framing,
-            name: name.into(),
-            queue_capacity: 1024,
-            ageing: Duration::from_secs(1),
-            probe_timeout: options.response_timeout,
-            rules: Rules {
-                offline_after: 3,
-                probe_interval: (Duration::from_secs(1), Duration::from_secs(60)),
-                probe_pause: 49,
-                doubtful_start: false,
-            },
-            connect_backoff: (Duration::from_millis(100), Duration::from_secs(30)),
-            fail_fast: false,
-            quiet: Duration::ZERO,
-            settle: Duration::from_millis(30),
-            frame_time: Duration::ZERO,
-            gap: Duration::ZERO,
-            broadcast_gap: Duration::ZERO,
-            fresh_on_doubt: false,
-            echo: EchoMode::Off,
-        };
-        Self { connector, options, connect_timeout: Duration::from_secs(3), line: None, config, seed: None }
-    }
-}
-
-/// The longest frame that the protocol has, in bytes.
-const LONGEST_FRAME: usize = 508;
-
-/// How many calls can be on their way to the task. Those that do not fit wait for their turn, within their deadline.
-const CHANNEL_LEN: usize = 64;
 
 /// An instant this much later. A day at the most: far more than any call should take, and still within what a clock can
 /// hold.

@@ -16,7 +16,7 @@ use crate::command::Class;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CallOptions {
-    pub(crate) response_timeout: Duration,
+    pub(crate) response_timeout: Option<Duration>,
     pub(crate) call_timeout: Duration,
     pub(crate) retries: u32,
     pub(crate) retry_writes: bool,
@@ -25,11 +25,11 @@ pub struct CallOptions {
 }
 
 impl CallOptions {
-    /// The defaults: 1 s for the response, 10 s for the whole call, 2 retries, reads only.
+    /// The defaults: the link's time for the response, 10 s for the whole call, 2 retries, reads only.
     #[must_use]
     pub fn new() -> Self {
         Self {
-            response_timeout: Duration::from_secs(1),
+            response_timeout: None,
             call_timeout: Duration::from_secs(10),
             retries: 2,
             retry_writes: false,
@@ -38,10 +38,11 @@ impl CallOptions {
         }
     }
 
-    /// How long the PLC has for its answer, from the moment the request has been sent. Default: 1 s.
+    /// How long the PLC has for its answer, from the moment the request has been sent. Default: that of the link, which is
+    /// 1 s, on a serial line 300 ms.
     #[must_use]
     pub fn response_timeout(mut self, timeout: Duration) -> Self {
-        self.response_timeout = timeout;
+        self.response_timeout = Some(timeout);
         self
     }
 

@@ -1,0 +1,233 @@
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use tokio::sync::{mpsc, watch};
+
+use super::config::Config;
+use super::core::Core;
+use super::driver::Driver;
+use super::line::Line;
+use super::options::{CallOptions, EchoMode};
+use super::stations::Rules;
+use super::stats::Board;
+use super::transport::Connector;
+use super::{Link, LinkState, Shared};
+use crate::endpoint::SerialSettings;
+use crate::random::Random;
+use crate::wire::Framing;
+
+/// Settings of a link. Each has a default that suits one PLC on an Ethernet module.
+#[derive(Debug)]
+#[must_use]
+pub struct LinkBuilder {
+    connector: Connector,
+    options: CallOptions,
+    /// The response timeout, unless the options have one.
+    response_timeout: Duration,
+    connect_timeout: Duration,
+    line: Option<Line>,
+    pub(super) config: Config,
+    seed: Option<u64>,
+}
+
+impl LinkBuilder {
+    /// How calls are treated, unless a [`Station`](crate::Station) has options of its own.
+    pub fn options(mut self, options: CallOptions) -> Self {
+        self.options = options;
+        self
+    }
+
+    /// How long a PLC has for its answer; the same as [`CallOptions::response_timeout`]. Default: 1 s, on a serial line
+    /// 300 ms and the time that the bytes take.
+    pub fn response_timeout(mut self, timeout: Duration) -> Self {
+        self.options = self.options.response_timeout(timeout);
+        self
+    }
+
+    /// How long a whole call may take; the same as [`CallOptions::call_timeout`]. Default: 10 s.
+    pub fn call_timeout(mut self, timeout: Duration) -> Self {
+        self.options = self.options.call_timeout(timeout);
+        self
+    }
+
+    /// How often a read is sent again; the same as [`CallOptions::retries`]. Default: 2.
+    pub fn retries(mut self, retries: u32) -> Self {
+        self.options = self.options.retries(retries);
+        self
+    }
+
+    /// How long one attempt to connect may take. Default: 3 s.
+    pub fn connect_timeout(mut self, timeout: Duration) -> Self {
+        self.connect_timeout = timeout;
+        self
+    }
+
+    /// Whether TCP connections ask for signs of life when nothing has come for 30 s, then every 10 s, and end if there are
+    /// none. Default: `true`.
+    ///
+    /// Only for a link to an [`Endpoint`](crate::Endpoint).
+    pub fn keep_alive(mut self, on: bool) -> Self {
+        if let Connector::Endpoint { keep_alive, .. } = &mut self.connector {
+            *keep_alive = on;
+        }
+        self
+    }
+
+    /// Says that the stream is a serial line with these settings, which is opened elsewhere. A link to a serial
+    /// [`Endpoint`](crate::Endpoint) knows that already.
+    ///
+    /// The time that bytes take on the line is then heeded, the stream is never flushed (of a serial port that would
+    /// wait, and all other tasks with it, until the last bit is on the line), and what the settings of a serial link
+    /// default to is set. So call it before the others.
+    ///
+    /// ```
+    /// use fatek::Link;
+    /// use fatek::endpoint::SerialSettings;
+    /// use fatek::wire::Framing;
+    ///
+    /// let (port, _plc) = tokio::io::duplex(1024); // or a port that was opened in a special way
+    /// let settings = SerialSettings::new(Framing::Ascii);
+    /// let link = Link::stream_builder(port, Framing::Ascii).serial_line(settings).build();
+    /// ```
+    pub fn serial_line(mut self, settings: SerialSettings) -> Self {
+        let line = Line::from(settings);
+        self.line = Some(line);
+        self.response_timeout = Duration::from_millis(300);
+        self.config.frame_time = line.transmission(LONGEST_FRAME);
+        self.config.gap = line.gap();
+        self.config.broadcast_gap = Duration::from_millis(100);
+        self.config.settle = self.config.settle.max(line.gap());
+        // What another program or an earlier run has asked may still be answered.
+        self.config.rules.doubtful_start = true;
+        self.config.echo = EchoMode::Auto;
+        self
+    }
+
+    /// The pause between the end of an answer and the next request, in which RS-485 drivers turn around. Default: none,
+    /// on a serial line the time of three and a half characters, and at least 2 ms.
+    pub fn gap(mut self, gap: Duration) -> Self {
+        self.config.gap = gap;
+        self
+    }
+
+    /// The pause after a broadcast, in which the PLCs do what they were told. Default: none, on a serial line 100 ms.
+    pub fn broadcast_gap(mut self, gap: Duration) -> Self {
+        self.config.broadcast_gap = gap;
+        self
+    }
+
+    /// Whether waiting calls fail as soon as an attempt to connect does. Default: `false`, they wait for the next
+    /// attempt until their own time is up.
+    pub fn fail_fast(mut self, fail_fast: bool) -> Self {
+        self.config.fail_fast = fail_fast;
+        self
+    }
+
+    /// The pause after a failed attempt to connect: it doubles from `shortest` to `longest`, less up to a half at
+    /// random. Default: 0.1 s to 30 s.
+    pub fn connect_backoff(mut self, shortest: Duration, longest: Duration) -> Self {
+        self.config.connect_backoff = (shortest, longest.max(shortest));
+        self
+    }
+
+    /// After how many timeouts in a row a station is offline; 0 for never. Default: 3.
+    pub fn offline_after(mut self, timeouts: u32) -> Self {
+        self.config.rules.offline_after = if timeouts == 0 { u32::MAX } else { timeouts };
+        self
+    }
+
+    /// How many calls can wait for one station. Default: 1024.
+    pub fn queue_capacity(mut self, calls: usize) -> Self {
+        self.config.queue_capacity = calls.max(1);
+        self
+    }
+
+    /// The shortest and the longest time between two probes of a station that is offline: it doubles from the one to the
+    /// other. Default: 1 s to 60 s. All probes together use at most a fiftieth of the line's time.
+    pub fn probe_interval(mut self, shortest: Duration, longest: Duration) -> Self {
+        self.config.rules.probe_interval = (shortest, longest.max(shortest));
+        self
+    }
+
+    /// Whether the line echoes what is sent on it. Default: [`EchoMode::Off`], for serial lines [`EchoMode::Auto`].
+    pub fn echo(mut self, echo: EchoMode) -> Self {
+        self.config.echo = echo;
+        self
+    }
+
+    /// The seed of the nonces and of the jitter, so that a test can be repeated. Default: a new one for each link.
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.seed = Some(seed);
+        self
+    }
+
+    /// Makes the link. The connection is opened by the first call.
+    #[must_use]
+    pub fn build(self) -> Link {
+        let (sender, messages) = mpsc::channel(CHANNEL_LEN);
+        let (state, watcher) = watch::channel(LinkState::Idle);
+        let timeout = self.options.response_timeout.unwrap_or(self.response_timeout);
+        let config = Config { probe_timeout: timeout, quiet: timeout, ..self.config };
+        let board = Arc::new(Board::default());
+        let shared = Shared {
+            name: config.name.clone(),
+            framing: config.framing,
+            options: self.options.response_timeout(timeout),
+            response_timeout: timeout,
+            messages: sender,
+            state: watcher,
+            board: board.clone(),
+            driver: Mutex::new(Some(Box::new(Driver {
+                core: Core::new(config, board, self.seed.unwrap_or_else(Random::seed)),
+                connector: self.connector,
+                connect_timeout: self.connect_timeout,
+                line: self.line,
+                sent_until: None,
+                messages,
+                state,
+            }))),
+        };
+        Link { shared: Arc::new(shared) }
+    }
+
+    pub(super) fn with_connector(connector: Connector, framing: Framing, name: &str) -> Self {
+        let response_timeout = Duration::from_secs(1);
+        let config = Config {
+            framing,
+            name: name.into(),
+            queue_capacity: 1024,
+            ageing: Duration::from_secs(1),
+            probe_timeout: response_timeout,
+            rules: Rules {
+                offline_after: 3,
+                probe_interval: (Duration::from_secs(1), Duration::from_secs(60)),
+                probe_pause: 49,
+                doubtful_start: false,
+            },
+            connect_backoff: (Duration::from_millis(100), Duration::from_secs(30)),
+            fail_fast: false,
+            quiet: response_timeout,
+            settle: Duration::from_millis(30),
+            frame_time: Duration::ZERO,
+            gap: Duration::ZERO,
+            broadcast_gap: Duration::ZERO,
+            fresh_on_doubt: false,
+            echo: EchoMode::Off,
+        };
+        Self {
+            connector,
+            options: CallOptions::new(),
+            response_timeout,
+            connect_timeout: Duration::from_secs(3),
+            line: None,
+            config,
+            seed: None,
+        }
+    }
+}
+
+/// The longest frame that the protocol has, in bytes.
+const LONGEST_FRAME: usize = 508;
+
+/// How many calls can be on their way to the task. Those that do not fit wait for their turn, within their deadline.
+const CHANNEL_LEN: usize = 64;
