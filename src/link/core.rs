@@ -105,7 +105,7 @@ impl Core {
         if let Some(probe_at) = self.stations.offline_until(ticket.station) {
             return ticket.call.fail(offline(&ticket, probe_at, now));
         }
-        if let Err(ticket) = self.scheduler.push(ticket, now) {
+        if let Some(ticket) = self.scheduler.push(ticket, now) {
             let limit = self.config.queue_capacity;
             ticket.call.fail(Error::QueueFull { station: ticket.station, limit });
         }

@@ -50,19 +50,20 @@ impl Scheduler {
     }
 
     /// Puts a call at the end of its queue; gives it back when the station's queues are full.
-    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) -> Result<(), Ticket> {
+    #[must_use]
+    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) -> Option<Ticket> {
         let capacity = self.capacity;
         let queues = self.queues(ticket.station);
         if queues.len() >= capacity {
             queues.lanes.iter_mut().for_each(|lane| lane.retain(|waiting| keep(waiting, now)));
         }
         if queues.len() >= capacity {
-            return Err(ticket);
+            return Some(ticket);
         }
         if let Some(lane) = queues.lanes.get_mut(index(ticket.lane)) {
             lane.push_back(ticket);
         }
-        Ok(())
+        None
     }
 
     /// Puts a call that was taken back before all others of its queue. It had its place, so no bound applies.
