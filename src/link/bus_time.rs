@@ -44,10 +44,10 @@ struct World {
 }
 
 impl World {
-    fn new(framing: Framing, baud: u32, dead: Option<u8>) -> Self {
+    fn new(framing: Framing, baud: u32, dead: &[u8]) -> Self {
         let line = Line::new(baud).turnaround(TURNAROUND, TURNAROUND);
         let mut faults = Faults::new(1).line(line);
-        if let Some(station) = dead {
+        for &station in dead {
             faults = faults.rule(Rule::new(Fault::Ignore).station(station));
         }
         let mut bus = Bus::new();
@@ -80,11 +80,16 @@ impl World {
 
     /// Asks every station at all times, for this long.
     fn run(&mut self, time: Duration) {
-        let end = later(self.now, time);
         self.core.connected(self.now);
         for station in 1..=STATIONS {
             self.ask(station);
         }
+        self.run_on(time);
+    }
+
+    /// Goes on for this long.
+    fn run_on(&mut self, time: Duration) {
+        let end = later(self.now, time);
         while self.now < end {
             match self.core.step(self.now) {
                 Step::Connect => self.core.connected(self.now),
@@ -167,7 +172,7 @@ const RESPONSE_TIMEOUT: Duration = Duration::from_millis(300);
 fn the_line_is_used_to_98_percent_of_what_bytes_and_turnaround_allow() {
     for framing in [Framing::Ascii, Framing::Binary] {
         for baud in [9600, 115_200] {
-            let mut world = World::new(framing, baud, None);
+            let mut world = World::new(framing, baud, &[]);
             let time = Duration::from_secs(300);
             world.run(time);
             let used = world.busy.as_secs_f64() / time.as_secs_f64();
@@ -184,9 +189,9 @@ fn one_dead_station_of_32_costs_the_others_less_than_3_percent() {
     for framing in [Framing::Ascii, Framing::Binary] {
         for baud in [9600, 115_200] {
             let time = Duration::from_secs(300);
-            let mut healthy = World::new(framing, baud, None);
+            let mut healthy = World::new(framing, baud, &[]);
             healthy.run(time);
-            let mut sick = World::new(framing, baud, Some(7));
+            let mut sick = World::new(framing, baud, &[7]);
             sick.run(time);
             // With all alive, 31 stations share 31/32 of the line: compare what is theirs.
             let (before, after) = (healthy.answers_but_of(Some(7)), sick.answers_but_of(Some(7)));
@@ -203,4 +208,21 @@ fn one_dead_station_of_32_costs_the_others_less_than_3_percent() {
             assert!(loss_of_possible < 0.03, "{framing}, {baud} baud: {loss_of_possible}");
         }
     }
+}
+
+#[test]
+fn probes_use_at_most_5_percent_of_the_line_however_many_stations_are_dead() {
+    let dead: Vec<u8> = (1..STATIONS).collect();
+    let mut world = World::new(Framing::Ascii, 9600, &dead);
+    // The first minute is what it takes to find out that they are dead: three timeouts each.
+    world.run(Duration::from_secs(60));
+    let probes = |world: &World| dead.iter().map(|&station| world.board.station(station).checks).sum::<u64>();
+    let before = probes(&world);
+    let time = Duration::from_secs(600);
+    world.run_on(time);
+    let count = probes(&world) - before;
+    let used = count as f64 * RESPONSE_TIMEOUT.as_secs_f64() / time.as_secs_f64();
+    println!("{count} probes of {} dead stations use {:.2} % of the line", dead.len(), 100.0 * used);
+    assert!((0.005..0.05).contains(&used), "{used}");
+    assert!(world.answered[&STATIONS] > 0);
 }

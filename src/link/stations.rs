@@ -209,3 +209,76 @@ fn half(time: Duration) -> Duration {
 fn quarter(time: Duration) -> Duration {
     time.checked_div(4).unwrap_or_default()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    fn stations() -> Stations {
+        let probe_interval = (Duration::from_secs(1), Duration::from_secs(60));
+        Stations::new(Rules { offline_after: 3, probe_interval, probe_pause: 49, doubtful_start: false })
+    }
+
+    #[test]
+    fn patience_follows_the_round_trip_between_its_limits_and_doubles_with_each_timeout() {
+        let mut stations = stations();
+        let (shortest, longest) = (20 * MS, 1000 * MS);
+        assert_eq!(stations.patience(1, shortest, longest), longest, "nothing is known yet");
+        for _ in 0..50 {
+            stations.answered(1, Some(40 * MS));
+        }
+        let steady = stations.patience(1, shortest, longest);
+        assert!((40 * MS..45 * MS).contains(&steady), "{steady:?}");
+        stations.answered(1, Some(80 * MS));
+        assert!(stations.patience(1, shortest, longest) > 75 * MS, "one slow answer asks for more");
+        let now = Instant::now();
+        let before = stations.patience(1, shortest, longest);
+        stations.timed_out(1, now);
+        assert_eq!(stations.patience(1, shortest, longest), 2 * before);
+        for _ in 0..50 {
+            stations.answered(1, Some(MS));
+        }
+        assert_eq!(stations.patience(1, shortest, longest), shortest);
+        for _ in 0..40 {
+            stations.timed_out(1, now);
+        }
+        assert_eq!(stations.patience(1, shortest, longest), longest);
+    }
+
+    #[test]
+    fn a_station_is_offline_after_three_timeouts_in_a_row_and_probed_ever_less_often() {
+        let mut stations = stations();
+        let now = Instant::now();
+        assert_eq!(stations.timed_out(1, now), None);
+        assert_eq!(stations.timed_out(1, now), None);
+        stations.answered(1, None);
+        assert_eq!(stations.timed_out(1, now), None, "not in a row");
+        assert_eq!(stations.timed_out(1, now), None);
+        assert_eq!(stations.timed_out(1, now), Some(now + Duration::from_secs(1)));
+        let mut waits = Vec::new();
+        for _ in 0..8 {
+            waits.push(stations.probe_failed(1, now).unwrap().duration_since(now).as_secs());
+        }
+        assert_eq!(waits, [2, 4, 8, 16, 32, 60, 60, 60]);
+        assert!(stations.answered(1, None), "any answer brings it back");
+        assert_eq!(stations.offline_until(1), None);
+    }
+
+    #[test]
+    fn no_probe_follows_another_before_49_times_its_length() {
+        let mut stations = stations();
+        let now = Instant::now();
+        for station in [1, 2] {
+            (0..3).for_each(|_| drop(stations.timed_out(station, now)));
+        }
+        let due = now + Duration::from_secs(1);
+        assert_eq!((stations.due_probe(now), stations.due_probe(due)), (None, Some(1)));
+        stations.probe_ended(300 * MS, due);
+        stations.probe_failed(1, due);
+        assert_eq!(stations.due_probe(due), None);
+        assert_eq!(stations.next_probe(), Some(due + 49 * 300 * MS));
+        assert_eq!(stations.due_probe(due + 49 * 300 * MS), Some(2));
+    }
+}
