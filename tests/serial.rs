@@ -186,7 +186,7 @@ mod ports {
     use std::path::{Path, PathBuf};
 
     use fatek::endpoint::{DataBits, Parity, StopBits};
-    use fatek::sim::{self, Bus, Plc};
+    use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
     use fatek::{Endpoint, LinkState, Value};
     use rustix::termios::{ControlModes, InputModes, LocalModes, OutputModes, Termios, tcgetattr};
     use tokio::task::JoinHandle;
@@ -278,6 +278,33 @@ mod ports {
             let values: Vec<u16> = (0..64).map(|n| n * 0x0101).collect();
             station.write_registers(register!("R0"), &values).await.unwrap();
             assert_eq!(station.read_registers(register!("R0"), 64).await.unwrap(), values);
+            link.close().await;
+            adapter.gone().await;
+        }
+    }
+
+    #[tokio::test]
+    async fn an_echoing_adapter_is_recognised_and_its_echo_is_no_reply() {
+        for (mode, echoes) in
+            [(EchoMode::Auto, true), (EchoMode::Auto, false), (EchoMode::On, true), (EchoMode::Off, false)]
+        {
+            let plc = Plc::new();
+            plc.run();
+            let faults = Faults::new(1);
+            if echoes {
+                faults.add_rule(Rule::new(Fault::Echo));
+            }
+            let adapter = Adapter::new(bus(&plc).with_faults(faults.clone()), Framing::Ascii);
+            let link = Link::builder(adapter.endpoint()).response_timeout(LONG).echo(mode).build();
+            let station = link.station(1).unwrap();
+            // The right replies to these are their requests, byte for byte.
+            station.stop().await.unwrap();
+            station.loop_back("ABCDEFG").await.unwrap();
+            assert_eq!(station.read_registers(register!("R0"), 2).await.unwrap(), [0, 0]);
+            assert!(!plc.is_running());
+            let stats = link.stats();
+            assert_eq!(stats.echoes, if echoes { faults.log().arrivals() } else { 0 }, "{mode:?}, {echoes}");
+            assert_eq!((stats.stations.timeouts, stats.stations.stray_frames), (0, 0), "{mode:?}, {echoes}");
             link.close().await;
             adapter.gone().await;
         }
