@@ -3,8 +3,10 @@
 //! - [`Link`] is the handle: cheap to clone, nothing but a sender to the task.
 //! - `driver` is the task that owns the connection. It moves bytes and time, and decides nothing.
 //! - `core` decides: which call is next, when to connect, whom to believe. It does no I/O and reads no clock.
-//! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others.
-//! - `call` is what a caller and the task share.
+//! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others;
+//!   `stations` is whom to believe, and who is there.
+//! - `call` is what a caller and the task share; `stats` is what everybody can see.
+//! - `transport` is what the bytes go over, and `line` how long they take.
 #![cfg_attr(
     not(test),
     deny(
