@@ -47,6 +47,7 @@ pub struct Endpoint {
 #[non_exhaustive]
 pub enum Transport {
     /// A TCP connection.
+    #[non_exhaustive]
     Tcp {
         /// A name or an address; an IPv6 address without its brackets.
         host: String,
@@ -54,6 +55,7 @@ pub enum Transport {
         port: u16,
     },
     /// UDP, one frame a datagram.
+    #[non_exhaustive]
     Udp {
         /// A name or an address; an IPv6 address without its brackets.
         host: String,
@@ -61,6 +63,7 @@ pub enum Transport {
         port: u16,
     },
     /// A serial port.
+    #[non_exhaustive]
     Serial {
         /// What the operating system calls it: `/dev/ttyUSB0`, `COM3`.
         path: String,

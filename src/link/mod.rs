@@ -105,6 +105,7 @@ pub enum LinkState {
     /// Open.
     Up,
     /// Lost, or not to be opened; the next call, or one that waits, tries again.
+    #[non_exhaustive]
     Down {
         /// What happened.
         error: Arc<io::Error>,
@@ -226,6 +227,9 @@ impl Link {
 
     /// Closes the link for all its handles: what waits fails with [`Error::Closed`], the request on the wire is
     /// finished, the connection is closed. Returns when that is done; calls made later fail at once.
+    ///
+    /// Dropping the future does not undo it, once the task has been told; that may take a moment when very many calls are
+    /// on their way to it.
     pub async fn close(&self) {
         // A task that has not been started has nothing to finish.
         if let Some(driver) = self.take_driver() {

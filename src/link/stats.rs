@@ -81,6 +81,7 @@ pub enum StationState {
     /// It has answered.
     Online,
     /// It has not answered several times in a row. Calls fail at once until it answers a probe.
+    #[non_exhaustive]
     Offline {
         /// When the next probe is due.
         probe_at: Instant,
