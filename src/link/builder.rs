@@ -143,7 +143,8 @@ impl LinkBuilder {
     }
 
     /// The shortest and the longest time between two probes of a station that is offline: it doubles from the one to the
-    /// other. Default: 1 s to 60 s. All probes together use at most a fiftieth of the line's time.
+    /// other. Default: 1 s to 60 s. While other stations of the link answer, all probes together use at most a twentieth of
+    /// the line's time, so that they may come later than that. When a station is back, the others are probed at once.
     pub fn probe_interval(mut self, shortest: Duration, longest: Duration) -> Self {
         self.config.rules.probe_interval = (shortest, longest.max(shortest));
         self
@@ -201,7 +202,7 @@ impl LinkBuilder {
             rules: Rules {
                 offline_after: 3,
                 probe_interval: (Duration::from_secs(1), Duration::from_secs(60)),
-                probe_pause: 49,
+                probe_pause: 19,
                 doubtful_start: false,
             },
             connect_backoff: (Duration::from_millis(100), Duration::from_secs(30)),

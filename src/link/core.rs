@@ -21,6 +21,7 @@
 
 use std::io;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::BytesMut;
 use tokio::time::Instant;
@@ -119,7 +120,8 @@ impl Core {
                     return Step::Wait(Some(active.deadline));
                 }
                 self.give_up(now);
-                continue;
+                // What has come by now is looked at before anything else is sent.
+                return Step::Wait(Some(now));
             }
             match self.connection {
                 Connection::Connecting => return Step::Wait(None),
@@ -212,7 +214,7 @@ impl Core {
         self.board.count(|link| add(&mut link.connect_failures, 1));
         self.failed_to_connect(now);
         if self.config.fail_fast {
-            for ticket in self.scheduler.drain_all() {
+            for ticket in self.cleared.take().into_iter().chain(self.scheduler.drain_all()) {
                 let (endpoint, sent) = (self.config.name.to_string(), ticket.call.was_sent());
                 ticket.call.fail(Error::Connect { endpoint, source: error.clone(), sent });
             }
@@ -304,20 +306,20 @@ impl Core {
             if !self.stations.is_dirty(station) {
                 return Some(Goal::Call(ticket));
             }
-            if !self.stations.refuses_loop_back(station) {
+            if !self.stations.has_refused(station) {
                 return Some(self.check(station, Some(ticket)));
             }
             // The next best thing to an echo: silence. Whatever still comes makes the station dirty again.
+            let quiet = self.config.quiet.max(self.stations.allowed(station));
             self.stations.clear(station);
             self.scheduler.push_front(ticket);
-            self.scheduler.block(station, later(now, self.config.quiet));
+            self.scheduler.block(station, later(now, quiet));
         }
     }
 
     fn begin(&mut self, goal: Goal, now: Instant) -> Option<Step> {
-        let (deadline, _) = self.response_deadline(&goal, now);
-        // A line needs the time to write it, too.
-        let deadline = later(deadline, self.config.frame_time);
+        // Not by the caller's own deadline, for a request that is not written in time costs the connection.
+        let deadline = later(now, self.response_timeout(&goal).saturating_add(self.config.frame_time));
         self.outgoing.clear();
         if let Goal::Call(ticket) = &goal
             && !ticket.call.mark_sent()
@@ -335,6 +337,7 @@ impl Core {
                 if ticket.is_broadcast() {
                     self.board.count(|link| add(&mut link.broadcasts, 1));
                 } else {
+                    self.stations.allow(station, ticket.response_timeout);
                     self.board.count_for(station, |stats| add(&mut stats.requests, 1));
                 }
             }
@@ -382,7 +385,7 @@ impl Core {
         let took = now.saturating_duration_since(active.began);
         self.scheduler.charge(station, took);
         let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
-        if self.stations.answered(station, Some(round_trip)) {
+        if self.stations.answered(station, round_trip, now) {
             tracing::info!(station, "station is back");
         }
         self.board.state(station, StationState::Online);
@@ -398,6 +401,7 @@ impl Core {
                 match check {
                     Check::Barrier(_) if refused => self.stations.loop_back_refused(station),
                     Check::Barrier(_) => self.stations.clear(station),
+                    Check::Echo if active.doubtful => self.doubt(station),
                     Check::Echo => {}
                 }
                 match call {
@@ -414,7 +418,7 @@ impl Core {
         while let Some(event) = self.exchange.next_event_in_silence() {
             self.on_event(event, now);
         }
-        let Some(active) = self.exchange.end() else { return };
+        let Some(active) = self.exchange.give_up() else { return };
         let station = active.goal.station();
         let after = now.saturating_duration_since(active.began);
         self.scheduler.charge(station, after);
@@ -490,16 +494,22 @@ impl Core {
 
     /// Until when the reply is waited for, and whether that is the whole response timeout.
     fn response_deadline(&self, goal: &Goal, now: Instant) -> (Instant, bool) {
+        let deadline = later(now, self.response_timeout(goal));
+        match goal.call() {
+            Some(ticket) => (deadline.min(ticket.deadline), deadline <= ticket.deadline),
+            None => (deadline, true),
+        }
+    }
+
+    /// How long the station is given for its answer.
+    fn response_timeout(&self, goal: &Goal) -> Duration {
         let Some(ticket) = goal.call() else {
-            return (later(now, self.config.probe_timeout), true);
+            return self.config.probe_timeout.max(self.stations.allowed(goal.station()));
         };
-        let longest = ticket.response_timeout;
-        let timeout = match ticket.options.adaptive {
-            Some(shortest) => self.stations.patience(ticket.station, shortest, longest),
-            None => longest,
-        };
-        let deadline = later(now, timeout);
-        (deadline.min(ticket.deadline), deadline <= ticket.deadline)
+        match ticket.options.adaptive {
+            Some(shortest) => self.stations.patience(ticket.station, shortest, ticket.response_timeout),
+            None => ticket.response_timeout,
+        }
     }
 
     fn next_timer(&self) -> Option<Instant> {

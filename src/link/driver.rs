@@ -51,6 +51,7 @@ impl Driver {
         let mut opening: Option<BoxFuture<'static, io::Result<BoxIo>>> = None;
         let mut closing: Vec<oneshot::Sender<()>> = Vec::new();
         let mut orphaned = false;
+        let mut retired: Option<BoxIo> = None;
         loop {
             // A peer that never stops sending must not keep the handles from being heard.
             while let Ok(message) = self.messages.try_recv() {
@@ -66,7 +67,8 @@ impl Driver {
             }
             match self.core.step(Instant::now()) {
                 Step::Connect => {
-                    io = None;
+                    // A fresh socket must differ from the old one, so that one is kept until the new one is open.
+                    retired = io.take();
                     let Some(future) = self.connector.open(self.connect_timeout) else { break };
                     self.state.send_replace(LinkState::Connecting);
                     opening = Some(future);
@@ -104,6 +106,7 @@ impl Driver {
                     },
                     opened = opened(&mut opening) => {
                         opening = None;
+                        drop(retired.take());
                         self.opened(opened, &mut io);
                     }
                     message = self.messages.recv(), if !orphaned => match message {

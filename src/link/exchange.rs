@@ -18,18 +18,19 @@
 //!
 //! In the ASCII framing a request looks like any frame, and the right reply to a loop-back or to STOP *is* its request. So
 //! it must be known whether the line echoes before such a request is sent. [`Echo::Unknown`] is settled by a status request
-//! (40), whose reply cannot equal it: if the request itself comes back, the line echoes. From then on the first copy of a
-//! request is its echo, and only what comes after it can be its reply.
+//! (40), whose reply cannot equal it: if the request itself comes back, the line echoes; if the reply comes, and no more
+//! noise than a stray byte, it does not. Once the line echoes, the first copy of a request is its echo, and only what comes
+//! after it can be its reply. A copy that cannot be a reply proves an echo at any time, also where none was expected.
 
 use bytes::BytesMut;
 use tokio::time::Instant;
-use tokio_util::codec::Decoder;
+use tokio_util::codec::{Decoder, Encoder};
 
 use super::call::Ticket;
 use super::options::EchoMode;
 use crate::command::{self, Code, Command, LoopBack, ReadStatus, ReplyError};
 use crate::error::ErrorCode;
-use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side};
+use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side, ascii};
 
 /// What is on the wire.
 #[derive(Debug)]
@@ -125,8 +126,10 @@ pub(crate) struct Active {
     pub(crate) fault: Option<String>,
     /// Whether a frame of this very station came that was not its reply: there may be more behind it.
     pub(crate) doubtful: bool,
-    /// The request as its echo would be received, until it has been.
-    echo: Option<Frame>,
+    /// Whether the request itself has come back.
+    echoed: bool,
+    /// How many bytes came that were no frame.
+    discarded: usize,
 }
 
 /// Whether the line echoes what is sent.
@@ -156,6 +159,8 @@ pub(crate) struct Exchange {
     /// What has been received and not yet been understood.
     pub(crate) received: BytesMut,
     active: Option<Active>,
+    /// The request on the wire, as it was sent.
+    request: BytesMut,
     mode: EchoMode,
     echo: Echo,
 }
@@ -163,7 +168,8 @@ pub(crate) struct Exchange {
 impl Exchange {
     pub(crate) fn new(framing: Framing, mode: EchoMode) -> Self {
         let codec = Codec::new(framing, Side::Client);
-        let mut exchange = Self { codec, received: BytesMut::new(), active: None, mode, echo: Echo::Unknown };
+        let (received, request) = (BytesMut::new(), BytesMut::new());
+        let mut exchange = Self { codec, received, active: None, request, mode, echo: Echo::Absent };
         exchange.reconnected();
         exchange
     }
@@ -193,10 +199,19 @@ impl Exchange {
             return None;
         }
         let stale = self.forget();
-        let may_echo = self.framing() == Framing::Ascii && self.mode != EchoMode::Off;
-        let echo = if may_echo { as_received(tx) } else { None };
-        self.active =
-            Some(Active { goal, began: now, sent: None, deadline, patient: false, fault: None, doubtful: false, echo });
+        self.request.clear();
+        self.request.extend_from_slice(tx);
+        self.active = Some(Active {
+            goal,
+            began: now,
+            sent: None,
+            deadline,
+            patient: false,
+            fault: None,
+            doubtful: false,
+            echoed: false,
+            discarded: 0,
+        });
         Some(stale)
     }
 
@@ -221,6 +236,17 @@ impl Exchange {
         self.active.take()
     }
 
+    /// The same, when no reply has come.
+    pub(crate) fn give_up(&mut self) -> Option<Active> {
+        let active = self.active.take()?;
+        let barrier = matches!(active.goal, Goal::Check { check: Check::Barrier(_), .. });
+        if barrier && active.echoed && self.mode != EchoMode::On {
+            // Perhaps that was the reply, and the line does not echo any more.
+            self.echo = Echo::Unknown;
+        }
+        Some(active)
+    }
+
     /// Forgets what has been received, as after a lost connection; says how many bytes that were.
     pub(crate) fn forget(&mut self) -> usize {
         let len = self.received.len();
@@ -232,11 +258,14 @@ impl Exchange {
     /// There is a new connection, perhaps over another adapter.
     pub(crate) fn reconnected(&mut self) {
         self.forget();
-        // The binary framing marks an echo by its header.
-        self.echo = match (self.mode, self.framing()) {
-            (EchoMode::Off, _) | (_, Framing::Binary) => Echo::Absent,
-            (EchoMode::On, _) => Echo::Present,
-            (EchoMode::Auto, _) => Echo::Unknown,
+        self.echo = match self.mode {
+            // The binary framing marks an echo by its header.
+            _ if self.framing() == Framing::Binary => Echo::Absent,
+            // What was found out about the last line may be true of this one: better ask.
+            EchoMode::Off if self.echo != Echo::Absent => Echo::Unknown,
+            EchoMode::Off => Echo::Absent,
+            EchoMode::On => Echo::Present,
+            EchoMode::Auto => Echo::Unknown,
         };
     }
 
@@ -247,8 +276,11 @@ impl Exchange {
             Received::Frame(frame) => self.classify(&frame),
             Received::Discarded { reason, bytes } => {
                 tracing::trace!(%reason, bytes = %bytes.escape_ascii(), "discarded");
-                if let (Some(active), true) = (&mut self.active, spoils(reason)) {
-                    active.fault = Some(reason.to_string());
+                if let Some(active) = &mut self.active {
+                    active.discarded = active.discarded.saturating_add(bytes.len());
+                    if spoils(reason) {
+                        active.fault = Some(reason.to_string());
+                    }
                 }
                 Event::Noise { reason, bytes: bytes.len() }
             }
@@ -276,12 +308,10 @@ impl Exchange {
         let Some(mut active) = self.active.take() else {
             return Event::Stray { station: frame.station };
         };
-        let copy = active.echo.take_if(|echo| echo == frame).is_some();
+        let copy = !active.echoed && is_copy(&self.request, self.framing(), frame);
         let learning = matches!(active.goal, Goal::Check { check: Check::Echo, .. });
         if copy && (self.echo == Echo::Present || learning) {
-            self.echo = Echo::Present;
-            self.active = Some(active);
-            return Event::Echoed;
+            return self.echoed(active);
         }
         let station = active.goal.station();
         let fault = if frame.station != station {
@@ -291,7 +321,9 @@ impl Exchange {
         } else {
             match active.goal.offer(self.framing(), &frame.data) {
                 Ok(refusal) => {
-                    if self.echo == Echo::Unknown {
+                    // An echo that was garbled is noise, and nearly as long as the request.
+                    let quiet = active.discarded.saturating_mul(2) < self.request.len();
+                    if learning && quiet && self.echo == Echo::Unknown {
                         self.echo = Echo::Absent;
                     }
                     self.active = Some(active);
@@ -301,13 +333,21 @@ impl Exchange {
             }
         };
         if copy && fault.is_some() {
-            // No reply, but the request itself, on a line that was believed not to echo: learn anew.
-            self.echo = Echo::Unknown;
+            tracing::warn!("the line sends back what is sent on it; from now on that is expected");
+            return self.echoed(active);
         }
         active.doubtful |= fault.is_some();
         active.fault = fault.or(active.fault);
         self.active = Some(active);
         Event::Stray { station: frame.station }
+    }
+
+    /// The request itself has come back, so the line echoes; the reply is still to come.
+    fn echoed(&mut self, mut active: Active) -> Event {
+        self.echo = Echo::Present;
+        active.echoed = true;
+        self.active = Some(active);
+        Event::Echoed
     }
 }
 
@@ -316,7 +356,12 @@ pub(crate) fn spoils(reason: Discard) -> bool {
     matches!(reason, Discard::BadChecksum | Discard::Malformed | Discard::Truncated | Discard::TooLong)
 }
 
-/// The request as its echo would be received.
-fn as_received(request: &[u8]) -> Option<Frame> {
-    Codec::new(Framing::Ascii, Side::Client).decode(&mut BytesMut::from(request)).ok().flatten()?.frame()
+/// Whether a frame is the request that was sent, come back. In the binary framing it would not even be a frame.
+fn is_copy(request: &[u8], framing: Framing, frame: &Frame) -> bool {
+    // Most replies are of another length: those need no closer look.
+    if framing != Framing::Ascii || request.len() != frame.data.len().saturating_add(ascii::OVERHEAD) {
+        return false;
+    }
+    let mut copy = BytesMut::with_capacity(request.len());
+    Codec::new(framing, Side::Client).encode(frame, &mut copy).is_ok() && copy == request
 }

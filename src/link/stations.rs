@@ -38,7 +38,10 @@ pub(crate) struct Rules {
 #[derive(Debug)]
 struct Health {
     dirty: bool,
-    refuses_loop_back: bool,
+    /// Whether it has refused the loop-back that was to settle the present doubt.
+    refused: bool,
+    /// The longest response timeout that it was ever given.
+    allowed: Duration,
     /// Timeouts in a row.
     timeouts: u32,
     offline: Option<Offline>,
@@ -49,6 +52,8 @@ struct Health {
 struct Offline {
     probe_at: Instant,
     interval: Duration,
+    /// When it was probed last.
+    probed_at: Option<Instant>,
 }
 
 impl Stations {
@@ -68,7 +73,9 @@ impl Stations {
 
     /// The station has proved itself.
     pub(crate) fn clear(&mut self, station: u8) {
-        self.health(station).dirty = false;
+        let health = self.health(station);
+        health.dirty = false;
+        health.refused = false;
     }
 
     /// Whether anything has been asked of the station yet.
@@ -76,23 +83,38 @@ impl Stations {
         self.known.contains_key(&station)
     }
 
-    pub(crate) fn refuses_loop_back(&mut self, station: u8) -> bool {
-        self.health(station).refuses_loop_back
+    /// Whether the station has refused the loop-back that was to settle the present doubt.
+    pub(crate) fn has_refused(&mut self, station: u8) -> bool {
+        self.health(station).refused
     }
 
-    /// The station has refused the loop-back: it is asked no more of them.
+    /// The station has refused the loop-back. It may have had its reasons for once, so the next doubt asks again.
     pub(crate) fn loop_back_refused(&mut self, station: u8) {
-        self.health(station).refuses_loop_back = true;
+        self.health(station).refused = true;
     }
 
-    /// The station has answered, within this time if that is known; says whether it was offline.
-    pub(crate) fn answered(&mut self, station: u8, within: Option<Duration>) -> bool {
+    /// The station is given this long for an answer.
+    pub(crate) fn allow(&mut self, station: u8, timeout: Duration) {
+        let health = self.health(station);
+        health.allowed = health.allowed.max(timeout);
+    }
+
+    /// The longest time that the station was ever given for an answer: what a probe must give it, too.
+    pub(crate) fn allowed(&self, station: u8) -> Duration {
+        self.known.get(&station).map(|health| health.allowed).unwrap_or_default()
+    }
+
+    /// The station has answered, within this time; says whether it was offline.
+    pub(crate) fn answered(&mut self, station: u8, within: Duration, now: Instant) -> bool {
         let health = self.health(station);
         health.timeouts = 0;
-        if let Some(within) = within {
-            health.round_trip.measured(within);
+        health.round_trip.measured(within);
+        let back = health.offline.take().is_some();
+        if back {
+            // What kept it away has most likely kept others away, too.
+            self.hurry(now);
         }
-        health.offline.take().is_some()
+        back
     }
 
     /// The station has not answered within its whole response timeout; says when the first probe is due if it is
@@ -106,35 +128,40 @@ impl Stations {
             return None;
         }
         let probe_at = later(now, interval);
-        health.offline = Some(Offline { probe_at, interval });
-        Some(probe_at)
+        health.offline = Some(Offline { probe_at, interval, probed_at: None });
+        self.offline_until(station)
     }
 
-    /// If the station is offline: when it is probed next.
+    /// If the station is offline: when it is probed next, or soon after if others are due as well.
     pub(crate) fn offline_until(&self, station: u8) -> Option<Instant> {
-        Some(self.known.get(&station)?.offline?.probe_at)
+        Some(self.not_before_pause(self.known.get(&station)?.offline?.probe_at))
     }
 
-    /// Whatever was the matter with the stations may be over: those that are offline are probed soon.
+    /// Whatever was the matter with the stations may be over: those that are offline are probed at once.
     pub(crate) fn hurry(&mut self, now: Instant) {
+        self.probe_allowed_at = None;
         for offline in self.known.values_mut().filter_map(|health| health.offline.as_mut()) {
             offline.probe_at = now;
         }
     }
 
-    /// The station whose probe is due.
+    /// The station whose probe is due: of several, the one that has waited longest.
     pub(crate) fn due_probe(&self, now: Instant) -> Option<u8> {
-        if self.probe_allowed_at.is_some_and(|at| now < at) {
-            return None;
-        }
-        let probes = self.known.iter().filter_map(|(&station, health)| Some((health.offline?.probe_at, station)));
-        probes.min().filter(|&(at, _)| at <= now).map(|(_, station)| station)
+        let probes = self.known.iter().filter_map(|(&station, health)| Some((health.offline?, station)));
+        let due = probes.filter(|(offline, _)| self.not_before_pause(offline.probe_at) <= now);
+        due.min_by_key(|&(offline, station)| (offline.probed_at, station)).map(|(_, station)| station)
     }
 
     /// When the next probe is due.
     pub(crate) fn next_probe(&self) -> Option<Instant> {
         let due = self.known.values().filter_map(|health| Some(health.offline?.probe_at)).min()?;
-        Some(self.probe_allowed_at.map_or(due, |allowed| due.max(allowed)))
+        Some(self.not_before_pause(due))
+    }
+
+    /// The pause between probes is for the stations that are there: if none is, there is none.
+    fn not_before_pause(&self, at: Instant) -> Instant {
+        let protects = self.known.values().any(|health| health.offline.is_none());
+        self.probe_allowed_at.filter(|_| protects).map_or(at, |allowed| at.max(allowed))
     }
 
     /// A probe has ended, having used this much of the bus.
@@ -148,7 +175,8 @@ impl Stations {
         let offline = self.health(station).offline.as_mut()?;
         offline.interval = offline.interval.saturating_mul(2).min(longest);
         offline.probe_at = later(now, offline.interval);
-        Some(offline.probe_at)
+        offline.probed_at = Some(now);
+        self.offline_until(station)
     }
 
     /// How long the station should be given, by what it has needed so far: between the two limits.
@@ -161,7 +189,8 @@ impl Stations {
         let dirty = self.rules.doubtful_start;
         self.known.entry(station).or_insert_with(|| Health {
             dirty,
-            refuses_loop_back: false,
+            refused: false,
+            allowed: Duration::ZERO,
             timeouts: 0,
             offline: None,
             round_trip: RoundTrip::default(),
@@ -218,27 +247,27 @@ mod tests {
 
     fn stations() -> Stations {
         let probe_interval = (Duration::from_secs(1), Duration::from_secs(60));
-        Stations::new(Rules { offline_after: 3, probe_interval, probe_pause: 49, doubtful_start: false })
+        Stations::new(Rules { offline_after: 3, probe_interval, probe_pause: 19, doubtful_start: false })
     }
 
     #[test]
     fn patience_follows_the_round_trip_between_its_limits_and_doubles_with_each_timeout() {
         let mut stations = stations();
+        let now = Instant::now();
         let (shortest, longest) = (20 * MS, 1000 * MS);
         assert_eq!(stations.patience(1, shortest, longest), longest, "nothing is known yet");
         for _ in 0..50 {
-            stations.answered(1, Some(40 * MS));
+            stations.answered(1, 40 * MS, now);
         }
         let steady = stations.patience(1, shortest, longest);
         assert!((40 * MS..45 * MS).contains(&steady), "{steady:?}");
-        stations.answered(1, Some(80 * MS));
+        stations.answered(1, 80 * MS, now);
         assert!(stations.patience(1, shortest, longest) > 75 * MS, "one slow answer asks for more");
-        let now = Instant::now();
         let before = stations.patience(1, shortest, longest);
         stations.timed_out(1, now);
         assert_eq!(stations.patience(1, shortest, longest), 2 * before);
         for _ in 0..50 {
-            stations.answered(1, Some(MS));
+            stations.answered(1, MS, now);
         }
         assert_eq!(stations.patience(1, shortest, longest), shortest);
         for _ in 0..40 {
@@ -253,7 +282,7 @@ mod tests {
         let now = Instant::now();
         assert_eq!(stations.timed_out(1, now), None);
         assert_eq!(stations.timed_out(1, now), None);
-        stations.answered(1, None);
+        stations.answered(1, MS, now);
         assert_eq!(stations.timed_out(1, now), None, "not in a row");
         assert_eq!(stations.timed_out(1, now), None);
         assert_eq!(stations.timed_out(1, now), Some(now + Duration::from_secs(1)));
@@ -262,12 +291,12 @@ mod tests {
             waits.push(stations.probe_failed(1, now).unwrap().duration_since(now).as_secs());
         }
         assert_eq!(waits, [2, 4, 8, 16, 32, 60, 60, 60]);
-        assert!(stations.answered(1, None), "any answer brings it back");
+        assert!(stations.answered(1, MS, now), "any answer brings it back");
         assert_eq!(stations.offline_until(1), None);
     }
 
     #[test]
-    fn no_probe_follows_another_before_49_times_its_length() {
+    fn no_probe_follows_another_before_19_times_its_length_while_somebody_else_is_there() {
         let mut stations = stations();
         let now = Instant::now();
         for station in [1, 2] {
@@ -277,8 +306,13 @@ mod tests {
         assert_eq!((stations.due_probe(now), stations.due_probe(due)), (None, Some(1)));
         stations.probe_ended(300 * MS, due);
         stations.probe_failed(1, due);
+        assert_eq!(stations.due_probe(due), Some(2), "there is nobody whom the pause could serve");
+        stations.answered(3, MS, due);
+        let allowed = due + 19 * 300 * MS;
         assert_eq!(stations.due_probe(due), None);
-        assert_eq!(stations.next_probe(), Some(due + 49 * 300 * MS));
-        assert_eq!(stations.due_probe(due + 49 * 300 * MS), Some(2));
+        assert_eq!((stations.next_probe(), stations.offline_until(2)), (Some(allowed), Some(allowed)));
+        assert_eq!(stations.due_probe(allowed), Some(2));
+        stations.answered(2, MS, due);
+        assert_eq!(stations.due_probe(due), Some(1), "one is back, perhaps the other is, too");
     }
 }

@@ -177,7 +177,7 @@ pub(crate) fn check_printable(data: &[u8]) -> Result<(), EncodeError> {
 }
 
 /// All of a frame but its data: STX, station, command, LRC, ETX.
-const OVERHEAD: usize = 8;
+pub(crate) const OVERHEAD: usize = 8;
 
 /// The low byte of the sum.
 #[must_use]
