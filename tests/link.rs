@@ -346,3 +346,26 @@ async fn noise_before_the_reply_does_not_cost_a_write_its_answer() {
     peer.reply(1, 0x47, "0").await;
     call.await.unwrap().unwrap();
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_loop_back_that_was_refused_once_is_asked_again_at_the_next_doubt() {
+    let (link, mut peer) = line();
+    let plc = once(&station(&link));
+    let read = |first: &'static str| {
+        let plc = plc.clone();
+        tokio::spawn(async move { plc.read_registers(first.parse().unwrap(), 1).await })
+    };
+    for refused in [true, false] {
+        let unanswered = read("R1");
+        peer.request().await;
+        assert!(unanswered.await.unwrap().is_err());
+        let call = read("R2");
+        let barrier = peer.request().await;
+        assert_eq!(barrier.command, 0x4E);
+        let echo = std::str::from_utf8(&barrier.data).unwrap();
+        peer.reply(1, 0x4E, if refused { "4" } else { echo }).await;
+        assert_eq!(&peer.request().await.data[..], b"01R00002");
+        peer.reply(1, 0x46, "02222").await;
+        assert_eq!(call.await.unwrap().unwrap(), [0x2222]);
+    }
+}

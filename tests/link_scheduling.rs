@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use fatek::wire::Framing;
-use fatek::{CallOptions, EchoMode, Error, Link, Station, register};
+use fatek::{CallOptions, Error, Link, register};
 use tokio::io::duplex;
 use tokio::time::{Instant, sleep};
 
 mod peer;
 
-use peer::{Peer, line, station};
+use peer::{Peer, line, once, station};
 
 #[tokio::test(start_paused = true)]
 async fn control_goes_before_writes_and_writes_before_reads() {
@@ -182,66 +182,99 @@ async fn a_full_queue_is_an_error_that_names_its_length() {
     assert_eq!(full, 7, "all came before the first could be sent, so three wait");
 }
 
-/// A line that echoes, or not, with a PLC behind it; counts the requests that it hears.
-async fn echoing(mut peer: Peer, echo: bool, stopped: tokio::sync::mpsc::UnboundedSender<String>) {
-    while let Some(request) = peer.request_if_any().await {
-        let data = String::from_utf8(request.data.to_vec()).unwrap();
-        let _ = stopped.send(format!("{:02X}{data}", request.command));
-        if echo {
-            peer.reply(request.station, request.command, &data).await;
-        }
-        match request.command {
-            0x40 => peer.reply(1, 0x40, "0000000").await,
-            0x41 => peer.reply(1, 0x41, "0").await,
-            0x46 => peer.reply(1, 0x46, "00007").await,
-            _ => peer.reply(1, request.command, &data).await,
-        }
-    }
-}
-
-async fn with_echo(mode: EchoMode, echo: bool) -> (Station, tokio::sync::mpsc::UnboundedReceiver<String>) {
-    let (client, plc) = duplex(4096);
-    let (requests, heard) = tokio::sync::mpsc::unbounded_channel();
-    tokio::spawn(echoing(Peer::new(plc), echo, requests));
-    (station(&Link::stream_builder(client, Framing::Ascii).echo(mode).build()), heard)
-}
-
-#[tokio::test(start_paused = true)]
-async fn an_echo_is_never_taken_for_the_reply() {
-    for (mode, echo) in [(EchoMode::Auto, true), (EchoMode::Auto, false), (EchoMode::On, true), (EchoMode::Off, false)]
-    {
-        let (plc, mut heard) = with_echo(mode, echo).await;
-        plc.stop().await.unwrap();
-        plc.loop_back("ABC").await.unwrap();
-        assert_eq!(plc.read_registers(register!("R0"), 1).await.unwrap(), [7]);
-        let mut requests = Vec::new();
-        while let Ok(request) = heard.try_recv() {
-            requests.push(request);
-        }
-        let expected = ["40", "410", "4EABC", "4601R00000"];
-        let expected = if mode == EchoMode::Auto { &expected[..] } else { &expected[1..] };
-        assert_eq!(requests, expected, "{mode:?} {echo}: learned once, with a status request");
-        assert_eq!(plc.link().stats().echoes, if echo { requests.len() as u64 } else { 0 });
-    }
-}
-
-#[tokio::test(start_paused = true)]
-async fn on_a_line_that_echoes_a_dead_plc_is_dead() {
-    for mode in [EchoMode::Auto, EchoMode::On] {
-        let (link, mut peer) = {
-            let (client, plc) = duplex(4096);
-            (Link::stream_builder(client, Framing::Ascii).echo(mode).build(), Peer::new(plc))
-        };
-        tokio::spawn(async move {
-            while let Some(request) = peer.request_if_any().await {
-                let data = String::from_utf8(request.data.to_vec()).unwrap();
-                peer.reply(request.station, request.command, &data).await;
+/// Answers as a healthy PLC would, but only while the closure says so of the time since the beginning, and after a while.
+fn serve_when(mut peer: Peer, takes: Duration, alive: impl Fn(u8, Duration) -> bool + Send + 'static) {
+    let began = Instant::now();
+    tokio::spawn(async move {
+        while let Some(request) = peer.request_if_any().await {
+            if !alive(request.station, began.elapsed()) {
+                continue;
             }
-        });
-        let plc = station(&link);
-        for result in [plc.stop().await, plc.loop_back("ABC").await] {
-            assert!(matches!(result, Err(Error::Timeout { .. } | Error::Offline { .. })), "{mode:?}: {result:?}");
+            sleep(takes).await;
+            let data = String::from_utf8(request.data.to_vec()).unwrap();
+            peer.reply(request.station, request.command, if request.command == 0x4E { &data } else { "0000000" }).await;
         }
-        assert!(plc.stats().replies == 0, "{mode:?}");
+    });
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_station_with_a_longer_timeout_of_its_own_comes_back_from_an_outage() {
+    let (link, peer) = line();
+    let outage = Duration::from_secs(10)..Duration::from_secs(40);
+    serve_when(peer, Duration::from_secs(2), move |_, time| !outage.contains(&time));
+    let options = CallOptions::new().response_timeout(Duration::from_secs(5)).call_timeout(Duration::from_secs(60));
+    let slow = station(&link).with_options(options);
+    slow.read_status().await.unwrap();
+    sleep(Duration::from_secs(9)).await;
+    assert!(slow.read_status().await.is_err());
+    let back = Instant::now();
+    while slow.read_status().await.is_err() {
+        sleep(Duration::from_secs(1)).await;
+        assert!(back.elapsed() < Duration::from_secs(120), "it is never seen again");
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_lone_station_is_probed_as_often_as_the_settings_say_and_the_error_says_when() {
+    let (client, plc) = duplex(4096);
+    let second = Duration::from_secs(1);
+    let plc_side = Peer::new(plc);
+    serve_when(plc_side, Duration::ZERO, |_, time| time > Duration::from_secs(60));
+    let link = Link::stream_builder(client, Framing::Ascii).probe_interval(second, second).build();
+    let plc = station(&link);
+    let began = Instant::now();
+    while let Err(error) = plc.read_status().await {
+        if let Error::Offline { probe_in, .. } = error {
+            assert!(probe_in <= 2 * second, "{probe_in:?}");
+        }
+        sleep(Duration::from_millis(100)).await;
+    }
+    assert!(began.elapsed() < Duration::from_secs(63), "{:?}", began.elapsed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn when_one_station_is_back_the_others_are_asked_as_soon_as_the_line_allows() {
+    let (link, peer) = line();
+    let outage = Duration::from_secs(10)..Duration::from_secs(150);
+    // Stations 1 to 10 are dead for good, the others for a while.
+    serve_when(peer, Duration::from_millis(20), move |station, time| station > 10 && !outage.contains(&time));
+    let calls: Vec<_> = (1..=31)
+        .map(|number| {
+            let plc = once(&link.station(number).unwrap());
+            tokio::spawn(async move {
+                let began = Instant::now();
+                sleep(Duration::from_secs(150)).await;
+                while plc.read_status().await.is_err() && began.elapsed() < Duration::from_secs(900) {
+                    sleep(Duration::from_secs(1)).await;
+                }
+                (number, began.elapsed() - Duration::from_secs(150))
+            })
+        })
+        .collect();
+    // Keeps them in use, so that their loss is noticed.
+    for _ in 0..30 {
+        for number in 1..=31 {
+            let plc = once(&link.station(number).unwrap());
+            tokio::spawn(async move { plc.read_status().await });
+        }
+        sleep(Duration::from_secs(5)).await;
+    }
+    for call in calls {
+        let (number, after) = call.await.unwrap();
+        // Ten timeouts of the dead ones, a second each, and nineteen times that for the others to use the line.
+        assert!(number <= 10 || after < Duration::from_secs(210), "station {number} is back after {after:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_hurried_caller_does_not_cost_the_connection() {
+    let (client, plc) = duplex(8); // the request does not fit at once
+    let link = Link::from_stream(client, Framing::Ascii);
+    let mut plc_side = Peer::new(plc);
+    let hurried = station(&link).with_options(CallOptions::new().call_timeout(Duration::from_millis(5)));
+    let error = hurried.read_registers(register!("R1"), 1).await.unwrap_err();
+    assert!(matches!(error, Error::Timeout { .. }), "{error:?}");
+    plc_side.request().await;
+    serve_when(plc_side, Duration::ZERO, |_, _| true);
+    station(&link).read_status().await.unwrap();
 }

@@ -1,0 +1,185 @@
+//! Lines that send back what is sent on them, and what must not be taken for a reply because of it.
+
+use std::time::Duration;
+
+use bytes::BytesMut;
+use fatek::wire::{Frame, Framing};
+use fatek::{CallOptions, EchoMode, Error, Link, Register, Station, register};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{DuplexStream, duplex, split};
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::time::sleep;
+
+mod peer;
+
+use peer::{Peer, once, station};
+
+/// What a line does with the n-th request, counted from 1: the echo it sends back, if any.
+type Echo = fn(u32, BytesMut) -> Option<BytesMut>;
+
+fn faithful(_: u32, request: BytesMut) -> Option<BytesMut> {
+    Some(request)
+}
+
+fn none(_: u32, _: BytesMut) -> Option<BytesMut> {
+    None
+}
+
+/// A PLC that answers only these commands, on such a line; the requests that it hears come out of the channel.
+fn on_line(mode: EchoMode, echo: Echo, answers: &'static [u8]) -> (Station, UnboundedReceiver<String>) {
+    let (client, plc) = duplex(4096);
+    let (heard, requests) = unbounded_channel();
+    let mut peer = Peer::new(plc);
+    tokio::spawn(async move {
+        let mut number = 0;
+        while let Some(request) = peer.request_if_any().await {
+            number += 1;
+            let data = String::from_utf8(request.data.to_vec()).unwrap();
+            let _ = heard.send(format!("{:02X}{data}", request.command));
+            let mut bytes = BytesMut::new();
+            peer.encode(request.station, request.command, request.data.clone(), &mut bytes);
+            if let Some(echo) = echo(number, bytes) {
+                peer.raw(&echo).await;
+                sleep(Duration::from_millis(10)).await;
+            }
+            if answers.contains(&request.command) {
+                answer(&mut peer, &request, &data).await;
+            }
+        }
+    });
+    (station(&Link::stream_builder(client, Framing::Ascii).echo(mode).build()), requests)
+}
+
+async fn answer(peer: &mut Peer, request: &Frame, data: &str) {
+    match request.command {
+        0x40 => peer.reply(1, 0x40, "0000000").await,
+        0x41 => peer.reply(1, 0x41, "0").await,
+        0x46 => peer.reply(1, 0x46, "00007").await,
+        command => peer.reply(1, command, data).await,
+    }
+}
+
+const ALL: &[u8] = &[0x40, 0x41, 0x46, 0x4E];
+
+fn all_of(mut requests: UnboundedReceiver<String>) -> Vec<String> {
+    std::iter::from_fn(|| requests.try_recv().ok()).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_echo_is_never_taken_for_the_reply() {
+    let lines: [(EchoMode, Echo); 4] =
+        [(EchoMode::Auto, faithful), (EchoMode::Auto, none), (EchoMode::On, faithful), (EchoMode::Off, none)];
+    for (mode, echo) in lines {
+        let (plc, requests) = on_line(mode, echo, ALL);
+        plc.stop().await.unwrap();
+        plc.loop_back("ABC").await.unwrap();
+        assert_eq!(plc.read_registers(register!("R0"), 1).await.unwrap(), [7]);
+        let requests = all_of(requests);
+        let expected = ["40", "410", "4EABC", "4601R00000"];
+        let expected = if mode == EchoMode::Auto { &expected[..] } else { &expected[1..] };
+        assert_eq!(requests, expected, "{mode:?}: learned once, with a status request");
+        let echoes = if echo(1, BytesMut::new()).is_some() { requests.len() as u64 } else { 0 };
+        assert_eq!(plc.link().stats().echoes, echoes, "{mode:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn on_a_line_that_echoes_a_dead_plc_is_dead() {
+    for mode in [EchoMode::Auto, EchoMode::On] {
+        let (plc, _requests) = on_line(mode, faithful, &[]);
+        for result in [plc.stop().await, plc.loop_back("ABC").await] {
+            assert!(matches!(result, Err(Error::Timeout { .. } | Error::Offline { .. })), "{mode:?}: {result:?}");
+        }
+        assert_eq!(plc.stats().replies, 0, "{mode:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_echo_that_is_garbled_while_it_is_learned_teaches_nothing() {
+    let spoil_one: Echo = |number, mut request| {
+        if number == 1 {
+            request[3] ^= 1;
+        }
+        Some(request)
+    };
+    let lose_the_start: Echo =
+        |number, request| Some(if number == 1 { BytesMut::from(&request[1..]) } else { request });
+    for echo in [spoil_one, lose_the_start] {
+        // STOP and 4E are answered by nothing but their own echo.
+        let (plc, _requests) = on_line(EchoMode::Auto, echo, &[0x40, 0x46]);
+        let error = plc.stop().await.unwrap_err();
+        assert!(matches!(error, Error::Timeout { .. }), "{error:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_line_that_begins_to_echo_is_found_out_by_the_next_read() {
+    let later: Echo = |number, request| (number > 2).then_some(request);
+    for mode in [EchoMode::Auto, EchoMode::Off] {
+        let (plc, _requests) = on_line(mode, later, &[0x40, 0x46]);
+        for _ in 0..3 {
+            assert_eq!(plc.read_registers(register!("R0"), 1).await.unwrap(), [7]);
+        }
+        let error = plc.stop().await.unwrap_err();
+        assert!(matches!(error, Error::Timeout { .. }), "{mode:?}: {error:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_line_that_ceases_to_echo_is_found_out_by_the_next_barrier() {
+    let at_first: Echo = |number, request| (number <= 3).then_some(request);
+    let (plc, _requests) = on_line(EchoMode::Auto, at_first, ALL);
+    assert_eq!(plc.read_registers(register!("R0"), 1).await.unwrap(), [7]);
+    // Its reply is taken for its echo, once; then it is learned that there is none.
+    let result = plc.stop().await;
+    assert!(result.is_ok(), "still echoed: {result:?}");
+    assert!(plc.stop().await.unwrap_err().may_have_executed());
+    let patient = plc.with_options(CallOptions::new().retries(5));
+    assert_eq!(patient.read_registers(register!("R0"), 1).await.unwrap(), [7]);
+    plc.stop().await.unwrap();
+}
+
+/// A PLC that answers in order, and takes 1.5 s for the second request, behind an adapter that echoes.
+async fn slow_once(plc: DuplexStream) {
+    let (mut incoming, mut outgoing) = split(plc);
+    let (jobs, mut queue) = unbounded_channel::<Vec<u8>>();
+    let (bytes, mut to_send) = unbounded_channel::<Vec<u8>>();
+    let replies = bytes.clone();
+    tokio::spawn(async move {
+        while let Some(bytes) = to_send.recv().await {
+            outgoing.write_all(&bytes).await.unwrap();
+        }
+    });
+    tokio::spawn(async move {
+        let mut number = 0;
+        while let Some(request) = queue.recv().await {
+            number += 1;
+            sleep(Duration::from_millis(if number == 2 { 1500 } else { 10 })).await;
+            let body = std::str::from_utf8(&request[1..request.len() - 3]).unwrap();
+            // A register holds its own address, in decimal digits.
+            let reply = if &body[2..4] == "4E" { body.to_owned() } else { format!("{}0{}", &body[..4], &body[8..]) };
+            let sum = reply.bytes().fold(2_u8, u8::wrapping_add);
+            replies.send(format!("\x02{reply}{sum:02X}\x03").into_bytes()).unwrap();
+        }
+    });
+    let mut buffer = [0; 256];
+    while let Ok(len @ 1..) = incoming.read(&mut buffer).await {
+        bytes.send(buffer[..len].to_vec()).unwrap();
+        jobs.send(buffer[..len].to_vec()).unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn on_a_line_that_echoes_unexpectedly_no_late_reply_is_given_to_another_read() {
+    let (client, plc) = duplex(4096);
+    tokio::spawn(slow_once(plc));
+    let plc = once(&station(&Link::from_stream(client, Framing::Ascii)));
+    let mut failures = 0;
+    for address in [1111, 1111, 1111, 2222, 3333, 4444] {
+        match plc.read_registers(Register::r(address), 1).await {
+            Ok(values) => assert_eq!(format!("{:04X}", values[0]), address.to_string()),
+            Err(_) => failures += 1,
+        }
+    }
+    assert_eq!(failures, 1, "the one that took too long");
+}
