@@ -415,6 +415,12 @@ impl Broadcast {
         Self { link, options }
     }
 
+    /// The same, with options of its own: of these, only how long the whole call may take matters here.
+    #[must_use]
+    pub fn with_options(&self, options: CallOptions) -> Self {
+        Self { options, ..self.clone() }
+    }
+
     /// 41: starts the ladder programs.
     ///
     /// # Errors

@@ -295,7 +295,8 @@ async fn call(
         10 => {
             // Into registers that no other call writes: nobody answers, so only that it is not done twice can be seen.
             let shared = Register32::new(Symbol::DF, 2 * caller as u16).unwrap();
-            station.link().broadcast().write_registers32(shared, &[serial]).await?;
+            let all = station.link().broadcast().with_options(station.options());
+            all.write_registers32(shared, &[serial]).await?;
             Ok(u64::from(serial))
         }
         _ => {
