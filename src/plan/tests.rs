@@ -1,0 +1,5 @@
+use std::time::Duration;
+
+use bytes::BytesMut;
+
+use super::*;
