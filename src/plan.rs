@@ -30,7 +30,7 @@
 //!
 //! What is needed is a set of *parts*: the values of the tags, each one cell or two, and the groups that must come from
 //! one scan. (A cell is a discrete, a word of discretes, or a 16-bit register; `DR0` is the cells `R0` and `R1`.) Equal
-//! parts are one part, and a value within another part is read with it. A plan shares the parts out among requests,
+//! parts are one part, and a value within another value is read with it. A plan shares the parts out among requests,
 //! each of which is
 //!
 //! - a *run*, 44 or 46: from the first cell that is needed to the last, with all that lies between; or
