@@ -38,6 +38,7 @@
 //! - [`mod@element`]: what a PLC is made of: `X0`, `WM8`, `R12`, `DR100` …
 //! - [`tag`]: an element, or a range of them, with a type: `R100:f32`.
 //! - [`command`]: the fourteen commands, each one type.
+//! - [`plan`]: the cheapest requests for a set of tags.
 //! - [`wire`]: the two framings, usable alone.
 //! - [`link`]: [`Link`], [`Station`] and [`Broadcast`], and what decides between them.
 #![cfg_attr(feature = "sim", doc = "- [`sim`]: a PLC in memory, and its server.")]
@@ -68,6 +69,7 @@ pub mod element;
 pub mod endpoint;
 mod error;
 pub mod link;
+pub mod plan;
 mod random;
 #[cfg(feature = "sim")]
 pub mod sim;
@@ -80,6 +82,7 @@ pub use element::{Discrete, Element, Register, Register32, Symbol, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode};
 pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
+pub use plan::{CostModel, Limits, Plan};
 pub use station::{Broadcast, Station};
 
 /// The code in the README compiles and runs.

@@ -27,6 +27,7 @@ mod core;
 mod driver;
 mod exchange;
 mod line;
+pub(crate) use line::Line;
 mod options;
 mod scheduler;
 mod stations;

@@ -1,0 +1,132 @@
+use super::PlanError;
+use crate::command::{MAX_MIXED_READ_UNITS, MAX_POINTS, MAX_UNITS};
+use crate::element::{Element, Symbol, Width};
+
+/// What a device takes, where that is less than the protocol has.
+///
+/// ```
+/// use fatek::element;
+/// use fatek::plan::Limits;
+///
+/// let limits = Limits::new()
+///     .max_registers(32)?
+///     .no_mixed_reads()
+///     .readable(element!("R0"), element!("R3839"))? // of R, nothing else
+///     .readable(element!("R5000"), element!("R5998"))?;
+/// assert!(Limits::new().max_registers(65).is_err());
+/// # let _ = limits;
+/// # Ok::<(), fatek::plan::PlanError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    max_registers: usize,
+    max_points: usize,
+    max_mixed: usize,
+    /// Sorted; ranges that touch are one.
+    readable: Vec<Range>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Range {
+    symbol: Symbol,
+    first: u16,
+    last: u16,
+}
+
+impl Limits {
+    /// The protocol's own limits: 64 units, 256 points, and every address that exists.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { max_registers: MAX_UNITS, max_points: MAX_POINTS, max_mixed: MAX_MIXED_READ_UNITS, readable: Vec::new() }
+    }
+
+    /// The most 16-bit registers in one request 46, where 32 bits count two.
+    ///
+    /// # Errors
+    /// [`PlanError::Limit`] unless it is 2, which a 32-bit value takes, to 64.
+    pub fn max_registers(self, units: usize) -> Result<Self, PlanError> {
+        Ok(Self { max_registers: within("max_registers", units, 2, MAX_UNITS)?, ..self })
+    }
+
+    /// The most discretes in one request 44.
+    ///
+    /// # Errors
+    /// [`PlanError::Limit`] unless it is 1 to 256.
+    pub fn max_points(self, points: usize) -> Result<Self, PlanError> {
+        Ok(Self { max_points: within("max_points", points, 1, MAX_POINTS)?, ..self })
+    }
+
+    /// The most units in one request 48, where 32 bits count two.
+    ///
+    /// # Errors
+    /// [`PlanError::Limit`] unless it is 1 to 64.
+    pub fn max_mixed(self, units: usize) -> Result<Self, PlanError> {
+        Ok(Self { max_mixed: within("max_mixed", units, 1, MAX_MIXED_READ_UNITS)?, ..self })
+    }
+
+    /// For devices that do not know command 48.
+    #[must_use]
+    pub fn no_mixed_reads(self) -> Self {
+        Self { max_mixed: 0, ..self }
+    }
+
+    /// These elements, both ends among them, can be read; call it once for each range. For a symbol with a range,
+    /// nothing outside its ranges is asked for, neither a tag nor a gap between two. Symbols without one are not
+    /// limited.
+    ///
+    /// A range of `R` holds for `DR` too, but one of `M` not for `WM`: a device may allow the one and not the other.
+    ///
+    /// # Errors
+    /// [`PlanError::Range`] unless both ends are of one symbol of 1 or 16 bits, the lower one first.
+    pub fn readable(mut self, first: Element, last: Element) -> Result<Self, PlanError> {
+        let symbol = first.symbol();
+        if last.symbol() != symbol || first.address() > last.address() || symbol.width() == Width::Double {
+            return Err(PlanError::Range { first, last });
+        }
+        self.readable.push(Range { symbol, first: first.address(), last: last.address() });
+        self.readable.sort_unstable();
+        self.readable.dedup_by(|next, range| {
+            let touch = next.symbol == range.symbol
+                && u32::from(next.first) <= u32::from(range.last) + u32::from(next.symbol.alignment());
+            if touch {
+                range.last = range.last.max(next.last);
+            }
+            touch
+        });
+        Ok(self)
+    }
+
+    /// How many units of elements as wide as this one request takes.
+    pub(super) fn units(&self, width: Width) -> u32 {
+        let units = if width == Width::Bit { self.max_points } else { self.max_registers };
+        u32::try_from(units).unwrap_or(u32::MAX)
+    }
+
+    /// 0 if there are no mixed reads.
+    pub(super) fn mixed_units(&self) -> u32 {
+        u32::try_from(self.max_mixed).unwrap_or(u32::MAX)
+    }
+
+    /// Which of the readable ranges holds an address; `None` if none does.
+    pub(super) fn segment(&self, symbol: Symbol, address: u16) -> Option<u32> {
+        let of = self.readable.partition_point(|range| range.symbol < symbol);
+        let ranges = self.readable.get(of..)?;
+        let ranges = ranges.get(..ranges.partition_point(|range| range.symbol == symbol))?;
+        if ranges.is_empty() {
+            return Some(0);
+        }
+        let n = ranges.partition_point(|range| range.first <= address).checked_sub(1)?;
+        ranges.get(n).filter(|range| address <= range.last)?;
+        u32::try_from(n).ok()
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+fn within(name: &'static str, given: usize, min: usize, max: usize) -> Result<usize, PlanError> {
+    if (min..=max).contains(&given) { Ok(given) } else { Err(PlanError::Limit { name, given, min, max }) }
+}
