@@ -87,8 +87,8 @@ fn halves(double: u32) -> [u16; 2] {
 /// let plan = Plan::builder(network).tags(["R0:i16", "R1:f32"].map(|tag| tag.parse().unwrap())).build()?;
 /// let reply = Reply::Words(vec![0xFFFF, 0x1000, 0xC3FA]); // to the plan's only request, R0 to R2
 /// let readings = plan.scatter([Ok::<_, fatek::Error>(reply)])?;
-/// assert_eq!(readings.tag(0)?, [TagValue::I16(-1)]);
-/// assert_eq!(readings.tag(1)?, [TagValue::F32(-500.125)]);
+/// assert_eq!(readings.tag(0), Some(Ok(vec![TagValue::I16(-1)])));
+/// assert_eq!(readings.tag(1), Some(Ok(vec![TagValue::F32(-500.125)])));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -103,23 +103,15 @@ impl<'p, E> Readings<'p, E> {
         Self { plan, replies }
     }
 
-    /// The values of the tag with this number, or why one of the requests that it needs has failed.
-    ///
-    /// # Errors
-    /// The error of the first of its requests that failed.
-    ///
-    /// # Panics
-    /// If the plan has no tag with this number.
-    pub fn tag(&self, number: usize) -> Result<Vec<TagValue>, E>
-    where
-        E: Clone,
-    {
-        self.try_tag(number).map_err(E::clone)
+    /// The values of the tag with this number, or the error of the first of its requests that failed. `None`: the plan has
+    /// no tag with this number.
+    pub fn tag(&self, number: usize) -> Option<Result<Vec<TagValue>, &E>> {
+        self.plan.tags.get(number).map(|tag| self.values(number, tag))
     }
 
     /// Each tag of the plan, in the order they were added, with its values or the error of a request that it needs.
     pub fn iter(&self) -> impl Iterator<Item = (Tag, Result<Vec<TagValue>, &E>)> {
-        self.plan.tags.iter().enumerate().map(|(n, tag)| (*tag, self.try_tag(n)))
+        self.plan.tags.iter().enumerate().map(|(n, tag)| (*tag, self.values(n, tag)))
     }
 
     /// The requests that failed: their number in [`Plan::requests`], and why.
@@ -127,13 +119,9 @@ impl<'p, E> Readings<'p, E> {
         self.replies.iter().enumerate().filter_map(|(n, reply)| Some((n, reply.as_ref().err()?)))
     }
 
-    fn try_tag(&self, number: usize) -> Result<Vec<TagValue>, &E> {
-        let plan = self.plan;
-        let (Some(tag), Some(slots)) = (plan.tags.get(number), plan.slots(number)) else {
-            panic!("the plan has {} tags, and number {number} was asked for", plan.tags.len());
-        };
+    fn values(&self, number: usize, tag: &Tag) -> Result<Vec<TagValue>, &E> {
         let mut raw = Vec::with_capacity(tag.element_count());
-        for slot in slots {
+        for slot in self.plan.slots(number).unwrap_or_default() {
             self.value(tag, *slot, &mut raw)?;
         }
         // The plan has counted the elements, and their width is the tag's.
