@@ -40,6 +40,7 @@
 //! - [`command`]: the fourteen commands, each one type.
 //! - [`wire`]: the two framings, usable alone.
 //! - [`link`]: [`Link`], [`Station`] and [`Broadcast`], and what decides between them.
+//! - [`pool`]: [`Pool`], the links to many PLCs.
 #![cfg_attr(feature = "sim", doc = "- [`sim`]: a PLC in memory, and its server.")]
 //!
 //! # What it promises
@@ -68,6 +69,7 @@ pub mod element;
 pub mod endpoint;
 mod error;
 pub mod link;
+pub mod pool;
 mod random;
 #[cfg(feature = "sim")]
 pub mod sim;
@@ -80,6 +82,7 @@ pub use element::{Discrete, Element, Register, Register32, Symbol, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode};
 pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
+pub use pool::{Pool, PoolBuilder, PoolError, PoolStats};
 pub use station::{Broadcast, Station};
 
 /// The code in the README compiles and runs.
