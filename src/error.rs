@@ -170,6 +170,18 @@ pub enum Error {
         /// Whether the request, or a part of it, had been sent.
         sent: bool,
     },
+    /// A write that takes several requests failed after the first of them: the values before `written` are in the PLC.
+    #[error("{written} of {count} values were written, and then: {source}")]
+    #[non_exhaustive]
+    PartlyWritten {
+        /// How many values, from the first one on, were written for certain.
+        written: usize,
+        /// How many there were.
+        count: usize,
+        /// What became of the next request. Its [`may_have_executed`](Self::may_have_executed) tells whether the values
+        /// behind `written`, as many as one request takes, may have been written, too; those behind them were not.
+        source: Box<Error>,
+    },
     /// The link has been closed, or its task has ended with its runtime.
     #[error("the link is closed")]
     #[non_exhaustive]
@@ -182,6 +194,8 @@ pub enum Error {
 impl Error {
     /// Whether the PLC may have executed the request.
     ///
+    /// Of a write in several requests that is any of them.
+    ///
     /// `false` is certain: the request was never sent, or the PLC refused it. `true` means that nobody can know, and
     /// whether to repeat a write is the caller's to decide.
     #[must_use]
@@ -189,6 +203,7 @@ impl Error {
         match self {
             Self::Invalid(_) | Self::QueueFull { .. } => false,
             Self::Plc { repeated, .. } => *repeated,
+            Self::PartlyWritten { .. } => true,
             Self::Timeout { sent, .. }
             | Self::BadReply { sent, .. }
             | Self::Offline { sent, .. }
@@ -203,6 +218,7 @@ impl Error {
     pub fn error_code(&self) -> Option<ErrorCode> {
         match self {
             Self::Plc { error, .. } => Some(*error),
+            Self::PartlyWritten { source, .. } => source.error_code(),
             _ => None,
         }
     }

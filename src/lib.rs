@@ -41,6 +41,7 @@
 //! - [`plan`]: the cheapest requests for a set of tags.
 //! - [`wire`]: the two framings, usable alone.
 //! - [`link`]: [`Link`], [`Station`] and [`Broadcast`], and what decides between them.
+//! - [`pool`]: [`Pool`], the links to many PLCs.
 #![cfg_attr(feature = "sim", doc = "- [`sim`]: a PLC in memory, and its server.")]
 //!
 //! # What it promises
@@ -70,6 +71,7 @@ pub mod endpoint;
 mod error;
 pub mod link;
 pub mod plan;
+pub mod pool;
 mod random;
 #[cfg(feature = "sim")]
 pub mod sim;
@@ -83,6 +85,7 @@ pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode};
 pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
 pub use plan::{CostModel, Limits, Plan};
+pub use pool::{Pool, PoolBuilder, PoolError, PoolStats};
 pub use station::{Broadcast, Station};
 
 /// The code in the README compiles and runs.

@@ -1,5 +1,7 @@
 //! The handles with the commands: [`Station`] for one PLC, [`Broadcast`] for all of them.
 
+mod any_length;
+
 use std::fmt;
 
 use bytes::Bytes;
@@ -16,7 +18,8 @@ use crate::link::{CallOptions, Link, StationState, StationStats};
 
 /// One PLC on a [`Link`]. Cheap to clone; every method takes `&self`, so that one handle serves many tasks.
 ///
-/// Each method sends one request and gives its reply. All of them fail alike:
+/// Each method sends one request and gives its reply; those that read or write consecutive elements send as many as the
+/// elements take ([*any length*](#any-length)). All of them fail alike:
 ///
 /// - [`Error::Invalid`] when an argument breaks a rule of the protocol; nothing is sent;
 /// - [`Error::Plc`] when the PLC refuses the request;
@@ -28,7 +31,34 @@ use crate::link::{CallOptions, Link, StationState, StationStats};
 /// A call can be dropped at any time. A request that has not been sent is then not sent any more; one that has been
 /// sent is executed by the PLC, and its reply is given to nobody.
 ///
-/// One request is answered from one scan of the PLC; two requests are not.
+/// # Any length
+///
+/// One request is answered from one scan of the PLC; two requests are not. One request takes 256 discretes, 64 registers
+/// of 16 bits or 32 of 32 bits. [`read_registers`](Self::read_registers) and the other methods for consecutive elements
+/// take any number and send full requests, one after the other, and a shorter one at the end. So:
+///
+/// - Up to the limit of one request, all values are of one scan. Beyond it, **they are not**: what belongs together may
+///   change between one request and the next. A value of 32 bits is never split.
+/// - Other calls of the link come in between, as their priority says.
+/// - Nothing is sent unless all the elements exist.
+/// - Each request has its own time, [`CallOptions::call_timeout`], and its own retries. For a limit on the whole, put it
+///   in a [`tokio::time::timeout`].
+/// - A read fails as a whole, with the error of the first request that fails, and no more are sent. A write ends there,
+///   too; if it was not the first request, the error is [`Error::PartlyWritten`], which tells what has been written. So
+///   it is when it is dropped: what was sent before is written.
+///
+/// [`call`](Self::call) sends exactly one request, and a longer one is refused:
+///
+/// ```
+/// # fatek::sim::doctest(|station| async move {
+/// use fatek::command::ReadRegisters;
+/// use fatek::register;
+///
+/// assert_eq!(station.read_registers(register!("R0"), 1000).await?.len(), 1000); // 16 requests
+/// assert_eq!(station.call(ReadRegisters::new(register!("R0"), 64)?).await?.len(), 64); // one scan for certain
+/// assert!(ReadRegisters::new(register!("R0"), 65).is_err());
+/// # Ok(()) });
+/// ```
 #[derive(Clone)]
 pub struct Station {
     link: Link,
@@ -38,8 +68,13 @@ pub struct Station {
 
 impl Station {
     pub(crate) fn new(link: Link, number: u8, options: CallOptions) -> Result<Self, InvalidRequest> {
+        Self::check_number(number)?;
+        Ok(Self { link, number, options })
+    }
+
+    pub(crate) fn check_number(number: u8) -> Result<(), InvalidRequest> {
         match number {
-            1..=254 => Ok(Self { link, number, options }),
+            1..=254 => Ok(()),
             _ => Err(InvalidRequest::Station { station: number }),
         }
     }
@@ -222,15 +257,17 @@ impl Station {
         self.call(ControlDiscrete::new(control, discrete)).await
     }
 
-    /// 43: reads which of `count` consecutive discretes, 1 to 256, are disabled: `true` is disabled.
+    /// 43: reads which of `count` consecutive discretes are disabled: `true` is disabled. Each 256 are one request, of
+    /// [one scan](#any-length).
     ///
     /// # Errors
     /// As for every method of this type.
     pub async fn read_disabled(&self, first: Discrete, count: usize) -> Result<Vec<bool>, Error> {
-        self.call(ReadDisabled::new(first, count)?).await
+        any_length::read(self, first, count, ReadDisabled::new).await
     }
 
-    /// 44: reads the states of `count` consecutive discretes, 1 to 256: `true` is on.
+    /// 44: reads the states of `count` consecutive discretes: `true` is on. Each 256 are one request, of
+    /// [one scan](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -242,10 +279,10 @@ impl Station {
     /// # Errors
     /// As for every method of this type.
     pub async fn read_discretes(&self, first: Discrete, count: usize) -> Result<Vec<bool>, Error> {
-        self.call(ReadDiscretes::new(first, count)?).await
+        any_length::read(self, first, count, ReadDiscretes::new).await
     }
 
-    /// 45: writes the states of 1 to 256 consecutive discretes: `true` is on.
+    /// 45: writes the states of consecutive discretes: `true` is on. Each 256 are [one request](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -254,12 +291,12 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// As for every method of this type, and [`Error::PartlyWritten`].
     pub async fn write_discretes(&self, first: Discrete, states: &[bool]) -> Result<(), Error> {
-        self.call(WriteDiscretes::new(first, states)?).await
+        any_length::write(self, first, states, |first, states: &[bool]| WriteDiscretes::new(first, states)).await
     }
 
-    /// 46: reads `count` consecutive registers of 16 bits, 1 to 64.
+    /// 46: reads `count` consecutive registers of 16 bits. Each 64 are one request, of [one scan](#any-length).
     ///
     /// Words of discretes count as registers: after `WY8` comes `WY24`.
     ///
@@ -273,10 +310,10 @@ impl Station {
     /// # Errors
     /// As for every method of this type.
     pub async fn read_registers(&self, first: Register, count: usize) -> Result<Vec<u16>, Error> {
-        self.call(ReadRegisters::new(first, count)?).await
+        any_length::read(self, first, count, ReadRegisters::new).await
     }
 
-    /// 47: writes 1 to 64 consecutive registers of 16 bits.
+    /// 47: writes consecutive registers of 16 bits. Each 64 are [one request](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -285,12 +322,13 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// As for every method of this type, and [`Error::PartlyWritten`].
     pub async fn write_registers(&self, first: Register, values: &[u16]) -> Result<(), Error> {
-        self.call(WriteRegisters::new(first, values)?).await
+        any_length::write(self, first, values, |first, values: &[u16]| WriteRegisters::new(first, values)).await
     }
 
-    /// 46: reads `count` consecutive registers of 32 bits, 1 to 32: `DR0`, `DR2`, `DR4` …
+    /// 46: reads `count` consecutive registers of 32 bits: `DR0`, `DR2`, `DR4` … Each 32 are one request, of
+    /// [one scan](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -302,10 +340,10 @@ impl Station {
     /// # Errors
     /// As for every method of this type.
     pub async fn read_registers32(&self, first: Register32, count: usize) -> Result<Vec<u32>, Error> {
-        self.call(ReadRegisters::new(first, count)?).await
+        any_length::read(self, first, count, ReadRegisters::new).await
     }
 
-    /// 47: writes 1 to 32 consecutive registers of 32 bits.
+    /// 47: writes consecutive registers of 32 bits. Each 32 are [one request](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -315,9 +353,9 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// As for every method of this type, and [`Error::PartlyWritten`].
     pub async fn write_registers32(&self, first: Register32, values: &[u32]) -> Result<(), Error> {
-        self.call(WriteRegisters::new(first, values)?).await
+        any_length::write(self, first, values, |first, values: &[u32]| WriteRegisters::new(first, values)).await
     }
 
     /// 48: reads any elements in one request, in the order given: up to 64, where one of 32 bits counts two.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fatek::command::InvalidRequest;
+use fatek::command::{InvalidRequest, ReadRegisters, WriteRegisters};
 use fatek::wire::Framing;
 use fatek::{Error, ErrorCode, Link, discrete, register, register32};
 use tokio::io::{AsyncReadExt, duplex};
@@ -35,20 +35,27 @@ async fn bad_arguments_are_named_and_nothing_is_sent() {
         async move { station.read_registers(first, count).await.unwrap_err().to_string() }
     };
     assert_eq!(
-        reading("R0", 65).await,
-        "invalid request: read registers (46): 65 items were asked for, and it takes 1 to 64"
+        reading("R0", 0).await,
+        "invalid request: read registers (46): 0 items were asked for, and it takes 1 to 65536"
     );
     assert_eq!(
-        reading("R0", 0).await,
-        "invalid request: read registers (46): 0 items were asked for, and it takes 1 to 64"
+        reading("R1", usize::MAX).await,
+        format!("invalid request: {} elements from R1 on reach past the last address, R65535", usize::MAX)
     );
     assert_eq!(
         reading("R65530", 7).await,
         "invalid request: 7 elements from R65530 on reach past the last address, R65535"
     );
-    let error = station.write_registers32(register32!("DR0"), &[0; 33]).await.unwrap_err();
+    let error = Error::from(ReadRegisters::new(register!("R0"), 65).unwrap_err());
+    assert_eq!(
+        error.to_string(),
+        "invalid request: read registers (46): 65 items were asked for, and it takes 1 to 64"
+    );
+    let error = Error::from(WriteRegisters::new(register32!("DR0"), [0; 33]).unwrap_err());
     assert!(error.to_string().contains("33 items were asked for, and it takes 1 to 32"), "{error}");
     assert!(!error.may_have_executed());
+    assert!(station.write_registers32(register32!("DR65500"), &[0; 33]).await.is_err(), "past the end");
+    assert!(station.write_discretes(discrete!("M0"), &[]).await.is_err());
     let error = station.loop_back("caf\u{e9}").await.unwrap_err();
     assert!(error.to_string().contains("the byte C3h at position 3 cannot be sent in the ASCII framing"), "{error}");
     assert_eq!(link.station(0).unwrap_err(), InvalidRequest::Station { station: 0 });

@@ -299,3 +299,134 @@ async fn whoever_closes_the_link_returns_when_it_is_closed() {
     unused.close().await;
     assert!(matches!(unused.state(), LinkState::Closed));
 }
+
+/// Answers on every connection as a healthy PLC would.
+fn serve_all(mut peers: UnboundedReceiver<DuplexStream>) {
+    tokio::spawn(async move {
+        while let Some(end) = peers.recv().await {
+            tokio::spawn(Peer::new(end).serve());
+        }
+    });
+}
+
+const MINUTE: Duration = Duration::from_secs(60);
+
+#[tokio::test(start_paused = true)]
+async fn a_link_that_nobody_uses_falls_idle_and_the_next_call_opens_it_again() {
+    let (builder, mut peers) = reconnecting(|_| true);
+    let link = builder.idle_timeout(MINUTE).build();
+    let plc = station(&link);
+    let (first, end) = tokio::join!(plc.read_status(), async {
+        let mut end = Peer::new(peers.recv().await.unwrap());
+        end.request().await;
+        end.reply(1, 0x40, "0010000").await;
+        end
+    });
+    first.unwrap();
+    let (mut end, used_at) = (end, Instant::now());
+    assert_eq!(end.request_if_any().await, None, "the connection is closed");
+    let idle = used_at.elapsed();
+    assert!(MINUTE <= idle && idle <= MINUTE + Duration::from_millis(2), "{idle:?}");
+    assert!(matches!(link.state(), LinkState::Idle));
+
+    serve_all(peers);
+    let began = Instant::now();
+    plc.read_status().await.unwrap();
+    assert!(began.elapsed() < Duration::from_millis(1), "no back-off");
+    assert!(matches!(link.state(), LinkState::Up));
+    let stats = link.stats();
+    assert_eq!((stats.connects, stats.idle_closes, stats.disconnects, stats.stations.checks), (2, 1, 0, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_link_that_is_used_does_not_fall_idle() {
+    let (builder, peers) = reconnecting(|_| true);
+    serve_all(peers);
+    let link = builder.idle_timeout(MINUTE).build();
+    for _ in 0..5 {
+        station(&link).read_status().await.unwrap();
+        sleep(MINUTE - Duration::from_millis(10)).await;
+    }
+    assert_eq!(link.stats().connects, 1);
+    sleep(MINUTE).await;
+    assert_eq!(link.stats().idle_closes, 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_call_that_waits_longer_than_the_idle_timeout_is_not_cut_off() {
+    let (builder, mut peers) = reconnecting(|_| true);
+    let short = Duration::from_millis(10);
+    let link = builder.idle_timeout(short).retries(0).build();
+    let plc = station(&link);
+    let call = tokio::spawn(async move {
+        let failed = plc.read_status().await;
+        (failed, plc.read_status().await)
+    });
+    let mut end = Peer::new(peers.recv().await.unwrap());
+    end.request().await;
+    sleep(Duration::from_millis(900)).await;
+    end.reply(1, 0x40, "0010000").await;
+    assert_eq!(end.request().await.command, 0x40, "the next call is over the same connection");
+    // Silence, refusals of loop-backs, and so a quiet period of a second: it waits for that, too.
+    sleep(Duration::from_millis(990)).await;
+    end.reply(1, 0x40, "0010000").await;
+    let (first, second) = call.await.unwrap();
+    assert!(first.is_ok() && second.is_ok());
+    assert_eq!(end.request_if_any().await, None);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_quiet_period_is_no_idleness() {
+    let (builder, mut peers) = reconnecting(|_| true);
+    let link = builder.idle_timeout(Duration::from_millis(10)).retries(1).build();
+    let plc = station(&link);
+    let call = tokio::spawn(async move { plc.read_status().await });
+    let mut end = Peer::new(peers.recv().await.unwrap());
+    end.request().await; // not answered
+    assert_eq!(end.request().await.command, 0x4E);
+    end.reply(1, 0x4E, "4").await; // refused, so a quiet period follows
+    assert_eq!(end.request().await.command, 0x40, "over the same connection");
+    end.reply(1, 0x40, "0010000").await;
+    call.await.unwrap().unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_idle_link_does_not_probe_and_asks_offline_stations_again() {
+    let (builder, mut peers) = reconnecting(|_| true);
+    let link = builder.idle_timeout(MINUTE).build();
+    let plc = station(&link);
+    assert!(plc.read_status().await.is_err()); // three timeouts
+    assert!(matches!(*plc.watch_state().borrow(), StationState::Offline { .. }));
+    let _silent = peers.recv().await.unwrap();
+    sleep(MINUTE + Duration::from_secs(1)).await;
+    assert!(matches!(link.state(), LinkState::Idle));
+    assert_eq!(*plc.watch_state().borrow(), StationState::Unknown);
+    let checks = link.stats().stations.checks;
+    sleep(100 * MINUTE).await;
+    assert_eq!((link.stats().connects, link.stats().stations.checks), (1, checks));
+
+    serve_all(peers);
+    plc.read_status().await.unwrap();
+    assert_eq!(link.stats().stations.checks, checks + 1, "it was in doubt and stays so");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_link_that_cannot_connect_gives_up_when_nobody_asks_any_more() {
+    let (builder, _peers) = reconnecting(|_| false);
+    let link = builder.idle_timeout(MINUTE).build();
+    assert!(matches!(station(&link).read_status().await, Err(Error::Connect { .. })));
+    sleep(100 * MINUTE).await;
+    let failures = link.stats().connect_failures;
+    sleep(100 * MINUTE).await;
+    assert_eq!(link.stats().connect_failures, failures);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_that_cannot_be_opened_again_is_not_closed_for_idleness() {
+    let (client, end) = duplex(4096);
+    tokio::spawn(Peer::new(end).serve());
+    let link = Link::stream_builder(client, Framing::Ascii).idle_timeout(Duration::from_secs(1)).build();
+    station(&link).read_status().await.unwrap();
+    sleep(MINUTE).await;
+    station(&link).read_status().await.unwrap();
+}

@@ -182,7 +182,7 @@ async fn whatever_happens_is_in_one_result_with_one_error() {
     let station = without_retries(&link);
     let [first, second] = words(1, 5);
     assert_eq!(sum(&station, d(5), 2).await.unwrap(), first + second);
-    assert!(matches!(sum(&station, d(5), 65).await, Err(Error::Invalid(_))));
+    assert!(matches!(sum(&station, d(5), 0).await, Err(Error::Invalid(_))));
     for (fault, expected) in [
         (Fault::Error(ErrorCode::IllegalAddress), "refused"),
         (Fault::Ignore, "did not answer"),

@@ -129,13 +129,28 @@ pub(super) fn units(code: Code, units: usize, max: usize) -> Result<(), InvalidR
     if units <= max { Ok(()) } else { Err(InvalidRequest::Units { code, units, max }) }
 }
 
-/// Consecutive elements: how many of this width a request takes, and that all of them exist.
-pub(super) fn consecutive(code: Code, first: Element, n: usize) -> Result<(), InvalidRequest> {
-    let max = match first.width() {
+/// How many consecutive elements like this one a request takes.
+pub(crate) fn most_in_one_request(first: Element) -> usize {
+    match first.width() {
         Width::Bit => MAX_POINTS,
         width => MAX_UNITS / width.units(),
-    };
-    count(code, n, 1, max)?;
+    }
+}
+
+/// Consecutive elements in one request: how many of this width it takes, and that all of them exist.
+pub(super) fn consecutive(code: Code, first: Element, n: usize) -> Result<(), InvalidRequest> {
+    count(code, n, 1, most_in_one_request(first))?;
+    exist(first, n)
+}
+
+/// Consecutive elements in as many requests as they take: that there are some, and that all of them exist.
+pub(crate) fn check_range(code: Code, first: Element, n: usize) -> Result<(), InvalidRequest> {
+    let last = usize::from(first.symbol().last_address() - first.address());
+    count(code, n, 1, (last / usize::from(first.symbol().step()) + 1).max(n))?;
+    exist(first, n)
+}
+
+fn exist(first: Element, n: usize) -> Result<(), InvalidRequest> {
     match first.nth(n - 1) {
         Ok(_) => Ok(()),
         Err(_) => Err(InvalidRequest::PastTheEnd { first, count: n }),

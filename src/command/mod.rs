@@ -27,6 +27,7 @@ pub use control::{ControlDiscrete, ControlPlc, DiscreteControl};
 pub use discrete::{ReadDisabled, ReadDiscretes, WriteDiscretes};
 pub use envelope::{ReplyError, decode_reply, encode_refusal, encode_reply, encode_request};
 pub use limits::{InvalidRequest, MAX_LOOP_BACK, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, MAX_POINTS, MAX_UNITS};
+pub(crate) use limits::{check_range, most_in_one_request};
 pub use loopback::LoopBack;
 pub use mixed::{ReadMixed, Value, WriteMixed};
 pub use program::{PAGE_WORDS, ProgramPage, ReadProgramPage, WriteProgramPage};

@@ -6,6 +6,7 @@ use tokio::sync::{mpsc, watch};
 use super::config::Config;
 use super::core::Core;
 use super::driver::Driver;
+use super::gate::Gate;
 use super::line::Line;
 use super::options::{CallOptions, EchoMode};
 use super::stations::Rules;
@@ -28,6 +29,7 @@ pub struct LinkBuilder {
     line: Option<Line>,
     pub(super) config: Config,
     seed: Option<u64>,
+    gate: Option<Arc<Gate>>,
 }
 
 impl LinkBuilder {
@@ -156,6 +158,36 @@ impl LinkBuilder {
         self
     }
 
+    /// After how long without a call the connection is closed, to be opened again by the next call; at most a day, and
+    /// `None` for never. Default: never.
+    ///
+    /// The link is [`LinkState::Idle`] then. Stations that were offline are not probed meanwhile, and are asked again by
+    /// the next call. A connection that cannot be opened again ([`Link::from_stream`]) stays open.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::Link;
+    ///
+    /// let link = Link::builder("tcp://192.168.2.3:500".parse()?).idle_timeout(Duration::from_secs(60)).build();
+    /// # Ok::<(), fatek::ParseEndpointError>(())
+    /// ```
+    pub fn idle_timeout(mut self, timeout: impl Into<Option<Duration>>) -> Self {
+        self.config.idle_timeout = timeout.into();
+        self
+    }
+
+    /// What opens the connections instead.
+    pub(crate) fn connector(mut self, connector: Connector) -> Self {
+        self.connector = connector;
+        self
+    }
+
+    /// What lets it connect, together with others.
+    pub(crate) fn gate(mut self, gate: Arc<Gate>) -> Self {
+        self.gate = Some(gate);
+        self
+    }
+
     /// The seed of the nonces and of the jitter, so that a test can be repeated. Default: a new one for each link.
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = Some(seed);
@@ -168,7 +200,9 @@ impl LinkBuilder {
         let (sender, messages) = mpsc::channel(CHANNEL_LEN);
         let (state, watcher) = watch::channel(LinkState::Idle);
         let timeout = self.options.response_timeout.unwrap_or(self.response_timeout);
-        let config = Config { probe_timeout: timeout, quiet: timeout, ..self.config };
+        // A connection that cannot be opened again is not closed for being idle.
+        let idle_timeout = self.config.idle_timeout.filter(|_| !matches!(self.connector, Connector::Once(_)));
+        let config = Config { probe_timeout: timeout, quiet: timeout, idle_timeout, ..self.config };
         let board = Arc::new(Board::default());
         let shared = Shared {
             name: config.name.clone(),
@@ -182,6 +216,7 @@ impl LinkBuilder {
                 core: Core::new(config, board, self.seed.unwrap_or_else(Random::seed)),
                 connector: self.connector,
                 connect_timeout: self.connect_timeout,
+                gate: self.gate,
                 line: self.line,
                 sent_until: None,
                 messages,
@@ -214,6 +249,7 @@ impl LinkBuilder {
             broadcast_gap: Duration::ZERO,
             fresh_on_doubt: false,
             echo: EchoMode::Off,
+            idle_timeout: None,
         };
         Self {
             connector,
@@ -223,6 +259,7 @@ impl LinkBuilder {
             line: None,
             config,
             seed: None,
+            gate: None,
         }
     }
 }

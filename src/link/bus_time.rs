@@ -93,6 +93,7 @@ impl World {
         while self.now < end {
             match self.core.step(self.now) {
                 Step::Connect => self.core.connected(self.now),
+                Step::Disconnect => unreachable!("there is no idle timeout"),
                 Step::Send(_) => self.send(),
                 Step::Wait(until) => self.wait(until.unwrap_or(end).min(end)),
             }

@@ -32,4 +32,6 @@ pub(crate) struct Config {
     /// Whether what carries the bytes can reorder or double them, so that a doubt asks for a new connection, too.
     pub(crate) fresh_on_doubt: bool,
     pub(crate) echo: EchoMode,
+    /// After how long without a call the connection is closed.
+    pub(crate) idle_timeout: Option<Duration>,
 }

@@ -2,6 +2,8 @@
 //!
 //! ```text
 //! connection   down ──Connect──▶ connecting ──▶ up ──lost──▶ down (again after a back-off)
+//!               ▲ ▲───unwanted───────┘          │
+//!               └─────────────────────idle──────┘
 //! ```
 //!
 //! The states of a station are [`Stations`], those of the request on the wire [`Exchange`], the order of the others is
@@ -42,6 +44,8 @@ use crate::random::Random;
 pub(crate) enum Step {
     /// Close the connection if there is one and open another, then say [`Core::connected`] or [`Core::connect_failed`].
     Connect,
+    /// Close the connection: nobody has used it for long.
+    Disconnect,
     /// Write [`Core::outgoing`], by this time, then say [`Core::sent`] or [`Core::disconnected`].
     Send(Instant),
     /// Nothing, until bytes or a call come, or until then.
@@ -63,6 +67,8 @@ pub(crate) struct Core {
     /// Whether a doubt has arisen since the connection was opened.
     doubted: bool,
     hold_until: Option<Instant>,
+    /// When a call came or ended last; nothing while it is idle.
+    used_at: Option<Instant>,
     /// Whether nothing new is sent any more.
     closing: bool,
     nonce: u64,
@@ -90,6 +96,7 @@ impl Core {
             failures: 0,
             doubted: false,
             hold_until: None,
+            used_at: None,
             closing: false,
             nonce: random.next(),
             random,
@@ -103,6 +110,7 @@ impl Core {
         if self.closing {
             return; // Dropped, it ends with the right error.
         }
+        self.used_at = Some(now);
         if let Some(probe_at) = self.stations.offline_until(ticket.station) {
             return ticket.call.fail(offline(&ticket, probe_at, now));
         }
@@ -127,6 +135,9 @@ impl Core {
                 Connection::Connecting => return Step::Wait(None),
                 Connection::Down { retry_at } => {
                     if !self.has_work(now) {
+                        if self.falls_idle(now) {
+                            continue;
+                        }
                         return Step::Wait(self.next_timer());
                     }
                     if let Some(at) = retry_at.filter(|&at| now < at) {
@@ -137,6 +148,9 @@ impl Core {
                 }
                 Connection::Up { .. } if self.doubted && self.config.fresh_on_doubt => {
                     if !self.has_work(now) {
+                        if self.falls_idle(now) {
+                            return self.disconnect();
+                        }
                         return Step::Wait(self.next_timer());
                     }
                     self.connection = Connection::Connecting;
@@ -146,6 +160,10 @@ impl Core {
             }
             if let Some(until) = self.hold_until.filter(|&until| now < until) {
                 return Step::Wait(Some(until));
+            }
+            // Before the probes: they alone are no reason to stay connected.
+            if self.falls_idle(now) {
+                return self.disconnect();
             }
             let Some(goal) = self.next_goal(now) else {
                 return Step::Wait(self.next_timer());
@@ -196,6 +214,15 @@ impl Core {
             let extended = later(now, self.config.settle).min(later(usual, self.config.frame_time)).min(latest);
             self.exchange.expect_until(extended.max(active.deadline));
         }
+    }
+
+    /// The turn to open a connection has come; says whether anybody still wants one.
+    pub(crate) fn may_connect(&mut self, now: Instant) -> bool {
+        let wanted = self.has_work(now);
+        if !wanted {
+            self.connection = Connection::Down { retry_at: None };
+        }
+        wanted
     }
 
     /// The connection is open.
@@ -272,6 +299,33 @@ impl Core {
     /// Whether nothing is on the wire.
     pub(crate) fn is_idle(&self) -> bool {
         self.exchange.active().is_none()
+    }
+
+    /// Whether nobody has used the link for so long that it is idle from now on: what was known of stations that did
+    /// not answer is too old then, and they are not probed for nobody.
+    fn falls_idle(&mut self, now: Instant) -> bool {
+        if self.idle_at().is_none_or(|at| now < at) || self.cleared.is_some() || self.scheduler.is_waiting(now) {
+            return false;
+        }
+        self.used_at = None;
+        for station in self.stations.forget_offline() {
+            self.board.state(station, StationState::Unknown);
+        }
+        true
+    }
+
+    fn idle_at(&self) -> Option<Instant> {
+        Some(later(self.used_at?, self.config.idle_timeout?))
+    }
+
+    fn disconnect(&mut self) -> Step {
+        self.connection = Connection::Down { retry_at: None };
+        self.exchange.forget();
+        // Idle links are many, so they keep no buffers.
+        self.exchange.received = BytesMut::new();
+        self.outgoing = BytesMut::new();
+        self.board.count(|link| add(&mut link.idle_closes, 1));
+        Step::Disconnect
     }
 
     fn has_work(&mut self, now: Instant) -> bool {
@@ -391,6 +445,7 @@ impl Core {
         self.board.state(station, StationState::Online);
         match active.goal {
             Goal::Call(_) => {
+                self.used_at = Some(now);
                 self.board.count_for(station, |stats| stats.replied(round_trip, refused));
                 if active.doubtful {
                     self.doubt(station);
@@ -435,6 +490,7 @@ impl Core {
                 self.probe_failed(station, now);
             }
             Some(ticket) => {
+                self.used_at = Some(now);
                 let code = ticket.code;
                 let fault = active.fault;
                 self.retry_or_fail(ticket, now, |sent| match fault {
@@ -513,7 +569,10 @@ impl Core {
     }
 
     fn next_timer(&self) -> Option<Instant> {
-        [self.scheduler.next_unblocked(), self.stations.next_probe()].into_iter().flatten().min()
+        let unblocked = self.scheduler.next_unblocked();
+        // While a call waits it does not fall idle.
+        let idle_at = if unblocked.is_none() { self.idle_at() } else { None };
+        [unblocked, self.stations.next_probe(), idle_at].into_iter().flatten().min()
     }
 }
 

@@ -12,6 +12,7 @@ use tokio::time::{Instant, sleep_until, timeout_at};
 use super::LinkState;
 use super::call::Ticket;
 use super::core::{Core, Step};
+use super::gate::{Gate, Pass};
 use super::later;
 use super::line::Line;
 use super::transport::{BoxIo, Connector};
@@ -30,6 +31,8 @@ pub(crate) struct Driver {
     pub(crate) core: Core,
     pub(crate) connector: Connector,
     pub(crate) connect_timeout: Duration,
+    /// What lets links connect one after the other, if they share one.
+    pub(crate) gate: Option<Arc<Gate>>,
     /// The serial line, if it is one.
     pub(crate) line: Option<Line>,
     /// Until when the line is busy with what has been written.
@@ -48,7 +51,7 @@ impl Driver {
     /// Runs until the link is closed, its last handle is dropped, or its one connection has ended.
     pub(crate) async fn run(mut self) {
         let mut io: Option<BoxIo> = None;
-        let mut opening: Option<BoxFuture<'static, io::Result<BoxIo>>> = None;
+        let mut opening: Option<Opening> = None;
         let mut closing: Vec<oneshot::Sender<()>> = Vec::new();
         let mut orphaned = false;
         let mut retired: Option<BoxIo> = None;
@@ -69,9 +72,21 @@ impl Driver {
                 Step::Connect => {
                     // A fresh socket must differ from the old one, so that one is kept until the new one is open.
                     retired = io.take();
-                    let Some(future) = self.connector.open(self.connect_timeout) else { break };
-                    self.state.send_replace(LinkState::Connecting);
-                    opening = Some(future);
+                    opening = match self.gate.clone() {
+                        Some(gate) => {
+                            self.waits();
+                            Some(Opening::Turn(gate.pass().boxed()))
+                        }
+                        None => self.open(None),
+                    };
+                    if opening.is_none() {
+                        break;
+                    }
+                }
+                Step::Disconnect => {
+                    tracing::debug!("idle");
+                    io = None;
+                    self.state.send_replace(LinkState::Idle);
                 }
                 Step::Send(by) => {
                     let written = match &mut io {
@@ -106,8 +121,19 @@ impl Driver {
                     },
                     opened = opened(&mut opening) => {
                         opening = None;
-                        drop(retired.take());
-                        self.opened(opened, &mut io);
+                        match opened {
+                            Progress::Opened(opened) => {
+                                drop(retired.take());
+                                self.opened(opened, &mut io);
+                            }
+                            Progress::Turn(pass) if self.core.may_connect(Instant::now()) => {
+                                opening = self.open(Some(pass));
+                                if opening.is_none() {
+                                    break;
+                                }
+                            }
+                            Progress::Turn(_) => self.waits_no_more(),
+                        }
                     }
                     message = self.messages.recv(), if !orphaned => match message {
                         Some(message) => self.hear(message, &mut closing),
@@ -154,6 +180,35 @@ impl Driver {
         let ends = later(begins, line.transmission(self.core.outgoing().len()));
         self.sent_until = Some(ends);
         ends
+    }
+
+    /// It is not its turn to connect yet. A link that is down goes on saying why.
+    fn waits(&self) {
+        self.state.send_if_modified(|state| {
+            let down = matches!(state, LinkState::Down { .. });
+            if !down {
+                *state = LinkState::Waiting;
+            }
+            !down
+        });
+    }
+
+    /// It is its turn, and nobody wants that any more.
+    fn waits_no_more(&self) {
+        self.state.send_if_modified(|state| {
+            let waiting = matches!(state, LinkState::Waiting);
+            if waiting {
+                *state = LinkState::Idle;
+            }
+            waiting
+        });
+    }
+
+    /// Begins to open a connection. `None`: there will never be another.
+    fn open(&mut self, pass: Option<Pass>) -> Option<Opening> {
+        let opening = self.connector.open(self.connect_timeout)?;
+        self.state.send_replace(LinkState::Connecting);
+        Some(Opening::Connection { opening, _pass: pass })
     }
 
     fn opened(&mut self, opened: io::Result<BoxIo>, io: &mut Option<BoxIo>) {
@@ -223,9 +278,26 @@ fn drain(io: &mut Option<BoxIo>, core: &mut Core) -> Option<io::Result<()>> {
     None
 }
 
-async fn opened(opening: &mut Option<BoxFuture<'static, io::Result<BoxIo>>>) -> io::Result<BoxIo> {
+/// A connection on its way.
+enum Opening {
+    /// It waits for its turn.
+    Turn(BoxFuture<'static, Pass>),
+    Connection {
+        opening: BoxFuture<'static, io::Result<BoxIo>>,
+        /// Held until it is open, so that not too many are opened at once.
+        _pass: Option<Pass>,
+    },
+}
+
+enum Progress {
+    Turn(Pass),
+    Opened(io::Result<BoxIo>),
+}
+
+async fn opened(opening: &mut Option<Opening>) -> Progress {
     match opening {
-        Some(opening) => opening.await,
+        Some(Opening::Turn(turn)) => Progress::Turn(turn.await),
+        Some(Opening::Connection { opening, .. }) => Progress::Opened(opening.await),
         None => std::future::pending().await,
     }
 }

@@ -6,6 +6,7 @@
 //! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others;
 //!   `stations` is whom to believe, and who is there.
 //! - `call` is what a caller and the task share; `stats` is what everybody can see.
+//! - `gate` lets links that share it connect one after the other.
 //! - `transport` is what the bytes go over, and `line` how long they take.
 #![cfg_attr(
     not(test),
@@ -26,6 +27,7 @@ mod config;
 mod core;
 mod driver;
 mod exchange;
+mod gate;
 mod line;
 pub(crate) use line::Line;
 mod options;
@@ -48,8 +50,9 @@ use tracing::Instrument;
 
 use self::call::{AnyCall, Completion, Ticket};
 use self::driver::{Driver, Message};
+pub(crate) use self::gate::Gate;
 use self::stats::Board;
-use self::transport::Connector;
+pub(crate) use self::transport::{BoxIo, Connector};
 use crate::command::{Code, Command, InvalidRequest};
 use crate::endpoint::{Endpoint, Transport};
 use crate::error::Error;
@@ -99,8 +102,11 @@ struct Shared {
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum LinkState {
-    /// Not opened yet: no call has been made.
+    /// Not open: no call has been made yet, or none for the [idle timeout](LinkBuilder::idle_timeout).
     Idle,
+    /// Waiting for its turn to be opened: a [`Pool`](crate::Pool) opens only so many at a time. A link that was down stays
+    /// so while it waits.
+    Waiting,
     /// Being opened.
     Connecting,
     /// Open.
@@ -222,6 +228,16 @@ impl Link {
         self.shared.board.link()
     }
 
+    /// Whether it will never do anything again: it has been closed, or its task has ended.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.shared.messages.is_closed()
+    }
+
+    /// How many handles there are, those of stations included.
+    pub(crate) fn handles(&self) -> usize {
+        Arc::strong_count(&self.shared)
+    }
+
     pub(crate) fn board(&self) -> &Board {
         &self.shared.board
     }
@@ -298,6 +314,10 @@ impl Link {
             // The time was spent on trying to connect: that is what the caller wants to know.
             (Err(Error::Timeout { sent: false, .. }), LinkState::Down { error }) => {
                 Err(self.connect_error(error.clone()))
+            }
+            (Err(Error::Timeout { sent: false, .. }), LinkState::Waiting) => {
+                let reason = "too many other connections were to be opened before it";
+                Err(self.connect_error(Arc::new(io::Error::new(io::ErrorKind::TimedOut, reason))))
             }
             (result, _) => result,
         }

@@ -47,6 +47,8 @@ impl CallOptions {
     }
 
     /// How long the whole call may take: queueing, connecting and retries included. Default: 10 s.
+    ///
+    /// A read or write that is longer than one request is several calls, each with this time.
     #[must_use]
     pub fn call_timeout(mut self, timeout: Duration) -> Self {
         self.call_timeout = timeout;

@@ -102,6 +102,15 @@ impl Scheduler {
         false
     }
 
+    /// Whether a call is waiting that is still wanted, may its station be served or not.
+    pub(crate) fn is_waiting(&mut self, now: Instant) -> bool {
+        let queues = self.stations.values_mut().flat_map(|queues| queues.lanes.iter_mut());
+        queues.fold(false, |waiting, queue| {
+            queue.retain(|ticket| keep(ticket, now));
+            waiting || !queue.is_empty()
+        })
+    }
+
     /// Takes every call of a station.
     pub(crate) fn drain(&mut self, station: u8) -> Vec<Ticket> {
         match self.stations.get_mut(&station) {

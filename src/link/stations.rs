@@ -145,6 +145,17 @@ impl Stations {
         }
     }
 
+    /// Takes those that are offline for what they were before anything was known of them, doubts apart; says which.
+    pub(crate) fn forget_offline(&mut self) -> Vec<u8> {
+        let offline = self.known.iter_mut().filter(|(_, health)| health.offline.is_some());
+        let forget = |(&station, health): (&u8, &mut Health)| {
+            health.offline = None;
+            health.timeouts = 0;
+            station
+        };
+        offline.map(forget).collect()
+    }
+
     /// The station whose probe is due: of several, the one that has waited longest.
     pub(crate) fn due_probe(&self, now: Instant) -> Option<u8> {
         let probes = self.known.iter().filter_map(|(&station, health)| Some((health.offline?, station)));

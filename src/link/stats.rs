@@ -67,6 +67,8 @@ pub struct LinkStats {
     pub connects: u64,
     /// Connections lost.
     pub disconnects: u64,
+    /// Connections closed because nobody used them.
+    pub idle_closes: u64,
     /// Attempts to connect that failed.
     pub connect_failures: u64,
 }
@@ -75,7 +77,7 @@ pub struct LinkStats {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum StationState {
-    /// Nothing has been heard of it yet.
+    /// Nothing has been heard of it yet, or it was offline when its link fell idle.
     #[default]
     Unknown,
     /// It has answered.
@@ -150,6 +152,23 @@ impl Board {
     fn lock(&self) -> MutexGuard<'_, Tallies> {
         // Nothing panics while it holds this lock.
         self.tallies.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl LinkStats {
+    pub(crate) fn plus(self, other: &Self) -> Self {
+        Self {
+            stations: self.stations.plus(&other.stations),
+            broadcasts: self.broadcasts.saturating_add(other.broadcasts),
+            checksum_errors: self.checksum_errors.saturating_add(other.checksum_errors),
+            garbage_bytes: self.garbage_bytes.saturating_add(other.garbage_bytes),
+            stale_bytes: self.stale_bytes.saturating_add(other.stale_bytes),
+            echoes: self.echoes.saturating_add(other.echoes),
+            connects: self.connects.saturating_add(other.connects),
+            disconnects: self.disconnects.saturating_add(other.disconnects),
+            idle_closes: self.idle_closes.saturating_add(other.idle_closes),
+            connect_failures: self.connect_failures.saturating_add(other.connect_failures),
+        }
     }
 }
 

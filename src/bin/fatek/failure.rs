@@ -55,7 +55,7 @@ impl Failure {
         match self {
             Self::Output(_) | Self::Runtime(_) => 1,
             Self::Usage(_) => 2,
-            Self::Call { error, .. } => match error {
+            Self::Call { error, .. } => match cause(error) {
                 fatek::Error::Invalid(_) => 2,
                 fatek::Error::Plc { .. } => 3,
                 fatek::Error::Timeout { .. } | fatek::Error::Offline { .. } => 4,
@@ -67,6 +67,14 @@ impl Failure {
             Self::Listen { .. } => 5,
             Self::Spoilt { .. } | Self::BadFrames { .. } => 6,
         }
+    }
+}
+
+/// Why a call failed; of a write in several requests, why it went no further.
+fn cause(error: &fatek::Error) -> &fatek::Error {
+    match error {
+        fatek::Error::PartlyWritten { source, .. } => cause(source),
+        error => error,
     }
 }
 

@@ -1,9 +1,7 @@
 //! `fatek read TAG…`
 
-use fatek::command::{InvalidRequest, MAX_POINTS, MAX_UNITS, Value};
-use fatek::element::Width;
 use fatek::tag::Tag;
-use fatek::{Element, Error, Station};
+use fatek::{Element, Error, Station, Value};
 
 use crate::failure::Failure;
 use crate::output::{Output, Rows};
@@ -20,31 +18,16 @@ pub(crate) async fn read(station: &Station, tags: &[Tag], output: &Output) -> Re
     output.rows(&rows)
 }
 
-/// What the elements of a tag hold, in as many requests as that takes.
+/// What the elements of a tag hold.
 async fn fetch(station: &Station, tag: &Tag) -> Result<Vec<Value>, Error> {
-    let mut raw = Vec::with_capacity(tag.element_count());
-    while raw.len() < tag.element_count() {
-        let first = tag.first().nth(raw.len()).map_err(InvalidRequest::from)?;
-        let count = (tag.element_count() - raw.len()).min(most(first.width()));
-        match first {
-            Element::Discrete(first) => {
-                raw.extend(station.read_discretes(first, count).await?.into_iter().map(Value::from))
-            }
-            Element::Register(first) => {
-                raw.extend(station.read_registers(first, count).await?.into_iter().map(Value::from))
-            }
-            Element::Register32(first) => {
-                raw.extend(station.read_registers32(first, count).await?.into_iter().map(Value::from));
-            }
-        }
-    }
-    Ok(raw)
+    let count = tag.element_count();
+    Ok(match tag.first() {
+        Element::Discrete(first) => values(station.read_discretes(first, count).await?),
+        Element::Register(first) => values(station.read_registers(first, count).await?),
+        Element::Register32(first) => values(station.read_registers32(first, count).await?),
+    })
 }
 
-/// How many elements of a width one request takes. An even number: a pair of words is never split.
-pub(crate) fn most(width: Width) -> usize {
-    match width {
-        Width::Bit => MAX_POINTS,
-        width => MAX_UNITS / width.units(),
-    }
+fn values(raw: Vec<impl Into<Value>>) -> Vec<Value> {
+    raw.into_iter().map(Into::into).collect()
 }

@@ -1,18 +1,21 @@
 //! `fatek write TAG=VALUE…`
 
-use fatek::command::{InvalidRequest, Value};
 use fatek::tag::Assignment;
-use fatek::{Element, Error, Station};
+use fatek::{Element, Error, Station, Value};
 
 use crate::failure::Failure;
 use crate::output::Output;
-use crate::read::most;
 
 pub(crate) async fn write(station: &Station, assignments: &[Assignment], output: &Output) -> Result<(), Failure> {
     for assignment in assignments {
         send(station, assignment).await.map_err(|error| {
             let tag = assignment.tag();
-            let doubt = if error.may_have_executed() { " (it may have been written)" } else { "" };
+            let doubt = match &error {
+                // It says itself what was written.
+                Error::PartlyWritten { .. } => "",
+                error if error.may_have_executed() => " (it may have been written)",
+                _ => "",
+            };
             Failure::of(format_args!("{tag}{doubt}"))(error)
         })?;
         output.remark(format_args!("wrote {assignment}"));
@@ -20,19 +23,14 @@ pub(crate) async fn write(station: &Station, assignments: &[Assignment], output:
     Ok(())
 }
 
-/// Writes the elements of a tag, in as many requests as that takes.
+/// Writes the elements of a tag.
 async fn send(station: &Station, assignment: &Assignment) -> Result<(), Error> {
     let (tag, raw) = (assignment.tag(), assignment.encode());
-    let mut done = 0;
-    for values in raw.chunks(most(tag.first().width())) {
-        match tag.first().nth(done).map_err(InvalidRequest::from)? {
-            Element::Discrete(first) => station.write_discretes(first, &bits(values)).await?,
-            Element::Register(first) => station.write_registers(first, &words(values)).await?,
-            Element::Register32(first) => station.write_registers32(first, &doubles(values)).await?,
-        }
-        done += values.len();
+    match tag.first() {
+        Element::Discrete(first) => station.write_discretes(first, &bits(&raw)).await,
+        Element::Register(first) => station.write_registers(first, &words(&raw)).await,
+        Element::Register32(first) => station.write_registers32(first, &doubles(&raw)).await,
     }
-    Ok(())
 }
 
 // An assignment's raw values are as wide as its elements: each of these takes all that it is given.

@@ -1,0 +1,220 @@
+//! Reads and writes of any length: which requests they become, and what is known when one of them fails.
+#![cfg(feature = "sim")]
+
+use std::time::Duration;
+
+use fatek::command::{Code, Request, WriteDiscretes, WriteRegisters};
+use fatek::sim::fault::Heard;
+use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
+use fatek::wire::Framing;
+use fatek::{
+    CallOptions, Discrete, Error, ErrorCode, Link, Register, Register32, Station, Symbol, discrete, register,
+    register32,
+};
+
+struct Bench {
+    plc: Plc,
+    faults: Faults,
+    station: Station,
+}
+
+fn bench(framing: Framing) -> Bench {
+    let (plc, faults) = (Plc::new(), Faults::new(1));
+    let bus = Bus::new().with_station(1, plc.clone()).unwrap().with_faults(faults.clone());
+    let link = Link::connector_builder("in memory", framing, sim::connector(bus, framing)).build();
+    Bench { plc, faults, station: link.station(1).unwrap() }
+}
+
+impl Bench {
+    fn requests(&self) -> Vec<Request> {
+        let heard = self.faults.log().entries().into_iter().map(|entry| entry.heard);
+        heard
+            .map(|heard| match heard {
+                Heard::Request { request, .. } => request,
+                other => panic!("{other:?}"),
+            })
+            .collect()
+    }
+}
+
+const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
+
+#[tokio::test(start_paused = true)]
+async fn a_thousand_registers_are_fifteen_full_requests_and_one_of_forty() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        for address in 0..1000 {
+            bench.plc.write(Register::r(address + 5), address ^ 0x5A5A).unwrap();
+        }
+        let values = bench.station.read_registers(register!("R5"), 1000).await.unwrap();
+        assert!(values.iter().copied().eq((0..1000).map(|address| address ^ 0x5A5A)));
+        let mut next = 5;
+        for request in bench.requests() {
+            let Request::ReadRegisters(read) = request else { panic!("{request:?}") };
+            assert_eq!((read.first(), read.count()), (Register::r(next), if next < 965 { 64 } else { 40 }));
+            next += 64;
+        }
+        assert_eq!(next, 5 + 16 * 64);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn one_more_than_a_request_takes_is_two_requests_and_a_full_one_is_one() {
+    for framing in FRAMINGS {
+        let Bench { station, faults, .. } = bench(framing);
+        let log = faults.log();
+        let requests = || {
+            let arrivals = log.arrivals();
+            log.clear();
+            arrivals
+        };
+        for (more, sent) in [(0, 1), (1, 2)] {
+            assert_eq!(station.read_registers(register!("R0"), 64 + more).await.unwrap().len(), 64 + more);
+            assert_eq!(requests(), sent);
+            assert_eq!(station.read_registers32(register32!("DR1"), 32 + more).await.unwrap().len(), 32 + more);
+            assert_eq!(requests(), sent);
+            assert_eq!(station.read_discretes(discrete!("M3"), 256 + more).await.unwrap().len(), 256 + more);
+            assert_eq!(requests(), sent);
+            assert_eq!(station.read_disabled(discrete!("X3"), 256 + more).await.unwrap().len(), 256 + more);
+            assert_eq!(requests(), sent);
+            station.write_registers(register!("R0"), &vec![1; 64 + more]).await.unwrap();
+            assert_eq!(requests(), sent);
+            station.write_registers32(register32!("DR0"), &vec![1; 32 + more]).await.unwrap();
+            assert_eq!(requests(), sent);
+            station.write_discretes(discrete!("M0"), &vec![true; 256 + more]).await.unwrap();
+            assert_eq!(requests(), sent);
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_written_at_length_is_what_is_read_and_each_part_is_applied_once() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        let station = &bench.station;
+        let words: Vec<u16> = (0..3000).map(|i| i * 7 + 1).collect();
+        station.write_registers(register!("D10"), &words).await.unwrap();
+        assert_eq!(station.read_registers(register!("D10"), 3000).await.unwrap(), words);
+
+        // From an odd address on, and across what would be the middle of a value if values were split.
+        let doubles: Vec<u32> = (0..77).map(|i| i * 0x0001_0003 + 0x8000_0000).collect();
+        station.write_registers32(register32!("DR101"), &doubles).await.unwrap();
+        assert_eq!(station.read_registers32(register32!("DR101"), 77).await.unwrap(), doubles);
+        for (n, &double) in doubles.iter().enumerate() {
+            let element = Register32::new(Symbol::DR, 101).unwrap().nth(n).unwrap();
+            assert_eq!(bench.plc.read(element), double.into());
+        }
+
+        // Words of discretes step by 16.
+        let relays: Vec<bool> = (0..1600).map(|i| i % 3 == 0).collect();
+        station.write_discretes(discrete!("M16"), &relays).await.unwrap();
+        assert_eq!(station.read_discretes(discrete!("M16"), 1600).await.unwrap(), relays);
+        let as_words = station.read_registers(register!("WM16"), 100).await.unwrap();
+        for (n, on) in relays.into_iter().enumerate() {
+            assert_eq!(as_words[n / 16] >> (n % 16) & 1 == 1, on, "M{}", 16 + n);
+        }
+
+        let log = bench.faults.log();
+        assert_eq!(log.writes(), 47 + 3 + 7);
+        assert!(log.repeated().is_empty());
+        let part = WriteRegisters::new(register!("D74"), &words[64..128]).unwrap();
+        assert_eq!(log.applied(1, &Request::WriteRegisters(part)), 1);
+        let part = WriteDiscretes::new(discrete!("M272"), (256..512).map(|i| i % 3 == 0).collect::<Vec<_>>());
+        assert_eq!(log.applied(1, &Request::WriteDiscretes(part.unwrap())), 1);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn up_to_the_last_address_all_is_read_and_one_further_nothing_is_sent() {
+    let bench = bench(Framing::Ascii);
+    let station = &bench.station;
+    assert_eq!(station.read_discretes(discrete!("M9000"), 1000).await.map(|states| states.len()).ok(), Some(1000));
+    bench.faults.log().clear();
+    let past = [
+        station.read_discretes(discrete!("M9000"), 1001).await.unwrap_err(),
+        station.read_disabled(discrete!("M9000"), 1001).await.unwrap_err(),
+        station.read_registers(register!("R65000"), 600).await.unwrap_err(),
+        station.read_registers32(register32!("DR65000"), 269).await.unwrap_err(),
+        station.write_discretes(discrete!("M9000"), &[true; 1001]).await.unwrap_err(),
+        station.write_registers(register!("R65000"), &[1; 600]).await.unwrap_err(),
+        station.write_registers32(register32!("DR65000"), &[1; 269]).await.unwrap_err(),
+        station.read_registers(register!("R0"), usize::MAX).await.unwrap_err(),
+    ];
+    for error in past {
+        assert!(error.to_string().contains("reach past the last address"), "{error}");
+        assert!(!error.may_have_executed());
+    }
+    let none = [
+        station.read_discretes(discrete!("M9990"), 0).await.unwrap_err(),
+        station.read_registers32(register32!("DR65530"), 0).await.unwrap_err(),
+        station.write_registers(register!("R65535"), &[]).await.unwrap_err(),
+    ];
+    let takes = ["it takes 1 to 10", "it takes 1 to 3", "it takes 1 to 1"];
+    for (error, takes) in none.into_iter().zip(takes) {
+        assert!(error.to_string().contains("0 items were asked for") && error.to_string().ends_with(takes), "{error}");
+    }
+    assert_eq!(bench.faults.log().arrivals(), 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_write_that_fails_in_its_middle_says_what_is_written() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        let refused = Rule::new(Fault::Error(ErrorCode::IllegalAddress)).command(Code::WriteRegisters);
+        bench.faults.add_rule(refused.element(register!("R128")));
+        let values: Vec<u16> = (1..=200).collect();
+        let error = bench.station.write_registers(register!("R0"), &values).await.unwrap_err();
+        let Error::PartlyWritten { written, count, source, .. } = &error else { panic!("{error:?}") };
+        assert_eq!((*written, *count), (128, 200));
+        assert!(!source.may_have_executed(), "refused");
+        assert!(error.may_have_executed());
+        assert_eq!(error.error_code(), Some(ErrorCode::IllegalAddress));
+        assert_eq!(
+            error.to_string(),
+            "128 of 200 values were written, and then: station 1 refused write registers (47): illegal address (A)"
+        );
+        assert_eq!(bench.plc.read(register!("R127")), 128_u16.into());
+        assert_eq!(bench.plc.read(register!("R128")), 0_u16.into());
+        assert_eq!(bench.plc.read(register!("R192")), 0_u16.into(), "the rest is not sent");
+        assert_eq!(bench.faults.log().arrivals(), 3);
+
+        // Not the first request: then nothing is in doubt.
+        let error = bench.station.write_registers(register!("R128"), &[1; 65]).await.unwrap_err();
+        assert!(matches!(error, Error::Plc { .. }) && !error.may_have_executed(), "{error:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_that_was_not_answered_is_in_doubt_and_not_repeated() {
+    let bench = bench(Framing::Ascii);
+    bench.faults.add_rule(Rule::new(Fault::DropReply).command(Code::WriteDiscretes).skip(1).times(1));
+    let error = bench.station.write_discretes(discrete!("M0"), &[true; 600]).await.unwrap_err();
+    let Error::PartlyWritten { written: 256, count: 600, source, .. } = error else { panic!("{error:?}") };
+    assert!(matches!(*source, Error::Timeout { .. }) && source.may_have_executed(), "{source:?}");
+    assert_eq!(bench.plc.read(discrete!("M511")), true.into(), "it has been written");
+    assert_eq!(bench.plc.read(discrete!("M512")), false.into());
+    assert_eq!(bench.faults.log().writes(), 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_read_is_repeated_alone_and_the_whole_fails_if_it_cannot_be_had() {
+    let bench = bench(Framing::Binary);
+    bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ReadRegisters).skip(1).times(1));
+    assert_eq!(bench.station.read_registers(register!("R0"), 150).await.unwrap().len(), 150);
+    let reads = bench.requests().into_iter().filter(|request| matches!(request, Request::ReadRegisters(_)));
+    assert_eq!(reads.count(), 4, "three, and one again");
+
+    bench.faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalAddress)).element(register!("R64"))]);
+    let error = bench.station.read_registers(register!("R0"), 150).await.unwrap_err();
+    assert!(matches!(error, Error::Plc { .. }), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn each_request_of_a_long_read_has_the_time_of_a_call() {
+    let bench = bench(Framing::Ascii);
+    let slow = Duration::from_millis(80);
+    bench.faults.add_rule(Rule::new(Fault::Delay { min: slow, max: slow }));
+    let station = bench.station.with_options(CallOptions::new().call_timeout(Duration::from_millis(100)));
+    let states = station.read_discretes(Discrete::new(Symbol::S, 0).unwrap(), 1000).await.unwrap();
+    assert_eq!(states.len(), 1000);
+}
