@@ -1,6 +1,7 @@
 //! The handles with the commands: [`Station`] for one PLC, [`Broadcast`] for all of them.
 
 mod any_length;
+mod broadcast;
 
 use std::fmt;
 
@@ -15,6 +16,8 @@ use crate::command::{
 use crate::element::{Discrete, Element, Register, Register32};
 use crate::error::Error;
 use crate::link::{CallOptions, Link, StationState, StationStats};
+
+pub use self::broadcast::Broadcast;
 
 /// One PLC on a [`Link`]. Cheap to clone; every method takes `&self`, so that one handle serves many tasks.
 ///
@@ -435,93 +438,5 @@ impl Station {
 impl fmt::Debug for Station {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Station({} on {:?})", self.number, self.link)
-    }
-}
-
-/// All PLCs of a [`Link`] at once: station 0. Cheap to clone.
-///
-/// Every PLC obeys and none answers, so there are only the commands that make sense without an answer, and their `Ok`
-/// says that the request was sent, not that anybody has executed it. They are never repeated.
-#[derive(Clone)]
-pub struct Broadcast {
-    link: Link,
-    options: CallOptions,
-}
-
-impl Broadcast {
-    pub(crate) fn new(link: Link, options: CallOptions) -> Self {
-        Self { link, options }
-    }
-
-    /// The same, with options of its own: of these, only how long the whole call may take matters here.
-    #[must_use]
-    pub fn with_options(&self, options: CallOptions) -> Self {
-        Self { options, ..self.clone() }
-    }
-
-    /// 41: starts the ladder programs.
-    ///
-    /// # Errors
-    /// As for every method of [`Station`], except that there are no answers to go wrong.
-    pub async fn run(&self) -> Result<(), Error> {
-        self.cast(ControlPlc::Run).await
-    }
-
-    /// 41: stops the ladder programs.
-    ///
-    /// # Errors
-    /// As for [`run`](Self::run).
-    pub async fn stop(&self) -> Result<(), Error> {
-        self.cast(ControlPlc::Stop).await
-    }
-
-    /// 42: disables, enables, sets or resets a discrete.
-    ///
-    /// # Errors
-    /// As for [`run`](Self::run).
-    pub async fn control(&self, control: DiscreteControl, discrete: Discrete) -> Result<(), Error> {
-        self.cast(ControlDiscrete::new(control, discrete)).await
-    }
-
-    /// 45: writes the states of 1 to 256 consecutive discretes: `true` is on.
-    ///
-    /// # Errors
-    /// As for [`run`](Self::run).
-    pub async fn write_discretes(&self, first: Discrete, states: &[bool]) -> Result<(), Error> {
-        self.cast(WriteDiscretes::new(first, states)?).await
-    }
-
-    /// 47: writes 1 to 64 consecutive registers of 16 bits.
-    ///
-    /// # Errors
-    /// As for [`run`](Self::run).
-    pub async fn write_registers(&self, first: Register, values: &[u16]) -> Result<(), Error> {
-        self.cast(WriteRegisters::new(first, values)?).await
-    }
-
-    /// 47: writes 1 to 32 consecutive registers of 32 bits.
-    ///
-    /// # Errors
-    /// As for [`run`](Self::run).
-    pub async fn write_registers32(&self, first: Register32, values: &[u32]) -> Result<(), Error> {
-        self.cast(WriteRegisters::new(first, values)?).await
-    }
-
-    /// 49: writes any elements in one request: up to 32, where one of 32 bits counts two.
-    ///
-    /// # Errors
-    /// As for [`run`](Self::run).
-    pub async fn write_mixed(&self, items: &[(Element, Value)]) -> Result<(), Error> {
-        self.cast(WriteMixed::new(items)?).await
-    }
-
-    async fn cast<C: Command<Reply = ()>>(&self, request: C) -> Result<(), Error> {
-        self.link.cast(request, self.options.retries(0)).await
-    }
-}
-
-impl fmt::Debug for Broadcast {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Broadcast(on {:?})", self.link)
     }
 }
