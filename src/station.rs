@@ -9,9 +9,9 @@ use bytes::Bytes;
 use tokio::sync::watch;
 
 use crate::command::{
-    BriefStatus, Command, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, InvalidRequest, LoopBack,
-    ProgramPage, ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadMixed, ReadProgramPage, ReadRegisters,
-    ReadStatus, Value, WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters,
+    Answer, BriefStatus, Command, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, InvalidRequest,
+    LoopBack, ProgramPage, ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadMixed, ReadProgramPage, ReadRegisters,
+    ReadStatus, Request, Value, WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters, with_command,
 };
 use crate::element::{Discrete, Element, Register, Register32};
 use crate::error::Error;
@@ -150,6 +150,38 @@ impl Station {
     /// As for every method of this type.
     pub async fn call<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
         self.link.call(self.number, request, self.options).await
+    }
+
+    /// Sends a request that was made elsewhere, such as one that a gateway has decoded, and gives its reply so that it can
+    /// be sent on.
+    ///
+    /// It is a [`call`](Self::call) like any other: the reply must be one to this very request, reads are repeated, and
+    /// writes are not.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// use bytes::BytesMut;
+    /// use fatek::command::Request;
+    /// use fatek::wire::{Frame, Framing};
+    ///
+    /// let asked = Frame { station: 1, command: 0x46, data: "02R00000".into() }; // by a client of the gateway
+    /// let answer = station.forward(Request::decode(&asked, Framing::Ascii)?).await?;
+    /// let mut reply = BytesMut::new();
+    /// answer.encode(Framing::Ascii, asked.station, &mut reply);
+    /// assert_eq!(&reply[..], b"\x0201460000000007D\x03");
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type. What the PLC refuses is [`Error::Plc`]:
+    /// [`encode_refusal`](crate::command::encode_refusal) makes a frame of its error code.
+    pub async fn forward(&self, request: Request) -> Result<Answer, Error> {
+        with_command!(request, request => self.answer(request).await)
+    }
+
+    async fn answer<C: Command>(&self, request: C) -> Result<Answer, Error> {
+        let reply = self.call(request.clone()).await?;
+        Ok(Answer::new(request, reply))
     }
 
     /// 40: reads the brief status: whether it runs, and what is wrong.

@@ -16,7 +16,12 @@ const CASES: u32 = 128;
 #[test]
 fn every_request_comes_back_as_it_was_sent() {
     for_every_command(CASES, |framing, exchange| {
-        let frame = match exchange.encode_request(framing, 7) {
+        let request = exchange.request();
+        prop_assert_eq!(request.code(), exchange.code());
+        let mut untyped = BytesMut::new();
+        let encoded = request.encode(framing, 7, &mut untyped).map(|()| untyped);
+        prop_assert_eq!(&encoded, &exchange.encode_request(framing, 7), "as its own type says it");
+        let frame = match encoded {
             Ok(frame) => received(framing, Side::Plc, &frame),
             Err(InvalidRequest::Ambiguous { code, .. }) => {
                 prop_assert_eq!((code, framing), (exchange.code(), Framing::Binary));

@@ -94,6 +94,12 @@ pub enum InvalidRequest {
         /// Where it stands, from 0.
         position: usize,
     },
+    /// A broadcast of a command that only reads: nobody would answer.
+    #[error("{code} cannot be broadcast: all that it would bring is an answer, and nobody answers a broadcast")]
+    NoBroadcast {
+        /// The command.
+        code: Code,
+    },
     /// Not a station number.
     #[error("{station} is not a station: PLCs are 1 to 254 (0 is the broadcast, which `Link::broadcast` is for)")]
     Station {

@@ -8,6 +8,7 @@
 //!
 //! Source: protocol reference, section 5 (manuals 000 and 002 section 4.2, 001 section 2.5).
 
+mod answer;
 mod code;
 mod control;
 mod discrete;
@@ -22,6 +23,7 @@ mod status;
 
 use std::fmt;
 
+pub use answer::Answer;
 pub use code::{Class, Code, ErrorField};
 pub use control::{ControlDiscrete, ControlPlc, DiscreteControl};
 pub use discrete::{ReadDisabled, ReadDiscretes, WriteDiscretes};
@@ -33,6 +35,7 @@ pub use mixed::{ReadMixed, Value, WriteMixed};
 pub use program::{PAGE_WORDS, ProgramPage, ReadProgramPage, WriteProgramPage};
 pub use register::{ReadRegisters, RegisterElement, WriteRegisters};
 pub use request::Request;
+pub(crate) use request::with_command;
 pub use status::{
     BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, ReadDetailedStatus, ReadStatus, Series, StatusFlags,
 };

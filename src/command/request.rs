@@ -1,11 +1,14 @@
+use bytes::BytesMut;
+
 use super::{
-    Code, Command, ControlDiscrete, ControlPlc, LoopBack, ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadMixed,
-    ReadProgramPage, ReadRegisters, ReadStatus, WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters,
+    Code, Command, ControlDiscrete, ControlPlc, InvalidRequest, LoopBack, ReadDetailedStatus, ReadDisabled,
+    ReadDiscretes, ReadMixed, ReadProgramPage, ReadRegisters, ReadStatus, WriteDiscretes, WriteMixed, WriteProgramPage,
+    WriteRegisters, encode_request,
 };
 use crate::element::{ElementError, Register, Register32, Width};
 use crate::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, Frame, Framing};
 
-/// Any request, as a PLC receives it.
+/// Any request, as a PLC receives it, or a gateway that [passes it on](crate::Station::forward).
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Request {
@@ -58,6 +61,33 @@ impl Request {
         }
     }
 
+    /// Appends it as a whole frame, as [`encode_request`] does: the counterpart of [`decode`](Self::decode).
+    ///
+    /// ```
+    /// use bytes::BytesMut;
+    /// use fatek::command::Request;
+    /// use fatek::wire::{Frame, Framing};
+    ///
+    /// let ascii = Frame { station: 1, command: 0x46, data: "03R00012".into() };
+    /// let request = Request::decode(&ascii, Framing::Ascii)?;
+    /// let mut binary = BytesMut::new();
+    /// request.encode(Framing::Binary, 1, &mut binary)?;
+    /// assert_eq!(&binary[..10], b"\x51\x10\x00\x06\x01\x46\x03R\x00\x0C");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`encode_request`]: not every request can be sent in both framings.
+    pub fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
+        with_command!(self, command => encode_request(command, framing, station, dst))
+    }
+
+    /// Which command it is.
+    #[must_use]
+    pub fn code(&self) -> Code {
+        with_command!(self, command => code_of(command))
+    }
+
     fn read<R: FieldReader>(code: Code, fields: impl Fn() -> R) -> Result<Self, FieldError> {
         Ok(match code {
             Code::ReadStatus => Self::ReadStatus(whole(fields())?),
@@ -84,6 +114,10 @@ impl Request {
     }
 }
 
+fn code_of<C: Command>(_: &C) -> Code {
+    C::CODE
+}
+
 fn whole<C: Command>(mut fields: impl FieldReader) -> Result<C, FieldError> {
     let request = C::read_request(&mut fields)?;
     fields.finish()?;
@@ -93,3 +127,28 @@ fn whole<C: Command>(mut fields: impl FieldReader) -> Result<C, FieldError> {
 fn is_double(error: &FieldError) -> bool {
     matches!(error, FieldError::Element(ElementError::WrongWidth { symbol, .. }) if symbol.width() == Width::Double)
 }
+
+/// Does the same with the command of a [`Request`], whichever it is.
+macro_rules! with_command {
+    ($request:expr, $command:ident => $do:expr) => {
+        match $request {
+            $crate::command::Request::ReadStatus($command) => $do,
+            $crate::command::Request::ControlPlc($command) => $do,
+            $crate::command::Request::ControlDiscrete($command) => $do,
+            $crate::command::Request::ReadDisabled($command) => $do,
+            $crate::command::Request::ReadDiscretes($command) => $do,
+            $crate::command::Request::WriteDiscretes($command) => $do,
+            $crate::command::Request::ReadRegisters($command) => $do,
+            $crate::command::Request::ReadRegisters32($command) => $do,
+            $crate::command::Request::WriteRegisters($command) => $do,
+            $crate::command::Request::WriteRegisters32($command) => $do,
+            $crate::command::Request::ReadMixed($command) => $do,
+            $crate::command::Request::WriteMixed($command) => $do,
+            $crate::command::Request::LoopBack($command) => $do,
+            $crate::command::Request::ReadProgramPage($command) => $do,
+            $crate::command::Request::WriteProgramPage($command) => $do,
+            $crate::command::Request::ReadDetailedStatus($command) => $do,
+        }
+    };
+}
+pub(crate) use with_command;

@@ -6,7 +6,7 @@ use tracing::debug;
 use super::fault::{Conditions, Faults};
 use super::{Error, Execute, PageReply, Plc};
 use crate::ErrorCode;
-use crate::command::{Code, Command, ReadProgramPage, Request, encode_refusal, encode_reply};
+use crate::command::{Code, Command, ReadProgramPage, Request, encode_refusal, encode_reply, with_command};
 use crate::wire::{FieldError, Frame, Framing, Received, ascii};
 
 /// A line with PLCs on it, each at its station number.
@@ -127,22 +127,8 @@ pub(super) fn respond(
     let mut responder = Responder { plc, station: frame.station, framing, replies };
     match request {
         Err(fault) => responder.refuse(frame.command, fault),
-        Ok(Request::ReadStatus(request)) => responder.reply(request),
-        Ok(Request::ControlPlc(request)) => responder.reply(request),
-        Ok(Request::ControlDiscrete(request)) => responder.reply(request),
-        Ok(Request::ReadDisabled(request)) => responder.reply(request),
-        Ok(Request::ReadDiscretes(request)) => responder.reply(request),
-        Ok(Request::WriteDiscretes(request)) => responder.reply(request),
-        Ok(Request::ReadRegisters(request)) => responder.reply(request),
-        Ok(Request::ReadRegisters32(request)) => responder.reply(request),
-        Ok(Request::WriteRegisters(request)) => responder.reply(request),
-        Ok(Request::WriteRegisters32(request)) => responder.reply(request),
-        Ok(Request::ReadMixed(request)) => responder.reply(request),
-        Ok(Request::WriteMixed(request)) => responder.reply(request),
-        Ok(Request::LoopBack(request)) => responder.reply(request),
         Ok(Request::ReadProgramPage(request)) => responder.reply_page(request),
-        Ok(Request::WriteProgramPage(request)) => responder.reply(request),
-        Ok(Request::ReadDetailedStatus(request)) => responder.reply(request),
+        Ok(request) => with_command!(request, request => responder.reply(request)),
     }
 }
 

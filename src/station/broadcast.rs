@@ -3,7 +3,8 @@
 use std::fmt;
 
 use crate::command::{
-    Command, ControlDiscrete, ControlPlc, DiscreteControl, Value, WriteDiscretes, WriteMixed, WriteRegisters,
+    Command, ControlDiscrete, ControlPlc, DiscreteControl, InvalidRequest, Request, Value, WriteDiscretes, WriteMixed,
+    WriteRegisters,
 };
 use crate::element::{Discrete, Element, Register, Register32};
 use crate::error::Error;
@@ -84,6 +85,23 @@ impl Broadcast {
     /// As for [`run`](Self::run).
     pub async fn write_mixed(&self, items: &[(Element, Value)]) -> Result<(), Error> {
         self.cast(WriteMixed::new(items)?).await
+    }
+
+    /// Sends a request that was made elsewhere, such as one that a gateway has decoded.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run); [`InvalidRequest::NoBroadcast`] for a request that only reads.
+    pub async fn forward(&self, request: Request) -> Result<(), Error> {
+        match request {
+            Request::ControlPlc(request) => self.cast(request).await,
+            Request::ControlDiscrete(request) => self.cast(request).await,
+            Request::WriteDiscretes(request) => self.cast(request).await,
+            Request::WriteRegisters(request) => self.cast(request).await,
+            Request::WriteRegisters32(request) => self.cast(request).await,
+            Request::WriteMixed(request) => self.cast(request).await,
+            Request::WriteProgramPage(request) => self.cast(request).await,
+            read => Err(InvalidRequest::NoBroadcast { code: read.code() }.into()),
+        }
     }
 
     async fn cast<C: Command<Reply = ()>>(&self, request: C) -> Result<(), Error> {

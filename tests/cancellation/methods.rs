@@ -1,12 +1,15 @@
 //! Every method that sends something: how it is called, what it asks for, and what it gives.
 
+use bytes::BytesMut;
 use fatek::command::{
-    BriefStatus, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, LoopBack, ProgramPage,
+    Answer, BriefStatus, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, LoopBack, ProgramPage,
     ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadMixed, ReadProgramPage, ReadRegisters, ReadStatus, Request,
     WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters,
 };
+use fatek::wire::{AsciiCodec, Frame, Framing};
 use fatek::{Link, Value};
 use futures::FutureExt;
+use tokio_util::codec::Encoder;
 
 use crate::bench::{Call, station};
 use crate::memory::{d, dd, double, dr, m, page, r, word, words, x};
@@ -68,6 +71,8 @@ pub(crate) fn reads() -> Vec<Method> {
         |n| read_registers(d(100 * n), 3) => ReadRegisters(ReadRegisters::new(d(100 * n), 3).unwrap()), words(100 * n);
         |n| call(ReadRegisters::new(d(100 * n), 3).unwrap())
             => ReadRegisters(ReadRegisters::new(d(100 * n), 3).unwrap()), words(100 * n);
+        |n| forward(Request::ReadRegisters(ReadRegisters::new(d(100 * n), 3).unwrap())) seen as frame
+            => ReadRegisters(ReadRegisters::new(d(100 * n), 3).unwrap()), data_frame(0x46, &words(100 * n));
         |n| read_registers32(dd(100 * n), 1)
             => ReadRegisters32(ReadRegisters::new(dd(100 * n), 1).unwrap()), [double(100 * n)];
         |n| read_mixed(&[d(100 * n).into(), dd(100 * n + 1).into()])
@@ -92,6 +97,8 @@ pub(crate) fn writes() -> Vec<Method> {
             => WriteRegisters32(WriteRegisters::new(dr(n), [n.into()]).unwrap()), ();
         |n| write_mixed(&[(r(n).into(), n.into())])
             => WriteMixed(WriteMixed::new([(r(n).into(), n.into())]).unwrap()), ();
+        |n| forward(Request::WriteRegisters(WriteRegisters::new(r(n), [n; 2]).unwrap())) seen as frame
+            => WriteRegisters(WriteRegisters::new(r(n), [n; 2]).unwrap()), data_frame(0x47, &[]);
         |n| write_program_page(n, &page(n)) => WriteProgramPage(WriteProgramPage::new(n, page(n))), ();
     }
 }
@@ -108,6 +115,8 @@ pub(crate) fn broadcasts() -> Vec<Method> {
             => WriteRegisters32(WriteRegisters::new(dr(n), [n.into()]).unwrap()), ();
         |n| write_mixed(&[(r(n).into(), n.into())])
             => WriteMixed(WriteMixed::new([(r(n).into(), n.into())]).unwrap()), ();
+        |n| forward(Request::WriteRegisters(WriteRegisters::new(r(n), [n; 2]).unwrap()))
+            => WriteRegisters(WriteRegisters::new(r(n), [n; 2]).unwrap()), ();
     }
 }
 
@@ -121,4 +130,20 @@ pub(crate) fn brief(status: &BriefStatus) -> bool {
 
 pub(crate) fn detailed(status: &DetailedStatus) -> bool {
     status.flags().battery_low()
+}
+
+/// The reply that a gateway sends on.
+fn frame(answer: &Answer) -> BytesMut {
+    let mut frame = BytesMut::new();
+    answer.encode(Framing::Ascii, 1, &mut frame);
+    frame
+}
+
+/// The same, made by hand: no error, and then these words.
+fn data_frame(command: u8, words: &[u16]) -> BytesMut {
+    let data = words.iter().map(|word| format!("{word:04X}"));
+    let data = std::iter::once("0".to_owned()).chain(data).collect::<String>();
+    let mut bytes = BytesMut::new();
+    AsciiCodec::new().encode(Frame { station: 1, command, data: data.into() }, &mut bytes).unwrap();
+    bytes
 }

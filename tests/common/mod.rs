@@ -16,6 +16,7 @@ use tokio_util::codec::Decoder;
 pub(crate) const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 
 /// One row of `vectors.tsv`.
+#[derive(Clone)]
 pub(crate) struct Vector {
     pub(crate) framing: Framing,
     pub(crate) sender: Side,

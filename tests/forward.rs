@@ -1,0 +1,154 @@
+//! Requests that a gateway passes on: in either framing, they and their replies are the bytes that the command's own type
+//! makes, and what holds of other calls holds of them.
+
+mod common;
+
+use std::future::Future;
+use std::time::Duration;
+
+use bytes::BytesMut;
+use common::{AnyExchange, FRAMINGS, carried, for_every_command, framed};
+use fatek::command::*;
+use fatek::wire::{Framing, Side};
+use fatek::{Error, ErrorCode, Link, Register, discrete, register};
+use proptest::prelude::*;
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+use tokio::runtime::Builder;
+use tokio::time::timeout;
+
+#[test]
+fn a_forwarded_request_and_its_reply_are_the_bytes_of_the_command_in_both_framings() {
+    for_every_command(16, |framing, exchange| {
+        let Ok(request) = exchange.encode_request(framing, 7) else {
+            return Ok(()); // with two readings
+        };
+        let reply = exchange.encode_reply(framing, 7, None);
+        let (answer, heard) = paused(forward(framing, &exchange, reply.clone()));
+        prop_assert_eq!(heard, request);
+        let answer = answer.unwrap();
+        for other in FRAMINGS {
+            let mut sent_on = BytesMut::new();
+            answer.encode(other, 7, &mut sent_on);
+            prop_assert_eq!(&sent_on, &exchange.encode_reply(other, 7, None), "{}", other);
+        }
+        Ok(())
+    });
+}
+
+#[test]
+fn what_a_plc_refuses_is_refused_with_its_code() {
+    for_every_command(2, |framing, exchange| {
+        // A loop-back of one digit is its own echo.
+        if exchange.encode_request(framing, 7).is_err() || exchange.code() == Code::LoopBack {
+            return Ok(());
+        }
+        let refusal = exchange.encode_reply(framing, 7, Some(ErrorCode::IllegalAddress));
+        let (answer, _) = paused(forward(framing, &exchange, refusal.clone()));
+        let error = answer.unwrap_err();
+        prop_assert_eq!(error.error_code(), Some(ErrorCode::IllegalAddress));
+        let mut sent_on = BytesMut::new();
+        encode_refusal(exchange.code().into(), ErrorCode::IllegalAddress, framing, 7, &mut sent_on);
+        prop_assert_eq!(sent_on, refusal);
+        Ok(())
+    });
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_reply_to_another_request_is_not_sent_on() {
+    let (link, mut line) = line(Framing::Ascii);
+    let forwarding = tokio::spawn(async move {
+        let request = Request::ReadRegisters(ReadRegisters::new(register!("R0"), 3).unwrap());
+        link.station(1).unwrap().forward(request).await
+    });
+    hear(&mut line).await;
+    for data in [&b"0AAAABBBB"[..], b"0AAAABBBBCCCCDDDD", b"0000100020003"] {
+        line.write_all(&framed(Framing::Ascii, Side::Plc, 1, 0x46, data)).await.unwrap();
+    }
+    let mut sent_on = BytesMut::new();
+    forwarding.await.unwrap().unwrap().encode(Framing::Ascii, 1, &mut sent_on);
+    assert_eq!(sent_on, framed(Framing::Ascii, Side::Plc, 1, 0x46, b"0000100020003"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_forwarded_read_is_sent_again_and_a_forwarded_write_is_not() {
+    let read = Request::ReadRegisters(ReadRegisters::new(register!("R0"), 1).unwrap());
+    let write = Request::WriteRegisters(WriteRegisters::new(register!("R0"), [7]).unwrap());
+    for (request, times) in [(read, 3), (write, 1)] {
+        let (link, mut line) = line(Framing::Ascii);
+        let code = u8::from(request.code());
+        let station = link.station(1).unwrap();
+        let forwarding = tokio::spawn(async move { station.forward(request).await });
+        let mut heard = 0;
+        while let Ok(frame) = timeout(Duration::from_secs(30), hear(&mut line)).await {
+            let frame = carried(Framing::Ascii, &frame);
+            if frame.command == 0x4E {
+                // The barrier before each repetition: the station is there after all.
+                let echo = framed(Framing::Ascii, Side::Plc, 1, 0x4E, &frame.data);
+                line.write_all(&echo).await.unwrap();
+            }
+            heard += u32::from(frame.command == code);
+        }
+        let error = forwarding.await.unwrap().unwrap_err();
+        assert!(matches!(error, Error::Timeout { sent: true, .. }), "{error:?}");
+        assert_eq!(heard, times, "{code:02X}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn only_what_writes_or_controls_is_broadcast() {
+    let words = [1, 2];
+    for (request, is_sent) in [
+        (Request::ControlPlc(ControlPlc::Stop), true),
+        (Request::ControlDiscrete(ControlDiscrete::new(DiscreteControl::Set, discrete!("Y0"))), true),
+        (Request::WriteDiscretes(WriteDiscretes::new(discrete!("Y0"), [true]).unwrap()), true),
+        (Request::WriteRegisters(WriteRegisters::new(register!("R0"), words).unwrap()), true),
+        (Request::WriteRegisters32(WriteRegisters::new(fatek::register32!("DR0"), [3]).unwrap()), true),
+        (Request::WriteMixed(WriteMixed::new([(Register::r(0).into(), 1_u16.into())]).unwrap()), true),
+        (Request::WriteProgramPage(WriteProgramPage::new(1, ProgramPage::new([1; 64]))), true),
+        (Request::ReadStatus(ReadStatus), false),
+        (Request::LoopBack(LoopBack::new("x").unwrap()), false),
+        (Request::ReadRegisters(ReadRegisters::new(register!("R0"), 1).unwrap()), false),
+    ] {
+        let code = request.code();
+        assert_eq!(code.class() != Class::Read, is_sent, "{code}");
+        let mut expected = BytesMut::new();
+        request.encode(Framing::Ascii, 0, &mut expected).unwrap();
+        let (link, mut line) = line(Framing::Ascii);
+        let result = link.broadcast().forward(request).await;
+        if is_sent {
+            result.unwrap();
+            assert_eq!(hear(&mut line).await, expected, "{code}");
+        } else {
+            assert!(matches!(result, Err(Error::Invalid(InvalidRequest::NoBroadcast { .. }))), "{result:?}");
+            assert_eq!(link.stats().broadcasts, 0);
+        }
+    }
+}
+
+fn line(framing: Framing) -> (Link, DuplexStream) {
+    let (client, plc) = duplex(4096);
+    (Link::from_stream(client, framing), plc)
+}
+
+/// Forwards a request to station 7, which gives this reply; returns what came of it, and what the station has heard.
+async fn forward(framing: Framing, exchange: &AnyExchange, reply: BytesMut) -> (Result<Answer, Error>, BytesMut) {
+    let (link, mut line) = line(framing);
+    let station = link.station(7).unwrap();
+    let plc = async move {
+        let heard = hear(&mut line).await;
+        line.write_all(&reply).await.unwrap();
+        heard
+    };
+    tokio::join!(station.forward(exchange.request()), plc)
+}
+
+/// What comes at once.
+async fn hear(line: &mut DuplexStream) -> BytesMut {
+    let mut heard = BytesMut::with_capacity(1024);
+    assert_ne!(line.read_buf(&mut heard).await.unwrap(), 0, "the link has hung up");
+    heard
+}
+
+fn paused<T>(test: impl Future<Output = T>) -> T {
+    Builder::new_current_thread().enable_all().start_paused(true).build().unwrap().block_on(test)
+}
