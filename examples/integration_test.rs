@@ -1,0 +1,321 @@
+//! How to test code that talks to a PLC, without a PLC.
+//!
+//! ```text
+//! cargo test --example integration_test --features sim   # the tests, at the end of this file
+//! cargo run --example integration_test --features sim    # the last of them, told as a story
+//! ```
+//!
+//! The code under test is a controller that keeps a tank's level between two marks. It knows a [`Station`] and nothing of
+//! what lies behind it: in the plant a link to `tcp://192.168.2.3:500`, here one to a simulated PLC in memory. Time is
+//! Tokio's paused clock, so an hour of the plant takes a moment and comes out the same each time.
+
+use std::error::Error;
+use std::time::Duration;
+
+use fatek::command::Code;
+use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
+use fatek::wire::Framing;
+use fatek::{Discrete, Link, Register, Station, Value, discrete, register};
+use tokio::time::{Instant, sleep};
+
+// ---- The code under test.
+
+/// In the PLC: the level in millimetres and the marks, whether the lid is closed, and the pump that fills the tank.
+const LEVEL: Register = register!("R0");
+const LOW_MARK: Register = register!("R1");
+const HIGH_MARK: Register = register!("R2");
+const LID_CLOSED: Discrete = discrete!("X0");
+const PUMP: Discrete = discrete!("Y0");
+
+struct TankController {
+    station: Station,
+}
+
+/// What a cycle has done.
+#[derive(Debug, PartialEq, Eq)]
+enum Action {
+    Nothing,
+    SwitchedOn,
+    SwitchedOff,
+}
+
+/// Why a cycle has not done its work.
+#[derive(Debug, thiserror::Error)]
+enum Trouble {
+    #[error("the PLC is stopped")]
+    Stopped,
+    #[error(transparent)]
+    Plc(#[from] fatek::Error),
+}
+
+impl TankController {
+    /// Looks once, and switches the pump if it has to be.
+    ///
+    /// It remembers nothing. A command whose answer was lost may have been executed or not
+    /// ([`fatek::Error::may_have_executed`]); the next cycle sees which, and needs not repeat it blindly.
+    async fn cycle(&self) -> Result<Action, Trouble> {
+        if !self.station.read_status().await?.flags().running() {
+            return Err(Trouble::Stopped);
+        }
+        // All in one request: values from different scans of the PLC need not fit together.
+        let elements = [LEVEL.into(), LOW_MARK.into(), HIGH_MARK.into(), LID_CLOSED.into(), PUMP.into()];
+        let values = self.station.read_mixed(&elements).await?;
+        let [Value::Word(level), Value::Word(low), Value::Word(high), Value::Bit(lid_closed), Value::Bit(is_on)] =
+            values[..]
+        else {
+            unreachable!("a reply has the shape of its request");
+        };
+        let should_be_on = lid_closed && (level < low || is_on && level < high);
+        match (is_on, should_be_on) {
+            (false, true) => self.station.set(PUMP).await.map(|()| Action::SwitchedOn),
+            (true, false) => self.station.reset(PUMP).await.map(|()| Action::SwitchedOff),
+            _ => Ok(Action::Nothing),
+        }
+        .map_err(Trouble::from)
+    }
+}
+
+// ---- The bench: a PLC to look at, the line's faults to play with, and the controller.
+
+struct Bench {
+    plc: Plc,
+    faults: Faults,
+    controller: TankController,
+}
+
+impl Bench {
+    /// A tank that is half full, and all is well.
+    fn new() -> Result<Self, Box<dyn Error>> {
+        let plc = Plc::new();
+        plc.run();
+        for (register, value) in [(LEVEL, 500_u16), (LOW_MARK, 400), (HIGH_MARK, 600)] {
+            plc.write(register, value)?;
+        }
+        plc.write(LID_CLOSED, true)?;
+        let faults = Faults::new(1); // the seed: equal seeds, equal faults
+        let bus = Bus::new().with_station(1, plc.clone())?.with_faults(faults.clone());
+        let link = Link::connector_builder("the plant", Framing::Ascii, sim::connector(bus, Framing::Ascii))
+            .response_timeout(Duration::from_millis(200))
+            .build();
+        Ok(Self { plc, faults, controller: TankController { station: link.station(1)? } })
+    }
+
+    fn level(&self) -> u16 {
+        match self.plc.read(LEVEL) {
+            Value::Word(level) => level,
+            other => unreachable!("a register of 16 bits holds {other}"),
+        }
+    }
+
+    fn pump_is_on(&self) -> bool {
+        self.plc.read(PUMP) == Value::Bit(true)
+    }
+
+    /// How often the pump has been switched.
+    fn switched(&self) -> u64 {
+        self.faults.log().writes()
+    }
+
+    /// A second of the plant: the pump brings 8 mm, and 3 mm are used.
+    async fn second(&self) -> Result<(), sim::Error> {
+        sleep(Duration::from_secs(1)).await;
+        let inflow = if self.pump_is_on() { 8 } else { 0 };
+        self.plc.write(LEVEL, (self.level() + inflow).saturating_sub(3))
+    }
+}
+
+/// What goes wrong in this second.
+fn happen(bench: &Bench, second: u32) -> Result<Option<&'static str>, sim::Error> {
+    Ok(Some(match second {
+        60 => {
+            bench.faults.set_rules([Rule::new(Fault::GarbageInside { max_len: 4 }).per_mille(150)]);
+            "- noise on the line"
+        }
+        120 => {
+            bench.faults.set_rules([Rule::new(Fault::DropReply).command(Code::ControlDiscrete).times(1)]);
+            "- the noise is over, and the next answer to a command will be lost"
+        }
+        160 => {
+            bench.plc.write(LID_CLOSED, false)?;
+            "- the lid is opened"
+        }
+        180 => {
+            bench.plc.write(LID_CLOSED, true)?;
+            "- the lid is closed"
+        }
+        300 => {
+            bench.faults.set_rules([Rule::new(Fault::Ignore)]);
+            "- the cable is cut"
+        }
+        330 => {
+            bench.faults.set_rules([]);
+            "- the cable is mended"
+        }
+        450 => {
+            bench.plc.stop();
+            "- the PLC is stopped"
+        }
+        470 => {
+            bench.plc.run();
+            "- the PLC is started"
+        }
+        _ => return Ok(None),
+    }))
+}
+
+/// Ten minutes of a bad day, a cycle each second. Gives the lowest and the highest level.
+async fn bad_day(bench: &Bench) -> Result<(u16, u16), Box<dyn Error>> {
+    let (mut lowest, mut highest) = (u16::MAX, 0);
+    let mut last = String::new();
+    for second in 0..600 {
+        if let Some(event) = happen(bench, second)? {
+            println!("{second:4} s           {event}");
+        }
+        let result = match bench.controller.cycle().await {
+            Ok(action) => format!("{action:?}"),
+            // The times in an error differ from one to the next.
+            Err(Trouble::Plc(fatek::Error::Offline { .. })) => "the station is offline".to_owned(),
+            Err(trouble) => trouble.to_string(),
+        };
+        if result != last {
+            println!("{second:4} s  {:4} mm  {result}", bench.level());
+            last = result;
+        }
+        bench.second().await?;
+        (lowest, highest) = (lowest.min(bench.level()), highest.max(bench.level()));
+    }
+    Ok((lowest, highest))
+}
+
+#[tokio::main(flavor = "current_thread", start_paused = true)]
+async fn main() -> Result<(), Box<dyn Error>> {
+    let bench = Bench::new()?;
+    let began = Instant::now();
+    let (lowest, highest) = bad_day(&bench).await?;
+    let link = bench.controller.station.link().stats();
+    println!("\nafter {:.0?}: the level was between {lowest} and {highest} mm", began.elapsed());
+    println!("the pump was switched {} times, never twice for one command", bench.switched());
+    println!("the link repeated {} reads and met {} timeouts", link.stations.retries, link.stations.timeouts);
+    println!("\nthe last that the PLC was asked:");
+    let entries = bench.faults.log().entries();
+    for entry in entries.iter().rev().take(4).rev() {
+        let at = entry.at.duration_since(began);
+        let answer = entry.answer.as_deref().map_or("nothing".to_owned(), |bytes| bytes.escape_ascii().to_string());
+        let asked = entry.request().map_or("noise".to_owned(), |request| request.code().to_string());
+        println!("{at:8.1?}  {asked:22} {answer}");
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn the_pump_goes_on_below_the_low_mark_and_off_at_the_high_one() {
+        let bench = Bench::new().unwrap();
+        for (level, action) in [
+            (400_u16, Action::Nothing),
+            (399, Action::SwitchedOn),
+            (400, Action::Nothing),
+            (599, Action::Nothing),
+            (600, Action::SwitchedOff),
+            (401, Action::Nothing),
+        ] {
+            bench.plc.write(LEVEL, level).unwrap();
+            assert_eq!(bench.controller.cycle().await.unwrap(), action, "{level} mm");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_open_lid_stops_the_pump_whatever_the_level() {
+        let bench = Bench::new().unwrap();
+        bench.plc.write(LEVEL, 100_u16).unwrap();
+        bench.controller.cycle().await.unwrap();
+        assert!(bench.pump_is_on());
+        bench.plc.write(LID_CLOSED, false).unwrap();
+        assert_eq!(bench.controller.cycle().await.unwrap(), Action::SwitchedOff);
+        assert_eq!(bench.controller.cycle().await.unwrap(), Action::Nothing);
+        assert!(!bench.pump_is_on());
+    }
+
+    /// The log is a record of all that the PLC was asked.
+    #[tokio::test(start_paused = true)]
+    async fn nothing_is_written_while_the_level_is_between_the_marks() {
+        let bench = Bench::new().unwrap();
+        for _ in 0..100 {
+            bench.controller.cycle().await.unwrap();
+        }
+        assert_eq!((bench.faults.log().arrivals(), bench.switched()), (200, 0));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_stopped_plc_is_not_controlled() {
+        let bench = Bench::new().unwrap();
+        bench.plc.write(LEVEL, 100_u16).unwrap();
+        bench.plc.stop();
+        assert!(matches!(bench.controller.cycle().await, Err(Trouble::Stopped)));
+        assert_eq!(bench.switched(), 0);
+    }
+
+    /// The PLC has switched the pump, and its answer is lost: nobody tells the controller, and it finds out.
+    #[tokio::test(start_paused = true)]
+    async fn a_lost_answer_does_not_make_it_switch_twice() {
+        let bench = Bench::new().unwrap();
+        bench.plc.write(LEVEL, 100_u16).unwrap();
+        bench.faults.add_rule(Rule::new(Fault::DropReply).command(Code::ControlDiscrete).times(1));
+        let Err(Trouble::Plc(error)) = bench.controller.cycle().await else { panic!("the answer came") };
+        assert!(error.may_have_executed(), "{error}");
+        assert_eq!(bench.controller.cycle().await.unwrap(), Action::Nothing);
+        assert_eq!(bench.switched(), 1);
+    }
+
+    /// The link gives right values or errors, so the controller needs no checks of its own against a bad line.
+    #[tokio::test(start_paused = true)]
+    async fn wrong_replies_never_switch_the_pump() {
+        let bench = Bench::new().unwrap();
+        let wrong = [
+            Fault::GarbageInside { max_len: 4 },
+            Fault::BadChecksum,
+            Fault::WrongStation,
+            Fault::WrongCommand,
+            Fault::Truncated { by: 1 },
+            Fault::Extended { by: 4 },
+        ];
+        bench.faults.set_rules(wrong.map(|fault| Rule::new(fault).per_mille(50)));
+        let mut looked = 0;
+        for _ in 0..500 {
+            match bench.controller.cycle().await {
+                Ok(action) => assert_eq!(action, Action::Nothing),
+                Err(_) => continue,
+            }
+            looked += 1;
+        }
+        assert!(bench.faults.rules().iter().all(|rule| rule.struck() > 0));
+        assert!(looked > 250, "the reads are repeated: {looked}");
+        assert_eq!(bench.switched(), 0);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_dead_plc_is_noticed_in_time_and_found_again() {
+        let bench = Bench::new().unwrap();
+        bench.controller.cycle().await.unwrap();
+        bench.faults.set_rules([Rule::new(Fault::Ignore)]);
+        let began = Instant::now();
+        assert!(matches!(bench.controller.cycle().await, Err(Trouble::Plc(fatek::Error::Timeout { .. }))));
+        assert!(began.elapsed() < Duration::from_secs(1), "three attempts of 200 ms: {:?}", began.elapsed());
+        let began = Instant::now();
+        assert!(matches!(bench.controller.cycle().await, Err(Trouble::Plc(fatek::Error::Offline { .. }))));
+        assert_eq!(began.elapsed(), Duration::ZERO, "from now on it is not waited for");
+
+        bench.faults.set_rules([]);
+        sleep(Duration::from_secs(10)).await; // within this time it is asked whether it is there again
+        assert_eq!(bench.controller.cycle().await.unwrap(), Action::Nothing);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn on_a_bad_day_the_tank_neither_overflows_nor_runs_dry() {
+        let (lowest, highest) = bad_day(&Bench::new().unwrap()).await.unwrap();
+        assert!(lowest > 300 && highest < 800, "{lowest} to {highest} mm");
+    }
+}
