@@ -14,6 +14,13 @@
 //! | `R100:f32` | the registers `R100`, the low word, and `R101` as one float |
 //! | `R0-R9:f32` | the same ten registers as five floats |
 //! | `WY8:hex` | 16 outputs as four hexadecimal digits |
+//! | `R5:i16*0.1-40` | a register, signed, times a gain of 0.1, plus an offset of -40; see [`Scale`] |
+//! | `R0-R9:u16*0.01`, `R100:f32+3` | every number but `hex` can have a gain, an offset or both |
+//! | `R0-R9:text` | ten registers as one text of up to 20 characters, the low byte of each first |
+//! | `R0-R9:text-hi` | the same, the high byte first |
+//!
+//! A text is read and written by one request, so it has at most 64 registers. Its characters are the 256 of Latin-1, and
+//! NULs at its end are not seen; in an assignment it stands in double quotes, which may be left out around plain words.
 //!
 //! ```
 //! use fatek::command::Value;
@@ -24,24 +31,39 @@
 //!
 //! let assignment: Assignment = "R5-R6:i16=-1,0x10".parse()?;
 //! assert_eq!(assignment.encode(), [Value::Word(0xFFFF), Value::Word(0x0010)]);
+//!
+//! let tag: Tag = "R5:i16*0.1".parse()?;
+//! assert_eq!(tag.decode(&[Value::Word(123)])?, [TagValue::Scaled(12.3)]);
+//!
+//! let tag: Tag = "R0-R1:text".parse()?;
+//! assert_eq!(tag.decode(&[Value::Word(0x4241), Value::Word(0x0043)])?, [TagValue::Text("ABC".to_owned())]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
 //! This module does no I/O, and nothing in it panics, whatever the text. Source: protocol reference, section 3, for
 //! the order of words in 32 bits.
 
+mod assignment;
 mod error;
+mod kind;
+mod parse;
+mod scale;
+mod text;
 mod types;
+mod value;
 
 use std::fmt;
 use std::str::FromStr;
 
+pub use assignment::Assignment;
 pub use error::{ParseAssignmentError, ParseTagError, ParseTagTypeError, ParseValueError, TagError, ValueError};
-pub use types::{TagType, TagValue};
+pub use scale::{Scale, ScaleError};
+pub use types::TagType;
+pub use value::TagValue;
 
-use self::types::{Shape, high, low};
-use crate::command::Value;
-use crate::element::{Element, Symbol, Width};
+use self::kind::{Kind, Shape, high, low};
+use crate::command::{MAX_UNITS, Value};
+use crate::element::{Element, Width};
 
 /// Elements, and the type that their bits stand for: see [the module](self).
 ///
@@ -52,11 +74,12 @@ pub struct Tag {
     /// How many elements, not values.
     count: usize,
     tag_type: TagType,
-    shape: Shape,
+    kind: Kind,
 }
 
 impl Tag {
-    /// `values` values of a type, one after the other from `first` on.
+    /// `values` values of a type, one after the other from `first` on. A text of this many values is of one, and one
+    /// register long; for a longer one there is [`spanning`](Self::spanning).
     ///
     /// ```
     /// use fatek::register;
@@ -68,17 +91,69 @@ impl Tag {
     /// ```
     ///
     /// # Errors
-    /// [`TagError::WrongType`], [`TagError::NoValues`] and [`TagError::PastTheEnd`].
+    /// [`TagError::WrongType`], [`TagError::NoValues`], [`TagError::SeveralTexts`] and [`TagError::PastTheEnd`].
     pub fn new(first: impl Into<Element>, tag_type: TagType, values: usize) -> Result<Self, TagError> {
         let first = first.into();
-        let Some(shape) = tag_type.shape(first.width()) else {
-            return Err(TagError::WrongType { symbol: first.symbol(), tag_type });
-        };
-        let per_value = if shape.bits() > first.width().bits() { 2 } else { 1 };
-        let count = values.saturating_mul(per_value);
+        let kind = kind(first, tag_type)?;
+        if tag_type.is_text() && values > 1 {
+            return Err(TagError::SeveralTexts { first });
+        }
+        let per_value = if kind.bits() > first.width().bits() { 2 } else { 1 };
+        Self::checked(first, values.saturating_mul(per_value), tag_type, kind)
+    }
+
+    /// So many elements from `first` on: as many values of the type as they hold, or one text.
+    ///
+    /// ```
+    /// use fatek::register;
+    /// use fatek::tag::{Tag, TagType};
+    ///
+    /// assert_eq!(Tag::spanning(register!("R0"), TagType::Text, 10)?.to_string(), "R0-R9:text");
+    /// assert_eq!(Tag::spanning(register!("R0"), TagType::F32, 10)?.value_count(), 5);
+    /// # Ok::<(), fatek::tag::TagError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`TagError::WrongType`], [`TagError::NoValues`], [`TagError::Uneven`], [`TagError::LongText`] and
+    /// [`TagError::PastTheEnd`].
+    pub fn spanning(first: impl Into<Element>, tag_type: TagType, elements: usize) -> Result<Self, TagError> {
+        let first = first.into();
+        let kind = kind(first, tag_type)?;
+        if kind.bits() > first.width().bits() && !elements.is_multiple_of(2) {
+            return Err(TagError::Uneven { count: elements, tag_type });
+        }
+        if tag_type.is_text() && elements > MAX_UNITS {
+            return Err(TagError::LongText { registers: elements, max: MAX_UNITS });
+        }
+        Self::checked(first, elements, tag_type, kind)
+    }
+
+    /// The same elements, their numbers after gain and offset.
+    ///
+    /// ```
+    /// use fatek::element;
+    /// use fatek::tag::{Scale, Tag};
+    ///
+    /// let level = Tag::from(element!("R5")).scaled(Scale::new(0.01, 0.0)?)?;
+    /// assert_eq!(level.to_string(), "R5:u16*0.01");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`TagError::NotScalable`] for `bool`, `hex` and texts.
+    pub fn scaled(self, scale: Scale) -> Result<Self, TagError> {
+        match self.kind {
+            Kind::Plain(shape) | Kind::Scaled(shape, _) if self.tag_type.is_scalable() => {
+                Ok(Self { kind: Kind::Scaled(shape, scale), ..self })
+            }
+            _ => Err(TagError::NotScalable { tag_type: self.tag_type }),
+        }
+    }
+
+    fn checked(first: Element, count: usize, tag_type: TagType, kind: Kind) -> Result<Self, TagError> {
         let last = count.checked_sub(1).ok_or(TagError::NoValues)?;
         match first.nth(last) {
-            Ok(_) => Ok(Self { first, count, tag_type, shape }),
+            Ok(_) => Ok(Self { first, count, tag_type, kind }),
             Err(_) => Err(TagError::PastTheEnd { first, count }),
         }
     }
@@ -95,22 +170,32 @@ impl Tag {
         self.tag_type
     }
 
+    /// Gain and offset of its numbers, if it has them.
+    #[must_use]
+    pub fn scale(&self) -> Option<Scale> {
+        self.kind.scale()
+    }
+
     /// How many elements it has.
     #[must_use]
     pub fn element_count(&self) -> usize {
         self.count
     }
 
-    /// How many values it has: as many as elements, or half as many where a value takes two.
+    /// How many values it has: as many as elements, half as many where a value takes two, and one if it is a text.
     #[must_use]
     pub fn value_count(&self) -> usize {
         self.count / self.elements_per_value()
     }
 
-    /// How many elements one value takes: 2 for 32 bits on 16-bit registers, else 1.
+    /// How many elements one value takes: 2 for 32 bits on 16-bit registers, all of them for a text, else 1.
     #[must_use]
     pub fn elements_per_value(&self) -> usize {
-        if self.shape.bits() > self.first.width().bits() { 2 } else { 1 }
+        match self.kind {
+            Kind::Text(_) => self.count,
+            kind if kind.bits() > self.first.width().bits() => 2,
+            _ => 1,
+        }
     }
 
     /// Its elements, in order: what is to be read, or written.
@@ -139,7 +224,7 @@ impl Tag {
         if let Some(&value) = raw.iter().find(|value| value.width() != self.first.width()) {
             return Err(ValueError::WrongWidth { tag: *self, value });
         }
-        Ok(raw.chunks(self.elements_per_value()).map(|elements| self.shape.value(join(elements))).collect())
+        Ok(raw.chunks(self.elements_per_value()).map(|elements| self.kind.value(elements)).collect())
     }
 
     /// What the elements are to hold, for these values.
@@ -147,11 +232,17 @@ impl Tag {
     /// The result goes to [`elements`](Self::elements), in their order.
     ///
     /// # Errors
-    /// [`ValueError::Count`] unless there are [`value_count`](Self::value_count) of them, [`ValueError::WrongType`]
-    /// when one is of another type.
+    /// - [`ValueError::Count`] unless there are [`value_count`](Self::value_count) of them
+    /// - [`ValueError::WrongType`] when one is of another type
+    /// - [`ValueError::RawOutOfRange`] when one comes from no number that the elements can hold, by the scale
+    /// - [`ValueError::TooLong`] and [`ValueError::NotLatin1`] when a text cannot be held
     pub fn encode(&self, values: &[TagValue]) -> Result<Vec<Value>, ValueError> {
-        self.check(values)?;
-        Ok(self.split(values))
+        if values.len() != self.value_count() {
+            return Err(ValueError::Count { tag: *self, expected: self.value_count(), given: values.len() });
+        }
+        let mut raw = Vec::with_capacity(self.count);
+        values.iter().try_for_each(|value| self.encode_one(value, &mut raw))?;
+        Ok(raw)
     }
 
     /// Reads the values of this tag: as many as it has, with commas between.
@@ -160,6 +251,10 @@ impl Tag {
     /// - `bool`: `0` `1` `false` `true` `off` `on`
     /// - every type: the bits after `0x`, so `0xFFFF` as `i16` is -1; `hex` takes no other form, for nobody can know
     ///   what `10` was meant to be, and `f32` takes all 8 digits
+    /// - scaled: decimal, with a point or an exponent, `nan` and `inf`; the nearest raw number is what is written, and
+    ///   bits are not taken
+    /// - a text: in double quotes, with `\\` before `"` and `\\`, and `\\n`, `\\r`, `\\t`, `\\0` or `\\x` and two hexadecimal
+    ///   digits for what cannot be seen; without quotes if it has no such character, no comma and no blank at its ends
     ///
     /// ```
     /// use fatek::tag::{Tag, TagValue};
@@ -172,37 +267,56 @@ impl Tag {
     /// # Errors
     /// [`ParseValueError`]: the value, and the rule that it breaks.
     pub fn parse_values(&self, text: &str) -> Result<Vec<TagValue>, ParseValueError> {
-        let error = |input: &str, reason| ParseValueError { input: input.to_owned(), tag: *self, reason };
-        // Counted first, so that the time it takes is bounded by the tag.
-        let given = text.split(',').count();
-        if given != self.value_count() {
-            return Err(error(text, ValueError::Count { tag: *self, expected: self.value_count(), given }));
-        }
-        let one = |item: &str| self.shape.parse(item.trim()).map_err(|reason| error(item.trim(), reason));
-        text.split(',').map(one).collect()
+        Ok(self.parse_and_encode(text)?.0)
     }
 
-    fn check(&self, values: &[TagValue]) -> Result<(), ValueError> {
-        if values.len() != self.value_count() {
-            return Err(ValueError::Count { tag: *self, expected: self.value_count(), given: values.len() });
-        }
-        match values.iter().find(|value| value.shape() != self.shape) {
-            Some(&value) => Err(ValueError::WrongType { tag: *self, value }),
-            None => Ok(()),
-        }
-    }
-
-    fn split(&self, values: &[TagValue]) -> Vec<Value> {
-        let mut raw = Vec::with_capacity(self.count);
-        for bits in values.iter().map(|value| value.bits()) {
-            match (self.first.width(), self.elements_per_value()) {
-                (Width::Bit, _) => raw.push(Value::Bit(bits != 0)),
-                (Width::Word, 1) => raw.push(Value::Word(low(bits))),
-                (Width::Word, _) => raw.extend([Value::Word(low(bits)), Value::Word(high(bits))]),
-                (Width::Double, _) => raw.push(Value::Double(bits)),
+    /// The values that the text names, and what the elements are to hold for them.
+    fn parse_and_encode(&self, text: &str) -> Result<(Vec<TagValue>, Vec<Value>), ParseValueError> {
+        let error = |input: &str, reason| ParseValueError::new(input, *self, reason);
+        let (mut values, mut raw) = (Vec::new(), Vec::new());
+        let mut take = |item: &str| {
+            let item = item.trim();
+            let value = self.kind.parse(item).map_err(|reason| error(item, reason))?;
+            self.encode_one(&value, &mut raw).map_err(|reason| error(item, reason))?;
+            values.push(value);
+            Ok(())
+        };
+        if self.tag_type.is_text() {
+            // Whatever stands in it: commas that are not in quotes are refused as such.
+            take(text)?;
+        } else {
+            // Counted first, so that the time it takes is bounded by the tag.
+            let given = text.split(',').count();
+            if given != self.value_count() {
+                return Err(error(text, ValueError::Count { tag: *self, expected: self.value_count(), given }));
             }
+            text.split(',').try_for_each(take)?;
         }
-        raw
+        Ok((values, raw))
+    }
+
+    fn encode_one(&self, value: &TagValue, raw: &mut Vec<Value>) -> Result<(), ValueError> {
+        let bits = match (self.kind, value) {
+            (Kind::Text(order), TagValue::Text(text)) => {
+                raw.extend(text::encode(text, self.count, order)?.into_iter().map(Value::Word));
+                return Ok(());
+            }
+            (Kind::Scaled(shape, scale), &TagValue::Scaled(value)) => {
+                let bits = scale.bits(shape, value);
+                bits.ok_or(ValueError::RawOutOfRange { value, raw: scale.raw(value), tag_type: self.tag_type })?
+            }
+            (kind, value) => match value.bits() {
+                Some((shape, bits)) if kind == Kind::Plain(shape) => bits,
+                _ => return Err(ValueError::WrongType { tag: *self, value: value.clone() }),
+            },
+        };
+        match (self.first.width(), self.elements_per_value()) {
+            (Width::Bit, _) => raw.push(Value::Bit(bits != 0)),
+            (Width::Word, 1) => raw.push(Value::Word(low(bits))),
+            (Width::Word, _) => raw.extend([Value::Word(low(bits)), Value::Word(high(bits))]),
+            (Width::Double, _) => raw.push(Value::Double(bits)),
+        }
+        Ok(())
     }
 }
 
@@ -214,7 +328,7 @@ impl From<Element> for Tag {
             Width::Word => (TagType::U16, Shape::U16),
             Width::Double => (TagType::U32, Shape::U32),
         };
-        Self { first, count: 1, tag_type, shape }
+        Self { first, count: 1, tag_type, kind: Kind::Plain(shape) }
     }
 }
 
@@ -222,143 +336,34 @@ impl FromStr for Tag {
     type Err = ParseTagError;
 
     /// Reads `ELEMENT`, `ELEMENT:TYPE`, `FIRST-LAST` or `FIRST-LAST:TYPE`, in either case; the letters of `LAST` may
-    /// be left out.
+    /// be left out. Behind the type there can be a [`Scale`].
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        parse_tag(text).map_err(|reason| ParseTagError { input: text.to_owned(), reason })
+        parse::parse(text).map_err(|reason| ParseTagError { input: text.to_owned(), reason })
     }
 }
 
 impl fmt::Display for Tag {
     /// The shortest text that parses to the same: the type is left out where it is the default, and the range where
-    /// there is one value.
+    /// the first element and the type tell it.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.first)?;
-        if let (2.., Some(last)) = (self.value_count(), self.elements().last()) {
+        let told = if self.tag_type.is_text() { 1 } else { self.elements_per_value() };
+        if self.count > told
+            && let Ok(last) = self.first.nth(self.count - 1)
+        {
             write!(f, "-{last}")?;
         }
-        if self.tag_type != TagType::default_for(self.first.width()) {
-            write!(f, ":{}", self.tag_type)?;
+        match self.scale() {
+            Some(scale) => write!(f, ":{}{scale}", self.tag_type),
+            None if self.tag_type == TagType::default_for(self.first.width()) => Ok(()),
+            None => write!(f, ":{}", self.tag_type),
         }
-        Ok(())
     }
 }
 
-/// A tag and its values: `R5=7`, `R0-R2=1,2,3`, `R100:f32=-1.5`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Assignment {
-    tag: Tag,
-    values: Vec<TagValue>,
-}
-
-impl Assignment {
-    /// Gives these values to this tag.
-    ///
-    /// # Errors
-    /// [`ValueError::Count`] unless there is one for each of the tag's, [`ValueError::WrongType`] when one is of
-    /// another type.
-    pub fn new(tag: Tag, values: impl Into<Vec<TagValue>>) -> Result<Self, ValueError> {
-        let values = values.into();
-        tag.check(&values)?;
-        Ok(Self { tag, values })
-    }
-
-    /// The tag.
-    #[must_use]
-    pub fn tag(&self) -> Tag {
-        self.tag
-    }
-
-    /// The values: as many as the tag has, all of its type.
-    #[must_use]
-    pub fn values(&self) -> &[TagValue] {
-        &self.values
-    }
-
-    /// What the tag's [`elements`](Tag::elements) are to hold, in their order.
-    #[must_use]
-    pub fn encode(&self) -> Vec<Value> {
-        self.tag.split(&self.values)
-    }
-}
-
-impl FromStr for Assignment {
-    type Err = ParseAssignmentError;
-
-    /// Reads `TAG=VALUE`, and `TAG=VALUE,VALUE…` for a tag of several values; see [`Tag::parse_values`].
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let Some((tag, values)) = text.split_once('=') else {
-            return Err(ParseAssignmentError::NoValue { input: text.to_owned() });
-        };
-        let tag: Tag = tag.parse()?;
-        Ok(Self { tag, values: tag.parse_values(values)? })
-    }
-}
-
-impl fmt::Display for Assignment {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.tag)?;
-        let mut separator = '=';
-        for value in &self.values {
-            write!(f, "{separator}{value}")?;
-            separator = ',';
-        }
-        Ok(())
-    }
-}
-
-fn parse_tag(text: &str) -> Result<Tag, TagError> {
-    let (elements, tag_type) = match text.split_once(':') {
-        Some((elements, name)) => (elements, Some(name.parse::<TagType>()?)),
-        None => (text, None),
-    };
-    let (first, last) = match elements.split_once('-') {
-        Some((first, last)) => (Element::parse(first)?, Some(last)),
-        None => (Element::parse(elements)?, None),
-    };
-    let tag_type = tag_type.unwrap_or(TagType::default_for(first.width()));
-    let Some(last) = last else {
-        return Tag::new(first, tag_type, 1);
-    };
-    let Some(per_value) = tag_type.elements_per_value(first.width()) else {
-        return Err(TagError::WrongType { symbol: first.symbol(), tag_type });
-    };
-    let count = elements_between(first, parse_last(first.symbol(), last)?)?;
-    if !count.is_multiple_of(per_value) {
-        return Err(TagError::Uneven { count, tag_type });
-    }
-    Tag::new(first, tag_type, count / per_value)
-}
-
-/// The end of a range: `R9`, or `9` after an `R`.
-fn parse_last(first: Symbol, text: &str) -> Result<Element, TagError> {
-    if text.is_empty() || text.starts_with(|c: char| c.is_ascii_digit()) {
-        return Ok(Element::parse(&format!("{first}{text}"))?);
-    }
-    let last = Element::parse(text)?;
-    match last.symbol() {
-        symbol if symbol == first => Ok(last),
-        symbol => Err(TagError::TwoSymbols { first, last: symbol }),
-    }
-}
-
-fn elements_between(first: Element, last: Element) -> Result<usize, TagError> {
-    let Some(distance) = last.address().checked_sub(first.address()) else {
-        return Err(TagError::Backwards { first, last });
-    };
-    let step = first.symbol().step();
-    if !distance.is_multiple_of(step) {
-        return Err(TagError::OffStep { first, last });
-    }
-    Ok(usize::from(distance / step) + 1)
-}
-
-/// The bits of one value, from the elements that hold it: the low word first.
-fn join(elements: &[Value]) -> u32 {
-    elements.iter().rev().fold(0, |bits, element| match *element {
-        Value::Bit(on) => on.into(),
-        Value::Word(word) => bits << 16 | u32::from(word),
-        Value::Double(double) => double,
-    })
+/// What values of a type are made of on these elements.
+fn kind(first: Element, tag_type: TagType) -> Result<Kind, TagError> {
+    tag_type.kind(first.width()).ok_or(TagError::WrongType { symbol: first.symbol(), tag_type })
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ pub(super) struct Area {
 }
 
 /// Consecutive cells.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Cells {
     pub(super) area: Area,
     pub(super) first: u32,
@@ -111,6 +111,25 @@ fn cell_symbol(element: Element) -> (Symbol, u8) {
     }
 }
 
+/// Cells that touch or overlap, as one; they are sorted.
+fn stretches(cells: &[Cells]) -> Vec<Cells> {
+    let mut stretches: Vec<Cells> = Vec::new();
+    for next in cells {
+        match stretches.last_mut() {
+            Some(last) if last.area == next.area && next.first <= last.end() => {
+                last.len = last.end().max(next.end()) - last.first;
+            }
+            _ => stretches.push(*next),
+        }
+    }
+    stretches
+}
+
+/// How many units a mixed request for these has. They are sorted.
+pub(super) fn mixed_units(cells: &[Cells]) -> u32 {
+    stretches(cells).iter().map(|stretch| stretch.len * stretch.area.units()).sum()
+}
+
 /// A request, as cells.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Draft {
@@ -133,20 +152,11 @@ impl Draft {
     ///
     /// Neighbours are read in pairs: `DR0` is shorter than `R0 R1`.
     pub(super) fn mixed(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Self> {
-        let mut stretches: Vec<Cells> = Vec::new();
-        for next in cells {
-            match stretches.last_mut() {
-                Some(last) if last.area == next.area && next.first <= last.end() => {
-                    last.len = last.end().max(next.end()) - last.first;
-                }
-                _ => stretches.push(*next),
-            }
-        }
-        if stretches.iter().map(|s| s.len * s.area.units()).sum::<u32>() > limits.mixed_units() {
+        if mixed_units(cells) > limits.mixed_units() {
             return None;
         }
         let mut items = Vec::with_capacity(cells.len());
-        for stretch in stretches {
+        for stretch in stretches(cells) {
             let pair = if stretch.area.double().is_some() { 2 } else { 1 };
             let mut first = stretch.first;
             while first < stretch.end() {
@@ -240,8 +250,8 @@ impl Draft {
 /// What an element of a mixed request costs, alone and as the second of a pair.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ItemCost {
-    pub(super) single: u64,
-    pub(super) double: u64,
+    single: u64,
+    double: u64,
 }
 
 impl ItemCost {
@@ -249,6 +259,14 @@ impl ItemCost {
         let item = |symbol: Symbol| cost.bytes_cost(cost.element_bytes(symbol) + cost.value_bytes(symbol.width()));
         let single = item(area.symbol);
         Self { single, double: area.double().map_or(2 * single, item) }
+    }
+
+    /// What so many cells more cost, at the end of a stretch that has an odd number of them, or an even one.
+    pub(super) fn cost(self, cells: u32, odd: bool) -> u64 {
+        // The odd one has been paid for alone, and finds its partner.
+        let cells = u64::from(cells) + u64::from(odd);
+        let all = cells / 2 * self.double + cells % 2 * self.single;
+        if odd { all - self.single } else { all }
     }
 }
 

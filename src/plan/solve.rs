@@ -15,8 +15,8 @@ pub(super) type Part = Vec<Cells>;
 /// A request, and the parts that it reads.
 pub(super) type Share = (Draft, Vec<usize>);
 
-/// Every part can be read by some request alone; the parts of one value come last, sorted and distinct, none within
-/// another part.
+/// Every part can be read by some request alone, those of one value by a run; these come last, sorted and distinct, none
+/// within another part.
 pub(super) fn solve(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Share> {
     if groups.len() + values.len() <= EXACT {
         exact(groups, values, limits, cost)
@@ -340,20 +340,15 @@ fn choose(
         };
         let mut here = [run, NEVER, NEVER];
         let mut how = [How::Run { from }; 3];
-        if let Some(unit) = unit {
+        let fits = value.len * area.units() <= limits.mixed_units();
+        if let Some(unit) = unit.filter(|_| fits) {
             let neighbour = i > 0 && value.first <= values[i - 1].1.end();
             for ending in [Ending::Run, Ending::Even, Ending::Odd] {
                 let continues = neighbour && ending != Ending::Run;
                 let new = if continues { value.end() - values[i - 1].1.end() } else { value.len };
                 let odd = continues && ending == Ending::Odd;
-                let bytes = match (odd, new) {
-                    (false, 1) => item.single,
-                    (true, 1) => item.double - item.single,
-                    // Odd and two more: the odd one finds its partner, and the second is alone.
-                    (_, _) => item.double,
-                };
-                let price = before[ending as usize] + bytes + unit * u64::from(new);
-                let now = if odd == (new == 1) { 1 } else { 2 };
+                let price = before[ending as usize] + item.cost(new, odd) + unit * u64::from(new);
+                let now = if (new % 2 == 1) == odd { 1 } else { 2 };
                 if price < here[now] {
                     here[now] = price;
                     how[now] = How::Mixed { before: ending };

@@ -3,11 +3,15 @@ use std::time::Duration;
 
 use bytes::BytesMut;
 
+use super::layout::{Cells, Draft};
 use super::*;
-use crate::command::{Value, encode_reply, encode_request};
-use crate::element::{Symbol, Width};
+use crate::command::{Command, Value, encode_reply, encode_request};
+use crate::element::{Element, Register, Symbol, Width};
 use crate::endpoint::SerialSettings;
 use crate::tag::TagType;
+use crate::wire::Framing;
+
+mod texts;
 
 /// SplitMix64: the tests print the seed of what fails.
 struct Random(u64);
@@ -76,10 +80,17 @@ fn random_tag(random: &mut Random) -> Tag {
     };
     let address = address / usize::from(symbol.alignment()) * usize::from(symbol.alignment());
     let first = Element::new(symbol, u16::try_from(address).unwrap()).unwrap();
-    match (first.width(), random.below(3)) {
-        (Width::Word, 0) => Tag::new(first, TagType::F32, 1).unwrap(),
+    match (first.width(), random.below(6)) {
+        (Width::Word, 0..2) => Tag::new(first, TagType::F32, 1).unwrap(),
+        // No longer than any of the limits' runs.
+        (Width::Word, 2) => text(first, 1 + random.below(8)),
         _ => Tag::from(first),
     }
+}
+
+/// A text of so many registers, or as many as there are.
+fn text(first: Element, registers: usize) -> Tag {
+    (1..=registers).rev().find_map(|registers| Tag::spanning(first, TagType::Text, registers).ok()).unwrap()
 }
 
 /// What the simulated memory holds.
@@ -349,6 +360,18 @@ fn tags_that_no_request_holds_together_are_refused() {
     let limits = Limits::new().no_mixed_reads();
     let error = Plan::builder(network).limits(limits).one_scan([tag("R0"), tag("M0")]).build().unwrap_err();
     assert_eq!(error, PlanError::OneScan { first: tag("R0"), tags: 2, units: 2, max: 0 });
+    let end = "and as one run it is too long, of several kinds, or reaches across what cannot be read";
+    let what = "the 2 tags from R0 on must come from one scan, but no single request of the device reads that";
+    assert_eq!(error.to_string(), format!("{what}: there are no mixed reads, {end}"));
+    // Registers that two values share count once.
+    let error = Plan::builder(network).one_scan([tag("R0-R63"), tag("R5:f32"), tag("M0")]).build().unwrap_err();
+    assert_eq!(error, PlanError::OneScan { first: tag("R0-R63"), tags: 3, units: 65, max: 64 });
+    assert!(error.to_string().contains(": 65 units are too many for a mixed read, which takes 64, and as one run"));
+    // 44 44 00 44 46 00 00: `D` at 4400h and `DF` at 0, or `DD` at 44h and `F` at 0.
+    let binary = CostModel::network(Framing::Binary, Duration::from_millis(5));
+    let error = Plan::builder(binary).one_scan([tag("D17408"), tag("DF0")]).build().unwrap_err();
+    assert!(error.to_string().contains(": as a mixed read, the list has two readings in the binary framing, and"));
+    assert!(Plan::builder(network).one_scan([tag("D17408"), tag("DF0")]).build().is_ok());
     assert!(Plan::builder(network).one_scan([tag("R0-R63")]).build().is_ok());
     assert!(Plan::builder(network).one_scan([tag("R0-R64")]).build().is_err());
     assert!(Plan::builder(network).tag(tag("R0-R64")).build().is_ok());

@@ -1,11 +1,12 @@
 use std::fmt;
 
-use super::{Tag, TagType, TagValue};
+use super::text::Quoted;
+use super::{ScaleError, Tag, TagType, TagValue};
 use crate::command::Value;
 use crate::element::{Element, ElementError, Symbol, Width};
 
 /// The rule that a tag breaks.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TagError {
     /// An end of the range, or the whole, is no element.
@@ -54,6 +55,32 @@ pub enum TagError {
         /// The type.
         tag_type: TagType,
     },
+    /// Several texts in one tag: a text is its whole range.
+    #[error("a tag has one text, as long as its range, and not several from {first} on")]
+    #[non_exhaustive]
+    SeveralTexts {
+        /// The first element.
+        first: Element,
+    },
+    /// A text that one request does not hold.
+    #[error("a text comes from one request, which holds {max} registers, and the range has {registers}")]
+    #[non_exhaustive]
+    LongText {
+        /// How many registers it would have.
+        registers: usize,
+        /// The most it can have.
+        max: usize,
+    },
+    /// No gain and no offset.
+    #[error(transparent)]
+    Scale(#[from] ScaleError),
+    /// Gain and offset on what is no number.
+    #[error("{tag_type} takes neither gain nor offset (those that do: {})", Names(scalable()))]
+    #[non_exhaustive]
+    NotScalable {
+        /// The type.
+        tag_type: TagType,
+    },
     /// A tag of no values at all.
     #[error("a tag has at least one value")]
     NoValues,
@@ -71,7 +98,7 @@ pub enum TagError {
 }
 
 /// A text that is not a tag: the text, and the rule it breaks.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("`{input}` is not a tag: {reason}")]
 pub struct ParseTagError {
     pub(super) input: String,
@@ -120,7 +147,7 @@ pub enum ValueError {
         value: Value,
     },
     /// A value is of another type than the tag.
-    #[error("{tag} is {} of {} bits, and {value} is {} of {}", tag.tag_type, tag.shape.bits(), value.tag_type(), value.shape().bits())]
+    #[error("{tag} is {}, and {value} is {}", tag.kind.description(), value.description())]
     WrongType {
         /// The tag.
         tag: Tag,
@@ -139,6 +166,49 @@ pub enum ValueError {
         /// The type.
         tag_type: TagType,
     },
+    /// A value comes from no number that the elements can hold, by the tag's scale.
+    #[error("{value:?} comes from the raw number {raw:?}, which does not fit: {tag_type} takes {}", tag_type.takes())]
+    #[non_exhaustive]
+    RawOutOfRange {
+        /// The value.
+        value: f64,
+        /// What it comes from, before it is rounded.
+        raw: f64,
+        /// The type of the raw number.
+        tag_type: TagType,
+    },
+    /// It is not a decimal number, where a scaled value should be.
+    #[error("a scaled value is a decimal number, such as 12.3 or -1e3")]
+    NotDecimal,
+    /// There are more characters than the elements hold.
+    #[error("{} has {characters} characters, and {most} fit", Quoted(text))]
+    #[non_exhaustive]
+    TooLong {
+        /// The text.
+        text: String,
+        /// How many characters it has.
+        characters: usize,
+        /// How many the elements hold.
+        most: usize,
+    },
+    /// A character that no byte stands for.
+    #[error("{} has the character {character:?}, and only the 256 of Latin-1 can be held", Quoted(text))]
+    #[non_exhaustive]
+    NotLatin1 {
+        /// The text.
+        text: String,
+        /// The character.
+        character: char,
+    },
+    /// A bare text that could be taken for something else.
+    #[error("text with a comma, a quote, a backslash or a control character stands in double quotes, such as \"a, b\"")]
+    NotQuoted,
+    /// Double quotes that do not enclose the text.
+    #[error("text in double quotes ends with one, and a quote within it stands behind a backslash")]
+    BadQuotes,
+    /// A backslash before something that it does not go with.
+    #[error(r#"a backslash stands before one of " \ n r t 0, or before x and two hexadecimal digits"#)]
+    BadEscape,
     /// There is no value where one should be.
     #[error("a value is missing")]
     Empty,
@@ -163,12 +233,17 @@ pub enum ValueError {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("`{input}` is not a value for {tag}: {reason}")]
 pub struct ParseValueError {
-    pub(super) input: String,
-    pub(super) tag: Tag,
-    pub(super) reason: ValueError,
+    input: String,
+    tag: Tag,
+    /// In a box, for it can hold a tag too.
+    reason: Box<ValueError>,
 }
 
 impl ParseValueError {
+    pub(super) fn new(input: &str, tag: Tag, reason: ValueError) -> Self {
+        Self { input: input.to_owned(), tag, reason: reason.into() }
+    }
+
     /// The text of the value as given; all of them when their number is wrong.
     #[must_use]
     pub fn input(&self) -> &str {
@@ -206,12 +281,16 @@ pub enum ParseAssignmentError {
     Value(#[from] ParseValueError),
 }
 
+fn scalable() -> impl Iterator<Item = TagType> + Clone {
+    TagType::ALL.iter().copied().filter(|tag_type| tag_type.is_scalable())
+}
+
 /// The types that elements of a width can have, for [`TagError::WrongType`].
 struct TypesOf(Width);
 
 impl fmt::Display for TypesOf {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        Names(TagType::ALL.iter().copied().filter(|tag_type| tag_type.shape(self.0).is_some())).fmt(f)
+        Names(TagType::ALL.iter().copied().filter(|tag_type| tag_type.kind(self.0).is_some())).fmt(f)
     }
 }
 

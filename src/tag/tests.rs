@@ -1,6 +1,10 @@
 use proptest::prelude::*;
 
+mod scaled;
+mod text;
+
 use super::*;
+use crate::element::Symbol;
 use crate::{discrete, element, register, register32};
 
 #[test]
@@ -126,9 +130,9 @@ fn errors_of_tags_name_the_input_and_the_rule() {
     for (input, rule) in [
         ("R0-R8:f32", "f32 takes two 16-bit registers, and the range has 9, an uneven number"),
         ("R0-R0:u32", "u32 takes two 16-bit registers, and the range has 1, an uneven number"),
-        ("R0:f64", "`f64` is not a type (known: bool u16 i16 u32 i32 f32 hex)"),
-        ("R0:", "`` is not a type (known: bool u16 i16 u32 i32 f32 hex)"),
-        ("R0:bool", "R is a 16-bit register, which has no type bool (it has: u16 i16 u32 i32 f32 hex)"),
+        ("R0:f64", "`f64` is not a type (known: bool u16 i16 u32 i32 f32 hex text text-hi)"),
+        ("R0:", "`` is not a type (known: bool u16 i16 u32 i32 f32 hex text text-hi)"),
+        ("R0:bool", "R is a 16-bit register, which has no type bool (it has: u16 i16 u32 i32 f32 hex text text-hi)"),
         ("DR0:i16", "DR is a 32-bit register, which has no type i16 (it has: u32 i32 f32 hex)"),
         ("M0-M7:hex", "M is a discrete, which has no type hex (it has: bool)"),
         ("R0-D9", "a range has one kind of element, and this goes from R to D"),
@@ -197,9 +201,9 @@ fn raw_values_and_typed_values_must_be_the_tags_own() {
     let message = |result: Result<Vec<Value>, ValueError>| result.unwrap_err().to_string();
     assert_eq!(message(pair.encode(&[])), "R0-R1 takes 2 of them, not 0");
     let signed = [TagValue::U16(1), TagValue::I16(2)];
-    assert_eq!(message(pair.encode(&signed)), "R0-R1 is u16 of 16 bits, and 2 is i16 of 16");
+    assert_eq!(message(pair.encode(&signed)), "R0-R1 is u16 of 16 bits, and 2 is i16 of 16 bits");
     let wide = [TagValue::Hex32(1)];
-    assert_eq!(message(tag("R0:hex").encode(&wide)), "R0:hex is hex of 16 bits, and 0x00000001 is hex of 32");
+    assert_eq!(message(tag("R0:hex").encode(&wide)), "R0:hex is hex of 16 bits, and 0x00000001 is hex of 32 bits");
     assert!(Assignment::new(pair, signed).is_err());
     assert_eq!(Assignment::new(pair, [1, 2].map(TagValue::U16)).unwrap().to_string(), "R0-R1=1,2");
 }
@@ -227,13 +231,19 @@ fn encode(text: &str) -> Vec<Value> {
     assignment(text).encode()
 }
 
-/// Any tag of at most eight values.
+/// Any tag of at most eight values, scaled or not, or of a text as long as it can be.
 fn tags() -> impl Strategy<Value = Tag> {
     let types = prop::sample::select(TagType::ALL);
-    let tags = (prop::sample::select(Symbol::ALL), any::<u16>(), types, 1..=8_usize);
-    tags.prop_filter_map("no such tag", |(symbol, address, tag_type, values)| {
+    let tags =
+        (prop::sample::select(Symbol::ALL), any::<u16>(), types, 1..=64_usize, prop::option::of(scaled::scales()));
+    tags.prop_filter_map("no such tag", |(symbol, address, tag_type, count, scale)| {
         let address = address.min(symbol.last_address()) / symbol.alignment() * symbol.alignment();
-        Tag::new(Element::new(symbol, address).ok()?, tag_type, values).ok()
+        let first = Element::new(symbol, address).ok()?;
+        let tag = match tag_type.is_text() {
+            true => Tag::spanning(first, tag_type, count).ok()?,
+            false => Tag::new(first, tag_type, count.div_ceil(8)).ok()?,
+        };
+        Some(scale.and_then(|scale| tag.scaled(scale).ok()).unwrap_or(tag))
     })
 }
 
@@ -260,6 +270,8 @@ proptest! {
     #[test]
     fn every_raw_value_round_trips((tag, raw) in tags().prop_flat_map(|tag| (Just(tag), raw(tag)))) {
         let values = tag.decode(&raw).unwrap();
+        // In a sum, what is small beside the offset is lost, and so is the payload of a NaN: see the tests of scaled tags.
+        prop_assume!(!(tag.scale().is_some() && tag.tag_type() == TagType::F32));
         prop_assert_eq!(tag.encode(&values).unwrap(), raw);
     }
 
@@ -267,14 +279,14 @@ proptest! {
     fn every_assignment_round_trips((tag, raw) in tags().prop_flat_map(|tag| (Just(tag), raw(tag)))) {
         let values = tag.decode(&raw).unwrap();
         // The payload of a NaN is not printed.
-        prop_assume!(!values.iter().any(|value| matches!(value, TagValue::F32(value) if value.is_nan())));
+        prop_assume!(!values.iter().any(|value| value.as_f64().is_some_and(f64::is_nan)));
         let assignment = Assignment::new(tag, values).unwrap();
         prop_assert_eq!(assignment.to_string().parse(), Ok(assignment));
     }
 
     #[test]
     fn no_text_panics_and_every_accepted_text_round_trips(
-        text in "\\PC{0,16}|[RDWMrx]{1,3}[0-9]{1,5}(-[RDM]{0,3}[0-9]{0,5})?(:[a-z0-9]{0,4})?(=[-+0-9a-fxX.,]{0,12})?"
+        text in "\\PC{0,16}|[RDWMrx]{1,3}[0-9]{1,5}(-[RDM]{0,3}[0-9]{0,5})?(:([a-z0-9]{0,4}|text(-hi)?|[uif](16|32)[-*+.0-9e]{0,9}))?(=([-+0-9a-fxX.,]{0,12}|\"?[a-c\\\\\",xnrt0 \u{e9}\u{20ac}]{0,8}\"?))?"
     ) {
         if let Ok(tag) = text.parse::<Tag>() {
             prop_assert_eq!(tag.to_string().parse::<Tag>(), Ok(tag));

@@ -36,8 +36,11 @@ Tags:
   R5         a 16-bit register, unsigned (R D F RT RC WX WY WM WS WT WC)
   DR2        a 32-bit register, unsigned (DR DD DF DRT DRC DWX DWY DWM DWS DWT DWC)
   R0-R9      a range, both ends included
-  R5:i16     a type: bool, u16, i16, u32, i32, f32 or hex
+  R5:i16     a type: bool, u16, i16, u32, i32, f32, hex, text or text-hi
   R100:f32   32 bits of two 16-bit registers: R100, the low word, and R101
+  R5:i16*0.1-40   a number times a gain, plus an offset; one of the two will do
+  R0-R9:text      up to 64 registers as one text of two characters each, the low byte first;
+                  text-hi has the high byte first
 
 Exit status:
   0  ok
@@ -171,10 +174,11 @@ pub(crate) struct SimArgs {
   fatek read WY8:hex DR2:i32 --format csv
 
 JSON is an array of objects with tag, type and value, one for each value of a range. The value is
-true or false for bool, a string for hex, else a number; a float that JSON has no number for is
-\"NaN\", \"inf\" or \"-inf\".")]
+true or false for bool, a string for hex and text, else a number; a float that JSON has no number
+for is \"NaN\", \"inf\" or \"-inf\". In the table a text stands in double quotes, with a backslash
+before what could not be seen.")]
 pub(crate) struct ReadArgs {
-    /// An element, or a range, with an optional type: R5, R0-R9, R100:f32, DR2:i32, WY8:hex, M0-M7
+    /// An element, or a range, with an optional type: R5, R0-R9, R100:f32, R5:i16*0.1, WY8:hex, M0-M7
     #[arg(required = true, value_name = "TAG")]
     pub(crate) tags: Vec<Tag>,
     #[command(flatten)]
@@ -188,10 +192,13 @@ pub(crate) struct ReadArgs {
 #[command(after_help = "Examples:
   fatek write R0=5 R5:i16=-1 WY8=0xAAAA --link tcp://192.168.2.3 --station 1
   fatek write R100:f32=1.5 R0-R2=1,2,3 M0-M2=on,off,on
+  fatek write R5:i16*0.1=21.5 R10-R19:text='two words'
 
 Numbers are decimal, or the bits after 0x: 0xFFFF as i16 is -1. hex takes 0x only, f32 also nan
-and inf, bool 0 or 1, false or true, off or on. A range takes as many values as it has elements,
-or pairs of them, with commas between.")]
+and inf, bool 0 or 1, false or true, off or on. A number with gain or offset is decimal, and what
+is written is the nearest that the register can hold. A range takes as many values as it has
+elements, or pairs of them, with commas between; a text takes one. A text with a comma, a quote, a
+backslash or what cannot be seen stands in double quotes, with \\\" \\\\ \\n \\r \\t \\0 \\x1B in it.")]
 pub(crate) struct WriteArgs {
     /// A tag and its value, or its values: R0=5, R100:f32=1.5, R0-R2=1,2,3
     #[arg(required = true, value_name = "TAG=VALUE")]

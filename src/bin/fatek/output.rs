@@ -112,7 +112,7 @@ fn print_csv(rows: &Rows) -> io::Result<()> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(&rows.columns)?;
     for row in &rows.rows {
-        writer.write_record(row.iter().map(|cell| &cell.text))?;
+        writer.write_record(row.iter().map(Cell::csv))?;
     }
     let text = writer.into_inner().map_err(|error| error.into_error())?;
     let mut stdout = io::stdout().lock();
@@ -120,11 +120,18 @@ fn print_csv(rows: &Rows) -> io::Result<()> {
     stdout.flush()
 }
 
-/// What stands in a row: as text for the table and for CSV, and as JSON.
+/// What stands in a row: as text for the table, and as JSON.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Cell {
     pub(crate) text: String,
     pub(crate) json: Value,
+}
+
+impl Cell {
+    /// CSV has its own quotes, so a text stands in it as in JSON.
+    fn csv(&self) -> &str {
+        self.json.as_str().unwrap_or(&self.text)
+    }
 }
 
 impl From<String> for Cell {
@@ -153,7 +160,7 @@ impl From<u32> for Cell {
 
 impl From<TagValue> for Cell {
     /// JSON has no hexadecimal numbers, no NaN and no infinity: those are strings, as in the table, so that what was
-    /// read can be told apart, and be written back.
+    /// read can be told apart, and be written back. A text is its characters in JSON, and in quotes in the table.
     fn from(value: TagValue) -> Self {
         let text = value.to_string();
         let json = match value {
@@ -164,6 +171,8 @@ impl From<TagValue> for Cell {
             TagValue::I32(number) => number.into(),
             // By way of its shortest text: 0.1 shall not become 0.10000000149011612.
             TagValue::F32(number) if number.is_finite() => text.parse::<f64>().map_or(Value::Null, Value::from),
+            TagValue::Scaled(number) if number.is_finite() => number.into(),
+            TagValue::Text(characters) => characters.into(),
             _ => text.clone().into(),
         };
         Self { text, json }
@@ -186,6 +195,9 @@ mod tests {
             (TagValue::F32(f32::NAN), "\"NaN\""),
             (TagValue::F32(f32::NEG_INFINITY), "\"-inf\""),
             (TagValue::Hex16(0xAA), "\"0x00AA\""),
+            (TagValue::Scaled(12.3), "12.3"),
+            (TagValue::Scaled(f64::NAN), "\"NaN\""),
+            (TagValue::Text("a\"\n".to_owned()), r#""a\"\n""#),
         ] {
             assert_eq!(Cell::from(value).json.to_string(), json);
         }

@@ -12,10 +12,21 @@ pub(crate) async fn read(station: &Station, tags: &[Tag], output: &Output) -> Re
         let raw = fetch(station, tag).await.map_err(Failure::of(tag))?;
         let values = tag.decode(&raw).map_err(Failure::usage)?;
         for (single, value) in tag.singles().zip(values) {
-            rows.push([single.first().to_string().into(), single.tag_type().as_str().into(), value.into()]);
+            rows.push([elements(&single).into(), type_name(&single).into(), value.into()]);
         }
     }
     output.rows(&rows)
+}
+
+/// The tag without its type: what is left to say where a text is as long as its range.
+pub(crate) fn elements(tag: &Tag) -> String {
+    let text = tag.to_string();
+    text.split_once(':').map_or(text.clone(), |(elements, _)| elements.to_owned())
+}
+
+pub(crate) fn type_name(tag: &Tag) -> String {
+    let name = tag.tag_type();
+    tag.scale().map_or_else(|| name.to_string(), |scale| format!("{name}{scale}"))
 }
 
 /// What the elements of a tag hold.

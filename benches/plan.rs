@@ -1,0 +1,57 @@
+//! How long planning takes, for the second table of docs/PLAN.md.
+//!
+//! ```text
+//! cargo bench --bench plan
+//! ```
+
+#[path = "../examples/plan_table/tags.rs"]
+mod tags;
+
+use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use fatek::endpoint::SerialSettings;
+use fatek::plan::{CostModel, Limits, Plan};
+use fatek::tag::Tag;
+use fatek::wire::Framing;
+
+fn planning(c: &mut Criterion) {
+    let cost = CostModel::serial(SerialSettings::new(Framing::Ascii), Framing::Ascii);
+    let all = Limits::new();
+    let cases: [(&str, fn(usize) -> Vec<Tag>, Limits); 4] = [
+        ("clustered", clustered, all.clone()),
+        ("random", random, all.clone()),
+        ("random texts", texts, all.clone()),
+        ("random, no mixed reads", random, all.no_mixed_reads()),
+    ];
+    for (name, tags, limits) in cases {
+        let mut group = c.benchmark_group(name);
+        for n in [1000, 10_000, 100_000] {
+            let builder = Plan::builder(cost).limits(limits.clone()).tags(tags(n));
+            group.throughput(Throughput::Elements(n as u64));
+            group.sample_size(20);
+            group.bench_function(BenchmarkId::from_parameter(n), |b| {
+                b.iter_batched(|| builder.clone(), |builder| builder.build().expect("a plan"), BatchSize::LargeInput);
+            });
+        }
+        group.finish();
+    }
+}
+
+fn clustered(n: usize) -> Vec<Tag> {
+    tags::clustered(n).expect("good tags")
+}
+
+fn random(n: usize) -> Vec<Tag> {
+    tags::random(n, 65_535, 65_535, 10_000).expect("good tags")
+}
+
+/// The same, one in ten of the registers a text of up to 32.
+fn texts(n: usize) -> Vec<Tag> {
+    let text = |(n, tag): (usize, Tag)| {
+        let spanning = Tag::spanning(tag.first(), fatek::tag::TagType::Text, n % 32 + 1);
+        if n % 10 == 0 { spanning.unwrap_or(tag) } else { tag }
+    };
+    random(n).into_iter().enumerate().map(text).collect()
+}
+
+criterion_group!(benches, planning);
+criterion_main!(benches);

@@ -1,0 +1,202 @@
+use std::collections::HashMap;
+use std::ops::Range;
+use std::time::Duration;
+
+use super::layout::{self, Cells, Draft};
+use super::solve::{self, Part};
+use super::{CostModel, Limits, MAX_VALUES, Plan, PlanError, PlannedRequest, Slot};
+use crate::command::InvalidRequest;
+use crate::tag::Tag;
+
+/// What a plan is made from: see [`Plan::builder`].
+#[derive(Clone, Debug)]
+pub struct PlanBuilder {
+    cost: CostModel,
+    limits: Limits,
+    tags: Vec<Tag>,
+    /// The tags of each group, by their place in `tags`.
+    groups: Vec<Range<usize>>,
+}
+
+impl PlanBuilder {
+    pub(super) fn new(cost: CostModel) -> Self {
+        Self { cost, limits: Limits::new(), tags: Vec::new(), groups: Vec::new() }
+    }
+
+    /// What the device takes. Without this, it is what the protocol has.
+    #[must_use]
+    pub fn limits(self, limits: Limits) -> Self {
+        Self { limits, ..self }
+    }
+
+    /// Adds a tag. Tags are numbered as they are added, from 0.
+    #[must_use]
+    pub fn tag(mut self, tag: impl Into<Tag>) -> Self {
+        self.tags.push(tag.into());
+        self
+    }
+
+    /// Adds tags, one after the other.
+    #[must_use]
+    pub fn tags(mut self, tags: impl IntoIterator<Item = Tag>) -> Self {
+        self.tags.extend(tags);
+        self
+    }
+
+    /// Adds tags that must come from one scan of the PLC, so from one request.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::plan::{CostModel, Plan};
+    /// use fatek::wire::Framing;
+    ///
+    /// let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
+    /// let tags = |tags: [&str; 2]| tags.map(|tag| tag.parse().unwrap());
+    /// assert_eq!(Plan::builder(network).one_scan(tags(["R0", "M5"])).build()?.requests().len(), 1);
+    /// assert!(Plan::builder(network).one_scan(tags(["R0-R63", "M5"])).build().is_err()); // 65 units
+    /// # Ok::<(), fatek::plan::PlanError>(())
+    /// ```
+    #[must_use]
+    pub fn one_scan(mut self, tags: impl IntoIterator<Item = Tag>) -> Self {
+        let start = self.tags.len();
+        self.tags.extend(tags);
+        if self.tags.len() > start {
+            self.groups.push(start..self.tags.len());
+        }
+        self
+    }
+
+    /// Makes the plan.
+    ///
+    /// # Errors
+    /// [`PlanError::NotReadable`] and [`PlanError::OneScan`] where the device's limits do not allow it;
+    /// [`PlanError::TooManyValues`] above [`MAX_VALUES`].
+    pub fn build(self) -> Result<Plan, PlanError> {
+        let values = Values::of(&self.tags, &self.limits)?;
+        let parts = self.parts(&values)?;
+        let shares = solve::solve(&parts.groups, &parts.single, &self.limits, &self.cost);
+
+        let mut request_of = vec![0_u32; parts.groups.len() + parts.single.len()];
+        for (request, (_, parts)) in (0..).zip(&shares) {
+            for part in parts {
+                request_of[*part] = request;
+            }
+        }
+        let words_before: Vec<Vec<u32>> = shares.iter().map(|(draft, _)| draft.words_before()).collect();
+        let mut counts = vec![0; shares.len()];
+        let mut slots = Vec::with_capacity(values.cells.len());
+        for (cells, part) in values.cells.iter().zip(&parts.part_of) {
+            let request = request_of[*part];
+            let at = request as usize;
+            counts[at] += 1;
+            let word = shares[at].0.find(*cells, &words_before[at]);
+            debug_assert!(word.is_some(), "the solver says that this request reads this value");
+            slots.push(Slot { request, word: word.unwrap_or(u32::MAX) });
+        }
+        let planned = |((draft, _), values): (&solve::Share, usize)| {
+            let (request_bytes, reply_bytes) = draft.bytes(&self.cost);
+            let time = Duration::from_nanos(draft.cost(&self.cost));
+            Ok(PlannedRequest { request: draft.request()?, values, request_bytes, reply_bytes, time })
+        };
+        let requests = shares.iter().zip(counts).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
+        Ok(Plan { tags: self.tags, first_slot: values.first_slot, slots, requests })
+    }
+
+    /// What must come from one request each.
+    fn parts(&self, values: &Values) -> Result<Parts, PlanError> {
+        let mut part_of: Vec<usize> = vec![0; values.cells.len()];
+        let mut plain: Vec<bool> = vec![true; values.cells.len()];
+        let mut groups: Vec<Part> = Vec::with_capacity(self.groups.len());
+        let mut known: HashMap<Part, usize> = HashMap::new();
+        for tags in self.groups.iter().cloned().chain(self.long_texts(values)) {
+            let slots = values.slots(&tags);
+            let mut part = values.cells[slots.clone()].to_vec();
+            part.sort_unstable_by_key(|cells| cells.key());
+            part.dedup_by(|next, kept| kept.hold(*next));
+            if Draft::cheapest(&part, &self.limits, &self.cost).is_none() {
+                return Err(PlanError::OneScan {
+                    first: self.tags[tags.start],
+                    tags: tags.len(),
+                    units: layout::mixed_units(&part) as usize,
+                    max: self.limits.mixed_units() as usize,
+                });
+            }
+            let n = *known.entry(part.clone()).or_insert(groups.len());
+            if n == groups.len() {
+                groups.push(part);
+            }
+            part_of[slots.clone()].fill(n);
+            plain[slots].fill(false);
+        }
+
+        // Values that are not in a group, those of groups among them to find what lies in one.
+        let mut sorted: Vec<(Cells, bool, usize)> =
+            values.cells.iter().zip(&plain).enumerate().map(|(n, (cells, plain))| (*cells, *plain, n)).collect();
+        sorted.sort_unstable_by_key(|(cells, plain, n)| (cells.key(), *plain, *n));
+        let mut single: Vec<Cells> = Vec::with_capacity(sorted.len());
+        // All that came before begins no later, so what reaches farthest holds the next value if anything does.
+        let mut farthest: Option<(Cells, usize)> = None;
+        for (cells, plain, n) in sorted {
+            let holder = farthest.filter(|(other, _)| other.hold(cells));
+            if plain {
+                part_of[n] = holder.map_or(groups.len() + single.len(), |(_, part)| part);
+                if holder.is_none() {
+                    single.push(cells);
+                }
+            }
+            if holder.is_none() {
+                farthest = Some((cells, part_of[n]));
+            }
+        }
+        Ok(Parts { groups, single, part_of })
+    }
+
+    /// The texts, outside the groups, for which the device's runs are too short: like groups, they need a mixed read.
+    fn long_texts<'a>(&'a self, values: &'a Values) -> impl Iterator<Item = Range<usize>> + 'a {
+        let mut groups = self.groups.iter().peekable();
+        (0..self.tags.len()).map(|n| n..n + 1).filter(move |tag| {
+            while groups.next_if(|group| group.end <= tag.start).is_some() {}
+            let is_in_group = groups.peek().is_some_and(|group| group.start <= tag.start);
+            let too_long = |cells: &Cells| cells.len > cells.area.max_run(&self.limits);
+            !is_in_group && values.cells[values.slots(tag)].first().is_some_and(too_long)
+        })
+    }
+}
+
+/// The values of the tags, as cells, one after the other.
+struct Values {
+    cells: Vec<Cells>,
+    /// For each tag, where its values begin.
+    first_slot: Vec<usize>,
+}
+
+/// What must come from one request each: groups, and values that are in none.
+struct Parts {
+    groups: Vec<Part>,
+    /// Sorted and distinct, none within another part, and each no longer than a run.
+    single: Vec<Cells>,
+    /// For each value, the part it is read with: the groups count first.
+    part_of: Vec<usize>,
+}
+
+impl Values {
+    fn of(tags: &[Tag], limits: &Limits) -> Result<Self, PlanError> {
+        let total = tags.iter().map(Tag::value_count).fold(0, usize::saturating_add);
+        if total > MAX_VALUES {
+            return Err(PlanError::TooManyValues { max: MAX_VALUES });
+        }
+        let mut values = Self { cells: Vec::with_capacity(total), first_slot: Vec::with_capacity(tags.len()) };
+        for tag in tags {
+            values.first_slot.push(values.cells.len());
+            for first in tag.elements().step_by(tag.elements_per_value()) {
+                let cells = Cells::of(first, tag.elements_per_value(), limits);
+                values.cells.push(cells.ok_or(PlanError::NotReadable { tag: *tag, element: first })?);
+            }
+        }
+        Ok(values)
+    }
+
+    fn slots(&self, tags: &Range<usize>) -> Range<usize> {
+        self.first_slot[tags.start]..self.first_slot.get(tags.end).copied().unwrap_or(self.cells.len())
+    }
+}

@@ -1,0 +1,105 @@
+use std::fmt;
+use std::time::Duration;
+
+use super::Reply;
+use crate::command::{Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
+use crate::element::{Element, Register, Register32};
+use crate::error::Error;
+use crate::station::Station;
+use crate::wire::Framing;
+
+/// One request of a [`Plan`], and what it costs.
+#[derive(Clone, Debug)]
+pub struct PlannedRequest {
+    pub(super) request: ReadRequest,
+    pub(super) values: usize,
+    pub(super) request_bytes: usize,
+    pub(super) reply_bytes: usize,
+    pub(super) time: Duration,
+}
+
+/// A request that reads elements.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ReadRequest {
+    /// 44: a run of discretes.
+    Discretes(ReadDiscretes),
+    /// 46: a run of 16-bit registers.
+    Registers(ReadRegisters<Register>),
+    /// 46: a run of 32-bit registers.
+    Registers32(ReadRegisters<Register32>),
+    /// 48: elements of any kind.
+    Mixed(ReadMixed),
+}
+
+impl PlannedRequest {
+    /// What is sent.
+    #[must_use]
+    pub fn request(&self) -> &ReadRequest {
+        &self.request
+    }
+
+    /// How many values of tags come from it.
+    #[must_use]
+    pub fn value_count(&self) -> usize {
+        self.values
+    }
+
+    /// The bytes of the request and of its reply.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.request_bytes + self.reply_bytes
+    }
+
+    /// How long it takes, by the cost model.
+    #[must_use]
+    pub fn time(&self) -> Duration {
+        self.time
+    }
+}
+
+impl ReadRequest {
+    /// Sends it.
+    ///
+    /// # Errors
+    /// As for every method of [`Station`].
+    pub async fn call(&self, station: &Station) -> Result<Reply, Error> {
+        Ok(match self {
+            Self::Discretes(request) => Reply::Bits(station.call(*request).await?),
+            Self::Registers(request) => Reply::Words(station.call(*request).await?),
+            Self::Registers32(request) => Reply::Doubles(station.call(*request).await?),
+            Self::Mixed(request) => Reply::Mixed(station.call(request.clone()).await?),
+        })
+    }
+
+    pub(super) fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
+        match self {
+            Self::Discretes(request) => request.check(framing),
+            Self::Registers(request) => request.check(framing),
+            Self::Registers32(request) => request.check(framing),
+            Self::Mixed(request) => request.check(framing),
+        }
+    }
+}
+
+impl fmt::Display for ReadRequest {
+    /// The code and the elements: `46 R0-R9`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let run = |f: &mut fmt::Formatter<'_>, code, first: Element, count: usize| {
+            write!(f, "{code} {first}")?;
+            match first.nth(count.saturating_sub(1)) {
+                Ok(last) if last != first => write!(f, "-{last}"),
+                _ => Ok(()),
+            }
+        };
+        match self {
+            Self::Discretes(request) => run(f, 44, request.first().into(), request.count()),
+            Self::Registers(request) => run(f, 46, request.first().into(), request.count()),
+            Self::Registers32(request) => run(f, 46, request.first().into(), request.count()),
+            Self::Mixed(request) => {
+                f.write_str("48")?;
+                request.elements().iter().try_for_each(|element| write!(f, " {element}"))
+            }
+        }
+    }
+}

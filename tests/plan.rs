@@ -1,0 +1,162 @@
+//! A plan that is read from a simulated PLC: what its tags hold, and whose the error of a request is.
+#![cfg(feature = "sim")]
+
+use std::time::Duration;
+
+use fatek::command::{Code, Request, Value};
+use fatek::plan::{ReadRequest, Readings, Reply};
+use fatek::sim::fault::{Heard, LogEntry};
+use fatek::sim::{self, Bus, Fault, Faults, Model, Plc, Rule};
+use fatek::tag::{Assignment, Tag, TagValue};
+use fatek::wire::Framing;
+use fatek::{CostModel, Element, Error, ErrorCode, Limits, Link, Plan, Station, element};
+
+const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
+
+/// What the PLC holds, as tags of every kind.
+const HELD: [&str; 12] = [
+    "R0-R4=1,2,3,4,65535",
+    "R8:f32=-500.125",
+    "R20-R29:text=\"two words, é\\n\"",
+    "R40-R41:text-hi=Hi",
+    "R45-R46:i16*0.1-40=21.5,-40.1",
+    "DR50:i32=-70000",
+    "DR52:u32*0.001=4294967.295",
+    "D7:hex=0xBEEF",
+    "D100:f32*0.5+3=4.25",
+    "M3-M5=1,0,1",
+    "WM16=0x8001",
+    "RT5=9",
+];
+
+struct Bench {
+    faults: Faults,
+    station: Station,
+    tags: Vec<Tag>,
+    values: Vec<Vec<TagValue>>,
+}
+
+/// A PLC that holds all that, whose `D` ends at D3839.
+fn bench(framing: Framing) -> Bench {
+    let (plc, faults) = (Plc::with_model(Model::default().last(element!("D3839"))), Faults::new(1));
+    let held = HELD.map(|text| text.parse::<Assignment>().unwrap());
+    for (element, value) in held.iter().flat_map(|held| held.tag().elements().zip(held.encode())) {
+        plc.write(element, value).unwrap();
+    }
+    let bus = Bus::new().with_station(1, plc).unwrap().with_faults(faults.clone());
+    let builder = Link::connector_builder("in memory", framing, sim::connector(bus, framing));
+    let link = builder.response_timeout(Duration::from_millis(100)).retries(0).build();
+    Bench {
+        faults,
+        station: link.station(1).unwrap(),
+        tags: held.iter().map(Assignment::tag).collect(),
+        values: held.iter().map(|held| held.values().to_vec()).collect(),
+    }
+}
+
+fn model(framing: Framing) -> CostModel {
+    CostModel::network(framing, Duration::from_millis(5))
+}
+
+fn values(readings: &Readings<'_, Error>, number: usize) -> Vec<TagValue> {
+    readings.tag(number).unwrap().unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn tags_of_every_kind_are_read_by_runs_and_by_mixed_reads() {
+    for framing in FRAMINGS {
+        for limits in [Limits::new(), Limits::new().no_mixed_reads(), Limits::new().max_registers(4).unwrap()] {
+            let bench = bench(framing);
+            let plan = Plan::builder(model(framing)).limits(limits).tags(bench.tags.clone()).build().unwrap();
+            let readings = plan.read(&bench.station).await;
+            for (n, held) in bench.values.iter().enumerate() {
+                assert_eq!(values(&readings, n), *held, "{framing}, {}", bench.tags[n]);
+            }
+            let sent = bench.faults.log().entries();
+            assert_eq!(sent.len(), plan.requests().len(), "one request each, and nothing besides");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_request_that_is_refused_takes_its_own_tags_with_it_and_no_others() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        let missing = ["D3840-D3841:text", "D3843:i16*0.1"].map(|tag| tag.parse().unwrap());
+        let limits = Limits::new().no_mixed_reads();
+        let builder = Plan::builder(model(framing)).limits(limits).tags(bench.tags.clone());
+        let plan = builder.tags(missing).build().unwrap();
+        let readings = plan.read(&bench.station).await;
+        for (n, held) in bench.values.iter().enumerate() {
+            assert_eq!(values(&readings, n), *held, "{framing}, {}", bench.tags[n]);
+        }
+        for n in [bench.tags.len(), bench.tags.len() + 1] {
+            let error = readings.tag(n).unwrap().unwrap_err();
+            assert!(matches!(error, Error::Plc { error: ErrorCode::IllegalAddress, .. }), "{error}");
+        }
+        let failed: Vec<_> = readings.errors().map(|(n, _)| plan.requests()[n].request().to_string()).collect();
+        assert_eq!(failed, ["46 D3840-D3843"]);
+        assert_eq!(readings.iter().filter(|(_, values)| values.is_err()).count(), 2);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_request_that_stays_without_an_answer_takes_its_own_tags_with_it_and_no_others() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        bench.faults.add_rule(Rule::new(Fault::Ignore).elements(element!("R20"), 1));
+        let limits = Limits::new().no_mixed_reads().max_registers(16).unwrap();
+        let plan = Plan::builder(model(framing)).limits(limits).tags(bench.tags.clone()).build().unwrap();
+        let readings = plan.read(&bench.station).await;
+        let failed: Vec<usize> = readings.errors().map(|(n, _)| n).collect();
+        let [failed] = failed[..] else { panic!("{failed:?}") };
+        assert_eq!(plan.requests()[failed].request().to_string(), "46 R20-R29");
+        for (n, held) in bench.values.iter().enumerate() {
+            match readings.tag(n).unwrap() {
+                Ok(values) => assert_eq!(values, *held, "{framing}, {}", bench.tags[n]),
+                Err(error) => {
+                    assert_eq!(bench.tags[n].to_string(), "R20-R29:text");
+                    assert!(matches!(error, Error::Timeout { code: Code::ReadRegisters, .. }), "{error}");
+                }
+            }
+        }
+        assert!(readings.tag(2).unwrap().is_err());
+    }
+}
+
+/// The registers of a text change between two requests: had they come from both, halves of two texts would be seen.
+#[tokio::test(start_paused = true)]
+async fn a_text_is_never_made_of_two_replies() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        let tags: Vec<Tag> = ["R0-R39", "R30-R79:text", "R60-R119"].map(|tag| tag.parse().unwrap()).into();
+        let plan = Plan::builder(model(framing)).tags(tags.clone()).build().unwrap();
+        plan.read(&bench.station).await;
+        let whole = |entry: &LogEntry| match &entry.heard {
+            Heard::Request { request: Request::ReadRegisters(read), .. } => {
+                let first = usize::from(read.first().address());
+                first <= 30 && first + read.count() >= 80
+            }
+            _ => false,
+        };
+        assert!(plan.requests().len() > 1 && bench.faults.log().entries().iter().any(whole), "{}", plan.explain());
+        // Each request is answered with a letter of its own, and the text has the same one throughout.
+        let answer = |n: u16, request: &ReadRequest| {
+            let word = 0x4141 + n * 0x0101;
+            let value = |element: &Element| match element {
+                Element::Register32(_) => Value::Double(u32::from(word) << 16 | u32::from(word)),
+                _ => Value::Word(word),
+            };
+            match request {
+                ReadRequest::Registers(read) => Reply::Words(vec![word; read.count()]),
+                ReadRequest::Mixed(read) => Reply::Mixed(read.elements().iter().map(value).collect()),
+                other => panic!("{other}"),
+            }
+        };
+        let replies = (0..).zip(plan.requests()).map(|(n, planned)| Ok::<_, Error>(answer(n, planned.request())));
+        let readings = plan.scatter(replies).unwrap();
+        let text = values(&readings, 1);
+        let [TagValue::Text(text)] = &text[..] else { panic!("{text:?}") };
+        assert!(text.len() == 100 && text.chars().all(|c| text.starts_with(c)), "{text}");
+    }
+}
