@@ -54,6 +54,7 @@
 mod cost;
 mod layout;
 mod limits;
+mod parts;
 mod readings;
 mod solve;
 
@@ -62,6 +63,7 @@ use std::time::Duration;
 
 pub use cost::CostModel;
 pub use limits::Limits;
+pub(crate) use readings::Words;
 pub use readings::{Readings, Reply};
 
 use self::layout::{Cells, Draft};

@@ -98,6 +98,17 @@ impl TagValue {
         }
     }
 
+    pub fn as_f64(&self) -> Option<f64> {
+        Some(match *self {
+            Self::Bool(_) => return None,
+            Self::U16(value) | Self::Hex16(value) => value.into(),
+            Self::I16(value) => value.into(),
+            Self::U32(value) | Self::Hex32(value) => value.into(),
+            Self::I32(value) => value.into(),
+            Self::F32(value) => value.into(),
+        })
+    }
+
     /// Its bits, filled up with zeros.
     pub(super) fn bits(self) -> u32 {
         match self {
