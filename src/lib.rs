@@ -39,6 +39,7 @@
 //! - [`tag`]: an element, or a range of them, with a type: `R100:f32`.
 //! - [`command`]: the fourteen commands, each one type.
 //! - [`plan`]: the cheapest requests for a set of tags.
+//! - [`poll`]: [`Poller`], tags read again and again, as a stream of samples.
 //! - [`wire`]: the two framings, usable alone.
 //! - [`link`]: [`Link`], [`Station`] and [`Broadcast`], and what decides between them.
 //! - [`pool`]: [`Pool`], the links to many PLCs.
@@ -71,6 +72,7 @@ pub mod endpoint;
 mod error;
 pub mod link;
 pub mod plan;
+pub mod poll;
 pub mod pool;
 mod random;
 #[cfg(feature = "sim")]
@@ -85,6 +87,7 @@ pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode};
 pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
 pub use plan::{CostModel, Limits, Plan};
+pub use poll::Poller;
 pub use pool::{Pool, PoolBuilder, PoolError, PoolStats};
 pub use station::{Broadcast, Station};
 

@@ -59,6 +59,7 @@ mod error;
 mod explain;
 mod layout;
 mod limits;
+mod parts;
 mod readings;
 mod request;
 mod solve;
@@ -70,6 +71,7 @@ pub use cost::CostModel;
 pub use error::PlanError;
 pub use explain::Explanation;
 pub use limits::Limits;
+pub(crate) use readings::Words;
 pub use readings::{Readings, Reply};
 pub use request::{PlannedRequest, ReadRequest};
 

@@ -212,6 +212,7 @@ impl LinkBuilder {
             messages: sender,
             state: watcher,
             board: board.clone(),
+            line: self.line,
             driver: Mutex::new(Some(Box::new(Driver {
                 core: Core::new(config, board, self.seed.unwrap_or_else(Random::seed)),
                 connector: self.connector,

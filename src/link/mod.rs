@@ -94,6 +94,8 @@ struct Shared {
     messages: mpsc::Sender<Message>,
     state: watch::Receiver<LinkState>,
     board: Arc<Board>,
+    /// The serial line, if it is one.
+    line: Option<Line>,
     /// The task, until the first call starts it.
     driver: Mutex<Option<Box<Driver>>>,
 }
@@ -236,6 +238,10 @@ impl Link {
     /// How many handles there are, those of stations included.
     pub(crate) fn handles(&self) -> usize {
         Arc::strong_count(&self.shared)
+    }
+
+    pub(crate) fn line(&self) -> Option<Line> {
+        self.shared.line
     }
 
     pub(crate) fn board(&self) -> &Board {

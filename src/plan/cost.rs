@@ -2,7 +2,7 @@ use std::time::Duration;
 
 use crate::element::{Symbol, Width};
 use crate::endpoint::SerialSettings;
-use crate::link::Line;
+use crate::link::{Line, Link};
 use crate::wire::Framing;
 
 /// What a request costs: time for its bytes, and time for its being one more request.
@@ -41,13 +41,24 @@ impl CostModel {
     /// request as the link does it. The latency is 5 ms, about half a scan of a PLC; measure yours.
     #[must_use]
     pub fn serial(settings: SerialSettings, framing: Framing) -> Self {
-        let line = Line::from(settings);
+        Self::line(Line::from(settings), framing)
+    }
+
+    fn line(line: Line, framing: Framing) -> Self {
         Self {
             framing,
             byte_time: line.transmission(1),
             turnaround: line.gap(),
-            latency: Duration::from_millis(5),
+            latency: DEFAULT_LATENCY,
             overhead: Duration::ZERO,
+        }
+    }
+
+    /// That of the line that a link is on, as far as the link knows it. A network's latency is 5 ms: measure it.
+    pub(crate) fn of_link(link: &Link) -> Self {
+        match link.line() {
+            Some(line) => Self::line(line, link.framing()),
+            None => Self::network(link.framing(), DEFAULT_LATENCY),
         }
     }
 
@@ -154,6 +165,9 @@ impl CostModel {
 
 // Bounds that keep every sum far from the end of a u64 of nanoseconds.
 const MAX_LATENCY: Duration = Duration::from_secs(60);
+
+/// Until something is measured.
+const DEFAULT_LATENCY: Duration = Duration::from_millis(5);
 
 fn bounded(time: Duration) -> Duration {
     time.min(Duration::from_secs(1))

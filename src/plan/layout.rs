@@ -66,8 +66,22 @@ impl Area {
     }
 
     fn element(self, symbol: Symbol, cell: u32) -> Result<Element, InvalidRequest> {
+        Ok(Element::new(symbol, self.address(cell))?)
+    }
+
+    fn address(self, cell: u32) -> u16 {
         let address = cell * u32::from(self.symbol.step()) + u32::from(self.residue);
-        Ok(Element::new(symbol, u16::try_from(address).unwrap_or(u16::MAX))?)
+        u16::try_from(address).unwrap_or(u16::MAX)
+    }
+
+    /// The symbol that the ranges of [`Limits`] name it by: a range of `RC` is one of `DRC` too.
+    fn listed(self) -> Symbol {
+        if self.symbol == Symbol::DRC { Symbol::RC } else { self.symbol }
+    }
+
+    /// Whether one of these cells, both ends among them, is to be avoided.
+    pub(super) fn avoids(self, first: u32, last: u32, limits: &Limits) -> bool {
+        limits.avoids(self.listed(), self.address(first), self.address(last))
     }
 }
 
@@ -76,12 +90,12 @@ impl Cells {
     pub(super) fn of(first: Element, elements: usize, limits: &Limits) -> Option<Self> {
         let per_element = u32::from(cell_symbol(first).1);
         let symbol = cell_symbol(first).0;
-        // A range of RC is one of DRC too.
-        let listed = if symbol == Symbol::DRC { Symbol::RC } else { symbol };
-        let segment = limits.segment(listed, first.address())?;
         let step = symbol.step();
+        let area = Area { symbol, segment: 0, residue: first.address() % step };
+        let listed = area.listed();
+        let segment = limits.segment(listed, first.address())?;
         let cells = Self {
-            area: Area { symbol, segment, residue: first.address() % step },
+            area: Area { segment, ..area },
             first: u32::from(first.address() / step),
             len: u32::try_from(elements).ok()? * per_element,
         };
@@ -101,6 +115,19 @@ impl Cells {
     pub(super) fn hold(self, other: Self) -> bool {
         self.area == other.area && self.first <= other.first && other.end() <= self.end()
     }
+}
+
+/// Whether a run that holds these leads through something that is to be avoided. They are sorted, and of one area.
+fn avoids_a_gap(cells: &[Cells], limits: &Limits) -> bool {
+    if limits.avoids_nothing() {
+        return false;
+    }
+    let mut end = cells.first().map_or(0, |first| first.end());
+    cells.iter().any(|next| {
+        let avoided = next.first > end && next.area.avoids(end, next.first - 1, limits);
+        end = end.max(next.end());
+        avoided
+    })
 }
 
 /// The symbol of the cells of an element, and how many of them it has.
@@ -145,7 +172,8 @@ impl Draft {
         let (first, last) = (cells.first()?, cells.last()?);
         let end = cells.iter().map(|cells| cells.end()).max()?;
         let run = Cells { len: end - first.first, ..*first };
-        (first.area == last.area && run.len <= run.area.max_run(limits)).then_some(Self::Run(run))
+        let fits = first.area == last.area && run.len <= run.area.max_run(limits);
+        (fits && !avoids_a_gap(cells, limits)).then_some(Self::Run(run))
     }
 
     /// The mixed request that holds all of these and nothing else, if there is one. They are sorted.

@@ -22,9 +22,13 @@ pub struct Limits {
     max_registers: usize,
     max_points: usize,
     max_mixed: usize,
-    /// Sorted; ranges that touch are one.
-    readable: Vec<Range>,
+    readable: Ranges,
+    avoided: Ranges,
 }
+
+/// Ranges of elements: sorted; those that touch are one.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Ranges(Vec<Range>);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Range {
@@ -37,7 +41,13 @@ impl Limits {
     /// The protocol's own limits: 64 units, 256 points, and every address that exists.
     #[must_use]
     pub fn new() -> Self {
-        Self { max_registers: MAX_UNITS, max_points: MAX_POINTS, max_mixed: MAX_MIXED_READ_UNITS, readable: Vec::new() }
+        Self {
+            max_registers: MAX_UNITS,
+            max_points: MAX_POINTS,
+            max_mixed: MAX_MIXED_READ_UNITS,
+            readable: Ranges::default(),
+            avoided: Ranges::default(),
+        }
     }
 
     /// The most 16-bit registers in one request 46, where 32 bits count two.
@@ -79,21 +89,62 @@ impl Limits {
     /// # Errors
     /// [`PlanError::Range`] unless both ends are of one symbol of 1 or 16 bits, the lower one first.
     pub fn readable(mut self, first: Element, last: Element) -> Result<Self, PlanError> {
-        let symbol = first.symbol();
-        if last.symbol() != symbol || first.address() > last.address() || symbol.width() == Width::Double {
-            return Err(PlanError::Range { first, last });
-        }
-        self.readable.push(Range { symbol, first: first.address(), last: last.address() });
-        self.readable.sort_unstable();
-        self.readable.dedup_by(|next, range| {
-            let touch = next.symbol == range.symbol
-                && u32::from(next.first) <= u32::from(range.last) + u32::from(next.symbol.alignment());
-            if touch {
-                range.last = range.last.max(next.last);
-            }
-            touch
-        });
+        self.readable.extend([Range::new(first, last)?]);
         Ok(self)
+    }
+
+    /// These elements, both ends among them, are not read to get at something else: no run leads through them. A tag on
+    /// them is read all the same. For addresses that the device refuses, or that are better left alone.
+    ///
+    /// As with [`readable`](Self::readable), a range of `R` holds for `DR` too, but one of `M` not for `WM`.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::element;
+    /// use fatek::plan::{CostModel, Limits, Plan};
+    /// use fatek::wire::Framing;
+    ///
+    /// let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
+    /// let limits = Limits::new().no_mixed_reads();
+    /// let plan = |limits| Plan::builder(network).limits(limits).tags(["R0", "R9"].map(|tag| tag.parse().unwrap())).build();
+    /// assert_eq!(plan(limits.clone())?.requests().len(), 1); // R0 to R9
+    /// assert_eq!(plan(limits.avoid(element!("R4"), element!("R5"))?)?.requests().len(), 2);
+    /// # Ok::<(), fatek::plan::PlanError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`PlanError::Range`] unless both ends are of one symbol of 1 or 16 bits, the lower one first.
+    pub fn avoid(mut self, first: Element, last: Element) -> Result<Self, PlanError> {
+        self.avoided.extend([Range::new(first, last)?]);
+        Ok(self)
+    }
+
+    /// Avoids all of these consecutive elements, of any width.
+    pub(crate) fn avoid_all(mut self, elements: impl IntoIterator<Item = (Element, usize)>) -> Self {
+        let range = |(first, count): (Element, usize)| {
+            let last = first.nth(count.checked_sub(1)?).ok()?;
+            let (symbol, last) = match last {
+                Element::Register32(double) => {
+                    let low = double.low().symbol();
+                    (low, last.address().saturating_add(low.step()))
+                }
+                _ => (last.symbol(), last.address()),
+            };
+            Some(Range { symbol, first: first.address(), last })
+        };
+        self.avoided.extend(elements.into_iter().filter_map(range));
+        self
+    }
+
+    /// The same with no more than so many registers, points and units of a mixed read in a request: with what was learned
+    /// from a device. 0 units: no mixed reads.
+    pub(crate) fn at_most(self, registers: usize, points: usize, mixed: usize) -> Self {
+        Self {
+            max_registers: self.max_registers.min(registers.max(2)),
+            max_points: self.max_points.min(points.max(1)),
+            max_mixed: self.max_mixed.min(mixed),
+            ..self
+        }
     }
 
     /// How many units of elements as wide as this one request takes.
@@ -109,15 +160,56 @@ impl Limits {
 
     /// Which of the readable ranges holds an address; `None` if none does.
     pub(super) fn segment(&self, symbol: Symbol, address: u16) -> Option<u32> {
-        let of = self.readable.partition_point(|range| range.symbol < symbol);
-        let ranges = self.readable.get(of..)?;
-        let ranges = ranges.get(..ranges.partition_point(|range| range.symbol == symbol))?;
+        let ranges = self.readable.of(symbol);
         if ranges.is_empty() {
             return Some(0);
         }
         let n = ranges.partition_point(|range| range.first <= address).checked_sub(1)?;
         ranges.get(n).filter(|range| address <= range.last)?;
         u32::try_from(n).ok()
+    }
+
+    /// Whether one of these addresses, both ends among them, is to be avoided.
+    pub(super) fn avoids(&self, symbol: Symbol, first: u16, last: u16) -> bool {
+        let ranges = self.avoided.of(symbol);
+        let before = ranges.partition_point(|range| range.first <= last);
+        before.checked_sub(1).and_then(|n| ranges.get(n)).is_some_and(|range| first <= range.last)
+    }
+
+    /// Whether nothing is.
+    pub(super) fn avoids_nothing(&self) -> bool {
+        self.avoided.0.is_empty()
+    }
+}
+
+impl Range {
+    fn new(first: Element, last: Element) -> Result<Self, PlanError> {
+        let symbol = first.symbol();
+        if last.symbol() != symbol || first.address() > last.address() || symbol.width() == Width::Double {
+            return Err(PlanError::Range { first, last });
+        }
+        Ok(Self { symbol, first: first.address(), last: last.address() })
+    }
+}
+
+impl Ranges {
+    fn extend(&mut self, ranges: impl IntoIterator<Item = Range>) {
+        self.0.extend(ranges);
+        self.0.sort_unstable();
+        self.0.dedup_by(|next, range| {
+            let touch = next.symbol == range.symbol
+                && u32::from(next.first) <= u32::from(range.last) + u32::from(next.symbol.alignment());
+            if touch {
+                range.last = range.last.max(next.last);
+            }
+            touch
+        });
+    }
+
+    fn of(&self, symbol: Symbol) -> &[Range] {
+        let start = self.0.partition_point(|range| range.symbol < symbol);
+        let end = self.0.partition_point(|range| range.symbol <= symbol);
+        self.0.get(start..end).unwrap_or_default()
     }
 }
 

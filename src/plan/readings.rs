@@ -34,7 +34,7 @@ impl Reply {
 
 /// A reply, as tags look into it: bits, or words with the low one first. Runs of bits and words are as they came.
 #[derive(Clone, Debug)]
-pub(super) enum Words {
+pub(crate) enum Words {
     Bits(Vec<bool>),
     Words(Vec<u16>),
 }
@@ -130,14 +130,29 @@ impl<'p, E> Readings<'p, E> {
 
     fn value(&self, tag: &Tag, slot: Slot, raw: &mut Vec<Value>) -> Result<(), &E> {
         let words = self.replies[slot.request as usize].as_ref()?;
-        let at = slot.word as usize;
-        // Replies have the shape that the plan asked for: link and `scatter` have checked it.
+        tag.take(words, slot.word as usize, raw);
+        Ok(())
+    }
+}
+
+impl Tag {
+    /// How many words of a reply a slot of this tag has.
+    pub(super) fn slot_words(&self) -> usize {
+        match self.first().width() {
+            Width::Bit => 1,
+            Width::Word => self.elements_per_value(),
+            Width::Double => 2,
+        }
+    }
+
+    /// Takes the elements of a slot from the words of its reply.
+    pub(super) fn take(&self, words: &Words, at: usize, raw: &mut Vec<Value>) {
+        // Replies have the shape that the plan asked for: link, poller and `scatter` have checked it.
         let word = |n: usize| words.word(at + n).unwrap_or_default();
-        match tag.first().width() {
+        match self.first().width() {
             Width::Bit => raw.push(Value::Bit(word(0) != 0)),
-            Width::Word => raw.extend((0..tag.elements_per_value()).map(|n| Value::Word(word(n)))),
+            Width::Word => raw.extend((0..self.slot_words()).map(|n| Value::Word(word(n)))),
             Width::Double => raw.push(Value::Double(u32::from(word(1)) << 16 | u32::from(word(0)))),
         }
-        Ok(())
     }
 }

@@ -1,0 +1,381 @@
+//! The tags of one station, and what is to be asked next. No I/O, and no clock.
+//!
+//! ```text
+//! class   waiting ──its time has come──▶ running ──its cycle is over──▶ waiting
+//! ```
+//!
+//! One request is on its way at a time. Among the classes that are running, the one whose next cycle is due first has it:
+//! a fast class gets its turn between the requests of a slow one, and the slow one, however late, comes to be the first.
+//!
+//! What must always hold:
+//! - a cycle begins at a time of its class's grid, or later if that cannot be; the times of the grid at which one is still
+//!   running are counted as overruns and skipped: there is never more than one cycle of a class;
+//! - a removed tag has no samples after its removal;
+//! - the quality of every tag is true now, after [`next`](Device::next) or [`age`](Device::age) has been called with now.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::class::{PollTag, ScanClass};
+use super::cycle::{Bench, Cycle, Known};
+use super::lesson::Lessons;
+use super::point::Point;
+use super::stats::{ClassStats, PollerStats};
+use super::trip::Trip;
+use super::work::{Points, Work};
+use super::{PollError, Reason, Sample, Stamp, TagId};
+use crate::error::Error;
+use crate::plan::{CostModel, Limits, PlanError, ReadRequest, Reply, Words};
+use crate::random::Random;
+
+#[derive(Debug)]
+pub(super) struct Device {
+    known: Known,
+    classes: Vec<Class>,
+    trip: Trip,
+    /// What classes have done whose tags are all removed.
+    retired: PollerStats,
+    /// Of which class the request is that is on its way.
+    asking: Option<usize>,
+    random: Random,
+    epoch: Instant,
+    next_group: u64,
+}
+
+#[derive(Debug)]
+struct Class {
+    scan: ScanClass,
+    /// In the order they came; those of a group stand together.
+    members: Vec<TagId>,
+    plan: Option<Plan>,
+    /// With which request of the plan the next cycle begins.
+    start: usize,
+    due: Instant,
+    cycle: Option<Cycle>,
+    /// When the age of a tag may change its quality; not later than that, but perhaps earlier.
+    ages_at: Option<Instant>,
+    stats: ClassStats,
+}
+
+#[derive(Debug)]
+struct Plan {
+    work: Arc<Work>,
+    /// What it was made with.
+    cost: CostModel,
+}
+
+/// What is to be done next.
+#[derive(Debug)]
+pub(super) enum Step {
+    /// This is to be sent.
+    Read(ReadRequest),
+    /// Nothing, until then, or until tags come.
+    Wait(Option<Instant>),
+}
+
+impl Device {
+    pub(super) fn new(limits: Limits, cost: CostModel, epoch: Instant, seed: u64) -> Self {
+        Self {
+            known: Known { points: Points::new(), lessons: Lessons::default(), limits, cost, plans_stale: false },
+            classes: Vec::new(),
+            trip: Trip::new(cost),
+            retired: PollerStats::default(),
+            asking: None,
+            random: Random::new(seed),
+            epoch,
+            next_group: 0,
+        }
+    }
+
+    /// Adds tags: all or none of them.
+    pub(super) fn add(
+        &mut self,
+        scan: ScanClass,
+        tags: Vec<(TagId, PollTag)>,
+        one_scan: bool,
+        now: Stamp,
+    ) -> Result<(), PollError> {
+        scan.check()?;
+        tags.iter().try_for_each(|(_, tag)| tag.check())?;
+        if tags.is_empty() {
+            return if one_scan { Err(PollError::NoTags) } else { Ok(()) };
+        }
+        let of = tags.iter().map(|(_, tag)| tag.tag);
+        let builder = crate::plan::Plan::builder(self.trip.cost()).limits(self.known.limits.clone());
+        if one_scan { builder.one_scan(of) } else { builder.tags(of) }.build()?;
+        let values = |sum: usize, tag: crate::tag::Tag| sum.saturating_add(tag.value_count());
+        let all = self
+            .known
+            .points
+            .values()
+            .map(|point| point.tag)
+            .chain(tags.iter().map(|(_, tag)| tag.tag))
+            .fold(0, values);
+        if all > crate::plan::MAX_VALUES {
+            return Err(PlanError::TooManyValues { max: crate::plan::MAX_VALUES }.into());
+        }
+        let group = one_scan.then(|| {
+            self.next_group = self.next_group.saturating_add(1);
+            self.next_group
+        });
+        let at = match self.classes.iter().position(|class| class.scan == scan) {
+            Some(at) => at,
+            None => {
+                let due = self.first_due(&scan, now.instant);
+                self.classes.push(Class::new(scan, due));
+                self.classes.len().saturating_sub(1)
+            }
+        };
+        if let Some(class) = self.classes.get_mut(at) {
+            class.members.extend(tags.iter().map(|(id, _)| *id));
+            class.plan = None;
+        }
+        self.known.points.extend(tags.into_iter().map(|(id, tag)| (id, Point::new(id, tag, group, now))));
+        Ok(())
+    }
+
+    /// Removes a tag; says whether it was there. Of tags that must come from one scan, the others stay.
+    pub(super) fn remove(&mut self, id: TagId) -> bool {
+        let removed = self.known.points.remove(&id).is_some();
+        for class in self.classes.iter_mut().filter(|class| class.members.contains(&id)) {
+            class.members.retain(|member| *member != id);
+            class.plan = None;
+        }
+        removed
+    }
+
+    /// What is known of a tag.
+    pub(super) fn sample(&self, id: TagId) -> Option<Sample> {
+        self.known.points.get(&id).map(Point::sample)
+    }
+
+    /// What is known of all tags.
+    pub(super) fn snapshot(&self) -> impl Iterator<Item = Sample> {
+        self.known.points.values().map(Point::sample)
+    }
+
+    pub(super) fn stats(&self) -> impl Iterator<Item = ClassStats> {
+        let refused = |id: &&TagId| self.known.points.get(id).is_some_and(|point| point.is_refused());
+        self.classes.iter().filter(|class| !class.members.is_empty()).map(move |class| ClassStats {
+            tags: class.members.len(),
+            refused_tags: class.members.iter().filter(refused).count(),
+            requests_per_cycle: class.plan.as_ref().map_or(0, |plan| plan.work.requests().len()),
+            ..class.stats
+        })
+    }
+
+    /// What classes have done that are no more.
+    pub(super) fn retired(&self) -> &PollerStats {
+        &self.retired
+    }
+
+    /// What is to be done next. To be called when nothing is on its way.
+    pub(super) fn next(&mut self, now: Stamp, samples: &mut Vec<Sample>) -> Step {
+        self.asking = None;
+        self.age(now, samples);
+        self.classes.retain(|class| {
+            if class.members.is_empty() {
+                self.retired.count_done(&class.stats);
+            }
+            !class.members.is_empty()
+        });
+        if self.known.lessons.forget(now.instant) {
+            self.drop_plans();
+        }
+        for at in 0..self.classes.len() {
+            self.begin(at, now, samples);
+        }
+        let running = self.classes.iter().enumerate().filter_map(|(at, class)| {
+            let cycle = class.cycle.as_ref()?;
+            Some((cycle.due.checked_add(class.scan.period)?, at, cycle.request()?))
+        });
+        if let Some((_, at, request)) = running.min_by_key(|(deadline, at, _)| (*deadline, *at)) {
+            self.asking = Some(at);
+            return Step::Read(request.clone());
+        }
+        Step::Wait(self.classes.iter().map(|class| class.due).chain(self.ages_at()).min())
+    }
+
+    /// What came of the request that [`next`](Self::next) gave: at `now`, after `trip` on the wire, as far as that is known.
+    pub(super) fn done(
+        &mut self,
+        result: Result<Reply, Error>,
+        now: Stamp,
+        trip: Option<Duration>,
+        samples: &mut Vec<Sample>,
+    ) {
+        let Some(at) = self.asking.take() else { return };
+        let Some(class) = self.classes.get_mut(at) else { return };
+        let Some(cycle) = &mut class.cycle else { return };
+        let mut bench = Bench { known: &mut self.known, members: &class.members, samples };
+        class.stats.requests = class.stats.requests.saturating_add(1);
+        match result {
+            // The link gives no reply that is none to its request.
+            Ok(reply) => match cycle.request().and_then(|request| Words::of(reply, request)) {
+                Some(words) => {
+                    if let Some(trip) = trip {
+                        self.trip.measured(trip, cycle.reply_bytes());
+                    }
+                    cycle.replied(words, now, &mut bench);
+                }
+                None => cycle.failed(Reason::Overdue),
+            },
+            Err(error) => match error.error_code() {
+                Some(code) => {
+                    class.stats.refusals = class.stats.refusals.saturating_add(1);
+                    cycle.refused(code, now, &mut bench);
+                }
+                None => {
+                    class.stats.failures = class.stats.failures.saturating_add(1);
+                    cycle.failed(Reason::Failed(Arc::new(error)));
+                }
+            },
+        }
+        self.end(at, now, samples);
+    }
+
+    /// Lets age change qualities: also to be called while a request is on its way, at [`ages_at`](Self::ages_at).
+    pub(super) fn age(&mut self, now: Stamp, samples: &mut Vec<Sample>) {
+        for class in &mut self.classes {
+            if class.ages_at.is_some_and(|at| at <= now.instant) {
+                let (stale, bad) = (class.scan.stale_age(), class.scan.bad_age());
+                for id in &class.members {
+                    if let Some(point) = self.known.points.get_mut(id) {
+                        point.age(now, stale, bad, samples);
+                    }
+                }
+                class.watch_ages(&self.known.points);
+            }
+        }
+    }
+
+    /// When [`age`](Self::age) is to be called.
+    pub(super) fn ages_at(&self) -> Option<Instant> {
+        self.classes.iter().filter_map(|class| class.ages_at).min()
+    }
+
+    fn first_due(&mut self, scan: &ScanClass, now: Instant) -> Instant {
+        let period = scan.period.as_nanos().max(1);
+        let nanoseconds = |n: u128| Duration::from_nanos(u64::try_from(n).unwrap_or(u64::MAX));
+        match scan.phase {
+            None => {
+                let phase = u128::from(self.random.next()).checked_rem(period).unwrap_or(0);
+                now.checked_add(nanoseconds(phase)).unwrap_or(now)
+            }
+            Some(phase) => {
+                // The first time of the grid that is not past.
+                let phase = phase.as_nanos().checked_rem(period).unwrap_or(0);
+                let since = now.saturating_duration_since(self.epoch).as_nanos();
+                let cycles = since.saturating_sub(phase).div_ceil(period);
+                let due = self.epoch.checked_add(nanoseconds(cycles.saturating_mul(period).saturating_add(phase)));
+                due.unwrap_or(now)
+            }
+        }
+    }
+
+    /// Begins a cycle, if it is time.
+    fn begin(&mut self, at: usize, now: Stamp, samples: &mut Vec<Sample>) {
+        let Some(class) = self.classes.get_mut(at) else { return };
+        if class.cycle.is_some() || class.due > now.instant {
+            return;
+        }
+        // Not begun in time, and not for want of its end: this task was not woken.
+        let due = class.skip_to(now.instant);
+        if class.plan.as_ref().is_some_and(|plan| self.trip.has_changed_since(&plan.cost)) {
+            tracing::debug!(latency = ?self.trip.latency(), "the round trip has changed, and the plan with it");
+            class.plan = None;
+        }
+        if class.plan.is_none() {
+            class.start = 0;
+        }
+        class.stats.cycles = class.stats.cycles.saturating_add(1);
+        let cost = self.trip.cost();
+        self.known.cost = cost;
+        let mut bench = Bench { known: &mut self.known, members: &class.members, samples };
+        let planned = class.plan.as_ref().map(|plan| plan.work.clone());
+        let (cycle, work) = Cycle::new((class.stats.cycles, class.scan, due), (planned, class.start), now, &mut bench);
+        if class.plan.is_none() {
+            class.plan = work.map(|work| Plan { work, cost });
+        }
+        class.cycle = Some(cycle);
+        self.end(at, now, samples);
+    }
+
+    /// Ends the cycle, if it is over.
+    fn end(&mut self, at: usize, now: Stamp, samples: &mut Vec<Sample>) {
+        if std::mem::take(&mut self.known.plans_stale) {
+            self.drop_plans();
+        }
+        let Some(class) = self.classes.get_mut(at) else { return };
+        let Some(cycle) = class.cycle.take_if(|cycle| cycle.request().is_none()) else { return };
+        let bad_age = class.scan.bad_age();
+        for id in &class.members {
+            let Some(point) = self.known.points.get_mut(id).filter(|point| point.cycle != cycle.number) else {
+                continue;
+            };
+            match &cycle.abandoned {
+                Some((reason, _)) if !point.is_refused() => point.failed(reason.clone(), now, bad_age, samples),
+                _ => point.passed_over(now.instant, samples),
+            }
+        }
+        class.start = 0;
+        if let Some((_, start)) = cycle.abandoned {
+            class.start = start;
+            class.stats.abandoned = class.stats.abandoned.saturating_add(1);
+        }
+        class.stats.last_cycle = now.instant.saturating_duration_since(cycle.started);
+        class.overrun(now.instant);
+        class.watch_ages(&self.known.points);
+    }
+
+    fn drop_plans(&mut self) {
+        self.classes.iter_mut().for_each(|class| class.plan = None);
+    }
+}
+
+impl Class {
+    fn new(scan: ScanClass, due: Instant) -> Self {
+        Self {
+            scan,
+            members: Vec::new(),
+            plan: None,
+            start: 0,
+            due,
+            cycle: None,
+            ages_at: None,
+            stats: ClassStats::new(scan),
+        }
+    }
+
+    /// Goes to the last time of the grid that is not in the future, and gives it; the next one is due then.
+    fn skip_to(&mut self, now: Instant) -> Instant {
+        let late = now.saturating_duration_since(self.due);
+        let missed = late.as_nanos().checked_div(self.scan.period.as_nanos()).unwrap_or(0);
+        self.stats.overruns = self.stats.overruns.saturating_add(u64::try_from(missed).unwrap_or(u64::MAX));
+        let due = self.after(missed);
+        self.due = due.checked_add(self.scan.period).unwrap_or(due);
+        due
+    }
+
+    /// Skips the times of the grid that have passed while a cycle was running.
+    fn overrun(&mut self, now: Instant) {
+        if self.due <= now {
+            self.skip_to(now);
+            self.stats.overruns = self.stats.overruns.saturating_add(1);
+        }
+    }
+
+    fn after(&self, periods: u128) -> Instant {
+        let nanoseconds = self.scan.period.as_nanos().saturating_mul(periods);
+        let by = Duration::from_nanos(u64::try_from(nanoseconds).unwrap_or(u64::MAX));
+        self.due.checked_add(by).unwrap_or(self.due)
+    }
+
+    fn watch_ages(&mut self, points: &Points) {
+        let (stale, bad) = (self.scan.stale_age(), self.scan.bad_age());
+        let ages = self.members.iter().filter_map(|id| points.get(id)?.ages_at(stale, bad));
+        self.ages_at = ages.min();
+    }
+}

@@ -1,0 +1,254 @@
+//! A device of the poller and a PLC that answers it, in a time of their own.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, SystemTime};
+
+use tokio::time::Instant;
+
+use crate::command::{Code, Value};
+use crate::element::{Element, Symbol, Width};
+use crate::error::{Error, ErrorCode};
+use crate::plan::{CostModel, Limits, ReadRequest, Reply};
+use crate::poll::device::{Device, Step};
+use crate::poll::{PollError, PollTag, Sample, ScanClass, Stamp, TagId};
+use crate::random::Random;
+use crate::tag::Tag;
+use crate::wire::Framing;
+
+pub(super) fn ms(milliseconds: u64) -> Duration {
+    Duration::from_millis(milliseconds)
+}
+
+pub(super) fn tag(text: &str) -> Tag {
+    text.parse().unwrap()
+}
+
+pub(super) fn tags(texts: &[&str]) -> Vec<PollTag> {
+    texts.iter().map(|text| PollTag::from(tag(text))).collect()
+}
+
+pub(super) struct Lab {
+    pub(super) device: Device,
+    pub(super) plc: FakePlc,
+    pub(super) now: Instant,
+    pub(super) start: Instant,
+    pub(super) samples: Vec<Sample>,
+    /// Where in `samples` those begin that have not been looked at.
+    seen: usize,
+    next_id: u64,
+}
+
+/// Its memory is another one for each request that it is asked, so that a value tells when it was read.
+pub(super) struct FakePlc {
+    pub(super) refused: BTreeSet<(Symbol, u16)>,
+    pub(super) refuses_all: bool,
+    pub(super) mixed: bool,
+    pub(super) max_registers: usize,
+    pub(super) max_points: usize,
+    pub(super) silent: bool,
+    /// Requests that touch this are not answered.
+    pub(super) silent_about: Option<(Symbol, u16)>,
+    pub(super) latency: Duration,
+    pub(super) timeout: Duration,
+    /// The memory does not change.
+    pub(super) frozen: bool,
+    pub(super) asked: Vec<(Instant, ReadRequest)>,
+    /// When each memory was read.
+    pub(super) epochs: BTreeMap<Instant, u64>,
+}
+
+impl Default for FakePlc {
+    fn default() -> Self {
+        Self {
+            refused: BTreeSet::new(),
+            refuses_all: false,
+            mixed: true,
+            max_registers: 64,
+            max_points: 256,
+            silent: false,
+            silent_about: None,
+            latency: ms(5),
+            timeout: ms(300),
+            frozen: false,
+            asked: Vec::new(),
+            epochs: BTreeMap::new(),
+        }
+    }
+}
+
+/// The 16-bit parts that an element is made of.
+pub(super) fn cells(element: Element) -> Vec<(Symbol, u16)> {
+    match element {
+        Element::Register32(e) if e.symbol() != Symbol::DRC => {
+            let low = e.low();
+            vec![(low.symbol(), low.address()), (low.symbol(), low.address() + low.symbol().step())]
+        }
+        other => vec![(other.symbol(), other.address())],
+    }
+}
+
+fn word(epoch: u64, (symbol, address): (Symbol, u16)) -> u16 {
+    let seed = epoch << 32 | u64::from(address) << 8 | symbol as u64;
+    u16::try_from(Random::new(seed).next() & 0xFFFF).unwrap()
+}
+
+pub(super) fn value(epoch: u64, element: Element) -> Value {
+    let words: Vec<u16> = cells(element).into_iter().map(|cell| word(epoch, cell)).collect();
+    match element.width() {
+        Width::Bit => Value::Bit(words[0] & 1 == 1),
+        Width::Word => Value::Word(words[0]),
+        Width::Double => Value::Double(u32::from(words.get(1).copied().unwrap_or(7)) << 16 | u32::from(words[0])),
+    }
+}
+
+pub(super) fn elements(request: &ReadRequest) -> Vec<Element> {
+    let run = |first: Element, count: usize| (0..count).map(|n| first.nth(n).unwrap()).collect();
+    match request {
+        ReadRequest::Discretes(r) => run(r.first().into(), r.count()),
+        ReadRequest::Registers(r) => run(r.first().into(), r.count()),
+        ReadRequest::Registers32(r) => run(r.first().into(), r.count()),
+        ReadRequest::Mixed(r) => r.elements().to_vec(),
+    }
+}
+
+impl FakePlc {
+    fn takes(&self, request: &ReadRequest) -> Result<(), ErrorCode> {
+        let elements = elements(request);
+        let fits = match request {
+            ReadRequest::Discretes(r) => r.count() <= self.max_points,
+            ReadRequest::Registers(r) => r.count() <= self.max_registers,
+            ReadRequest::Registers32(r) => r.count() * 2 <= self.max_registers,
+            ReadRequest::Mixed(_) if !self.mixed => return Err(ErrorCode::IllegalFormat),
+            ReadRequest::Mixed(_) => true,
+        };
+        let refused = elements.into_iter().flat_map(cells).any(|cell| self.refused.contains(&cell));
+        if refused || !fits || self.refuses_all { Err(ErrorCode::IllegalAddress) } else { Ok(()) }
+    }
+
+    /// What it answers, and how long that takes.
+    fn answer(&mut self, at: Instant, request: &ReadRequest) -> (Result<Reply, Error>, Duration) {
+        self.asked.push((at, request.clone()));
+        let code = Code::ReadRegisters;
+        let silent =
+            self.silent_about.is_some_and(|cell| elements(request).into_iter().flat_map(cells).any(|c| c == cell));
+        if self.silent || silent {
+            let error = Error::Timeout { station: 1, code, after: self.timeout, sent: true };
+            return (Err(error), self.timeout);
+        }
+        if let Err(error) = self.takes(request) {
+            return (Err(Error::Plc { station: 1, code, error, repeated: false }), self.latency);
+        }
+        let epoch = if self.frozen { 0 } else { self.asked.len() as u64 };
+        self.epochs.insert(at + self.latency, epoch);
+        let values: Vec<Value> = elements(request).into_iter().map(|element| value(epoch, element)).collect();
+        let bits = |value: &Value| if let Value::Bit(on) = value { *on } else { panic!("{value:?}") };
+        let words = |value: &Value| if let Value::Word(word) = value { *word } else { panic!("{value:?}") };
+        let doubles = |value: &Value| if let Value::Double(double) = value { *double } else { panic!("{value:?}") };
+        let reply = match request {
+            ReadRequest::Discretes(_) => Reply::Bits(values.iter().map(bits).collect()),
+            ReadRequest::Registers(_) => Reply::Words(values.iter().map(words).collect()),
+            ReadRequest::Registers32(_) => Reply::Doubles(values.iter().map(doubles).collect()),
+            ReadRequest::Mixed(_) => Reply::Mixed(values),
+        };
+        (Ok(reply), self.latency)
+    }
+
+    /// Whether it answers a request for this tag alone.
+    pub(super) fn refuses(&self, tag: Tag) -> bool {
+        tag.elements().flat_map(cells).any(|cell| self.refused.contains(&cell))
+    }
+}
+
+impl Lab {
+    pub(super) fn new(seed: u64) -> Self {
+        Self::with_limits(seed, Limits::new())
+    }
+
+    pub(super) fn with_limits(seed: u64, limits: Limits) -> Self {
+        let start = Instant::now();
+        Self {
+            device: Device::new(limits, CostModel::network(Framing::Ascii, ms(5)), start, seed),
+            plc: FakePlc::default(),
+            now: start,
+            start,
+            samples: Vec::new(),
+            seen: 0,
+            next_id: 1,
+        }
+    }
+
+    pub(super) fn stamp(&self) -> Stamp {
+        let time = SystemTime::UNIX_EPOCH + self.now.duration_since(self.start);
+        Stamp { instant: self.now, time }
+    }
+
+    pub(super) fn try_add(
+        &mut self,
+        class: ScanClass,
+        tags: Vec<PollTag>,
+        one_scan: bool,
+    ) -> Result<Vec<TagId>, PollError> {
+        let first = self.next_id;
+        self.next_id += tags.len() as u64;
+        let ids: Vec<TagId> = (first..self.next_id).map(TagId).collect();
+        let tags = ids.iter().copied().zip(tags).collect();
+        self.device.add(class, tags, one_scan, self.stamp())?;
+        Ok(ids)
+    }
+
+    pub(super) fn add(&mut self, class: ScanClass, texts: &[&str]) -> Vec<TagId> {
+        self.try_add(class, tags(texts), false).unwrap()
+    }
+
+    /// One request, or a wait that ends by then; `false`: nothing more before `end`.
+    pub(super) fn step(&mut self, end: Instant) -> bool {
+        let mut samples = Vec::new();
+        let step = self.device.next(self.stamp(), &mut samples);
+        self.samples.append(&mut samples);
+        match step {
+            Step::Read(request) => {
+                let (result, takes) = self.plc.answer(self.now, &request);
+                let done = self.now + takes;
+                // The driver wakes up for ages while it waits for the reply.
+                while let Some(at) = self.device.ages_at().filter(|at| *at < done) {
+                    self.now = self.now.max(at);
+                    self.device.age(self.stamp(), &mut samples);
+                }
+                self.now = done;
+                self.device.done(result, self.stamp(), Some(takes), &mut samples);
+                self.samples.append(&mut samples);
+                true
+            }
+            Step::Wait(until) => {
+                let until = until.filter(|until| *until <= end);
+                assert!(until.is_none_or(|until| until > self.now), "it waits for what has been: {until:?}");
+                self.now = until.unwrap_or(end.max(self.now));
+                until.is_some()
+            }
+        }
+    }
+
+    pub(super) fn run_until(&mut self, end: Instant) {
+        while self.now <= end && self.step(end) {}
+    }
+
+    pub(super) fn run(&mut self, by: Duration) {
+        self.run_until(self.now + by);
+    }
+
+    /// The samples since this was last called.
+    pub(super) fn news(&mut self) -> Vec<Sample> {
+        let news = self.samples[self.seen..].to_vec();
+        self.seen = self.samples.len();
+        news
+    }
+
+    /// The requests since this was last called.
+    pub(super) fn asked(&mut self) -> Vec<ReadRequest> {
+        std::mem::take(&mut self.plc.asked).into_iter().map(|(_, request)| request).collect()
+    }
+
+    pub(super) fn latest(&self, id: TagId) -> Sample {
+        self.device.sample(id).expect("a tag that is there")
+    }
+}

@@ -1,0 +1,5 @@
+mod cycles;
+mod lab;
+mod quality;
+mod refusals;
+mod seeded;
