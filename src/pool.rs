@@ -94,7 +94,8 @@ struct Shared {
 
 #[derive(Default)]
 struct Slots {
-    by_key: HashMap<Key, Slot>,
+    /// In boxes, because a map has more places than it has entries, up to twice as many and more.
+    by_key: HashMap<Key, Box<Slot>>,
     /// How often a station was asked for: the pool's idea of time.
     asked: u64,
     /// How many endpoints were forgotten to make room, and what their links had counted.
@@ -167,7 +168,7 @@ impl Pool {
     /// ```
     #[must_use]
     pub fn endpoints(&self) -> Vec<PoolEndpoint> {
-        self.lock().by_key.values().map(PoolEndpoint::of).collect()
+        self.lock().by_key.values().map(|slot| PoolEndpoint::of(slot)).collect()
     }
 
     /// Closes all links at the same time, as [`Link::close`] does, for all their handles; returns when that is done.
@@ -195,7 +196,7 @@ impl Pool {
         if !slots.by_key.contains_key(&key) && slots.by_key.len() >= settings.max_endpoints {
             slots.make_room(endpoint, settings.max_endpoints)?;
         }
-        let slot = slots.by_key.entry(key).or_insert_with(|| Slot::new(endpoint.clone()));
+        let slot = slots.by_key.entry(key).or_insert_with(|| Box::new(Slot::new(endpoint.clone())));
         slot.link(endpoint, asked_at, settings)
     }
 

@@ -106,7 +106,7 @@ impl World {
         let (call, completion) = call::new(request);
         let options = CallOptions::new().call_timeout(Duration::from_secs(3600));
         self.core.push(
-            Ticket {
+            Box::new(Ticket {
                 call,
                 station,
                 code: ReadRegisters::<Register>::CODE,
@@ -116,7 +116,7 @@ impl World {
                 response_timeout: RESPONSE_TIMEOUT,
                 options,
                 retries_left: 2,
-            },
+            }),
             self.now,
         );
         self.pending.push((station, completion));

@@ -60,7 +60,7 @@ pub(crate) struct Core {
     stations: Stations,
     board: Arc<Board>,
     /// A call whose barrier has just been passed: it is sent before all others.
-    cleared: Option<Ticket>,
+    cleared: Option<Box<Ticket>>,
     connection: Connection,
     /// Attempts to connect, and connections that ended without a single reply, since the last reply.
     failures: u32,
@@ -73,7 +73,6 @@ pub(crate) struct Core {
     closing: bool,
     nonce: u64,
     random: Random,
-    outgoing: BytesMut,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,13 +99,12 @@ impl Core {
             closing: false,
             nonce: random.next(),
             random,
-            outgoing: BytesMut::new(),
             config,
         }
     }
 
     /// Takes a call.
-    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) {
+    pub(crate) fn push(&mut self, ticket: Box<Ticket>, now: Instant) {
         if self.closing {
             return; // Dropped, it ends with the right error.
         }
@@ -176,12 +174,11 @@ impl Core {
 
     /// The bytes to be written.
     pub(crate) fn outgoing(&self) -> &[u8] {
-        &self.outgoing
+        self.exchange.active().map(|active| &active.request[..]).unwrap_or_default()
     }
 
     /// All of [`outgoing`](Self::outgoing) has been written, and has left or will have left the machine at this time.
     pub(crate) fn sent(&mut self, at: Instant) {
-        self.outgoing.clear();
         let Some(active) = self.exchange.active() else { return };
         if let Goal::Call(ticket) = &active.goal
             && ticket.is_broadcast()
@@ -256,7 +253,6 @@ impl Core {
         } else {
             self.failed_to_connect(now);
         }
-        self.outgoing.clear();
         self.exchange.forget();
         if let Some(ticket) = self.cleared.take() {
             // The nonce came back over a connection that is gone; behind a bridge the line to the PLC is the same, so
@@ -321,9 +317,6 @@ impl Core {
     fn disconnect(&mut self) -> Step {
         self.connection = Connection::Down { retry_at: None };
         self.exchange.forget();
-        // Idle links are many, so they keep no buffers.
-        self.exchange.received = BytesMut::new();
-        self.outgoing = BytesMut::new();
         self.board.count(|link| add(&mut link.idle_closes, 1));
         Step::Disconnect
     }
@@ -374,13 +367,12 @@ impl Core {
     fn begin(&mut self, goal: Goal, now: Instant) -> Option<Step> {
         // Not by the caller's own deadline, for a request that is not written in time costs the connection.
         let deadline = later(now, self.response_timeout(&goal).saturating_add(self.config.frame_time));
-        self.outgoing.clear();
         if let Goal::Call(ticket) = &goal
             && !ticket.call.mark_sent()
         {
             return None;
         }
-        let stale = self.exchange.begin(goal, now, deadline, &mut self.outgoing)?;
+        let stale = self.exchange.begin(goal, now, deadline)?;
         let active = self.exchange.active()?;
         let station = active.goal.station();
         if stale > 0 {
@@ -397,7 +389,7 @@ impl Core {
             }
             Goal::Check { .. } => self.board.count_for(station, |stats| add(&mut stats.checks, 1)),
         }
-        tracing::trace!(station, bytes = %self.outgoing.escape_ascii(), "sending");
+        tracing::trace!(station, bytes = %active.request.escape_ascii(), "sending");
         Some(Step::Send(deadline))
     }
 
@@ -508,7 +500,7 @@ impl Core {
         }
     }
 
-    fn retry_or_fail(&mut self, mut ticket: Ticket, now: Instant, error: impl FnOnce(bool) -> Error) {
+    fn retry_or_fail(&mut self, mut ticket: Box<Ticket>, now: Instant, error: impl FnOnce(bool) -> Error) {
         match ticket.retries_left.checked_sub(1) {
             Some(left) if ticket.is_wanted(now) && !self.closing => {
                 ticket.retries_left = left;
@@ -540,7 +532,7 @@ impl Core {
 
     /// What must be settled about a station before a call: first whether the line echoes, then whether it can be
     /// believed.
-    fn check(&mut self, station: u8, call: Option<Ticket>) -> Goal {
+    fn check(&mut self, station: u8, call: Option<Box<Ticket>>) -> Goal {
         if self.exchange.must_learn_echo() {
             return Goal::Check { station, check: Check::Echo, call };
         }

@@ -1,11 +1,15 @@
 //! The task that owns the connection: it moves bytes and time between the [`Core`] and the world, and decides nothing.
 
+use std::future::poll_fn;
 use std::io;
+use std::mem::MaybeUninit;
+use std::pin::Pin;
 use std::sync::Arc;
+use std::task::{Poll, ready};
 use std::time::Duration;
 
 use futures::future::{BoxFuture, FutureExt};
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncRead as _, AsyncWriteExt, ReadBuf};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::{Instant, sleep_until, timeout_at};
 
@@ -20,7 +24,7 @@ use super::transport::{BoxIo, Connector};
 /// What the handles tell the task.
 #[derive(Debug)]
 pub(crate) enum Message {
-    Call(Ticket),
+    Call(Box<Ticket>),
     /// End; say when that is done.
     Close(oneshot::Sender<()>),
 }
@@ -44,12 +48,13 @@ pub(crate) struct Driver {
 /// How often is read before a request, to be rid of what came before it.
 const MAX_DRAINED_READS: usize = 64;
 
-/// How much is read at once. The longest reply fits; the buffer grows no further, for what is no frame is discarded.
+/// How much is read at once. The longest reply fits.
 const READ_LEN: usize = 1024;
 
 impl Driver {
     /// Runs until the link is closed, its last handle is dropped, or its one connection has ended.
-    pub(crate) async fn run(mut self) {
+    pub(crate) async fn run(mut self: Box<Self>) {
+        // In its box, for it would be in the task twice: as what the future begins with, and as what it works on.
         let mut io: Option<BoxIo> = None;
         let mut opening: Option<Opening> = None;
         let mut closing: Vec<oneshot::Sender<()>> = Vec::new();
@@ -258,12 +263,18 @@ async fn write(io: &mut BoxIo, bytes: &[u8], flush: bool, by: Instant) -> io::Re
 /// Waits for bytes and puts them where the core looks for them; for ever if there is no connection.
 async fn read(io: &mut Option<BoxIo>, core: &mut Core) -> io::Result<()> {
     let Some(io) = io else { return std::future::pending().await };
-    let incoming = core.incoming();
-    incoming.reserve(READ_LEN);
-    match io.read_buf(incoming).await? {
-        0 => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the other end closed it")),
-        _ => Ok(()),
-    }
+    poll_fn(|cx| {
+        // Not kept while nothing comes: most links wait most of the time, and there may be thousands of them.
+        let mut buffer = [const { MaybeUninit::uninit() }; READ_LEN];
+        let mut buffer = ReadBuf::uninit(&mut buffer);
+        ready!(Pin::new(&mut *io).poll_read(cx, &mut buffer))?;
+        core.incoming().extend_from_slice(buffer.filled());
+        Poll::Ready(match buffer.filled() {
+            [] => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the other end closed it")),
+            _ => Ok(()),
+        })
+    })
+    .await
 }
 
 /// Takes what can be read without waiting; of a peer that never stops, no more than a few reads' worth.

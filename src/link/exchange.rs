@@ -36,9 +36,9 @@ use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side, as
 #[derive(Debug)]
 pub(crate) enum Goal {
     /// A call's request.
-    Call(Ticket),
+    Call(Box<Ticket>),
     /// A request of the link itself; then, if there is one, the call that it is for.
-    Check { station: u8, check: Check, call: Option<Ticket> },
+    Check { station: u8, check: Check, call: Option<Box<Ticket>> },
 }
 
 /// What the link itself asks a station.
@@ -62,12 +62,12 @@ impl Goal {
     pub(crate) fn call(&self) -> Option<&Ticket> {
         match self {
             Self::Call(ticket) => Some(ticket),
-            Self::Check { call, .. } => call.as_ref(),
+            Self::Check { call, .. } => call.as_deref(),
         }
     }
 
     /// The same, taken.
-    pub(crate) fn into_call(self) -> Option<Ticket> {
+    pub(crate) fn into_call(self) -> Option<Box<Ticket>> {
         match self {
             Self::Call(ticket) => Some(ticket),
             Self::Check { call, .. } => call,
@@ -114,6 +114,8 @@ fn verdict<T>(reply: Result<T, ReplyError>) -> Result<Option<ErrorCode>, FieldEr
 #[derive(Debug)]
 pub(crate) struct Active {
     pub(crate) goal: Goal,
+    /// As it is sent.
+    pub(crate) request: BytesMut,
     /// When its sending began.
     pub(crate) began: Instant,
     /// When its last bit was sent.
@@ -159,8 +161,6 @@ pub(crate) struct Exchange {
     /// What has been received and not yet been understood.
     pub(crate) received: BytesMut,
     active: Option<Active>,
-    /// The request on the wire, as it was sent.
-    request: BytesMut,
     mode: EchoMode,
     echo: Echo,
 }
@@ -168,8 +168,7 @@ pub(crate) struct Exchange {
 impl Exchange {
     pub(crate) fn new(framing: Framing, mode: EchoMode) -> Self {
         let codec = Codec::new(framing, Side::Client);
-        let (received, request) = (BytesMut::new(), BytesMut::new());
-        let mut exchange = Self { codec, received, active: None, request, mode, echo: Echo::Absent };
+        let mut exchange = Self { codec, received: BytesMut::new(), active: None, mode, echo: Echo::Absent };
         exchange.reconnected();
         exchange
     }
@@ -187,22 +186,22 @@ impl Exchange {
         self.active.as_ref()
     }
 
-    /// Puts a request on the wire: appends it to `tx`.
+    /// Puts a request on the wire.
     ///
     /// What has been received so far came before it, and is forgotten; the number of such bytes is returned. `None`: it
     /// cannot be sent in this framing, and its call has failed.
-    pub(crate) fn begin(&mut self, goal: Goal, now: Instant, deadline: Instant, tx: &mut BytesMut) -> Option<usize> {
-        if let Err(invalid) = goal.encode(self.framing(), tx) {
+    pub(crate) fn begin(&mut self, goal: Goal, now: Instant, deadline: Instant) -> Option<usize> {
+        let mut request = BytesMut::with_capacity(REQUEST_LEN);
+        if let Err(invalid) = goal.encode(self.framing(), &mut request) {
             if let Some(ticket) = goal.call() {
                 ticket.call.fail(invalid.into());
             }
             return None;
         }
         let stale = self.forget();
-        self.request.clear();
-        self.request.extend_from_slice(tx);
         self.active = Some(Active {
             goal,
+            request,
             began: now,
             sent: None,
             deadline,
@@ -250,7 +249,7 @@ impl Exchange {
     /// Forgets what has been received, as after a lost connection; says how many bytes that were.
     pub(crate) fn forget(&mut self) -> usize {
         let len = self.received.len();
-        self.received.clear();
+        self.received = BytesMut::new();
         self.codec.reset();
         len
     }
@@ -272,7 +271,12 @@ impl Exchange {
     /// Understands the next thing that has been received. `None`: more bytes are needed.
     pub(crate) fn next_event(&mut self) -> Option<Event> {
         // The codecs do no I/O, so they have no errors.
-        Some(match self.codec.decode(&mut self.received).ok().flatten()? {
+        let item = self.codec.decode(&mut self.received).ok().flatten();
+        if self.received.is_empty() {
+            // While nothing comes, nothing is kept for it: a link waits most of the time, and there may be thousands.
+            self.received = BytesMut::new();
+        }
+        Some(match item? {
             Received::Frame(frame) => self.classify(&frame),
             Received::Discarded { reason, bytes } => {
                 tracing::trace!(%reason, bytes = %bytes.escape_ascii(), "discarded");
@@ -308,7 +312,7 @@ impl Exchange {
         let Some(mut active) = self.active.take() else {
             return Event::Stray { station: frame.station };
         };
-        let copy = !active.echoed && is_copy(&self.request, self.framing(), frame);
+        let copy = !active.echoed && is_copy(&active.request, self.framing(), frame);
         let learning = matches!(active.goal, Goal::Check { check: Check::Echo, .. });
         if copy && (self.echo == Echo::Present || learning) {
             return self.echoed(active);
@@ -322,7 +326,7 @@ impl Exchange {
             match active.goal.offer(self.framing(), &frame.data) {
                 Ok(refusal) => {
                     // An echo that was garbled is noise, and nearly as long as the request.
-                    let quiet = active.discarded.saturating_mul(2) < self.request.len();
+                    let quiet = active.discarded.saturating_mul(2) < active.request.len();
                     if learning && quiet && self.echo == Echo::Unknown {
                         self.echo = Echo::Absent;
                     }
@@ -350,6 +354,9 @@ impl Exchange {
         Event::Echoed
     }
 }
+
+/// What most requests fit into: all reads of consecutive elements do.
+const REQUEST_LEN: usize = 32;
 
 /// Whether a frame, and perhaps the reply, was lost with such bytes.
 pub(crate) fn spoils(reason: Discard) -> bool {

@@ -5,7 +5,8 @@
 //! - `core` decides: which call is next, when to connect, whom to believe. It does no I/O and reads no clock.
 //! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others;
 //!   `stations` is whom to believe, and who is there.
-//! - `call` is what a caller and the task share; `stats` is what everybody can see.
+//! - `call` is what a caller and the task share; `stats` is what everybody can see; `by_station` is a map for what is
+//!   known of each station.
 //! - `gate` lets links that share it connect one after the other.
 //! - `transport` is what the bytes go over, and `line` how long they take.
 #![cfg_attr(
@@ -22,6 +23,7 @@
 mod builder;
 #[cfg(all(test, feature = "sim"))]
 mod bus_time;
+mod by_station;
 mod call;
 mod config;
 mod core;
@@ -296,7 +298,7 @@ impl Link {
         self.start()?;
         let queued_at = Instant::now();
         let deadline = later(queued_at, options.call_timeout);
-        let ticket = Ticket {
+        let ticket = Box::new(Ticket {
             call,
             station,
             code,
@@ -306,7 +308,7 @@ impl Link {
             response_timeout: options.response_timeout.unwrap_or(self.shared.response_timeout),
             options,
             retries_left: options.retries_for(code.class()),
-        };
+        });
         let answered = timeout_at(deadline, async {
             self.shared.messages.send(Message::Call(ticket)).await.map_err(|_| Error::Closed { sent: false })?;
             (&mut completion).await

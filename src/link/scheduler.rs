@@ -8,17 +8,18 @@
 //! What must always hold: a queue is never longer than its bound; calls of one station and lane keep their order; a
 //! station that was idle gains no credit for it.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use tokio::time::Instant;
 
+use super::by_station::ByStation;
 use super::call::Ticket;
 use super::options::Lane;
 
 #[derive(Debug)]
 pub(crate) struct Scheduler {
-    stations: BTreeMap<u8, Queues>,
+    stations: ByStation<Queues>,
     /// How many calls a station can have waiting.
     capacity: usize,
     /// A call that has waited this long rises by one lane.
@@ -29,7 +30,7 @@ pub(crate) struct Scheduler {
 
 #[derive(Debug, Default)]
 struct Queues {
-    lanes: [VecDeque<Ticket>; Lane::COUNT],
+    lanes: [VecDeque<Box<Ticket>>; Lane::COUNT],
     /// How much bus time it has used, as far as that matters for fairness.
     used: Duration,
     /// When each of its lanes was served last.
@@ -46,38 +47,41 @@ impl Queues {
 
 impl Scheduler {
     pub(crate) fn new(capacity: usize, ageing: Duration) -> Self {
-        Self { stations: BTreeMap::new(), capacity, ageing, served: Duration::ZERO }
+        Self { stations: ByStation::new(), capacity, ageing, served: Duration::ZERO }
     }
 
     /// Puts a call at the end of its queue; gives it back when the station's queues are full.
     #[must_use]
-    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) -> Option<Ticket> {
+    pub(crate) fn push(&mut self, ticket: Box<Ticket>, now: Instant) -> Option<Box<Ticket>> {
         let capacity = self.capacity;
-        let queues = self.queues(ticket.station);
-        if queues.len() >= capacity {
-            queues.lanes.iter_mut().for_each(|lane| lane.retain(|waiting| keep(waiting, now)));
-        }
-        if queues.len() >= capacity {
-            return Some(ticket);
-        }
-        if let Some(lane) = queues.lanes.get_mut(index(ticket.lane)) {
-            lane.push_back(ticket);
-        }
-        None
+        self.queues(ticket.station, |queues| {
+            if queues.len() >= capacity {
+                queues.lanes.iter_mut().for_each(|lane| lane.retain(|waiting| keep(waiting, now)));
+            }
+            if queues.len() >= capacity {
+                return Some(ticket);
+            }
+            if let Some(lane) = queues.lanes.get_mut(index(ticket.lane)) {
+                lane.push_back(ticket);
+            }
+            None
+        })
     }
 
     /// Puts a call that was taken back before all others of its queue. It had its place, so no bound applies.
-    pub(crate) fn push_front(&mut self, ticket: Ticket) {
-        if let Some(lane) = self.queues(ticket.station).lanes.get_mut(index(ticket.lane)) {
-            lane.push_front(ticket);
-        }
+    pub(crate) fn push_front(&mut self, ticket: Box<Ticket>) {
+        self.queues(ticket.station, |queues| {
+            if let Some(lane) = queues.lanes.get_mut(index(ticket.lane)) {
+                lane.push_front(ticket);
+            }
+        });
     }
 
     /// Takes the next call that is still wanted, if there is one whose station may be served.
-    pub(crate) fn pop(&mut self, now: Instant) -> Option<Ticket> {
+    pub(crate) fn pop(&mut self, now: Instant) -> Option<Box<Ticket>> {
         loop {
             let (station, lane) = self.next(now)?;
-            let queues = self.stations.get_mut(&station)?;
+            let queues = self.stations.get_mut(station)?;
             let ticket = queues.lanes.get_mut(lane)?.pop_front()?;
             self.served = queues.used;
             if let Some(served_at) = queues.served_at.get_mut(lane) {
@@ -92,7 +96,7 @@ impl Scheduler {
     /// Whether a call is waiting whose station may be served now.
     pub(crate) fn has_work(&mut self, now: Instant) -> bool {
         while let Some((station, lane)) = self.next(now) {
-            let queue = self.stations.get_mut(&station).and_then(|queues| queues.lanes.get_mut(lane));
+            let queue = self.stations.get_mut(station).and_then(|queues| queues.lanes.get_mut(lane));
             match queue {
                 Some(queue) if queue.front().is_some_and(|ticket| keep(ticket, now)) => return true,
                 Some(queue) => drop(queue.pop_front()),
@@ -112,28 +116,27 @@ impl Scheduler {
     }
 
     /// Takes every call of a station.
-    pub(crate) fn drain(&mut self, station: u8) -> Vec<Ticket> {
-        match self.stations.get_mut(&station) {
+    pub(crate) fn drain(&mut self, station: u8) -> VecDeque<Box<Ticket>> {
+        match self.stations.get_mut(station) {
             Some(queues) => queues.lanes.iter_mut().flat_map(std::mem::take).collect(),
-            None => Vec::new(),
+            None => VecDeque::new(),
         }
     }
 
     /// Takes every call.
-    pub(crate) fn drain_all(&mut self) -> Vec<Ticket> {
-        let stations: Vec<u8> = self.stations.keys().copied().collect();
-        stations.into_iter().flat_map(|station| self.drain(station)).collect()
+    pub(crate) fn drain_all(&mut self) -> VecDeque<Box<Ticket>> {
+        let queues = self.stations.values_mut().flat_map(|queues| queues.lanes.iter_mut());
+        queues.flat_map(std::mem::take).collect()
     }
 
     /// Counts bus time that a station has used.
     pub(crate) fn charge(&mut self, station: u8, time: Duration) {
-        let queues = self.queues(station);
-        queues.used = queues.used.saturating_add(time);
+        self.queues(station, |queues| queues.used = queues.used.saturating_add(time));
     }
 
     /// Does not serve a station before then.
     pub(crate) fn block(&mut self, station: u8, until: Instant) {
-        self.queues(station).blocked_until = Some(until);
+        self.queues(station, |queues| queues.blocked_until = Some(until));
     }
 
     /// When the next station that is blocked and has calls may be served.
@@ -141,25 +144,26 @@ impl Scheduler {
         self.stations.values().filter(|queues| queues.len() > 0).filter_map(|queues| queues.blocked_until).min()
     }
 
-    fn queues(&mut self, station: u8) -> &mut Queues {
+    fn queues<R>(&mut self, station: u8, work: impl FnOnce(&mut Queues) -> R) -> R {
         let served = self.served;
-        let queues = self.stations.entry(station).or_default();
-        if queues.len() == 0 {
-            queues.used = queues.used.max(served);
-        }
-        queues
+        self.stations.with(station, Queues::default, |queues| {
+            if queues.len() == 0 {
+                queues.used = queues.used.max(served);
+            }
+            work(queues)
+        })
     }
 
     /// The station and lane whose turn it is.
     fn next(&self, now: Instant) -> Option<(u8, usize)> {
         let lanes = (0..Lane::COUNT).filter_map(|lane| {
-            let waiting = self.stations.iter().filter_map(|(&station, queues)| {
+            let waiting = self.stations.iter().filter_map(|(station, queues)| {
                 let ticket = queues.lanes.get(lane)?.front()?;
                 let free = queues.blocked_until.is_none_or(|until| until <= now);
                 free.then_some((queues.used, ticket.queued_at, station))
             });
             let (_, queued_at, station) = waiting.min()?;
-            let served_at = self.stations.get(&station)?.served_at.get(lane)?.unwrap_or(queued_at);
+            let served_at = self.stations.get(station)?.served_at.get(lane)?.unwrap_or(queued_at);
             Some((self.rank(lane, queued_at.max(served_at), now), lane, station))
         });
         lanes.min().map(|(_, lane, station)| (station, lane))

@@ -8,16 +8,16 @@
 //! What must always hold: a station in doubt stays so until something has cleared it; probes take no more than their
 //! share of the bus, however many stations are offline.
 
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 use tokio::time::Instant;
 
+use super::by_station::ByStation;
 use super::later;
 
 #[derive(Debug)]
 pub(crate) struct Stations {
-    known: BTreeMap<u8, Health>,
+    known: ByStation<Health>,
     rules: Rules,
     probe_allowed_at: Option<Instant>,
 }
@@ -58,58 +58,59 @@ struct Offline {
 
 impl Stations {
     pub(crate) fn new(rules: Rules) -> Self {
-        Self { known: BTreeMap::new(), rules, probe_allowed_at: None }
+        Self { known: ByStation::new(), rules, probe_allowed_at: None }
     }
 
     /// Whether the station must prove itself before it is asked anything.
-    pub(crate) fn is_dirty(&mut self, station: u8) -> bool {
-        self.health(station).dirty
+    pub(crate) fn is_dirty(&self, station: u8) -> bool {
+        self.known.get(station).map_or(self.rules.doubtful_start, |health| health.dirty)
     }
 
     /// There is reason to doubt what the station sends next.
     pub(crate) fn doubt(&mut self, station: u8) {
-        self.health(station).dirty = true;
+        self.health(station, |health| health.dirty = true);
     }
 
     /// The station has proved itself.
     pub(crate) fn clear(&mut self, station: u8) {
-        let health = self.health(station);
-        health.dirty = false;
-        health.refused = false;
+        self.health(station, |health| {
+            health.dirty = false;
+            health.refused = false;
+        });
     }
 
     /// Whether anything has been asked of the station yet.
     pub(crate) fn knows(&self, station: u8) -> bool {
-        self.known.contains_key(&station)
+        self.known.get(station).is_some()
     }
 
     /// Whether the station has refused the loop-back that was to settle the present doubt.
-    pub(crate) fn has_refused(&mut self, station: u8) -> bool {
-        self.health(station).refused
+    pub(crate) fn has_refused(&self, station: u8) -> bool {
+        self.known.get(station).is_some_and(|health| health.refused)
     }
 
     /// The station has refused the loop-back. It may have had its reasons for once, so the next doubt asks again.
     pub(crate) fn loop_back_refused(&mut self, station: u8) {
-        self.health(station).refused = true;
+        self.health(station, |health| health.refused = true);
     }
 
     /// The station is given this long for an answer.
     pub(crate) fn allow(&mut self, station: u8, timeout: Duration) {
-        let health = self.health(station);
-        health.allowed = health.allowed.max(timeout);
+        self.health(station, |health| health.allowed = health.allowed.max(timeout));
     }
 
     /// The longest time that the station was ever given for an answer: what a probe must give it, too.
     pub(crate) fn allowed(&self, station: u8) -> Duration {
-        self.known.get(&station).map(|health| health.allowed).unwrap_or_default()
+        self.known.get(station).map(|health| health.allowed).unwrap_or_default()
     }
 
     /// The station has answered, within this time; says whether it was offline.
     pub(crate) fn answered(&mut self, station: u8, within: Duration, now: Instant) -> bool {
-        let health = self.health(station);
-        health.timeouts = 0;
-        health.round_trip.measured(within);
-        let back = health.offline.take().is_some();
+        let back = self.health(station, |health| {
+            health.timeouts = 0;
+            health.round_trip.measured(within);
+            health.offline.take().is_some()
+        });
         if back {
             // What kept it away has most likely kept others away, too.
             self.hurry(now);
@@ -121,20 +122,21 @@ impl Stations {
     /// offline from now on.
     pub(crate) fn timed_out(&mut self, station: u8, now: Instant) -> Option<Instant> {
         let Rules { offline_after, probe_interval: (interval, _), .. } = self.rules;
-        let health = self.health(station);
-        health.timeouts = health.timeouts.saturating_add(1);
-        health.round_trip.timed_out();
-        if health.timeouts < offline_after || health.offline.is_some() {
-            return None;
-        }
-        let probe_at = later(now, interval);
-        health.offline = Some(Offline { probe_at, interval, probed_at: None });
-        self.offline_until(station)
+        let goes_offline = self.health(station, |health| {
+            health.timeouts = health.timeouts.saturating_add(1);
+            health.round_trip.timed_out();
+            let goes_offline = health.timeouts >= offline_after && health.offline.is_none();
+            if goes_offline {
+                health.offline = Some(Offline { probe_at: later(now, interval), interval, probed_at: None });
+            }
+            goes_offline
+        });
+        if goes_offline { self.offline_until(station) } else { None }
     }
 
     /// If the station is offline: when it is probed next, or soon after if others are due as well.
     pub(crate) fn offline_until(&self, station: u8) -> Option<Instant> {
-        Some(self.not_before_pause(self.known.get(&station)?.offline?.probe_at))
+        Some(self.not_before_pause(self.known.get(station)?.offline?.probe_at))
     }
 
     /// Whatever was the matter with the stations may be over: those that are offline are probed at once.
@@ -148,7 +150,7 @@ impl Stations {
     /// Takes those that are offline for what they were before anything was known of them, doubts apart; says which.
     pub(crate) fn forget_offline(&mut self) -> Vec<u8> {
         let offline = self.known.iter_mut().filter(|(_, health)| health.offline.is_some());
-        let forget = |(&station, health): (&u8, &mut Health)| {
+        let forget = |(station, health): (u8, &mut Health)| {
             health.offline = None;
             health.timeouts = 0;
             station
@@ -158,7 +160,7 @@ impl Stations {
 
     /// The station whose probe is due: of several, the one that has waited longest.
     pub(crate) fn due_probe(&self, now: Instant) -> Option<u8> {
-        let probes = self.known.iter().filter_map(|(&station, health)| Some((health.offline?, station)));
+        let probes = self.known.iter().filter_map(|(station, health)| Some((health.offline?, station)));
         let due = probes.filter(|(offline, _)| self.not_before_pause(offline.probe_at) <= now);
         due.min_by_key(|&(offline, station)| (offline.probed_at, station)).map(|(_, station)| station)
     }
@@ -183,7 +185,7 @@ impl Stations {
     /// A probe of the station was not answered; says when the next one is due.
     pub(crate) fn probe_failed(&mut self, station: u8, now: Instant) -> Option<Instant> {
         let (_, longest) = self.rules.probe_interval;
-        let offline = self.health(station).offline.as_mut()?;
+        let offline = self.known.get_mut(station)?.offline.as_mut()?;
         offline.interval = offline.interval.saturating_mul(2).min(longest);
         offline.probe_at = later(now, offline.interval);
         offline.probed_at = Some(now);
@@ -192,20 +194,20 @@ impl Stations {
 
     /// How long the station should be given, by what it has needed so far: between the two limits.
     pub(crate) fn patience(&self, station: u8, shortest: Duration, longest: Duration) -> Duration {
-        let estimate = self.known.get(&station).and_then(|health| health.round_trip.timeout());
+        let estimate = self.known.get(station).and_then(|health| health.round_trip.timeout());
         estimate.map_or(longest, |estimate| estimate.max(shortest).min(longest))
     }
 
-    fn health(&mut self, station: u8) -> &mut Health {
-        let dirty = self.rules.doubtful_start;
-        self.known.entry(station).or_insert_with(|| Health {
-            dirty,
+    fn health<R>(&mut self, station: u8, work: impl FnOnce(&mut Health) -> R) -> R {
+        let new = || Health {
+            dirty: self.rules.doubtful_start,
             refused: false,
             allowed: Duration::ZERO,
             timeouts: 0,
             offline: None,
             round_trip: RoundTrip::default(),
-        })
+        };
+        self.known.with(station, new, work)
     }
 }
 

@@ -1,12 +1,12 @@
 //! What can be seen of a link from outside: counters, and states to be watched.
 
-use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::time::Instant;
 
+use super::by_station::ByStation;
 use crate::wire::Discard;
 
 /// What a station has been asked and has answered, since the link was made. A snapshot.
@@ -99,13 +99,32 @@ pub(crate) struct Board {
 #[derive(Debug, Default)]
 struct Tallies {
     link: LinkStats,
-    stations: BTreeMap<u8, Tally>,
+    stations: ByStation<Tally>,
 }
 
 #[derive(Debug, Default)]
 struct Tally {
     stats: StationStats,
-    state: watch::Sender<StationState>,
+    state: StationState,
+    /// Since somebody has asked to watch the state. Nobody does so of most stations, and a channel takes more memory than
+    /// all else that is counted here.
+    watched: Option<watch::Sender<StationState>>,
+}
+
+impl Tally {
+    fn watch(&mut self) -> watch::Receiver<StationState> {
+        self.watched.get_or_insert_with(|| watch::Sender::new(self.state)).subscribe()
+    }
+
+    fn set_state(&mut self, state: StationState) {
+        if self.state == state {
+            return;
+        }
+        self.state = state;
+        if let Some(watched) = &self.watched {
+            watched.send_replace(state);
+        }
+    }
 }
 
 impl Board {
@@ -116,11 +135,11 @@ impl Board {
     }
 
     pub(crate) fn station(&self, station: u8) -> StationStats {
-        self.lock().stations.get(&station).map(|tally| tally.stats).unwrap_or_default()
+        self.lock().stations.get(station).map(|tally| tally.stats).unwrap_or_default()
     }
 
     pub(crate) fn watch(&self, station: u8) -> watch::Receiver<StationState> {
-        self.lock().stations.entry(station).or_default().state.subscribe()
+        self.lock().stations.with(station, Tally::default, Tally::watch)
     }
 
     pub(crate) fn count(&self, count: impl FnOnce(&mut LinkStats)) {
@@ -128,7 +147,7 @@ impl Board {
     }
 
     pub(crate) fn count_for(&self, station: u8, count: impl FnOnce(&mut StationStats)) {
-        count(&mut self.lock().stations.entry(station).or_default().stats);
+        self.lock().stations.with(station, Tally::default, |tally| count(&mut tally.stats));
     }
 
     pub(crate) fn discarded(&self, reason: Discard, bytes: usize) {
@@ -142,11 +161,7 @@ impl Board {
     }
 
     pub(crate) fn state(&self, station: u8, state: StationState) {
-        self.lock().stations.entry(station).or_default().state.send_if_modified(|current| {
-            let changed = *current != state;
-            *current = state;
-            changed
-        });
+        self.lock().stations.with(station, Tally::default, |tally| tally.set_state(state));
     }
 
     fn lock(&self) -> MutexGuard<'_, Tallies> {

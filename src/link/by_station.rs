@@ -1,0 +1,93 @@
+//! A map from station numbers: what a link knows of each of its stations.
+//!
+//! Nearly all links have one station, and a service has thousands of links. So a map holds as much memory as there are
+//! entries and no more, which a B-tree, with its room for eleven, does not.
+
+#[derive(Debug)]
+pub(crate) struct ByStation<T> {
+    /// In the order of the stations, each once; at most 256.
+    entries: Vec<(u8, T)>,
+}
+
+impl<T> ByStation<T> {
+    pub(crate) fn new() -> Self {
+        Self { entries: Vec::new() }
+    }
+
+    pub(crate) fn get(&self, station: u8) -> Option<&T> {
+        let at = self.place(station).ok()?;
+        self.entries.get(at).map(|(_, value)| value)
+    }
+
+    pub(crate) fn get_mut(&mut self, station: u8) -> Option<&mut T> {
+        let at = self.place(station).ok()?;
+        self.entries.get_mut(at).map(|(_, value)| value)
+    }
+
+    /// Does something with what there is of this station; with `new`, which then stays, if there is nothing.
+    pub(crate) fn with<R>(&mut self, station: u8, new: impl FnOnce() -> T, work: impl FnOnce(&mut T) -> R) -> R {
+        if let Some(value) = self.get_mut(station) {
+            return work(value);
+        }
+        let mut value = new();
+        let result = work(&mut value);
+        if let Err(at) = self.place(station) {
+            self.entries.reserve_exact(1);
+            self.entries.insert(at, (station, value));
+        }
+        result
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (u8, &T)> {
+        self.entries.iter().map(|(station, value)| (*station, value))
+    }
+
+    pub(crate) fn iter_mut(&mut self) -> impl Iterator<Item = (u8, &mut T)> {
+        self.entries.iter_mut().map(|(station, value)| (*station, value))
+    }
+
+    pub(crate) fn values(&self) -> impl Iterator<Item = &T> {
+        self.entries.iter().map(|(_, value)| value)
+    }
+
+    pub(crate) fn values_mut(&mut self) -> impl Iterator<Item = &mut T> {
+        self.entries.iter_mut().map(|(_, value)| value)
+    }
+
+    /// Where its entry is, or where it would be.
+    fn place(&self, station: u8) -> Result<usize, usize> {
+        self.entries.binary_search_by_key(&station, |&(station, _)| station)
+    }
+}
+
+impl<T> Default for ByStation<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Random;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn it_holds_what_a_b_tree_would_and_no_room_besides() {
+        for seed in 0..50 {
+            let mut random = Random::new(seed);
+            let (mut map, mut expected) = (ByStation::new(), BTreeMap::new());
+            for n in 0..random.next() % 600 {
+                let station = (random.next() % 256) as u8;
+                assert_eq!(map.get(station), expected.get(&station), "seed {seed}");
+                assert_eq!(map.get_mut(station), expected.get_mut(&station), "seed {seed}");
+                let before = map.with(station, || n, |value| std::mem::replace(value, *value + 1));
+                let value = expected.entry(station).or_insert(n);
+                assert_eq!(before, std::mem::replace(value, *value + 1), "seed {seed}");
+            }
+            assert!(map.iter().eq(expected.iter().map(|(&station, value)| (station, value))), "seed {seed}");
+            assert!(map.values().eq(expected.values()), "seed {seed}");
+            assert_eq!(map.entries.capacity(), expected.len(), "seed {seed}");
+        }
+    }
+}
