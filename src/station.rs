@@ -7,6 +7,7 @@ use std::fmt;
 
 use bytes::Bytes;
 use tokio::sync::watch;
+use tokio::time::Instant;
 
 use crate::command::{
     Answer, BriefStatus, Command, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, InvalidRequest,
@@ -150,6 +151,11 @@ impl Station {
     /// As for every method of this type.
     pub async fn call<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
         self.link.call(self.number, request, self.options).await
+    }
+
+    /// As [`call`](Self::call), and tells when the reply came; if none did, when that was known.
+    pub(crate) async fn timed_call<C: Command>(&self, request: C) -> (Result<C::Reply, Error>, Instant) {
+        self.link.timed_call(self.number, request, self.options).await
     }
 
     /// Sends a request that was made elsewhere, such as one that a gateway has decoded, and gives its reply so that it can

@@ -30,8 +30,8 @@ pub(crate) trait AnyCall: Send + Sync {
     fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest>;
 
     /// Offers the data of a frame with the right station and command. It is taken if it is exactly a reply to this
-    /// request; then the call is done.
-    fn offer(&self, framing: Framing, station: u8, data: &[u8]) -> Result<Option<ErrorCode>, FieldError>;
+    /// request; then the call is done. `now` is when the frame came.
+    fn offer(&self, framing: Framing, station: u8, data: &[u8], now: Instant) -> Result<Option<ErrorCode>, FieldError>;
 
     /// The request is about to be sent, and from now on the PLC may execute it; `false`: nobody wants that any more.
     fn mark_sent(&self) -> bool;
@@ -98,6 +98,7 @@ impl std::fmt::Debug for Ticket {
 #[derive(Debug)]
 pub(crate) struct Completion<C: Command> {
     slot: Arc<Slot<C>>,
+    answered_at: Option<Instant>,
 }
 
 /// Makes the two halves of a call that a reply ends.
@@ -119,7 +120,7 @@ fn halves<C: Command>(request: C, unanswered: Option<C::Reply>) -> (Arc<dyn AnyC
         result: Mutex::new(None),
         waker: AtomicWaker::new(),
     });
-    (slot.clone(), Completion { slot })
+    (slot.clone(), Completion { slot, answered_at: None })
 }
 
 impl<C: Command> Completion<C> {
@@ -127,19 +128,27 @@ impl<C: Command> Completion<C> {
     pub(crate) fn abandon(&self) -> bool {
         self.slot.state.fetch_or(ABANDONED, Ordering::AcqRel) & SENT != 0
     }
+
+    /// When the reply came, once the result is there and if there was one.
+    pub(crate) fn answered_at(&self) -> Option<Instant> {
+        self.answered_at
+    }
 }
 
 impl<C: Command> Future for Completion<C> {
     type Output = Result<C::Reply, Error>;
 
-    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
+    fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
         self.slot.waker.register(cx.waker());
         if self.slot.state.load(Ordering::Acquire) & DONE == 0 {
             return Poll::Pending;
         }
         // A future is not polled again after it is ready, so the result is there; a caller that does so all the same
         // gets an error rather than a panic.
-        Poll::Ready(lock(&self.slot.result).take().unwrap_or(Err(Error::Closed { sent: true })))
+        let answer = lock(&self.slot.result).take();
+        let (result, at) = answer.unwrap_or((Err(Error::Closed { sent: true }), None));
+        self.answered_at = at;
+        Poll::Ready(result)
     }
 }
 
@@ -157,9 +166,12 @@ struct Slot<C: Command> {
     state: AtomicU8,
     /// How often the request has been sent, as far as 255.
     sends: AtomicU8,
-    result: Mutex<Option<Result<C::Reply, Error>>>,
+    result: Mutex<Option<Answer<C>>>,
     waker: AtomicWaker,
 }
+
+/// The result, and when the reply came that it was in, if it was in one.
+type Answer<C> = (Result<<C as Command>::Reply, Error>, Option<Instant>);
 
 /// Bits of the state. A call that is neither done nor abandoned is queued or on the wire.
 const DONE: u8 = 1;
@@ -169,12 +181,12 @@ const SENT: u8 = 4;
 
 impl<C: Command> Slot<C> {
     /// The first result stays: nothing that comes later can replace it.
-    fn finish(&self, result: Result<C::Reply, Error>) {
+    fn finish(&self, result: Result<C::Reply, Error>, at: Option<Instant>) {
         let mut slot = lock(&self.result);
         if self.state.load(Ordering::Acquire) & (DONE | ABANDONED) != 0 {
             return;
         }
-        *slot = Some(result);
+        *slot = Some((result, at));
         drop(slot);
         self.state.fetch_or(DONE, Ordering::AcqRel);
         self.waker.wake();
@@ -186,15 +198,15 @@ impl<C: Command> AnyCall for Slot<C> {
         command::encode_request(&self.request, framing, station, dst)
     }
 
-    fn offer(&self, framing: Framing, station: u8, data: &[u8]) -> Result<Option<ErrorCode>, FieldError> {
+    fn offer(&self, framing: Framing, station: u8, data: &[u8], now: Instant) -> Result<Option<ErrorCode>, FieldError> {
         match command::decode_reply(&self.request, framing, data) {
             Ok(reply) => {
-                self.finish(Ok(reply));
+                self.finish(Ok(reply), Some(now));
                 Ok(None)
             }
             Err(ReplyError::Plc(error)) => {
                 let repeated = self.sends.load(Ordering::Acquire) > 1;
-                self.finish(Err(Error::Plc { station, code: C::CODE, error, repeated }));
+                self.finish(Err(Error::Plc { station, code: C::CODE, error, repeated }), Some(now));
                 Ok(Some(error))
             }
             Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
@@ -213,11 +225,11 @@ impl<C: Command> AnyCall for Slot<C> {
     }
 
     fn complete_unanswered(&self) {
-        self.finish(self.unanswered.clone().ok_or(Error::Closed { sent: true }));
+        self.finish(self.unanswered.clone().ok_or(Error::Closed { sent: true }), None);
     }
 
     fn fail(&self, error: Error) {
-        self.finish(Err(error));
+        self.finish(Err(error), None);
     }
 
     fn is_abandoned(&self) -> bool {

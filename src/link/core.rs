@@ -199,7 +199,7 @@ impl Core {
 
     /// Bytes have come.
     pub(crate) fn received(&mut self, now: Instant) {
-        while let Some(event) = self.exchange.next_event() {
+        while let Some(event) = self.exchange.next_event(now) {
             self.on_event(event, now);
         }
         // A frame is coming in: it is given the time it takes, but not for ever.
@@ -462,7 +462,7 @@ impl Core {
 
     /// The reply to what is on the wire has not come, or not whole.
     fn give_up(&mut self, now: Instant) {
-        while let Some(event) = self.exchange.next_event_in_silence() {
+        while let Some(event) = self.exchange.next_event_in_silence(now) {
             self.on_event(event, now);
         }
         let Some(active) = self.exchange.give_up() else { return };

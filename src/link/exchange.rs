@@ -93,9 +93,9 @@ impl Goal {
 
     /// Offers the data of a frame with the right station and command; it is taken if it is the reply, which may be a
     /// refusal.
-    fn offer(&self, framing: Framing, data: &[u8]) -> Result<Option<ErrorCode>, FieldError> {
+    fn offer(&self, framing: Framing, data: &[u8], now: Instant) -> Result<Option<ErrorCode>, FieldError> {
         match self {
-            Self::Call(ticket) => ticket.call.offer(framing, ticket.station, data),
+            Self::Call(ticket) => ticket.call.offer(framing, ticket.station, data, now),
             Self::Check { check: Check::Barrier(nonce), .. } => verdict(command::decode_reply(nonce, framing, data)),
             Self::Check { check: Check::Echo, .. } => verdict(command::decode_reply(&ReadStatus, framing, data)),
         }
@@ -268,8 +268,8 @@ impl Exchange {
         };
     }
 
-    /// Understands the next thing that has been received. `None`: more bytes are needed.
-    pub(crate) fn next_event(&mut self) -> Option<Event> {
+    /// Understands the next thing that has been received, at `now`. `None`: more bytes are needed.
+    pub(crate) fn next_event(&mut self, now: Instant) -> Option<Event> {
         // The codecs do no I/O, so they have no errors.
         let item = self.codec.decode(&mut self.received).ok().flatten();
         if self.received.is_empty() {
@@ -277,7 +277,7 @@ impl Exchange {
             self.received = BytesMut::new();
         }
         Some(match item? {
-            Received::Frame(frame) => self.classify(&frame),
+            Received::Frame(frame) => self.classify(&frame, now),
             Received::Discarded { reason, bytes } => {
                 tracing::trace!(%reason, bytes = %bytes.escape_ascii(), "discarded");
                 if let Some(active) = &mut self.active {
@@ -293,9 +293,9 @@ impl Exchange {
 
     /// As [`next_event`](Self::next_event), when the line has fallen silent: what looked like the beginning of a frame
     /// is none, and a frame may stand behind it.
-    pub(crate) fn next_event_in_silence(&mut self) -> Option<Event> {
+    pub(crate) fn next_event_in_silence(&mut self, now: Instant) -> Option<Event> {
         loop {
-            match self.next_event() {
+            match self.next_event(now) {
                 Some(event) => return Some(event),
                 None if self.received.is_empty() || self.framing() == Framing::Ascii => break,
                 None => self.codec.skip_partial(),
@@ -307,7 +307,7 @@ impl Exchange {
         None
     }
 
-    fn classify(&mut self, frame: &Frame) -> Event {
+    fn classify(&mut self, frame: &Frame, now: Instant) -> Event {
         tracing::trace!(station = frame.station, command = frame.command, data = %frame.data.escape_ascii(), "received");
         let Some(mut active) = self.active.take() else {
             return Event::Stray { station: frame.station };
@@ -323,7 +323,7 @@ impl Exchange {
         } else if frame.command != u8::from(active.goal.code()) {
             Some(format!("a reply to command {:02X}", frame.command))
         } else {
-            match active.goal.offer(self.framing(), &frame.data) {
+            match active.goal.offer(self.framing(), &frame.data, now) {
                 Ok(refusal) => {
                     // An echo that was garbled is noise, and nearly as long as the request.
                     let quiet = active.discarded.saturating_mul(2) < active.request.len();

@@ -276,15 +276,30 @@ impl Link {
         options: CallOptions,
     ) -> Result<C::Reply, Error> {
         request.check(self.framing())?;
-        let (call, completion) = call::new(request);
-        self.submit(station, C::CODE, call, completion, options).await
+        let (call, mut completion) = call::new(request);
+        self.submit(station, C::CODE, call, &mut completion, options).await
+    }
+
+    /// As [`call`](Self::call), and tells when the reply came; if none did, when that was known.
+    pub(crate) async fn timed_call<C: Command>(
+        &self,
+        station: u8,
+        request: C,
+        options: CallOptions,
+    ) -> (Result<C::Reply, Error>, Instant) {
+        if let Err(error) = request.check(self.framing()) {
+            return (Err(error.into()), Instant::now());
+        }
+        let (call, mut completion) = call::new(request);
+        let result = self.submit(station, C::CODE, call, &mut completion, options).await;
+        (result, completion.answered_at().unwrap_or_else(Instant::now))
     }
 
     /// Sends a request that no station answers.
     pub(crate) async fn cast<C: Command<Reply = ()>>(&self, request: C, options: CallOptions) -> Result<(), Error> {
         request.check(self.framing())?;
-        let (call, completion) = call::unanswered(request, ());
-        self.submit(0, C::CODE, call, completion, options).await
+        let (call, mut completion) = call::unanswered(request, ());
+        self.submit(0, C::CODE, call, &mut completion, options).await
     }
 
     async fn submit<C: Command>(
@@ -292,7 +307,7 @@ impl Link {
         station: u8,
         code: Code,
         call: Arc<dyn AnyCall>,
-        mut completion: Completion<C>,
+        completion: &mut Completion<C>,
         options: CallOptions,
     ) -> Result<C::Reply, Error> {
         self.start()?;
@@ -311,7 +326,7 @@ impl Link {
         });
         let answered = timeout_at(deadline, async {
             self.shared.messages.send(Message::Call(ticket)).await.map_err(|_| Error::Closed { sent: false })?;
-            (&mut completion).await
+            (&mut *completion).await
         })
         .instrument(tracing::debug_span!("call", link = %self.shared.name, station, command = code.name()));
         let result = answered.await.unwrap_or_else(|_| {

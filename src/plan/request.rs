@@ -1,6 +1,8 @@
 use std::fmt;
 use std::time::Duration;
 
+use tokio::time::Instant;
+
 use super::Reply;
 use crate::command::{Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Element, Register, Register32};
@@ -64,12 +66,25 @@ impl ReadRequest {
     /// # Errors
     /// As for every method of [`Station`].
     pub async fn call(&self, station: &Station) -> Result<Reply, Error> {
-        Ok(match self {
-            Self::Discretes(request) => Reply::Bits(station.call(*request).await?),
-            Self::Registers(request) => Reply::Words(station.call(*request).await?),
-            Self::Registers32(request) => Reply::Doubles(station.call(*request).await?),
-            Self::Mixed(request) => Reply::Mixed(station.call(request.clone()).await?),
-        })
+        self.timed_call(station).await.0
+    }
+
+    /// Sends it, and tells when the reply came; if none did, when that was known.
+    pub(crate) async fn timed_call(&self, station: &Station) -> (Result<Reply, Error>, Instant) {
+        async fn call<C: Command>(
+            station: &Station,
+            request: C,
+            reply: impl FnOnce(C::Reply) -> Reply,
+        ) -> (Result<Reply, Error>, Instant) {
+            let (result, at) = station.timed_call(request).await;
+            (result.map(reply), at)
+        }
+        match self {
+            Self::Discretes(request) => call(station, *request, Reply::Bits).await,
+            Self::Registers(request) => call(station, *request, Reply::Words).await,
+            Self::Registers32(request) => call(station, *request, Reply::Doubles).await,
+            Self::Mixed(request) => call(station, request.clone(), Reply::Mixed).await,
+        }
     }
 
     pub(super) fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {

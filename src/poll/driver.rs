@@ -52,13 +52,13 @@ async fn answer(
     station: &Station,
     request: &ReadRequest,
 ) -> (Result<Reply, Error>, Stamp) {
-    let call = request.call(station);
+    let call = request.timed_call(station);
     tokio::pin!(call);
     loop {
         let ages_at = unit.with(|device| device.ages_at()).flatten();
         tokio::select! {
             biased;
-            result = &mut call => return (result, Stamp::now()),
+            (result, at) = &mut call => return (result, Stamp::of(at)),
             () = changed_or_at(&unit.changed, ages_at) => {
                 let mut samples = Vec::new();
                 unit.with(|device| {
