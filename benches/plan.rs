@@ -10,16 +10,16 @@ mod tags;
 use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use fatek::endpoint::SerialSettings;
 use fatek::plan::{CostModel, Limits, Plan};
-use fatek::tag::Tag;
+use fatek::tag::{Tag, TagType};
 use fatek::wire::Framing;
 
 fn planning(c: &mut Criterion) {
     let cost = CostModel::serial(SerialSettings::new(Framing::Ascii), Framing::Ascii);
     let all = Limits::new();
-    let cases: [(&str, fn(usize) -> Vec<Tag>, Limits); 4] = [
-        ("clustered", clustered, all.clone()),
+    let cases = [
+        ("clustered", clustered as Tags, all.clone()),
         ("random", random, all.clone()),
-        ("random texts", texts, all.clone()),
+        ("random, with texts", texts, all.clone()),
         ("random, no mixed reads", random, all.no_mixed_reads()),
     ];
     for (name, tags, limits) in cases {
@@ -36,6 +36,9 @@ fn planning(c: &mut Criterion) {
     }
 }
 
+/// So many tags.
+type Tags = fn(usize) -> Vec<Tag>;
+
 fn clustered(n: usize) -> Vec<Tag> {
     tags::clustered(n).expect("good tags")
 }
@@ -47,7 +50,7 @@ fn random(n: usize) -> Vec<Tag> {
 /// The same, one in ten of the registers a text of up to 32.
 fn texts(n: usize) -> Vec<Tag> {
     let text = |(n, tag): (usize, Tag)| {
-        let spanning = Tag::spanning(tag.first(), fatek::tag::TagType::Text, n % 32 + 1);
+        let spanning = Tag::spanning(tag.first(), TagType::Text, n % 32 + 1);
         if n % 10 == 0 { spanning.unwrap_or(tag) } else { tag }
     };
     random(n).into_iter().enumerate().map(text).collect()

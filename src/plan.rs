@@ -64,6 +64,7 @@ mod readings;
 mod request;
 mod solve;
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 pub use builder::PlanBuilder;
@@ -116,6 +117,13 @@ impl Plan {
     #[must_use]
     pub fn requests(&self) -> &[PlannedRequest] {
         &self.requests
+    }
+
+    /// Which requests, by their place in [`requests`](Self::requests), the values of the tag with this number come from.
+    /// None: the plan has no tag with this number.
+    pub fn requests_of(&self, tag: usize) -> impl Iterator<Item = usize> + use<> {
+        let requests = self.slots(tag).unwrap_or_default().iter().map(|slot| slot.request as usize);
+        requests.collect::<BTreeSet<_>>().into_iter()
     }
 
     /// All bytes, of requests and replies.

@@ -1,11 +1,13 @@
 //! The command line as its users meet it: as a process, against `fatek sim` as another one.
 #![cfg(feature = "cli")]
 
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{TcpListener, TcpStream};
-use std::process::{Child, Command, Stdio};
-use std::sync::{Arc, Mutex};
-use std::thread;
+mod process;
+
+use std::io::Read;
+use std::net::TcpListener;
+use std::process::{Command, Stdio};
+
+use process::{FATEK, Fake, Sim, ascii, fatek, run};
 
 const FRAMINGS: [&str; 2] = ["ascii", "binary"];
 
@@ -89,6 +91,36 @@ fn what_is_written_is_read_back_in_both_framings() {
         let json: serde_json::Value = sim.fatek(&["read", "R300-R303:f32", "--format=json"]).ok().parse().unwrap();
         assert_eq!((&json[0]["value"], &json[1]["value"]), (&"NaN".into(), &"-inf".into()));
         assert_eq!(sim.fatek(&["-q", "write", "R0=1"]).stderr, "");
+    }
+}
+
+#[test]
+fn scaled_values_and_texts_are_read_and_written_in_all_formats() {
+    for framing in FRAMINGS {
+        let sim = Sim::start(&["--framing", framing, "--set", "R0-R2:text=\"a,\\\"b\\n\"", "R9:i16*0.1-40=-50.3"]);
+        let written =
+            ["R5-R6:u16*0.01=1.23,655.35", "D0:f32*0.5=0.05", "R10-R12:text-hi=two wo", "R20-R29:text=\"\\x1B é\""];
+        let done = sim.fatek(&[&["write"][..], &written].concat());
+        assert!(done.stderr.contains("wrote R10-R12:text-hi=\"two wo\"\n"), "{done:?}");
+        done.ok();
+        let tags = ["R0-R2:text", "R9:i16*0.1-40", "R5-R6:u16*0.01", "D0:f32*0.5", "R10-R12:text-hi", "R20-R29:text"];
+        let read = |format| sim.fatek(&[&["read", "--format", format][..], &tags].concat()).ok();
+        assert_eq!(
+            read("table"),
+            "TAG      TYPE        VALUE\nR0-R2    text        \"a,\\\"b\\n\"\nR9       i16*0.1-40  -50.3\n\
+             R5       u16*0.01    1.23\nR6       u16*0.01    655.35\nD0       f32*0.5     0.05\n\
+             R10-R12  text-hi     \"two wo\"\nR20-R29  text        \"\\x1B é\"\n"
+        );
+        assert_eq!(
+            read("csv"),
+            "tag,type,value\nR0-R2,text,\"a,\"\"b\n\"\nR9,i16*0.1-40,-50.3\nR5,u16*0.01,1.23\nR6,u16*0.01,655.35\n\
+             D0,f32*0.5,0.05\nR10-R12,text-hi,two wo\nR20-R29,text,\u{1b} é\n"
+        );
+        let json: serde_json::Value = read("json").parse().unwrap();
+        let values: Vec<_> = json.as_array().unwrap().iter().map(|row| row["value"].clone()).collect();
+        let expected = serde_json::json!(["a,\"b\n", -50.3, 1.23, 655.35, 0.05, "two wo", "\u{1b} é"]);
+        assert_eq!(serde_json::Value::from(values), expected);
+        assert_eq!((&json[0]["tag"], &json[1]["type"]), (&"R0-R2".into(), &"i16*0.1-40".into()));
     }
 }
 
@@ -257,6 +289,16 @@ fn nothing_is_sent_on_bad_input() {
         (&["write", "R0=1", "R1"], "`R1` is not an assignment: it must be TAG=VALUE"),
         (&["write", "R0-R2=1,2"], "`1,2` is not a value for R0-R2: R0-R2 takes 3 of them, not 2"),
         (&["write", "R0:hex=10"], "`10` is not a value for R0:hex: a hexadecimal value begins with 0x"),
+        (
+            &["write", "R0:u16*0.1=6553.6"],
+            "6553.6 comes from the raw number 65536.0, which does not fit: u16 takes 0 to",
+        ),
+        (
+            &["write", "R0-R1:text=a,b"],
+            "text with a comma, a quote, a backslash or a control character stands in double",
+        ),
+        (&["write", "R0-R1:text=hello"], "\"hello\" has 5 characters, and 4 fit"),
+        (&["read", "R0:u16*0"], "`R0:u16*0` is not a tag: the gain is 0.0, and it must be from 1e-200 to 1e200"),
         (&["set", "M0", "R0"], "`R0` is not an element: R is a 16-bit register, not a discrete"),
         (&["ping", "-c", "0"], "invalid value '0' for '--count <COUNT>'"),
         (&["ping", "-s", "257"], "257 is not in 0..=256"),
@@ -353,141 +395,4 @@ fn help_and_version_are_data() {
     assert!(fatek(&["--help"]).ok().contains("Exit status:"));
     assert!(fatek(&["read", "--help"]).ok().contains("Examples:"));
     assert!(fatek(&["--version"]).ok().starts_with("fatek "));
-}
-
-const FATEK: &str = env!("CARGO_BIN_EXE_fatek");
-
-/// How a process ended, and what it said.
-#[derive(Debug)]
-struct Ran {
-    status: i32,
-    stdout: String,
-    stderr: String,
-}
-
-impl Ran {
-    /// Its data, if all went well.
-    #[track_caller]
-    fn ok(self) -> String {
-        assert_eq!(self.status, 0, "{self:?}");
-        self.stdout
-    }
-
-    /// Its complaint about the command line.
-    #[track_caller]
-    fn usage(self) -> String {
-        assert_eq!((self.status, self.stdout.as_str()), (2, ""), "{self:?}");
-        self.stderr
-    }
-}
-
-fn fatek(args: &[&str]) -> Ran {
-    run(Command::new(FATEK).args(args).env_remove("FATEK_LINK").env_remove("FATEK_STATION"))
-}
-
-fn run(command: &mut Command) -> Ran {
-    let output = command.env_remove("RUST_LOG").output().unwrap();
-    Ran {
-        status: output.status.code().expect("no signal"),
-        stdout: String::from_utf8(output.stdout).unwrap(),
-        stderr: String::from_utf8(output.stderr).unwrap(),
-    }
-}
-
-/// `fatek sim` as a process of its own.
-struct Sim {
-    child: Child,
-    stdout: BufReader<std::process::ChildStdout>,
-    /// With the framing.
-    url: String,
-}
-
-impl Sim {
-    fn start(args: &[&str]) -> Self {
-        let mut child = Command::new(FATEK).arg("sim").args(args).stdout(Stdio::piped()).spawn().unwrap();
-        let mut stdout = BufReader::new(child.stdout.take().unwrap());
-        let mut line = String::new();
-        stdout.read_line(&mut line).unwrap();
-        let url = line.strip_prefix("listening ").and_then(|line| line.strip_suffix('\n'));
-        let mut url = url.unwrap_or_else(|| panic!("{line:?}")).to_owned();
-        if args.contains(&"binary") {
-            url += "?framing=binary";
-        }
-        Self { child, stdout, url }
-    }
-
-    /// Runs the command line on its station 1.
-    fn fatek(&self, args: &[&str]) -> Ran {
-        fatek(&[&["--link", &self.url, "--station", "1"], args].concat())
-    }
-}
-
-impl Drop for Sim {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-/// A device that gives one reply to all it receives, and remembers that.
-struct Fake {
-    url: String,
-    seen: Arc<Mutex<Seen>>,
-}
-
-#[derive(Default)]
-struct Seen {
-    connections: usize,
-    received: Vec<u8>,
-}
-
-impl Fake {
-    fn start(reply: impl Fn(&[u8]) -> Vec<u8> + Send + Sync + 'static) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let url = format!("tcp://{}", listener.local_addr().unwrap());
-        let seen = Arc::<Mutex<Seen>>::default();
-        let (shared, reply) = (seen.clone(), Arc::new(reply));
-        // The thread ends with the test's process.
-        thread::spawn(move || {
-            for stream in listener.incoming() {
-                shared.lock().unwrap().connections += 1;
-                let (shared, reply) = (shared.clone(), reply.clone());
-                thread::spawn(move || Self::serve(stream.unwrap(), &shared, &*reply));
-            }
-        });
-        Self { url, seen }
-    }
-
-    fn serve(mut stream: TcpStream, seen: &Mutex<Seen>, reply: &dyn Fn(&[u8]) -> Vec<u8>) {
-        let mut buffer = [0; 1024];
-        while let Ok(len @ 1..) = stream.read(&mut buffer) {
-            seen.lock().unwrap().received.extend_from_slice(&buffer[..len]);
-            let is_loop_back = buffer[..len].get(3..5) == Some(b"4E");
-            let bytes = if is_loop_back { buffer[..len].to_vec() } else { reply(&buffer[..len]) };
-            if stream.write_all(&bytes).is_err() {
-                return;
-            }
-        }
-    }
-
-    /// Runs the command line on its station 1.
-    fn fatek(&self, args: &[&str]) -> Ran {
-        fatek(&[&["--link", &self.url, "--station", "1"], args].concat())
-    }
-
-    fn connections(&self) -> usize {
-        self.seen.lock().unwrap().connections
-    }
-
-    fn received(&self) -> Vec<u8> {
-        self.seen.lock().unwrap().received.clone()
-    }
-}
-
-/// A frame of the ASCII framing around this.
-fn ascii(content: &str) -> Vec<u8> {
-    let mut frame = format!("\x02{content}").into_bytes();
-    let lrc = frame.iter().fold(0_u8, |sum, &byte| sum.wrapping_add(byte));
-    frame.extend_from_slice(format!("{lrc:02X}\x03").as_bytes());
-    frame
 }

@@ -8,15 +8,6 @@ use crate::element::Element;
 use crate::tag::TagValue;
 
 impl Plan {
-    /// The requests that a tag has values in.
-    pub(crate) fn requests_of(&self, tag: usize) -> Vec<usize> {
-        let slots = self.slots(tag).unwrap_or_default();
-        let mut requests: Vec<usize> = slots.iter().map(|slot| slot.request as usize).collect();
-        requests.sort_unstable();
-        requests.dedup();
-        requests
-    }
-
     /// Which values of a tag a request has, from the first to the last.
     pub(crate) fn values_in(&self, tag: usize, request: usize) -> Option<Range<usize>> {
         let here = |slot: &Slot| slot.request as usize == request;

@@ -10,7 +10,7 @@ use crate::error::Error;
 use crate::station::Station;
 use crate::wire::Framing;
 
-/// One request of a [`Plan`], and what it costs.
+/// One request of a [`Plan`](super::Plan), and what it costs.
 #[derive(Clone, Debug)]
 pub struct PlannedRequest {
     pub(super) request: ReadRequest,

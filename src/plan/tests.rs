@@ -291,6 +291,22 @@ fn the_planner_for_many_values_is_exact_where_it_says_so() {
     assert!(paid * 100 <= optimal * 105, "{paid} ns instead of {optimal} ns");
 }
 
+/// The program for many values counts what a mixed read costs cell by cell; the draft counts its elements.
+#[test]
+fn cells_that_are_added_to_a_mixed_read_cost_what_its_elements_do() {
+    for model in models() {
+        for first in ["R0", "WM0", "RC0", "DRC0", "M0"].map(|first| first.parse().unwrap()) {
+            let one = Cells::of(first, 1, &Limits::new()).unwrap();
+            let item = layout::ItemCost::new(one.area, &model);
+            let mixed = |len| Draft::mixed(&[Cells { len, ..one }], &Limits::new(), &model).unwrap().cost(&model);
+            for (before, more) in (1..16).flat_map(|before| (1..16).map(move |more| (before, more))) {
+                let cost = mixed(before) + item.cost(more, before % 2 == 1);
+                assert_eq!(cost, mixed(before + more), "{first}, {before} and {more}, {model:?}");
+            }
+        }
+    }
+}
+
 #[test]
 fn any_number_of_tags_is_read_right_and_for_no_more_than_by_runs_alone() {
     for seed in 0..60 {

@@ -72,7 +72,7 @@ impl Work {
         let mut by_request = vec![Vec::new(); plan.requests().len()];
         let mut requests_per_piece = Vec::with_capacity(pieces.len());
         for (number, tag) in (0_u32..).zip(0..pieces.len()) {
-            let requests = plan.requests_of(tag);
+            let requests: Vec<usize> = plan.requests_of(tag).collect();
             requests_per_piece.push(u32::try_from(requests.len()).unwrap_or(u32::MAX));
             for request in requests {
                 if let Some(of) = by_request.get_mut(request) {

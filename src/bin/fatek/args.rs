@@ -1,5 +1,6 @@
 //! What can stand on the command line.
 
+use std::str::FromStr;
 use std::time::Duration;
 
 use clap::{ArgAction, Args, Parser, Subcommand};
@@ -29,7 +30,10 @@ const AFTER_HELP: &str = "See `fatek --help` for links, tags, exit statuses and 
 const AFTER_LONG_HELP: &str = "\
 Links:
   tcp://HOST[:PORT][?framing=ascii|binary]
-  The port is 500 unless stated. The framing is ascii unless stated; binary is for the M series.
+  udp://HOST[:PORT][?framing=ascii|binary]
+  serial:PATH[?baud=9600&frame=7E1&framing=ascii|binary]
+  The framing is ascii unless stated; binary is for the M series. The port is 500 unless stated, and
+  must be stated with binary.
 
 Tags:
   M100       a discrete: on or off (X Y M S T C)
@@ -47,9 +51,9 @@ Exit status:
   1  the output could not be written, or the runtime not be started
   2  usage: the command line has an error, and nothing was sent
   3  the PLC answered with an error
-  4  timeout: the PLC did not answer
+  4  timeout: the PLC did not answer, or (scan) no station did
   5  no connection
-  6  bad reply, or (decode) a bad frame
+  6  bad reply, also (scan) of one station among others, or (decode) a bad frame
 
 Examples:
   fatek sim --listen tcp://127.0.0.1:5000 --set R0=5
@@ -58,6 +62,8 @@ Examples:
   export FATEK_LINK=tcp://192.168.2.3 FATEK_STATION=1
   fatek status
   fatek read R0-R9 --format json
+  fatek scan 1-16
+  fatek plan R0-R9 R900 --baud 9600
   fatek decode 02 30 31 34 36 30 33 52 30 30 30 31 32 37 35 03";
 
 /// Options of every subcommand, before or after it.
@@ -68,7 +74,7 @@ pub(crate) struct Common {
     pub(crate) format: Option<Format>,
     /// How long to wait for the PLC's answer, and for a connection, such as 500ms or 2s [default: 1s, and 3s]
     ///
-    /// Reads are sent up to three times, all else once.
+    /// Reads are sent up to three times, all else once. `scan` has a default of its own.
     #[arg(long, global = true, value_parser = duration::parse_timeout, value_name = "TIME")]
     pub(crate) timeout: Option<Duration>,
     /// Say nothing on stderr but errors
@@ -100,6 +106,11 @@ impl DefaultPlc {
         };
         Plc { link: first(&plc.link, &self.link), station: first(&plc.station, &self.station) }
     }
+
+    /// The same for commands that have no single station.
+    pub(crate) fn link(&self, own: &LinkArgs) -> Option<String> {
+        self.or(&Plc { link: own.link.clone(), station: None }).link
+    }
 }
 
 /// Which PLC.
@@ -112,6 +123,15 @@ pub(crate) struct Plc {
     /// The station number of the PLC, 1 to 254 [env: FATEK_STATION=]
     #[arg(long, value_name = "N")]
     pub(crate) station: Option<String>,
+}
+
+/// Which link.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "PLC")]
+pub(crate) struct LinkArgs {
+    /// Where the PLCs are, such as tcp://192.168.2.3:500 [env: FATEK_LINK=]
+    #[arg(long, value_name = "URL")]
+    link: Option<String>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -134,6 +154,8 @@ pub(crate) enum Command {
     /// Set discretes off
     Reset(DiscreteArgs),
     Ping(PingArgs),
+    Scan(ScanArgs),
+    Plan(PlanArgs),
     Decode(DecodeArgs),
 }
 
@@ -238,6 +260,103 @@ pub(crate) struct PingArgs {
     pub(crate) size: u16,
     #[command(flatten)]
     pub(crate) plc: Plc,
+}
+
+/// Find out which stations answer
+///
+/// Asks each station for its status, one after the other, and those that answer for more about themselves. Nothing that
+/// comes is passed over in silence: bad answers, garbage, answers that come late or twice. Exit status 0 if a station
+/// answers and none badly, 4 if none answers, 6 if one answers badly, as two stations with one number do.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek scan --link tcp://192.168.2.3
+  fatek scan 1-16 --timeout 1s --retries 2 --link 'serial:/dev/ttyUSB0?baud=19200'
+
+A station is not waited for longer than --timeout, 200ms unless given: all 254 take up to 51 s.
+
+The answer is ok, refused (an error code, such as for a command that the station does not know),
+bad (no good reply, or something besides one) or late (it came when nobody waited for it any more:
+give a longer --timeout). JSON is an array of objects with station, answer, running, main_unit,
+os_version, time_ms and note; what is not known is null.")]
+pub(crate) struct ScanArgs {
+    /// The stations to ask, both ends included: FROM-TO, or one number; 0 is the broadcast and asks nobody
+    #[arg(default_value = "1-254", value_name = "FROM-TO")]
+    pub(crate) stations: Stations,
+    /// How often a station that has not answered, or badly, is asked again
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10), value_name = "N")]
+    pub(crate) retries: u32,
+    #[command(flatten)]
+    pub(crate) link: LinkArgs,
+}
+
+/// Station numbers from the first to the last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stations {
+    pub(crate) first: u8,
+    pub(crate) last: u8,
+}
+
+impl FromStr for Stations {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let number = |text: &str| {
+            let digits = !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+            text.parse().ok().filter(|number| digits && (1..=254).contains(number))
+        };
+        let (first, last) = text.split_once('-').unwrap_or((text, text));
+        match (number(first), number(last)) {
+            (Some(first), Some(last)) if first <= last => Ok(Self { first, last }),
+            _ => Err("it must be a number from 1 to 254, or two of them, the lower one first: 1-16".to_owned()),
+        }
+    }
+}
+
+/// Print which requests would read tags, and how long they would take
+///
+/// Nothing is sent. How long bytes take is that of the link: of a serial line by its settings, of a network 10 Mbit/s.
+/// Without a link it is a network.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek plan R0-R9 R12:f32 R900 D7 M3 --baud 9600
+  fatek plan R0-R299 D0-D9:text --round-trip 12ms --max-registers 32 --no-mixed
+  fatek plan R0-R9 R900 --link 'serial:/dev/ttyUSB0?baud=19200' --format json
+
+JSON is an object: requests is an array of objects with request, values, bytes, time_ms, reads and
+tags, and values, bytes and time_ms are the sums. CSV has the requests alone.")]
+pub(crate) struct PlanArgs {
+    /// An element, or a range, with an optional type, as for read
+    #[arg(required = true, value_name = "TAG")]
+    pub(crate) tags: Vec<Tag>,
+    /// The framing [default: the link's, or ascii]
+    #[arg(long)]
+    pub(crate) framing: Option<Framing>,
+    /// The speed of the serial line, also of one behind a network module, in bits a second
+    #[arg(long, value_name = "BAUD")]
+    pub(crate) baud: Option<u32>,
+    /// How long an answer takes beside its bytes: the round trip of a network, or the time the PLC needs [default: 5ms]
+    #[arg(long, value_parser = duration::parse, value_name = "TIME")]
+    pub(crate) round_trip: Option<Duration>,
+    /// All tags must come from one scan of the PLC, so from one request
+    #[arg(long)]
+    pub(crate) one_scan: bool,
+    /// The most 16-bit registers that the PLC gives in one read, 2 to 64
+    #[arg(long, value_name = "N")]
+    pub(crate) max_registers: Option<usize>,
+    /// The most discretes that the PLC gives in one read, 1 to 256
+    #[arg(long, value_name = "N")]
+    pub(crate) max_points: Option<usize>,
+    /// The most registers and discretes that the PLC gives in one mixed read, 1 to 64, where 32 bits count two
+    #[arg(long, value_name = "N", conflicts_with = "no_mixed")]
+    pub(crate) max_mixed: Option<usize>,
+    /// The PLC has no mixed reads
+    #[arg(long)]
+    pub(crate) no_mixed: bool,
+    /// A range that can be read, such as R0-R3839; repeat it for more. Of a symbol with a range, nothing else is read
+    #[arg(long, value_name = "RANGE")]
+    pub(crate) readable: Vec<Tag>,
+    #[command(flatten)]
+    pub(crate) link: LinkArgs,
 }
 
 /// Explain frames field by field, bad ones too

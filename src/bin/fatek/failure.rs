@@ -16,6 +16,10 @@ pub(crate) enum Failure {
     Lost { lost: u32, sent: u32 },
     /// So many pings had a bad answer.
     Spoilt { spoilt: u32, sent: u32 },
+    /// Of so many stations, none answered.
+    Nobody { asked: usize },
+    /// So many of the stations that were asked answered badly, or too late.
+    BadStations { bad: usize },
     /// So many frames, of all, are bad.
     BadFrames { bad: usize, all: usize },
     /// The simulator cannot listen.
@@ -63,9 +67,9 @@ impl Failure {
                 fatek::Error::BadReply { .. } => 6,
                 _ => 1,
             },
-            Self::Lost { .. } => 4,
+            Self::Lost { .. } | Self::Nobody { .. } => 4,
             Self::Listen { .. } => 5,
-            Self::Spoilt { .. } | Self::BadFrames { .. } => 6,
+            Self::Spoilt { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,
         }
     }
 }
@@ -92,6 +96,9 @@ impl fmt::Display for Failure {
             Self::Call { what: None, error } => error.fmt(f),
             Self::Lost { lost, sent } => write!(f, "{lost} of {sent} had no answer"),
             Self::Spoilt { spoilt, sent } => write!(f, "{spoilt} of {sent} had a bad answer"),
+            Self::Nobody { asked: 1 } => f.write_str("the station did not answer"),
+            Self::Nobody { asked } => write!(f, "none of {asked} stations answered"),
+            Self::BadStations { bad } => write!(f, "{bad} answered badly"),
             Self::BadFrames { bad: 1, all: 1 } => f.write_str("this is no good frame"),
             Self::BadFrames { bad, all } => write!(f, "{bad} of {all} are no good frames"),
             Self::Listen { url, error } => write!(f, "cannot listen on {url}: {error}"),

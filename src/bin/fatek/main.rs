@@ -8,7 +8,10 @@ mod duration;
 mod failure;
 mod output;
 mod ping;
+mod plan;
+mod progress;
 mod read;
+mod scan;
 mod sim;
 mod status;
 mod write;
@@ -55,6 +58,11 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 let station = station(&args.plc)?.with_options(connect::options(timeout).retries(0));
                 ping::ping(&station, args, output).await
             }
+            Command::Scan(args) => {
+                let endpoint = connect::endpoint(cli.plc.link(&args.link).as_deref())?;
+                scan::scan(endpoint, args, timeout, output).await
+            }
+            Command::Plan(args) => plan::plan(cli.plc.link(&args.link).as_deref(), args, output),
             Command::Decode(args) => decode::decode(args, output),
         }
     })

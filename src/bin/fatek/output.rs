@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::io::{self, Write};
+use std::time::Duration;
 
 use clap::ValueEnum;
 use comfy_table::presets::NOTHING;
@@ -25,7 +26,7 @@ pub(crate) enum Format {
 #[derive(Debug)]
 pub(crate) struct Output {
     pub(crate) format: Format,
-    quiet: bool,
+    pub(crate) quiet: bool,
 }
 
 impl Output {
@@ -155,6 +156,21 @@ impl From<bool> for Cell {
 impl From<u32> for Cell {
     fn from(number: u32) -> Self {
         Self { text: number.to_string(), json: number.into() }
+    }
+}
+
+impl From<Duration> for Cell {
+    /// In milliseconds.
+    fn from(time: Duration) -> Self {
+        let text = format!("{:.3}", time.as_secs_f64() * 1e3);
+        Self { json: text.parse::<f64>().map_or(Value::Null, Value::from), text }
+    }
+}
+
+impl<T: Into<Cell>> From<Option<T>> for Cell {
+    /// What is not known is nothing, and `null`.
+    fn from(cell: Option<T>) -> Self {
+        cell.map_or(Self { text: String::new(), json: Value::Null }, Into::into)
     }
 }
 

@@ -6,7 +6,7 @@ use fatek::{Error, Station};
 
 use crate::args::PingArgs;
 use crate::failure::Failure;
-use crate::output::{Cell, Format, Output, Rows, print};
+use crate::output::{Format, Output, Rows, print};
 
 pub(crate) async fn ping(station: &Station, args: &PingArgs, output: &Output) -> Result<(), Failure> {
     let mut tally = Tally::default();
@@ -28,7 +28,7 @@ pub(crate) async fn ping(station: &Station, args: &PingArgs, output: &Output) ->
         if output.format == Format::Table {
             print_line(sequence, args.size, &time)?;
         }
-        rows.push([sequence.into(), u32::from(args.size).into(), time_cell(time.ok())]);
+        rows.push([sequence.into(), u32::from(args.size).into(), time.ok().into()]);
     }
     if output.format != Format::Table {
         output.rows(&rows)?;
@@ -82,16 +82,6 @@ fn print_line(sequence: u32, size: u16, time: &Result<Duration, Error>) -> Resul
     match time {
         Ok(time) => print(format_args!("{sequence}: {size} bytes in {:.3} ms", millis(*time))),
         Err(error) => print(format_args!("{sequence}: {error}")),
-    }
-}
-
-fn time_cell(time: Option<Duration>) -> Cell {
-    match time {
-        Some(time) => {
-            let text = format!("{:.3}", millis(time));
-            Cell { json: text.parse::<f64>().map_or(serde_json::Value::Null, Into::into), text }
-        }
-        None => Cell { text: String::new(), json: serde_json::Value::Null },
     }
 }
 

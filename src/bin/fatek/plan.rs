@@ -1,0 +1,105 @@
+//! `fatek plan TAG…`
+
+use std::time::Duration;
+
+use fatek::endpoint::{SerialSettings, Transport};
+use fatek::wire::Framing;
+use fatek::{CostModel, Limits, Plan};
+use serde_json::{Map, Value};
+
+use crate::args::PlanArgs;
+use crate::connect;
+use crate::failure::Failure;
+use crate::output::{Cell, Format, Output, Rows, print};
+
+pub(crate) fn plan(link: Option<&str>, args: &PlanArgs, output: &Output) -> Result<(), Failure> {
+    let builder = Plan::builder(cost(link, args)?).limits(limits(args)?);
+    let tags = args.tags.iter().copied();
+    let builder = if args.one_scan { builder.one_scan(tags) } else { builder.tags(tags) };
+    let plan = builder.build().map_err(Failure::usage)?;
+    match output.format {
+        Format::Table => print(format_args!("{}", plan.explain())),
+        Format::Json => output.json(&json(&plan)),
+        Format::Csv => output.rows(&rows(&plan)),
+    }
+}
+
+/// What requests cost on the link, as far as one is given, and by what the options say about it.
+fn cost(link: Option<&str>, args: &PlanArgs) -> Result<CostModel, Failure> {
+    let endpoint = link.map(|link| connect::endpoint(Some(link))).transpose()?;
+    let of_link = endpoint.as_ref().map_or(Framing::Ascii, |endpoint| endpoint.framing());
+    let framing = args.framing.unwrap_or(of_link);
+    let settings = match endpoint.as_ref().map(|endpoint| endpoint.transport()) {
+        Some(Transport::Serial { settings, .. }) => Some(*settings),
+        _ => None,
+    };
+    let settings = match args.baud {
+        Some(baud) => {
+            let settings = settings.unwrap_or(SerialSettings::new(framing));
+            Some(settings.with_baud(baud).map_err(|error| Failure::Usage(format!("--baud {baud}: {error}")))?)
+        }
+        None => settings,
+    };
+    Ok(match (settings, args.round_trip) {
+        (Some(settings), None) => CostModel::serial(settings, framing),
+        (Some(settings), Some(latency)) => CostModel::serial(settings, framing).with_latency(latency),
+        (None, round_trip) => CostModel::network(framing, round_trip.unwrap_or(Duration::from_millis(5))),
+    })
+}
+
+fn limits(args: &PlanArgs) -> Result<Limits, Failure> {
+    let mut limits = Limits::new();
+    if let Some(registers) = args.max_registers {
+        limits = limits.max_registers(registers).map_err(Failure::usage)?;
+    }
+    if let Some(points) = args.max_points {
+        limits = limits.max_points(points).map_err(Failure::usage)?;
+    }
+    if let Some(units) = args.max_mixed {
+        limits = limits.max_mixed(units).map_err(Failure::usage)?;
+    }
+    if args.no_mixed {
+        limits = limits.no_mixed_reads();
+    }
+    for range in &args.readable {
+        let last = range.elements().last().unwrap_or(range.first());
+        limits = limits.readable(range.first(), last).map_err(Failure::usage)?;
+    }
+    Ok(limits)
+}
+
+fn rows(plan: &Plan) -> Rows {
+    let mut tags: Vec<Vec<String>> = vec![Vec::new(); plan.requests().len()];
+    for (n, tag) in plan.tags().iter().enumerate() {
+        for request in plan.requests_of(n) {
+            tags[request].push(tag.to_string());
+        }
+    }
+    let mut rows = Rows::new(["request", "values", "bytes", "time_ms", "reads", "tags"]);
+    for ((number, planned), tags) in (1..).zip(plan.requests()).zip(tags) {
+        rows.push([
+            number_cell(number),
+            number_cell(planned.value_count()),
+            number_cell(planned.bytes()),
+            planned.time().into(),
+            planned.request().to_string().into(),
+            Cell { text: tags.join(" "), json: tags.into() },
+        ]);
+    }
+    rows
+}
+
+fn json(plan: &Plan) -> Value {
+    let values: usize = plan.requests().iter().map(|planned| planned.value_count()).sum();
+    let sums = [
+        ("requests", rows(plan).json()),
+        ("values", values.into()),
+        ("bytes", plan.bytes().into()),
+        ("time_ms", Cell::from(plan.time()).json),
+    ];
+    Value::Object(sums.into_iter().map(|(name, sum)| (name.to_owned(), sum)).collect::<Map<_, _>>())
+}
+
+fn number_cell(number: usize) -> Cell {
+    Cell { text: number.to_string(), json: number.into() }
+}

@@ -1,0 +1,145 @@
+//! The command line as a process, and what it talks to.
+#![allow(dead_code, reason = "each test uses a part of it")]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+pub(crate) const FATEK: &str = env!("CARGO_BIN_EXE_fatek");
+
+/// How a process ended, and what it said.
+#[derive(Debug)]
+pub(crate) struct Ran {
+    pub(crate) status: i32,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+impl Ran {
+    /// Its data, if all went well.
+    #[track_caller]
+    pub(crate) fn ok(self) -> String {
+        assert_eq!(self.status, 0, "{self:?}");
+        self.stdout
+    }
+
+    /// Its complaint about the command line.
+    #[track_caller]
+    pub(crate) fn usage(self) -> String {
+        assert_eq!((self.status, self.stdout.as_str()), (2, ""), "{self:?}");
+        self.stderr
+    }
+}
+
+pub(crate) fn fatek(args: &[&str]) -> Ran {
+    run(Command::new(FATEK).args(args).env_remove("FATEK_LINK").env_remove("FATEK_STATION"))
+}
+
+pub(crate) fn run(command: &mut Command) -> Ran {
+    let output = command.env_remove("RUST_LOG").output().unwrap();
+    Ran {
+        status: output.status.code().expect("no signal"),
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+/// `fatek sim` as a process of its own.
+pub(crate) struct Sim {
+    pub(crate) child: Child,
+    pub(crate) stdout: BufReader<std::process::ChildStdout>,
+    /// With the framing.
+    pub(crate) url: String,
+}
+
+impl Sim {
+    pub(crate) fn start(args: &[&str]) -> Self {
+        let mut child = Command::new(FATEK).arg("sim").args(args).stdout(Stdio::piped()).spawn().unwrap();
+        let mut stdout = BufReader::new(child.stdout.take().unwrap());
+        let mut line = String::new();
+        stdout.read_line(&mut line).unwrap();
+        let url = line.strip_prefix("listening ").and_then(|line| line.strip_suffix('\n'));
+        let mut url = url.unwrap_or_else(|| panic!("{line:?}")).to_owned();
+        if args.contains(&"binary") {
+            url += "?framing=binary";
+        }
+        Self { child, stdout, url }
+    }
+
+    /// Runs the command line on its station 1.
+    pub(crate) fn fatek(&self, args: &[&str]) -> Ran {
+        fatek(&[&["--link", &self.url, "--station", "1"], args].concat())
+    }
+}
+
+impl Drop for Sim {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A device that gives one reply to all it receives, and remembers that.
+pub(crate) struct Fake {
+    pub(crate) url: String,
+    seen: Arc<Mutex<Seen>>,
+}
+
+#[derive(Default)]
+struct Seen {
+    connections: usize,
+    received: Vec<u8>,
+}
+
+impl Fake {
+    pub(crate) fn start(reply: impl Fn(&[u8]) -> Vec<u8> + Send + Sync + 'static) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("tcp://{}", listener.local_addr().unwrap());
+        let seen = Arc::<Mutex<Seen>>::default();
+        let (shared, reply) = (seen.clone(), Arc::new(reply));
+        // The thread ends with the test's process.
+        thread::spawn(move || {
+            for stream in listener.incoming() {
+                shared.lock().unwrap().connections += 1;
+                let (shared, reply) = (shared.clone(), reply.clone());
+                thread::spawn(move || Self::serve(stream.unwrap(), &shared, &*reply));
+            }
+        });
+        Self { url, seen }
+    }
+
+    fn serve(mut stream: TcpStream, seen: &Mutex<Seen>, reply: &dyn Fn(&[u8]) -> Vec<u8>) {
+        let mut buffer = [0; 1024];
+        while let Ok(len @ 1..) = stream.read(&mut buffer) {
+            seen.lock().unwrap().received.extend_from_slice(&buffer[..len]);
+            let is_loop_back = buffer[..len].get(3..5) == Some(b"4E");
+            let bytes = if is_loop_back { buffer[..len].to_vec() } else { reply(&buffer[..len]) };
+            if stream.write_all(&bytes).is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Runs the command line on its station 1.
+    pub(crate) fn fatek(&self, args: &[&str]) -> Ran {
+        fatek(&[&["--link", &self.url, "--station", "1"], args].concat())
+    }
+
+    pub(crate) fn connections(&self) -> usize {
+        self.seen.lock().unwrap().connections
+    }
+
+    pub(crate) fn received(&self) -> Vec<u8> {
+        self.seen.lock().unwrap().received.clone()
+    }
+}
+
+/// A frame of the ASCII framing around this.
+pub(crate) fn ascii(content: &str) -> Vec<u8> {
+    let mut frame = format!("\x02{content}").into_bytes();
+    let lrc = frame.iter().fold(0_u8, |sum, &byte| sum.wrapping_add(byte));
+    frame.extend_from_slice(format!("{lrc:02X}\x03").as_bytes());
+    frame
+}
