@@ -357,8 +357,7 @@ impl Batch {
             // Most tags are in one request.
             let first = match self.work.requests_per_piece().get(*number as usize) {
                 Some(2..) => {
-                    let stamps =
-                        plan.requests_of(*number as usize).filter_map(|n| reply(n).map(|(_, at)| *at));
+                    let stamps = plan.requests_of(*number as usize).filter_map(|n| reply(n).map(|(_, at)| *at));
                     stamps.min_by_key(|at| at.instant).unwrap_or(at)
                 }
                 _ => at,

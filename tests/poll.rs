@@ -1,0 +1,290 @@
+//! The poller on links to simulated PLCs: what its parts do is tested beside them, here they work together.
+#![cfg(feature = "sim")]
+
+use std::time::Duration;
+
+use fatek::plan::Limits;
+use fatek::poll::{Missed, PollError, PollTag, Poller, Quality, Reason, Sample, ScanClass, StationPolling};
+use fatek::sim::fault::Moment;
+use fatek::sim::{self, Bus, Fault, Faults, Model, Plc, Rule};
+use fatek::tag::TagValue;
+use fatek::wire::Framing;
+use fatek::{CallOptions, Link, Station, discrete, element, register};
+use futures::{FutureExt, StreamExt};
+use tokio::time::{Instant, sleep, timeout};
+
+fn ms(milliseconds: u64) -> Duration {
+    Duration::from_millis(milliseconds)
+}
+
+fn every(milliseconds: u64) -> ScanClass {
+    ScanClass::every(ms(milliseconds))
+}
+
+fn tag(text: &str) -> PollTag {
+    PollTag::from(text.parse::<fatek::tag::Tag>().unwrap())
+}
+
+fn station(plc: &Plc, faults: &Faults) -> Station {
+    let bus = Bus::new().with_station(1, plc.clone()).unwrap().with_faults(faults.clone());
+    let link = Link::connector_builder("in memory", Framing::Ascii, sim::connector(bus, Framing::Ascii)).build();
+    let options = CallOptions::new().response_timeout(ms(100)).retries(0);
+    link.station(1).unwrap().with_options(options)
+}
+
+async fn next(poller: &mut Poller) -> Sample {
+    let sample = timeout(Duration::from_secs(60), poller.next()).await.expect("a sample within a minute");
+    sample.expect("the poller is not closed").expect("none was missed")
+}
+
+/// All samples until nothing more comes at this time.
+fn waiting(poller: &mut Poller) -> Vec<Sample> {
+    std::iter::from_fn(|| poller.next().now_or_never().flatten()).map(|sample| sample.unwrap()).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn values_of_all_types_come_with_name_time_and_quality() {
+    let plc = Plc::new();
+    plc.write(register!("R0"), 0xFFFF_u16).unwrap();
+    plc.write(register!("R100"), 0x1000_u16).unwrap();
+    plc.write(register!("R101"), 0xC3FA_u16).unwrap();
+    plc.write(register!("R10"), 0x6946_u16).unwrap();
+    plc.write(register!("R11"), 0x6C6C_u16).unwrap();
+    plc.write(register!("R20"), 523_u16).unwrap();
+    plc.write(discrete!("M7"), true).unwrap();
+    let mut poller = Poller::builder().seed(1).build();
+    let polled = poller.station(&station(&plc, &Faults::new(1))).unwrap();
+    let tags = ["R0:i16", "R100:f32", "R10-R11:text", "R20:u16*0.1-40", "M7", "WM0:hex"];
+    let names = ["valve", "speed", "recipe", "temperature", "alarm", "bits"];
+    let polled_tags = names.into_iter().zip(tags).map(|(name, tag)| PollTag::new(name, tag.parse().unwrap()));
+    let ids = polled.add(every(1000), polled_tags).unwrap();
+    let mut samples = Vec::new();
+    for _ in tags {
+        samples.push(next(&mut poller).await);
+    }
+    samples.sort_by_key(|sample| sample.id);
+    let got: Vec<_> = samples.iter().map(|sample| (&*sample.name, sample.value().unwrap().to_string())).collect();
+    let values = ["-1", "-500.125", "\"Fill\"", "12.3", "1", "0x0080"];
+    assert_eq!(got, names.into_iter().zip(values.map(str::to_owned)).collect::<Vec<_>>());
+    for (sample, id) in samples.iter().zip(ids) {
+        assert_eq!(sample.id, id);
+        assert!(sample.is_good());
+        assert!(sample.at.instant <= Instant::now());
+        assert_eq!(polled.latest(id).unwrap().values(), sample.values());
+    }
+    poller.close().await;
+    assert!(poller.next().await.is_none(), "it ends");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_stamp_is_that_of_the_reply() {
+    // The answer takes 40 ms, and whoever waits for it is not woken at once.
+    let (plc, faults) = (Plc::new(), Faults::new(1).rule(Rule::new(Fault::Delay { min: ms(40), max: ms(40) })));
+    let mut poller = Poller::new();
+    let class = every(1000).phase(Duration::ZERO);
+    let begin = Instant::now();
+    poller.station(&station(&plc, &faults)).unwrap().add(class, [tag("R0")]).unwrap();
+    sleep(ms(500)).await;
+    let sample = next(&mut poller).await;
+    let after = sample.at.instant - begin;
+    assert!(after >= ms(40) && after < ms(50), "{after:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_falls_silent_and_comes_back() {
+    let (plc, faults) = (Plc::new(), Faults::new(1));
+    plc.write(register!("R0"), 7_u16).unwrap();
+    let mut poller = Poller::builder().seed(3).build();
+    let polled = poller.station(&station(&plc, &faults)).unwrap();
+    let ids = polled.add(every(1000).bad_after(ms(5000)), [tag("R0").on_change(), tag("M0").on_change()]).unwrap();
+    for _ in &ids {
+        assert!(next(&mut poller).await.is_good());
+    }
+    faults.add_rule(Rule::new(Fault::DropReply));
+    sleep(ms(3000)).await;
+    for sample in waiting(&mut poller) {
+        assert!(matches!(sample.quality, Quality::Stale(Reason::Failed(_))), "{}", sample.quality);
+        assert_eq!(sample.values().len(), 1, "the last value is there, and is said to be old");
+    }
+    sleep(ms(4000)).await;
+    let bad = waiting(&mut poller);
+    assert!(bad.iter().any(|sample| matches!(sample.quality, Quality::Bad(_))));
+    for id in &ids {
+        assert_eq!(polled.latest(*id).unwrap().values(), [], "an error is never a zero");
+    }
+    faults.set_rules([]);
+    sleep(ms(10_000)).await;
+    assert_eq!(polled.latest(ids[0]).unwrap().value(), Some(&TagValue::U16(7)));
+    assert!(waiting(&mut poller).iter().filter(|sample| sample.is_good()).count() >= 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_slow_consumer_loses_the_oldest_and_is_told() {
+    let plc = Plc::new();
+    let mut poller = Poller::builder().capacity(10).seed(1).build();
+    let polled = poller.station(&station(&plc, &Faults::new(1))).unwrap();
+    let class = every(100).phase(Duration::ZERO);
+    polled.add(class, [tag("R0")]).unwrap();
+    for n in 0..50_u16 {
+        plc.write(register!("R0"), n).unwrap();
+        sleep(ms(100)).await;
+    }
+    let Some(Err(missed @ Missed { count, .. })) = poller.next().await else { panic!("it should be told") };
+    assert!((39..=42).contains(&count), "{missed}");
+    let values: Vec<_> = waiting(&mut poller).iter().map(|s| s.value().unwrap().to_string()).collect();
+    assert_eq!(values.len(), 10);
+    assert_eq!(values.last().unwrap(), &polled.snapshot()[0].value().unwrap().to_string(), "the newest are kept");
+    let stats = poller.handle().stats();
+    assert_eq!((stats.samples, stats.missed), (count + 10, count));
+    sleep(ms(100)).await;
+    assert!(poller.next().await.unwrap().is_ok(), "told once");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_refused_address_is_isolated_on_a_real_link() {
+    let plc = Plc::with_model(Model::default().last(element!("R49")));
+    let faults = Faults::new(1);
+    let poller = Poller::builder().seed(1).build();
+    let polled = poller.station(&station(&plc, &faults)).unwrap();
+    let tags: Vec<PollTag> = (40..60).map(|n| tag(&format!("R{n}"))).collect();
+    let ids = polled.add(every(1000), tags).unwrap();
+    sleep(ms(3000)).await;
+    for (n, id) in ids.iter().enumerate() {
+        let sample = polled.latest(*id).unwrap();
+        match n {
+            0..10 => assert!(sample.is_good(), "R{}: {}", 40 + n, sample.quality),
+            _ => assert!(matches!(sample.quality, Quality::Bad(Reason::Refused(_))), "R{}: {}", 40 + n, sample.quality),
+        }
+    }
+    let stats = &polled.classes()[0];
+    assert_eq!((stats.tags, stats.refused_tags, stats.requests_per_cycle), (20, 10, 1));
+}
+
+#[tokio::test(start_paused = true)]
+async fn other_calls_go_first() {
+    let (plc, faults) = (Plc::new(), Faults::new(1).rule(Rule::new(Fault::Delay { min: ms(20), max: ms(20) })));
+    let poller = Poller::builder().seed(1).build();
+    let station = station(&plc, &faults);
+    let limits = Limits::new().no_mixed_reads();
+    let polled = poller.handle().station_with(&station, StationPolling::new().limits(limits)).unwrap();
+    let tags: Vec<PollTag> = (0..40).map(|n| tag(&format!("R{}", n * 100))).collect();
+    polled.add(every(100), tags).unwrap();
+    sleep(ms(1000)).await;
+    for _ in 0..20 {
+        let begin = Instant::now();
+        station.write_registers(register!("R9"), &[1]).await.unwrap();
+        assert!(begin.elapsed() <= ms(45), "one poll on the wire, and its own: {:?}", begin.elapsed());
+        sleep(ms(7)).await;
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn many_stations_and_nothing_is_left_after_closing() {
+    let alive = || tokio::runtime::Handle::current().metrics().num_alive_tasks();
+    let before = alive();
+    let mut stations = Vec::new();
+    let mut poller = Poller::builder().seed(9).build();
+    for n in 0..200_u16 {
+        let plc = Plc::new();
+        plc.write(register!("R0"), n).unwrap();
+        let station = station(&plc, &Faults::new(1));
+        let polled = poller.station(&station).unwrap();
+        polled.add(every(500), [PollTag::new(format!("{n}"), "R0".parse().unwrap())]).unwrap();
+        stations.push((station, polled));
+    }
+    sleep(ms(1600)).await;
+    let samples = waiting(&mut poller);
+    assert!(samples.len() >= 600, "{}", samples.len());
+    for sample in samples {
+        assert_eq!(sample.value().unwrap().to_string(), *sample.name, "each its own");
+    }
+    assert_eq!(poller.handle().stats().stations, 200);
+    // One is stopped, the others go on.
+    let requests = poller.handle().stats().requests;
+    stations[0].1.stop();
+    assert!(matches!(stations[0].1.add(every(500), [tag("R1")]), Err(PollError::Closed)));
+    assert_eq!(poller.handle().stats().stations, 199);
+    assert!(poller.handle().stats().requests >= requests, "what it did is not forgotten");
+    sleep(ms(600)).await;
+    assert!(waiting(&mut poller).iter().all(|sample| &*sample.name != "0"));
+    poller.close().await;
+    assert!(matches!(poller.station(&stations[1].0), Err(PollError::Closed)));
+    for (station, _) in &stations {
+        station.link().close().await;
+    }
+    drop(stations);
+    drop(poller);
+    tokio::task::yield_now().await;
+    sleep(ms(10)).await;
+    assert_eq!(alive(), before);
+}
+
+#[tokio::test(start_paused = true)]
+async fn dropping_the_poller_ends_its_tasks() {
+    let alive = || tokio::runtime::Handle::current().metrics().num_alive_tasks();
+    let plc = Plc::new();
+    let station = station(&plc, &Faults::new(1));
+    station.read_status().await.unwrap();
+    let before = alive();
+    let poller = Poller::new();
+    let polled = poller.station(&station).unwrap();
+    polled.add(every(10), [tag("R0")]).unwrap();
+    sleep(ms(100)).await;
+    assert_eq!(alive(), before + 1);
+    drop(poller);
+    sleep(ms(100)).await;
+    assert_eq!(alive(), before);
+}
+
+#[test]
+fn without_a_runtime_there_is_an_error() {
+    let link = Link::new("tcp://127.0.0.1:1".parse().unwrap());
+    let error = Poller::new().station(&link.station(1).unwrap()).unwrap_err();
+    assert!(matches!(error, PollError::NoRuntime), "{error}");
+}
+
+/// Random faults on a bus of eight stations: every good sample is what that PLC held.
+#[tokio::test(start_paused = true)]
+async fn good_samples_are_true_whatever_happens_on_the_bus() {
+    for seed in 0..8 {
+        let faults = Faults::new(seed)
+            .rule(Rule::new(Fault::DropReply).one_in(9))
+            .rule(Rule::new(Fault::BadChecksum).one_in(11))
+            .rule(Rule::new(Fault::Delay { min: ms(150), max: ms(150) }).one_in(13))
+            .rule(Rule::new(Fault::Disconnect(Moment::BeforeReply)).one_in(101));
+        let mut bus = Bus::new().with_faults(faults.clone());
+        let plcs: Vec<Plc> = (1..=8).map(|_| Plc::new()).collect();
+        for (number, plc) in (1..).zip(&plcs) {
+            bus = bus.with_station(number, plc.clone()).unwrap();
+            for n in 0..50 {
+                let value = u16::from(number) * 1000 + u16::try_from(n).unwrap();
+                plc.write(register!("R0").nth(n).unwrap(), value).unwrap();
+            }
+        }
+        let link = Link::connector_builder("bus", Framing::Ascii, sim::connector(bus, Framing::Ascii))
+            .response_timeout(ms(100))
+            .seed(seed)
+            .build();
+        let mut poller = Poller::builder().seed(seed).build();
+        for number in 1..=8 {
+            let polled = poller.station(&link.station(number).unwrap()).unwrap();
+            let tags =
+                (0..50).step_by(3).map(|n| PollTag::new(format!("{number} {n}"), format!("R{n}").parse().unwrap()));
+            polled.add(every(250), tags).unwrap();
+        }
+        let end = Instant::now() + Duration::from_secs(120);
+        let (mut good, mut stale) = (0_u32, 0_u32);
+        while Instant::now() < end {
+            let sample = next(&mut poller).await;
+            let (number, n) = sample.name.split_once(' ').unwrap();
+            let expected = number.parse::<u16>().unwrap() * 1000 + n.parse::<u16>().unwrap();
+            match sample.value() {
+                Some(value) => assert_eq!(*value, TagValue::U16(expected), "seed {seed}: {sample:?}"),
+                None => assert!(matches!(sample.quality, Quality::Bad(_))),
+            }
+            if sample.is_good() { good += 1 } else { stale += 1 }
+        }
+        assert!(good > 20_000 && stale > 100, "seed {seed}: {good} good, {stale} not: the run should have both");
+        link.close().await;
+    }
+}
