@@ -2,7 +2,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::PollError;
-use crate::tag::{Tag, TagType};
+use crate::tag::Tag;
 
 /// How often tags are read: all tags of a class, on one station, are read together.
 ///
@@ -154,8 +154,7 @@ impl PollTag {
 
     pub(super) fn check(&self) -> Result<(), PollError> {
         let deadband = self.report.deadband;
-        let tag_type = self.tag.tag_type();
-        let is_number = tag_type != TagType::Bool && !tag_type.is_text();
+        let is_number = self.tag.tag_type().is_number();
         if !deadband.is_finite() || deadband < 0.0 || (deadband > 0.0 && !is_number) {
             return Err(PollError::Deadband { name: self.name.to_string(), tag: self.tag, deadband });
         }

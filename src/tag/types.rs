@@ -35,6 +35,12 @@ impl TagType {
         }
     }
 
+    /// Whether its values are numbers, which can be compared: all but `bool` and texts.
+    #[must_use]
+    pub const fn is_number(self) -> bool {
+        !matches!(self, Self::Bool) && !self.is_text()
+    }
+
     /// Whether it is a text, so that all the elements of a tag are one value.
     #[must_use]
     pub const fn is_text(self) -> bool {

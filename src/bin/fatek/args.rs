@@ -154,6 +154,7 @@ pub(crate) enum Command {
     /// Set discretes off
     Reset(DiscreteArgs),
     Ping(PingArgs),
+    Watch(WatchArgs),
     Scan(ScanArgs),
     Plan(PlanArgs),
     Decode(DecodeArgs),
@@ -258,6 +259,37 @@ pub(crate) struct PingArgs {
     /// How much data, in bytes: 0 to 256
     #[arg(short, long, default_value_t = 16, value_parser = clap::value_parser!(u16).range(0..=256))]
     pub(crate) size: u16,
+    #[command(flatten)]
+    pub(crate) plc: Plc,
+}
+
+/// Read tags again and again, and print what they hold
+///
+/// A line for each value, until it is stopped with Ctrl-C. What cannot be read is told, and read again.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek watch R0-R9 R100:f32 --interval 500ms --on-change
+  fatek watch R5:i16*0.1-40 --deadband 0.5 --format csv --count 1000
+
+The time is that of the answer, in UTC. A value that is not good has the reason behind it: (stale: …) is
+the last one that was read, (bad: …) stands alone. JSON is one object a line, with time, tag, value and
+quality; the value is null if there is none.")]
+pub(crate) struct WatchArgs {
+    /// What to read
+    #[arg(required = true, value_name = "TAG")]
+    pub(crate) tags: Vec<Tag>,
+    /// How often, such as 500ms or 10s
+    #[arg(long, default_value = "1s", value_parser = duration::parse_timeout, value_name = "TIME")]
+    pub(crate) interval: Duration,
+    /// Print a value only when it is another one, or is not good any more, or is again
+    #[arg(long)]
+    pub(crate) on_change: bool,
+    /// As --on-change, and a number is another one when it is further than this from the one printed last
+    #[arg(long, value_name = "NUMBER")]
+    pub(crate) deadband: Option<f64>,
+    /// Stop after so many lines
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), value_name = "N")]
+    pub(crate) count: Option<u64>,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }

@@ -12,8 +12,10 @@ mod plan;
 mod progress;
 mod read;
 mod scan;
+mod signal;
 mod sim;
 mod status;
+mod watch;
 mod write;
 
 use std::io::{self, IsTerminal};
@@ -63,6 +65,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 scan::scan(endpoint, args, timeout, output).await
             }
             Command::Plan(args) => plan::plan(cli.plc.link(&args.link).as_deref(), args, output),
+            Command::Watch(args) => watch::watch(&station(&args.plc)?, args, output).await,
             Command::Decode(args) => decode::decode(args, output),
         }
     })

@@ -62,6 +62,19 @@ pub(crate) fn print(line: fmt::Arguments<'_>) -> Result<(), Failure> {
     writeln!(stdout, "{line}").and_then(|()| stdout.flush()).map_err(Failure::Output)
 }
 
+/// Prints a line of comma-separated values on stdout.
+pub(crate) fn csv_line<const N: usize>(values: [&str; N]) -> Result<(), Failure> {
+    let line = || {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        writer.write_record(values)?;
+        let line = writer.into_inner().map_err(|error| error.into_error())?;
+        let mut stdout = io::stdout().lock();
+        stdout.write_all(&line)?;
+        stdout.flush()
+    };
+    line().map_err(Failure::Output)
+}
+
 /// Prints a line on stderr. If nobody can read it, nothing is to be done about that.
 pub(crate) fn complain(line: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr().lock(), "{line}");
@@ -130,7 +143,7 @@ pub(crate) struct Cell {
 
 impl Cell {
     /// CSV has its own quotes, so a text stands in it as in JSON.
-    fn csv(&self) -> &str {
+    pub(crate) fn csv(&self) -> &str {
         self.json.as_str().unwrap_or(&self.text)
     }
 }

@@ -1,17 +1,16 @@
 //! `fatek sim`
 
-use std::io;
-
 use fatek::sim::{Bus, Model, Plc, Server};
 
 use crate::args::SimArgs;
 use crate::failure::Failure;
 use crate::output::print;
+use crate::signal;
 
 pub(crate) async fn sim(args: &SimArgs) -> Result<(), Failure> {
     let bus = bus(args)?;
     let address = address(&args.listen)?;
-    let stopped = stopped().map_err(Failure::Runtime)?;
+    let stopped = signal::stopped().map_err(Failure::Runtime)?;
     let listen = |error| Failure::Listen { url: args.listen.clone(), error };
     let server = Server::bind(address, bus, args.framing).await.map_err(listen)?;
     print(format_args!("listening tcp://{}", server.local_addr()))?;
@@ -55,25 +54,4 @@ fn address(url: &str) -> Result<&str, Failure> {
         Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => Ok(address),
         _ => Err(rule("it must have a host and a port from 0 to 65535, as in `tcp://127.0.0.1:0`")),
     }
-}
-
-/// Waits for Ctrl-C, or for SIGTERM where there is one. From now on both stop the program in order.
-#[cfg(unix)]
-fn stopped() -> io::Result<impl Future<Output = io::Result<()>>> {
-    use tokio::signal::unix::{SignalKind, signal};
-
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => Ok(()),
-            _ = terminate.recv() => Ok(()),
-        }
-    })
-}
-
-/// Waits for Ctrl-C.
-#[cfg(not(unix))]
-fn stopped() -> io::Result<impl Future<Output = io::Result<()>>> {
-    Ok(tokio::signal::ctrl_c())
 }

@@ -1,0 +1,107 @@
+//! `fatek watch TAG…`
+
+use std::time::SystemTime;
+
+use fatek::Station;
+use fatek::poll::{Missed, PollTag, Poller, Quality, Sample, ScanClass};
+use fatek::tag::Tag;
+use futures::StreamExt;
+use humantime::format_rfc3339_millis;
+use serde_json::{Map, Value};
+
+use crate::args::WatchArgs;
+use crate::failure::Failure;
+use crate::output::{Cell, Format, Output, complain, csv_line, print};
+use crate::signal;
+
+pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) -> Result<(), Failure> {
+    let stopped = signal::stopped().map_err(Failure::Runtime)?;
+    tokio::pin!(stopped);
+    let mut poller = Poller::new();
+    let polled = poller.station(station).map_err(Failure::usage)?;
+    // Each value by itself, so that one that changes is told without the others.
+    let tags: Vec<Tag> = args.tags.iter().flat_map(Tag::singles).collect();
+    let class = ScanClass::every(args.interval);
+    polled.add(class, tags.iter().map(|tag| poll_tag(*tag, args))).map_err(Failure::usage)?;
+
+    let printer = Printer::new(&tags, output);
+    printer.header()?;
+    let mut lines = 0_u64;
+    while args.count.is_none_or(|count| lines < count) {
+        let sample = tokio::select! {
+            biased;
+            _ = &mut stopped => break,
+            sample = poller.next() => sample,
+        };
+        match sample {
+            Some(Ok(sample)) => {
+                printer.sample(&sample)?;
+                lines += 1;
+            }
+            Some(Err(missed @ Missed { .. })) => complain(format_args!("{missed}")),
+            None => break,
+        }
+    }
+    let stats = poller.handle().stats();
+    output.remark(format_args!(
+        "{} readings, {} skipped, {} without an answer; {lines} lines",
+        stats.cycles, stats.overruns, stats.abandoned
+    ));
+    Ok(())
+}
+
+fn poll_tag(tag: Tag, args: &WatchArgs) -> PollTag {
+    let polled = PollTag::from(tag);
+    match args.deadband {
+        // A deadband is for numbers; other tags change or do not.
+        Some(deadband) if tag.tag_type().is_number() => polled.deadband(deadband),
+        Some(_) => polled.on_change(),
+        None if args.on_change => polled.on_change(),
+        None => polled,
+    }
+}
+
+/// Prints samples as they come: a line each.
+struct Printer<'o> {
+    output: &'o Output,
+    /// That of the longest tag.
+    width: usize,
+}
+
+const COLUMNS: [&str; 4] = ["time", "tag", "value", "quality"];
+
+impl<'o> Printer<'o> {
+    fn new(tags: &[Tag], output: &'o Output) -> Self {
+        Self { output, width: tags.iter().map(|tag| tag.to_string().len()).max().unwrap_or(0).max(3) }
+    }
+
+    fn header(&self) -> Result<(), Failure> {
+        let width = self.width;
+        match self.output.format {
+            Format::Table => print(format_args!("{:24}  {:width$}  VALUE", "TIME", "TAG")),
+            Format::Json => Ok(()),
+            Format::Csv => csv_line(COLUMNS),
+        }
+    }
+
+    fn sample(&self, sample: &Sample) -> Result<(), Failure> {
+        let width = self.width;
+        let time = format_rfc3339_millis(sample.at.time.max(SystemTime::UNIX_EPOCH)).to_string();
+        let value = Cell::from(sample.value().cloned());
+        match self.output.format {
+            Format::Table => match &sample.quality {
+                Quality::Good => print(format_args!("{time}  {:width$}  {}", sample.name, value.text)),
+                // Nothing is there to be read where nothing is known.
+                quality if value.text.is_empty() => print(format_args!("{time}  {:width$}  ({quality})", sample.name)),
+                quality => print(format_args!("{time}  {:width$}  {} ({quality})", sample.name, value.text)),
+            },
+            Format::Json => {
+                let cells =
+                    [time.into(), sample.name.to_string().into(), value.json, sample.quality.to_string().into()];
+                let keys = COLUMNS.map(str::to_owned);
+                print(format_args!("{}", Value::Object(keys.into_iter().zip(cells).collect::<Map<_, _>>())))
+            }
+            Format::Csv => csv_line([&time, &*sample.name, value.csv(), &sample.quality.to_string()]),
+        }
+    }
+}
