@@ -259,19 +259,23 @@ impl Core {
             // the station stays clean.
             self.scheduler.push_front(ticket);
         }
-        let Some(active) = self.exchange.end() else { return };
-        let station = active.goal.station();
-        if station != BROADCAST {
-            self.stations.doubt(station);
-        }
-        match active.goal.into_call() {
-            None => self.probe_failed(station, now),
-            Some(ticket) => {
-                let endpoint = self.config.name.to_string();
-                let source = error.clone();
-                self.retry_or_fail(ticket, now, |sent| Error::Disconnected { endpoint, source, sent });
+        if let Some(active) = self.exchange.end() {
+            let station = active.goal.station();
+            if station != BROADCAST {
+                self.stations.doubt(station);
+            }
+            match active.goal.into_call() {
+                None => self.probe_failed(station, now),
+                Some(ticket) => {
+                    let endpoint = self.config.name.to_string();
+                    let source = error.clone();
+                    self.retry_or_fail(ticket, now, |sent| Error::Disconnected { endpoint, source, sent });
+                }
             }
         }
+        // Perhaps a station was silent and has been started anew. The next connection is opened to see, after the
+        // back-off and not only when the probe would have been due.
+        self.stations.hurry(now);
     }
 
     /// Fails all that waits, and sends nothing any more; what is on the wire goes on until it has ended.

@@ -55,7 +55,7 @@ use self::driver::{Driver, Message};
 pub(crate) use self::gate::Gate;
 use self::stats::Board;
 pub(crate) use self::transport::{BoxIo, Connector};
-use crate::command::{Code, Command, InvalidRequest};
+use crate::command::{Command, InvalidRequest};
 use crate::endpoint::{Endpoint, Transport};
 use crate::error::Error;
 use crate::station::{Broadcast, Station};
@@ -271,38 +271,35 @@ impl Link {
     ) -> Result<C::Reply, Error> {
         request.check(self.framing())?;
         let (call, completion) = call::new(request);
-        self.submit(station, C::CODE, call, completion, options).await
+        self.submit(self.ticket::<C>(station, call, options), completion).await
     }
 
     /// Sends a request that no station answers.
     pub(crate) async fn cast<C: Command<Reply = ()>>(&self, request: C, options: CallOptions) -> Result<(), Error> {
         request.check(self.framing())?;
         let (call, completion) = call::unanswered(request, ());
-        self.submit(0, C::CODE, call, completion, options).await
+        self.submit(self.ticket::<C>(0, call, options), completion).await
     }
 
-    async fn submit<C: Command>(
-        &self,
-        station: u8,
-        code: Code,
-        call: Arc<dyn AnyCall>,
-        mut completion: Completion<C>,
-        options: CallOptions,
-    ) -> Result<C::Reply, Error> {
-        self.start()?;
+    fn ticket<C: Command>(&self, station: u8, call: Arc<dyn AnyCall>, options: CallOptions) -> Box<Ticket> {
+        let class = C::CODE.class();
         let queued_at = Instant::now();
-        let deadline = later(queued_at, options.call_timeout);
-        let ticket = Box::new(Ticket {
+        Box::new(Ticket {
             call,
             station,
-            code,
-            lane: options.lane(code.class()),
-            deadline,
+            code: C::CODE,
+            lane: options.lane(class),
+            deadline: later(queued_at, options.call_timeout),
             queued_at,
             response_timeout: options.response_timeout.unwrap_or(self.shared.response_timeout),
             options,
-            retries_left: options.retries_for(code.class()),
-        });
+            retries_left: options.retries_for(class),
+        })
+    }
+
+    async fn submit<C: Command>(&self, ticket: Box<Ticket>, mut completion: Completion<C>) -> Result<C::Reply, Error> {
+        self.start()?;
+        let Ticket { station, code, queued_at, deadline, .. } = *ticket;
         let answered = timeout_at(deadline, async {
             self.shared.messages.send(Message::Call(ticket)).await.map_err(|_| Error::Closed { sent: false })?;
             (&mut completion).await
