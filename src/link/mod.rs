@@ -3,6 +3,7 @@
 //! - [`Link`] is the handle: cheap to clone, nothing but a sender to the task.
 //! - `driver` is the task that owns the connection. It moves bytes and time, and decides nothing.
 //! - `core` decides: which call is next, when to connect, whom to believe. It does no I/O and reads no clock.
+//!   `connection` is whether there is one and when there may be another.
 //! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others;
 //!   `stations` is whom to believe, and who is there.
 //! - `call` is what a caller and the task share; `stats` is what everybody can see; `by_station` is a map for what is
@@ -26,6 +27,7 @@ mod bus_time;
 mod by_station;
 mod call;
 mod config;
+mod connection;
 mod core;
 mod driver;
 mod exchange;
