@@ -146,7 +146,8 @@ impl LinkBuilder {
 
     /// The shortest and the longest time between two probes of a station that is offline: it doubles from the one to the
     /// other. Default: 1 s to 60 s. While other stations of the link answer, all probes together use at most a twentieth of
-    /// the line's time, so that they may come later than that. When a station is back, the others are probed at once.
+    /// the line's time, so that they may come later than that. When a station is back, or the connection is lost, the others
+    /// are probed as soon as possible.
     pub fn probe_interval(mut self, shortest: Duration, longest: Duration) -> Self {
         self.config.rules.probe_interval = (shortest, longest.max(shortest));
         self

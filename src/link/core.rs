@@ -1,13 +1,8 @@
 //! The link's logic, without I/O and without a clock: calls, bytes and instants go in, steps come out.
 //!
-//! ```text
-//! connection   down ──Connect──▶ connecting ──▶ up ──lost──▶ down (again after a back-off)
-//!               ▲ ▲───unwanted───────┘          │
-//!               └─────────────────────idle──────┘
-//! ```
-//!
-//! The states of a station are [`Stations`], those of the request on the wire [`Exchange`], the order of the others is
-//! [`Scheduler`]; this is what ties them together.
+//! The states of the connection are [`Connection`], those of a station [`Stations`], those of the request on the wire
+//! [`Exchange`], the order of the others is [`Scheduler`]; this is what ties them together. Here it is decided what is done
+//! next, and in `outcome` what follows from what has come of it.
 //!
 //! The protocol has no transaction id: after a timeout, a late reply to the same kind of request looks right. So any
 //! doubt makes the station *dirty*: a timeout, a corrupt reply, a frame that nobody asked for. A dirty station is asked
@@ -21,6 +16,8 @@
 //!   a quiet period);
 //! - a station that does not answer costs the others no more than one response timeout at a time.
 
+mod outcome;
+
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
@@ -30,7 +27,8 @@ use tokio::time::Instant;
 
 use super::call::Ticket;
 use super::config::Config;
-use super::exchange::{Active, Check, Event, Exchange, Goal, spoils};
+use super::connection::{Connection, State};
+use super::exchange::{Check, Exchange, Goal};
 use super::later;
 use super::scheduler::Scheduler;
 use super::stations::Stations;
@@ -62,24 +60,12 @@ pub(crate) struct Core {
     /// A call whose barrier has just been passed: it is sent before all others.
     cleared: Option<Box<Ticket>>,
     connection: Connection,
-    /// Attempts to connect, and connections that ended without a single reply, since the last reply.
-    failures: u32,
-    /// Whether a doubt has arisen since the connection was opened.
-    doubted: bool,
     hold_until: Option<Instant>,
     /// When a call came or ended last; nothing while it is idle.
     used_at: Option<Instant>,
     /// Whether nothing new is sent any more.
     closing: bool,
     nonce: u64,
-    random: Random,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Connection {
-    Down { retry_at: Option<Instant> },
-    Connecting,
-    Up { replied: bool },
 }
 
 impl Core {
@@ -91,14 +77,11 @@ impl Core {
             stations: Stations::new(config.rules),
             board,
             cleared: None,
-            connection: Connection::Down { retry_at: None },
-            failures: 0,
-            doubted: false,
             hold_until: None,
             used_at: None,
             closing: false,
             nonce: random.next(),
-            random,
+            connection: Connection::new(config.connect_backoff, random),
             config,
         }
     }
@@ -129,9 +112,9 @@ impl Core {
                 // What has come by now is looked at before anything else is sent.
                 return Step::Wait(Some(now));
             }
-            match self.connection {
-                Connection::Connecting => return Step::Wait(None),
-                Connection::Down { retry_at } => {
+            match self.connection.state() {
+                State::Connecting => return Step::Wait(None),
+                State::Down { retry_at } => {
                     if !self.has_work(now) {
                         if self.falls_idle(now) {
                             continue;
@@ -141,20 +124,20 @@ impl Core {
                     if let Some(at) = retry_at.filter(|&at| now < at) {
                         return Step::Wait(Some(at));
                     }
-                    self.connection = Connection::Connecting;
+                    self.connection.begin();
                     return Step::Connect;
                 }
-                Connection::Up { .. } if self.doubted && self.config.fresh_on_doubt => {
+                State::Up { .. } if self.wants_fresh() => {
                     if !self.has_work(now) {
                         if self.falls_idle(now) {
                             return self.disconnect();
                         }
                         return Step::Wait(self.next_timer());
                     }
-                    self.connection = Connection::Connecting;
+                    self.connection.begin();
                     return Step::Connect;
                 }
-                Connection::Up { .. } => {}
+                State::Up { .. } => {}
             }
             if let Some(until) = self.hold_until.filter(|&until| now < until) {
                 return Step::Wait(Some(until));
@@ -217,26 +200,25 @@ impl Core {
     pub(crate) fn may_connect(&mut self, now: Instant) -> bool {
         let wanted = self.has_work(now);
         if !wanted {
-            self.connection = Connection::Down { retry_at: None };
+            self.connection.closed();
         }
         wanted
     }
 
     /// The connection is open.
     pub(crate) fn connected(&mut self, now: Instant) {
-        self.connection = Connection::Up { replied: false };
         self.exchange.reconnected();
-        if !(self.doubted && self.config.fresh_on_doubt) {
+        if !self.wants_fresh() {
             self.stations.hurry(now);
         }
-        self.doubted = false;
+        self.connection.opened();
         self.board.count(|link| add(&mut link.connects, 1));
     }
 
     /// The connection could not be opened.
     pub(crate) fn connect_failed(&mut self, error: &Arc<io::Error>, now: Instant) {
         self.board.count(|link| add(&mut link.connect_failures, 1));
-        self.failed_to_connect(now);
+        self.connection.failed(now);
         if self.config.fail_fast {
             for ticket in self.cleared.take().into_iter().chain(self.scheduler.drain_all()) {
                 let (endpoint, sent) = (self.config.name.to_string(), ticket.call.was_sent());
@@ -248,30 +230,30 @@ impl Core {
     /// The connection is lost.
     pub(crate) fn disconnected(&mut self, error: &Arc<io::Error>, now: Instant) {
         self.board.count(|link| add(&mut link.disconnects, 1));
-        if self.connection == (Connection::Up { replied: true }) {
-            self.connection = Connection::Down { retry_at: None };
-        } else {
-            self.failed_to_connect(now);
-        }
+        self.connection.lost(now);
         self.exchange.forget();
         if let Some(ticket) = self.cleared.take() {
             // The nonce came back over a connection that is gone; behind a bridge the line to the PLC is the same, so
             // the station stays clean.
             self.scheduler.push_front(ticket);
         }
-        let Some(active) = self.exchange.end() else { return };
-        let station = active.goal.station();
-        if station != BROADCAST {
-            self.stations.doubt(station);
-        }
-        match active.goal.into_call() {
-            None => self.probe_failed(station, now),
-            Some(ticket) => {
-                let endpoint = self.config.name.to_string();
-                let source = error.clone();
-                self.retry_or_fail(ticket, now, |sent| Error::Disconnected { endpoint, source, sent });
+        if let Some(active) = self.exchange.end() {
+            let station = active.goal.station();
+            if station != BROADCAST {
+                self.stations.doubt(station);
+            }
+            match active.goal.into_call() {
+                None => self.probe_failed(station, now),
+                Some(ticket) => {
+                    let endpoint = self.config.name.to_string();
+                    let source = error.clone();
+                    self.retry_or_fail(ticket, now, |sent| Error::Disconnected { endpoint, source, sent });
+                }
             }
         }
+        // Perhaps a station was silent and has been started anew. The next connection is opened to see, after the
+        // back-off and not only when the probe would have been due.
+        self.stations.hurry(now);
     }
 
     /// Fails all that waits, and sends nothing any more; what is on the wire goes on until it has ended.
@@ -315,10 +297,15 @@ impl Core {
     }
 
     fn disconnect(&mut self) -> Step {
-        self.connection = Connection::Down { retry_at: None };
+        self.connection.closed();
         self.exchange.forget();
         self.board.count(|link| add(&mut link.idle_closes, 1));
         Step::Disconnect
+    }
+
+    /// Whether a doubt is a reason to open another connection, and there is one.
+    fn wants_fresh(&self) -> bool {
+        self.connection.is_doubted() && self.config.fresh_on_doubt
     }
 
     fn has_work(&mut self, now: Instant) -> bool {
@@ -391,143 +378,6 @@ impl Core {
         }
         tracing::trace!(station, bytes = %active.request.escape_ascii(), "sending");
         Some(Step::Send(deadline))
-    }
-
-    fn on_event(&mut self, event: Event, now: Instant) {
-        match event {
-            Event::Replied { refused } => {
-                if let Some(active) = self.exchange.end() {
-                    self.replied(active, refused, now);
-                }
-            }
-            Event::Echoed => self.board.count(|link| add(&mut link.echoes, 1)),
-            Event::Stray { station } => {
-                self.board.count_for(station, |stats| add(&mut stats.stray_frames, 1));
-                let awaited = self.exchange.active().is_some_and(|active| active.goal.station() == station);
-                // A station that nobody has asked anything is nobody's concern.
-                if !awaited && self.stations.knows(station) {
-                    self.doubt(station);
-                }
-            }
-            Event::Noise { reason, bytes } => {
-                self.board.discarded(reason, bytes);
-                // The reply may have been in it. If it was not, it comes at once, or finds the station dirty. A call
-                // that is not repeated has nothing to gain from giving up early.
-                if let (Some(active), true) = (self.exchange.active(), spoils(reason))
-                    && active.goal.call().is_some_and(|ticket| ticket.retries_left > 0)
-                {
-                    let deadline = active.deadline.min(later(now, self.config.settle));
-                    self.exchange.expect_until(deadline);
-                }
-            }
-        }
-    }
-
-    fn replied(&mut self, active: Active, refused: bool, now: Instant) {
-        let station = active.goal.station();
-        self.connection = Connection::Up { replied: true };
-        self.failures = 0;
-        self.hold_until = Some(later(now, self.config.gap));
-        let took = now.saturating_duration_since(active.began);
-        self.scheduler.charge(station, took);
-        let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
-        if self.stations.answered(station, round_trip, now) {
-            tracing::info!(station, "station is back");
-        }
-        self.board.state(station, StationState::Online);
-        match active.goal {
-            Goal::Call(_) => {
-                self.used_at = Some(now);
-                self.board.count_for(station, |stats| stats.replied(round_trip, refused));
-                if active.doubtful {
-                    self.doubt(station);
-                }
-            }
-            Goal::Check { check, call, .. } => {
-                let passed = matches!(check, Check::Barrier(_)) && !refused;
-                match check {
-                    Check::Barrier(_) if refused => self.stations.loop_back_refused(station),
-                    Check::Barrier(_) => self.stations.clear(station),
-                    Check::Echo if active.doubtful => self.doubt(station),
-                    Check::Echo => {}
-                }
-                match call {
-                    None => self.stations.probe_ended(took, now),
-                    Some(ticket) if passed => self.cleared = Some(ticket),
-                    Some(ticket) => self.scheduler.push_front(ticket),
-                }
-            }
-        }
-    }
-
-    /// The reply to what is on the wire has not come, or not whole.
-    fn give_up(&mut self, now: Instant) {
-        while let Some(event) = self.exchange.next_event_in_silence(now) {
-            self.on_event(event, now);
-        }
-        let Some(active) = self.exchange.give_up() else { return };
-        let station = active.goal.station();
-        let after = now.saturating_duration_since(active.began);
-        self.scheduler.charge(station, after);
-        self.doubt(station);
-        self.board.count_for(station, |stats| match &active.fault {
-            Some(_) => add(&mut stats.bad_replies, 1),
-            None => add(&mut stats.timeouts, 1),
-        });
-        // A caller whose own time was up before the response timeout says nothing about the station.
-        let silent = active.fault.is_none() && active.patient;
-        match active.goal.into_call() {
-            None => {
-                self.stations.probe_ended(after, now);
-                self.probe_failed(station, now);
-            }
-            Some(ticket) => {
-                self.used_at = Some(now);
-                let code = ticket.code;
-                let fault = active.fault;
-                self.retry_or_fail(ticket, now, |sent| match fault {
-                    Some(reason) => Error::BadReply { station, code, after, reason, sent },
-                    None => Error::Timeout { station, code, after, sent },
-                });
-            }
-        }
-        if silent && let Some(probe_at) = self.stations.timed_out(station, now) {
-            tracing::warn!(station, "station is offline");
-            self.board.state(station, StationState::Offline { probe_at });
-            for ticket in self.scheduler.drain(station) {
-                ticket.call.fail(offline(&ticket, probe_at, now));
-            }
-        }
-    }
-
-    fn retry_or_fail(&mut self, mut ticket: Box<Ticket>, now: Instant, error: impl FnOnce(bool) -> Error) {
-        match ticket.retries_left.checked_sub(1) {
-            Some(left) if ticket.is_wanted(now) && !self.closing => {
-                ticket.retries_left = left;
-                self.board.count_for(ticket.station, |stats| add(&mut stats.retries, 1));
-                self.scheduler.push_front(ticket);
-            }
-            _ => ticket.call.fail(error(ticket.call.was_sent())),
-        }
-    }
-
-    fn doubt(&mut self, station: u8) {
-        self.stations.doubt(station);
-        self.doubted = true;
-    }
-
-    fn probe_failed(&mut self, station: u8, now: Instant) {
-        if let Some(probe_at) = self.stations.probe_failed(station, now) {
-            self.board.state(station, StationState::Offline { probe_at });
-        }
-    }
-
-    fn failed_to_connect(&mut self, now: Instant) {
-        let (shortest, longest) = self.config.connect_backoff;
-        let doubled = shortest.saturating_mul(1_u32.checked_shl(self.failures).unwrap_or(u32::MAX));
-        self.failures = self.failures.saturating_add(1).min(31);
-        let delay = self.random.jitter(doubled.min(longest));
-        self.connection = Connection::Down { retry_at: Some(later(now, delay)) };
     }
 
     /// What must be settled about a station before a call: first whether the line echoes, then whether it can be

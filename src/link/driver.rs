@@ -16,7 +16,7 @@ use tokio::time::{Instant, sleep_until, timeout_at};
 use super::LinkState;
 use super::call::Ticket;
 use super::core::{Core, Step};
-use super::gate::{Gate, Pass};
+use super::gate::{Gate, Pass, Turn};
 use super::later;
 use super::line::Line;
 use super::transport::{BoxIo, Connector};
@@ -80,7 +80,7 @@ impl Driver {
                     opening = match self.gate.clone() {
                         Some(gate) => {
                             self.waits();
-                            Some(Opening::Turn(gate.pass().boxed()))
+                            Some(Opening::Turn(gate.turn().boxed()))
                         }
                         None => self.open(None),
                     };
@@ -131,8 +131,8 @@ impl Driver {
                                 drop(retired.take());
                                 self.opened(opened, &mut io);
                             }
-                            Progress::Turn(pass) if self.core.may_connect(Instant::now()) => {
-                                opening = self.open(Some(pass));
+                            Progress::Turn(turn) if self.core.may_connect(Instant::now()) => {
+                                opening = self.open(turn.take());
                                 if opening.is_none() {
                                     break;
                                 }
@@ -292,7 +292,7 @@ fn drain(io: &mut Option<BoxIo>, core: &mut Core) -> Option<io::Result<()>> {
 /// A connection on its way.
 enum Opening {
     /// It waits for its turn.
-    Turn(BoxFuture<'static, Pass>),
+    Turn(BoxFuture<'static, Turn>),
     Connection {
         opening: BoxFuture<'static, io::Result<BoxIo>>,
         /// Held until it is open, so that not too many are opened at once.
@@ -301,7 +301,7 @@ enum Opening {
 }
 
 enum Progress {
-    Turn(Pass),
+    Turn(Turn),
     Opened(io::Result<BoxIo>),
 }
 

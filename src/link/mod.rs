@@ -3,6 +3,7 @@
 //! - [`Link`] is the handle: cheap to clone, nothing but a sender to the task.
 //! - `driver` is the task that owns the connection. It moves bytes and time, and decides nothing.
 //! - `core` decides: which call is next, when to connect, whom to believe. It does no I/O and reads no clock.
+//!   `connection` is whether there is one and when there may be another.
 //! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others;
 //!   `stations` is whom to believe, and who is there.
 //! - `call` is what a caller and the task share; `stats` is what everybody can see; `by_station` is a map for what is
@@ -26,6 +27,7 @@ mod bus_time;
 mod by_station;
 mod call;
 mod config;
+mod connection;
 mod core;
 mod driver;
 mod exchange;
@@ -55,7 +57,7 @@ use self::driver::{Driver, Message};
 pub(crate) use self::gate::Gate;
 use self::stats::Board;
 pub(crate) use self::transport::{BoxIo, Connector};
-use crate::command::{Code, Command, InvalidRequest};
+use crate::command::{Command, InvalidRequest};
 use crate::endpoint::{Endpoint, Transport};
 use crate::error::Error;
 use crate::station::{Broadcast, Station};
@@ -277,7 +279,7 @@ impl Link {
     ) -> Result<C::Reply, Error> {
         request.check(self.framing())?;
         let (call, mut completion) = call::new(request);
-        self.submit(station, C::CODE, call, &mut completion, options).await
+        self.submit(self.ticket::<C>(station, call, options), &mut completion).await
     }
 
     /// As [`call`](Self::call), and tells when the reply came; if none did, when that was known.
@@ -291,7 +293,7 @@ impl Link {
             return (Err(error.into()), Instant::now());
         }
         let (call, mut completion) = call::new(request);
-        let result = self.submit(station, C::CODE, call, &mut completion, options).await;
+        let result = self.submit(self.ticket::<C>(station, call, options), &mut completion).await;
         (result, completion.answered_at().unwrap_or_else(Instant::now))
     }
 
@@ -299,31 +301,28 @@ impl Link {
     pub(crate) async fn cast<C: Command<Reply = ()>>(&self, request: C, options: CallOptions) -> Result<(), Error> {
         request.check(self.framing())?;
         let (call, mut completion) = call::unanswered(request, ());
-        self.submit(0, C::CODE, call, &mut completion, options).await
+        self.submit(self.ticket::<C>(0, call, options), &mut completion).await
     }
 
-    async fn submit<C: Command>(
-        &self,
-        station: u8,
-        code: Code,
-        call: Arc<dyn AnyCall>,
-        completion: &mut Completion<C>,
-        options: CallOptions,
-    ) -> Result<C::Reply, Error> {
-        self.start()?;
+    fn ticket<C: Command>(&self, station: u8, call: Arc<dyn AnyCall>, options: CallOptions) -> Box<Ticket> {
+        let class = C::CODE.class();
         let queued_at = Instant::now();
-        let deadline = later(queued_at, options.call_timeout);
-        let ticket = Box::new(Ticket {
+        Box::new(Ticket {
             call,
             station,
-            code,
-            lane: options.lane(code.class()),
-            deadline,
+            code: C::CODE,
+            lane: options.lane(class),
+            deadline: later(queued_at, options.call_timeout),
             queued_at,
             response_timeout: options.response_timeout.unwrap_or(self.shared.response_timeout),
             options,
-            retries_left: options.retries_for(code.class()),
-        });
+            retries_left: options.retries_for(class),
+        })
+    }
+
+    async fn submit<C: Command>(&self, ticket: Box<Ticket>, completion: &mut Completion<C>) -> Result<C::Reply, Error> {
+        self.start()?;
+        let Ticket { station, code, queued_at, deadline, .. } = *ticket;
         let answered = timeout_at(deadline, async {
             self.shared.messages.send(Message::Call(ticket)).await.map_err(|_| Error::Closed { sent: false })?;
             (&mut *completion).await

@@ -83,7 +83,8 @@ impl PoolBuilder {
     /// How many TCP connections are begun a second on average, at least 1. Default: 200.
     ///
     /// They are spread over the second, so that a plant that comes back after a power cut is not hit by all of them
-    /// together.
+    /// together. All are back within the longest [back-off](LinkBuilder::connect_backoff), or within the time that this
+    /// pace takes for all links, whichever is longer: 10,000 links take 50 s at 200 a second.
     pub fn connects_per_second(mut self, connects: u32) -> Self {
         self.connects_per_second = connects.max(1);
         self
