@@ -41,7 +41,7 @@
 //! Its price is the sum over the requests of [`CostModel`]'s. Discretes are not read as words, nor words as discretes,
 //! nor `WM0` with `WM8`, whose words lie across each other.
 //!
-//! Up to ten parts, the plan is the cheapest of all ways to share them out. Above that:
+//! Up to eight parts, the plan is the cheapest of all ways to share them out. Above that:
 //!
 //! - Without mixed reads and without groups, it is still the cheapest: a dynamic program over the sorted values finds
 //!   where runs begin and end.

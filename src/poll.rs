@@ -56,6 +56,7 @@ mod driver;
 mod error;
 mod lesson;
 mod point;
+mod points;
 mod queue;
 mod sample;
 mod stats;
@@ -72,14 +73,13 @@ use futures::Stream;
 use tokio::runtime::Handle;
 use tokio::sync::Notify;
 use tokio::time::Instant;
-use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 pub use self::class::{PollTag, ScanClass};
 pub use self::error::PollError;
 pub use self::queue::Missed;
 pub use self::sample::{Quality, Reason, Sample, Stamp, TagId};
-pub use self::stats::{ClassStats, PollerStats};
+pub use self::stats::{ClassStats, Counters, PollerStats};
 
 use self::device::Device;
 use self::queue::Queue;
@@ -130,7 +130,6 @@ pub struct StationPolling {
 #[derive(Debug)]
 struct Shared {
     queue: Queue,
-    closing: CancellationToken,
     tasks: TaskTracker,
     next_id: AtomicU64,
     random: Mutex<Random>,
@@ -140,9 +139,10 @@ struct Shared {
 
 #[derive(Debug, Default)]
 struct Units {
+    closed: bool,
     now: Vec<Weak<Unit>>,
     /// What those did that are no more.
-    before: PollerStats,
+    before: Counters,
 }
 
 /// A station, as its task and its handles see it.
@@ -151,7 +151,6 @@ struct Unit {
     /// `None` once it has been stopped.
     device: Mutex<Option<Device>>,
     changed: Notify,
-    stopping: CancellationToken,
 }
 
 impl PollerBuilder {
@@ -170,7 +169,6 @@ impl PollerBuilder {
     pub fn build(self) -> Poller {
         let shared = Shared {
             queue: Queue::new(self.capacity),
-            closing: CancellationToken::new(),
             tasks: TaskTracker::new(),
             next_id: AtomicU64::new(1),
             random: Mutex::new(Random::new(self.seed.unwrap_or_else(Random::seed))),
@@ -274,13 +272,12 @@ impl PollerHandle {
         let unit = Arc::new(Unit {
             device: Mutex::new(Some(Device::new(limits, cost, shared.epoch, seed))),
             changed: Notify::new(),
-            stopping: CancellationToken::new(),
         });
         let station = station.with_options(station.options().background(true));
         {
             // With the lock that `close` takes, so that no unit is forgotten by it.
             let mut units = lock(&shared.units);
-            if shared.closing.is_cancelled() {
+            if units.closed {
                 return Err(PollError::Closed);
             }
             if units.now.len() == units.now.capacity() {
@@ -305,13 +302,13 @@ impl PollerHandle {
     /// The sum of all there is now. It asks every station, so call it every second rather than for every sample.
     #[must_use]
     pub fn stats(&self) -> PollerStats {
-        let mut stats = lock(&self.shared.units).before;
+        let mut stats = PollerStats { counters: lock(&self.shared.units).before, ..PollerStats::default() };
         for unit in self.shared.units() {
             unit.with(|device| {
                 let mut classes = device.stats().peekable();
                 stats.stations = stats.stations.saturating_add(usize::from(classes.peek().is_some()));
                 classes.for_each(|class| stats.count(&class));
-                stats.add(device.retired());
+                stats.counters.add(device.retired());
             });
         }
         let (samples, missed) = self.shared.queue.totals();
@@ -386,11 +383,8 @@ impl PolledStation {
 
     /// Reads nothing more of this station, for all its handles.
     pub fn stop(&self) {
-        self.unit.stopping.cancel();
-        if let Some(device) = lock(&self.unit.device).take() {
-            let mut units = lock(&self.shared.units);
-            device.stats().for_each(|class| units.before.count_done(&class));
-            units.before.add(device.retired());
+        if let Some(done) = self.unit.stop() {
+            lock(&self.shared.units).before.add(&done);
         }
     }
 
@@ -421,8 +415,14 @@ impl fmt::Debug for PolledStation {
 
 impl Shared {
     fn close(&self) {
-        let _units = lock(&self.units);
-        self.closing.cancel();
+        let units = {
+            let mut units = lock(&self.units);
+            units.closed = true;
+            std::mem::take(&mut units.now)
+        };
+        for done in units.iter().filter_map(Weak::upgrade).filter_map(|unit| unit.stop()) {
+            lock(&self.units).before.add(&done);
+        }
         self.tasks.close();
         self.queue.close();
     }
@@ -436,6 +436,15 @@ impl Unit {
     /// `None`: it has been stopped.
     fn with<T>(&self, act: impl FnOnce(&mut Device) -> T) -> Option<T> {
         lock(&self.device).as_mut().map(act)
+    }
+
+    /// Ends its task. The first time, gives what it has done.
+    fn stop(&self) -> Option<Counters> {
+        let device = lock(&self.device).take()?;
+        self.changed.notify_one();
+        let mut done = *device.retired();
+        device.stats().for_each(|class| done.add(&class.counters));
+        Some(done)
     }
 }
 

@@ -84,7 +84,8 @@ async fn run(options: Options) -> Result<bool> {
         .build();
     let tally = Arc::new(Tally::new(options.plcs));
     let pollers = poller::start(&pool, endpoints, &options, &tally)?;
-    let mut summary = Summary::new(&options, pool.clone(), tally.clone(), memory_before, simulator.process());
+    let mut summary =
+        Summary::new(&options, pool.clone(), pollers.handle(), tally.clone(), memory_before, simulator.process());
 
     // All must be connected before anything is measured.
     let most = options.longest_start();
@@ -102,7 +103,7 @@ async fn run(options: Options) -> Result<bool> {
     show_until(&mut summary, ends_at, || false).await;
     summary.end();
 
-    pollers.stop().await;
+    pollers.stop().await?;
     let all_back = tally.all_answered();
     pool.close().await;
     drop(pool);

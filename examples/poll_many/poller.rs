@@ -1,23 +1,25 @@
-//! The polling: a task for each PLC, which reads its registers at a fixed interval.
+//! The polling: one [`Poller`] for all PLCs, and a task that takes its samples.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use fatek::poll::{Missed, PollTag, Poller, PollerHandle, Quality, Sample, ScanClass};
+use fatek::tag::{Tag, TagType, TagValue};
 use fatek::{CallOptions, Pool, Station};
-use tokio::sync::watch;
-use tokio::task::JoinSet;
-use tokio::time::{Instant, sleep_until};
+use futures::StreamExt;
+use tokio::task::JoinHandle;
+use tokio::time::Instant;
 
 use crate::Result;
 use crate::options::Options;
 use crate::plc;
 use crate::tally::Tally;
 
-/// Tasks that poll until they are stopped.
+/// What polls until it is stopped.
 pub(crate) struct Pollers {
-    tasks: JoinSet<()>,
-    stop: watch::Sender<bool>,
+    handle: PollerHandle,
+    consumer: JoinHandle<()>,
 }
 
 /// Begins to poll PLCs at these addresses, each at its own moment of the interval, so that the load is flat.
@@ -27,79 +29,76 @@ pub(crate) fn start(
     options: &Options,
     tally: &Arc<Tally>,
 ) -> Result<Pollers> {
-    let (stop, stopped) = watch::channel(false);
-    let mut tasks = JoinSet::new();
-    let began = Instant::now();
+    let poller = Poller::builder().seed(1).build();
+    let class = ScanClass::every(options.interval);
+    let registers = Tag::new(plc::FIRST, TagType::U16, plc::COUNT)?;
     // The first call waits for its turn to connect, and all others have had theirs.
     let patience = CallOptions::new().call_timeout(options.longest_start());
+    let mut stations = Vec::new();
     for (n, address) in (0..).zip(addresses) {
-        let station = pool.station(address, 1)?;
-        let first_at = began + options.interval.mul_f64(phase(n));
-        let poller = Poller { n, station, interval: options.interval, tally: tally.clone() };
-        let mut stopped = stopped.clone();
-        tasks.spawn(async move {
-            tokio::select! {
-                () = poller.run(first_at, patience) => {}
-                _ = stopped.wait_for(|stop| *stop) => {}
-            }
-        });
+        let station = pool.station(address, 1)?.with_options(patience);
+        poller.station(&station)?.add(class, [PollTag::new(n.to_string(), registers)])?;
+        stations.push(Polled { n, station, last: None });
     }
-    Ok(Pollers { tasks, stop })
+    let handle = poller.handle();
+    let consumer = Consumer { stations, interval: options.interval, tally: tally.clone() };
+    Ok(Pollers { handle, consumer: tokio::spawn(consumer.run(poller)) })
 }
 
 impl Pollers {
-    /// Ends them all.
-    pub(crate) async fn stop(self) {
-        self.stop.send_replace(true);
-        self.tasks.join_all().await;
+    pub(crate) fn handle(&self) -> PollerHandle {
+        self.handle.clone()
+    }
+
+    /// Ends it all.
+    pub(crate) async fn stop(self) -> Result<()> {
+        self.handle.close().await;
+        Ok(self.consumer.await?)
     }
 }
 
-struct Poller {
+/// A PLC, as the consumer of the samples sees it.
+struct Polled {
     n: u32,
     station: Station,
+    /// When its last good sample was read.
+    last: Option<Instant>,
+}
+
+struct Consumer {
+    stations: Vec<Polled>,
     interval: Duration,
     tally: Arc<Tally>,
 }
 
-impl Poller {
-    /// Never ends.
-    async fn run(self, first_at: Instant, patience: CallOptions) {
-        let mut due = first_at;
-        sleep_until(due).await;
-        self.poll(&self.station.with_options(patience)).await;
-        // Connecting has taken its time, which is nobody's fault.
-        due += self.interval * self.intervals_since(due);
-        loop {
-            due += self.interval;
-            let skipped = self.intervals_since(due);
-            self.tally.overrun(skipped);
-            due += self.interval * skipped;
-            sleep_until(due).await;
-            if due.elapsed() > self.interval / 10 {
-                self.tally.late();
+impl Consumer {
+    /// Ends with the poller.
+    async fn run(mut self, mut poller: Poller) {
+        while let Some(sample) = poller.next().await {
+            match sample {
+                Ok(sample) => self.take(&sample),
+                Err(missed @ Missed { .. }) => self.tally.missed(&missed),
             }
-            self.poll(&self.station).await;
         }
     }
 
-    /// How many polls should have begun since then, and not at that time, if it is past.
-    fn intervals_since(&self, due: Instant) -> u32 {
-        let intervals = due.elapsed().as_nanos().div_ceil(self.interval.as_nanos());
-        u32::try_from(intervals).unwrap_or(u32::MAX)
-    }
-
-    async fn poll(&self, station: &Station) {
-        let began = Instant::now();
-        match station.read_registers(plc::FIRST, plc::COUNT).await {
-            Ok(values) if values == plc::values(self.n) => self.tally.answered(self.n, began.elapsed()),
-            Ok(values) => self.tally.wrong(self.n, &values),
-            Err(error) => self.tally.failed(self.n, &error),
+    fn take(&mut self, sample: &Sample) {
+        let Some(polled) = sample.name.parse().ok().and_then(|n: usize| self.stations.get_mut(n)) else { return };
+        match &sample.quality {
+            Quality::Good if sample.values() == plc::values(polled.n).map(TagValue::U16) => {
+                let trip = polled.station.stats().round_trip.map(|trip| trip.last);
+                self.tally.answered(polled.n, trip.unwrap_or_default());
+                let at = sample.at.instant;
+                if polled.last.is_some_and(|last| at - last > self.interval + self.interval / 10) {
+                    self.tally.late();
+                }
+                polled.last = Some(at);
+            }
+            Quality::Good => self.tally.wrong(polled.n, sample.values()),
+            other => {
+                polled.last = None;
+                self.tally.failed(polled.n, other);
+            }
         }
     }
-}
-
-/// Where in the interval PLC `n` is polled, from 0 to 1: scattered, and the same in every run.
-fn phase(n: u32) -> f64 {
-    f64::from(n.wrapping_mul(0x9E37_79B9)) / f64::from(u32::MAX)
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use fatek::Pool;
+use fatek::poll::PollerHandle;
 
 use crate::options::Options;
 use crate::process::{memory, processor_time};
@@ -13,6 +14,7 @@ use crate::tally::{Counts, Tally};
 pub(crate) struct Summary {
     options: Options,
     pool: Pool,
+    poller: PollerHandle,
     tally: Arc<Tally>,
     /// The resident memory before there was a link.
     memory_before: Option<u64>,
@@ -32,6 +34,8 @@ pub(crate) struct Summary {
 struct Sample {
     at: Instant,
     counts: Counts,
+    /// Cycles that were left out.
+    overruns: u64,
     processor_time: Option<Duration>,
     simulator_time: Option<Duration>,
 }
@@ -40,6 +44,7 @@ struct Sample {
 struct Measured {
     took: Duration,
     counts: Counts,
+    overruns: u64,
     up: usize,
     memory: Option<u64>,
     memory_per_link: Option<u64>,
@@ -51,14 +56,16 @@ impl Summary {
     pub(crate) fn new(
         options: &Options,
         pool: Pool,
+        poller: PollerHandle,
         tally: Arc<Tally>,
         memory_before: Option<u64>,
         simulator: u32,
     ) -> Self {
-        let sample = Sample::take(&tally, simulator);
+        let sample = Sample::take(&tally, &poller, simulator);
         Self {
             options: options.clone(),
             pool,
+            poller,
             tally,
             memory_before,
             simulator,
@@ -74,17 +81,18 @@ impl Summary {
     /// What is measured begins now.
     pub(crate) fn begin(&mut self) {
         self.note("all are up");
-        self.first = Sample::take(&self.tally, self.simulator);
+        self.first = Sample::take(&self.tally, &self.poller, self.simulator);
         self.last = self.first.clone();
     }
 
     /// What is measured ends now.
     pub(crate) fn end(&mut self) {
-        let now = Sample::take(&self.tally, self.simulator);
+        let now = Sample::take(&self.tally, &self.poller, self.simulator);
         let (memory, memory_per_link) = self.memory();
         self.measured = Some(Measured {
             took: now.at - self.first.at,
             counts: now.counts.since(&self.first.counts),
+            overruns: now.overruns - self.first.overruns,
             up: self.pool.stats().up,
             memory,
             memory_per_link,
@@ -96,7 +104,7 @@ impl Summary {
 
     /// Shows how it goes.
     pub(crate) fn show(&mut self) {
-        let now = Sample::take(&self.tally, self.simulator);
+        let now = Sample::take(&self.tally, &self.poller, self.simulator);
         let counts = now.counts.since(&self.last.counts);
         let took = (now.at - self.last.at).as_secs_f64();
         let stats = self.pool.stats();
@@ -110,7 +118,7 @@ impl Summary {
             counts.replies as f64 / took,
             self.tally.errors(),
             now.counts.late,
-            now.counts.overruns,
+            now.overruns - self.first.overruns,
             millis(counts.percentile(50)),
             millis(counts.percentile(99)),
             memory.map_or("n/a".into(), mebibytes),
@@ -158,7 +166,7 @@ impl Summary {
         row("replies", format!("{} in {:.1} s", counts.replies, took.as_secs_f64()));
         row("replies a second", format!("{:.0}", counts.replies as f64 / took.as_secs_f64()));
         row("errors", self.tally.errors().to_string());
-        row("polls that began late, that were left out", format!("{}, {}", counts.late, counts.overruns));
+        row("readings that were late, that were left out", format!("{}, {}", counts.late, measured.overruns));
         let (half, most) = (counts.percentile(50), counts.percentile(99));
         row("round trip, p50 and p99", format!("{:.2} ms, {:.2} ms", millis(half), millis(most)));
         row("resident memory", measured.memory.map_or("n/a".into(), mebibytes));
@@ -188,10 +196,11 @@ impl Summary {
 }
 
 impl Sample {
-    fn take(tally: &Tally, simulator: u32) -> Self {
+    fn take(tally: &Tally, poller: &PollerHandle, simulator: u32) -> Self {
         Self {
             at: Instant::now(),
             counts: tally.counts(),
+            overruns: poller.stats().overruns,
             processor_time: processor_time(std::process::id()),
             simulator_time: processor_time(simulator),
         }

@@ -4,7 +4,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::time::Duration;
 
-use fatek::Error;
+use fatek::poll::{Missed, Quality};
+use fatek::tag::TagValue;
 
 /// Counters of all pollers together.
 #[derive(Debug)]
@@ -18,7 +19,6 @@ pub(crate) struct Tally {
     errors: AtomicU64,
     failed_while_away: AtomicU64,
     late: AtomicU64,
-    overruns: AtomicU64,
     round_trips: RoundTrips,
     first_errors: Mutex<Vec<String>>,
 }
@@ -29,10 +29,8 @@ pub(crate) struct Counts {
     pub(crate) replies: u64,
     pub(crate) errors: u64,
     pub(crate) failed_while_away: u64,
-    /// Polls that began more than a tenth of the interval after their time.
+    /// Readings more than a tenth of the interval later than one interval after the one before.
     pub(crate) late: u64,
-    /// Polls that were left out, because the one before had not ended.
-    pub(crate) overruns: u64,
     round_trips: Vec<u64>,
 }
 
@@ -46,7 +44,6 @@ impl Tally {
             errors: AtomicU64::new(0),
             failed_while_away: AtomicU64::new(0),
             late: AtomicU64::new(0),
-            overruns: AtomicU64::new(0),
             round_trips: RoundTrips::default(),
             first_errors: Mutex::new(Vec::new()),
         }
@@ -64,12 +61,12 @@ impl Tally {
     }
 
     /// PLC `n` has answered something else.
-    pub(crate) fn wrong(&self, n: u32, values: &[u16]) {
+    pub(crate) fn wrong(&self, n: u32, values: &[TagValue]) {
         self.error(format!("PLC {n} answers {values:?}"));
     }
 
-    /// A call to PLC `n` has failed.
-    pub(crate) fn failed(&self, n: u32, error: &Error) {
+    /// PLC `n` could not be read.
+    pub(crate) fn failed(&self, n: u32, error: &Quality) {
         if self.is_away() {
             count(&self.failed_while_away);
         } else {
@@ -83,10 +80,9 @@ impl Tally {
         }
     }
 
-    pub(crate) fn overrun(&self, polls: u32) {
-        if !self.is_away() {
-            self.overruns.fetch_add(polls.into(), Ordering::Relaxed);
-        }
+    /// Samples were not taken in time.
+    pub(crate) fn missed(&self, missed: &Missed) {
+        self.error(missed.to_string());
     }
 
     /// From now on calls are, or are not, bound to fail.
@@ -127,7 +123,6 @@ impl Tally {
             errors: load(&self.errors),
             failed_while_away: load(&self.failed_while_away),
             late: load(&self.late),
-            overruns: load(&self.overruns),
             round_trips: self.round_trips.counts(),
         }
     }
@@ -149,7 +144,6 @@ impl Counts {
             errors: self.errors - before.errors,
             failed_while_away: self.failed_while_away - before.failed_while_away,
             late: self.late - before.late,
-            overruns: self.overruns - before.overruns,
             round_trips: (self.round_trips.iter().enumerate())
                 .map(|(i, count)| count - before.round_trips.get(i).unwrap_or(&0))
                 .collect(),

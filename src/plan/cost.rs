@@ -119,6 +119,10 @@ impl CostModel {
         self.turnaround + self.latency.min(MAX_LATENCY) + self.overhead
     }
 
+    pub(crate) fn latency(&self) -> Duration {
+        self.latency
+    }
+
     /// What a request with so many bytes, those of the reply among them, costs.
     pub(super) fn cost(&self, bytes: usize) -> u64 {
         nanoseconds(self.request_time()).saturating_add(self.bytes_cost(bytes))

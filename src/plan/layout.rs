@@ -157,6 +157,12 @@ pub(super) fn mixed_units(cells: &[Cells]) -> u32 {
     stretches(cells).iter().map(|stretch| stretch.len * stretch.area.units()).sum()
 }
 
+/// The bytes of the values of these in a reply, without those of anything else. They are sorted.
+pub(super) fn value_bytes(cells: &[Cells], cost: &CostModel) -> usize {
+    let bytes = |s: Cells| usize::try_from(s.len).unwrap_or(usize::MAX) * cost.value_bytes(s.area.width());
+    stretches(cells).into_iter().map(bytes).sum()
+}
+
 /// A request, as cells.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Draft {

@@ -3,11 +3,11 @@
 use std::collections::VecDeque;
 
 use super::cost::CostModel;
-use super::layout::{Cells, Draft, ItemCost};
+use super::layout::{self, Cells, Draft, ItemCost};
 use super::limits::Limits;
 
 /// Up to so many parts, every way to share them out among requests is looked at.
-pub(super) const EXACT: usize = 10;
+pub(super) const EXACT: usize = 8;
 
 /// What must come from one request: a value, or a group of them. Its cells are sorted.
 pub(super) type Part = Vec<Cells>;
@@ -18,11 +18,22 @@ pub(super) type Share = (Draft, Vec<usize>);
 /// Every part can be read by some request alone, those of one value by a run; these come last, sorted and distinct, none
 /// within another part.
 pub(super) fn solve(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Share> {
-    if groups.len() + values.len() <= EXACT {
+    if let Some(share) = one_for_all(groups, values, limits, cost) {
+        vec![share]
+    } else if groups.len() + values.len() <= EXACT {
         exact(groups, values, limits, cost)
     } else {
         large(groups, values, limits, cost)
     }
+}
+
+/// One request for all parts, if no two requests can be cheaper: these have all the values, too, and more than one
+/// request's share of what stands around them. So it is with most small sets, and all else takes much longer.
+fn one_for_all(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Share> {
+    let cells = sorted(groups.iter().flatten().chain(values));
+    let draft = Draft::cheapest(&cells, limits, cost)?;
+    let two = mixed_overhead(cost).saturating_mul(2).saturating_add(cost.bytes_cost(layout::value_bytes(&cells, cost)));
+    (draft.cost(cost) <= two).then(|| (draft, (0..groups.len() + values.len()).collect()))
 }
 
 /// The cheapest of all ways to share the parts out: for each set of parts, the best request that holds the first of

@@ -48,7 +48,16 @@ fn limits() -> Vec<Limits> {
         Limits::new().no_mixed_reads(),
         Limits::new().max_registers(8).unwrap().max_mixed(4).unwrap().max_points(16).unwrap(),
         Limits::new().max_mixed(3).unwrap(),
+        avoiding().no_mixed_reads(),
+        avoiding(),
     ]
+}
+
+/// Elements between those of `random_tag`, and some of them.
+fn avoiding() -> Limits {
+    let ranges =
+        ["R2", "R7", "R30", "D5", "D40", "M3", "M9", "RT4", "WM32", "X8"].map(|text| Element::parse(text).unwrap());
+    ranges.into_iter().fold(Limits::new(), |limits, first| limits.avoid(first, first.nth(2).unwrap()).unwrap())
 }
 
 fn tag(text: &str) -> Tag {
@@ -350,6 +359,35 @@ fn a_gap_is_read_through_where_it_is_cheaper_than_a_request() {
     assert_eq!((requests(slow, 8), requests(slow, 20)), (1, 2));
     let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
     assert_eq!((requests(network, 63), requests(network, 64)), (1, 2));
+}
+
+#[test]
+fn what_is_to_be_avoided_is_read_for_its_own_tags_only() {
+    for seed in 0..60 {
+        let mut random = Random(seed);
+        let count = 1 + random.below(40);
+        let tags: Vec<Tag> = (0..count).map(|_| random_tag(&mut random)).collect();
+        let cells = |element: Element| match element {
+            Element::Register32(e) if e.symbol() != Symbol::DRC => {
+                vec![(e.low().symbol(), e.address()), (e.low().symbol(), e.address() + e.low().symbol().step())]
+            }
+            other => vec![(other.symbol(), other.address())],
+        };
+        let avoided = |cell: (Symbol, u16)| {
+            let ranges = ["R2", "R7", "R30", "D5", "D40", "M3", "M9", "RT4", "WM32", "X8"];
+            ranges
+                .map(|text| Element::parse(text).unwrap())
+                .into_iter()
+                .any(|first| (0..=2).any(|n| first.nth(n).is_ok_and(|e| (e.symbol(), e.address()) == cell)))
+        };
+        let needed: Vec<_> = tags.iter().flat_map(Tag::elements).flat_map(cells).collect();
+        let plan = Plan::builder(models()[3]).limits(avoiding()).tags(tags.clone()).build().unwrap();
+        for request in plan.requests() {
+            for cell in elements(request.request()).into_iter().flat_map(cells) {
+                assert!(!avoided(cell) || needed.contains(&cell), "seed {seed}: {cell:?} in {}", request.request());
+            }
+        }
+    }
 }
 
 #[test]

@@ -32,17 +32,18 @@ use tokio::time::Instant;
 use super::class::ScanClass;
 use super::lesson::Lessons;
 use super::point::Point;
-use super::work::{Halves, Piece, Points, Work, items};
+use super::points::Points;
+use super::trip::Trip;
+use super::work::{Halves, Piece, Work, items};
 use super::{Reason, Sample, Stamp, TagId};
 use crate::error::ErrorCode;
-use crate::plan::{CostModel, Limits, PlanError, PlannedRequest, ReadRequest, Words};
+use crate::plan::{Limits, PlanError, PlannedRequest, ReadRequest, Words};
 use crate::tag::TagValue;
 
 #[derive(Debug)]
 pub(super) struct Cycle {
     /// Of this class; from 1.
     pub(super) number: u64,
-    scan: ScanClass,
     pub(super) due: Instant,
     pub(super) started: Instant,
     phase: Phase,
@@ -93,7 +94,7 @@ pub(super) struct Known {
     pub(super) lessons: Lessons,
     /// What the device takes, without the lessons.
     pub(super) limits: Limits,
-    pub(super) cost: CostModel,
+    pub(super) trip: Trip,
     /// Whether the plans were made with something else.
     pub(super) plans_stale: bool,
 }
@@ -104,13 +105,14 @@ impl Known {
         let refused = self.points.values().filter(|point| point.is_refused());
         let refused = refused.map(|point| (point.tag.first(), point.tag.element_count()));
         let limits = self.lessons.apply(&self.limits).avoid_all(refused);
-        Work::new(pieces, &self.points, &limits, &self.cost)
+        Work::new(pieces, &self.points, &limits, &self.trip.cost())
     }
 }
 
 /// What a cycle works with.
 pub(super) struct Bench<'d> {
     pub(super) known: &'d mut Known,
+    pub(super) scan: &'d ScanClass,
     /// The tags of the class; those of a group stand together.
     pub(super) members: &'d [TagId],
     pub(super) samples: &'d mut Vec<Sample>,
@@ -120,18 +122,18 @@ impl Cycle {
     /// A cycle of these requests, the one with the number `start` first; without them, of a new plan for all tags that are
     /// not refused. With it, the requests.
     pub(super) fn new(
-        (number, scan, due): (u64, ScanClass, Instant),
+        (number, due): (u64, Instant),
         (work, start): (Option<Arc<Work>>, usize),
         now: Stamp,
         bench: &mut Bench<'_>,
     ) -> (Self, Option<Arc<Work>>) {
         let (stack, probe) = (Vec::new(), Vec::new());
         let phase = Phase::Members;
-        let mut cycle = Self { number, scan, due, started: now.instant, phase, stack, probe, abandoned: None };
+        let mut cycle = Self { number, due, started: now.instant, phase, stack, probe, abandoned: None };
         match work {
             Some(work) => cycle.stack.push(Frame::Batch(Batch::new(work, start))),
             None => {
-                let refused = |id: &&TagId| bench.known.points.get(id).is_some_and(|point| point.is_refused());
+                let refused = |id: &&TagId| bench.known.points.get(**id).is_some_and(|point| point.is_refused());
                 let members: Vec<Piece> = bench.members.iter().filter(|id| !refused(id)).map(Piece::whole).collect();
                 cycle.push(&members, now, bench);
             }
@@ -164,7 +166,7 @@ impl Cycle {
     pub(super) fn replied(&mut self, words: Words, at: Stamp, bench: &mut Bench<'_>) {
         if let Some(Frame::Batch(batch)) = self.stack.last_mut() {
             batch.replied(words, at, |id, values, at| {
-                if let Some(point) = bench.known.points.get_mut(&id) {
+                if let Some(point) = bench.known.points.get_mut(id) {
                     bench.known.plans_stale |= point.is_refused();
                     point.cycle = self.number;
                     point.read(values, at, bench.samples);
@@ -241,13 +243,14 @@ impl Cycle {
     /// What is to be read in the next phase; `None`: the cycle is over.
     fn next_phase(&mut self, now: Stamp, bench: &Bench<'_>) -> Option<Vec<Piece>> {
         let points = &bench.known.points;
-        let refused = |id: &TagId| points.get(id).is_some_and(Point::is_refused);
-        let untried = |id: &TagId| points.get(id).is_some_and(|point| point.is_refused() && point.cycle != self.number);
+        let refused = |id: &TagId| points.get(*id).is_some_and(Point::is_refused);
+        let untried =
+            |id: &TagId| points.get(*id).is_some_and(|point| point.is_refused() && point.cycle != self.number);
         let pieces: Vec<Piece> = bench.members.iter().filter(|id| untried(id)).map(Piece::whole).collect();
         match self.phase {
             Phase::Members => {
                 let is_due = |piece: &Piece| {
-                    let probe_at = points.get(&piece.id).and_then(|point| point.probe_at);
+                    let probe_at = points.get(piece.id).and_then(|point| point.probe_at);
                     probe_at.is_some_and(|at| at <= now.instant)
                 };
                 let probe = items(&pieces, points).find(|item| item.iter().any(is_due))?.to_vec();
@@ -286,9 +289,9 @@ impl Cycle {
 
     /// These were refused by themselves.
     fn blame(&mut self, pieces: &[Piece], reason: &Reason, now: Stamp, bench: &mut Bench<'_>) {
-        let probe_at = now.instant.checked_add(self.scan.probe_refused).unwrap_or(now.instant);
+        let probe_at = now.instant.checked_add(bench.scan.probe_refused).unwrap_or(now.instant);
         for piece in pieces {
-            if let Some(point) = bench.known.points.get_mut(&piece.id) {
+            if let Some(point) = bench.known.points.get_mut(piece.id) {
                 tracing::debug!(tag = %point.tag, %reason, "a tag was refused");
                 bench.known.plans_stale |= !point.is_refused();
                 point.cycle = self.number;

@@ -22,9 +22,10 @@ use super::class::{PollTag, ScanClass};
 use super::cycle::{Bench, Cycle, Known};
 use super::lesson::Lessons;
 use super::point::Point;
-use super::stats::{ClassStats, PollerStats};
+use super::points::Points;
+use super::stats::{ClassStats, Counters};
 use super::trip::Trip;
-use super::work::{Points, Work};
+use super::work::Work;
 use super::{PollError, Reason, Sample, Stamp, TagId};
 use crate::error::Error;
 use crate::plan::{CostModel, Limits, PlanError, ReadRequest, Reply, Words};
@@ -34,9 +35,8 @@ use crate::random::Random;
 pub(super) struct Device {
     known: Known,
     classes: Vec<Class>,
-    trip: Trip,
     /// What classes have done whose tags are all removed.
-    retired: PollerStats,
+    retired: Counters,
     /// Of which class the request is that is on its way.
     asking: Option<usize>,
     random: Random,
@@ -53,17 +53,17 @@ struct Class {
     /// With which request of the plan the next cycle begins.
     start: usize,
     due: Instant,
-    cycle: Option<Cycle>,
+    cycle: Option<Box<Cycle>>,
     /// When the age of a tag may change its quality; not later than that, but perhaps earlier.
     ages_at: Option<Instant>,
-    stats: ClassStats,
+    stats: Counters,
 }
 
 #[derive(Debug)]
 struct Plan {
     work: Arc<Work>,
-    /// What it was made with.
-    cost: CostModel,
+    /// The latency that it was made with.
+    latency: Duration,
 }
 
 /// What is to be done next.
@@ -78,10 +78,15 @@ pub(super) enum Step {
 impl Device {
     pub(super) fn new(limits: Limits, cost: CostModel, epoch: Instant, seed: u64) -> Self {
         Self {
-            known: Known { points: Points::new(), lessons: Lessons::default(), limits, cost, plans_stale: false },
+            known: Known {
+                points: Points::default(),
+                lessons: Lessons::default(),
+                limits,
+                trip: Trip::new(cost),
+                plans_stale: false,
+            },
             classes: Vec::new(),
-            trip: Trip::new(cost),
-            retired: PollerStats::default(),
+            retired: Counters::default(),
             asking: None,
             random: Random::new(seed),
             epoch,
@@ -103,7 +108,7 @@ impl Device {
             return if one_scan { Err(PollError::NoTags) } else { Ok(()) };
         }
         let of = tags.iter().map(|(_, tag)| tag.tag);
-        let builder = crate::plan::Plan::builder(self.trip.cost()).limits(self.known.limits.clone());
+        let builder = crate::plan::Plan::builder(self.known.trip.cost()).limits(self.known.limits.clone());
         if one_scan { builder.one_scan(of) } else { builder.tags(of) }.build()?;
         let values = |sum: usize, tag: crate::tag::Tag| sum.saturating_add(tag.value_count());
         let all = self
@@ -124,21 +129,26 @@ impl Device {
             Some(at) => at,
             None => {
                 let due = self.first_due(&scan, now.instant);
+                // Mostly there is one, and thousands of stations have one each.
+                self.classes.reserve_exact(1);
                 self.classes.push(Class::new(scan, due));
                 self.classes.len().saturating_sub(1)
             }
         };
         if let Some(class) = self.classes.get_mut(at) {
+            if class.members.is_empty() {
+                class.members.reserve_exact(tags.len());
+            }
             class.members.extend(tags.iter().map(|(id, _)| *id));
             class.plan = None;
         }
-        self.known.points.extend(tags.into_iter().map(|(id, tag)| (id, Point::new(id, tag, group, now))));
+        self.known.points.extend(tags.into_iter().map(|(id, tag)| Point::new(id, tag, group, now)));
         Ok(())
     }
 
     /// Removes a tag; says whether it was there. Of tags that must come from one scan, the others stay.
     pub(super) fn remove(&mut self, id: TagId) -> bool {
-        let removed = self.known.points.remove(&id).is_some();
+        let removed = self.known.points.remove(id);
         for class in self.classes.iter_mut().filter(|class| class.members.contains(&id)) {
             class.members.retain(|member| *member != id);
             class.plan = None;
@@ -148,7 +158,7 @@ impl Device {
 
     /// What is known of a tag.
     pub(super) fn sample(&self, id: TagId) -> Option<Sample> {
-        self.known.points.get(&id).map(Point::sample)
+        self.known.points.get(id).map(Point::sample)
     }
 
     /// What is known of all tags.
@@ -157,17 +167,18 @@ impl Device {
     }
 
     pub(super) fn stats(&self) -> impl Iterator<Item = ClassStats> {
-        let refused = |id: &&TagId| self.known.points.get(id).is_some_and(|point| point.is_refused());
+        let refused = |id: &&TagId| self.known.points.get(**id).is_some_and(|point| point.is_refused());
         self.classes.iter().filter(|class| !class.members.is_empty()).map(move |class| ClassStats {
+            class: class.scan,
             tags: class.members.len(),
             refused_tags: class.members.iter().filter(refused).count(),
             requests_per_cycle: class.plan.as_ref().map_or(0, |plan| plan.work.requests().len()),
-            ..class.stats
+            counters: class.stats,
         })
     }
 
     /// What classes have done that are no more.
-    pub(super) fn retired(&self) -> &PollerStats {
+    pub(super) fn retired(&self) -> &Counters {
         &self.retired
     }
 
@@ -177,7 +188,7 @@ impl Device {
         self.age(now, samples);
         self.classes.retain(|class| {
             if class.members.is_empty() {
-                self.retired.count_done(&class.stats);
+                self.retired.add(&class.stats);
             }
             !class.members.is_empty()
         });
@@ -209,14 +220,14 @@ impl Device {
         let Some(at) = self.asking.take() else { return };
         let Some(class) = self.classes.get_mut(at) else { return };
         let Some(cycle) = &mut class.cycle else { return };
-        let mut bench = Bench { known: &mut self.known, members: &class.members, samples };
+        let mut bench = Bench { known: &mut self.known, scan: &class.scan, members: &class.members, samples };
         class.stats.requests = class.stats.requests.saturating_add(1);
         match result {
             // The link gives no reply that is none to its request.
             Ok(reply) => match cycle.request().and_then(|request| Words::of(reply, request)) {
                 Some(words) => {
                     if let Some(trip) = trip {
-                        self.trip.measured(trip, cycle.reply_bytes());
+                        bench.known.trip.measured(trip, cycle.reply_bytes());
                     }
                     cycle.replied(words, now, &mut bench);
                 }
@@ -242,7 +253,7 @@ impl Device {
             if class.ages_at.is_some_and(|at| at <= now.instant) {
                 let (stale, bad) = (class.scan.stale_age(), class.scan.bad_age());
                 for id in &class.members {
-                    if let Some(point) = self.known.points.get_mut(id) {
+                    if let Some(point) = self.known.points.get_mut(*id) {
                         point.age(now, stale, bad, samples);
                     }
                 }
@@ -283,23 +294,22 @@ impl Device {
         }
         // Not begun in time, and not for want of its end: this task was not woken.
         let due = class.skip_to(now.instant);
-        if class.plan.as_ref().is_some_and(|plan| self.trip.has_changed_since(&plan.cost)) {
-            tracing::debug!(latency = ?self.trip.latency(), "the round trip has changed, and the plan with it");
+        if class.plan.as_ref().is_some_and(|plan| self.known.trip.has_changed_since(plan.latency)) {
+            tracing::debug!(latency = ?self.known.trip.latency(), "the round trip has changed, and the plan with it");
             class.plan = None;
         }
         if class.plan.is_none() {
             class.start = 0;
         }
         class.stats.cycles = class.stats.cycles.saturating_add(1);
-        let cost = self.trip.cost();
-        self.known.cost = cost;
-        let mut bench = Bench { known: &mut self.known, members: &class.members, samples };
+        let latency = self.known.trip.latency();
+        let mut bench = Bench { known: &mut self.known, scan: &class.scan, members: &class.members, samples };
         let planned = class.plan.as_ref().map(|plan| plan.work.clone());
-        let (cycle, work) = Cycle::new((class.stats.cycles, class.scan, due), (planned, class.start), now, &mut bench);
+        let (cycle, work) = Cycle::new((class.stats.cycles, due), (planned, class.start), now, &mut bench);
         if class.plan.is_none() {
-            class.plan = work.map(|work| Plan { work, cost });
+            class.plan = work.map(|work| Plan { work, latency });
         }
-        class.cycle = Some(cycle);
+        class.cycle = Some(Box::new(cycle));
         self.end(at, now, samples);
     }
 
@@ -312,7 +322,7 @@ impl Device {
         let Some(cycle) = class.cycle.take_if(|cycle| cycle.request().is_none()) else { return };
         let bad_age = class.scan.bad_age();
         for id in &class.members {
-            let Some(point) = self.known.points.get_mut(id).filter(|point| point.cycle != cycle.number) else {
+            let Some(point) = self.known.points.get_mut(*id).filter(|point| point.cycle != cycle.number) else {
                 continue;
             };
             match &cycle.abandoned {
@@ -345,7 +355,7 @@ impl Class {
             due,
             cycle: None,
             ages_at: None,
-            stats: ClassStats::new(scan),
+            stats: Counters::default(),
         }
     }
 
@@ -375,7 +385,7 @@ impl Class {
 
     fn watch_ages(&mut self, points: &Points) {
         let (stale, bad) = (self.scan.stale_age(), self.scan.bad_age());
-        let ages = self.members.iter().filter_map(|id| points.get(id)?.ages_at(stale, bad));
+        let ages = self.members.iter().filter_map(|id| points.get(*id)?.ages_at(stale, bad));
         self.ages_at = ages.min();
     }
 }

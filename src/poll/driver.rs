@@ -11,60 +11,51 @@ use crate::error::Error;
 use crate::plan::{ReadRequest, Reply};
 use crate::station::Station;
 
-/// Polls until the poller or the unit is closed.
+/// Polls until the unit is stopped.
 pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>, station: Station) {
-    let poll = async {
-        let mut samples = Vec::new();
-        loop {
-            let Some(step) = unit.with(|device| {
-                let step = device.next(Stamp::now(), &mut samples);
-                // Under the same lock as the removal of tags, so that nothing of a tag comes after it.
-                shared.queue.push(&mut samples);
-                step
-            }) else {
-                return;
-            };
-            match step {
-                Step::Wait(until) => changed_or_at(&unit.changed, until).await,
-                Step::Read(request) => {
-                    let (result, at) = answer(&shared, &unit, &station, &request).await;
-                    let trip = station.stats().round_trip.map(|trip| trip.last);
-                    unit.with(|device| {
-                        device.done(result, at, trip, &mut samples);
-                        shared.queue.push(&mut samples);
-                    });
-                }
+    let mut samples = Vec::new();
+    loop {
+        let step = unit.with(|device| {
+            let step = device.next(Stamp::now(), &mut samples);
+            // Under the same lock as the removal of tags, so that nothing of a tag comes after it.
+            shared.queue.push(&mut samples);
+            step
+        });
+        match step {
+            None => return,
+            Some(Step::Wait(until)) => changed_or_at(&unit.changed, until).await,
+            Some(Step::Read(request)) => {
+                let Some((result, at)) = answer(&shared, &unit, &station, &request).await else { return };
+                let trip = station.stats().round_trip.map(|trip| trip.last);
+                unit.with(|device| {
+                    device.done(result, at, trip, &mut samples);
+                    shared.queue.push(&mut samples);
+                });
             }
         }
-    };
-    tokio::select! {
-        biased;
-        () = shared.closing.cancelled() => {}
-        () = unit.stopping.cancelled() => {}
-        () = poll => {}
     }
 }
 
-/// Sends a request, and lets values get old while it is on its way.
+/// Sends a request, and lets values get old while it is on its way. `None`: the unit was stopped meanwhile.
 async fn answer(
     shared: &Shared,
     unit: &Unit,
     station: &Station,
     request: &ReadRequest,
-) -> (Result<Reply, Error>, Stamp) {
-    let call = request.timed_call(station);
-    tokio::pin!(call);
+) -> Option<(Result<Reply, Error>, Stamp)> {
+    // By itself, so that a task that waits for its next cycle, as it does nearly always, has no room for it.
+    let mut call = Box::pin(request.timed_call(station));
     loop {
-        let ages_at = unit.with(|device| device.ages_at()).flatten();
+        let ages_at = unit.with(|device| device.ages_at())?;
         tokio::select! {
             biased;
-            (result, at) = &mut call => return (result, Stamp::of(at)),
+            (result, at) = &mut call => return Some((result, Stamp::of(at))),
             () = changed_or_at(&unit.changed, ages_at) => {
                 let mut samples = Vec::new();
                 unit.with(|device| {
                     device.age(Stamp::now(), &mut samples);
                     shared.queue.push(&mut samples);
-                });
+                })?;
             }
         }
     }

@@ -1,8 +1,29 @@
+use std::ops::Deref;
 use std::time::Duration;
 
 use super::ScanClass;
 
-/// What a scan class does on one station: a snapshot.
+/// What has been done, since it began. A snapshot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Counters {
+    /// Cycles begun.
+    pub cycles: u64,
+    /// Cycles that were skipped, because the one before was not over, or nothing ran here.
+    pub overruns: u64,
+    /// Cycles that were given up, because an answer did not come.
+    pub abandoned: u64,
+    /// Requests sent.
+    pub requests: u64,
+    /// Requests that a PLC refused.
+    pub refusals: u64,
+    /// Requests without an answer.
+    pub failures: u64,
+    /// How long the last cycle took; of several classes, the longest of the last ones.
+    pub last_cycle: Duration,
+}
+
+/// What a scan class does on one station: a snapshot. The [`Counters`] can be read as if they were its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ClassStats {
@@ -14,41 +35,12 @@ pub struct ClassStats {
     pub refused_tags: usize,
     /// How many requests read the others; 0 before the first cycle, and after a change until the next.
     pub requests_per_cycle: usize,
-    /// Cycles begun.
-    pub cycles: u64,
-    /// Cycles that were skipped, because the one before was not over, or nothing ran here.
-    pub overruns: u64,
-    /// Cycles that were given up, because an answer did not come.
-    pub abandoned: u64,
-    /// Requests sent.
-    pub requests: u64,
-    /// Requests that the PLC refused.
-    pub refusals: u64,
-    /// Requests without an answer.
-    pub failures: u64,
-    /// How long the last cycle took.
-    pub last_cycle: Duration,
+    /// What it has done.
+    pub counters: Counters,
 }
 
-impl ClassStats {
-    pub(super) fn new(class: ScanClass) -> Self {
-        Self {
-            class,
-            tags: 0,
-            refused_tags: 0,
-            requests_per_cycle: 0,
-            cycles: 0,
-            overruns: 0,
-            abandoned: 0,
-            requests: 0,
-            refusals: 0,
-            failures: 0,
-            last_cycle: Duration::ZERO,
-        }
-    }
-}
-
-/// What a [`Poller`](super::Poller) does: all its stations together. A snapshot.
+/// What a [`Poller`](super::Poller) does: all its stations together. A snapshot. The [`Counters`] can be read as if they were
+/// its own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PollerStats {
@@ -58,45 +50,15 @@ pub struct PollerStats {
     pub tags: usize,
     /// Tags that their PLC refuses.
     pub refused_tags: usize,
-    /// Cycles begun.
-    pub cycles: u64,
-    /// Cycles that were skipped.
-    pub overruns: u64,
-    /// Cycles that were given up.
-    pub abandoned: u64,
-    /// Requests sent.
-    pub requests: u64,
-    /// Requests that a PLC refused.
-    pub refusals: u64,
-    /// Requests without an answer.
-    pub failures: u64,
     /// Samples given.
     pub samples: u64,
     /// Samples that were dropped, because they were not taken in time.
     pub missed: u64,
+    /// What all of them have done, those included that are not polled any more.
+    pub counters: Counters,
 }
 
-impl PollerStats {
-    /// What a class has, and has done.
-    pub(super) fn count(&mut self, class: &ClassStats) {
-        self.tags = self.tags.saturating_add(class.tags);
-        self.refused_tags = self.refused_tags.saturating_add(class.refused_tags);
-        self.count_done(class);
-    }
-
-    /// What a class has done: it is no more.
-    pub(super) fn count_done(&mut self, class: &ClassStats) {
-        self.add(&Self {
-            cycles: class.cycles,
-            overruns: class.overruns,
-            abandoned: class.abandoned,
-            requests: class.requests,
-            refusals: class.refusals,
-            failures: class.failures,
-            ..Self::default()
-        });
-    }
-
+impl Counters {
     /// Adds what others have done.
     pub(super) fn add(&mut self, other: &Self) {
         let sums = [
@@ -108,5 +70,30 @@ impl PollerStats {
             (&mut self.failures, other.failures),
         ];
         sums.into_iter().for_each(|(sum, count)| *sum = sum.saturating_add(count));
+        self.last_cycle = self.last_cycle.max(other.last_cycle);
+    }
+}
+
+impl PollerStats {
+    pub(super) fn count(&mut self, class: &ClassStats) {
+        self.tags = self.tags.saturating_add(class.tags);
+        self.refused_tags = self.refused_tags.saturating_add(class.refused_tags);
+        self.counters.add(&class.counters);
+    }
+}
+
+impl Deref for ClassStats {
+    type Target = Counters;
+
+    fn deref(&self) -> &Counters {
+        &self.counters
+    }
+}
+
+impl Deref for PollerStats {
+    type Target = Counters;
+
+    fn deref(&self) -> &Counters {
+        &self.counters
     }
 }

@@ -35,17 +35,18 @@ impl Trip {
 
     /// The model, with the latency that was measured.
     pub(super) fn cost(&self) -> CostModel {
-        if self.replies < ENOUGH { self.model } else { self.model.with_latency(self.latency) }
+        self.model.with_latency(self.latency())
     }
 
-    /// What was measured.
+    /// What was measured; until that is enough to be believed, what the model says.
     pub(super) fn latency(&self) -> Duration {
-        self.latency
+        if self.replies < ENOUGH { self.model.latency() } else { self.latency }
     }
 
-    /// Whether a plan made with this cost is out of date: by a half more or a third less.
-    pub(super) fn has_changed_since(&self, cost: &CostModel) -> bool {
-        let (then, now) = (cost.request_time(), self.cost().request_time());
+    /// Whether a plan made with this latency is out of date: by a half more or a third less.
+    pub(super) fn has_changed_since(&self, latency: Duration) -> bool {
+        let with = |latency| self.model.with_latency(latency).request_time();
+        let (then, now) = (with(latency), with(self.latency()));
         let (more, less) = (then.max(now), then.min(now));
         more.saturating_sub(less) > NOTHING && more.saturating_mul(2) > less.saturating_mul(3)
     }

@@ -1,16 +1,12 @@
 //! Tags, or parts of them, and the plan that reads them.
 
-use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::TagId;
 use super::lesson::Lesson;
-use super::point::Point;
+use super::points::Points;
 use crate::plan::{CostModel, Limits, Plan, PlanError, PlannedRequest};
 use crate::tag::Tag;
-
-/// What tags are looked up in. Tags that were removed are not there any more, whoever still has their number.
-pub(super) type Points = BTreeMap<TagId, Point>;
 
 /// What is to be read: a tag, or some elements of it, to find out whether these are refused.
 #[derive(Clone, Copy, Debug)]
@@ -42,7 +38,7 @@ impl Piece {
     }
 
     fn tag(&self, points: &Points) -> Option<Tag> {
-        let point = points.get(&self.id)?;
+        let point = points.get(self.id)?;
         Some(self.part.unwrap_or(point.tag))
     }
 
@@ -63,7 +59,7 @@ impl Work {
     /// The tags of a group stand together. Those that were removed are left out.
     pub(super) fn new(pieces: &[Piece], points: &Points, limits: &Limits, cost: &CostModel) -> Result<Self, PlanError> {
         let mut builder = Plan::builder(*cost).limits(limits.clone());
-        let pieces: Vec<Piece> = pieces.iter().copied().filter(|piece| points.contains_key(&piece.id)).collect();
+        let pieces: Vec<Piece> = pieces.iter().copied().filter(|piece| points.contains(piece.id)).collect();
         for item in items(&pieces, points) {
             let of = item.iter().filter_map(|piece| piece.tag(points));
             builder = if is_group(item, points) { builder.one_scan(of) } else { builder.tags(of) };
@@ -157,10 +153,10 @@ pub(super) struct Halves {
 
 /// What cannot be taken apart as long as it is whole: single tags, and groups.
 pub(super) fn items<'t>(pieces: &'t [Piece], points: &Points) -> impl Iterator<Item = &'t [Piece]> {
-    let group = |piece: &Piece| points.get(&piece.id).and_then(|point| point.group);
+    let group = |piece: &Piece| points.get(piece.id).and_then(|point| point.group);
     pieces.chunk_by(move |a, b| group(a).is_some() && group(a) == group(b))
 }
 
 fn is_group(item: &[Piece], points: &Points) -> bool {
-    item.first().and_then(|piece| points.get(&piece.id)).is_some_and(|point| point.group.is_some())
+    item.first().and_then(|piece| points.get(piece.id)).is_some_and(|point| point.group.is_some())
 }
