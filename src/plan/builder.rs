@@ -98,8 +98,13 @@ impl PlanBuilder {
             let time = Duration::from_nanos(draft.cost(&self.cost));
             Ok(PlannedRequest { request: draft.request()?, values, request_bytes, reply_bytes, time })
         };
-        let requests = shares.iter().zip(counts).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
-        Ok(Plan { tags: self.tags, first_slot: values.first_slot, slots, requests })
+        let mut requests = shares.iter().zip(counts).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
+        let (mut tags, mut first_slot) = (self.tags, values.first_slot);
+        // A plan is kept for long, and a poller has thousands.
+        requests.shrink_to_fit();
+        tags.shrink_to_fit();
+        first_slot.shrink_to_fit();
+        Ok(Plan { tags, first_slot, slots, requests })
     }
 
     /// What must come from one request each.

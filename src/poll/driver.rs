@@ -5,32 +5,23 @@ use std::sync::Arc;
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep_until};
 
-use super::device::Step;
-use super::{Shared, Stamp, Unit};
+use super::device::{Device, Step};
+use super::{Sample, Shared, Stamp, Unit};
 use crate::error::Error;
 use crate::plan::{ReadRequest, Reply};
 use crate::station::Station;
 
 /// Polls until the unit is stopped.
 pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>, station: Station) {
-    let mut samples = Vec::new();
     loop {
-        let step = unit.with(|device| {
-            let step = device.next(Stamp::now(), &mut samples);
-            // Under the same lock as the removal of tags, so that nothing of a tag comes after it.
-            shared.queue.push(&mut samples);
-            step
-        });
+        let step = advance(&shared, &unit, Device::next);
         match step {
             None => return,
             Some(Step::Wait(until)) => changed_or_at(&unit.changed, until).await,
             Some(Step::Read(request)) => {
                 let Some((result, at)) = answer(&shared, &unit, &station, &request).await else { return };
                 let trip = station.stats().round_trip.map(|trip| trip.last);
-                unit.with(|device| {
-                    device.done(result, at, trip, &mut samples);
-                    shared.queue.push(&mut samples);
-                });
+                advance(&shared, &unit, |device, _, samples| device.done(result, at, trip, samples));
             }
         }
     }
@@ -50,15 +41,20 @@ async fn answer(
         tokio::select! {
             biased;
             (result, at) = &mut call => return Some((result, Stamp::of(at))),
-            () = changed_or_at(&unit.changed, ages_at) => {
-                let mut samples = Vec::new();
-                unit.with(|device| {
-                    device.age(Stamp::now(), &mut samples);
-                    shared.queue.push(&mut samples);
-                })?;
-            }
+            () = changed_or_at(&unit.changed, ages_at) => advance(shared, unit, Device::age)?,
         }
     }
+}
+
+/// Lets the device do something now, and gives its samples away. `None`: it has been stopped.
+fn advance<T>(shared: &Shared, unit: &Unit, act: impl FnOnce(&mut Device, Stamp, &mut Vec<Sample>) -> T) -> Option<T> {
+    unit.with(|device| {
+        let mut samples = Vec::new();
+        let done = act(device, Stamp::now(), &mut samples);
+        // Under the same lock as the removal of tags, so that nothing of a tag comes after it.
+        shared.queue.push(samples);
+        done
+    })
 }
 
 async fn changed_or_at(changed: &Notify, at: Option<Instant>) {

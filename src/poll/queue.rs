@@ -19,6 +19,9 @@ pub struct Missed {
     pub count: u64,
 }
 
+/// For so many samples there is always room.
+const KEPT: usize = 1024;
+
 #[derive(Debug)]
 pub(super) struct Queue {
     inner: Mutex<Inner>,
@@ -43,16 +46,15 @@ impl Queue {
     }
 
     /// Takes all of these, whatever it costs those that are there.
-    pub(super) fn push(&self, samples: &mut Vec<Sample>) {
+    pub(super) fn push(&self, samples: Vec<Sample>) {
         if samples.is_empty() {
             return;
         }
         let mut inner = self.lock();
         if inner.closed {
-            samples.clear();
             return;
         }
-        for sample in samples.drain(..) {
+        for sample in samples {
             inner.total = inner.total.saturating_add(1);
             if inner.samples.len() >= self.capacity && inner.samples.pop_front().is_some() {
                 inner.missed = inner.missed.saturating_add(1);
@@ -72,7 +74,13 @@ impl Queue {
             return Poll::Ready(Some(Err(Missed { count: std::mem::take(&mut inner.missed) })));
         }
         match inner.samples.pop_front() {
-            Some(sample) => Poll::Ready(Some(Ok(sample))),
+            Some(sample) => {
+                // What a burst needed is not kept for the next one.
+                if inner.samples.is_empty() && inner.samples.capacity() > KEPT {
+                    inner.samples.shrink_to(KEPT);
+                }
+                Poll::Ready(Some(Ok(sample)))
+            }
             None if inner.closed => Poll::Ready(None),
             None => Poll::Pending,
         }

@@ -59,7 +59,9 @@ impl Work {
     /// The tags of a group stand together. Those that were removed are left out.
     pub(super) fn new(pieces: &[Piece], points: &Points, limits: &Limits, cost: &CostModel) -> Result<Self, PlanError> {
         let mut builder = Plan::builder(*cost).limits(limits.clone());
-        let pieces: Vec<Piece> = pieces.iter().copied().filter(|piece| points.contains(piece.id)).collect();
+        let mut pieces: Vec<Piece> = pieces.iter().copied().filter(|piece| points.contains(piece.id)).collect();
+        // It stays for as long as the plan does.
+        pieces.shrink_to_fit();
         for item in items(&pieces, points) {
             let of = item.iter().filter_map(|piece| piece.tag(points));
             builder = if is_group(item, points) { builder.one_scan(of) } else { builder.tags(of) };
