@@ -237,6 +237,7 @@ impl Default for Poller {
 impl Drop for Poller {
     fn drop(&mut self) {
         self.handle.shared.close();
+        self.handle.shared.queue.clear();
     }
 }
 
@@ -294,7 +295,7 @@ impl PollerHandle {
     pub fn snapshot(&self) -> Vec<Sample> {
         let mut samples = Vec::new();
         for unit in self.shared.units() {
-            unit.with(|device| samples.extend(device.snapshot()));
+            samples.extend(self.shared.snapshot(&unit));
         }
         samples
     }
@@ -302,15 +303,12 @@ impl PollerHandle {
     /// The sum of all there is now. It asks every station, so call it every second rather than for every sample.
     #[must_use]
     pub fn stats(&self) -> PollerStats {
-        let mut stats = PollerStats { counters: lock(&self.shared.units).before, ..PollerStats::default() };
-        for unit in self.shared.units() {
-            unit.with(|device| {
-                let mut classes = device.stats().peekable();
-                stats.stations = stats.stations.saturating_add(usize::from(classes.peek().is_some()));
-                classes.for_each(|class| stats.count(&class));
-                stats.counters.add(device.retired());
-            });
+        let units = lock(&self.shared.units);
+        let mut stats = PollerStats { counters: units.before, ..PollerStats::default() };
+        for unit in units.now.iter().filter_map(Weak::upgrade) {
+            unit.with(|device| stats.count(device.classes(), &device.counters()));
         }
+        drop(units);
         let (samples, missed) = self.shared.queue.totals();
         PollerStats { samples, missed, ..stats }
     }
@@ -376,34 +374,32 @@ impl PolledStation {
     ///
     /// Of tags that must come from one scan, the others stay.
     pub fn remove(&self, id: TagId) -> bool {
-        let removed = self.unit.with(|device| device.remove(id)).unwrap_or(false);
+        let removed = self.unit.with(|device| device.remove(id, Instant::now())).unwrap_or(false);
         self.unit.changed.notify_one();
         removed
     }
 
     /// Reads nothing more of this station, for all its handles.
     pub fn stop(&self) {
-        if let Some(done) = self.unit.stop() {
-            lock(&self.shared.units).before.add(&done);
-        }
+        self.shared.end(&self.unit);
     }
 
-    /// What is known of a tag now: its newest sample, whether it was given or not.
+    /// What is known of a tag now: its newest sample, whether it was given or not. `None`: it is not polled.
     #[must_use]
     pub fn latest(&self, id: TagId) -> Option<Sample> {
-        self.unit.with(|device| device.sample(id)).flatten()
+        self.unit.with(|device| self.shared.give(|samples| device.sample(id, Stamp::now(), samples))).flatten()
     }
 
     /// What is known of all its tags now.
     #[must_use]
     pub fn snapshot(&self) -> Vec<Sample> {
-        self.unit.with(|device| device.snapshot().collect()).unwrap_or_default()
+        self.shared.snapshot(&self.unit)
     }
 
     /// What its classes do.
     #[must_use]
     pub fn classes(&self) -> Vec<ClassStats> {
-        self.unit.with(|device| device.stats().collect()).unwrap_or_default()
+        self.unit.with(|device| device.classes().collect()).unwrap_or_default()
     }
 }
 
@@ -420,11 +416,33 @@ impl Shared {
             units.closed = true;
             std::mem::take(&mut units.now)
         };
-        for done in units.iter().filter_map(Weak::upgrade).filter_map(|unit| unit.stop()) {
-            lock(&self.units).before.add(&done);
-        }
+        units.iter().filter_map(Weak::upgrade).for_each(|unit| self.end(&unit));
         self.tasks.close();
         self.queue.close();
+    }
+
+    /// Ends the polling of a station. What it has done is not forgotten.
+    fn end(&self, unit: &Unit) {
+        // Whoever adds up what all have done finds it in one of the two places.
+        let mut units = lock(&self.units);
+        if let Some(device) = lock(&unit.device).take() {
+            units.before.add(&device.counters());
+            unit.changed.notify_one();
+        }
+    }
+
+    /// Does something that may make samples, and gives them away. To be called under the lock of their device, as the
+    /// removal of tags is, so that nothing of a tag comes after it.
+    fn give<T>(&self, make: impl FnOnce(&mut Vec<Sample>) -> T) -> T {
+        let mut samples = Vec::new();
+        let made = make(&mut samples);
+        self.queue.push(samples);
+        made
+    }
+
+    fn snapshot(&self, unit: &Unit) -> Vec<Sample> {
+        let snapshot = unit.with(|device| self.give(|samples| device.snapshot(Stamp::now(), samples)));
+        snapshot.unwrap_or_default()
     }
 
     fn units(&self) -> Vec<Arc<Unit>> {
@@ -436,15 +454,6 @@ impl Unit {
     /// `None`: it has been stopped.
     fn with<T>(&self, act: impl FnOnce(&mut Device) -> T) -> Option<T> {
         lock(&self.device).as_mut().map(act)
-    }
-
-    /// Ends its task. The first time, gives what it has done.
-    fn stop(&self) -> Option<Counters> {
-        let device = lock(&self.device).take()?;
-        self.changed.notify_one();
-        let mut done = *device.retired();
-        device.stats().for_each(|class| done.add(&class.counters));
-        Some(done)
     }
 }
 

@@ -236,6 +236,85 @@ async fn dropping_the_poller_ends_its_tasks() {
     assert_eq!(alive(), before);
 }
 
+#[tokio::test(start_paused = true)]
+async fn after_closing_nothing_passes_for_being_polled() {
+    let poller = Poller::new();
+    let polled = poller.station(&station(&Plc::new(), &Faults::new(1))).unwrap();
+    let ids = polled.add(every(100), [tag("R0")]).unwrap();
+    sleep(ms(1000)).await;
+    assert!(polled.latest(ids[0]).is_some_and(|sample| sample.is_good()));
+    let requests = poller.handle().stats().requests;
+    poller.close().await;
+    assert!(polled.latest(ids[0]).is_none() && polled.snapshot().is_empty());
+    assert!(poller.handle().snapshot().is_empty());
+    assert!(matches!(polled.add(every(100), [tag("R1")]), Err(PollError::Closed)));
+    assert!(!polled.remove(ids[0]));
+    assert_eq!(poller.handle().stats().requests, requests, "what was done is not forgotten");
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_asked_for_is_as_old_as_it_is() {
+    let (plc, faults) = (Plc::new(), Faults::new(1));
+    let poller = Poller::builder().seed(2).build();
+    let link_station = station(&plc, &faults).with_options(CallOptions::new().response_timeout(Duration::from_secs(9)));
+    let polled = poller.station(&link_station).unwrap();
+    let ids = polled.add(every(100).stale_after(ms(500)).bad_after(ms(2000)), [tag("R0")]).unwrap();
+    sleep(ms(1000)).await;
+    faults.add_rule(Rule::new(Fault::DropReply));
+    sleep(ms(700)).await;
+    assert!(matches!(polled.latest(ids[0]).unwrap().quality, Quality::Stale(Reason::Overdue)));
+    sleep(ms(1500)).await;
+    assert!(matches!(polled.snapshot()[0].quality, Quality::Bad(Reason::Overdue)));
+}
+
+/// Tags come and go, stations stop and the poller closes, from four threads at once, while all is polled.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn tags_come_and_go_from_many_threads() {
+    let mut poller = Poller::builder().seed(4).build();
+    let mut tasks = Vec::new();
+    for n in 0..8_u16 {
+        let plc = Plc::new();
+        plc.write(register!("R0"), n).unwrap();
+        let polled = poller.station(&station(&plc, &Faults::new(1))).unwrap();
+        tasks.push(tokio::spawn(async move {
+            for round in 0..100 {
+                let name = format!("{n}");
+                let ids = polled.add(every(1), [PollTag::new(name, "R0".parse().unwrap()), tag("M0")]).unwrap();
+                tokio::task::yield_now().await;
+                if round % 3 > 0 {
+                    assert!(ids.iter().all(|id| polled.remove(*id)));
+                    assert!(ids.iter().all(|id| polled.latest(*id).is_none()));
+                }
+            }
+            if n % 2 == 0 {
+                polled.stop();
+            }
+            polled
+        }));
+    }
+    let handle = poller.handle();
+    let mut values = 0;
+    let mut handles = Vec::new();
+    let end = std::time::Instant::now() + Duration::from_secs(20);
+    while values < 2000 && std::time::Instant::now() < end {
+        let sample = poller.next().await.expect("not closed").expect("taken in time");
+        if let (Ok(n), Some(TagValue::U16(value))) = (sample.name.parse::<u16>(), sample.value()) {
+            assert_eq!(*value, n, "each its own");
+            values += 1;
+        }
+    }
+    for task in tasks {
+        handles.push(task.await.unwrap());
+    }
+    assert_eq!(values, 2000);
+    assert_eq!(handle.stats().stations, 4);
+    handle.close().await;
+    assert_eq!(handle.stats().stations, 0);
+    while let Some(sample) = poller.next().await {
+        sample.expect("taken in time");
+    }
+}
+
 #[test]
 fn without_a_runtime_there_is_an_error() {
     let link = Link::new("tcp://127.0.0.1:1".parse().unwrap());

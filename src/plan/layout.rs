@@ -78,11 +78,6 @@ impl Area {
     fn listed(self) -> Symbol {
         if self.symbol == Symbol::DRC { Symbol::RC } else { self.symbol }
     }
-
-    /// Whether one of these cells, both ends among them, is to be avoided.
-    pub(super) fn avoids(self, first: u32, last: u32, limits: &Limits) -> bool {
-        limits.avoids(self.listed(), self.address(first), self.address(last))
-    }
 }
 
 impl Cells {
@@ -112,21 +107,32 @@ impl Cells {
         (self.area, self.first, Reverse(self.len))
     }
 
+    /// Whether no run leads from these to others of the area that begin at the same cell or behind it: there is something
+    /// between them that is to be avoided, or a place where runs must end. Cells with such a place within are read alone.
+    pub(super) fn is_barred_from(self, next: Self, limits: &Limits) -> bool {
+        let address = |cell: u32| self.area.address(cell);
+        let listed = self.area.listed();
+        let gap = next.first > self.end() && limits.avoids(listed, address(self.end()), address(next.first - 1));
+        let end = self.end().max(next.end());
+        gap || (end > self.first + 1 && limits.splits(listed, address(self.first + 1), address(end - 1)))
+    }
+
     pub(super) fn hold(self, other: Self) -> bool {
         self.area == other.area && self.first <= other.first && other.end() <= self.end()
     }
 }
 
-/// Whether a run that holds these leads through something that is to be avoided. They are sorted, and of one area.
-fn avoids_a_gap(cells: &[Cells], limits: &Limits) -> bool {
-    if limits.avoids_nothing() {
+/// Whether a run that holds these leads where it must not. They are sorted, and of one area.
+fn is_barred(cells: &[Cells], limits: &Limits) -> bool {
+    if limits.let_runs_be() {
         return false;
     }
-    let mut end = cells.first().map_or(0, |first| first.end());
-    cells.iter().any(|next| {
-        let avoided = next.first > end && next.area.avoids(end, next.first - 1, limits);
-        end = end.max(next.end());
-        avoided
+    let Some((first, rest)) = cells.split_first() else { return false };
+    let mut before = *first;
+    rest.iter().any(|next| {
+        let barred = before.is_barred_from(*next, limits);
+        before.len = before.end().max(next.end()) - before.first;
+        barred
     })
 }
 
@@ -179,7 +185,7 @@ impl Draft {
         let end = cells.iter().map(|cells| cells.end()).max()?;
         let run = Cells { len: end - first.first, ..*first };
         let fits = first.area == last.area && run.len <= run.area.max_run(limits);
-        (fits && !avoids_a_gap(cells, limits)).then_some(Self::Run(run))
+        (fits && !is_barred(cells, limits)).then_some(Self::Run(run))
     }
 
     /// The mixed request that holds all of these and nothing else, if there is one. They are sorted.

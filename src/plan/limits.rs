@@ -24,6 +24,8 @@ pub struct Limits {
     max_mixed: usize,
     readable: Ranges,
     avoided: Ranges,
+    /// Before which elements a run must end. Sorted.
+    splits: Vec<(Symbol, u16)>,
 }
 
 /// Ranges of elements: sorted; those that touch are one.
@@ -47,6 +49,7 @@ impl Limits {
             max_mixed: MAX_MIXED_READ_UNITS,
             readable: Ranges::default(),
             avoided: Ranges::default(),
+            splits: Vec::new(),
         }
     }
 
@@ -136,6 +139,17 @@ impl Limits {
         self
     }
 
+    /// No run leads from what is before these elements to them.
+    pub(crate) fn split_before(mut self, elements: impl IntoIterator<Item = Element>) -> Self {
+        let cell = |element: Element| match element {
+            Element::Register32(double) => (double.low().symbol(), double.address()),
+            _ => (element.symbol(), element.address()),
+        };
+        self.splits.extend(elements.into_iter().map(cell));
+        self.splits.sort_unstable();
+        self
+    }
+
     /// The same with no more than so many registers, points and units of a mixed read in a request: with what was learned
     /// from a device. 0 units: no mixed reads.
     pub(crate) fn at_most(self, registers: usize, points: usize, mixed: usize) -> Self {
@@ -176,9 +190,15 @@ impl Limits {
         before.checked_sub(1).and_then(|n| ranges.get(n)).is_some_and(|range| first <= range.last)
     }
 
-    /// Whether nothing is.
-    pub(super) fn avoids_nothing(&self) -> bool {
-        self.avoided.0.is_empty()
+    /// Whether a run must end before one of these addresses, both ends among them.
+    pub(super) fn splits(&self, symbol: Symbol, first: u16, last: u16) -> bool {
+        let at = self.splits.partition_point(|split| *split < (symbol, first));
+        self.splits.get(at).is_some_and(|split| *split <= (symbol, last))
+    }
+
+    /// Whether runs are as long as they like to be, and go where they like.
+    pub(super) fn let_runs_be(&self) -> bool {
+        self.avoided.0.is_empty() && self.splits.is_empty()
     }
 }
 

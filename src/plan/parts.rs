@@ -30,7 +30,7 @@ impl Plan {
         let a_tag = self.tags.get(tag)?;
         let mut raw = Vec::with_capacity(a_tag.element_count());
         for slot in self.slots(tag)? {
-            a_tag.take(reply(slot.request as usize)?, slot.word as usize, &mut raw);
+            a_tag.take(reply(slot.request as usize)?, slot.word as usize, &mut raw)?;
         }
         a_tag.decode(&raw).ok()
     }

@@ -130,7 +130,8 @@ impl<'p, E> Readings<'p, E> {
 
     fn value(&self, tag: &Tag, slot: Slot, raw: &mut Vec<Value>) -> Result<(), &E> {
         let words = self.replies[slot.request as usize].as_ref()?;
-        tag.take(words, slot.word as usize, raw);
+        // Replies have the shape that the plan asked for: link and `scatter` have checked it.
+        let _ = tag.take(words, slot.word as usize, raw);
         Ok(())
     }
 }
@@ -145,14 +146,18 @@ impl Tag {
         }
     }
 
-    /// Takes the elements of a slot from the words of its reply.
-    pub(super) fn take(&self, words: &Words, at: usize, raw: &mut Vec<Value>) {
-        // Replies have the shape that the plan asked for: link, poller and `scatter` have checked it.
-        let word = |n: usize| words.word(at + n).unwrap_or_default();
+    /// Takes the elements of a slot from the words of its reply; `None`: they are not in it.
+    pub(super) fn take(&self, words: &Words, at: usize, raw: &mut Vec<Value>) -> Option<()> {
+        let word = |n: usize| words.word(at.checked_add(n)?);
         match self.first().width() {
-            Width::Bit => raw.push(Value::Bit(word(0) != 0)),
-            Width::Word => raw.extend((0..self.slot_words()).map(|n| Value::Word(word(n)))),
-            Width::Double => raw.push(Value::Double(u32::from(word(1)) << 16 | u32::from(word(0)))),
+            Width::Bit => raw.push(Value::Bit(word(0)? != 0)),
+            Width::Word => {
+                for n in 0..self.slot_words() {
+                    raw.push(Value::Word(word(n)?));
+                }
+            }
+            Width::Double => raw.push(Value::Double(u32::from(word(1)?) << 16 | u32::from(word(0)?))),
         }
+        Some(())
     }
 }

@@ -284,11 +284,6 @@ fn fill(values: &[(usize, Cells)], limits: &Limits, cost: &CostModel, shares: &m
     }
 }
 
-/// Whether a run from the one to the other leads through something that is to be avoided.
-fn avoids_between(one: Cells, other: Cells, limits: &Limits) -> bool {
-    !limits.avoids_nothing() && other.first > one.end() && one.area.avoids(one.end(), other.first - 1, limits)
-}
-
 /// How a value is read, when it is the last of those looked at so far.
 #[derive(Clone, Copy)]
 enum How {
@@ -343,7 +338,7 @@ fn choose(
         let before = costs[i];
         let cheapest = before.into_iter().min().unwrap_or(NEVER);
         let key = cheapest + (all - distance(value.first));
-        if i > 0 && avoids_between(values[i - 1].1, *value, limits) {
+        if i > 0 && !limits.let_runs_be() && values[i - 1].1.is_barred_from(*value, limits) {
             begins.clear();
         }
         while begins.back().is_some_and(|(worse, _)| *worse >= key) {

@@ -11,10 +11,11 @@
 //! ```
 //!
 //! - *Members*: the requests of the class's plan, one after the other. The tags that the PLC has refused are not in it.
-//! - A request that is *refused* is taken apart: its tags are read again in two halves, the left one first, each as its
-//!   own plan says. A tag, or a group, that is refused by itself is at fault. If nothing in the halves was at fault, it
-//!   was the request: that is a [`Lesson`], and the next plan does without it.
-//! - *Probe*: one tag that was refused, if it is time, is tried again.
+//! - A request that is *refused* is taken apart: its tags are read again in two halves, each as its own plan says. A tag, or a
+//!   group, that is refused by itself is at fault, and what is left of it is not asked for any more. If nothing in the halves
+//!   was at fault, the request is sent once more: if it is refused again, it was the request, and that is a [`Lesson`] for the
+//!   next plan; if not, whatever it was has passed.
+//! - *Probe*: the tag that was refused longest ago, if it is time, is tried again.
 //! - *Others*: the probe was answered, so something has changed: all other refused tags are tried, too.
 //! - No answer *abandons* the cycle: a station that does not answer one request will not answer the others. The next
 //!   cycle begins behind the request that failed, so that one which never gets an answer does not keep the others from
@@ -30,15 +31,15 @@ use std::sync::Arc;
 use tokio::time::Instant;
 
 use super::class::ScanClass;
-use super::lesson::Lessons;
+use super::lesson::{Lesson, Lessons, Seam};
 use super::point::Point;
 use super::points::Points;
 use super::trip::Trip;
-use super::work::{Halves, Piece, Work, items};
+use super::work::{Piece, Work, items};
 use super::{Reason, Sample, Stamp, TagId};
 use crate::error::ErrorCode;
 use crate::plan::{Limits, PlanError, PlannedRequest, ReadRequest, Words};
-use crate::tag::TagValue;
+use crate::tag::{Tag, TagValue};
 
 #[derive(Debug)]
 pub(super) struct Cycle {
@@ -46,12 +47,23 @@ pub(super) struct Cycle {
     pub(super) number: u64,
     pub(super) due: Instant,
     pub(super) started: Instant,
+    start: Start,
+    /// How many plans the class has.
+    works: usize,
     phase: Phase,
     stack: Vec<Frame>,
     /// What the probe phase tries.
     probe: Vec<TagId>,
-    /// Why it was given up, and with which request of the class's plan the next one begins.
-    pub(super) abandoned: Option<(Reason, usize)>,
+    /// Why it was given up, and where the next one begins.
+    pub(super) abandoned: Option<(Reason, Start)>,
+}
+
+/// Where a cycle begins: with this plan of the class, the others after it, and the last one with this request. So what had
+/// no answer in one cycle is the last in the next.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Start {
+    work: usize,
+    request: usize,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,14 +77,22 @@ enum Phase {
 #[derive(Debug)]
 enum Frame {
     Batch(Batch),
-    /// A request that was refused. Above it is the half that is being read.
-    Suspect {
-        halves: Halves,
-        /// Whether the right half has had its turn.
-        right: bool,
-        /// Whether what is at fault has been found in it.
-        explained: bool,
-    },
+    Suspect(Suspect),
+}
+
+/// A request that was refused. Above it is the half that is being read.
+#[derive(Debug)]
+struct Suspect {
+    request: ReadRequest,
+    seam: Seam,
+    /// What is still to be read of it.
+    rest: Option<Vec<Piece>>,
+    /// Whether what is at fault has been found in it.
+    explained: bool,
+    /// Whether it is to be sent once more.
+    again: bool,
+    /// How many tags had been removed from the device when it was sent; `None`: it asked for some of them.
+    removals: Option<u64>,
 }
 
 /// The requests of one plan.
@@ -97,15 +117,50 @@ pub(super) struct Known {
     pub(super) trip: Trip,
     /// Whether the plans were made with something else.
     pub(super) plans_stale: bool,
+    /// How many tags have been removed.
+    pub(super) removals: u64,
+    /// What the device takes, as far as is known now; `None`: to be put together.
+    limits_now: Option<Limits>,
 }
 
 impl Known {
+    pub(super) fn new(limits: Limits, trip: Trip) -> Self {
+        let (points, lessons) = (Points::default(), Lessons::default());
+        Self { points, lessons, limits, trip, plans_stale: false, removals: 0, limits_now: None }
+    }
+
+    /// Something was found out: plans are to be made anew.
+    pub(super) fn changed(&mut self) {
+        self.plans_stale = true;
+        self.limits_now = None;
+    }
+
+    /// The device refuses this tag.
+    fn refuses(&mut self, tag: Tag) {
+        self.plans_stale = true;
+        if let Some(limits) = self.limits_now.take() {
+            self.limits_now = Some(limits.avoid_all([(tag.first(), tag.element_count())]));
+        }
+    }
+
     /// A plan for these, with the lessons, and without a run through what the device has refused.
-    fn plan(&self, pieces: &[Piece]) -> Result<Work, PlanError> {
-        let refused = self.points.values().filter(|point| point.is_refused());
-        let refused = refused.map(|point| (point.tag.first(), point.tag.element_count()));
-        let limits = self.lessons.apply(&self.limits).avoid_all(refused);
-        Work::new(pieces, &self.points, &limits, &self.trip.cost())
+    fn plan(&mut self, pieces: &[Piece]) -> Result<Work, PlanError> {
+        let limits = self.limits_now.get_or_insert_with(|| {
+            let refused = self.points.values().filter(|point| point.is_refused());
+            let refused = refused.map(|point| (point.tag.first(), point.tag.element_count()));
+            self.lessons.apply(&self.limits).avoid_all(refused)
+        });
+        Work::new(pieces, &self.points, limits, &self.trip.cost())
+    }
+
+    /// A plan for these without the lessons: they may be about other requests than these need.
+    fn plan_untaught(&self, pieces: &[Piece]) -> Result<Work, PlanError> {
+        Work::new(pieces, &self.points, &self.limits, &self.trip.cost())
+    }
+
+    /// A plan for these by runs alone.
+    fn plan_runs(&self, pieces: &[Piece]) -> Result<Work, PlanError> {
+        Work::new(pieces, &self.points, &self.limits.clone().no_mixed_reads(), &self.trip.cost())
     }
 }
 
@@ -119,114 +174,190 @@ pub(super) struct Bench<'d> {
 }
 
 impl Cycle {
-    /// A cycle of these requests, the one with the number `start` first; without them, of a new plan for all tags that are
-    /// not refused. With it, the requests.
+    /// A cycle of these plans, which begins where `start` says; without them, of new ones for all tags that are not refused.
+    /// With it, the plans.
     pub(super) fn new(
         (number, due): (u64, Instant),
-        (work, start): (Option<Arc<Work>>, usize),
+        (works, start): (Option<Vec<Arc<Work>>>, Start),
         now: Stamp,
         bench: &mut Bench<'_>,
-    ) -> (Self, Option<Arc<Work>>) {
+    ) -> (Self, Vec<Arc<Work>>) {
         let (stack, probe) = (Vec::new(), Vec::new());
         let phase = Phase::Members;
-        let mut cycle = Self { number, due, started: now.instant, phase, stack, probe, abandoned: None };
-        match work {
-            Some(work) => cycle.stack.push(Frame::Batch(Batch::new(work, start))),
-            None => {
-                let refused = |id: &&TagId| bench.known.points.get(**id).is_some_and(|point| point.is_refused());
-                let members: Vec<Piece> = bench.members.iter().filter(|id| !refused(id)).map(Piece::whole).collect();
-                cycle.push(&members, now, bench);
-            }
-        }
-        let work = cycle.stack.first().and_then(|frame| match frame {
-            Frame::Batch(batch) => Some(batch.work.clone()),
-            Frame::Suspect { .. } => None,
+        let mut cycle =
+            Self { number, due, started: now.instant, start, works: 0, phase, stack, probe, abandoned: None };
+        let works = works.unwrap_or_else(|| {
+            let refused = |id: &&TagId| bench.known.points.get(**id).is_some_and(|point| point.is_refused());
+            let members: Vec<Piece> = bench.members.iter().filter(|id| !refused(id)).map(Piece::whole).collect();
+            cycle.plan(&members, now, bench)
         });
+        cycle.works = works.len();
+        // The last one lies lowest.
+        for place in (0..works.len()).rev() {
+            let last = place.saturating_add(1) == works.len();
+            let request = if last { start.request } else { 0 };
+            let work = start.work.saturating_add(place).checked_rem(works.len()).and_then(|at| works.get(at));
+            cycle.stack.extend(work.map(|work| Frame::Batch(Batch::new(work.clone(), request))));
+        }
         cycle.settle(now, bench);
-        (cycle, work)
+        (cycle, works)
     }
 
     /// What is to be sent next; `None`: the cycle is over.
     pub(super) fn request(&self) -> Option<&ReadRequest> {
         match self.stack.last()? {
             Frame::Batch(batch) => batch.request(),
-            Frame::Suspect { .. } => None,
+            Frame::Suspect(suspect) => suspect.again.then_some(&suspect.request),
         }
     }
 
-    /// The bytes of the reply to it.
-    pub(super) fn reply_bytes(&self) -> usize {
-        match self.stack.last() {
-            Some(Frame::Batch(batch)) => batch.planned().map_or(0, |planned| planned.reply_bytes()),
-            _ => 0,
+    /// The bytes of the reply to it, if they are known.
+    pub(super) fn reply_bytes(&self) -> Option<usize> {
+        match self.stack.last()? {
+            Frame::Batch(batch) => batch.planned().map(PlannedRequest::reply_bytes),
+            Frame::Suspect(_) => None,
         }
     }
 
-    /// The reply to what was sent.
-    pub(super) fn replied(&mut self, words: Words, at: Stamp, bench: &mut Bench<'_>) {
-        if let Some(Frame::Batch(batch)) = self.stack.last_mut() {
-            batch.replied(words, at, |id, values, at| {
+    /// The reply to what was sent. Gives the oldest stamp of the values that are complete with it.
+    pub(super) fn replied(&mut self, words: Words, at: Stamp, bench: &mut Bench<'_>) -> Option<Instant> {
+        let mut oldest: Option<Instant> = None;
+        if let Some(request) = self.request() {
+            bench.known.lessons.answered(request);
+        }
+        match self.stack.last_mut() {
+            Some(Frame::Batch(batch)) => batch.replied(words, at, |id, values, at| {
                 if let Some(point) = bench.known.points.get_mut(id) {
-                    bench.known.plans_stale |= point.is_refused();
+                    let was_refused = point.is_refused();
                     point.cycle = self.number;
                     point.read(values, at, bench.samples);
+                    oldest = Some(oldest.map_or(at.instant, |oldest| oldest.min(at.instant)));
+                    if was_refused {
+                        bench.known.changed();
+                    }
                 }
-            });
+            }),
+            // Whatever it was has passed.
+            Some(Frame::Suspect(_)) => {
+                self.stack.pop();
+                self.explain();
+            }
+            None => {}
         }
         self.settle(at, bench);
+        oldest
     }
 
     /// The PLC refused what was sent.
     pub(super) fn refused(&mut self, code: ErrorCode, now: Stamp, bench: &mut Bench<'_>) {
-        let Some(Frame::Batch(batch)) = self.stack.last_mut() else { return };
-        let halves = batch.work.halves(batch.at(), &bench.known.points);
-        batch.done = batch.done.saturating_add(1);
-        match halves {
-            Ok(halves) => {
-                let left = halves.left.clone();
-                self.stack.push(Frame::Suspect { halves, right: false, explained: false });
-                self.push(&left, now, bench);
+        match self.stack.last_mut() {
+            Some(Frame::Batch(batch)) => {
+                let at = batch.at();
+                batch.done = batch.done.saturating_add(1);
+                let work = batch.work.clone();
+                self.take_apart(&work, at, code, now, bench);
             }
-            Err(pieces) => self.blame(&pieces, &Reason::Refused(code), now, bench),
+            Some(Frame::Suspect(suspect)) => {
+                let lesson = suspect.lesson(bench.known);
+                self.stack.pop();
+                if let Some(lesson) = lesson {
+                    tracing::debug!(?lesson, "a request is refused, and its halves are not");
+                    bench.known.lessons.learn(lesson, now.instant);
+                    bench.known.changed();
+                }
+                self.explain();
+            }
+            None => {}
         }
         self.settle(now, bench);
     }
 
     /// No answer came to what was sent.
     pub(super) fn failed(&mut self, reason: Reason) {
-        let next = match (self.phase, self.stack.first()) {
-            (Phase::Members, Some(Frame::Batch(batch))) => batch.next_start(self.stack.len() > 1),
-            _ => 0,
+        let works = self.stack.iter().map_while(|frame| match frame {
+            Frame::Batch(batch) => Some(batch),
+            Frame::Suspect(_) => None,
+        });
+        let start = match (self.phase, works.enumerate().last()) {
+            // So many are left that lie below it, and it comes to lie lowest.
+            (Phase::Members, Some((left, batch))) => Start {
+                work: self.start.work.saturating_add(self.works).saturating_sub(left),
+                request: batch.next_start(self.stack.len() > left.saturating_add(1)),
+            },
+            _ => Start::default(),
         };
         self.stack.clear();
         self.phase = Phase::Over;
-        self.abandoned = Some((reason, next));
+        self.abandoned = Some((reason, start));
+    }
+
+    fn take_apart(&mut self, work: &Work, at: usize, code: ErrorCode, now: Stamp, bench: &mut Bench<'_>) {
+        let Some(request) = work.requests().get(at).map(PlannedRequest::request) else { return };
+        let pieces: Vec<Piece> = work.pieces_of(at).iter().filter_map(|number| work.piece(*number)).collect();
+        let removed = pieces.iter().any(|piece| !bench.known.points.contains(piece.id));
+        let mut suspect = Suspect {
+            request: request.clone(),
+            seam: Seam { left_end: 0, right_start: 0, right: 0 },
+            rest: None,
+            explained: false,
+            again: false,
+            removals: (!removed).then_some(bench.known.removals),
+        };
+        match work.halves(at, &bench.known.points) {
+            Some(halves) => {
+                suspect.seam = halves.seam;
+                // The left half comes first in every other cycle, so that one which never gets an answer does not keep the
+                // other from its turn.
+                let (first, second) = match self.number.is_multiple_of(2) {
+                    true => (halves.right, halves.left),
+                    false => (halves.left, halves.right),
+                };
+                suspect.rest = Some(second);
+                self.stack.push(Frame::Suspect(suspect));
+                self.push(&first, now, bench);
+            }
+            // What was at fault may have been removed.
+            None if removed => {
+                let pieces: Vec<Piece> =
+                    pieces.into_iter().filter(|piece| bench.known.points.contains(piece.id)).collect();
+                self.push(&pieces, now, bench);
+            }
+            None => {
+                // What can only be read together may be in a run what it is not in a mixed read.
+                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| bench.known.plan_runs(&pieces));
+                if let Some(Ok(work)) = runs {
+                    self.stack.push(Frame::Suspect(suspect));
+                    self.stack.push(Frame::Batch(Batch::new(Arc::new(work), 0)));
+                } else {
+                    self.blame(&pieces, &Reason::Refused(code), now, bench);
+                }
+            }
+        }
     }
 
     /// Goes on until there is something to send, or the cycle is over.
     fn settle(&mut self, now: Stamp, bench: &mut Bench<'_>) {
         loop {
             match self.stack.last_mut() {
-                Some(Frame::Batch(batch)) if batch.request().is_some() => return,
-                Some(Frame::Batch(_)) => {
-                    self.stack.pop();
-                }
-                Some(Frame::Suspect { halves, right: right @ false, .. }) => {
-                    *right = true;
-                    let pieces = std::mem::take(&mut halves.right);
-                    self.push(&pieces, now, bench);
-                }
-                Some(Frame::Suspect { halves, explained, .. }) => {
-                    let lesson = if *explained { None } else { halves.lesson };
-                    let found = *explained || lesson.is_some();
-                    if let Some(lesson) = lesson {
-                        tracing::debug!(?lesson, "a request was refused, and its halves were not");
-                        bench.known.lessons.learn(lesson, now.instant);
-                        bench.known.plans_stale = true;
+                Some(Frame::Batch(batch)) => {
+                    let number = self.number;
+                    let is_wanted = |piece: Piece| is_wanted(piece, number, &bench.known.points);
+                    if batch.skip_to(is_wanted) {
+                        return;
                     }
                     self.stack.pop();
-                    if found {
+                }
+                Some(Frame::Suspect(suspect)) => {
+                    if let Some(rest) = suspect.rest.take() {
+                        self.push(&rest, now, bench);
+                    } else if suspect.explained {
+                        self.stack.pop();
                         self.explain();
+                    } else if suspect.lesson(bench.known).is_none() {
+                        self.stack.pop();
+                    } else {
+                        suspect.again = true;
+                        return;
                     }
                 }
                 None => match self.next_phase(now, bench) {
@@ -241,61 +372,88 @@ impl Cycle {
     }
 
     /// What is to be read in the next phase; `None`: the cycle is over.
-    fn next_phase(&mut self, now: Stamp, bench: &Bench<'_>) -> Option<Vec<Piece>> {
+    fn next_phase(&mut self, now: Stamp, bench: &mut Bench<'_>) -> Option<Vec<Piece>> {
         let points = &bench.known.points;
         let refused = |id: &TagId| points.get(*id).is_some_and(Point::is_refused);
         let untried =
             |id: &TagId| points.get(*id).is_some_and(|point| point.is_refused() && point.cycle != self.number);
-        let pieces: Vec<Piece> = bench.members.iter().filter(|id| untried(id)).map(Piece::whole).collect();
+        let pieces = || bench.members.iter().filter(|id| untried(id)).map(Piece::whole).collect::<Vec<_>>();
         match self.phase {
             Phase::Members => {
-                let is_due = |piece: &Piece| {
-                    let probe_at = points.get(piece.id).and_then(|point| point.probe_at);
-                    probe_at.is_some_and(|at| at <= now.instant)
+                let pieces = pieces();
+                let due = |item: &&[Piece]| {
+                    item.iter().filter_map(|piece| points.get(piece.id)?.probe_at).min().filter(|at| *at <= now.instant)
                 };
-                let probe = items(&pieces, points).find(|item| item.iter().any(is_due))?.to_vec();
+                let probe = items(&pieces, points).filter(|item| due(item).is_some()).min_by_key(due)?.to_vec();
                 self.probe = probe.iter().map(|piece| piece.id).collect();
                 self.phase = Phase::Probe;
+                // Whatever comes of it: it has had its turn.
+                let probe_at = self.probe_at(now, bench);
+                for id in &self.probe {
+                    if let Some(point) = bench.known.points.get_mut(*id) {
+                        point.probe_at = Some(probe_at);
+                    }
+                }
                 Some(probe)
             }
             Phase::Probe if !self.probe.iter().any(refused) => {
                 self.phase = Phase::Others;
-                Some(pieces)
+                Some(pieces())
             }
             Phase::Probe | Phase::Others | Phase::Over => None,
         }
     }
 
+    fn probe_at(&self, now: Stamp, bench: &Bench<'_>) -> Instant {
+        now.instant.checked_add(bench.scan.probe_refused).unwrap_or(now.instant)
+    }
+
     /// Reads these next.
     fn push(&mut self, pieces: &[Piece], now: Stamp, bench: &mut Bench<'_>) {
-        match bench.known.plan(pieces) {
-            Ok(work) => self.stack.push(Frame::Batch(Batch::new(Arc::new(work), 0))),
-            // Not all of them can be planned. Some may be.
-            Err(error) => {
-                let plannable = |item: &&[Piece]| bench.known.plan(item).is_ok();
-                let (good, bad): (Vec<&[Piece]>, Vec<&[Piece]>) =
-                    items(pieces, &bench.known.points).partition(plannable);
-                let (good, bad) = (good.concat(), bad.concat());
-                // What can be planned item by item can be planned together: nothing but its length was ever against it,
-                // and that was looked at when the tags came.
-                let bad = if bad.is_empty() { pieces.to_vec() } else { bad };
-                self.blame(&bad, &Reason::NoPlan(Arc::new(error)), now, bench);
-                if bad.len() < pieces.len() {
-                    self.push(&good, now, bench);
-                }
+        let works = self.plan(pieces, now, bench);
+        self.stack.extend(works.into_iter().map(|work| Frame::Batch(Batch::new(work, 0))));
+    }
+
+    /// Plans for these, as far as they are wanted. Most often one is enough.
+    fn plan(&mut self, pieces: &[Piece], now: Stamp, bench: &mut Bench<'_>) -> Vec<Arc<Work>> {
+        let pieces: Vec<Piece> =
+            pieces.iter().copied().filter(|piece| is_wanted(*piece, self.number, &bench.known.points)).collect();
+        if let Ok(work) = bench.known.plan(&pieces) {
+            return vec![Arc::new(work)];
+        }
+        // Not all of them can be planned: a group or a text is too much for what was learned, or for any request.
+        let items: Vec<Vec<Piece>> = items(&pieces, &bench.known.points).map(<[Piece]>::to_vec).collect();
+        let (mut works, mut good) = (Vec::new(), Vec::new());
+        for item in items {
+            if bench.known.plan(&item).is_ok() {
+                good.extend(item);
+                continue;
+            }
+            match bench.known.plan_untaught(&item) {
+                Ok(work) => works.push(Arc::new(work)),
+                Err(error) => self.blame(&item, &Reason::NoPlan(Arc::new(error)), now, bench),
             }
         }
+        match bench.known.plan(&good) {
+            Ok(work) => works.push(Arc::new(work)),
+            // Too many values, and that was looked at when they came.
+            Err(error) => self.blame(&good, &Reason::NoPlan(Arc::new(error)), now, bench),
+        }
+        works
     }
 
     /// These were refused by themselves.
     fn blame(&mut self, pieces: &[Piece], reason: &Reason, now: Stamp, bench: &mut Bench<'_>) {
-        let probe_at = now.instant.checked_add(bench.scan.probe_refused).unwrap_or(now.instant);
+        let probe_at = self.probe_at(now, bench);
         for piece in pieces {
             if let Some(point) = bench.known.points.get_mut(piece.id) {
-                tracing::debug!(tag = %point.tag, %reason, "a tag was refused");
-                bench.known.plans_stale |= !point.is_refused();
+                let (tag, was_refused) = (point.tag, point.is_refused());
+                tracing::debug!(%tag, %reason, "a tag was refused");
                 point.cycle = self.number;
                 point.refused(reason.clone(), now, probe_at, bench.samples);
+                if !was_refused {
+                    bench.known.refuses(tag);
+                }
             }
         }
         self.explain();
@@ -305,12 +463,25 @@ impl Cycle {
     fn explain(&mut self) {
         let suspects = self.stack.iter_mut().rev();
         let innermost = suspects.filter_map(|frame| match frame {
-            Frame::Suspect { explained, .. } => Some(explained),
+            Frame::Suspect(suspect) => Some(&mut suspect.explained),
             Frame::Batch(_) => None,
         });
         if let Some(explained) = innermost.into_iter().next() {
             *explained = true;
         }
+    }
+}
+
+/// Whether there is still something to be found out about a piece: it has not been removed, nor refused in this cycle.
+fn is_wanted(piece: Piece, number: u64, points: &Points) -> bool {
+    points.get(piece.id).is_some_and(|point| !point.is_refused() || point.cycle != number)
+}
+
+impl Suspect {
+    /// What there is to learn if it is refused again.
+    fn lesson(&self, known: &Known) -> Option<Lesson> {
+        // Without a tag that was removed it would not be the same request.
+        (self.removals == Some(known.removals)).then(|| known.lessons.of(&self.request, self.seam))?
     }
 }
 
@@ -325,6 +496,18 @@ impl Batch {
     fn at(&self) -> usize {
         let count = self.work.requests().len();
         self.start.saturating_add(self.done).checked_rem(count).unwrap_or(0)
+    }
+
+    /// Goes on to the next request that has a piece which is wanted; says whether there is one.
+    fn skip_to(&mut self, is_wanted: impl Fn(Piece) -> bool) -> bool {
+        while self.planned().is_some() {
+            let mut pieces = self.work.pieces_of(self.at()).iter().filter_map(|number| self.work.piece(*number));
+            if pieces.any(&is_wanted) {
+                return true;
+            }
+            self.done = self.done.saturating_add(1);
+        }
+        false
     }
 
     fn planned(&self) -> Option<&PlannedRequest> {

@@ -19,15 +19,14 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::class::{PollTag, ScanClass};
-use super::cycle::{Bench, Cycle, Known};
-use super::lesson::Lessons;
+use super::cycle::{Bench, Cycle, Known, Start};
 use super::point::Point;
 use super::points::Points;
 use super::stats::{ClassStats, Counters};
 use super::trip::Trip;
 use super::work::Work;
 use super::{PollError, Reason, Sample, Stamp, TagId};
-use crate::error::Error;
+use crate::error::{Error, ErrorCode};
 use crate::plan::{CostModel, Limits, PlanError, ReadRequest, Reply, Words};
 use crate::random::Random;
 
@@ -42,6 +41,8 @@ pub(super) struct Device {
     random: Random,
     epoch: Instant,
     next_group: u64,
+    /// How many values all tags have.
+    values: usize,
 }
 
 #[derive(Debug)]
@@ -50,21 +51,27 @@ struct Class {
     /// In the order they came; those of a group stand together.
     members: Vec<TagId>,
     plan: Option<Plan>,
-    /// With which request of the plan the next cycle begins.
-    start: usize,
+    /// Where the next cycle begins.
+    start: Start,
     due: Instant,
     cycle: Option<Box<Cycle>>,
     /// When the age of a tag may change its quality; not later than that, but perhaps earlier.
     ages_at: Option<Instant>,
+    /// When that was last looked at.
+    aged_at: Option<Instant>,
     stats: Counters,
 }
 
 #[derive(Debug)]
 struct Plan {
-    work: Arc<Work>,
+    works: Vec<Arc<Work>>,
     /// The latency that it was made with.
     latency: Duration,
+    made_at: Instant,
 }
+
+/// For so long a plan is kept though the round trip has changed: it is not worth much, and a spike is nothing at all.
+const KEPT: Duration = Duration::from_secs(60);
 
 /// What is to be done next.
 #[derive(Debug)]
@@ -78,19 +85,14 @@ pub(super) enum Step {
 impl Device {
     pub(super) fn new(limits: Limits, cost: CostModel, epoch: Instant, seed: u64) -> Self {
         Self {
-            known: Known {
-                points: Points::default(),
-                lessons: Lessons::default(),
-                limits,
-                trip: Trip::new(cost),
-                plans_stale: false,
-            },
+            known: Known::new(limits, Trip::new(cost)),
             classes: Vec::new(),
             retired: Counters::default(),
             asking: None,
             random: Random::new(seed),
             epoch,
             next_group: 0,
+            values: 0,
         }
     }
 
@@ -110,17 +112,11 @@ impl Device {
         let of = tags.iter().map(|(_, tag)| tag.tag);
         let builder = crate::plan::Plan::builder(self.known.trip.cost()).limits(self.known.limits.clone());
         if one_scan { builder.one_scan(of) } else { builder.tags(of) }.build()?;
-        let values = |sum: usize, tag: crate::tag::Tag| sum.saturating_add(tag.value_count());
-        let all = self
-            .known
-            .points
-            .values()
-            .map(|point| point.tag)
-            .chain(tags.iter().map(|(_, tag)| tag.tag))
-            .fold(0, values);
-        if all > crate::plan::MAX_VALUES {
+        let values = tags.iter().map(|(_, tag)| tag.tag.value_count()).fold(self.values, usize::saturating_add);
+        if values > crate::plan::MAX_VALUES {
             return Err(PlanError::TooManyValues { max: crate::plan::MAX_VALUES }.into());
         }
+        self.values = values;
         let group = one_scan.then(|| {
             self.next_group = self.next_group.saturating_add(1);
             self.next_group
@@ -147,39 +143,57 @@ impl Device {
     }
 
     /// Removes a tag; says whether it was there. Of tags that must come from one scan, the others stay.
-    pub(super) fn remove(&mut self, id: TagId) -> bool {
-        let removed = self.known.points.remove(id);
+    pub(super) fn remove(&mut self, id: TagId, now: Instant) -> bool {
+        let Some(point) = self.known.points.get(id) else { return false };
+        let (group, refused) = (point.group, point.is_refused());
+        self.values = self.values.saturating_sub(point.tag.value_count());
+        self.known.points.remove(id);
+        self.known.removals = self.known.removals.saturating_add(1);
         for class in self.classes.iter_mut().filter(|class| class.members.contains(&id)) {
             class.members.retain(|member| *member != id);
             class.plan = None;
+            // It may have been what the PLC refused of its group.
+            for member in class.members.iter().filter(|_| refused && group.is_some()) {
+                if let Some(point) = self.known.points.get_mut(*member).filter(|point| point.group == group) {
+                    point.probe_at = point.probe_at.map(|at| at.min(now));
+                }
+            }
         }
-        removed
+        if refused {
+            self.known.changed();
+        }
+        true
     }
 
-    /// What is known of a tag.
-    pub(super) fn sample(&self, id: TagId) -> Option<Sample> {
+    /// What is known of a tag now.
+    pub(super) fn sample(&mut self, id: TagId, now: Stamp, samples: &mut Vec<Sample>) -> Option<Sample> {
+        self.age_all(now, samples);
         self.known.points.get(id).map(Point::sample)
     }
 
-    /// What is known of all tags.
-    pub(super) fn snapshot(&self) -> impl Iterator<Item = Sample> {
-        self.known.points.values().map(Point::sample)
+    /// What is known of all tags now.
+    pub(super) fn snapshot(&mut self, now: Stamp, samples: &mut Vec<Sample>) -> Vec<Sample> {
+        self.age_all(now, samples);
+        self.known.points.values().map(Point::sample).collect()
     }
 
-    pub(super) fn stats(&self) -> impl Iterator<Item = ClassStats> {
+    /// What the classes do that have tags.
+    pub(super) fn classes(&self) -> impl Iterator<Item = ClassStats> {
         let refused = |id: &&TagId| self.known.points.get(**id).is_some_and(|point| point.is_refused());
         self.classes.iter().filter(|class| !class.members.is_empty()).map(move |class| ClassStats {
             class: class.scan,
             tags: class.members.len(),
             refused_tags: class.members.iter().filter(refused).count(),
-            requests_per_cycle: class.plan.as_ref().map_or(0, |plan| plan.work.requests().len()),
+            requests_per_cycle: class.plan.iter().flat_map(|plan| &plan.works).map(|work| work.requests().len()).sum(),
             counters: class.stats,
         })
     }
 
-    /// What classes have done that are no more.
-    pub(super) fn retired(&self) -> &Counters {
-        &self.retired
+    /// What has been done, by all classes that there are and were.
+    pub(super) fn counters(&self) -> Counters {
+        let mut counters = self.retired;
+        self.classes.iter().for_each(|class| counters.add(&class.stats));
+        counters
     }
 
     /// What is to be done next. To be called when nothing is on its way.
@@ -193,8 +207,9 @@ impl Device {
             !class.members.is_empty()
         });
         if self.known.lessons.forget(now.instant) {
-            self.drop_plans();
+            self.known.changed();
         }
+        self.drop_stale_plans();
         for at in 0..self.classes.len() {
             self.begin(at, now, samples);
         }
@@ -226,14 +241,16 @@ impl Device {
             // The link gives no reply that is none to its request.
             Ok(reply) => match cycle.request().and_then(|request| Words::of(reply, request)) {
                 Some(words) => {
-                    if let Some(trip) = trip {
-                        bench.known.trip.measured(trip, cycle.reply_bytes());
+                    if let (Some(trip), Some(bytes)) = (trip, cycle.reply_bytes()) {
+                        bench.known.trip.measured(trip, bytes);
                     }
-                    cycle.replied(words, now, &mut bench);
+                    let oldest = cycle.replied(words, now, &mut bench);
+                    let ages_at = oldest.and_then(|at| at.checked_add(class.scan.stale_age()));
+                    class.ages_at = class.ages_at.into_iter().chain(ages_at).min();
                 }
                 None => cycle.failed(Reason::Overdue),
             },
-            Err(error) => match error.error_code() {
+            Err(error) => match error.error_code().filter(|code| is_about_the_request(*code)) {
                 Some(code) => {
                     class.stats.refusals = class.stats.refusals.saturating_add(1);
                     cycle.refused(code, now, &mut bench);
@@ -249,22 +266,21 @@ impl Device {
 
     /// Lets age change qualities: also to be called while a request is on its way, at [`ages_at`](Self::ages_at).
     pub(super) fn age(&mut self, now: Stamp, samples: &mut Vec<Sample>) {
-        for class in &mut self.classes {
-            if class.ages_at.is_some_and(|at| at <= now.instant) {
-                let (stale, bad) = (class.scan.stale_age(), class.scan.bad_age());
-                for id in &class.members {
-                    if let Some(point) = self.known.points.get_mut(*id) {
-                        point.age(now, stale, bad, samples);
-                    }
-                }
-                class.watch_ages(&self.known.points);
-            }
+        for class in self.classes.iter_mut().filter(|class| class.looks_at().is_some_and(|at| at <= now.instant)) {
+            class.age(now, &mut self.known.points, samples);
         }
     }
 
     /// When [`age`](Self::age) is to be called.
     pub(super) fn ages_at(&self) -> Option<Instant> {
-        self.classes.iter().filter_map(|class| class.ages_at).min()
+        self.classes.iter().filter_map(Class::looks_at).min()
+    }
+
+    /// As [`age`](Self::age), to the moment: for somebody who asks.
+    fn age_all(&mut self, now: Stamp, samples: &mut Vec<Sample>) {
+        for class in self.classes.iter_mut().filter(|class| class.ages_at.is_some_and(|at| at <= now.instant)) {
+            class.age(now, &mut self.known.points, samples);
+        }
     }
 
     fn first_due(&mut self, scan: &ScanClass, now: Instant) -> Instant {
@@ -294,20 +310,18 @@ impl Device {
         }
         // Not begun in time, and not for want of its end: this task was not woken.
         let due = class.skip_to(now.instant);
-        if class.plan.as_ref().is_some_and(|plan| self.known.trip.has_changed_since(plan.latency)) {
+        let old = |plan: &Plan| now.instant.saturating_duration_since(plan.made_at) >= KEPT;
+        if class.plan.as_ref().is_some_and(|plan| old(plan) && self.known.trip.has_changed_since(plan.latency)) {
             tracing::debug!(latency = ?self.known.trip.latency(), "the round trip has changed, and the plan with it");
             class.plan = None;
-        }
-        if class.plan.is_none() {
-            class.start = 0;
         }
         class.stats.cycles = class.stats.cycles.saturating_add(1);
         let latency = self.known.trip.latency();
         let mut bench = Bench { known: &mut self.known, scan: &class.scan, members: &class.members, samples };
-        let planned = class.plan.as_ref().map(|plan| plan.work.clone());
-        let (cycle, work) = Cycle::new((class.stats.cycles, due), (planned, class.start), now, &mut bench);
+        let planned = class.plan.as_ref().map(|plan| plan.works.clone());
+        let (cycle, works) = Cycle::new((class.stats.cycles, due), (planned, class.start), now, &mut bench);
         if class.plan.is_none() {
-            class.plan = work.map(|work| Plan { work, latency });
+            class.plan = Some(Plan { works, latency, made_at: now.instant });
         }
         class.cycle = Some(Box::new(cycle));
         self.end(at, now, samples);
@@ -315,9 +329,7 @@ impl Device {
 
     /// Ends the cycle, if it is over.
     fn end(&mut self, at: usize, now: Stamp, samples: &mut Vec<Sample>) {
-        if std::mem::take(&mut self.known.plans_stale) {
-            self.drop_plans();
-        }
+        self.drop_stale_plans();
         let Some(class) = self.classes.get_mut(at) else { return };
         let Some(cycle) = class.cycle.take_if(|cycle| cycle.request().is_none()) else { return };
         let bad_age = class.scan.bad_age();
@@ -326,11 +338,15 @@ impl Device {
                 continue;
             };
             match &cycle.abandoned {
-                Some((reason, _)) if !point.is_refused() => point.failed(reason.clone(), now, bad_age, samples),
-                _ => point.passed_over(now.instant, samples),
+                _ if point.is_refused() => point.passed_over(now.instant, samples),
+                Some((reason, _)) if !point.is_new_since(cycle.started) => {
+                    point.failed(reason.clone(), now, bad_age, samples);
+                }
+                // It came meanwhile; or it was taken apart with others, and there will be something in the next cycle.
+                _ => {}
             }
         }
-        class.start = 0;
+        class.start = Start::default();
         if let Some((_, start)) = cycle.abandoned {
             class.start = start;
             class.stats.abandoned = class.stats.abandoned.saturating_add(1);
@@ -340,8 +356,10 @@ impl Device {
         class.watch_ages(&self.known.points);
     }
 
-    fn drop_plans(&mut self) {
-        self.classes.iter_mut().for_each(|class| class.plan = None);
+    fn drop_stale_plans(&mut self) {
+        if std::mem::take(&mut self.known.plans_stale) {
+            self.classes.iter_mut().for_each(|class| class.plan = None);
+        }
     }
 }
 
@@ -351,10 +369,11 @@ impl Class {
             scan,
             members: Vec::new(),
             plan: None,
-            start: 0,
+            start: Start::default(),
             due,
             cycle: None,
             ages_at: None,
+            aged_at: None,
             stats: Counters::default(),
         }
     }
@@ -383,9 +402,39 @@ impl Class {
         self.due.checked_add(by).unwrap_or(self.due)
     }
 
+    fn age(&mut self, now: Stamp, points: &mut Points, samples: &mut Vec<Sample>) {
+        let (stale, bad) = (self.scan.stale_age(), self.scan.bad_age());
+        for id in &self.members {
+            if let Some(point) = points.get_mut(*id) {
+                point.age(now, stale, bad, samples);
+            }
+        }
+        self.aged_at = Some(now.instant);
+        self.watch_ages(points);
+    }
+
+    /// When to look at the ages: not with every tag of a thousand that get old one after the other.
+    fn looks_at(&self) -> Option<Instant> {
+        let pause = self.scan.stale_age().checked_div(16).unwrap_or_default().max(Duration::from_millis(10));
+        let pause_ends = self.aged_at.and_then(|at| at.checked_add(pause));
+        Some(self.ages_at?.max(pause_ends.unwrap_or(self.ages_at?)))
+    }
+
     fn watch_ages(&mut self, points: &Points) {
         let (stale, bad) = (self.scan.stale_age(), self.scan.bad_age());
         let ages = self.members.iter().filter_map(|id| points.get(*id)?.ages_at(stale, bad));
         self.ages_at = ages.min();
+    }
+}
+
+/// Whether an error code says something about what was asked. The others are about the state of the PLC.
+fn is_about_the_request(code: ErrorCode) -> bool {
+    match code {
+        ErrorCode::IllegalValue | ErrorCode::IllegalFormat | ErrorCode::IllegalAddress | ErrorCode::Unknown(_) => true,
+        ErrorCode::WriteProhibited
+        | ErrorCode::LadderChecksum
+        | ErrorCode::IdMismatch
+        | ErrorCode::Syntax
+        | ErrorCode::NotSupported => false,
     }
 }

@@ -11,17 +11,28 @@ use crate::error::Error;
 use crate::plan::{ReadRequest, Reply};
 use crate::station::Station;
 
+/// Ends the unit with the task, whatever ends it: what is not polled any more must not pass for being so.
+struct Ending(Arc<Shared>, Arc<Unit>);
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        self.0.end(&self.1);
+    }
+}
+
 /// Polls until the unit is stopped.
 pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>, station: Station) {
+    let ending = Ending(shared, unit);
+    let Ending(shared, unit) = &ending;
     loop {
-        let step = advance(&shared, &unit, Device::next);
+        let step = advance(shared, unit, Device::next);
         match step {
             None => return,
             Some(Step::Wait(until)) => changed_or_at(&unit.changed, until).await,
             Some(Step::Read(request)) => {
-                let Some((result, at)) = answer(&shared, &unit, &station, &request).await else { return };
+                let Some((result, at)) = answer(shared, unit, &station, &request).await else { return };
                 let trip = station.stats().round_trip.map(|trip| trip.last);
-                advance(&shared, &unit, |device, _, samples| device.done(result, at, trip, samples));
+                advance(shared, unit, |device, _, samples| device.done(result, at, trip, samples));
             }
         }
     }
@@ -48,13 +59,7 @@ async fn answer(
 
 /// Lets the device do something now, and gives its samples away. `None`: it has been stopped.
 fn advance<T>(shared: &Shared, unit: &Unit, act: impl FnOnce(&mut Device, Stamp, &mut Vec<Sample>) -> T) -> Option<T> {
-    unit.with(|device| {
-        let mut samples = Vec::new();
-        let done = act(device, Stamp::now(), &mut samples);
-        // Under the same lock as the removal of tags, so that nothing of a tag comes after it.
-        shared.queue.push(samples);
-        done
-    })
+    unit.with(|device| shared.give(|samples| act(device, Stamp::now(), samples)))
 }
 
 async fn changed_or_at(changed: &Notify, at: Option<Instant>) {

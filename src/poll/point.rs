@@ -51,6 +51,11 @@ impl Point {
         Self { id, tag, group, name, report, quality, values: None, at: now, reported: None, probe_at: None, cycle: 0 }
     }
 
+    /// Whether it came after this time, and nothing is known of it yet.
+    pub(super) fn is_new_since(&self, time: Instant) -> bool {
+        matches!(self.quality, Quality::Bad(Reason::NotYetRead)) && self.at.instant > time
+    }
+
     /// Whether the PLC has refused it.
     pub(super) fn is_refused(&self) -> bool {
         self.probe_at.is_some()

@@ -92,6 +92,11 @@ impl Queue {
         self.waker.wake();
     }
 
+    /// Gives up what is there: nobody will take it.
+    pub(super) fn clear(&self) {
+        self.lock().samples = VecDeque::new();
+    }
+
     /// How many samples came, and how many of them were dropped.
     pub(super) fn totals(&self) -> (u64, u64) {
         let inner = self.lock();

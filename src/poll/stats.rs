@@ -75,10 +75,15 @@ impl Counters {
 }
 
 impl PollerStats {
-    pub(super) fn count(&mut self, class: &ClassStats) {
-        self.tags = self.tags.saturating_add(class.tags);
-        self.refused_tags = self.refused_tags.saturating_add(class.refused_tags);
-        self.counters.add(&class.counters);
+    /// A station with these classes, which has done this.
+    pub(super) fn count(&mut self, classes: impl Iterator<Item = ClassStats>, counters: &Counters) {
+        let tags = self.tags;
+        for class in classes {
+            self.tags = self.tags.saturating_add(class.tags);
+            self.refused_tags = self.refused_tags.saturating_add(class.refused_tags);
+        }
+        self.stations = self.stations.saturating_add(usize::from(self.tags > tags));
+        self.counters.add(counters);
     }
 }
 

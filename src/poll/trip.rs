@@ -26,6 +26,8 @@ impl Trip {
     pub(super) fn measured(&mut self, trip: Duration, reply_bytes: usize) {
         let bytes = self.model.byte_time().saturating_mul(u32::try_from(reply_bytes).unwrap_or(u32::MAX));
         let latency = trip.saturating_sub(bytes);
+        // A spike is no news; a longer round trip that lasts is, before long.
+        let latency = latency.min(self.latency().saturating_mul(2).saturating_add(NOTHING));
         self.latency = match self.replies {
             0 => latency,
             _ => self.latency.saturating_mul(7).saturating_add(latency).checked_div(8).unwrap_or(latency),

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::TagId;
-use super::lesson::Lesson;
+use super::lesson::Seam;
 use super::points::Points;
 use crate::plan::{CostModel, Limits, Plan, PlanError, PlannedRequest};
 use crate::tag::Tag;
@@ -42,16 +42,20 @@ impl Piece {
         Some(self.part.unwrap_or(point.tag))
     }
 
-    /// Halves of `values`, which are some of its values; `None` for one value.
-    fn halves(&self, values: Range<usize>, points: &Points) -> Option<[(Self, Range<usize>); 2]> {
+    /// Some of its values.
+    fn part(&self, values: Range<usize>, points: &Points) -> Option<Self> {
         let tag = self.tag(points)?;
-        let middle = values.start.checked_add(values.len().checked_div(2)?)?;
-        let half = |values: Range<usize>| {
-            let first = tag.first().nth(values.start.checked_mul(tag.elements_per_value())?).ok()?;
-            let part = Tag::new(first, tag.tag_type(), values.len()).ok()?;
-            Some((Self { part: Some(part), ..*self }, values))
-        };
-        Some([half(values.start..middle)?, half(middle..values.end)?])
+        let first = tag.first().nth(values.start.checked_mul(tag.elements_per_value())?).ok()?;
+        let part = Tag::new(first, tag.tag_type(), values.len()).ok()?;
+        Some(Self { part: Some(part), ..*self })
+    }
+
+    /// Its halves, each with the number of its values; `None` for one value.
+    fn halves(&self, points: &Points) -> Option<[(Self, usize); 2]> {
+        let values = self.tag(points)?.value_count();
+        let middle = values / 2;
+        let right = values.checked_sub(middle)?;
+        Some([(self.part(0..middle, points)?, middle), (self.part(middle..values, points)?, right)])
     }
 }
 
@@ -104,53 +108,65 @@ impl Work {
     }
 
     /// Shares the pieces of a refused request out in two halves, in the order of the reply; tags that must be read together
-    /// stay together. `Err` with all of them if there is nothing to share out.
-    pub(super) fn halves(&self, request: usize, points: &Points) -> Result<Halves, Vec<Piece>> {
-        let numbers = self.pieces_of(request);
+    /// stay together. `None` if there is nothing to share out.
+    ///
+    /// Of a tag with values in other requests, too, only those of this one are looked at again.
+    pub(super) fn halves(&self, request: usize, points: &Points) -> Option<Halves> {
+        let numbers = self.pieces_of(request).iter().copied();
+        // Those that were removed meanwhile have no group any more that would keep the others together.
+        let numbers: Vec<u32> =
+            numbers.filter(|n| self.piece(*n).is_some_and(|piece| points.contains(piece.id))).collect();
         let pieces: Vec<Piece> = numbers.iter().filter_map(|number| self.piece(*number)).collect();
         let mut parts: Vec<(Range<usize>, Vec<Piece>)> = Vec::new();
         let mut at = 0_usize;
         for item in items(&pieces, points) {
             let end = at.saturating_add(item.len());
-            let words = numbers.get(at..end).unwrap_or_default().iter();
-            let words = words.filter_map(|number| self.plan.words_in(*number as usize, request));
-            let span = words.reduce(|span, words| span.start.min(words.start)..span.end.max(words.end));
-            parts.push((span.unwrap_or_default(), item.to_vec()));
+            let of_item = numbers.get(at..end).unwrap_or_default();
             at = end;
+            let words = of_item.iter().filter_map(|number| self.plan.words_in(*number as usize, request));
+            let span = words.reduce(|span, words| span.start.min(words.start)..span.end.max(words.end));
+            let mut item = item.to_vec();
+            if let ([piece], [number]) = (item.as_mut_slice(), of_item)
+                && self.requests_per_piece.get(*number as usize).is_some_and(|requests| *requests > 1)
+                && let Some(values) = self.plan.values_in(*number as usize, request)
+                && let Some(part) = piece.part(values, points)
+            {
+                *piece = part;
+            }
+            parts.push((span.unwrap_or_default(), item));
         }
-        if let ([piece], [number], [(span, _)]) = (pieces.as_slice(), numbers, parts.as_slice())
-            && !is_group(&pieces, points)
-            && let Some(values) = self.plan.values_in(*number as usize, request)
-            && let Some(halves) = piece.halves(values.clone(), points)
-            && let Some(words_per_value) = span.len().checked_div(values.len())
+        if let [(span, item)] = parts.as_slice()
+            && let [piece] = item.as_slice()
+            && !is_group(item, points)
+            && let Some(halves) = piece.halves(points)
         {
-            let words = |half: Range<usize>| {
-                let word = |value: usize| value.saturating_sub(values.start).saturating_mul(words_per_value);
-                span.start.saturating_add(word(half.start))..span.start.saturating_add(word(half.end))
-            };
-            parts = halves.into_iter().map(|(piece, values)| (words(values), vec![piece])).collect();
+            let middle = span.start.saturating_add(span.len() / 2);
+            // Two halves of as many values, the left one shorter by one if they are odd.
+            let [left, right] = halves;
+            let words_left =
+                left.1.saturating_mul(span.len()).checked_div(left.1.saturating_add(right.1)).unwrap_or(middle);
+            let seam = span.start.saturating_add(words_left);
+            parts = vec![(span.start..seam, vec![left.0]), (seam..span.end, vec![right.0])];
         }
         if parts.len() < 2 {
-            return Err(pieces);
+            return None;
         }
         parts.sort_by_key(|(span, _)| (span.start, span.end));
         let (left, right) = parts.split_at(parts.len() / 2);
         let end = |of: &[(Range<usize>, Vec<Piece>)]| of.iter().map(|(span, _)| span.end).max().unwrap_or(0);
-        let start = right.first().map_or(0, |(span, _)| span.start);
-        let longest_right = end(right).saturating_sub(start);
-        let planned = self.requests().get(request);
-        let lesson = planned.and_then(|p| Lesson::of(p.request(), end(left), start, longest_right));
+        let right_start = right.first().map_or(0, |(span, _)| span.start);
+        let seam = Seam { left_end: end(left), right_start, right: end(right).saturating_sub(right_start) };
         let all = |of: &[(Range<usize>, Vec<Piece>)]| of.iter().flat_map(|(_, item)| item.iter().copied()).collect();
-        Ok(Halves { left: all(left), right: all(right), lesson })
+        Some(Halves { left: all(left), right: all(right), seam })
     }
 }
 
-/// The pieces of a refused request, and what there is to learn if neither half is refused.
+/// The pieces of a refused request.
 #[derive(Debug)]
 pub(super) struct Halves {
     pub(super) left: Vec<Piece>,
     pub(super) right: Vec<Piece>,
-    pub(super) lesson: Option<Lesson>,
+    pub(super) seam: Seam,
 }
 
 /// What cannot be taken apart as long as it is whole: single tags, and groups.

@@ -248,7 +248,9 @@ impl Lab {
         std::mem::take(&mut self.plc.asked).into_iter().map(|(_, request)| request).collect()
     }
 
-    pub(super) fn latest(&self, id: TagId) -> Sample {
-        self.device.sample(id).expect("a tag that is there")
+    /// What is known of it now; the samples that come of asking are kept.
+    pub(super) fn latest(&mut self, id: TagId) -> Sample {
+        let now = self.stamp();
+        self.device.sample(id, now, &mut self.samples).expect("a tag that is there")
     }
 }
