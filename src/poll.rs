@@ -49,12 +49,15 @@
     )
 )]
 
+mod batch;
 mod class;
 mod cycle;
 mod device;
 mod driver;
 mod error;
+mod known;
 mod lesson;
+mod plans;
 mod point;
 mod points;
 mod queue;
@@ -82,6 +85,7 @@ pub use self::sample::{Quality, Reason, Sample, Stamp, TagId};
 pub use self::stats::{ClassStats, Counters, PollerStats};
 
 use self::device::Device;
+use self::plans::Plans;
 use self::queue::Queue;
 use crate::plan::{CostModel, Limits};
 use crate::random::Random;
@@ -134,6 +138,7 @@ struct Shared {
     next_id: AtomicU64,
     random: Mutex<Random>,
     epoch: Instant,
+    plans: Arc<Plans>,
     units: Mutex<Units>,
 }
 
@@ -173,6 +178,7 @@ impl PollerBuilder {
             next_id: AtomicU64::new(1),
             random: Mutex::new(Random::new(self.seed.unwrap_or_else(Random::seed))),
             epoch: Instant::now(),
+            plans: Arc::default(),
             units: Mutex::default(),
         };
         Poller { handle: PollerHandle { shared: Arc::new(shared) } }
@@ -271,7 +277,7 @@ impl PollerHandle {
         let cost = cost.unwrap_or_else(|| CostModel::of_link(station.link()));
         let seed = lock(&shared.random).next();
         let unit = Arc::new(Unit {
-            device: Mutex::new(Some(Device::new(limits, cost, shared.epoch, seed))),
+            device: Mutex::new(Some(Device::new(limits, cost, shared.epoch, seed, shared.plans.clone()))),
             changed: Notify::new(),
         });
         let station = station.with_options(station.options().background(true));

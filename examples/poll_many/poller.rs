@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use fatek::poll::{Missed, PollTag, Poller, PollerHandle, Quality, Sample, ScanClass};
 use fatek::tag::{Tag, TagType, TagValue};
-use fatek::{CallOptions, Pool, Station};
+use fatek::{CallOptions, Link, Pool};
 use futures::StreamExt;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -34,11 +34,11 @@ pub(crate) fn start(
     let registers = Tag::new(plc::FIRST, TagType::U16, plc::COUNT)?;
     // The first call waits for its turn to connect, and all others have had theirs.
     let patience = CallOptions::new().call_timeout(options.longest_start());
-    let mut stations = Vec::new();
+    let mut stations = Vec::with_capacity(options.plcs as usize);
     for (n, address) in (0..).zip(addresses) {
         let station = pool.station(address, 1)?.with_options(patience);
         poller.station(&station)?.add(class, [PollTag::new(n.to_string(), registers)])?;
-        stations.push(Polled { n, station, last: None });
+        stations.push(Polled { n, link: station.link().clone(), last: None });
     }
     let handle = poller.handle();
     let consumer = Consumer { stations, interval: options.interval, tally: tally.clone() };
@@ -60,7 +60,7 @@ impl Pollers {
 /// A PLC, as the consumer of the samples sees it.
 struct Polled {
     n: u32,
-    station: Station,
+    link: Link,
     /// When its last good sample was read.
     last: Option<Instant>,
 }
@@ -86,7 +86,7 @@ impl Consumer {
         let Some(polled) = sample.name.parse().ok().and_then(|n: usize| self.stations.get_mut(n)) else { return };
         match &sample.quality {
             Quality::Good if sample.values() == plc::values(polled.n).map(TagValue::U16) => {
-                let trip = polled.station.stats().round_trip.map(|trip| trip.last);
+                let trip = polled.link.stats().stations.round_trip.map(|trip| trip.last);
                 self.tally.answered(polled.n, trip.unwrap_or_default());
                 let at = sample.at.instant;
                 if polled.last.is_some_and(|last| at - last > self.interval + self.interval / 10) {

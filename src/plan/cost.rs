@@ -27,7 +27,7 @@ use crate::wire::Framing;
 /// let network = CostModel::network(Framing::Ascii, Duration::from_millis(12)).with_overhead(Duration::from_millis(1));
 /// assert_eq!(network.request_time(), Duration::from_millis(13));
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct CostModel {
     framing: Framing,
     byte_time: Duration,

@@ -17,7 +17,7 @@ use crate::element::{Element, Symbol, Width};
 /// # let _ = limits;
 /// # Ok::<(), fatek::plan::PlanError>(())
 /// ```
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Limits {
     max_registers: usize,
     max_points: usize,
@@ -29,10 +29,10 @@ pub struct Limits {
 }
 
 /// Ranges of elements: sorted; those that touch are one.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 struct Ranges(Vec<Range>);
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 struct Range {
     symbol: Symbol,
     first: u16,

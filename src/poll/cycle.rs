@@ -30,16 +30,16 @@ use std::sync::Arc;
 
 use tokio::time::Instant;
 
+use super::batch::Batch;
 use super::class::ScanClass;
-use super::lesson::{Lesson, Lessons, Seam};
+use super::known::Known;
+use super::lesson::{Lesson, Seam};
 use super::point::Point;
 use super::points::Points;
-use super::trip::Trip;
 use super::work::{Piece, Work, items};
 use super::{Reason, Sample, Stamp, TagId};
 use crate::error::ErrorCode;
-use crate::plan::{Limits, PlanError, PlannedRequest, ReadRequest, Words};
-use crate::tag::{Tag, TagValue};
+use crate::plan::{PlannedRequest, ReadRequest, Words};
 
 #[derive(Debug)]
 pub(super) struct Cycle {
@@ -93,75 +93,6 @@ struct Suspect {
     again: bool,
     /// How many tags had been removed from the device when it was sent; `None`: it asked for some of them.
     removals: Option<u64>,
-}
-
-/// The requests of one plan.
-#[derive(Debug)]
-struct Batch {
-    work: Arc<Work>,
-    /// Which request comes first.
-    start: usize,
-    done: usize,
-    replies: Vec<Option<(Words, Stamp)>>,
-    /// For each tag, how many replies it lacks.
-    lacks: Vec<u32>,
-}
-
-/// What is known of a device.
-#[derive(Debug)]
-pub(super) struct Known {
-    pub(super) points: Points,
-    pub(super) lessons: Lessons,
-    /// What the device takes, without the lessons.
-    pub(super) limits: Limits,
-    pub(super) trip: Trip,
-    /// Whether the plans were made with something else.
-    pub(super) plans_stale: bool,
-    /// How many tags have been removed.
-    pub(super) removals: u64,
-    /// What the device takes, as far as is known now; `None`: to be put together.
-    limits_now: Option<Limits>,
-}
-
-impl Known {
-    pub(super) fn new(limits: Limits, trip: Trip) -> Self {
-        let (points, lessons) = (Points::default(), Lessons::default());
-        Self { points, lessons, limits, trip, plans_stale: false, removals: 0, limits_now: None }
-    }
-
-    /// Something was found out: plans are to be made anew.
-    pub(super) fn changed(&mut self) {
-        self.plans_stale = true;
-        self.limits_now = None;
-    }
-
-    /// The device refuses this tag.
-    fn refuses(&mut self, tag: Tag) {
-        self.plans_stale = true;
-        if let Some(limits) = self.limits_now.take() {
-            self.limits_now = Some(limits.avoid_all([(tag.first(), tag.element_count())]));
-        }
-    }
-
-    /// A plan for these, with the lessons, and without a run through what the device has refused.
-    fn plan(&mut self, pieces: &[Piece]) -> Result<Work, PlanError> {
-        let limits = self.limits_now.get_or_insert_with(|| {
-            let refused = self.points.values().filter(|point| point.is_refused());
-            let refused = refused.map(|point| (point.tag.first(), point.tag.element_count()));
-            self.lessons.apply(&self.limits).avoid_all(refused)
-        });
-        Work::new(pieces, &self.points, limits, &self.trip.cost())
-    }
-
-    /// A plan for these without the lessons: they may be about other requests than these need.
-    fn plan_untaught(&self, pieces: &[Piece]) -> Result<Work, PlanError> {
-        Work::new(pieces, &self.points, &self.limits, &self.trip.cost())
-    }
-
-    /// A plan for these by runs alone.
-    fn plan_runs(&self, pieces: &[Piece]) -> Result<Work, PlanError> {
-        Work::new(pieces, &self.points, &self.limits.clone().no_mixed_reads(), &self.trip.cost())
-    }
 }
 
 /// What a cycle works with.
@@ -482,78 +413,5 @@ impl Suspect {
     fn lesson(&self, known: &Known) -> Option<Lesson> {
         // Without a tag that was removed it would not be the same request.
         (self.removals == Some(known.removals)).then(|| known.lessons.of(&self.request, self.seam))?
-    }
-}
-
-impl Batch {
-    fn new(work: Arc<Work>, start: usize) -> Self {
-        let replies = std::iter::repeat_with(|| None).take(work.requests().len()).collect();
-        let lacks = work.requests_per_piece().to_vec();
-        Self { work, start, done: 0, replies, lacks }
-    }
-
-    /// The number of the request whose turn it is.
-    fn at(&self) -> usize {
-        let count = self.work.requests().len();
-        self.start.saturating_add(self.done).checked_rem(count).unwrap_or(0)
-    }
-
-    /// Goes on to the next request that has a piece which is wanted; says whether there is one.
-    fn skip_to(&mut self, is_wanted: impl Fn(Piece) -> bool) -> bool {
-        while self.planned().is_some() {
-            let mut pieces = self.work.pieces_of(self.at()).iter().filter_map(|number| self.work.piece(*number));
-            if pieces.any(&is_wanted) {
-                return true;
-            }
-            self.done = self.done.saturating_add(1);
-        }
-        false
-    }
-
-    fn planned(&self) -> Option<&PlannedRequest> {
-        let requests = self.work.requests();
-        (self.done < requests.len()).then(|| requests.get(self.at()))?
-    }
-
-    fn request(&self) -> Option<&ReadRequest> {
-        self.planned().map(PlannedRequest::request)
-    }
-
-    /// With which request the next cycle begins, so that the one which had no answer is the last one. One that was taken
-    /// apart counts as done already.
-    fn next_start(&self, apart: bool) -> usize {
-        let after = if apart { self.at() } else { self.at().saturating_add(1) };
-        after.checked_rem(self.work.requests().len()).unwrap_or(0)
-    }
-
-    fn replied(&mut self, words: Words, at: Stamp, mut read: impl FnMut(TagId, Vec<TagValue>, Stamp)) {
-        let request = self.at();
-        self.done = self.done.saturating_add(1);
-        if let Some(reply) = self.replies.get_mut(request) {
-            *reply = Some((words, at));
-        }
-        for number in self.work.pieces_of(request) {
-            let Some(lacks) = self.lacks.get_mut(*number as usize) else { continue };
-            *lacks = lacks.saturating_sub(1);
-            if *lacks > 0 {
-                continue;
-            }
-            let reply = |request: usize| self.replies.get(request)?.as_ref();
-            let plan = self.work.plan();
-            // Most tags are in one request.
-            let first = match self.work.requests_per_piece().get(*number as usize) {
-                Some(2..) => {
-                    let stamps = plan.requests_of(*number as usize).filter_map(|n| reply(n).map(|(_, at)| *at));
-                    stamps.min_by_key(|at| at.instant).unwrap_or(at)
-                }
-                _ => at,
-            };
-            let values = plan.values(*number as usize, |request| reply(request).map(|(words, _)| words));
-            if let (Some(piece), Some(values)) = (self.work.piece(*number), values)
-                && piece.is_whole()
-            {
-                read(piece.id, values, first);
-            }
-        }
     }
 }

@@ -19,7 +19,9 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::class::{PollTag, ScanClass};
-use super::cycle::{Bench, Cycle, Known, Start};
+use super::cycle::{Bench, Cycle, Start};
+use super::known::Known;
+use super::plans::Plans;
 use super::point::Point;
 use super::points::Points;
 use super::stats::{ClassStats, Counters};
@@ -35,7 +37,7 @@ pub(super) struct Device {
     known: Known,
     classes: Vec<Class>,
     /// What classes have done whose tags are all removed.
-    retired: Counters,
+    retired: Option<Box<Counters>>,
     /// Of which class the request is that is on its way.
     asking: Option<usize>,
     random: Random,
@@ -83,11 +85,11 @@ pub(super) enum Step {
 }
 
 impl Device {
-    pub(super) fn new(limits: Limits, cost: CostModel, epoch: Instant, seed: u64) -> Self {
+    pub(super) fn new(limits: Limits, cost: CostModel, epoch: Instant, seed: u64, plans: Arc<Plans>) -> Self {
         Self {
-            known: Known::new(limits, Trip::new(cost)),
+            known: Known::new(limits, Trip::new(cost), plans),
             classes: Vec::new(),
-            retired: Counters::default(),
+            retired: None,
             asking: None,
             random: Random::new(seed),
             epoch,
@@ -110,7 +112,7 @@ impl Device {
             return if one_scan { Err(PollError::NoTags) } else { Ok(()) };
         }
         let of = tags.iter().map(|(_, tag)| tag.tag);
-        let builder = crate::plan::Plan::builder(self.known.trip.cost()).limits(self.known.limits.clone());
+        let builder = crate::plan::Plan::builder(self.known.trip.cost()).limits((*self.known.limits).clone());
         if one_scan { builder.one_scan(of) } else { builder.tags(of) }.build()?;
         let values = tags.iter().map(|(_, tag)| tag.tag.value_count()).fold(self.values, usize::saturating_add);
         if values > crate::plan::MAX_VALUES {
@@ -191,7 +193,7 @@ impl Device {
 
     /// What has been done, by all classes that there are and were.
     pub(super) fn counters(&self) -> Counters {
-        let mut counters = self.retired;
+        let mut counters = self.retired.as_deref().copied().unwrap_or_default();
         self.classes.iter().for_each(|class| counters.add(&class.stats));
         counters
     }
@@ -202,7 +204,7 @@ impl Device {
         self.age(now, samples);
         self.classes.retain(|class| {
             if class.members.is_empty() {
-                self.retired.add(&class.stats);
+                self.retired.get_or_insert_default().add(&class.stats);
             }
             !class.members.is_empty()
         });

@@ -51,6 +51,11 @@ struct Longest {
 }
 
 impl Lessons {
+    /// Whether there is none to heed.
+    pub(super) fn is_empty(&self) -> bool {
+        self.heeded.is_empty()
+    }
+
     /// A request was answered.
     pub(super) fn answered(&mut self, request: &ReadRequest) {
         let (kind, units) = match request {

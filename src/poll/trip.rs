@@ -27,12 +27,16 @@ impl Trip {
         let bytes = self.model.byte_time().saturating_mul(u32::try_from(reply_bytes).unwrap_or(u32::MAX));
         let latency = trip.saturating_sub(bytes);
         // A spike is no news; a longer round trip that lasts is, before long.
-        let latency = latency.min(self.latency().saturating_mul(2).saturating_add(NOTHING));
+        let latency = latency.min(self.smoothed().saturating_mul(2).saturating_add(NOTHING));
         self.latency = match self.replies {
             0 => latency,
             _ => self.latency.saturating_mul(7).saturating_add(latency).checked_div(8).unwrap_or(latency),
         };
         self.replies = self.replies.saturating_add(1);
+    }
+
+    fn smoothed(&self) -> Duration {
+        if self.replies == 0 { self.model.latency() } else { self.latency }
     }
 
     /// The model, with the latency that was measured.
@@ -42,7 +46,15 @@ impl Trip {
 
     /// What was measured; until that is enough to be believed, what the model says.
     pub(super) fn latency(&self) -> Duration {
-        if self.replies < ENOUGH { self.model.latency() } else { self.latency }
+        if self.replies < ENOUGH {
+            return self.model.latency();
+        }
+        // In steps, so that stations with about the same round trip have the same plans.
+        let mut step = NOTHING;
+        while step < self.latency {
+            step = step.saturating_mul(5).checked_div(4).unwrap_or(step);
+        }
+        step
     }
 
     /// Whether a plan made with this latency is out of date: by a half more or a third less.

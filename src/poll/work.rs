@@ -1,9 +1,11 @@
 //! Tags, or parts of them, and the plan that reads them.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use super::TagId;
 use super::lesson::Seam;
+use super::plans::{Layout, Order, Plans};
 use super::points::Points;
 use crate::plan::{CostModel, Limits, Plan, PlanError, PlannedRequest};
 use crate::tag::Tag;
@@ -21,11 +23,7 @@ pub(super) struct Piece {
 pub(super) struct Work {
     /// Numbered as in the plan.
     pieces: Vec<Piece>,
-    plan: Plan,
-    /// For each request, the numbers of the pieces that it has values of.
-    by_request: Vec<Vec<u32>>,
-    /// For each piece, how many requests it has values in.
-    requests_per_piece: Vec<u32>,
+    layout: Arc<Layout>,
 }
 
 impl Piece {
@@ -61,36 +59,28 @@ impl Piece {
 
 impl Work {
     /// The tags of a group stand together. Those that were removed are left out.
-    pub(super) fn new(pieces: &[Piece], points: &Points, limits: &Limits, cost: &CostModel) -> Result<Self, PlanError> {
-        let mut builder = Plan::builder(*cost).limits(limits.clone());
+    pub(super) fn new(
+        pieces: &[Piece],
+        points: &Points,
+        limits: &Limits,
+        cost: &CostModel,
+        plans: &Plans,
+    ) -> Result<Self, PlanError> {
         let mut pieces: Vec<Piece> = pieces.iter().copied().filter(|piece| points.contains(piece.id)).collect();
         // It stays for as long as the plan does.
         pieces.shrink_to_fit();
-        for item in items(&pieces, points) {
-            let of = item.iter().filter_map(|piece| piece.tag(points));
-            builder = if is_group(item, points) { builder.one_scan(of) } else { builder.tags(of) };
-        }
-        let plan = builder.build()?;
-        let mut by_request = vec![Vec::new(); plan.requests().len()];
-        let mut requests_per_piece = Vec::with_capacity(pieces.len());
-        for (number, tag) in (0_u32..).zip(0..pieces.len()) {
-            let requests: Vec<usize> = plan.requests_of(tag).collect();
-            requests_per_piece.push(u32::try_from(requests.len()).unwrap_or(u32::MAX));
-            for request in requests {
-                if let Some(of) = by_request.get_mut(request) {
-                    of.push(number);
-                }
-            }
-        }
-        Ok(Self { pieces, plan, by_request, requests_per_piece })
+        let tags = pieces.iter().filter_map(|piece| piece.tag(points)).collect();
+        let groups = items(&pieces, points).map(|item| if is_group(item, points) { item.len() } else { 0 }).collect();
+        let layout = plans.get(Order { tags, groups, limits: limits.clone(), cost: *cost })?;
+        Ok(Self { pieces, layout })
     }
 
     pub(super) fn plan(&self) -> &Plan {
-        &self.plan
+        &self.layout.plan
     }
 
     pub(super) fn requests(&self) -> &[PlannedRequest] {
-        self.plan.requests()
+        self.layout.plan.requests()
     }
 
     pub(super) fn piece(&self, number: u32) -> Option<Piece> {
@@ -99,12 +89,12 @@ impl Work {
 
     /// The numbers of the pieces that a request has values of.
     pub(super) fn pieces_of(&self, request: usize) -> &[u32] {
-        self.by_request.get(request).map(Vec::as_slice).unwrap_or_default()
+        self.layout.by_request.get(request).map(Vec::as_slice).unwrap_or_default()
     }
 
     /// For each piece, how many requests it has values in.
     pub(super) fn requests_per_piece(&self) -> &[u32] {
-        &self.requests_per_piece
+        &self.layout.requests_per_tag
     }
 
     /// Shares the pieces of a refused request out in two halves, in the order of the reply; tags that must be read together
@@ -123,12 +113,12 @@ impl Work {
             let end = at.saturating_add(item.len());
             let of_item = numbers.get(at..end).unwrap_or_default();
             at = end;
-            let words = of_item.iter().filter_map(|number| self.plan.words_in(*number as usize, request));
+            let words = of_item.iter().filter_map(|number| self.layout.plan.words_in(*number as usize, request));
             let span = words.reduce(|span, words| span.start.min(words.start)..span.end.max(words.end));
             let mut item = item.to_vec();
             if let ([piece], [number]) = (item.as_mut_slice(), of_item)
-                && self.requests_per_piece.get(*number as usize).is_some_and(|requests| *requests > 1)
-                && let Some(values) = self.plan.values_in(*number as usize, request)
+                && self.layout.requests_per_tag.get(*number as usize).is_some_and(|requests| *requests > 1)
+                && let Some(values) = self.layout.plan.values_in(*number as usize, request)
                 && let Some(part) = piece.part(values, points)
             {
                 *piece = part;

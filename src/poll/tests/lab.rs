@@ -1,6 +1,7 @@
 //! A device of the poller and a PLC that answers it, in a time of their own.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
@@ -167,7 +168,7 @@ impl Lab {
     pub(super) fn with_limits(seed: u64, limits: Limits) -> Self {
         let start = Instant::now();
         Self {
-            device: Device::new(limits, CostModel::network(Framing::Ascii, ms(5)), start, seed),
+            device: Device::new(limits, CostModel::network(Framing::Ascii, ms(5)), start, seed, Arc::default()),
             plc: FakePlc::default(),
             now: start,
             start,
