@@ -153,6 +153,7 @@ struct Units {
 /// A station, as its task and its handles see it.
 #[derive(Debug)]
 struct Unit {
+    station: Station,
     /// `None` once it has been stopped.
     device: Mutex<Option<Device>>,
     changed: Notify,
@@ -277,10 +278,10 @@ impl PollerHandle {
         let cost = cost.unwrap_or_else(|| CostModel::of_link(station.link()));
         let seed = lock(&shared.random).next();
         let unit = Arc::new(Unit {
+            station: station.with_options(station.options().background(true)),
             device: Mutex::new(Some(Device::new(limits, cost, shared.epoch, seed, shared.plans.clone()))),
             changed: Notify::new(),
         });
-        let station = station.with_options(station.options().background(true));
         {
             // With the lock that `close` takes, so that no unit is forgotten by it.
             let mut units = lock(&shared.units);
@@ -291,7 +292,7 @@ impl PollerHandle {
                 units.now.retain(|unit| unit.strong_count() > 0);
             }
             units.now.push(Arc::downgrade(&unit));
-            shared.tasks.spawn_on(driver::run(shared.clone(), unit.clone(), station), &runtime);
+            shared.tasks.spawn_on(driver::run(shared.clone(), unit.clone()), &runtime);
         }
         Ok(PolledStation { shared: shared.clone(), unit })
     }

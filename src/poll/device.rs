@@ -78,8 +78,8 @@ const KEPT: Duration = Duration::from_secs(60);
 /// What is to be done next.
 #[derive(Debug)]
 pub(super) enum Step {
-    /// This is to be sent.
-    Read(ReadRequest),
+    /// This is to be sent. Apart, because the task waits for its next cycle nearly always.
+    Read(Box<ReadRequest>),
     /// Nothing, until then, or until tags come.
     Wait(Option<Instant>),
 }
@@ -221,7 +221,7 @@ impl Device {
         });
         if let Some((_, at, request)) = running.min_by_key(|(deadline, at, _)| (*deadline, *at)) {
             self.asking = Some(at);
-            return Step::Read(request.clone());
+            return Step::Read(Box::new(request.clone()));
         }
         Step::Wait(self.classes.iter().map(|class| class.due).chain(self.ages_at()).min())
     }

@@ -3,13 +3,12 @@
 use std::sync::Arc;
 
 use tokio::sync::Notify;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, timeout_at};
 
 use super::device::{Device, Step};
 use super::{Sample, Shared, Stamp, Unit};
 use crate::error::Error;
 use crate::plan::{ReadRequest, Reply};
-use crate::station::Station;
 
 /// Ends the unit with the task, whatever ends it: what is not polled any more must not pass for being so.
 struct Ending(Arc<Shared>, Arc<Unit>);
@@ -21,7 +20,7 @@ impl Drop for Ending {
 }
 
 /// Polls until the unit is stopped.
-pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>, station: Station) {
+pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>) {
     let ending = Ending(shared, unit);
     let Ending(shared, unit) = &ending;
     loop {
@@ -30,8 +29,8 @@ pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>, station: Station) 
             None => return,
             Some(Step::Wait(until)) => changed_or_at(&unit.changed, until).await,
             Some(Step::Read(request)) => {
-                let Some((result, at)) = answer(shared, unit, &station, &request).await else { return };
-                let trip = station.stats().round_trip.map(|trip| trip.last);
+                let Some((result, at)) = answer(shared, unit, &request).await else { return };
+                let trip = unit.station.stats().round_trip.map(|trip| trip.last);
                 advance(shared, unit, |device, _, samples| device.done(result, at, trip, samples));
             }
         }
@@ -39,14 +38,9 @@ pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>, station: Station) 
 }
 
 /// Sends a request, and lets values get old while it is on its way. `None`: the unit was stopped meanwhile.
-async fn answer(
-    shared: &Shared,
-    unit: &Unit,
-    station: &Station,
-    request: &ReadRequest,
-) -> Option<(Result<Reply, Error>, Stamp)> {
+async fn answer(shared: &Shared, unit: &Unit, request: &ReadRequest) -> Option<(Result<Reply, Error>, Stamp)> {
     // By itself, so that a task that waits for its next cycle, as it does nearly always, has no room for it.
-    let mut call = Box::pin(request.timed_call(station));
+    let mut call = Box::pin(request.timed_call(&unit.station));
     loop {
         let ages_at = unit.with(|device| device.ages_at())?;
         tokio::select! {
@@ -63,11 +57,7 @@ fn advance<T>(shared: &Shared, unit: &Unit, act: impl FnOnce(&mut Device, Stamp,
 }
 
 async fn changed_or_at(changed: &Notify, at: Option<Instant>) {
-    match at {
-        Some(at) => tokio::select! {
-            () = changed.notified() => {}
-            () = sleep_until(at) => {}
-        },
-        None => changed.notified().await,
-    }
+    let Some(at) = at else { return changed.notified().await };
+    // It does not matter which of the two it was.
+    let _ = timeout_at(at, changed.notified()).await;
 }

@@ -29,14 +29,14 @@ pub(super) struct Point {
     quality: Quality,
     values: Option<Arc<[TagValue]>>,
     at: Stamp,
-    reported: Option<Reported>,
+    /// The last sample given, if it matters for the next one.
+    reported: Option<Box<Reported>>,
     /// When a tag that the PLC has refused is to be tried again.
     pub(super) probe_at: Option<Instant>,
     /// The cycle that last found something out about it.
     pub(super) cycle: u64,
 }
 
-/// The last sample given.
 #[derive(Debug)]
 struct Reported {
     quality: Quality,
@@ -150,7 +150,10 @@ impl Point {
     /// Gives a sample, if it is time for one.
     fn tell(&mut self, now: Instant, samples: &mut Vec<Sample>) {
         if self.is_news(now) {
-            self.reported = Some(Reported { quality: self.quality.clone(), values: self.values.clone(), instant: now });
+            if self.report.on_change {
+                let (quality, values) = (self.quality.clone(), self.values.clone());
+                self.reported = Some(Box::new(Reported { quality, values, instant: now }));
+            }
             samples.push(self.sample());
         }
     }

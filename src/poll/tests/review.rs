@@ -108,7 +108,7 @@ fn one_transient_refusal_does_not_make_a_group_bad() {
         match lab.device.next(lab.stamp(), &mut samples) {
             Step::Wait(until) => lab.now = until.unwrap(),
             Step::Read(request) => {
-                let is = matches!(&request, ReadRequest::Registers(r) if r.count() == 64);
+                let is = matches!(&*request, ReadRequest::Registers(r) if r.count() == 64);
                 let result = if is {
                     Err(crate::error::Error::Plc {
                         station: 1,
@@ -117,7 +117,7 @@ fn one_transient_refusal_does_not_make_a_group_bad() {
                         repeated: false,
                     })
                 } else {
-                    let n = match &request {
+                    let n = match &*request {
                         ReadRequest::Registers(r) => r.count(),
                         _ => panic!(),
                     };
