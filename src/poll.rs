@@ -127,7 +127,8 @@ pub struct PollerBuilder {
 #[must_use]
 #[non_exhaustive]
 pub struct StationPolling {
-    limits: Limits,
+    /// `None`: the protocol's own.
+    limits: Option<Arc<Limits>>,
     cost: Option<CostModel>,
 }
 
@@ -139,6 +140,8 @@ struct Shared {
     random: Mutex<Random>,
     epoch: Instant,
     plans: Arc<Plans>,
+    /// The protocol's own.
+    limits: Arc<Limits>,
     units: Mutex<Units>,
 }
 
@@ -180,6 +183,7 @@ impl PollerBuilder {
             random: Mutex::new(Random::new(self.seed.unwrap_or_else(Random::seed))),
             epoch: Instant::now(),
             plans: Arc::default(),
+            limits: Arc::default(),
             units: Mutex::default(),
         };
         Poller { handle: PollerHandle { shared: Arc::new(shared) } }
@@ -194,7 +198,7 @@ impl StationPolling {
 
     /// What the PLC takes.
     pub fn limits(self, limits: Limits) -> Self {
-        Self { limits, ..self }
+        Self { limits: Some(Arc::new(limits)), ..self }
     }
 
     /// What requests cost. The latency in it is that of the beginning, until it has been measured.
@@ -275,6 +279,7 @@ impl PollerHandle {
         let runtime = Handle::try_current().map_err(|_| PollError::NoRuntime)?;
         let shared = &self.shared;
         let StationPolling { limits, cost } = polling;
+        let limits = limits.unwrap_or_else(|| shared.limits.clone());
         let cost = cost.unwrap_or_else(|| CostModel::of_link(station.link()));
         let seed = lock(&shared.random).next();
         let unit = Arc::new(Unit {

@@ -85,7 +85,7 @@ pub(super) enum Step {
 }
 
 impl Device {
-    pub(super) fn new(limits: Limits, cost: CostModel, epoch: Instant, seed: u64, plans: Arc<Plans>) -> Self {
+    pub(super) fn new(limits: Arc<Limits>, cost: CostModel, epoch: Instant, seed: u64, plans: Arc<Plans>) -> Self {
         Self {
             known: Known::new(limits, Trip::new(cost), plans),
             classes: Vec::new(),
@@ -112,7 +112,7 @@ impl Device {
             return if one_scan { Err(PollError::NoTags) } else { Ok(()) };
         }
         let of = tags.iter().map(|(_, tag)| tag.tag);
-        let builder = crate::plan::Plan::builder(self.known.trip.cost()).limits((*self.known.limits).clone());
+        let builder = crate::plan::Plan::builder(self.known.trip.cost()).limits(Limits::clone(&self.known.limits));
         if one_scan { builder.one_scan(of) } else { builder.tags(of) }.build()?;
         let values = tags.iter().map(|(_, tag)| tag.tag.value_count()).fold(self.values, usize::saturating_add);
         if values > crate::plan::MAX_VALUES {
@@ -312,7 +312,9 @@ impl Device {
         }
         // Not begun in time, and not for want of its end: this task was not woken.
         let due = class.skip_to(now.instant);
-        let old = |plan: &Plan| now.instant.saturating_duration_since(plan.made_at) >= KEPT;
+        // One request for nothing but the tags is the best there is, whatever it costs.
+        let improves = |plan: &Plan| !matches!(plan.works.as_slice(), [work] if work.is_tight());
+        let old = |plan: &Plan| improves(plan) && now.instant.saturating_duration_since(plan.made_at) >= KEPT;
         if class.plan.as_ref().is_some_and(|plan| old(plan) && self.known.trip.has_changed_since(plan.latency)) {
             tracing::debug!(latency = ?self.known.trip.latency(), "the round trip has changed, and the plan with it");
             class.plan = None;

@@ -15,7 +15,7 @@ pub(super) struct Known {
     pub(super) points: Points,
     pub(super) lessons: Lessons,
     /// What the device takes, without the lessons.
-    pub(super) limits: Box<Limits>,
+    pub(super) limits: Arc<Limits>,
     pub(super) trip: Trip,
     /// Whether the plans were made with something else.
     pub(super) plans_stale: bool,
@@ -27,8 +27,7 @@ pub(super) struct Known {
 }
 
 impl Known {
-    pub(super) fn new(limits: Limits, trip: Trip, plans: Arc<Plans>) -> Self {
-        let limits = Box::new(limits);
+    pub(super) fn new(limits: Arc<Limits>, trip: Trip, plans: Arc<Plans>) -> Self {
         let (points, lessons) = (Points::default(), Lessons::default());
         Self { points, lessons, limits, trip, plans_stale: false, removals: 0, limits_now: None, plans }
     }
@@ -69,6 +68,6 @@ impl Known {
 
     /// A plan for these by runs alone.
     pub(super) fn plan_runs(&self, pieces: &[Piece]) -> Result<Work, PlanError> {
-        Work::new(pieces, &self.points, &self.limits.clone().no_mixed_reads(), &self.trip.cost(), &self.plans)
+        Work::new(pieces, &self.points, &Limits::clone(&self.limits).no_mixed_reads(), &self.trip.cost(), &self.plans)
     }
 }

@@ -83,6 +83,14 @@ impl Work {
         self.layout.plan.requests()
     }
 
+    /// Whether it is one request, a run, for the elements of one tag and no others.
+    pub(super) fn is_tight(&self) -> bool {
+        match (self.requests(), self.plan().tags()) {
+            ([request], [tag]) => request.request().run().is_some_and(|(first, _)| first == tag.first()),
+            _ => false,
+        }
+    }
+
     pub(super) fn piece(&self, number: u32) -> Option<Piece> {
         self.pieces.get(number as usize).copied()
     }

@@ -168,7 +168,13 @@ impl Lab {
     pub(super) fn with_limits(seed: u64, limits: Limits) -> Self {
         let start = Instant::now();
         Self {
-            device: Device::new(limits, CostModel::network(Framing::Ascii, ms(5)), start, seed, Arc::default()),
+            device: Device::new(
+                Arc::new(limits),
+                CostModel::network(Framing::Ascii, ms(5)),
+                start,
+                seed,
+                Arc::default(),
+            ),
             plc: FakePlc::default(),
             now: start,
             start,
