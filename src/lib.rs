@@ -43,6 +43,8 @@
 //! - [`wire`]: the two framings, usable alone.
 //! - [`link`]: [`Link`], [`Station`] and [`Broadcast`], and what decides between them.
 //! - [`pool`]: [`Pool`], the links to many PLCs.
+//! - [`program`]: [`Program`], the pages of a PLC together: read, saved, compared, written.
+//! - [`file`](mod@file): what is saved in files, and what can be wrong with them; [`progress`]: how far a transfer has come.
 #![cfg_attr(feature = "sim", doc = "- [`sim`]: a PLC in memory, and its server.")]
 //!
 //! # What it promises
@@ -70,10 +72,13 @@ pub mod command;
 pub mod element;
 pub mod endpoint;
 mod error;
+pub mod file;
 pub mod link;
 pub mod plan;
 pub mod poll;
 pub mod pool;
+pub mod program;
+pub mod progress;
 mod random;
 #[cfg(feature = "sim")]
 pub mod sim;
@@ -89,6 +94,7 @@ pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, S
 pub use plan::{CostModel, Limits, Plan};
 pub use poll::Poller;
 pub use pool::{Pool, PoolBuilder, PoolError, PoolStats};
+pub use program::Program;
 pub use station::{Broadcast, Station};
 
 /// The code in the README compiles and runs.

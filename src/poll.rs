@@ -25,7 +25,7 @@
 //! - Each station has a task of its own. Tags of one [`ScanClass`] are read together, by a [`Plan`](crate::plan::Plan),
 //!   once a period, at a random time of it unless the class says which. A request at a time is on its way to a station;
 //!   calls of others go first ([`CallOptions::background`](crate::CallOptions::background)).
-//! - When a cycle is due and the one before is not over, it is skipped and counted ([`ClassStats::overruns`]).
+//! - When a cycle is due and the one before is not over, it is skipped and counted ([`Counters::overruns`]).
 //! - A sample has values, the time of the reply they came in, and a [`Quality`]. What fails is never a zero: a value is
 //!   *stale*, the last one that was read, or *bad*, and then it is not there. The quality changes with time, too, when
 //!   no answer comes.

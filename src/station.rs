@@ -2,6 +2,7 @@
 
 mod any_length;
 mod broadcast;
+mod program;
 
 use std::fmt;
 

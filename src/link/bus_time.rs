@@ -5,7 +5,7 @@
 #![allow(clippy::print_stdout, reason = "the figures are what it is for")]
 
 use std::collections::BTreeMap;
-use std::pin::Pin;
+use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
@@ -20,18 +20,20 @@ use super::options::CallOptions;
 use super::stats::{Board, StationState};
 use super::transport::Connector;
 use super::{LinkBuilder, later};
-use crate::command::{Code, Command, ReadRegisters};
+use crate::command::{Command, ReadRegisters};
 use crate::element::Register;
+use crate::error::Error;
 use crate::sim::{Bus, Conversation, Fault, Faults, Line, Output, Plc, Rule};
 use crate::wire::{Codec, Framing, Side};
 
 const STATIONS: u8 = 32;
 /// How long the PLC takes before it answers.
-const TURNAROUND: Duration = Duration::from_millis(5);
+pub(crate) const TURNAROUND: Duration = Duration::from_millis(5);
 
-/// A line with stations on it, each of which is asked for as many registers as one request can, over and over.
-struct World {
-    now: Instant,
+/// A line with stations on it, each of which is asked for as many registers as one request can, over and over; or for
+/// whatever [`call`](Self::call) asks, one request after the other.
+pub(crate) struct World {
+    pub(crate) now: Instant,
     core: Core,
     board: Arc<Board>,
     conversation: Conversation,
@@ -45,14 +47,19 @@ struct World {
 
 impl World {
     fn new(framing: Framing, baud: u32, dead: &[u8]) -> Self {
+        let mut bus = Bus::new();
+        for station in 1..=STATIONS {
+            bus = bus.with_station(station, Plc::new()).unwrap();
+        }
+        Self::on(bus, framing, baud, dead)
+    }
+
+    /// A line with these stations on it.
+    pub(crate) fn on(bus: Bus, framing: Framing, baud: u32, dead: &[u8]) -> Self {
         let line = Line::new(baud).turnaround(TURNAROUND, TURNAROUND);
         let mut faults = Faults::new(1).line(line);
         for &station in dead {
             faults = faults.rule(Rule::new(Fault::Ignore).station(station));
-        }
-        let mut bus = Bus::new();
-        for station in 1..=STATIONS {
-            bus = bus.with_station(station, Plc::new()).unwrap();
         }
         let bus = bus.with_faults(faults);
         let conditions = bus.conditions().cloned().unwrap();
@@ -101,16 +108,42 @@ impl World {
         }
     }
 
+    /// Asks one thing, and turns the clock until the reply is there.
+    pub(crate) fn call<C: Command>(&mut self, station: u8, request: C) -> Result<C::Reply, Error> {
+        let mut completion = pin!(self.push(station, request));
+        let mut context = Context::from_waker(Waker::noop());
+        loop {
+            if let Poll::Ready(result) = completion.as_mut().poll(&mut context) {
+                return result;
+            }
+            match self.core.step(self.now) {
+                Step::Connect => self.core.connected(self.now),
+                Step::Disconnect => unreachable!("there is no idle timeout"),
+                Step::Send(_) => self.send(),
+                Step::Wait(until) => self.wait(until.unwrap()),
+            }
+        }
+    }
+
+    /// How long so many bytes take on the line.
+    pub(crate) fn transmission(&self, bytes: usize) -> Duration {
+        self.line.transmission(bytes)
+    }
+
     fn ask(&mut self, station: u8) {
-        let request = ReadRegisters::new(Register::r(0), 64).unwrap();
+        let completion = self.push(station, ReadRegisters::new(Register::r(0), 64).unwrap());
+        self.pending.push((station, completion));
+    }
+
+    fn push<C: Command>(&mut self, station: u8, request: C) -> Completion<C> {
         let (call, completion) = call::new(request);
         let options = CallOptions::new().call_timeout(Duration::from_secs(3600));
         self.core.push(
             Box::new(Ticket {
                 call,
                 station,
-                code: ReadRegisters::<Register>::CODE,
-                lane: options.lane(Code::ReadRegisters.class()),
+                code: C::CODE,
+                lane: options.lane(C::CODE.class()),
                 deadline: later(self.now, options.call_timeout),
                 queued_at: self.now,
                 response_timeout: RESPONSE_TIMEOUT,
@@ -119,7 +152,7 @@ impl World {
             }),
             self.now,
         );
-        self.pending.push((station, completion));
+        completion
     }
 
     fn send(&mut self) {

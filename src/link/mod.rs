@@ -23,7 +23,7 @@
 
 mod builder;
 #[cfg(all(test, feature = "sim"))]
-mod bus_time;
+pub(crate) mod bus_time;
 mod by_station;
 mod call;
 mod config;

@@ -104,7 +104,7 @@ impl Execute for WriteProgramPage {
         if plc.flags.memory_card() {
             return Err(ErrorCode::WriteProhibited);
         }
-        if plc.flags.running() {
+        if plc.flags.running() && !plc.model.takes_pages_while_running() {
             return Err(ErrorCode::IllegalFormat);
         }
         plc.set_page(self.page, self.content.clone()).map_err(|_| ErrorCode::IllegalAddress)

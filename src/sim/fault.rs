@@ -82,6 +82,8 @@
 //! No fault makes a wrong reply that cannot be told from a right one, for a client that checks the checksum, the station,
 //! the command and the exact shape that its request expects: garbage is drawn anew when it adds up to a good frame by
 //! chance. The exceptions are those of the protocol:
+//! - a reply that is truncated and extended by as much is as long as a right one: give the two rules other lengths, or other
+//!   stations;
 //! - a 53 may be of any length from 28 bytes on, and a 4F may lack its error digit;
 //! - in the ASCII framing the echo of a 4E or of a STOP is its reply;
 //! - a copy or a late reply looks like the reply to the next request of the same kind, and a late one with a wrong station

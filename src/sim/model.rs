@@ -35,6 +35,7 @@ pub struct Model {
     /// The first bytes of page 0.
     program_mark: [u8; 4],
     page_reply: PageReply,
+    pages_while_running: bool,
 }
 
 impl Model {
@@ -91,6 +92,18 @@ impl Model {
     pub fn page_reply(mut self, form: PageReply) -> Self {
         self.page_reply = form;
         self
+    }
+
+    /// Sets whether the PLC takes pages of a program (50) while it runs. The manuals do not say; by default it refuses them with
+    /// error 4.
+    #[must_use]
+    pub fn pages_while_running(mut self, taken: bool) -> Self {
+        self.pages_while_running = taken;
+        self
+    }
+
+    pub(super) fn takes_pages_while_running(&self) -> bool {
+        self.pages_while_running
     }
 
     pub(super) fn has(&self, element: Element) -> bool {
@@ -200,6 +213,7 @@ macro_rules! says {
                     last: furthest(),
                     program_mark: *b"FB00",
                     page_reply: PageReply::default(),
+                    pages_while_running: false,
                 }
                 .main_unit(0x01)
                 .io_points_code(0x02)

@@ -58,7 +58,7 @@ impl Plc {
     /// # Errors
     /// - [`ErrorCode::IllegalAddress`] for an element or a program page beyond the model's;
     /// - for 50, [`ErrorCode::WriteProhibited`] while a memory card is in use, else [`ErrorCode::IllegalFormat`] while
-    ///   the PLC runs;
+    ///   the PLC runs, unless its model [takes pages](Model::pages_while_running) then;
     /// - for 41, what [`refuse_run`](Self::refuse_run) has set.
     pub fn execute<C: Execute>(&self, request: &C) -> Result<C::Reply, ErrorCode> {
         request.execute(&mut self.lock())

@@ -1,5 +1,7 @@
 //! What can stand on the command line.
 
+mod program;
+
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -8,12 +10,14 @@ use fatek::tag::{Assignment, Tag};
 use fatek::wire::Framing;
 use fatek::{Discrete, Element};
 
+pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
 use crate::duration;
 use crate::output::Format;
 
 /// Reads and writes FATEK / FACON PLCs, plays one, and explains frames.
 ///
-/// Data goes to stdout, all else to stderr. Commands that change a PLC act at once, without asking.
+/// Data goes to stdout, all else to stderr. Commands that change a PLC act at once, without asking; only those that write a
+/// file to it ask first.
 #[derive(Debug, Parser)]
 #[command(version, after_help = AFTER_HELP, after_long_help = AFTER_LONG_HELP)]
 pub(crate) struct Cli {
@@ -48,12 +52,13 @@ Tags:
 
 Exit status:
   0  ok
-  1  the output could not be written, or the runtime not be started
+  1  a file or the output could not be written, the runtime not be started, or it was not confirmed
   2  usage: the command line has an error, and nothing was sent
   3  the PLC answered with an error
   4  timeout: the PLC did not answer, or (scan) no station did
   5  no connection
   6  bad reply, also (scan) of one station among others, or (decode) a bad frame
+  7  a file is damaged or does not fit the PLC, or the PLC holds something else than it should
 
 Examples:
   fatek sim --listen tcp://127.0.0.1:5000 --set R0=5
@@ -62,6 +67,7 @@ Examples:
   export FATEK_LINK=tcp://192.168.2.3 FATEK_STATION=1
   fatek status
   fatek read R0-R9 --format json
+  fatek program read pump.program
   fatek scan 1-16
   fatek plan R0-R9 R900 --baud 9600
   fatek decode 02 30 31 34 36 30 33 52 30 30 30 31 32 37 35 03";
@@ -157,6 +163,9 @@ pub(crate) enum Command {
     Watch(WatchArgs),
     Scan(ScanArgs),
     Plan(PlanArgs),
+    /// Read, write and verify the whole program of a PLC, and look into a saved one
+    #[command(subcommand)]
+    Program(ProgramCommand),
     Decode(DecodeArgs),
 }
 
@@ -389,6 +398,17 @@ pub(crate) struct PlanArgs {
     pub(crate) readable: Vec<Tag>,
     #[command(flatten)]
     pub(crate) link: LinkArgs,
+}
+
+/// Whether something may be changed.
+#[derive(Debug, Args)]
+pub(crate) struct Consent {
+    /// Do not ask
+    #[arg(short, long)]
+    pub(crate) yes: bool,
+    /// Change nothing: print what would be written
+    #[arg(short = 'n', long)]
+    pub(crate) dry_run: bool,
 }
 
 /// Explain frames field by field, bad ones too

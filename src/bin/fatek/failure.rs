@@ -4,6 +4,9 @@ use std::fmt;
 use std::io;
 use std::process::ExitCode;
 
+use fatek::file::FileError;
+use fatek::program::{ProgramError, WriteProgramError};
+
 use crate::output::complain;
 
 #[derive(Debug)]
@@ -22,6 +25,16 @@ pub(crate) enum Failure {
     BadStations { bad: usize },
     /// So many frames, of all, are bad.
     BadFrames { bad: usize, all: usize },
+    /// Somebody was asked, and has not said yes. Nothing was changed.
+    Declined,
+    /// A file could not be saved, or is not what it should be.
+    File(FileError),
+    /// A program could not be read.
+    Program(ProgramError),
+    /// A program could not be written.
+    WriteProgram(WriteProgramError),
+    /// So many parts of what the PLC holds, of all, are not as in the file.
+    Differs { what: &'static str, differing: usize, all: usize },
     /// The simulator cannot listen.
     Listen { url: String, error: io::Error },
     /// Stdout cannot be written to.
@@ -57,20 +70,35 @@ impl Failure {
 
     fn exit_status(&self) -> u8 {
         match self {
-            Self::Output(_) | Self::Runtime(_) => 1,
+            Self::Output(_) | Self::Runtime(_) | Self::Declined | Self::File(FileError::Io { .. }) => 1,
             Self::Usage(_) => 2,
-            Self::Call { error, .. } => match cause(error) {
-                fatek::Error::Invalid(_) => 2,
-                fatek::Error::Plc { .. } => 3,
-                fatek::Error::Timeout { .. } | fatek::Error::Offline { .. } => 4,
-                fatek::Error::Connect { .. } | fatek::Error::Disconnected { .. } | fatek::Error::Closed { .. } => 5,
-                fatek::Error::BadReply { .. } => 6,
-                _ => 1,
-            },
+            Self::Call { error, .. } => of_call(error),
+            Self::Program(error) => of_program(error),
+            Self::WriteProgram(error) => of_program(&error.source),
+            Self::File(_) | Self::Differs { .. } => 7,
             Self::Lost { .. } | Self::Nobody { .. } => 4,
             Self::Listen { .. } => 5,
             Self::Spoilt { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,
         }
+    }
+}
+
+fn of_call(error: &fatek::Error) -> u8 {
+    match cause(error) {
+        fatek::Error::Invalid(_) => 2,
+        fatek::Error::Plc { .. } => 3,
+        fatek::Error::Timeout { .. } | fatek::Error::Offline { .. } => 4,
+        fatek::Error::Connect { .. } | fatek::Error::Disconnected { .. } | fatek::Error::Closed { .. } => 5,
+        fatek::Error::BadReply { .. } => 6,
+        _ => 1,
+    }
+}
+
+fn of_program(error: &ProgramError) -> u8 {
+    match error {
+        ProgramError::Call { source, .. } => of_call(source),
+        ProgramError::RunRefused { .. } => 3,
+        _ => 7,
     }
 }
 
@@ -79,6 +107,24 @@ fn cause(error: &fatek::Error) -> &fatek::Error {
     match error {
         fatek::Error::PartlyWritten { source, .. } => cause(source),
         error => error,
+    }
+}
+
+impl From<FileError> for Failure {
+    fn from(error: FileError) -> Self {
+        Self::File(error)
+    }
+}
+
+impl From<ProgramError> for Failure {
+    fn from(error: ProgramError) -> Self {
+        Self::Program(error)
+    }
+}
+
+impl From<WriteProgramError> for Failure {
+    fn from(error: WriteProgramError) -> Self {
+        Self::WriteProgram(error)
     }
 }
 
@@ -101,6 +147,11 @@ impl fmt::Display for Failure {
             Self::BadStations { bad } => write!(f, "{bad} answered badly"),
             Self::BadFrames { bad: 1, all: 1 } => f.write_str("this is no good frame"),
             Self::BadFrames { bad, all } => write!(f, "{bad} of {all} are no good frames"),
+            Self::Declined => f.write_str("not confirmed: nothing was changed"),
+            Self::File(error) => error.fmt(f),
+            Self::Program(error) => error.fmt(f),
+            Self::WriteProgram(error) => error.fmt(f),
+            Self::Differs { what, differing, all } => write!(f, "{differing} of {all} {what} differ"),
             Self::Listen { url, error } => write!(f, "cannot listen on {url}: {error}"),
             Self::Output(error) => write!(f, "cannot write to stdout: {error}"),
             Self::Runtime(error) => write!(f, "cannot start: {error}"),

@@ -1,6 +1,7 @@
 //! The `fatek` command line: reads and writes FATEK PLCs, plays one, and explains frames.
 
 mod args;
+mod confirm;
 mod connect;
 mod control;
 mod decode;
@@ -9,12 +10,14 @@ mod failure;
 mod output;
 mod ping;
 mod plan;
+mod program;
 mod progress;
 mod read;
 mod scan;
 mod signal;
 mod sim;
 mod status;
+mod transfer;
 mod watch;
 mod write;
 
@@ -24,7 +27,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use tracing_subscriber::EnvFilter;
 
-use self::args::{Cli, Command};
+use self::args::{Cli, Command, ProgramCommand};
 use self::failure::Failure;
 use self::output::Output;
 
@@ -66,6 +69,14 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             }
             Command::Plan(args) => plan::plan(cli.plc.link(&args.link).as_deref(), args, output),
             Command::Watch(args) => watch::watch(&station(&args.plc)?, args, output).await,
+            Command::Program(ProgramCommand::Read(args)) => program::read(&station(&args.plc)?, args, output).await,
+            Command::Program(ProgramCommand::Write(args)) => {
+                program::write(&cli.plc.or(&args.plc), timeout, args, output).await
+            }
+            Command::Program(ProgramCommand::Verify(args)) => {
+                program::verify(&cli.plc.or(&args.plc), timeout, args, output).await
+            }
+            Command::Program(ProgramCommand::Info(file)) => program::info(file, output),
             Command::Decode(args) => decode::decode(args, output),
         }
     })

@@ -1,0 +1,103 @@
+use crc::{CRC_32_ISO_HDLC, Crc};
+
+use super::FormatError;
+
+/// What a file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Kind(pub(crate) &'static str);
+
+const MAGIC: &str = "fatek file ";
+const VERSION: u32 = 1;
+const LENGTH: &str = "length";
+const CHECKSUM: &str = "crc32";
+/// `crc32 1A2B3C4D` and a line feed.
+const LAST_LINE: usize = CHECKSUM.len() + 1 + 8 + 1;
+/// No file is so long that its length has more digits.
+const MAX_LENGTH_DIGITS: usize = 12;
+
+/// A file around this content, which is lines.
+pub(crate) fn frame(kind: Kind, content: &str) -> String {
+    let mut file = format!("{MAGIC}{VERSION}: {}\n{LENGTH} {}\n{content}", kind.0, content.len());
+    let checksum = crc32(file.as_bytes());
+    file += &format!("{CHECKSUM} {checksum:08X}\n");
+    file
+}
+
+/// The content of a file of this kind.
+pub(crate) fn unframe(kind: Kind, file: &[u8]) -> Result<&str, FormatError> {
+    let rest = file.strip_prefix(MAGIC.as_bytes()).ok_or(FormatError::Foreign)?;
+    let (first, rest) = line(rest).ok_or_else(|| cut_off_at_least(file))?;
+    if first.ends_with('\r') {
+        let rule = "lines end with a line feed alone, and here they end with CR LF: something has converted them";
+        return Err(FormatError::line(1, rule));
+    }
+    let unframed = || FormatError::line(1, format!("`{MAGIC}VERSION: KIND` was expected"));
+    let (version, found) = first.split_once(": ").ok_or_else(unframed)?;
+    if version != VERSION.to_string() {
+        return Err(FormatError::Version { found: version.to_owned(), known: VERSION });
+    }
+    if found != kind.0 {
+        return Err(FormatError::Kind { found: found.to_owned(), expected: kind.0 });
+    }
+    let (second, rest) = line(rest).ok_or_else(|| cut_off_at_least(file))?;
+    let unmeasured = || FormatError::line(2, format!("`{LENGTH}` and a number were expected"));
+    let length =
+        second.strip_prefix(LENGTH).and_then(|value| decimal(value.strip_prefix(' ')?)).ok_or_else(unmeasured)?;
+    let head = file.len().saturating_sub(rest.len());
+    let expected = length.saturating_add(head).saturating_add(LAST_LINE);
+    let (expected_len, found_len) = (wide(expected), wide(file.len()));
+    if file.len() < expected {
+        return Err(FormatError::CutOff { expected: expected_len, found: found_len });
+    }
+    if file.len() > expected {
+        return Err(FormatError::TooLong { expected: expected_len, found: found_len });
+    }
+    let (sealed, seal) = file.split_at(file.len().saturating_sub(LAST_LINE));
+    let last = |content: &[u8]| content.iter().filter(|&&byte| byte == b'\n').count().saturating_add(1);
+    let stated = checksum(seal).ok_or_else(|| {
+        FormatError::line(last(sealed), format!("`{CHECKSUM}` and eight hexadecimal digits were expected"))
+    })?;
+    let computed = crc32(sealed);
+    if stated != computed {
+        return Err(FormatError::Checksum { stated, computed });
+    }
+    let (content, _) = rest.split_at_checked(length).unwrap_or((rest, &[]));
+    std::str::from_utf8(content).map_err(|_| FormatError::line(3, "the content is not UTF-8"))
+}
+
+/// The first line, without its line feed, and what follows.
+fn line(bytes: &[u8]) -> Option<(&str, &[u8])> {
+    let end = bytes.iter().position(|&byte| byte == b'\n')?;
+    let (line, rest) = bytes.split_at_checked(end)?;
+    Some((std::str::from_utf8(line).ok()?, rest.strip_prefix(b"\n")?))
+}
+
+/// The file ends, or is spoilt, before it says how long it is.
+fn cut_off_at_least(file: &[u8]) -> FormatError {
+    let lines = file.iter().filter(|&&byte| byte == b'\n').count();
+    FormatError::line(lines.min(1).saturating_add(1), "the file is cut off or spoilt here")
+}
+
+fn decimal(text: &str) -> Option<usize> {
+    let plain = (1..=MAX_LENGTH_DIGITS).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_digit());
+    // One number has one form.
+    (plain && (text == "0" || !text.starts_with('0'))).then(|| text.parse().ok()).flatten()
+}
+
+fn checksum(seal: &[u8]) -> Option<u32> {
+    let digits = seal.strip_prefix(CHECKSUM.as_bytes())?.strip_prefix(b" ")?.strip_suffix(b"\n")?;
+    // Upper case only: one checksum has one form.
+    let plain = digits.len() == 8 && digits.iter().all(|byte| matches!(byte, b'0'..=b'9' | b'A'..=b'F'));
+    plain.then(|| u32::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()).flatten()
+}
+
+fn crc32(bytes: &[u8]) -> u32 {
+    Crc::<u32>::new(&CRC_32_ISO_HDLC).checksum(bytes)
+}
+
+fn wide(len: usize) -> u64 {
+    u64::try_from(len).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,98 @@
+use super::FormatError;
+
+/// The lines of a file's content, one field each: `name value`.
+#[derive(Debug)]
+pub(crate) struct Lines<'a> {
+    rest: &'a str,
+    /// Of the line that was taken last, in the whole file.
+    number: usize,
+}
+
+/// The content begins behind the two lines of the frame.
+const LINES_BEFORE: usize = 2;
+
+impl<'a> Lines<'a> {
+    pub(crate) fn new(content: &'a str) -> Self {
+        Self { rest: content, number: LINES_BEFORE }
+    }
+
+    /// Takes the next line, which must have this name, and gives its value.
+    pub(crate) fn field(&mut self, name: &str) -> Result<&'a str, FormatError> {
+        let line = self.line().ok_or_else(|| self.error(format!("`{name}` was expected, and the content ends")))?;
+        match line.split_once(' ') {
+            Some((found, value)) if found == name => Ok(value),
+            _ => Err(self.error(format!("`{name}` was expected"))),
+        }
+    }
+
+    /// Takes the next line whatever its name, split into name and value; `None` at the end.
+    #[allow(dead_code, reason = "only some kinds of files have lines in any order")]
+    pub(crate) fn any_field(&mut self) -> Result<Option<(&'a str, &'a str)>, FormatError> {
+        let Some(line) = self.line() else { return Ok(None) };
+        line.split_once(' ').map(Some).ok_or_else(|| self.error("a name, a blank and a value were expected"))
+    }
+
+    /// Nothing may be left.
+    pub(crate) fn end(&mut self) -> Result<(), FormatError> {
+        match self.line() {
+            None => Ok(()),
+            Some(_) => Err(self.error("the content should end before this line")),
+        }
+    }
+
+    /// What is wrong with the line that was taken last.
+    pub(crate) fn error(&self, rule: impl Into<String>) -> FormatError {
+        FormatError::line(self.number, rule)
+    }
+
+    fn line(&mut self) -> Option<&'a str> {
+        self.number = self.number.saturating_add(1);
+        if self.rest.is_empty() {
+            return None;
+        }
+        let (line, rest) = self.rest.split_once('\n').unwrap_or((self.rest, ""));
+        self.rest = rest;
+        Some(line)
+    }
+}
+
+/// The bytes that these upper-case hexadecimal digits stand for.
+pub(crate) fn hex(digits: &str) -> Option<Vec<u8>> {
+    let value = |digit: u8| match digit {
+        b'0'..=b'9' | b'A'..=b'F' => char::from(digit).to_digit(16).and_then(|value| u8::try_from(value).ok()),
+        _ => None,
+    };
+    let pairs = digits.as_bytes().chunks(2).map(|pair| match pair {
+        &[high, low] => Some(value(high)? << 4 | value(low)?),
+        _ => None,
+    });
+    pairs.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_counted_as_in_the_file() {
+        let mut lines = Lines::new("a 1\nb two words\nc\n");
+        assert_eq!(lines.field("a"), Ok("1"));
+        assert_eq!(lines.any_field(), Ok(Some(("b", "two words"))));
+        assert_eq!(lines.field("c").unwrap_err().to_string(), "line 5: `c` was expected");
+        assert_eq!(lines.end(), Ok(()));
+        assert_eq!(
+            Lines::new("x y\n").end().unwrap_err().to_string(),
+            "line 3: the content should end before this line"
+        );
+        assert!(Lines::new("").field("a").unwrap_err().to_string().contains("`a` was expected, and the content ends"));
+    }
+
+    #[test]
+    fn hexadecimal_digits_come_in_pairs_and_in_upper_case() {
+        assert_eq!(hex("00FFA5"), Some(vec![0, 0xFF, 0xA5]));
+        assert_eq!(hex(""), Some(vec![]));
+        for bad in ["0", "0G", "ff", "+1", " 1", "é"] {
+            assert_eq!(hex(bad), None, "{bad}");
+        }
+    }
+}

@@ -1,0 +1,101 @@
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::FileError;
+
+/// More than any file of this library takes.
+const MAX_LEN: u64 = 16 * 1024 * 1024;
+
+/// Puts these bytes into a file, in the place of what it held.
+///
+/// They go into a new file in the same folder first, and only when all of them are on the disk does that take the other's
+/// name. So whoever opens the file finds the old content or the new, whole, whatever happens in between. It keeps the
+/// permissions of the old one, and a symbolic link goes on pointing to it.
+pub(crate) fn save(path: &Path, content: &[u8]) -> Result<(), FileError> {
+    save_with(path, |file| file.write_all(content))
+}
+
+/// The bytes of a file.
+pub(crate) fn load(path: &Path) -> Result<Vec<u8>, FileError> {
+    let failed = failed(path, "read it");
+    let file = File::open(path).map_err(&failed)?;
+    let mut content = Vec::new();
+    file.take(MAX_LEN.saturating_add(1)).read_to_end(&mut content).map_err(&failed)?;
+    if u64::try_from(content.len()).is_ok_and(|len| len <= MAX_LEN) {
+        Ok(content)
+    } else {
+        Err(FileError::TooLarge { path: path.to_owned(), limit: MAX_LEN })
+    }
+}
+
+fn save_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<(), FileError> {
+    let (target, old) = match fs::metadata(path) {
+        // Behind symbolic links: what is replaced is the file, not the link to it.
+        Ok(old) if old.is_file() => (fs::canonicalize(path).map_err(failed(path, "find it"))?, Some(old)),
+        Ok(_) => return Err(FileError::NotAFile { path: path.to_owned() }),
+        // A link to nothing cannot be followed, and must not be replaced.
+        Err(_) if path.is_symlink() => return Err(FileError::NotAFile { path: path.to_owned() }),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => (path.to_owned(), None),
+        Err(error) => return Err(failed(path, "find it")(error)),
+    };
+    let (mut temporary, mut file) = Temporary::create(&target).map_err(failed(path, "make a new file beside it"))?;
+    let written = write(&mut file).and_then(|()| {
+        if let Some(old) = old {
+            file.set_permissions(old.permissions())?;
+        }
+        file.sync_all()
+    });
+    drop(file);
+    written.map_err(failed(path, "write it"))?;
+    fs::rename(&temporary.path, &target).map_err(failed(path, "replace it"))?;
+    temporary.gone = true;
+    sync_folder(&target);
+    Ok(())
+}
+
+fn failed(path: &Path, doing: &'static str) -> impl Fn(io::Error) -> FileError {
+    move |source| FileError::Io { path: path.to_owned(), doing, source: Arc::new(source) }
+}
+
+/// A file that is not there any more when this is dropped, unless it has been given another name.
+struct Temporary {
+    path: PathBuf,
+    gone: bool,
+}
+
+impl Temporary {
+    fn create(target: &Path) -> io::Result<(Self, File)> {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        let name = target.file_name().ok_or(io::ErrorKind::InvalidFilename)?;
+        let mut hidden = OsString::from(".");
+        hidden.push(name);
+        hidden.push(format!(".{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)));
+        let path = target.with_file_name(hidden);
+        let file = OpenOptions::new().write(true).create_new(true).open(&path)?;
+        Ok((Self { path, gone: false }, file))
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        if !self.gone {
+            // If it cannot be removed, nothing is to be done about that; it is nobody's file.
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+/// Has the new name on the disk, too. Not all systems can do that, and none needs it for the file to be whole.
+fn sync_folder(target: &Path) {
+    let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if let Ok(folder) = File::open(folder) {
+        let _ = folder.sync_all();
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,94 @@
+use super::*;
+
+/// A folder of its own, which is removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("fatek-save-{}-{name}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir(&path).unwrap();
+        Self(path)
+    }
+
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<_> =
+            fs::read_dir(&self.0).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+#[test]
+fn a_file_is_made_and_replaced_and_nothing_else_is_left() {
+    let folder = Folder::new("replace");
+    let path = folder.0.join("a.program");
+    for content in [&b"one"[..], b"another, which is longer", b""] {
+        save(&path, content).unwrap();
+        assert_eq!(load(&path).unwrap(), content);
+        assert_eq!(folder.names(), ["a.program"]);
+    }
+}
+
+#[test]
+fn a_failure_at_any_byte_leaves_the_old_file_whole() {
+    let folder = Folder::new("failure");
+    let path = folder.0.join("a.program");
+    save(&path, b"the old one").unwrap();
+    let new = b"the new one, which does not fit";
+    for written in 0..=new.len() {
+        let error = save_with(&path, |file| {
+            file.write_all(&new[..written])?;
+            // As anybody sees it at this moment.
+            assert_eq!(load(&path).unwrap(), b"the old one");
+            Err(io::ErrorKind::StorageFull.into())
+        });
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains("a.program: cannot write it: ") && error.contains("no storage space"), "{error}");
+        assert_eq!(load(&path).unwrap(), b"the old one");
+        assert_eq!(folder.names(), ["a.program"]);
+    }
+}
+
+#[test]
+fn what_is_no_file_is_left_as_it_is() {
+    let folder = Folder::new("folder");
+    let error = save(&folder.0, b"x").unwrap_err();
+    assert!(matches!(error, FileError::NotAFile { .. }), "{error}");
+    let error = save(&folder.0.join("none").join("a"), b"x").unwrap_err().to_string();
+    assert!(error.contains("cannot make a new file beside it"), "{error}");
+    assert!(load(&folder.0.join("none")).unwrap_err().to_string().contains("cannot read it"));
+}
+
+#[cfg(unix)]
+#[test]
+fn permissions_and_symbolic_links_are_kept() {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    let folder = Folder::new("links");
+    let (path, link, lost) = (folder.0.join("a"), folder.0.join("link"), folder.0.join("lost"));
+    save(&path, b"old").unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+    symlink("a", &link).unwrap();
+    save(&link, b"new").unwrap();
+    assert_eq!(load(&path).unwrap(), b"new");
+    assert!(link.is_symlink());
+    assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+
+    symlink("nothing", &lost).unwrap();
+    assert!(matches!(save(&lost, b"x"), Err(FileError::NotAFile { .. })));
+}
+
+#[test]
+fn a_file_that_is_too_large_is_not_read() {
+    let folder = Folder::new("large");
+    let path = folder.0.join("a");
+    File::create(&path).unwrap().set_len(MAX_LEN + 1).unwrap();
+    assert!(matches!(load(&path), Err(FileError::TooLarge { .. })));
+}

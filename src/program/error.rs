@@ -1,0 +1,256 @@
+use std::fmt;
+
+use super::header::ProgramKind;
+use crate::error::{Error, ErrorCode};
+
+/// Why some pages are no program: the page, and the rule.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidProgram {
+    /// Page 0 is no header.
+    #[error("page 0: it begins with {:02X} {:02X}, where `FB` or `FM` was expected", found[0], found[1])]
+    #[non_exhaustive]
+    Mark {
+        /// Its bytes 0 and 1.
+        found: [u8; 2],
+    },
+    /// Page 0 is no header.
+    #[error("page 0: bytes 2 and 3 are {:02X} {:02X}, where two digits were expected", found[0], found[1])]
+    #[non_exhaustive]
+    Digits {
+        /// Its bytes 2 and 3.
+        found: [u8; 2],
+    },
+    /// The header does not fit the PLC that it was read from.
+    #[error("page 0: the header states a ladder of {header} words, and the status (53) one of {status}")]
+    #[non_exhaustive]
+    Size {
+        /// What page 0 says.
+        header: u16,
+        /// What 53 says.
+        status: u16,
+    },
+    /// Pages are missing, or there are too many.
+    #[error("{found} pages, where {expected} were expected: page 0 states a ladder of {ladder_words} words, 64 a page")]
+    #[non_exhaustive]
+    Pages {
+        /// How many there are.
+        found: usize,
+        /// How many there must be, the header included.
+        expected: usize,
+        /// What page 0 says.
+        ladder_words: u16,
+    },
+    /// No whole pages.
+    #[error("{bytes} bytes are no whole pages: a page has 128")]
+    #[non_exhaustive]
+    Length {
+        /// How many there are.
+        bytes: usize,
+    },
+    /// There is not even a header.
+    #[error("there is no page 0")]
+    Empty,
+}
+
+/// What was asked of the PLC in a transfer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ProgramAction {
+    /// 40 or 53.
+    ReadStatus,
+    /// 4F.
+    ReadPage(u16),
+    /// 50.
+    WritePage(u16),
+    /// 41, stop.
+    Stop,
+    /// 41, run.
+    Run,
+}
+
+impl fmt::Display for ProgramAction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::ReadStatus => f.write_str("read the status"),
+            Self::ReadPage(page) => write!(f, "read page {page}"),
+            Self::WritePage(page) => write!(f, "write page {page}"),
+            Self::Stop => f.write_str("stop the PLC"),
+            Self::Run => f.write_str("run the PLC"),
+        }
+    }
+}
+
+/// Why a program could not be read or written.
+#[derive(Clone, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ProgramError {
+    /// A request failed: no answer, no connection, a refusal.
+    #[error("cannot {action}: {source}")]
+    #[non_exhaustive]
+    Call {
+        /// What was asked.
+        action: ProgramAction,
+        /// Why it failed.
+        source: Error,
+    },
+    /// What the PLC holds is no program.
+    #[error("the PLC holds no program that this library knows: {0}")]
+    Invalid(#[from] InvalidProgram),
+    /// Somebody has changed the program while it was read, or between two runs. What was read is thrown away; the next run
+    /// begins anew.
+    #[error(
+        "the program was changed while it was read: {} was another before",
+        page.map_or("the PLC's type, version or ladder size".to_owned(), |page| format!("page {page}"))
+    )]
+    #[non_exhaustive]
+    Changed {
+        /// The page that is another now; `None` for the PLC's type, version or ladder size.
+        page: Option<u16>,
+    },
+    /// The program is not as large as the PLC's.
+    #[error("the program has a ladder of {program} words, and the PLC one of {plc}")]
+    #[non_exhaustive]
+    SizeMisfit {
+        /// What the program has.
+        program: u16,
+        /// What the PLC has.
+        plc: u16,
+    },
+    /// The program is for another kind of PLC.
+    #[error("the program is of the kind {program}, and that of the PLC of the kind {plc}")]
+    #[non_exhaustive]
+    KindMisfit {
+        /// What the program is for.
+        program: ProgramKind,
+        /// What the PLC holds.
+        plc: ProgramKind,
+    },
+    /// The PLC has a ROM pack or memory card in use, and would refuse every page.
+    #[error("the PLC has a ROM pack or memory card in use, which cannot be written")]
+    MemoryCard,
+    /// The PLC runs, and was not to be stopped.
+    #[error("the PLC runs: stop it first, or choose `WriteOptions::stop_first`")]
+    Running,
+    /// The PLC has been told to stop, and runs all the same.
+    #[error("the PLC does not stop")]
+    StillRunning,
+    /// Somebody else has set the PLC running while it was written.
+    #[error("somebody has set the PLC running while its program was written")]
+    SetRunning,
+    /// A page was written, and is not what was written.
+    #[error("page {page} reads back as something else than was written")]
+    #[non_exhaustive]
+    NotTaken {
+        /// Which one.
+        page: u16,
+    },
+    /// Pages that were the program's are so no more.
+    #[error("{} pages are not the program's any more, the first of them page {}", pages.len(), pages.first().unwrap_or(&0))]
+    #[non_exhaustive]
+    Differs {
+        /// Which ones.
+        pages: Vec<u16>,
+    },
+    /// The PLC has refused to run the program: it has found a fault in it (5, 7), it has another id (6), or lacks a function
+    /// (9).
+    #[error("the PLC refuses to run the program: {error}")]
+    #[non_exhaustive]
+    RunRefused {
+        /// What it answered.
+        error: ErrorCode,
+    },
+    /// The PLC has been told to run, and does not.
+    #[error("the PLC does not run")]
+    NotRunning,
+}
+
+impl ProgramError {
+    /// The request that failed, if that is the error: whether the connection is at fault, or what the PLC answered.
+    #[must_use]
+    pub fn call_error(&self) -> Option<&Error> {
+        match self {
+            Self::Call { source, .. } => Some(source),
+            _ => None,
+        }
+    }
+}
+
+/// What state a PLC is in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum PlcState {
+    /// It ran when it last answered.
+    Running,
+    /// It was stopped when it last answered, and nothing has been sent to it since that would start it.
+    Stopped,
+    /// It has not answered, or not since it was told to stop or to run.
+    Unknown,
+}
+
+impl fmt::Display for PlcState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Running => "the PLC runs",
+            Self::Stopped => "the PLC is stopped",
+            Self::Unknown => "whether the PLC runs is not known",
+        })
+    }
+}
+
+/// Why a program was not written, how far it came, and in what state the PLC is.
+///
+/// Writing it again compares all pages and writes those that are not yet the program's.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct WriteProgramError {
+    /// Why it went no further.
+    pub source: Box<ProgramError>,
+    /// The pages that were written and read back.
+    pub written: Vec<u16>,
+    /// The pages that differ and are still to be written.
+    pub unwritten: Vec<u16>,
+    /// The one among them that may have been written, or in part: its write was sent, and not confirmed.
+    pub in_doubt: Option<u16>,
+    /// Whether all pages have been found to be the program's. `false`, too, if they have not been compared yet.
+    pub whole: bool,
+    /// Whether it runs.
+    pub plc: PlcState,
+}
+
+impl WriteProgramError {
+    /// Whether the PLC may hold a part of the new program and a part of the old one, by this run.
+    #[must_use]
+    pub fn is_half_written(&self) -> bool {
+        let touched = !self.written.is_empty() || self.in_doubt.is_some();
+        touched && !self.whole
+    }
+
+    fn what_is_left(&self) -> String {
+        let Self { written, unwritten, plc, .. } = self;
+        let all = written.len().saturating_add(unwritten.len());
+        if self.whole {
+            format!("the program is written, and {plc}")
+        } else if self.is_half_written() {
+            let doubt = self.in_doubt.map_or_else(String::new, |page| format!(", page {page} perhaps"));
+            let written = written.len();
+            format!(
+                "{written} of the {all} pages that differ are written{doubt}, and {plc}: write the rest before it runs"
+            )
+        } else {
+            format!("nothing was written, and {plc}")
+        }
+    }
+}
+
+impl fmt::Display for WriteProgramError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}; {}", self.source, self.what_is_left())
+    }
+}
+
+impl std::error::Error for WriteProgramError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        Some(&*self.source)
+    }
+}

@@ -1,0 +1,198 @@
+//! The states of reading a program, as the [module](super) draws them. No I/O, and no clock.
+
+use std::time::SystemTime;
+
+use super::header::page_count;
+use super::{InvalidProgram, Origin, Program, ProgramError, ProgramHeader};
+use crate::command::{BriefStatus, DetailedStatus, ProgramPage};
+use crate::progress::Phase;
+
+/// What is to be done next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Step {
+    /// Ask for 40, and say [`Reading::brief`].
+    Brief,
+    /// Ask for 53, and say [`Reading::status`].
+    Status,
+    /// Ask for this page, and say [`Reading::page`].
+    Page(u16),
+    /// Take the program.
+    Done,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum State {
+    #[default]
+    Brief,
+    Status,
+    Header,
+    /// The first page that is not there yet.
+    Pages,
+    /// All are there; this one is read again.
+    Again(u16),
+    LastHeader,
+    LastStatus,
+    Done,
+}
+
+/// A program that is being read. What has been read stays when a request fails; [`begin`](Self::begin) then goes on.
+#[derive(Debug, Default)]
+pub(super) struct Reading {
+    state: State,
+    /// Whether all pages are read once more, and compared.
+    pub(super) twice: bool,
+    brief: Option<BriefStatus>,
+    status: Option<DetailedStatus>,
+    /// What has been read, the header first, without gaps.
+    pages: Vec<ProgramPage>,
+    /// Pages of this run that have been read once more.
+    again: u16,
+}
+
+impl Reading {
+    /// A run begins: the first, or another after a failure.
+    pub(super) fn begin(&mut self) {
+        self.state = State::Brief;
+        self.again = 0;
+    }
+
+    pub(super) fn next(&self) -> Step {
+        match self.state {
+            State::Brief => Step::Brief,
+            State::Status | State::LastStatus => Step::Status,
+            State::Header | State::LastHeader => Step::Page(0),
+            State::Pages => Step::Page(self.first_missing()),
+            State::Again(page) => Step::Page(page),
+            State::Done => Step::Done,
+        }
+    }
+
+    pub(super) fn brief(&mut self, brief: BriefStatus) {
+        self.brief = Some(brief);
+        self.state = State::Status;
+    }
+
+    pub(super) fn status(&mut self, status: DetailedStatus) -> Result<(), ProgramError> {
+        if self.status.as_ref().is_some_and(|known| identity(known) != identity(&status)) {
+            return self.changed(None);
+        }
+        self.state = if self.state == State::LastStatus { State::Done } else { State::Header };
+        // The first one is kept: it tells whether the PLC ran when the reading began.
+        self.status.get_or_insert(status);
+        Ok(())
+    }
+
+    pub(super) fn page(&mut self, content: ProgramPage) -> Result<(), ProgramError> {
+        match self.state {
+            State::Header => self.header(content),
+            State::Pages => {
+                self.pages.push(content);
+                self.state = self.behind_pages();
+                Ok(())
+            }
+            State::Again(page) => {
+                self.compare(page, &content)?;
+                self.again = page;
+                let next = page.saturating_add(1);
+                self.state = if next < self.total() { State::Again(next) } else { State::LastHeader };
+                Ok(())
+            }
+            State::LastHeader => {
+                self.compare(0, &content)?;
+                self.again = self.total();
+                self.state = State::LastStatus;
+                Ok(())
+            }
+            State::Brief | State::Status | State::LastStatus | State::Done => Ok(()),
+        }
+    }
+
+    /// The program, when all is done; nothing is left here then.
+    pub(super) fn finish(&mut self, now: SystemTime) -> Result<Program, ProgramError> {
+        let Self { brief, status, pages, .. } = std::mem::take(self);
+        let program = Program::from_pages(pages)?;
+        Ok(match (brief, status) {
+            (Some(brief), Some(status)) => program.with_origin(Origin { brief, status, read_at: whole_seconds(now) }),
+            _ => program,
+        })
+    }
+
+    /// What it is about, how many of its steps are done, and how many there are. There are none before the size is known.
+    pub(super) fn progress(&self) -> (Phase, usize, usize) {
+        let total = self.total();
+        let again = self.twice && self.again > 0;
+        let (phase, done) = if again { (Phase::Verifying, self.again) } else { (Phase::Reading, self.first_missing()) };
+        (phase, done.into(), total.into())
+    }
+
+    /// Pages that have been read.
+    pub(super) fn pages_done(&self) -> usize {
+        self.pages.len()
+    }
+
+    fn header(&mut self, content: ProgramPage) -> Result<(), ProgramError> {
+        if !self.pages.is_empty() {
+            self.compare(0, &content)?;
+        } else {
+            if let Err(error) = self.check_header(&content) {
+                self.forget();
+                return Err(error.into());
+            }
+            self.pages.push(content);
+        }
+        self.state = self.behind_pages();
+        Ok(())
+    }
+
+    fn check_header(&self, content: &ProgramPage) -> Result<(), InvalidProgram> {
+        let header = ProgramHeader::parse(content)?.ladder_words();
+        match self.status.as_ref().map(DetailedStatus::ladder_words) {
+            Some(status) if status != header => Err(InvalidProgram::Size { header, status }),
+            _ => Ok(()),
+        }
+    }
+
+    fn behind_pages(&self) -> State {
+        match (self.first_missing() < self.total(), self.twice && self.total() > 1) {
+            (true, _) => State::Pages,
+            (false, true) => State::Again(1),
+            (false, false) => State::LastHeader,
+        }
+    }
+
+    fn compare(&mut self, page: u16, content: &ProgramPage) -> Result<(), ProgramError> {
+        if self.pages.get(usize::from(page)) == Some(content) { Ok(()) } else { self.changed(Some(page)) }
+    }
+
+    fn changed(&mut self, page: Option<u16>) -> Result<(), ProgramError> {
+        self.forget();
+        Err(ProgramError::Changed { page })
+    }
+
+    /// What has been read belongs to nothing that there is now.
+    fn forget(&mut self) {
+        *self = Self { twice: self.twice, ..Self::default() };
+    }
+
+    fn first_missing(&self) -> u16 {
+        u16::try_from(self.pages.len()).unwrap_or(u16::MAX)
+    }
+
+    fn total(&self) -> u16 {
+        self.status.as_ref().map_or(0, |status| page_count(status.ladder_words()))
+    }
+}
+
+/// What of 53 belongs to the PLC and its program, and to nothing that comes and goes: type, points, version, ladder size.
+fn identity(status: &DetailedStatus) -> (u8, u8, (u8, u8), u16) {
+    let main_unit = status.raw().get(1).copied().unwrap_or_default();
+    (main_unit, status.io_points_code(), status.os_version(), status.ladder_words())
+}
+
+fn whole_seconds(time: SystemTime) -> SystemTime {
+    let fraction = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().subsec_nanos();
+    time.checked_sub(std::time::Duration::from_nanos(fraction.into())).unwrap_or(time)
+}
+
+#[cfg(all(test, feature = "sim"))]
+mod tests;

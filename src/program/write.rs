@@ -1,0 +1,235 @@
+use std::fmt;
+use std::time::Duration;
+
+use tokio::time::{Instant, sleep};
+
+use super::read::{OnProgress, in_framing, report};
+use super::writing::{Goal, Step, Told, Writing};
+use super::{PAGE_BYTES, Program, WriteProgramError};
+use crate::error::Error;
+use crate::progress::Progress;
+use crate::station::Station;
+
+/// How a program is written.
+///
+/// The defaults: a PLC that runs is refused; only pages that differ are written; what was written is read back; the PLC is
+/// left stopped.
+///
+/// ```
+/// use std::time::Duration;
+/// use fatek::program::WriteOptions;
+///
+/// let options = WriteOptions::new().stop_first().run_again().page_timeout(Duration::from_secs(5));
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct WriteOptions {
+    pub(super) stop_first: bool,
+    pub(super) run_again: bool,
+    pub(super) all_pages: bool,
+    pub(super) verify_all: bool,
+    pub(super) attempts: u32,
+    pub(super) page_timeout: Option<Duration>,
+}
+
+impl WriteOptions {
+    /// The defaults.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            stop_first: false,
+            run_again: false,
+            all_pages: false,
+            verify_all: false,
+            attempts: 3,
+            page_timeout: None,
+        }
+    }
+
+    /// Stops the PLC if it runs and a page differs, and confirms by its status that it has stopped. Without this a PLC that
+    /// runs is [`ProgramError::Running`](super::ProgramError::Running), before anything is written.
+    #[must_use]
+    pub fn stop_first(mut self) -> Self {
+        self.stop_first = true;
+        self
+    }
+
+    /// Runs the PLC when all is written, if it ran before, and confirms that by its status.
+    #[must_use]
+    pub fn run_again(mut self) -> Self {
+        self.run_again = true;
+        self
+    }
+
+    /// Writes all pages, not only those that differ. None is read before it is written, then.
+    #[must_use]
+    pub fn all_pages(mut self) -> Self {
+        self.all_pages = true;
+        self
+    }
+
+    /// Reads all pages once more in the end, also those that were not written, and compares them.
+    #[must_use]
+    pub fn verify_all(mut self) -> Self {
+        self.verify_all = true;
+        self
+    }
+
+    /// How often a page is written before it is given up, when its write had no answer or it reads back as something else.
+    /// Default: 3; at least 1.
+    #[must_use]
+    pub fn attempts(mut self, attempts: u32) -> Self {
+        self.attempts = attempts.max(1);
+        self
+    }
+
+    /// How long the PLC has to answer the write of a page. Default: as long as for any other request of the station. A PLC
+    /// that keeps its program in flash memory may take longer.
+    #[must_use]
+    pub fn page_timeout(mut self, timeout: Duration) -> Self {
+        self.page_timeout = Some(timeout);
+        self
+    }
+}
+
+impl Default for WriteOptions {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// What was done to write a program. All its pages are the PLC's now.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct WriteReport {
+    /// The pages that differed, in the order in which they were written; each was read back.
+    pub written: Vec<u16>,
+    /// How many pages there are.
+    pub pages: u16,
+    /// Whether the PLC was running and has been stopped, by this run or an earlier one of the same [`WriteProgram`].
+    pub was_stopped: bool,
+    /// Whether the PLC runs now.
+    pub running: bool,
+}
+
+/// The writing of a program that can be repeated until it is done.
+///
+/// Each [run](Self::run) compares all pages first, so it writes those only that an earlier one has not. Unlike a new
+/// `WriteProgram` it remembers that the PLC ran before it was stopped.
+#[must_use]
+pub struct WriteProgram {
+    writing: Writing,
+    on_progress: Option<OnProgress>,
+}
+
+/// How long the PLC gets to stop or to run before it is told again.
+const PAUSE: Duration = Duration::from_millis(100);
+
+impl WriteProgram {
+    /// This program is to be written.
+    pub fn new(program: &Program, options: WriteOptions) -> Self {
+        Self { writing: Writing::new(program.clone(), options), on_progress: None }
+    }
+
+    /// Called after each page that was read or written. It must not take long: the PLC waits meanwhile.
+    pub fn on_progress(mut self, tell: impl FnMut(&Progress) + Send + 'static) -> Self {
+        self.on_progress = Some(Box::new(tell));
+        self
+    }
+
+    /// Finds out which pages differ, and changes nothing.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run); whether the PLC runs or has a memory card is no matter here.
+    pub async fn compare(&mut self, station: &Station) -> Result<Vec<u16>, WriteProgramError> {
+        self.go(station, Goal::Compare).await?;
+        Ok(self.writing.differing())
+    }
+
+    /// Writes the program, as the [module's documentation](super#writing) says.
+    ///
+    /// The future can be dropped at any time. The PLC is then as after a failure: if it was stopped, it stays so.
+    ///
+    /// # Errors
+    /// [`WriteProgramError`], which tells why, which pages are written and which are not, and whether the PLC runs. Its
+    /// [`source`](WriteProgramError::source) is
+    /// - [`SizeMisfit`](super::ProgramError::SizeMisfit), [`KindMisfit`](super::ProgramError::KindMisfit),
+    ///   [`MemoryCard`](super::ProgramError::MemoryCard) and [`Running`](super::ProgramError::Running) before anything is
+    ///   changed;
+    /// - [`Call`](super::ProgramError::Call) when a request fails: run it again when the PLC is there again;
+    /// - [`StillRunning`](super::ProgramError::StillRunning), [`NotTaken`](super::ProgramError::NotTaken),
+    ///   [`SetRunning`](super::ProgramError::SetRunning) and [`Differs`](super::ProgramError::Differs) when the PLC, or
+    ///   somebody else, does not do as it should;
+    /// - [`RunRefused`](super::ProgramError::RunRefused) and [`NotRunning`](super::ProgramError::NotRunning) when the program
+    ///   is written, and the PLC does not run it.
+    pub async fn run(&mut self, station: &Station) -> Result<WriteReport, WriteProgramError> {
+        self.go(station, Goal::Write).await?;
+        Ok(self.writing.report())
+    }
+
+    async fn go(&mut self, station: &Station, goal: Goal) -> Result<(), WriteProgramError> {
+        self.writing.begin(goal);
+        if let Err(error) = in_framing(station) {
+            self.writing.told(Err(error));
+        }
+        let patient = self.patient(station);
+        let mut meter = None;
+        loop {
+            let began = Instant::now();
+            let step = self.writing.next();
+            let told = match step {
+                Step::Done => return Ok(()),
+                Step::Failed => return Err(self.writing.failure()),
+                Step::Write(page) => match self.writing.program().page(page) {
+                    Some(content) => patient.write_program_page(page, content).await.map(|()| Told::Done),
+                    None => Ok(Told::Done),
+                },
+                step => ask(station, step).await,
+            };
+            let moved = told.is_ok() && matches!(step, Step::Read(_) | Step::Write(_));
+            self.writing.told(told);
+            if let Some(tell) = self.on_progress.as_mut().filter(|_| moved) {
+                report(&mut meter, self.writing.progress(), PAGE_BYTES, began, tell);
+            }
+        }
+    }
+
+    /// The station, as it is asked to write a page.
+    fn patient(&self, station: &Station) -> Station {
+        let Some(timeout) = self.writing.options().page_timeout else { return station.clone() };
+        let options = station.options().response_timeout(timeout);
+        // The whole call must be able to hold it.
+        let call_timeout = options.call_timeout.max(timeout.saturating_mul(2));
+        station.with_options(options.call_timeout(call_timeout))
+    }
+}
+
+async fn ask(station: &Station, step: Step) -> Result<Told, Error> {
+    Ok(match step {
+        Step::Status => Told::Status(station.read_detailed_status().await?),
+        Step::Flags => Told::Flags(station.read_status().await?.flags()),
+        Step::Read(page) => Told::Page(station.read_program_page(page).await?),
+        Step::Stop => {
+            station.stop().await?;
+            Told::Done
+        }
+        Step::Run => {
+            station.run().await?;
+            Told::Done
+        }
+        Step::Pause => {
+            sleep(PAUSE).await;
+            Told::Done
+        }
+        Step::Write(_) | Step::Done | Step::Failed => Told::Done,
+    })
+}
+
+impl fmt::Debug for WriteProgram {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("WriteProgram")
+            .field("program", self.writing.program())
+            .field("options", self.writing.options())
+            .finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,498 @@
+//! The states of writing a program, as the [module](super) draws them. No I/O, and no clock.
+
+use super::{
+    PlcState, Program, ProgramAction, ProgramError, ProgramHeader, WriteOptions, WriteProgramError, WriteReport,
+};
+use crate::command::{DetailedStatus, ProgramPage, StatusFlags};
+use crate::error::Error;
+use crate::progress::Phase;
+
+/// What is to be done next; [`Writing::told`] then takes what came of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Step {
+    /// 53.
+    Status,
+    /// 40.
+    Flags,
+    /// 4F.
+    Read(u16),
+    /// 50: the program's page.
+    Write(u16),
+    /// 41.
+    Stop,
+    /// 41.
+    Run,
+    /// Nothing, for a moment.
+    Pause,
+    /// All is done: take [`Writing::report`].
+    Done,
+    /// It cannot go on: take [`Writing::failure`].
+    Failed,
+}
+
+/// What came of a step.
+#[derive(Debug)]
+pub(super) enum Told {
+    Status(DetailedStatus),
+    Flags(StatusFlags),
+    Page(ProgramPage),
+    Done,
+}
+
+/// What a run is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Goal {
+    /// To find out which pages differ.
+    Compare,
+    /// To write them.
+    Write,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Fit,
+    Kind,
+    Compare(u16),
+    Look,
+    Stop {
+        left: u32,
+    },
+    Stopped {
+        left: u32,
+    },
+    StopPause {
+        left: u32,
+    },
+    Write {
+        left: u32,
+    },
+    ReadBack {
+        left: u32,
+    },
+    /// A page was refused: does it run?
+    Refused,
+    /// Between two pages: is it still stopped?
+    Check,
+    Verify(u16),
+    Final,
+    Run {
+        left: u32,
+    },
+    Running {
+        left: u32,
+    },
+    RunPause {
+        left: u32,
+    },
+    Done,
+    // A failure. What it is stands in `failure`.
+    LastLook,
+    StopAgain {
+        left: u32,
+    },
+    StoppedAgain {
+        left: u32,
+    },
+    StopAgainPause {
+        left: u32,
+    },
+    Failed,
+}
+
+/// How often the PLC is told to stop or to run before that is given up.
+const CONTROL_TRIES: u32 = 5;
+/// After how many written pages it is looked at whether the PLC is still stopped.
+const CHECK_EVERY: usize = 16;
+
+/// A program that is being written.
+#[derive(Debug)]
+pub(super) struct Writing {
+    program: Program,
+    options: WriteOptions,
+    goal: Goal,
+    state: State,
+    /// Whether it ran before it was first stopped here: of all runs of this writing.
+    ran_before: bool,
+    /// Whether it has been told to stop: of all runs of this writing.
+    told_to_stop: bool,
+    plc: PlcState,
+    /// Whether all pages have been compared in this run.
+    compared: bool,
+    /// The pages that are still to be written, the next one last.
+    pending: Vec<u16>,
+    /// The pages that have been written and read back in this run.
+    written: Vec<u16>,
+    in_doubt: Option<u16>,
+    /// Pages that were found to be others in the end.
+    differing: Vec<u16>,
+    /// Why the last attempt, to write a page, to stop or to run, had no answer; told if no further one does better.
+    excuse: Option<ProgramError>,
+    failure: Option<ProgramError>,
+    progress: (Phase, usize, usize),
+}
+
+impl Writing {
+    pub(super) fn new(program: Program, options: WriteOptions) -> Self {
+        Self {
+            program,
+            options,
+            goal: Goal::Write,
+            state: State::Fit,
+            ran_before: false,
+            told_to_stop: false,
+            plc: PlcState::Unknown,
+            compared: false,
+            pending: Vec::new(),
+            written: Vec::new(),
+            in_doubt: None,
+            differing: Vec::new(),
+            excuse: None,
+            failure: None,
+            progress: (Phase::Comparing, 0, 0),
+        }
+    }
+
+    /// A run begins: the first, or another after a failure. It knows of the last one whether the PLC ran before.
+    pub(super) fn begin(&mut self, goal: Goal) {
+        let Self { program, options, ran_before, told_to_stop, .. } = self;
+        let fresh = Self::new(program.clone(), *options);
+        *self = Self { goal, ran_before: *ran_before, told_to_stop: *told_to_stop, ..fresh };
+    }
+
+    pub(super) fn program(&self) -> &Program {
+        &self.program
+    }
+
+    pub(super) fn options(&self) -> &WriteOptions {
+        &self.options
+    }
+
+    /// What it is about, how many of its steps are done, and how many there are.
+    pub(super) fn progress(&self) -> (Phase, usize, usize) {
+        self.progress
+    }
+
+    pub(super) fn next(&self) -> Step {
+        match self.state {
+            State::Fit => Step::Status,
+            State::Kind => Step::Read(0),
+            State::Compare(page) | State::Verify(page) => Step::Read(page),
+            State::Look
+            | State::Stopped { .. }
+            | State::Refused
+            | State::Check
+            | State::Final
+            | State::Running { .. }
+            | State::LastLook
+            | State::StoppedAgain { .. } => Step::Flags,
+            State::Stop { .. } | State::StopAgain { .. } => Step::Stop,
+            State::StopPause { .. } | State::RunPause { .. } | State::StopAgainPause { .. } => Step::Pause,
+            State::Write { .. } => self.pending.last().map_or(Step::Failed, |&page| Step::Write(page)),
+            State::ReadBack { .. } => self.pending.last().map_or(Step::Failed, |&page| Step::Read(page)),
+            State::Run { .. } => Step::Run,
+            State::Done => Step::Done,
+            State::Failed => Step::Failed,
+        }
+    }
+
+    /// Takes what came of the [next step](Self::next).
+    pub(super) fn told(&mut self, result: Result<Told, Error>) {
+        match (self.state, result) {
+            (State::Write { left }, result) => self.wrote(left, result.map(drop)),
+            // Whether it has obeyed is asked, whatever it has answered.
+            (State::Stop { left }, result) => self.stopping(left, result.map(drop)),
+            (State::StopAgain { left }, _) => {
+                self.plc = PlcState::Unknown;
+                self.state = State::StoppedAgain { left };
+            }
+            (State::Run { left }, result) => self.ran(left, result.map(drop)),
+            (State::StopPause { left }, _) => self.state = State::Stop { left },
+            (State::RunPause { left }, _) => self.state = State::Run { left },
+            (State::StopAgainPause { left }, _) => self.state = State::StopAgain { left },
+            (_, Ok(Told::Status(status))) => self.fits(&status),
+            (_, Ok(Told::Flags(flags))) => self.flags(flags.running()),
+            (_, Ok(Told::Page(page))) => self.read(&page),
+            (_, Ok(Told::Done)) => {}
+            (_, Err(error)) => self.lost(error),
+        }
+    }
+
+    /// What was done, after [`Step::Done`].
+    pub(super) fn report(&mut self) -> WriteReport {
+        // As far as this writing is concerned, it is over.
+        self.told_to_stop = false;
+        WriteReport {
+            written: std::mem::take(&mut self.written),
+            pages: self.program.header().page_count(),
+            was_stopped: std::mem::take(&mut self.ran_before),
+            running: self.plc == PlcState::Running,
+        }
+    }
+
+    /// The pages that differ, after a run to compare.
+    pub(super) fn differing(&self) -> Vec<u16> {
+        let mut pages = self.pending.clone();
+        pages.sort_unstable();
+        pages
+    }
+
+    /// Why it went no further, after [`Step::Failed`].
+    pub(super) fn failure(&mut self) -> WriteProgramError {
+        let source = self.failure.take().unwrap_or(ProgramError::NotRunning);
+        WriteProgramError {
+            source: Box::new(source),
+            written: self.written.clone(),
+            unwritten: self.differing(),
+            in_doubt: self.in_doubt,
+            whole: self.compared && self.pending.is_empty() && self.differing.is_empty(),
+            plc: self.plc,
+        }
+    }
+
+    // What the replies mean.
+
+    fn fits(&mut self, status: &DetailedStatus) {
+        let (program, plc) = (self.program.ladder_words(), status.ladder_words());
+        self.saw(status.flags().running());
+        if program != plc {
+            self.fail(ProgramError::SizeMisfit { program, plc });
+        } else if status.flags().memory_card() && self.goal == Goal::Write {
+            self.fail(ProgramError::MemoryCard);
+        } else if !self.may_go_on_while_running() {
+            self.fail(ProgramError::Running);
+        } else {
+            self.state = State::Kind;
+        }
+    }
+
+    /// Whether it is no obstacle that the PLC runs, if it does.
+    fn may_go_on_while_running(&self) -> bool {
+        self.plc != PlcState::Running || self.options.stop_first || self.goal == Goal::Compare
+    }
+
+    fn read(&mut self, content: &ProgramPage) {
+        match self.state {
+            State::Kind => self.kind(content),
+            State::Compare(page) => self.compare(page, content),
+            State::ReadBack { left } => self.read_back(left, content),
+            State::Verify(page) => self.verify(page, content),
+            _ => {}
+        }
+    }
+
+    /// A PLC whose own header is none cannot say what kind it is; it is just what a program may be written for.
+    fn kind(&mut self, content: &ProgramPage) {
+        let program = self.program.header().kind();
+        match ProgramHeader::parse(content) {
+            Ok(header) if header.kind() != program => {
+                self.fail(ProgramError::KindMisfit { program, plc: header.kind() });
+            }
+            _ if self.options.all_pages && self.goal == Goal::Write => {
+                self.pending = (0..self.program.header().page_count()).collect();
+                self.all_compared();
+            }
+            _ => self.compare(0, content),
+        }
+    }
+
+    fn compare(&mut self, page: u16, content: &ProgramPage) {
+        if self.program.page(page) != Some(content) {
+            self.pending.push(page);
+        }
+        let (next, count) = (page.saturating_add(1), self.program.header().page_count());
+        self.progress = (Phase::Comparing, next.into(), count.into());
+        if next < count {
+            self.state = State::Compare(next);
+        } else {
+            self.all_compared();
+        }
+    }
+
+    fn all_compared(&mut self) {
+        self.compared = true;
+        // Taken from the end: the ladder in ascending order, and the header last.
+        self.pending.reverse();
+        if self.pending.last() == Some(&0) {
+            self.pending.rotate_right(1);
+        }
+        self.state = match (self.goal, self.pending.is_empty()) {
+            (Goal::Compare, _) => State::Done,
+            (Goal::Write, false) => State::Look,
+            // An earlier run has stopped it, and may have got no further than the last page.
+            (Goal::Write, true) if self.told_to_stop => State::Final,
+            (Goal::Write, true) => State::Done,
+        };
+    }
+
+    fn flags(&mut self, running: bool) {
+        self.saw(running);
+        match self.state {
+            State::Look if !running => self.write_next(),
+            State::Look if !self.options.stop_first => self.fail(ProgramError::Running),
+            State::Look => {
+                // Said before it is told to: whoever drops the future then does not know whether it has heard that.
+                (self.told_to_stop, self.ran_before) = (true, true);
+                self.state = State::Stop { left: CONTROL_TRIES };
+            }
+            State::Stopped { .. } if !running => self.write_next(),
+            State::Stopped { left } => match left.checked_sub(1) {
+                Some(left @ 1..) => self.state = State::StopPause { left },
+                _ => self.give_up(ProgramError::StillRunning),
+            },
+            State::Refused if running => self.stop_again(),
+            State::Refused => {
+                self.failure = self.excuse.take();
+                self.state = State::Failed;
+            }
+            State::Check if !running => self.state = State::Write { left: self.options.attempts },
+            State::Check => self.stop_again(),
+            // Nothing was written in this run: somebody has set the whole program running.
+            State::Final if running && self.written.is_empty() => self.state = State::Done,
+            State::Final if running => self.stop_again(),
+            State::Final if self.options.run_again && self.ran_before => {
+                self.state = State::Run { left: CONTROL_TRIES };
+            }
+            State::Final => self.state = State::Done,
+            State::Running { .. } if running => self.state = State::Done,
+            State::Running { left } => match left.checked_sub(1) {
+                Some(left @ 1..) => self.state = State::RunPause { left },
+                _ => self.give_up(ProgramError::NotRunning),
+            },
+            State::LastLook if !running => self.state = State::Failed,
+            State::LastLook => self.state = State::StopAgain { left: CONTROL_TRIES },
+            State::StoppedAgain { left } => {
+                let left = left.saturating_sub(1);
+                self.state = if running && left > 0 { State::StopAgainPause { left } } else { State::Failed };
+            }
+            _ => {}
+        }
+    }
+
+    fn saw(&mut self, running: bool) {
+        self.plc = if running { PlcState::Running } else { PlcState::Stopped };
+    }
+
+    fn stopping(&mut self, left: u32, result: Result<(), Error>) {
+        self.plc = PlcState::Unknown;
+        self.excuse = result.err().map(|source| ProgramError::Call { action: ProgramAction::Stop, source });
+        self.state = State::Stopped { left };
+    }
+
+    fn write_next(&mut self) {
+        self.excuse = None;
+        let all = self.written.len().saturating_add(self.pending.len());
+        self.state = match self.pending.last() {
+            None if self.options.verify_all => State::Verify(0),
+            None => State::Final,
+            Some(_) if !self.written.is_empty() && self.written.len().is_multiple_of(CHECK_EVERY) => State::Check,
+            Some(_) => State::Write { left: self.options.attempts },
+        };
+        self.progress = (Phase::Writing, self.written.len(), all);
+    }
+
+    fn wrote(&mut self, left: u32, result: Result<(), Error>) {
+        let page = self.pending.last().copied().unwrap_or_default();
+        match result {
+            Ok(()) => self.excuse = None,
+            Err(source) => {
+                let refused = !source.may_have_executed() && source.error_code().is_some();
+                let invalid = matches!(source, Error::Invalid(_));
+                let error = ProgramError::Call { action: ProgramAction::WritePage(page), source };
+                if invalid {
+                    return self.fail(error);
+                }
+                self.excuse = Some(error);
+                if refused {
+                    self.state = State::Refused;
+                    return;
+                }
+            }
+        }
+        // What has become of it, the page itself tells.
+        self.in_doubt = Some(page);
+        self.state = State::ReadBack { left };
+    }
+
+    fn read_back(&mut self, left: u32, content: &ProgramPage) {
+        let Some(&page) = self.pending.last() else { return };
+        if self.program.page(page) == Some(content) {
+            self.in_doubt = None;
+            self.pending.pop();
+            self.written.push(page);
+            return self.write_next();
+        }
+        match left.checked_sub(1) {
+            Some(left @ 1..) => self.state = State::Write { left },
+            _ => self.give_up(ProgramError::NotTaken { page }),
+        }
+    }
+
+    fn verify(&mut self, page: u16, content: &ProgramPage) {
+        if self.program.page(page) != Some(content) {
+            self.differing.push(page);
+        }
+        let (next, count) = (page.saturating_add(1), self.program.header().page_count());
+        self.progress = (Phase::Verifying, next.into(), count.into());
+        if next < count {
+            self.state = State::Verify(next);
+        } else if self.differing.is_empty() {
+            self.state = State::Final;
+        } else {
+            let pages = self.differing.clone();
+            self.fail(ProgramError::Differs { pages });
+        }
+    }
+
+    fn ran(&mut self, left: u32, result: Result<(), Error>) {
+        match result {
+            Err(Error::Plc { error, repeated: false, .. }) => {
+                self.failure = Some(ProgramError::RunRefused { error });
+                self.state = State::Failed;
+            }
+            // An answer or none: its status tells.
+            result => {
+                self.excuse = result.err().map(|source| ProgramError::Call { action: ProgramAction::Run, source });
+                self.plc = PlcState::Unknown;
+                self.state = State::Running { left };
+            }
+        }
+    }
+
+    // What goes wrong.
+
+    /// A request brought no answer of use: nothing more can be asked.
+    fn lost(&mut self, source: Error) {
+        let action = match self.next() {
+            Step::Read(page) => ProgramAction::ReadPage(page),
+            Step::Write(page) => ProgramAction::WritePage(page),
+            Step::Stop => ProgramAction::Stop,
+            Step::Run => ProgramAction::Run,
+            _ => ProgramAction::ReadStatus,
+        };
+        // Of two failures the first one counts.
+        self.failure.get_or_insert(ProgramError::Call { action, source });
+        self.state = State::Failed;
+    }
+
+    /// It cannot go on, though the PLC answers: if anything has been done to it, it must not be running.
+    fn fail(&mut self, error: ProgramError) {
+        self.failure = Some(error);
+        let touched = !self.written.is_empty() || self.in_doubt.is_some();
+        let at_rest = matches!(self.state, State::Running { .. }) || !touched;
+        self.state = if at_rest { State::Failed } else { State::LastLook };
+    }
+
+    /// No attempt has done it: for the reason that the last one gave, or for this one.
+    fn give_up(&mut self, error: ProgramError) {
+        let excuse = self.excuse.take();
+        self.fail(excuse.unwrap_or(error));
+    }
+
+    fn stop_again(&mut self) {
+        self.failure = Some(ProgramError::SetRunning);
+        self.state = State::StopAgain { left: CONTROL_TRIES };
+    }
+}
+
+#[cfg(all(test, feature = "sim"))]
+mod tests;

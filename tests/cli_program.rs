@@ -1,0 +1,236 @@
+//! `fatek program` as its users meet it: as a process, against `fatek sim` as another one.
+#![cfg(feature = "cli")]
+
+mod process;
+
+use std::fs;
+use std::path::PathBuf;
+
+use self::process::{Ran, Sim, fatek};
+
+/// A folder of its own, which is removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("fatek-cli-program-{}-{name}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir(&path).unwrap();
+        Self(path)
+    }
+
+    fn file(&self, name: &str) -> String {
+        self.0.join(name).to_str().unwrap().to_owned()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A program of 640 words: pages 3 and 7 hold something.
+fn raw_program() -> Vec<u8> {
+    let mut bytes = vec![0; 11 * 128];
+    bytes[..128].fill(0xFF);
+    bytes[..6].copy_from_slice(b"FB00\x02\x80");
+    bytes[3 * 128..4 * 128].fill(0x33);
+    bytes[7 * 128..8 * 128].fill(0x77);
+    bytes
+}
+
+fn program(sim: &Sim, args: &[&str]) -> Ran {
+    sim.fatek(&[&["program"], args].concat())
+}
+
+#[test]
+fn a_program_is_read_looked_into_written_and_verified() {
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("whole"));
+    let (blank, raw, read) = (folder.file("blank.program"), folder.file("new.bin"), folder.file("read.bin"));
+    fs::write(&raw, raw_program()).unwrap();
+
+    let ran = program(&sim, &["read", &blank]);
+    assert!(ran.stderr.contains("reading: 1 of 11, 128 bytes"), "{ran:?}");
+    assert!(ran.stderr.ends_with("blank.program: FB00, 640 words, 11 pages\n"), "{ran:?}");
+    assert_eq!(ran.ok(), "");
+    assert!(fs::read_to_string(&blank).unwrap().starts_with("fatek file 1: program\n"));
+
+    let info: serde_json::Value = fatek(&["program", "info", &blank, "--format", "json"]).ok().parse().unwrap();
+    assert_eq!((&info["kind"], &info["ladder_words"], &info["pages"]), (&"FB".into(), &640.into(), &11.into()));
+    assert_eq!(
+        (&info["program_capacity"], &info["os_version"], &info["ran"]),
+        (&"FBE 13K".into(), &"3.1".into(), &false.into())
+    );
+    let info = fatek(&["program", "info", "--raw", &raw]).ok();
+    assert!(info.starts_with("FIELD             VALUE\nkind              FB\n"), "{info}");
+    assert!(info.contains("\nread_at           not known\n"), "{info}");
+
+    let differs = program(&sim, &["verify", "--raw", &raw]);
+    assert_eq!((differs.status, differs.stdout.as_str()), (7, "PAGE\n3\n7\n"), "{differs:?}");
+    assert!(differs.stderr.ends_with("error: 2 of 11 pages differ\n"), "{differs:?}");
+
+    let dry = program(&sim, &["write", "--raw", &raw, "--dry-run", "--format", "csv", "-q"]);
+    assert_eq!((dry.stdout.as_str(), dry.stderr.as_str(), dry.status), ("page\n3\n7\n", "", 0));
+    assert_eq!(program(&sim, &["verify", &blank]).status, 0, "nothing was written");
+
+    let written = program(&sim, &["write", "--raw", &raw, "--yes"]);
+    assert!(written.stderr.ends_with("2 of 11 pages written and compared; the PLC is stopped\n"), "{written:?}");
+    assert_eq!(written.ok(), "");
+    let same = program(&sim, &["verify", "--raw", &raw]);
+    assert!(same.stderr.ends_with("the PLC holds this program: all 11 pages are the same\n"), "{same:?}");
+    assert_eq!(same.ok(), "PAGE\n");
+    program(&sim, &["read", "--raw", "--twice", &read, "-q"]).ok();
+    assert_eq!(fs::read(&read).unwrap(), raw_program());
+}
+
+#[test]
+fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("running"));
+    let (raw, old) = (folder.file("new.bin"), folder.file("old.bin"));
+    fs::write(&raw, raw_program()).unwrap();
+    program(&sim, &["read", "--raw", &old]).ok();
+    sim.fatek(&["run"]).ok();
+    let runs = || sim.fatek(&["status", "--format", "csv"]).ok().contains("brief,running,true");
+
+    let refused = program(&sim, &["write", "--raw", &raw, "--yes"]);
+    assert_eq!(refused.status, 7, "{refused:?}");
+    assert!(refused.stderr.contains("the PLC runs: stop it first"), "{refused:?}");
+    assert!(runs());
+
+    let written = program(&sim, &["write", "--raw", &raw, "--yes", "--stop", "--run", "--all", "--verify"]);
+    assert!(written.stderr.contains("11 of 11 pages written and compared; the PLC runs\n"), "{written:?}");
+    assert!(written.stderr.contains("\nverifying: 11 of 11, 1408 bytes"), "{written:?}");
+    assert!(runs());
+
+    let written = program(&sim, &["write", "--raw", &old, "-y", "--stop"]);
+    assert!(
+        written.stderr.ends_with("2 of 11 pages written and compared; the PLC ran before and is stopped now\n"),
+        "{written:?}"
+    );
+    assert!(!runs());
+}
+
+#[test]
+fn without_a_terminal_writing_needs_a_yes_and_nothing_is_sent_without() {
+    let folder = Folder::new("unasked");
+    let raw = folder.file("new.bin");
+    fs::write(&raw, raw_program()).unwrap();
+    // Nobody listens there; if anything were sent, the status would be 5.
+    let nobody = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1", "program"], args].concat());
+    let usage = nobody(&["write", "--raw", &raw]).usage();
+    assert!(usage.contains("there is no terminal to ask at: say --yes (or --dry-run)"), "{usage}");
+    assert_eq!(nobody(&["write", "--raw", &raw, "--yes"]).status, 5);
+    assert!(nobody(&["write", "--raw", &raw, "--yes", "--run"]).usage().contains("--stop"));
+}
+
+#[test]
+fn a_bad_file_is_refused_before_anything_is_sent_and_a_failed_reading_leaves_the_old_one() {
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("damaged"));
+    let file = folder.file("a.program");
+    program(&sim, &["read", &file]).ok();
+    let good = fs::read(&file).unwrap();
+    let mut damaged = good.clone();
+    damaged[500] ^= 1;
+    for (content, message) in [
+        (&damaged[..], "it is damaged: its checksum is"),
+        (&good[..1000], "it is cut off: "),
+        (b"MZ", "it does not begin with `fatek file`"),
+    ] {
+        fs::write(&file, content).unwrap();
+        for args in [&["write", &file, "--yes"][..], &["verify", &file], &["info", &file]] {
+            let ran = fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1", "program"], args].concat());
+            assert_eq!((ran.status, ran.stdout.as_str()), (7, ""), "{ran:?}");
+            assert!(ran.stderr.contains("a.program: ") && ran.stderr.contains(message), "{ran:?}");
+        }
+    }
+    let other = Sim::start(&["--ladder-words", "1280"]);
+    fs::write(&file, &good).unwrap();
+    let misfit = program(&other, &["write", &file, "--yes"]);
+    assert_eq!(misfit.status, 7);
+    assert!(
+        misfit.stderr.contains("the program has a ladder of 640 words, and the PLC one of 1280; nothing was written")
+    );
+
+    let nobody = fatek(&["--link", "tcp://127.0.0.1:9", "--station", "1", "program", "read", &file]);
+    assert_eq!(nobody.status, 5, "{nobody:?}");
+    assert_eq!(fs::read(&file).unwrap(), good);
+    assert_eq!(fatek(&["program", "info", &folder.file("none")]).status, 1);
+}
+
+#[test]
+fn in_the_binary_framing_there_are_no_programs() {
+    let (sim, folder) = (Sim::start(&["--framing", "binary"]), Folder::new("binary"));
+    let ran = program(&sim, &["read", &folder.file("a.program")]);
+    assert_eq!(ran.status, 2, "{ran:?}");
+    assert!(ran.stderr.contains("does not exist in the binary framing"), "{ran:?}");
+    assert!(!fs::exists(folder.file("a.program")).unwrap());
+}
+
+/// At a terminal: what is asked, and what an answer does.
+#[cfg(unix)]
+mod terminal {
+    use std::fs::OpenOptions;
+    use std::io::{Read, Write};
+    use std::process::{Command, Stdio};
+
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+    use super::process::FATEK;
+    use super::*;
+
+    /// Runs the command at a terminal, gives this answer to its question, and tells its status and all that stood there.
+    fn answer(sim: &Sim, args: &[&str], answer: &str) -> (i32, String) {
+        let terminal = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&terminal).unwrap();
+        unlockpt(&terminal).unwrap();
+        let path = ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
+        let mut terminal = fs::File::from(terminal);
+        let side = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
+        let mut command = Command::new(FATEK);
+        command.args(["--link", &sim.url, "--station", "1", "program"]).args(args);
+        let mut child = command.stdin(side()).stdout(side()).stderr(side()).spawn().unwrap();
+        // The child alone has the other side now: when it ends, so does what is read here.
+        drop(command);
+        let (mut shown, mut answered) = (String::new(), false);
+        let mut buffer = [0; 4096];
+        while let Ok(len @ 1..) = terminal.read(&mut buffer) {
+            shown += &String::from_utf8_lossy(&buffer[..len]);
+            if !answered && shown.ends_with("[y/N] ") {
+                terminal.write_all(answer.as_bytes()).unwrap();
+                answered = true;
+            }
+        }
+        assert!(answered || answer.is_empty(), "{shown}");
+        (child.wait().unwrap().code().unwrap(), shown)
+    }
+
+    #[test]
+    fn at_a_terminal_only_a_yes_changes_the_plc_and_a_bar_shows_how_far_it_is() {
+        let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("terminal"));
+        let raw = folder.file("new.bin");
+        fs::write(&raw, raw_program()).unwrap();
+        let write = ["write", "--raw", &raw, "--stop"];
+        for no in ["n\n", "\n", "maybe\n"] {
+            let (status, shown) = answer(&sim, &write, no);
+            assert_eq!(status, 1, "{shown}");
+            let question = format!(
+                "new.bin (FB00, 640 words) to station 1 on {}? It is stopped for that, and stays so. [y/N] ",
+                sim.url
+            );
+            assert!(shown.contains(&question), "{shown}");
+            assert!(shown.ends_with("error: not confirmed: nothing was changed\r\n"), "{shown}");
+            assert_eq!(program(&sim, &["verify", "--raw", &raw]).status, 7);
+        }
+        let (status, shown) = answer(&sim, &write, "y\n");
+        assert_eq!(status, 0, "{shown}");
+        assert!(shown.contains("\r[##----------------------------] comparing: 1 of 11, 128 bytes"), "{shown}");
+        assert!(shown.contains("\r[##############################] writing: 2 of 2, 512 bytes"), "{shown}");
+        assert!(shown.ends_with("\r\n2 of 11 pages written and compared; the PLC is stopped\r\n"), "{shown}");
+        assert_eq!(program(&sim, &["verify", "--raw", &raw]).status, 0);
+
+        // Nothing is asked when nothing is to be changed, or when it was said before.
+        assert_eq!(answer(&sim, &["write", "--raw", &raw, "--dry-run"], "").0, 0);
+        assert_eq!(answer(&sim, &["write", "--raw", &raw, "--yes"], "").0, 0);
+    }
+}

@@ -1,0 +1,199 @@
+//! A crash at every page of a write, and then another process that knows nothing but the program and the PLC.
+
+use std::time::Duration;
+
+use fatek::CallOptions;
+use fatek::command::Code;
+use fatek::program::{PlcState, Program, ProgramError, WriteOptions, WriteProgram, WriteProgramError};
+use fatek::sim::{Fault, Line, Moment, PageReply, Rule};
+
+use crate::bench::{Bench, program, program_with_header, seeds};
+
+/// What happens to the n-th page that is written, and to everything behind it.
+#[derive(Clone, Copy, Debug)]
+enum Crash {
+    /// The PLC hears nothing any more.
+    Silence,
+    /// The page is written, and then the connection is gone for good.
+    Disconnect,
+    /// The page is written, and nothing is answered any more.
+    NoAnswer,
+    /// The process is gone when the write has been sent.
+    Process,
+}
+
+const OPTIONS: fn() -> WriteOptions = || WriteOptions::new().stop_first().run_again();
+
+#[tokio::test(start_paused = true)]
+async fn a_crash_at_every_page_and_then_a_new_process_end_with_the_program_and_never_run_a_half() {
+    // The real size for one kind of crash, and a smaller one for all.
+    for (ladder_words, crashes) in
+        [(8192, &[Crash::Process][..]), (1280, &[Crash::Silence, Crash::Disconnect, Crash::NoAnswer, Crash::Process])]
+    {
+        // The headers differ, too, so that every page is written.
+        let (old, new) = (program(ladder_words, 1), program_with_header(ladder_words, 2, b"FB01"));
+        for &crash in crashes {
+            for nth in 1..=new.header().page_count() {
+                crash_at(crash, nth, ladder_words, &old, &new).await;
+            }
+        }
+    }
+}
+
+async fn crash_at(crash: Crash, nth: u16, ladder_words: u16, old: &Program, new: &Program) {
+    let context = format!("{crash:?} at the {nth}. page of {ladder_words} words");
+    let bench = Bench::new(ladder_words, PageReply::WithErrorDigit, nth.into());
+    bench.load(old);
+    bench.plc.run();
+    let skip = u64::from(nth - 1);
+    // From the n-th write on; what reads before that goes on.
+    let from_here = |fault| Rule::new(fault).command(Code::WriteProgramPage).skip(skip);
+    match crash {
+        Crash::Silence => bench.faults.add_rule(from_here(Fault::Ignore)),
+        Crash::Disconnect => {
+            bench.faults.add_rule(from_here(Fault::Disconnect(Moment::BeforeReply)));
+            // There is one connection, and no other.
+            bench.faults.add_rule(Rule::new(Fault::Refuse).skip(1));
+        }
+        Crash::NoAnswer | Crash::Process => bench.faults.add_rule(from_here(Fault::DropReply)),
+    };
+    let station = bench.station().with_options(CallOptions::new().retries(0));
+    let mut write = WriteProgram::new(new, OPTIONS());
+    {
+        let mut run = Box::pin(write.run(&station));
+        let ended = tokio::select! {
+            ended = &mut run => Some(ended),
+            // Until the write has arrived; then all of the line is dead.
+            () = struck(&bench) => None,
+        };
+        assert!(ended.is_none(), "{context}: {ended:?}");
+        match crash {
+            Crash::Process => drop(run),
+            Crash::Silence | Crash::NoAnswer | Crash::Disconnect => {
+                bench.faults.add_rule(Rule::new(Fault::Ignore));
+                let error = run.await.unwrap_err();
+                check(&error, nth, new, &context);
+            }
+        }
+    }
+    assert!(!bench.plc.is_running(), "{context}: it runs a half-written program");
+    let before = bench.holds();
+    assert!(before != old.pages() || nth == 1, "{context}");
+    assert!(before != new.pages() || nth == new.header().page_count(), "{context}");
+
+    // Another process: another link, and nothing but the program.
+    bench.faults.set_rules([]);
+    let missing: Vec<u16> =
+        order(new).into_iter().filter(|&page| before.get(usize::from(page)) != new.page(page)).collect();
+    let report = bench.station().write_program(new, OPTIONS()).await.unwrap();
+    assert_eq!(report.written, missing, "{context}: only what is missing is written");
+    // It did not run before, as far as this process knows.
+    assert!(!report.running && !bench.plc.is_running(), "{context}");
+    assert_eq!(bench.holds(), new.pages(), "{context}");
+
+    // The first one, if it is still there, knows better.
+    let report = write.run(&bench.station()).await.unwrap();
+    assert!(report.written.is_empty() && report.running && bench.plc.is_running(), "{context}: {report:?}");
+    bench.never_ran_a_half(old, new);
+}
+
+fn check(error: &WriteProgramError, nth: u16, new: &Program, context: &str) {
+    assert!(matches!(*error.source, ProgramError::Call { .. }), "{context}: {error}");
+    let mut written = order(new);
+    let mut rest = written.split_off(usize::from(nth - 1));
+    assert_eq!((&error.written, error.in_doubt), (&written, rest.first().copied()), "{context}");
+    rest.sort_unstable();
+    assert_eq!(error.unwritten, rest, "{context}");
+    assert!(error.is_half_written() && error.plc == PlcState::Stopped, "{context}: {error:?}");
+    let text = error.to_string();
+    assert!(text.contains(&format!("{} of the ", nth - 1)) && text.contains("the PLC is stopped"), "{context}: {text}");
+}
+
+/// Until the first rule has struck.
+async fn struck(bench: &Bench) {
+    while bench.faults.rules().first().is_some_and(|rule| rule.struck() == 0) {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+/// In which order the pages of a program are written: the header last.
+fn order(program: &Program) -> Vec<u16> {
+    (1..program.header().page_count()).chain([0]).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_page_whose_write_has_no_answer_is_read_and_written_again_only_if_it_differs() {
+    let (old, new) = (program(640, 1), program(640, 2));
+    for (fault, writes) in [(Fault::DropReply, 1), (Fault::Ignore, 2)] {
+        let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
+        bench.load(&old);
+        bench.faults.add_rule(Rule::new(fault).command(Code::WriteProgramPage).skip(4).times(1));
+        let report = bench.station().write_program(&new, WriteOptions::new()).await.unwrap();
+        assert_eq!(report.written, (1..=10).collect::<Vec<_>>());
+        assert_eq!(bench.holds(), new.pages());
+        let sent = bench.entries().into_iter().filter(|entry| {
+            matches!(entry.request(), Some(fatek::command::Request::WriteProgramPage(write)) if write.page == 5)
+        });
+        assert_eq!(sent.count(), writes);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_page_is_given_up_after_as_many_attempts_as_were_asked_for() {
+    let (old, new) = (program(640, 1), program(640, 2));
+    for attempts in [0, 1, 4] {
+        let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
+        bench.load(&old);
+        bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage));
+        let error = bench.station().write_program(&new, WriteOptions::new().attempts(attempts)).await.unwrap_err();
+        assert!(error.to_string().starts_with("cannot write page 1: station 1 did not answer"), "{error}");
+        let sent = bench
+            .entries()
+            .into_iter()
+            .filter(|entry| matches!(entry.request(), Some(fatek::command::Request::WriteProgramPage(_))));
+        assert_eq!(sent.count(), attempts.max(1) as usize);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_slow_page_write_gets_the_time_that_it_was_given_and_other_requests_do_not() {
+    let (old, new) = (program(640, 1), program(640, 2));
+    let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
+    bench.load(&old);
+    let slow = Fault::Delay { min: Duration::from_secs(7), max: Duration::from_secs(7) };
+    bench.faults.add_rule(Rule::new(slow).command(Code::WriteProgramPage));
+    let patient = WriteOptions::new().page_timeout(Duration::from_secs(8));
+    bench.station().write_program(&new, patient).await.unwrap();
+    let sent = bench.faults.log().writes();
+    assert_eq!((sent, bench.holds()), (10, new.pages().to_vec()));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_writing_that_is_dropped_at_any_time_goes_on_and_in_the_end_the_plc_runs_as_before() {
+    let (old, new) = (program(640, 1), program(640, 2));
+    let mut drops = 0;
+    for seed in seeds(100) {
+        let bench = Bench::new(640, PageReply::WithErrorDigit, seed);
+        bench.load(&old);
+        bench.plc.run();
+        let request = Duration::from_millis(10);
+        bench.faults.set_line(Line::default().turnaround(request, request));
+        let station = bench.station();
+        let mut write = WriteProgram::new(&new, OPTIONS());
+        // The whole takes about 400 ms, and the comparison before the first page 130 ms.
+        let mut after = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let report = loop {
+            after = after.rotate_left(17).wrapping_mul(0x0100_0000_01B3).wrapping_add(1);
+            match tokio::time::timeout(Duration::from_millis(after % 450), write.run(&station)).await {
+                Ok(report) => break report.unwrap(),
+                Err(_) => drops += 1,
+            }
+            let half = bench.holds() != old.pages() && bench.holds() != new.pages();
+            assert!(!(half && bench.plc.is_running()), "seed {seed}");
+        };
+        assert!(report.was_stopped && report.running && bench.plc.is_running(), "seed {seed}: {report:?}");
+        assert_eq!(bench.holds(), new.pages(), "seed {seed}");
+        bench.never_ran_a_half(&old, &new);
+    }
+    assert!(drops > 100 || seeds(100).count() < 100, "{drops}");
+}

@@ -1,0 +1,174 @@
+//! Others who work on the same PLC, and a PLC that does not do as it is told.
+
+use std::time::Duration;
+
+use fatek::ErrorCode;
+use fatek::command::{Code, ProgramPage};
+use fatek::program::{PlcState, ProgramError, WriteOptions, WriteProgram};
+use fatek::sim::{Fault, Line, Model, PageReply, Rule};
+use tokio::time::sleep;
+
+use crate::bench::{Bench, program};
+
+const REQUEST: Duration = Duration::from_millis(10);
+
+/// With a program, and with requests that take a while.
+fn bench(ladder_words: u16) -> Bench {
+    let bench = Bench::new(ladder_words, PageReply::WithErrorDigit, 1);
+    bench.load(&program(ladder_words, 1));
+    bench.faults.set_line(Line::default().turnaround(REQUEST, REQUEST));
+    bench
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_program_that_is_changed_while_it_is_read_is_an_error_if_the_header_shows_it() {
+    let bench = bench(640);
+    let station = bench.station();
+    let reading = station.read_program();
+    let changing = async {
+        sleep(6 * REQUEST).await;
+        let mut header = bench.plc.page(0).unwrap().to_bytes();
+        header[3] = b'5';
+        bench.plc.set_page(0, ProgramPage::from_bytes(&header)).unwrap();
+    };
+    let (result, ()) = tokio::join!(reading, changing);
+    let error = result.unwrap_err();
+    assert!(matches!(error, ProgramError::Changed { page: Some(0), .. }), "{error}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_runs_is_refused_unless_it_may_be_stopped() {
+    let bench = bench(640);
+    let (old, new) = (program(640, 1), program(640, 2));
+    bench.plc.run();
+    let station = bench.station();
+    let error = station.write_program(&new, WriteOptions::new()).await.unwrap_err();
+    assert!(matches!(*error.source, ProgramError::Running), "{error}");
+    assert_eq!((bench.faults.log().writes(), bench.holds()), (0, old.pages().to_vec()));
+    assert!(bench.plc.is_running());
+
+    // Without a difference there is no reason to stop it.
+    let report = station.write_program(&old, WriteOptions::new().stop_first()).await.unwrap();
+    assert!(report.written.is_empty() && !report.was_stopped && report.running && bench.plc.is_running());
+    assert_eq!(bench.faults.log().writes(), 0);
+
+    let compared = WriteProgram::new(&new, WriteOptions::new()).compare(&station).await.unwrap();
+    assert_eq!(compared, (1..=10).collect::<Vec<_>>());
+    assert_eq!(bench.faults.log().writes(), 0);
+
+    let report = station.write_program(&new, WriteOptions::new().stop_first()).await.unwrap();
+    assert!(report.was_stopped && !report.running && !bench.plc.is_running());
+    assert_eq!(bench.holds(), new.pages());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_somebody_starts_in_the_middle_is_stopped_again_and_the_writing_fails() {
+    let new = program(2560, 2);
+    // 40 pages are compared, and then each is written and read back.
+    for at in [45, 60, 77, 100] {
+        let bench = bench(2560);
+        let station = bench.station();
+        let writing = station.write_program(&new, WriteOptions::new().run_again());
+        let starting = async {
+            sleep(at * REQUEST).await;
+            bench.plc.run();
+        };
+        let (result, ()) = tokio::join!(writing, starting);
+        let error = result.unwrap_err();
+        assert!(matches!(*error.source, ProgramError::SetRunning), "{error}");
+        assert!(error.is_half_written() && error.plc == PlcState::Stopped && !bench.plc.is_running(), "{error:?}");
+        // And then it goes on.
+        let report = station.write_program(&new, WriteOptions::new()).await.unwrap();
+        assert_eq!(report.written, error.unwritten);
+        assert_eq!(bench.holds(), new.pages());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_takes_pages_while_it_runs_is_found_to_run_within_16_pages() {
+    let (old, new) = (program(2560, 1), program(2560, 2));
+    for at in [46, 60, 77, 100, 122] {
+        let bench = Bench::with_model(Model::default().ladder_words(2560).pages_while_running(true), 1);
+        bench.load(&old);
+        bench.faults.set_line(Line::default().turnaround(REQUEST, REQUEST));
+        let station = bench.station();
+        let writing = station.write_program(&new, WriteOptions::new());
+        let starting = async {
+            sleep(at * REQUEST).await;
+            bench.plc.run();
+            bench.faults.log().writes()
+        };
+        let (result, before) = tokio::join!(writing, starting);
+        let error = result.unwrap_err();
+        assert!(matches!(*error.source, ProgramError::SetRunning), "{error}");
+        let written_since = error.written.len() as u64 - before;
+        assert!((1..=16).contains(&written_since), "at {at}: {written_since}");
+        assert!(error.plc == PlcState::Stopped && !bench.plc.is_running(), "{error:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_does_not_stop_is_not_written() {
+    let bench = bench(640);
+    bench.plc.run();
+    bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ControlPlc));
+    let new = program(640, 2);
+    let error = bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap_err();
+    assert!(error.to_string().starts_with("cannot stop the PLC: station 1 did not answer"), "{error}");
+    assert_eq!((error.plc, bench.faults.log().writes()), (PlcState::Running, 0));
+    bench.faults.set_rules([]);
+    bench.faults.add_rule(Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ControlPlc));
+    let error = bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap_err();
+    assert!(error.to_string().contains("illegal format, or the command cannot be executed (4)"), "{error}");
+    // One that needs two attempts is fine.
+    bench.faults.set_rules([]);
+    bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ControlPlc).times(1));
+    bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap();
+    assert_eq!(bench.holds(), program(640, 2).pages());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_refuses_to_run_is_left_stopped_with_the_whole_program() {
+    let bench = bench(640);
+    bench.plc.run();
+    bench.plc.refuse_run(Some(ErrorCode::Syntax));
+    let new = program(640, 2);
+    let error = bench.station().write_program(&new, WriteOptions::new().stop_first().run_again()).await.unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "the PLC refuses to run the program: cannot run: syntax error (7); the program is written, and the PLC is stopped"
+    );
+    assert_eq!(bench.holds(), new.pages());
+    assert!(!bench.plc.is_running());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_run_without_an_answer_is_settled_by_the_status() {
+    for fault in [Fault::DropReply, Fault::Ignore] {
+        let bench = bench(640);
+        bench.plc.run();
+        // The first 41 is STOP.
+        bench.faults.add_rule(Rule::new(fault).command(Code::ControlPlc).skip(1).times(1));
+        let new = program(640, 2);
+        let options = WriteOptions::new().stop_first().run_again().verify_all();
+        let report = bench.station().write_program(&new, options).await.unwrap();
+        assert!(report.was_stopped && report.running && bench.plc.is_running());
+        bench.never_ran_a_half(&program(640, 1), &new);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_page_that_is_refused_in_the_middle_leaves_a_plc_that_is_stopped() {
+    let bench = bench(640);
+    bench.plc.run();
+    let refused = Rule::new(Fault::Error(ErrorCode::WriteProhibited)).command(Code::WriteProgramPage).skip(3);
+    bench.faults.add_rule(refused);
+    let new = program(640, 2);
+    let error = bench.station().write_program(&new, WriteOptions::new().stop_first().run_again()).await.unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "cannot write page 4: station 1 refused write program page (50): write prohibited, the PLC has a ROM pack (3); \
+         3 of the 10 pages that differ are written, and the PLC is stopped: write the rest before it runs"
+    );
+    assert!(!bench.plc.is_running());
+}
