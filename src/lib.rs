@@ -43,6 +43,7 @@
 //! - [`wire`]: the two framings, usable alone.
 //! - [`link`]: [`Link`], [`Station`] and [`Broadcast`], and what decides between them.
 //! - [`pool`]: [`Pool`], the links to many PLCs.
+//! - [`mod@backup`]: [`Backup`], ranges of registers and discretes: read, saved, compared, written back.
 //! - [`program`]: [`Program`], the pages of a PLC together: read, saved, compared, written.
 //! - [`file`](mod@file): what is saved in files, and what can be wrong with them; [`progress`]: how far a transfer has come.
 #![cfg_attr(feature = "sim", doc = "- [`sim`]: a PLC in memory, and its server.")]
@@ -68,6 +69,7 @@
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
+pub mod backup;
 pub mod command;
 pub mod element;
 pub mod endpoint;
@@ -86,6 +88,7 @@ mod station;
 pub mod tag;
 pub mod wire;
 
+pub use backup::Backup;
 pub use command::Value;
 pub use element::{Discrete, Element, Register, Register32, Symbol, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};

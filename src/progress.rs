@@ -50,7 +50,7 @@ impl fmt::Display for Phase {
 pub struct Progress {
     /// What it is about.
     pub phase: Phase,
-    /// Steps that are done: of a program, pages.
+    /// Steps that are done: of a program, pages; of a backup, elements.
     pub done: usize,
     /// Steps that there are in this phase.
     pub total: usize,

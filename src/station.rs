@@ -1,6 +1,7 @@
 //! The handles with the commands: [`Station`] for one PLC, [`Broadcast`] for all of them.
 
 mod any_length;
+mod backup;
 mod broadcast;
 mod program;
 

@@ -170,39 +170,11 @@ fn in_the_binary_framing_there_are_no_programs() {
 /// At a terminal: what is asked, and what an answer does.
 #[cfg(unix)]
 mod terminal {
-    use std::fs::OpenOptions;
-    use std::io::{Read, Write};
-    use std::process::{Command, Stdio};
-
-    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-
-    use super::process::FATEK;
+    use super::process::at_terminal;
     use super::*;
 
-    /// Runs the command at a terminal, gives this answer to its question, and tells its status and all that stood there.
     fn answer(sim: &Sim, args: &[&str], answer: &str) -> (i32, String) {
-        let terminal = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-        grantpt(&terminal).unwrap();
-        unlockpt(&terminal).unwrap();
-        let path = ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
-        let mut terminal = fs::File::from(terminal);
-        let side = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
-        let mut command = Command::new(FATEK);
-        command.args(["--link", &sim.url, "--station", "1", "program"]).args(args);
-        let mut child = command.stdin(side()).stdout(side()).stderr(side()).spawn().unwrap();
-        // The child alone has the other side now: when it ends, so does what is read here.
-        drop(command);
-        let (mut shown, mut answered) = (String::new(), false);
-        let mut buffer = [0; 4096];
-        while let Ok(len @ 1..) = terminal.read(&mut buffer) {
-            shown += &String::from_utf8_lossy(&buffer[..len]);
-            if !answered && shown.ends_with("[y/N] ") {
-                terminal.write_all(answer.as_bytes()).unwrap();
-                answered = true;
-            }
-        }
-        assert!(answered || answer.is_empty(), "{shown}");
-        (child.wait().unwrap().code().unwrap(), shown)
+        at_terminal(sim, &[&["program"], args].concat(), answer)
     }
 
     #[test]

@@ -83,6 +83,24 @@ impl Symbol {
         self.row().align
     }
 
+    /// The symbol of the smallest elements in the same memory: `M` for `WM` and `DWM`, `R` for `DR`. Elements of two such
+    /// memories never overlap.
+    pub(crate) const fn memory(self) -> Self {
+        match self {
+            Self::X | Self::WX | Self::DWX => Self::X,
+            Self::Y | Self::WY | Self::DWY => Self::Y,
+            Self::M | Self::WM | Self::DWM => Self::M,
+            Self::S | Self::WS | Self::DWS => Self::S,
+            Self::T | Self::WT | Self::DWT => Self::T,
+            Self::C | Self::WC | Self::DWC => Self::C,
+            Self::RT | Self::DRT => Self::RT,
+            Self::RC | Self::DRC => Self::RC,
+            Self::R | Self::DR => Self::R,
+            Self::D | Self::DD => Self::D,
+            Self::F | Self::DF => Self::F,
+        }
+    }
+
     /// The symbol with these letters, in either case.
     #[must_use]
     pub const fn from_letters(letters: &[u8]) -> Option<Self> {

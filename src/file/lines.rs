@@ -26,7 +26,6 @@ impl<'a> Lines<'a> {
     }
 
     /// Takes the next line whatever its name, split into name and value; `None` at the end.
-    #[allow(dead_code, reason = "only some kinds of files have lines in any order")]
     pub(crate) fn any_field(&mut self) -> Result<Option<(&'a str, &'a str)>, FormatError> {
         let Some(line) = self.line() else { return Ok(None) };
         line.split_once(' ').map(Some).ok_or_else(|| self.error("a name, a blank and a value were expected"))

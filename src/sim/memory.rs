@@ -116,18 +116,18 @@ impl Area {
     pub(super) const COUNT: usize = Self::F as usize + 1;
 
     pub(super) fn of(symbol: Symbol) -> Self {
-        match symbol {
-            Symbol::X | Symbol::WX | Symbol::DWX => Self::X,
-            Symbol::Y | Symbol::WY | Symbol::DWY => Self::Y,
-            Symbol::M | Symbol::WM | Symbol::DWM => Self::M,
-            Symbol::S | Symbol::WS | Symbol::DWS => Self::S,
-            Symbol::T | Symbol::WT | Symbol::DWT => Self::T,
-            Symbol::C | Symbol::WC | Symbol::DWC => Self::C,
-            Symbol::RT | Symbol::DRT => Self::Rt,
-            Symbol::RC | Symbol::DRC => Self::Rc,
-            Symbol::R | Symbol::DR => Self::R,
-            Symbol::D | Symbol::DD => Self::D,
-            Symbol::F | Symbol::DF => Self::F,
+        match symbol.memory() {
+            Symbol::X => Self::X,
+            Symbol::Y => Self::Y,
+            Symbol::M => Self::M,
+            Symbol::S => Self::S,
+            Symbol::T => Self::T,
+            Symbol::C => Self::C,
+            Symbol::RT => Self::Rt,
+            Symbol::RC => Self::Rc,
+            Symbol::R => Self::R,
+            Symbol::D => Self::D,
+            _ => Self::F,
         }
     }
 

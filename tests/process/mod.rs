@@ -143,3 +143,34 @@ pub(crate) fn ascii(content: &str) -> Vec<u8> {
     frame.extend_from_slice(format!("{lrc:02X}\x03").as_bytes());
     frame
 }
+
+/// Runs the command line on a simulator's station 1 at a terminal, gives this answer to its question, and tells its status and
+/// all that stood there.
+#[cfg(unix)]
+pub(crate) fn at_terminal(sim: &Sim, args: &[&str], answer: &str) -> (i32, String) {
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+    use std::fs::{File, OpenOptions};
+
+    let terminal = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&terminal).unwrap();
+    unlockpt(&terminal).unwrap();
+    let path = ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
+    let mut terminal = File::from(terminal);
+    let side = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
+    let mut command = Command::new(FATEK);
+    command.args(["--link", &sim.url, "--station", "1"]).args(args);
+    let mut child = command.stdin(side()).stdout(side()).stderr(side()).spawn().unwrap();
+    // The child alone has the other side now: when it ends, so does what is read here.
+    drop(command);
+    let (mut shown, mut answered) = (String::new(), false);
+    let mut buffer = [0; 4096];
+    while let Ok(len @ 1..) = terminal.read(&mut buffer) {
+        shown += &String::from_utf8_lossy(&buffer[..len]);
+        if !answered && shown.ends_with("[y/N] ") {
+            terminal.write_all(answer.as_bytes()).unwrap();
+            answered = true;
+        }
+    }
+    assert!(answered || answer.is_empty(), "{shown}");
+    (child.wait().unwrap().code().unwrap(), shown)
+}

@@ -1,5 +1,6 @@
 //! What can stand on the command line.
 
+mod backup;
 mod program;
 
 use std::str::FromStr;
@@ -10,6 +11,7 @@ use fatek::tag::{Assignment, Tag};
 use fatek::wire::Framing;
 use fatek::{Discrete, Element};
 
+pub(crate) use self::backup::{BackupArgs, RestoreArgs};
 pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
 use crate::duration;
 use crate::output::Format;
@@ -54,7 +56,7 @@ Exit status:
   0  ok
   1  a file or the output could not be written, the runtime not be started, or it was not confirmed
   2  usage: the command line has an error, and nothing was sent
-  3  the PLC answered with an error
+  3  the PLC answered with an error, also (backup) for a part of what was asked
   4  timeout: the PLC did not answer, or (scan) no station did
   5  no connection
   6  bad reply, also (scan) of one station among others, or (decode) a bad frame
@@ -68,6 +70,7 @@ Examples:
   fatek status
   fatek read R0-R9 --format json
   fatek program read pump.program
+  fatek backup plant.backup R0-R3839 M0-M1911
   fatek scan 1-16
   fatek plan R0-R9 R900 --baud 9600
   fatek decode 02 30 31 34 36 30 33 52 30 30 30 31 32 37 35 03";
@@ -166,6 +169,8 @@ pub(crate) enum Command {
     /// Read, write and verify the whole program of a PLC, and look into a saved one
     #[command(subcommand)]
     Program(ProgramCommand),
+    Backup(BackupArgs),
+    Restore(RestoreArgs),
     Decode(DecodeArgs),
 }
 

@@ -2,8 +2,10 @@
 
 use std::fmt;
 use std::io;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
+use fatek::backup::{RestoreError, RestoreFailure, RestoreReport};
 use fatek::file::FileError;
 use fatek::program::{ProgramError, WriteProgramError};
 
@@ -33,6 +35,12 @@ pub(crate) enum Failure {
     Program(ProgramError),
     /// A program could not be written.
     WriteProgram(WriteProgramError),
+    /// A backup could not be restored.
+    Restore(RestoreError),
+    /// A restoring was stopped by the user; how far it has come.
+    BrokenOff(Box<RestoreReport>),
+    /// The PLC has refused to give so many elements, of all; the others are saved, if there are any.
+    Missing { missing: usize, all: usize, file: Option<PathBuf> },
     /// So many parts of what the PLC holds, of all, are not as in the file.
     Differs { what: &'static str, differing: usize, all: usize },
     /// The simulator cannot listen.
@@ -71,7 +79,10 @@ impl Failure {
     fn exit_status(&self) -> u8 {
         match self {
             Self::Output(_) | Self::Runtime(_) | Self::Declined | Self::File(FileError::Io { .. }) => 1,
+            Self::BrokenOff(_) => 1,
             Self::Usage(_) => 2,
+            Self::Missing { .. } => 3,
+            Self::Restore(error) => of_restore(&error.source),
             Self::Call { error, .. } => of_call(error),
             Self::Program(error) => of_program(error),
             Self::WriteProgram(error) => of_program(&error.source),
@@ -102,6 +113,14 @@ fn of_program(error: &ProgramError) -> u8 {
     }
 }
 
+fn of_restore(error: &RestoreFailure) -> u8 {
+    match error {
+        RestoreFailure::Call { source, .. } => of_call(source),
+        RestoreFailure::NotThere { .. } => 3,
+        _ => 7,
+    }
+}
+
 /// Why a call failed; of a write in several requests, why it went no further.
 fn cause(error: &fatek::Error) -> &fatek::Error {
     match error {
@@ -128,6 +147,12 @@ impl From<WriteProgramError> for Failure {
     }
 }
 
+impl From<RestoreError> for Failure {
+    fn from(error: RestoreError) -> Self {
+        Self::Restore(error)
+    }
+}
+
 impl From<fatek::Error> for Failure {
     fn from(error: fatek::Error) -> Self {
         Self::Call { what: None, error }
@@ -151,6 +176,14 @@ impl fmt::Display for Failure {
             Self::File(error) => error.fmt(f),
             Self::Program(error) => error.fmt(f),
             Self::WriteProgram(error) => error.fmt(f),
+            Self::Restore(error) => error.fmt(f),
+            Self::BrokenOff(report) => write!(f, "interrupted: {report}"),
+            Self::Missing { missing, all, file: None } => {
+                write!(f, "{missing} of {all} elements are missing; nothing is saved")
+            }
+            Self::Missing { missing, all, file: Some(file) } => {
+                write!(f, "{missing} of {all} elements are missing; the others are in {}", file.display())
+            }
             Self::Differs { what, differing, all } => write!(f, "{differing} of {all} {what} differ"),
             Self::Listen { url, error } => write!(f, "cannot listen on {url}: {error}"),
             Self::Output(error) => write!(f, "cannot write to stdout: {error}"),

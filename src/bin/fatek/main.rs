@@ -1,6 +1,7 @@
 //! The `fatek` command line: reads and writes FATEK PLCs, plays one, and explains frames.
 
 mod args;
+mod backup;
 mod confirm;
 mod connect;
 mod control;
@@ -77,6 +78,8 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 program::verify(&cli.plc.or(&args.plc), timeout, args, output).await
             }
             Command::Program(ProgramCommand::Info(file)) => program::info(file, output),
+            Command::Backup(args) => backup::backup(&cli.plc.or(&args.plc), timeout, args, output).await,
+            Command::Restore(args) => backup::restore(&cli.plc.or(&args.plc), timeout, args, output).await,
             Command::Decode(args) => decode::decode(args, output),
         }
     })

@@ -1,0 +1,240 @@
+//! Writing a backup back.
+
+use std::fmt;
+
+use tokio::time::{Duration, Instant, sleep};
+
+use super::restoring::{Goal, Reply, Restoring, Step};
+use super::take::{OnProgress, content_len, fetch};
+use super::{Backup, RestoreError, RestoreFailure, RestoreReport};
+use crate::command::{Value, WriteDiscretes, WriteRegisters};
+use crate::element::Element;
+use crate::error::Error;
+use crate::progress::{Meter, Progress};
+use crate::station::Station;
+use crate::tag::Tag;
+
+/// How a backup is restored.
+///
+/// The defaults: a PLC that runs goes on running; only elements that differ are written; forced discretes stay as they are.
+///
+/// ```
+/// use fatek::backup::RestoreOptions;
+///
+/// let options = RestoreOptions::new().stop_first().run_again();
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct RestoreOptions {
+    pub(super) if_running: IfRunning,
+    pub(super) run_again: bool,
+    pub(super) write_forced: bool,
+    pub(super) bridge: usize,
+    pub(super) attempts: u32,
+}
+
+/// What becomes of a PLC that runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum IfRunning {
+    GoOn,
+    Refuse,
+    Stop,
+}
+
+impl RestoreOptions {
+    /// The defaults.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { if_running: IfRunning::GoOn, run_again: false, write_forced: false, bridge: 0, attempts: 3 }
+    }
+
+    /// Stops the PLC if it runs, before anything is compared, and confirms by its status that it has stopped. A running program
+    /// may overwrite what is restored.
+    #[must_use]
+    pub fn stop_first(self) -> Self {
+        Self { if_running: IfRunning::Stop, ..self }
+    }
+
+    /// A PLC that runs is [`RestoreFailure::Running`](RestoreFailure::Running).
+    #[must_use]
+    pub fn require_stopped(self) -> Self {
+        Self { if_running: IfRunning::Refuse, ..self }
+    }
+
+    /// With [`stop_first`](Self::stop_first): runs the PLC when all is restored, if it ran before, and confirms that by its
+    /// status.
+    #[must_use]
+    pub fn run_again(self) -> Self {
+        Self { run_again: true, ..self }
+    }
+
+    /// Writes discretes that are disabled, too: their forced state becomes that of the backup.
+    #[must_use]
+    pub fn write_forced(self) -> Self {
+        Self { write_forced: true, ..self }
+    }
+
+    /// Writes up to so many equal elements of the backup that stand between two that differ, where both are then one request.
+    /// Default: 0. With more there are fewer requests, and what a running program changes in between is overwritten.
+    #[must_use]
+    pub fn bridge(self, elements: usize) -> Self {
+        Self { bridge: elements, ..self }
+    }
+
+    /// How often a write, RUN or STOP is tried before it is given up, when there was no answer and what has become of it was
+    /// looked at. Default: 3; at least 1.
+    #[must_use]
+    pub fn attempts(self, attempts: u32) -> Self {
+        Self { attempts: attempts.max(1), ..self }
+    }
+}
+
+impl Default for RestoreOptions {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The restoring of a backup that can be repeated until it is done.
+///
+/// Each [run](Self::run) compares all elements first, so it writes those only that an earlier one has not. Unlike a new
+/// `Restore` it remembers that the PLC ran before it was stopped.
+#[must_use]
+pub struct Restore {
+    restoring: Restoring,
+    on_progress: Option<OnProgress>,
+}
+
+/// How long the PLC gets to stop or to run before it is told again.
+const PAUSE: Duration = Duration::from_millis(100);
+
+impl Restore {
+    /// This backup is to be restored.
+    pub fn new(backup: &Backup, options: RestoreOptions) -> Self {
+        Self { restoring: Restoring::new(backup, options), on_progress: None }
+    }
+
+    /// Called after each request that has read or written; the steps are elements. It must not take long: the PLC waits
+    /// meanwhile.
+    pub fn on_progress(mut self, tell: impl FnMut(&Progress) + Send + 'static) -> Self {
+        self.on_progress = Some(Box::new(tell));
+        self
+    }
+
+    /// Finds out what would be written, and changes nothing: see [`RestoreReport::differences`] and
+    /// [`unwritten`](RestoreReport::unwritten). Whether the PLC runs is no matter here.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run), as far as that reads.
+    pub async fn compare(&mut self, station: &Station) -> Result<RestoreReport, RestoreError> {
+        self.go(station, Goal::Compare).await
+    }
+
+    /// Restores the backup, as the [module's documentation](super#what-is-restored) says.
+    ///
+    /// The future can be dropped at any time. What was written is then written, and if the PLC was stopped, it stays so; see
+    /// [`report`](Self::report).
+    ///
+    /// # Errors
+    /// [`RestoreError`], which tells why, what is written and what is not, and whether the PLC runs. Its
+    /// [`source`](RestoreError::source) is
+    /// - [`Running`](RestoreFailure::Running) and [`NotThere`](RestoreFailure::NotThere) before anything is
+    ///   written;
+    /// - [`Call`](RestoreFailure::Call) when a request fails: run it again when the PLC is there again;
+    /// - [`Differs`](RestoreFailure::Differs) when something was written and not all holds;
+    /// - [`StillRunning`](RestoreFailure::StillRunning) and [`NotRunning`](RestoreFailure::NotRunning) when the
+    ///   PLC does not do as it is told.
+    pub async fn run(&mut self, station: &Station) -> Result<RestoreReport, RestoreError> {
+        self.go(station, Goal::Restore).await
+    }
+
+    /// How far the last run has come, even one that was dropped.
+    #[must_use]
+    pub fn report(&self) -> RestoreReport {
+        self.restoring.report()
+    }
+
+    async fn go(&mut self, station: &Station, goal: Goal) -> Result<RestoreReport, RestoreError> {
+        self.restoring.begin(goal);
+        let mut meter: Option<Meter> = None;
+        loop {
+            let began = Instant::now();
+            let step = self.restoring.next();
+            let step = step.map_err(|source| self.failed(source))?;
+            let bytes = match &step {
+                Step::Done => return Ok(self.restoring.report()),
+                Step::Read(chunk) => content_len(chunk.range, chunk.count),
+                Step::Write(range, values) => content_len(*range, values.len()),
+                _ => 0,
+            };
+            let reply = ask(station, step).await;
+            let bytes = if reply.is_ok() { bytes } else { 0 };
+            self.restoring.handle(reply).map_err(|source| self.failed(source))?;
+            if let Some(tell) = self.on_progress.as_mut().filter(|_| bytes > 0) {
+                let (phase, done, total) = self.restoring.progress();
+                // The request that begins a phase belongs to it, and so does its time.
+                let meter = match &mut meter {
+                    Some(known) if known.phase() == phase => known,
+                    other => other.insert(Meter::new(phase, total, 0, began)),
+                };
+                meter.advance(done, total, bytes);
+                tell(&meter.progress(Instant::now()));
+            }
+        }
+    }
+
+    fn failed(&self, source: RestoreFailure) -> RestoreError {
+        RestoreError { source, report: Box::new(self.report()) }
+    }
+}
+
+impl fmt::Debug for Restore {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Restore").field("restoring", &self.restoring).finish_non_exhaustive()
+    }
+}
+
+async fn ask(station: &Station, step: Step) -> Result<Reply, Error> {
+    Ok(match step {
+        Step::Status => Reply::Running(station.read_status().await?.flags().running()),
+        Step::Stop => {
+            station.stop().await?;
+            Reply::Done
+        }
+        Step::Run => {
+            station.run().await?;
+            Reply::Done
+        }
+        Step::Pause => {
+            sleep(PAUSE).await;
+            Reply::Done
+        }
+        Step::Read(chunk) => Reply::Values(fetch(station, chunk).await?),
+        Step::ReadForced(first, count) => Reply::Forced(station.read_disabled(first, count).await?),
+        Step::Write(range, values) => {
+            store(station, range, &values).await?;
+            Reply::Done
+        }
+        Step::Done => Reply::Done,
+    })
+}
+
+/// Writes these elements in one request.
+async fn store(station: &Station, range: Tag, values: &[Value]) -> Result<(), Error> {
+    match range.first() {
+        Element::Discrete(first) => {
+            let bits = values.iter().filter_map(|value| if let Value::Bit(on) = *value { Some(on) } else { None });
+            station.call(WriteDiscretes::new(first, bits.collect::<Vec<_>>())?).await
+        }
+        Element::Register(first) => {
+            let words =
+                values.iter().filter_map(|value| if let Value::Word(word) = *value { Some(word) } else { None });
+            station.call(WriteRegisters::new(first, words.collect::<Vec<_>>())?).await
+        }
+        Element::Register32(first) => {
+            let doubles =
+                values.iter().filter_map(|value| if let Value::Double(double) = *value { Some(double) } else { None });
+            station.call(WriteRegisters::new(first, doubles.collect::<Vec<_>>())?).await
+        }
+    }
+}

@@ -1,0 +1,436 @@
+//! The states of restoring, as the [module](super) draws them. No I/O, and no clock.
+
+use super::block::{Chunk, Chunks, discretes, is_not_for_restoring, runs};
+use super::restore::{IfRunning, RestoreOptions};
+use super::target::{Mark, Slot, Target};
+use super::{Backup, Difference, RestoreFailure, RestoreReport};
+use crate::command::Value;
+use crate::element::Discrete;
+use crate::error::{Error, ErrorCode};
+use crate::program::PlcState;
+use crate::progress::Phase;
+use crate::tag::Tag;
+
+/// What a run is to come to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Goal {
+    /// Nothing is changed.
+    Compare,
+    Restore,
+}
+
+/// What is to be done next. The reply to it is said to [`Restoring::handle`].
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Step {
+    /// Ask for 40.
+    Status,
+    Stop,
+    Run,
+    /// Give the PLC a moment.
+    Pause,
+    Read(Chunk),
+    /// Ask which of so many discretes are disabled.
+    ReadForced(Discrete, usize),
+    /// Write these elements.
+    Write(Tag, Vec<Value>),
+    Done,
+}
+
+/// What has come of a step.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Reply {
+    /// Whether the PLC runs.
+    Running(bool),
+    Values(Vec<Value>),
+    Forced(Vec<bool>),
+    Done,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Look,
+    Stop,
+    Stopped,
+    /// It does not stop at once.
+    PauseToStop,
+    Compare,
+    Forced,
+    Write,
+    /// What has become of a write without an answer.
+    Check,
+    Verify,
+    Run,
+    Running,
+    PauseToRun,
+    Done,
+}
+
+/// A backup that is being restored.
+#[derive(Clone, Debug)]
+pub(super) struct Restoring {
+    options: RestoreOptions,
+    targets: Vec<Target>,
+    left_out: Vec<Tag>,
+    goal: Goal,
+    state: State,
+    /// What this state has still to ask for.
+    chunks: Chunks,
+    /// Elements that this state has settled, and all that it has to.
+    done: usize,
+    total: usize,
+    /// How often in a row the same was tried without an answer, or without effect.
+    tries: u32,
+    /// Whether the PLC was running before it was stopped, and whether it was: also by earlier runs.
+    ran: bool,
+    was_stopped: bool,
+    plc: PlcState,
+    remaining: Vec<Difference>,
+}
+
+impl Restoring {
+    pub(super) fn new(backup: &Backup, options: RestoreOptions) -> Self {
+        let (left_out, taken): (Vec<_>, Vec<_>) =
+            backup.blocks.iter().partition(|block| is_not_for_restoring(block.range));
+        Self {
+            options,
+            targets: taken.into_iter().map(Target::new).collect(),
+            left_out: left_out.into_iter().map(|block| block.range).collect(),
+            goal: Goal::Compare,
+            state: State::Done,
+            chunks: Chunks::default(),
+            done: 0,
+            total: 0,
+            tries: 0,
+            ran: false,
+            was_stopped: false,
+            plc: PlcState::Unknown,
+            remaining: Vec::new(),
+        }
+    }
+
+    /// A run begins: the first, or another after a failure.
+    pub(super) fn begin(&mut self, goal: Goal) {
+        self.targets.iter_mut().for_each(Target::forget);
+        self.remaining.clear();
+        self.plc = PlcState::Unknown;
+        self.goal = goal;
+        match goal {
+            Goal::Restore => self.enter(State::Look),
+            Goal::Compare => self.enter(State::Compare),
+        }
+    }
+
+    pub(super) fn next(&mut self) -> Result<Step, RestoreFailure> {
+        loop {
+            let Some(step) = self.step() else {
+                self.leave()?;
+                continue;
+            };
+            // What is sent may be done, whether anybody waits for the answer or not.
+            match (&step, self.chunks.next()) {
+                (Step::Write(..), Some(chunk)) => self.slots(chunk).iter_mut().for_each(|slot| slot.mark = Mark::Doubt),
+                (Step::Stop, _) => (self.was_stopped, self.plc) = (true, PlcState::Unknown),
+                (Step::Run, _) => self.plc = PlcState::Unknown,
+                _ => {}
+            }
+            return Ok(step);
+        }
+    }
+
+    /// What this state asks for; `None` if it has nothing left to ask for.
+    fn step(&self) -> Option<Step> {
+        match self.state {
+            State::Look | State::Stopped | State::Running => Some(Step::Status),
+            State::Stop => Some(Step::Stop),
+            State::Run => Some(Step::Run),
+            State::PauseToStop | State::PauseToRun => Some(Step::Pause),
+            State::Done => Some(Step::Done),
+            State::Compare | State::Check | State::Verify => self.chunks.next().map(Step::Read),
+            State::Forced => {
+                let (first, count) = discretes(self.chunks.next()?.names())?;
+                Some(Step::ReadForced(first, count))
+            }
+            State::Write => {
+                let chunk = self.chunks.next()?;
+                let slots = self.targets.get(chunk.block)?.slots.get(chunk.places())?;
+                Some(Step::Write(chunk.names(), slots.iter().filter_map(|slot| slot.wanted).collect()))
+            }
+        }
+    }
+
+    /// All that this state had to ask for is settled.
+    fn leave(&mut self) -> Result<(), RestoreFailure> {
+        match self.state {
+            State::Compare => {
+                let count = self.count(|mark| matches!(mark, Mark::NotGiven(_)));
+                if count > 0 {
+                    return Err(RestoreFailure::NotThere { count });
+                }
+                self.enter(State::Forced);
+            }
+            State::Forced if self.goal == Goal::Compare => self.enter(State::Done),
+            State::Forced => self.enter(State::Write),
+            // What was sent is looked at, whatever came of it.
+            State::Write if self.count(|mark| matches!(mark, Mark::Written | Mark::NotTaken(_))) > 0 => {
+                self.enter(State::Verify);
+            }
+            State::Verify if !self.remaining.is_empty() => {
+                return Err(RestoreFailure::Differs { count: self.remaining.len() });
+            }
+            State::Write | State::Verify if self.options.run_again && self.ran && self.was_stopped => {
+                self.enter(State::Run);
+            }
+            _ => self.enter(State::Done),
+        }
+        Ok(())
+    }
+
+    fn enter(&mut self, state: State) {
+        self.state = state;
+        (self.tries, self.done) = (0, 0);
+        let bridge = self.options.bridge;
+        let wanted = |target: &Target| match state {
+            State::Compare => runs(&target.slots, |slot| slot.mark == Mark::Unknown),
+            State::Forced if self.options.write_forced || discretes(target.range).is_none() => Vec::new(),
+            State::Forced => runs(&target.slots, |slot| slot.mark == Mark::Differs),
+            State::Write => target.to_write(bridge),
+            State::Verify => runs(&target.slots, |slot| slot.wanted.is_some() && slot.mark != Mark::Forced),
+            _ => Vec::new(),
+        };
+        let all = self
+            .targets
+            .iter()
+            .enumerate()
+            .flat_map(|(block, target)| wanted(target).into_iter().map(move |run| (block, target.range, run)));
+        let all: Vec<_> = all.collect();
+        self.total = all.iter().map(|(_, _, run)| run.len()).sum();
+        self.chunks = Chunks::new(all);
+    }
+
+    pub(super) fn handle(&mut self, reply: Result<Reply, Error>) -> Result<(), RestoreFailure> {
+        match self.state {
+            State::Look => {
+                let running = self.running(reply)?;
+                self.ran |= running;
+                match (running, self.options.if_running) {
+                    (true, IfRunning::Refuse) => return Err(RestoreFailure::Running),
+                    (true, IfRunning::Stop) => self.enter(State::Stop),
+                    _ => self.enter(State::Compare),
+                }
+            }
+            State::Stop => {
+                // It runs, so it is known what it means if this was not sent.
+                self.was_stopped = reply.as_ref().err().is_none_or(Error::may_have_executed);
+                self.told("stopping the PLC", reply, State::Stopped)?;
+            }
+            State::Stopped => match self.running(reply)? {
+                true => {
+                    self.was_stopped = false;
+                    self.again(State::PauseToStop, RestoreFailure::StillRunning)?;
+                }
+                false => self.enter(State::Compare),
+            },
+            State::PauseToStop => self.state = State::Stop,
+            State::Run => self.told("running the PLC", reply, State::Running)?,
+            State::Running => match self.running(reply)? {
+                true => self.enter(State::Done),
+                false => self.again(State::PauseToRun, RestoreFailure::NotRunning)?,
+            },
+            State::PauseToRun => self.state = State::Run,
+            State::Compare | State::Forced | State::Write | State::Check | State::Verify => {
+                if let Some(chunk) = self.chunks.next() {
+                    return self.handle_chunk(chunk, reply);
+                }
+            }
+            State::Done => {}
+        }
+        Ok(())
+    }
+
+    /// 41 was sent: whatever came of it, the status tells.
+    fn told(&mut self, doing: &str, reply: Result<Reply, Error>, next: State) -> Result<(), RestoreFailure> {
+        if let Err(error) = reply
+            && !error.may_have_executed()
+        {
+            return Err(RestoreFailure::Call { doing: doing.to_owned(), source: error });
+        }
+        self.state = next;
+        Ok(())
+    }
+
+    fn running(&mut self, reply: Result<Reply, Error>) -> Result<bool, RestoreFailure> {
+        let reply = reply.map_err(|source| RestoreFailure::Call { doing: "reading the status".to_owned(), source })?;
+        let running = reply == Reply::Running(true);
+        self.plc = if running { PlcState::Running } else { PlcState::Stopped };
+        Ok(running)
+    }
+
+    fn again(&mut self, state: State, failure: RestoreFailure) -> Result<(), RestoreFailure> {
+        self.tries = self.tries.saturating_add(1);
+        if self.tries >= self.options.attempts {
+            return Err(failure);
+        }
+        self.state = state;
+        Ok(())
+    }
+
+    fn handle_chunk(&mut self, chunk: Chunk, reply: Result<Reply, Error>) -> Result<(), RestoreFailure> {
+        match (self.state, reply) {
+            (State::Compare, Ok(Reply::Values(values))) => {
+                for (slot, value) in self.slots(chunk).iter_mut().zip(values) {
+                    slot.found = Some(value);
+                    slot.mark = if slot.wanted == Some(value) { Mark::Same } else { Mark::Differs };
+                }
+                self.settled(chunk);
+            }
+            (State::Compare, Err(Error::Plc { error, .. })) => self.refused(Mark::NotGiven(error)),
+            (State::Forced, Ok(Reply::Forced(forced))) => {
+                let per_slot = forced.len().checked_div(chunk.count).unwrap_or(1).max(1);
+                for (slot, forced) in self.slots(chunk).iter_mut().zip(forced.chunks(per_slot)) {
+                    if forced.contains(&true) {
+                        slot.mark = Mark::Forced;
+                    }
+                }
+                self.settled(chunk);
+            }
+            (State::Write, Ok(_)) => {
+                self.slots(chunk).iter_mut().for_each(|slot| slot.mark = Mark::Written);
+                self.tries = 0;
+                self.settled(chunk);
+            }
+            (State::Write, Err(error)) => return self.not_written(chunk, error),
+            (State::Check, Ok(Reply::Values(values))) => self.checked(chunk, &values),
+            (State::Verify, Ok(Reply::Values(values))) => {
+                self.verified(chunk, &values.into_iter().map(Some).collect::<Vec<_>>());
+                self.settled(chunk);
+            }
+            (State::Verify, Err(Error::Plc { .. })) => {
+                if let Some(single) = self.chunks.refused() {
+                    self.verified(single, &vec![None; single.count]);
+                    self.done = self.done.saturating_add(single.count);
+                }
+            }
+            (_, Err(source)) => {
+                return Err(RestoreFailure::Call { doing: doing(self.state, chunk), source });
+            }
+            // No step has such a reply.
+            (_, Ok(_)) => self.settled(chunk),
+        }
+        Ok(())
+    }
+
+    fn not_written(&mut self, chunk: Chunk, error: Error) -> Result<(), RestoreFailure> {
+        let doing = doing(self.state, chunk);
+        match error {
+            // Nothing in this PLC can be written: no need to try each.
+            Error::Plc { error: ErrorCode::WriteProhibited, repeated: false, .. } => {}
+            Error::Plc { error, repeated: false, .. } => {
+                self.unsent(chunk);
+                self.refused(Mark::NotTaken(error));
+                return Ok(());
+            }
+            error if error.may_have_executed() => {
+                return self.again(State::Check, RestoreFailure::Call { doing, source: error });
+            }
+            _ => {}
+        }
+        self.unsent(chunk);
+        Err(RestoreFailure::Call { doing, source: error })
+    }
+
+    /// A write that was not confirmed has been read back.
+    fn checked(&mut self, chunk: Chunk, values: &[Value]) {
+        for (slot, &value) in self.slots(chunk).iter_mut().zip(values) {
+            slot.mark = if slot.wanted == Some(value) { Mark::Written } else { Mark::Differs };
+        }
+        let tries = self.tries;
+        let differing = runs(self.slots(chunk), |slot| slot.mark == Mark::Differs);
+        let shifted = differing.into_iter().map(|run| {
+            let shift = |place: usize| place.saturating_add(chunk.start);
+            (chunk.block, chunk.range, shift(run.start)..shift(run.end))
+        });
+        let shifted: Vec<_> = shifted.collect();
+        let left: usize = shifted.iter().map(|(_, _, run)| run.len()).sum();
+        self.chunks.done();
+        self.chunks.prepend(Chunks::new(shifted));
+        self.done = self.done.saturating_add(chunk.count.saturating_sub(left));
+        self.tries = if left == 0 { 0 } else { tries };
+        self.state = State::Write;
+    }
+
+    fn verified(&mut self, chunk: Chunk, values: &[Option<Value>]) {
+        let elements = chunk.names().elements();
+        let slots = self.targets.get(chunk.block).and_then(|target| target.slots.get(chunk.places()));
+        let differences =
+            elements.zip(slots.unwrap_or_default()).zip(values).filter_map(|((element, slot), &found)| {
+                let expected = slot.wanted?;
+                (found != Some(expected)).then_some(Difference { element, expected, found })
+            });
+        self.remaining.extend(differences);
+    }
+
+    /// The request for these was refused: its halves come next, and a single element is marked.
+    fn refused(&mut self, mark: Mark) {
+        if let Some(single) = self.chunks.refused() {
+            self.slots(single).iter_mut().for_each(|slot| slot.mark = mark);
+            self.done = self.done.saturating_add(single.count);
+        }
+    }
+
+    /// This has not been written for certain.
+    fn unsent(&mut self, chunk: Chunk) {
+        for slot in self.slots(chunk) {
+            slot.mark = if slot.found == slot.wanted { Mark::Same } else { Mark::Differs };
+        }
+    }
+
+    fn settled(&mut self, chunk: Chunk) {
+        self.chunks.done();
+        self.done = self.done.saturating_add(chunk.count);
+    }
+
+    /// What it is about, how many of its elements are settled, and how many there are.
+    pub(super) fn progress(&self) -> (Phase, usize, usize) {
+        let phase = match self.state {
+            State::Write | State::Check | State::Forced => Phase::Writing,
+            State::Verify => Phase::Verifying,
+            _ => Phase::Comparing,
+        };
+        (phase, self.done, self.total)
+    }
+
+    pub(super) fn report(&self) -> RestoreReport {
+        let ranges = |holds: fn(Mark) -> bool| self.targets.iter().flat_map(|target| target.ranges(holds)).collect();
+        RestoreReport {
+            compared: self.targets.iter().flat_map(|target| &target.slots).filter(|slot| slot.found.is_some()).count(),
+            differences: self.targets.iter().flat_map(Target::differences).collect(),
+            written: ranges(|mark| mark == Mark::Written),
+            in_doubt: ranges(|mark| mark == Mark::Doubt),
+            unwritten: ranges(|mark| mark == Mark::Differs),
+            refused: self.targets.iter().flat_map(Target::refused).collect(),
+            forced: ranges(|mark| mark == Mark::Forced),
+            left_out: self.left_out.clone(),
+            remaining: self.remaining.clone(),
+            was_stopped: self.was_stopped,
+            plc: self.plc,
+        }
+    }
+
+    fn count(&self, holds: impl Fn(Mark) -> bool) -> usize {
+        self.targets.iter().flat_map(|target| &target.slots).filter(|slot| holds(slot.mark)).count()
+    }
+
+    fn slots(&mut self, chunk: Chunk) -> &mut [Slot] {
+        let slots = self.targets.get_mut(chunk.block).and_then(|target| target.slots.get_mut(chunk.places()));
+        slots.unwrap_or_default()
+    }
+}
+
+fn doing(state: State, chunk: Chunk) -> String {
+    let names = chunk.names();
+    match state {
+        State::Write => format!("writing {names}"),
+        State::Forced => format!("asking which of {names} are forced"),
+        _ => format!("reading {names}"),
+    }
+}

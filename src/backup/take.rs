@@ -1,0 +1,173 @@
+//! Reading what goes into a backup.
+
+use std::fmt;
+use std::time::{Duration, SystemTime};
+
+use tokio::time::Instant;
+
+use super::block::{Chunk, Chunks, runs};
+use super::{Backup, InvalidBackup, Missing};
+use crate::command::{ReadDiscretes, ReadRegisters, Value};
+use crate::element::{Element, Width};
+use crate::error::Error;
+use crate::progress::{Meter, Phase, Progress};
+use crate::station::Station;
+use crate::tag::Tag;
+
+pub(super) type OnProgress = Box<dyn FnMut(&Progress) + Send>;
+
+/// The reading of a backup that can be broken off and gone on with.
+///
+/// It keeps what has been read when a run fails or is dropped. Run it with the same station.
+///
+/// ```
+/// # fatek::sim::doctest(|station| async move {
+/// use fatek::backup::TakeBackup;
+///
+/// let mut taking = TakeBackup::new(["R0-R3839".parse()?])?.on_progress(|progress| eprintln!("{progress}"));
+/// let backup = loop {
+///     match taking.run(&station).await {
+///         Ok(backup) => break backup,
+///         Err(error) if taking.partial().value_count() > 0 => eprintln!("{error}; going on"),
+///         Err(error) => return Err(error.into()),
+///     }
+/// };
+/// # assert_eq!(backup.value_count(), 3840);
+/// # Ok(()) });
+/// ```
+#[must_use]
+pub struct TakeBackup {
+    backup: Backup,
+    on_progress: Option<OnProgress>,
+}
+
+impl TakeBackup {
+    /// Nothing has been read yet.
+    ///
+    /// # Errors
+    /// As for [`Backup::of`].
+    pub fn new(ranges: impl IntoIterator<Item = Tag>) -> Result<Self, InvalidBackup> {
+        Ok(Self::resume(Backup::of(ranges)?))
+    }
+
+    /// Goes on with a backup: what is [`Missing::NotRead`] in it is to be read.
+    pub fn resume(partial: Backup) -> Self {
+        Self { backup: partial, on_progress: None }
+    }
+
+    /// Called after each request; the steps are elements. It must not take long: the PLC waits meanwhile.
+    pub fn on_progress(mut self, tell: impl FnMut(&Progress) + Send + 'static) -> Self {
+        self.on_progress = Some(Box::new(tell));
+        self
+    }
+
+    /// What has been read so far. The rest is [`Missing::NotRead`].
+    #[must_use]
+    pub fn partial(&self) -> &Backup {
+        &self.backup
+    }
+
+    /// Reads what has not been read, and gives the backup. What the PLC refuses to give is missing in it, and no failure.
+    ///
+    /// Each request is a read of its own, with the timeouts and retries of the station's [options](Station::options). The
+    /// future can be dropped at any time.
+    ///
+    /// # Errors
+    /// The first that is not a refusal: no answer, no connection. Run it again to go on.
+    pub async fn run(&mut self, station: &Station) -> Result<Backup, Error> {
+        self.look(station).await?;
+        let blocks = self.backup.blocks.iter().enumerate();
+        let mut chunks = Chunks::new(blocks.flat_map(|(number, block)| {
+            let unread = runs(&block.cells, |cell| *cell == Err(Missing::NotRead));
+            unread.into_iter().map(move |run| (number, block.range, run))
+        }));
+        let (total, mut done) = (self.backup.element_count(), self.done());
+        let mut meter = Meter::new(Phase::Reading, total, done, Instant::now());
+        while let Some(chunk) = chunks.next() {
+            let values = fetch(station, chunk).await;
+            let Some(block) = self.backup.blocks.get_mut(chunk.block) else { break };
+            let bytes = match values {
+                Ok(values) => {
+                    block.fill(chunk, &values);
+                    chunks.done();
+                    done = done.saturating_add(chunk.count);
+                    content_len(chunk.range, chunk.count)
+                }
+                Err(Error::Plc { error, .. }) => {
+                    if let Some(single) = chunks.refused() {
+                        block.refuse(single, error);
+                        done = done.saturating_add(single.count);
+                    }
+                    0
+                }
+                Err(error) => return Err(error),
+            };
+            if let Some(tell) = &mut self.on_progress {
+                meter.advance(done, total, bytes);
+                tell(&meter.progress(Instant::now()));
+            }
+        }
+        Ok(self.backup.clone())
+    }
+
+    /// Asks the PLC what it is, once.
+    async fn look(&mut self, station: &Station) -> Result<(), Error> {
+        let origin = &mut self.backup.origin;
+        if origin.station.is_some() {
+            return Ok(());
+        }
+        let read_at = whole_seconds(SystemTime::now());
+        let brief = known(station.read_status().await)?;
+        let detailed = known(station.read_detailed_status().await)?;
+        (origin.brief, origin.detailed, origin.read_at) = (brief, detailed, Some(read_at));
+        origin.station = Some(station.number());
+        Ok(())
+    }
+
+    fn done(&self) -> usize {
+        self.backup.elements().filter(|(_, cell)| *cell != Err(Missing::NotRead)).count()
+    }
+}
+
+impl fmt::Debug for TakeBackup {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("TakeBackup").field("done", &self.done()).finish_non_exhaustive()
+    }
+}
+
+/// What a PLC refuses to tell is not known; not every model tells all of itself.
+fn known<T>(reply: Result<T, Error>) -> Result<Option<T>, Error> {
+    match reply {
+        Ok(reply) => Ok(Some(reply)),
+        Err(Error::Plc { .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+fn whole_seconds(time: SystemTime) -> SystemTime {
+    let seconds = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs();
+    SystemTime::UNIX_EPOCH.checked_add(Duration::from_secs(seconds)).unwrap_or(SystemTime::UNIX_EPOCH)
+}
+
+/// Reads a part of a range in one request.
+pub(super) async fn fetch(station: &Station, chunk: Chunk) -> Result<Vec<Value>, Error> {
+    let (first, count) = (chunk.names().first(), chunk.count);
+    Ok(match first {
+        Element::Discrete(first) => values(station.call(ReadDiscretes::new(first, count)?).await?),
+        Element::Register(first) => values(station.call(ReadRegisters::new(first, count)?).await?),
+        Element::Register32(first) => values(station.call(ReadRegisters::new(first, count)?).await?),
+    })
+}
+
+fn values(raw: Vec<impl Into<Value>>) -> Vec<Value> {
+    raw.into_iter().map(Into::into).collect()
+}
+
+/// How many bytes these elements hold.
+pub(super) fn content_len(range: Tag, count: usize) -> usize {
+    match range.first().width() {
+        Width::Bit => count.div_ceil(8),
+        Width::Word => count.saturating_mul(2),
+        Width::Double => count.saturating_mul(4),
+    }
+}

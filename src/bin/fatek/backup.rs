@@ -1,0 +1,225 @@
+//! `fatek backup FILE RANGE…` and `fatek restore FILE`
+
+use std::path::Path;
+use std::time::Duration;
+
+use fatek::backup::{
+    Backup, Difference, Restore, RestoreError, RestoreFailure, RestoreOptions, RestoreReport, TakeBackup,
+};
+use fatek::tag::Tag;
+use fatek::{Error, Station, Value};
+
+use crate::args::{BackupArgs, Plc, RestoreArgs};
+use crate::confirm::{can_be_confirmed, confirm};
+use crate::connect;
+use crate::failure::Failure;
+use crate::output::{Cell, Output, Rows, complain};
+use crate::signal;
+use crate::transfer::Reporter;
+
+/// The ranges, or the file, are looked at before the station: nothing is sent for what is no good.
+pub(crate) async fn backup(
+    plc: &Plc,
+    timeout: Option<Duration>,
+    args: &BackupArgs,
+    output: &Output,
+) -> Result<(), Failure> {
+    if args.compare {
+        let backup = load(&args.file, &args.ranges)?;
+        let report = compare(&connect::station(plc, timeout)?, &backup, RestoreOptions::new(), output).await?;
+        let (differing, all) = (report.differences.len(), report.compared);
+        if differing == 0 {
+            output.remark(format_args!("the PLC holds what the file says: all {all} elements are the same"));
+            return Ok(());
+        }
+        return Err(Failure::Differs { what: "elements", differing, all });
+    }
+    let taking = TakeBackup::new(args.ranges.iter().copied()).map_err(Failure::usage)?;
+    let reporter = Reporter::new(output);
+    let mut taking = taking.on_progress(reporter.callback());
+    let station = connect::station(plc, timeout)?;
+    let mut before = 0;
+    let result = loop {
+        let result = taking.run(&station).await;
+        reporter.end_line();
+        match result {
+            Err(error) if may_go_on(&error) && taking.partial().value_count() > before => {
+                before = taking.partial().value_count();
+                output.remark(format_args!("{error}; {before} elements are there, going on"));
+            }
+            result => break result,
+        }
+    };
+    let backup = result?;
+    let (values, all) = (backup.value_count(), backup.element_count());
+    let missing = backup.missing();
+    for missing in &missing {
+        complain(format_args!("{} is missing: {}", missing.range, missing.reason));
+    }
+    if values == 0 {
+        return Err(Failure::Missing { missing: all, all, file: None });
+    }
+    backup.save(&args.file)?;
+    output.remark(format_args!("{}: {values} elements", args.file.display()));
+    match all - values {
+        0 => Ok(()),
+        missing => Err(Failure::Missing { missing, all, file: Some(args.file.clone()) }),
+    }
+}
+
+/// The file is looked at before the station: nothing is sent for one that is no good.
+pub(crate) async fn restore(
+    plc: &Plc,
+    timeout: Option<Duration>,
+    args: &RestoreArgs,
+    output: &Output,
+) -> Result<(), Failure> {
+    let backup = load(&args.file, &args.ranges)?;
+    if !args.consent.dry_run {
+        can_be_confirmed(args.consent.yes)?;
+    }
+    let station = connect::station(plc, timeout)?;
+    if args.consent.dry_run {
+        let report = compare(&station, &backup, options(args), output).await?;
+        let (written, all): (usize, _) = (report.unwritten.iter().map(Tag::element_count).sum(), report.compared);
+        output.remark(format_args!("{written} of {all} elements would be written"));
+        return Ok(());
+    }
+    if !args.consent.yes {
+        // So that the answer is about something.
+        let report = compare(&station, &backup, options(args), output).await?;
+        if report.unwritten.is_empty() {
+            output.remark(format_args!("{report}"));
+            return Ok(());
+        }
+        confirm(&question(plc, &report, args), false)?;
+    }
+    let stopped = signal::stopped().map_err(Failure::Runtime)?;
+    let reporter = Reporter::new(output);
+    let mut restore = Restore::new(&backup, options(args)).on_progress(reporter.callback());
+    let ended = tokio::select! {
+        biased;
+        _ = stopped => None,
+        ended = until_done(&mut restore, &station, &reporter, output) => Some(ended),
+    };
+    reporter.end_line();
+    let report = match ended {
+        Some(ended) => ended.or_else(|error| explain(error, output))?,
+        None => return Err(Failure::BrokenOff(Box::new(restore.report()))),
+    };
+    say_left_out(&report, output);
+    output.remark(format_args!("{report}"));
+    Ok(())
+}
+
+/// Says which elements it is about.
+fn explain(error: RestoreError, output: &Output) -> Result<RestoreReport, Failure> {
+    let report = &error.report;
+    for refused in &report.refused {
+        complain(format_args!("{} was refused: {}", refused.range, refused.error));
+    }
+    if !report.remaining.is_empty() {
+        output.rows(&rows(&report.remaining))?;
+    }
+    Err(error.into())
+}
+
+/// Goes on after a failure of the line, as long as that brings something.
+async fn until_done(
+    restore: &mut Restore,
+    station: &Station,
+    reporter: &Reporter,
+    output: &Output,
+) -> Result<RestoreReport, RestoreError> {
+    loop {
+        match restore.run(station).await {
+            Err(error) => match &error.source {
+                RestoreFailure::Call { source, .. } if may_go_on(source) && !error.report.written.is_empty() => {
+                    reporter.end_line();
+                    output.remark(format_args!("{error}; going on"));
+                }
+                _ => return Err(error),
+            },
+            Ok(report) => return Ok(report),
+        }
+    }
+}
+
+/// The parts of the backup in a file.
+fn load(file: &Path, ranges: &[Tag]) -> Result<Backup, Failure> {
+    let backup = Backup::load(file)?;
+    if ranges.is_empty() { Ok(backup) } else { backup.select(ranges.iter().copied()).map_err(Failure::usage) }
+}
+
+/// Prints what differs.
+async fn compare(
+    station: &Station,
+    backup: &Backup,
+    options: RestoreOptions,
+    output: &Output,
+) -> Result<RestoreReport, Failure> {
+    let reporter = Reporter::new(output);
+    let mut restore = Restore::new(backup, options).on_progress(reporter.callback());
+    let report = restore.compare(station).await;
+    reporter.end_line();
+    let report = report.or_else(|error| explain(error, output))?;
+    output.rows(&rows(&report.differences))?;
+    say_left_out(&report, output);
+    Ok(report)
+}
+
+fn rows(differences: &[Difference]) -> Rows {
+    let mut rows = Rows::new(["element", "backup", "plc"]);
+    for Difference { element, expected, found, .. } in differences {
+        rows.push([element.to_string().into(), cell(*expected), found.map(cell).into()]);
+    }
+    rows
+}
+
+fn cell(value: Value) -> Cell {
+    match value {
+        Value::Bit(on) => Cell { text: u8::from(on).to_string(), json: on.into() },
+        Value::Word(word) => u32::from(word).into(),
+        Value::Double(double) => double.into(),
+    }
+}
+
+fn say_left_out(report: &RestoreReport, output: &Output) {
+    for range in &report.left_out {
+        output.remark(format_args!("{range} is left out: inputs and contacts cannot be restored"));
+    }
+    for range in &report.forced {
+        complain(format_args!("{range} differs, and stays as it is forced"));
+    }
+}
+
+fn options(args: &RestoreArgs) -> RestoreOptions {
+    let choose = |chosen, choice: fn(RestoreOptions) -> RestoreOptions, options| {
+        if chosen { choice(options) } else { options }
+    };
+    let mut options = RestoreOptions::new().bridge(args.bridge);
+    options = choose(args.stop, RestoreOptions::stop_first, options);
+    options = choose(args.run, RestoreOptions::run_again, options);
+    options = choose(args.require_stopped, RestoreOptions::require_stopped, options);
+    choose(args.forced, RestoreOptions::write_forced, options)
+}
+
+fn question(plc: &Plc, report: &RestoreReport, args: &RestoreArgs) -> String {
+    let stopped = match (args.stop, args.run) {
+        (true, true) => " It is stopped for that, and runs again afterwards.",
+        (true, false) => " It is stopped for that, and stays so.",
+        (false, _) => "",
+    };
+    let written: usize = report.unwritten.iter().map(Tag::element_count).sum();
+    let (station, link) = (plc.station.as_deref().unwrap_or_default(), plc.link.as_deref().unwrap_or_default());
+    format!(
+        "Write {written} of {} elements of {} to station {station} on {link}?{stopped}",
+        report.compared,
+        args.file.display()
+    )
+}
+
+/// Whether it was the line that failed, and not the PLC that refused.
+fn may_go_on(error: &Error) -> bool {
+    matches!(error, Error::Timeout { .. } | Error::BadReply { .. } | Error::Disconnected { .. } | Error::Connect { .. })
+}

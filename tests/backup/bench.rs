@@ -1,0 +1,142 @@
+//! A simulated PLC of a modest size, a station to talk to it, and all of its memory.
+
+use std::time::Duration;
+
+use fatek::command::{Request, Value};
+use fatek::sim::{self, Bus, Faults, LogEntry, Model, Plc};
+use fatek::tag::Tag;
+use fatek::wire::Framing;
+use fatek::{CallOptions, Element, Link, Station, Symbol, element};
+
+pub(crate) const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
+
+/// The last element of each memory.
+const LAST: [Element; 11] = [
+    element!("X255"),
+    element!("Y255"),
+    element!("M2001"),
+    element!("S999"),
+    element!("T255"),
+    element!("C255"),
+    element!("RT255"),
+    element!("RC255"),
+    element!("R3839"),
+    element!("D3071"),
+    element!("F100"),
+];
+
+pub(crate) struct Bench {
+    pub(crate) plc: Plc,
+    pub(crate) faults: Faults,
+    pub(crate) framing: Framing,
+    bus: Bus,
+}
+
+impl Bench {
+    pub(crate) fn new(framing: Framing, faults: Faults) -> Self {
+        Self::with_model(framing, faults, model())
+    }
+
+    pub(crate) fn with_model(framing: Framing, faults: Faults, model: Model) -> Self {
+        let plc = Plc::with_model(model);
+        let faults = faults.log_capacity(1_000_000);
+        let bus = Bus::new().with_station(1, plc.clone()).unwrap().with_faults(faults.clone());
+        Self { plc, faults, framing, bus }
+    }
+
+    /// Over a link of its own.
+    pub(crate) fn station(&self) -> Station {
+        let connector = sim::connector(self.bus.clone(), self.framing);
+        let options = CallOptions::new().response_timeout(Duration::from_millis(60));
+        Link::connector_builder("in memory", self.framing, connector).options(options).build().station(1).unwrap()
+    }
+
+    /// Fills all memory with something that depends on the seed.
+    pub(crate) fn fill(&self, dice: &mut Dice) {
+        for element in memory() {
+            self.plc.write(element, random(element, dice)).unwrap();
+        }
+    }
+
+    pub(crate) fn snapshot(&self) -> Vec<(Element, Value)> {
+        memory().map(|element| (element, self.plc.read(element))).collect()
+    }
+
+    /// The writes that arrived, refused ones and lost ones included: first elements and numbers.
+    pub(crate) fn writes(&self) -> Vec<(Element, usize)> {
+        self.faults.log().entries().iter().filter_map(written).collect()
+    }
+
+    pub(crate) fn clear_log(&self) {
+        self.faults.log().clear();
+    }
+}
+
+pub(crate) fn model() -> Model {
+    LAST.into_iter().fold(Model::default(), Model::last)
+}
+
+/// All that a PLC of this model has, without overlaps.
+pub(crate) fn memory() -> impl Iterator<Item = Element> {
+    LAST.into_iter().flat_map(|last| (0..=last.address()).map(move |address| element(last.symbol(), address)))
+}
+
+fn element(symbol: Symbol, address: u16) -> Element {
+    Element::new(symbol, address).unwrap()
+}
+
+pub(crate) fn random(element: Element, dice: &mut Dice) -> Value {
+    let bits = dice.next();
+    match element {
+        Element::Discrete(_) => Value::Bit(bits & 1 == 1),
+        Element::Register(_) => Value::Word(bits as u16),
+        Element::Register32(_) => Value::Double(bits as u32),
+    }
+}
+
+pub(crate) fn written(entry: &LogEntry) -> Option<(Element, usize)> {
+    Some(match entry.request()? {
+        Request::WriteDiscretes(write) => (write.first().into(), write.states().len()),
+        Request::WriteRegisters(write) => (write.first().into(), write.values().len()),
+        Request::WriteRegisters32(write) => (write.first().into(), write.values().len()),
+        _ => return None,
+    })
+}
+
+pub(crate) fn tags<const N: usize>(texts: [&str; N]) -> [Tag; N] {
+    texts.map(|text| text.parse().unwrap())
+}
+
+/// The elements of these, as memory has them: discretes, and registers of 16 bits.
+pub(crate) fn atoms(ranges: &[Tag]) -> Vec<Element> {
+    let of = |range: &Tag| {
+        let (first, last) = (range.first(), range.elements().last().unwrap());
+        let symbol: Symbol = match first.symbol() {
+            Symbol::WM | Symbol::DWM => Symbol::M,
+            Symbol::WY | Symbol::DWY => Symbol::Y,
+            Symbol::WX | Symbol::DWX => Symbol::X,
+            Symbol::DR => Symbol::R,
+            Symbol::DD => Symbol::D,
+            Symbol::DRC => Symbol::RC,
+            symbol => symbol,
+        };
+        (first.address()..last.address() + last.symbol().step()).map(move |address| element(symbol, address))
+    };
+    ranges.iter().flat_map(of).collect()
+}
+
+/// `SplitMix64`: a run depends on its seed and on nothing else.
+pub(crate) struct Dice(pub(crate) u64);
+
+impl Dice {
+    pub(crate) fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+        mixed ^ mixed >> 31
+    }
+
+    pub(crate) fn below(&mut self, limit: u64) -> u64 {
+        self.next() % limit
+    }
+}

@@ -1,0 +1,8 @@
+//! Backing up and restoring a simulated PLC.
+#![cfg(feature = "sim")]
+
+mod bench;
+mod crash;
+mod options;
+mod refused;
+mod round_trip;

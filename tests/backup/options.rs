@@ -1,0 +1,193 @@
+//! What becomes of a PLC that runs, of a program that has its own mind, and of discretes that somebody has forced.
+
+use std::time::Duration;
+
+use fatek::backup::{Backup, Restore, RestoreFailure, RestoreOptions};
+use fatek::command::Code;
+use fatek::program::PlcState;
+use fatek::sim::{Fault, Faults, Rule};
+use fatek::tag::Tag;
+use fatek::{CallOptions, ErrorCode, Value, discrete, element, register};
+
+use crate::bench::{Bench, Dice, FRAMINGS, tags};
+
+/// A backup of these, and a running PLC that holds something else.
+async fn prepare<const N: usize>(bench: &Bench, ranges: [&str; N]) -> Backup {
+    let backup = bench.station().back_up(tags(ranges)).await.unwrap();
+    bench.fill(&mut Dice(4));
+    bench.plc.run();
+    bench.clear_log();
+    backup
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_is_stopped_and_run_again_only_by_choice() {
+    for framing in FRAMINGS {
+        for (options, runs, was_stopped) in [
+            (RestoreOptions::new(), true, false),
+            (RestoreOptions::new().run_again(), true, false),
+            (RestoreOptions::new().stop_first(), false, true),
+            (RestoreOptions::new().stop_first().run_again(), true, true),
+        ] {
+            let bench = Bench::new(framing, Faults::new(1));
+            let backup = prepare(&bench, ["R0-R9"]).await;
+            let report = bench.station().restore(&backup, options).await.unwrap();
+            assert_eq!((bench.plc.is_running(), report.was_stopped), (runs, was_stopped), "{options:?}");
+            assert_eq!(report.plc, if runs { PlcState::Running } else { PlcState::Stopped });
+            // One that was stopped before stays so, and nothing is said to it.
+            bench.plc.stop();
+            bench.plc.write(element!("R0"), 7_u16).unwrap();
+            let report = bench.station().restore(&backup, options).await.unwrap();
+            assert_eq!((bench.plc.is_running(), report.was_stopped), (false, false), "{options:?}");
+        }
+        let bench = Bench::new(framing, Faults::new(1));
+        let backup = prepare(&bench, ["R0-R9"]).await;
+        let error = bench.station().restore(&backup, RestoreOptions::new().require_stopped()).await.unwrap_err();
+        assert!(matches!(error.source, RestoreFailure::Running), "{error}");
+        assert_eq!((bench.plc.is_running(), bench.faults.log().writes()), (true, 0));
+        bench.plc.stop();
+        bench.station().restore(&backup, RestoreOptions::new().require_stopped()).await.unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stop_whose_answer_is_lost_is_confirmed_by_the_status() {
+    for framing in FRAMINGS {
+        for fault in [Fault::DropReply, Fault::Ignore] {
+            let bench = Bench::new(framing, Faults::new(1));
+            let backup = prepare(&bench, ["R0-R9"]).await;
+            bench.faults.set_rules([Rule::new(fault.clone()).command(Code::ControlPlc).times(1)]);
+            let report = bench.station().restore(&backup, RestoreOptions::new().stop_first()).await.unwrap();
+            assert_eq!((bench.plc.is_running(), report.plc), (false, PlcState::Stopped), "{fault:?}");
+        }
+        // One that never stops: the request does not even arrive.
+        let bench = Bench::new(framing, Faults::new(1));
+        let backup = prepare(&bench, ["R0-R9"]).await;
+        bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::ControlPlc)]);
+        let error = bench.station().restore(&backup, RestoreOptions::new().stop_first()).await.unwrap_err();
+        assert!(matches!(error.source, RestoreFailure::StillRunning), "{error}");
+        assert_eq!((bench.faults.log().writes(), error.report.plc), (0, PlcState::Running));
+        assert!(!error.report.was_stopped, "{error}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_does_not_run_again_is_told_and_holds_all() {
+    let bench = Bench::new(FRAMINGS[0], Faults::new(1));
+    let backup = prepare(&bench, ["R0-R9"]).await;
+    bench.plc.refuse_run(Some(ErrorCode::LadderChecksum));
+    let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first().run_again());
+    let error = restore.run(&bench.station()).await.unwrap_err();
+    assert!(error.to_string().starts_with("running the PLC: station 1 refused"), "{error}");
+    assert!(
+        error.to_string().ends_with("10 written; it was stopped, and whether the PLC runs is not known"),
+        "{error}"
+    );
+    bench.plc.refuse_run(None);
+    let report = restore.run(&bench.station()).await.unwrap();
+    assert!(bench.plc.is_running() && report.written.is_empty());
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_a_program_changes_in_between_is_reported() {
+    for framing in FRAMINGS {
+        let bench = Bench::new(framing, Faults::new(1));
+        let backup = prepare(&bench, ["R0-R199", "M0-M9"]).await;
+        let plc = bench.plc.clone();
+        let program = tokio::spawn(async move {
+            for cycle in 1_u16.. {
+                plc.write(register!("R70"), 1000 + cycle).unwrap();
+                plc.write(discrete!("M3"), true).unwrap();
+                tokio::task::yield_now().await;
+            }
+        });
+        let station = bench.station();
+        let error = station.restore(&backup, RestoreOptions::new()).await.unwrap_err();
+        assert!(matches!(error.source, RestoreFailure::Differs { count: 2, .. }), "{error}");
+        let remaining = error.report.remaining;
+        assert_eq!([remaining[0].element, remaining[1].element], [element!("R70"), element!("M3")]);
+        assert_eq!((remaining[0].expected, remaining[1].found), (Value::Word(0), Some(Value::Bit(true))));
+        assert!(matches!(remaining[0].found, Some(Value::Word(1000..))), "{remaining:?}");
+        assert!(remaining[1].to_string() == "M3: 1, where 0 was expected", "{}", remaining[1]);
+        program.abort();
+        let report = station.restore(&backup, RestoreOptions::new()).await.unwrap();
+        assert_eq!(report.written, tags(["R70", "M3"]));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn forced_discretes_stay_as_they_are_unless_chosen() {
+    for framing in FRAMINGS {
+        let bench = Bench::new(framing, Faults::new(1));
+        let backup = bench
+            .station()
+            .back_up(tags(["M0-M9", "Y0-Y9", "DWM32-DWM64", "WM96-WM128", "X0-X9", "T0"]))
+            .await
+            .unwrap();
+        let station = bench.station();
+        for forced in [discrete!("M3"), discrete!("Y9"), discrete!("M70"), discrete!("M96")] {
+            station.disable(forced).await.unwrap();
+            station.set(forced).await.unwrap();
+        }
+        // This one is forced to what the backup has.
+        station.disable(discrete!("Y4")).await.unwrap();
+        let others =
+            [element!("M2"), element!("Y0"), element!("M40"), element!("M66"), element!("M127"), element!("X3")];
+        others.into_iter().for_each(|element| bench.plc.write(element, true).unwrap());
+        bench.clear_log();
+        let compared = Restore::new(&backup, RestoreOptions::new()).compare(&station).await.unwrap();
+        assert_eq!(bench.faults.log().writes(), 0);
+        assert_eq!(
+            (compared.forced, compared.unwritten),
+            (tags(["M3", "Y9", "DWM64", "WM96"]).to_vec(), tags(["M2", "Y0", "DWM32", "WM112"]).to_vec())
+        );
+
+        let report = station.restore(&backup, RestoreOptions::new().bridge(9)).await.unwrap();
+        assert_eq!(report.forced, tags(["M3", "Y9", "DWM64", "WM96"]));
+        assert_eq!(report.left_out, tags(["X0-X9", "T0"]));
+        assert_eq!(report.written, tags(["M2", "Y0", "DWM32", "WM112"]));
+        for on in [element!("M3"), element!("Y9"), element!("M70"), element!("M96"), element!("X3"), element!("M66")] {
+            assert_eq!(bench.plc.read(on), Value::Bit(true), "{on}");
+        }
+        let report = station.restore(&backup, RestoreOptions::new().write_forced()).await.unwrap();
+        assert_eq!((report.written, report.forced), (tags(["M3", "Y9", "DWM64", "WM96"]).to_vec(), vec![]));
+        assert_eq!((bench.plc.read(element!("M3")), bench.plc.is_disabled(discrete!("M3"))), (Value::Bit(false), true));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_does_not_tell_what_is_forced_is_not_written() {
+    let bench = Bench::new(FRAMINGS[0], Faults::new(1));
+    let backup = prepare(&bench, ["R0-R9", "M0-M9"]).await;
+    bench.faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ReadDisabled)]);
+    let error = bench.station().restore(&backup, RestoreOptions::new()).await.unwrap_err();
+    assert!(error.to_string().starts_with("asking which of M"), "{error}");
+    assert_eq!(bench.faults.log().writes(), 0);
+    bench.station().restore(&backup, RestoreOptions::new().write_forced()).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn progress_tells_each_phase_from_its_beginning_to_its_end() {
+    let bench = Bench::new(FRAMINGS[0], Faults::new(1));
+    let backup = prepare(&bench, ["R0-R99", "M0-M9"]).await;
+    let told = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
+    let tell = told.clone();
+    let options = CallOptions::new().response_timeout(Duration::from_secs(1));
+    let restore = Restore::new(&backup, RestoreOptions::new().bridge(10));
+    let mut restore = restore.on_progress(move |progress| tell.lock().unwrap().push(*progress));
+    let report = restore.run(&bench.station().with_options(options)).await.unwrap();
+    let told: Vec<_> =
+        told.lock().unwrap().iter().map(|told| (told.phase.to_string(), told.done, told.total, told.bytes)).collect();
+    let written: usize = report.written.iter().map(Tag::element_count).sum();
+    let of = |phase: &str| {
+        told.iter().filter(|told| told.0 == phase).map(|told| (told.1, told.2, told.3)).collect::<Vec<_>>()
+    };
+    assert_eq!(of("comparing"), [(64, 110, 128), (100, 110, 200), (110, 110, 202)]);
+    assert_eq!(of("verifying"), of("comparing"));
+    let writing = of("writing");
+    let &(done, total, _) = writing.last().unwrap();
+    assert_eq!((done, total, writing[0].0), (written, written, 64));
+    assert!(
+        told.is_sorted_by_key(|told| ["comparing", "writing", "verifying"].iter().position(|phase| *phase == told.0))
+    );
+}

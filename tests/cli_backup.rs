@@ -1,0 +1,267 @@
+//! `fatek backup` and `fatek restore` as their users meet them: as a process, against `fatek sim` as another one.
+#![cfg(feature = "cli")]
+
+mod process;
+
+use std::fs;
+use std::path::PathBuf;
+
+use self::process::{Fake, Ran, Sim, ascii, fatek};
+
+/// A folder of its own, which is removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("fatek-cli-backup-{}-{name}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir(&path).unwrap();
+        Self(path)
+    }
+
+    fn file(&self, name: &str) -> String {
+        self.0.join(name).to_str().unwrap().to_owned()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A saved backup of R0 to R99 and M0 to M9 of this PLC.
+fn saved(sim: &Sim, folder: &Folder) -> String {
+    let file = folder.file("plant.backup");
+    sim.fatek(&["backup", &file, "R0-R99", "M0-M9", "-q"]).ok();
+    file
+}
+
+fn values(sim: &Sim, tags: &[&str]) -> Vec<String> {
+    let read = sim.fatek(&[&["read", "--format", "csv"], tags].concat()).ok();
+    read.lines().skip(1).map(|line| line.rsplit(',').next().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn what_was_saved_is_compared_and_restored_in_both_framings() {
+    for framing in ["ascii", "binary"] {
+        let (sim, folder) = (Sim::start(&["--framing", framing, "--set", "R5=7", "M3=1"]), Folder::new(framing));
+        let file = folder.file("plant.backup");
+        let ran = sim.fatek(&["backup", &file, "R0-R99", "M0-M9", "R200-R203:f32"]);
+        assert!(ran.stderr.starts_with("reading: 64 of 114, 128 bytes"), "{ran:?}");
+        assert!(ran.stderr.ends_with("plant.backup: 114 elements\n"), "{ran:?}");
+        assert_eq!(ran.ok(), "");
+        let text = fs::read_to_string(&file).unwrap();
+        assert!(text.starts_with("fatek file 1: backup\n"), "{text}");
+        assert!(text.contains("\nrange R0-R99\nR0 0000 0000 0000 0000 0000 0007 0000 0000\n"), "{text}");
+
+        let same = sim.fatek(&["backup", &file, "--compare"]);
+        assert!(same.stderr.ends_with("the PLC holds what the file says: all 114 elements are the same\n"), "{same:?}");
+        assert_eq!(same.ok(), "ELEMENT  BACKUP  PLC\n");
+        sim.fatek(&["write", "R5=9", "R6=1", "M3=0", "R100=5"]).ok();
+        let differs = sim.fatek(&["backup", &file, "--compare", "--format", "json"]);
+        assert_eq!(differs.status, 7, "{differs:?}");
+        assert!(differs.stderr.ends_with("error: 3 of 114 elements differ\n"), "{differs:?}");
+        let expected = serde_json::json!([
+            { "element": "R5", "backup": 7, "plc": 9 },
+            { "element": "R6", "backup": 0, "plc": 1 },
+            { "element": "M3", "backup": true, "plc": false },
+        ]);
+        assert_eq!(differs.stdout.parse::<serde_json::Value>().unwrap(), expected);
+
+        let dry = sim.fatek(&["restore", &file, "R0-R5", "--dry-run", "--format", "csv"]);
+        assert!(dry.stderr.ends_with("1 of 6 elements would be written\n"), "{dry:?}");
+        assert_eq!(dry.ok(), "element,backup,plc\nR5,7,9\n");
+        assert_eq!(values(&sim, &["R5", "R6", "M3"]), ["9", "1", "0"], "nothing was written");
+
+        let restored = sim.fatek(&["restore", &file, "R0-R5", "M0-M9", "--yes"]);
+        assert!(restored.stderr.contains("\nverifying: 16 of 16, 14 bytes"), "{restored:?}");
+        assert!(restored.stderr.ends_with("16 elements compared, 2 differed, 2 written\n"), "{restored:?}");
+        assert_eq!(restored.ok(), "");
+        assert_eq!(values(&sim, &["R5", "R6", "M3", "R100"]), ["7", "1", "1", "5"]);
+        sim.fatek(&["restore", &file, "-y"]).ok();
+        assert_eq!(values(&sim, &["R5", "R6", "M3", "R100"]), ["7", "0", "1", "5"]);
+        assert_eq!(sim.fatek(&["restore", &file, "-y", "-q"]).stderr, "");
+    }
+}
+
+#[test]
+fn what_the_plc_does_not_have_is_told_and_an_empty_backup_takes_no_files_place() {
+    let (sim, folder) = (Sim::start(&["--last", "R99", "--set", "R0=1"]), Folder::new("missing"));
+    let file = folder.file("plant.backup");
+    let ran = sim.fatek(&["backup", &file, "R90-R109", "M0-M9"]);
+    assert_eq!((ran.status, ran.stdout.as_str()), (3, ""), "{ran:?}");
+    assert!(ran.stderr.contains("\nR100-R109 is missing: refused: illegal address (A)\n"), "{ran:?}");
+    assert!(ran.stderr.contains("error: 10 of 30 elements are missing; the others are in "), "{ran:?}");
+    let text = fs::read_to_string(&file).unwrap();
+    assert!(text.contains("\nmissing R100-R109 refused A\n") && !text.contains("R100 "), "{text}");
+    sim.fatek(&["backup", &file, "--compare"]).ok();
+
+    let nothing = sim.fatek(&["backup", &file, "R100-R109"]);
+    assert_eq!(nothing.status, 3, "{nothing:?}");
+    assert!(nothing.stderr.ends_with("error: 10 of 10 elements are missing; nothing is saved\n"), "{nothing:?}");
+    assert_eq!(fs::read_to_string(&file).unwrap(), text);
+
+    let large = Sim::start(&["--set", "R95=3"]);
+    let larger = folder.file("larger.backup");
+    large.fatek(&["backup", &larger, "R90-R109"]).ok();
+    let refused = sim.fatek(&["restore", &larger, "--yes"]);
+    assert_eq!(refused.status, 3, "{refused:?}");
+    assert!(refused.stderr.contains("\nR100-R109 was refused: illegal address (A)\n"), "{refused:?}");
+    assert!(
+        refused.stderr.contains("error: the PLC refuses to give 10 of the elements, so none was written"),
+        "{refused:?}"
+    );
+    assert_eq!(values(&sim, &["R95"]), ["0"]);
+}
+
+#[test]
+fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
+    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("running"));
+    let file = saved(&sim, &folder);
+    sim.fatek(&["run"]).ok();
+    let runs = || sim.fatek(&["status", "--format", "csv"]).ok().contains("brief,running,true");
+    let restore = |args: &[&str]| {
+        sim.fatek(&["write", "R5=1", "-q"]).ok();
+        sim.fatek(&[&["restore", &file, "--yes"], args].concat())
+    };
+    let refused = restore(&["--require-stopped"]);
+    assert_eq!(refused.status, 7, "{refused:?}");
+    assert!(refused.stderr.starts_with("error: the PLC runs: stop it first"), "{refused:?}");
+    assert_eq!((runs(), values(&sim, &["R5"])), (true, vec!["1".to_owned()]));
+
+    assert!(restore(&[]).stderr.ends_with("1 differed, 1 written\n") && runs());
+    let again = restore(&["--stop", "--run"]);
+    assert!(again.stderr.ends_with("1 written; it was stopped, and the PLC runs\n") && runs(), "{again:?}");
+    let stopped = restore(&["--stop"]);
+    assert!(stopped.stderr.ends_with("1 written; it was stopped, and the PLC is stopped\n") && !runs(), "{stopped:?}");
+    assert_eq!(values(&sim, &["R5"]), ["7"]);
+    assert!(restore(&["--run"]).usage().contains("--stop"));
+}
+
+#[test]
+fn what_is_forced_and_what_is_an_input_is_left_out_and_told() {
+    let (sim, folder) = (Sim::start(&[]), Folder::new("forced"));
+    let file = folder.file("plant.backup");
+    sim.fatek(&["backup", &file, "X0-X9", "M0-M9"]).ok();
+    sim.fatek(&["disable", "M3"]).ok();
+    sim.fatek(&["set", "M3", "M4", "X0"]).ok();
+    let restored = sim.fatek(&["restore", &file, "--yes"]);
+    assert!(restored.stderr.contains("\nX0-X9 is left out: "), "{restored:?}");
+    assert!(restored.stderr.contains("\nM3 differs, and stays as it is forced\n"), "{restored:?}");
+    restored.ok();
+    assert_eq!(values(&sim, &["M3", "M4", "X0"]), ["1", "0", "1"]);
+    sim.fatek(&["restore", &file, "--yes", "--forced"]).ok();
+    assert_eq!(values(&sim, &["M3", "X0"]), ["0", "1"]);
+}
+
+#[test]
+fn what_does_not_stick_is_told_with_status_7() {
+    // A PLC whose R0 is 5, whatever is written to it.
+    let plc = Fake::start(|request| match &request[3..5] {
+        b"40" => ascii("01400010000"),
+        b"46" => ascii("014600005"),
+        b"47" => ascii("01470"),
+        _ => ascii("01534"),
+    });
+    let (sim, folder) = (Sim::start(&[]), Folder::new("stubborn"));
+    let file = folder.file("plant.backup");
+    sim.fatek(&["backup", &file, "R0"]).ok();
+    let stubborn = plc.fatek(&["restore", &file, "--yes", "--format", "csv"]);
+    assert_eq!((stubborn.status, stubborn.stdout.as_str()), (7, "element,backup,plc\nR0,0,5\n"), "{stubborn:?}");
+    assert!(stubborn.stderr.contains("error: elements that do not hold what was to be restored: 1; "), "{stubborn:?}");
+}
+
+#[test]
+fn nothing_is_sent_without_a_yes_or_with_a_file_that_is_no_good() {
+    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("unasked"));
+    let file = saved(&sim, &folder);
+    // Nobody listens there; if anything were sent, the status would be 5.
+    let nobody = |args: &[&str]| -> Ran { fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat()) };
+    assert!(nobody(&["restore", &file]).usage().contains("there is no terminal to ask at: say --yes (or --dry-run)"));
+    assert!(
+        nobody(&["restore", &file, "R0-R100", "-y"])
+            .usage()
+            .contains("R0-R100 is not wholly in one range of the backup")
+    );
+    assert!(nobody(&["backup", &file]).usage().contains("<RANGE>"));
+    assert!(nobody(&["backup", &file, "R0-R9", "DR4"]).usage().contains("R0-R9 and DR4 share memory"));
+    assert_eq!(nobody(&["restore", &file, "-y"]).status, 5);
+    assert_eq!(nobody(&["backup", &file, "R0"]).status, 5);
+
+    let text = fs::read_to_string(&file).unwrap();
+    for (bad, message) in [
+        (text.replace("0007", "0008"), "it is damaged: its checksum is"),
+        (text[..text.len() - 30].to_owned(), "it is cut off"),
+        ("[Interface]\n".to_owned(), "it does not begin with `fatek file`"),
+        (text.replace(": backup", ": program"), "it holds `program`, where `backup` was expected"),
+    ] {
+        let other = folder.file("other");
+        fs::write(&other, &bad).unwrap();
+        for args in [["restore", &other, "-y"], ["backup", &other, "--compare"]] {
+            let ran = nobody(&args);
+            assert_eq!(ran.status, 7, "{ran:?}");
+            assert!(ran.stderr.contains("other: ") && ran.stderr.contains(message), "{ran:?}");
+        }
+    }
+    assert_eq!(fs::read_to_string(&file).unwrap(), text, "a backup that failed has changed nothing");
+    assert_eq!(nobody(&["restore", &folder.file("none"), "-y"]).status, 1);
+}
+
+#[test]
+#[cfg(unix)]
+fn at_a_terminal_what_differs_is_shown_and_only_a_yes_writes_it() {
+    use self::process::at_terminal;
+
+    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("terminal"));
+    let file = saved(&sim, &folder);
+    sim.fatek(&["write", "R5=9"]).ok();
+    for no in ["n\n", "\n"] {
+        let (status, shown) = at_terminal(&sim, &["restore", &file, "--stop"], no);
+        assert_eq!(status, 1, "{shown}");
+        assert!(shown.contains("\r\nR5       7       9\r\n"), "{shown}");
+        let asked = format!("plant.backup to station 1 on {}? It is stopped for that, and stays so. [y/N] ", sim.url);
+        assert!(shown.contains("\nWrite 1 of 110 elements of ") && shown.contains(&asked), "{shown}");
+        assert!(shown.ends_with("error: not confirmed: nothing was changed\r\n"), "{shown}");
+        assert_eq!(values(&sim, &["R5"]), ["9"]);
+    }
+    let (status, shown) = at_terminal(&sim, &["restore", &file], "y\n");
+    assert_eq!(status, 0, "{shown}");
+    assert!(shown.contains("\r[##############################] verifying: 110 of 110, 202 bytes"), "{shown}");
+    assert!(shown.ends_with("\r\n110 elements compared, 1 differed, 1 written\r\n"), "{shown}");
+    assert_eq!(values(&sim, &["R5"]), ["7"]);
+    // Nothing is asked when nothing is to be changed, or when it was said before.
+    assert_eq!(at_terminal(&sim, &["restore", &file], "").0, 0);
+    assert_eq!(at_terminal(&sim, &["restore", &file, "--yes"], "").0, 0);
+}
+
+#[test]
+#[cfg(unix)]
+fn a_restoring_that_is_interrupted_tells_how_far_it_came() {
+    use std::process::{Command, Stdio};
+
+    // A PLC that gives 0 and takes nothing.
+    let plc = Fake::start(|request| match &request[3..5] {
+        b"40" => ascii("01400010000"),
+        b"46" => ascii("014600000"),
+        b"47" => vec![],
+        _ => ascii("01534"),
+    });
+    let (sim, folder) = (Sim::start(&["--set", "R0=1"]), Folder::new("interrupted"));
+    let file = folder.file("plant.backup");
+    sim.fatek(&["backup", &file, "R0"]).ok();
+    let mut command = Command::new(process::FATEK);
+    command.args(["--link", &plc.url, "--station", "1", "--timeout", "60s", "restore", &file, "--yes"]);
+    let child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    while !plc.received().windows(2).any(|window| window == b"47") {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    let ended = child.wait_with_output().unwrap();
+    let said = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{said}");
+    assert!(
+        said.ends_with("error: interrupted: 1 elements compared, 1 differed, 0 written, 1 perhaps written\n"),
+        "{said}"
+    );
+}
