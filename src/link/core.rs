@@ -256,6 +256,10 @@ impl Core {
         self.stations.hurry(now);
     }
 
+    pub(crate) fn is_closing(&self) -> bool {
+        self.closing
+    }
+
     /// Fails all that waits, and sends nothing any more; what is on the wire goes on until it has ended.
     pub(crate) fn close(&mut self) {
         self.closing = true;

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use futures::future::{BoxFuture, FutureExt};
 use tokio::io::{AsyncRead as _, AsyncWriteExt, ReadBuf};
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, sleep_until, timeout_at};
 
 use super::LinkState;
@@ -21,13 +21,10 @@ use super::later;
 use super::line::Line;
 use super::transport::{BoxIo, Connector};
 
-/// What the handles tell the task.
-#[derive(Debug)]
-pub(crate) enum Message {
-    Call(Box<Ticket>),
-    /// End; say when that is done.
-    Close(oneshot::Sender<()>),
-}
+/// What the handles tell the task: here is a call; or, with `None`, to end.
+///
+/// No more than a pointer, for the channel keeps room for dozens of them, and there may be thousands of links.
+pub(crate) type Message = Option<Box<Ticket>>;
 
 /// Everything the task needs to run.
 #[derive(Debug)]
@@ -57,13 +54,12 @@ impl Driver {
         // In its box, for it would be in the task twice: as what the future begins with, and as what it works on.
         let mut io: Option<BoxIo> = None;
         let mut opening: Option<Opening> = None;
-        let mut closing: Vec<oneshot::Sender<()>> = Vec::new();
         let mut orphaned = false;
         let mut retired: Option<BoxIo> = None;
         loop {
             // A peer that never stops sending must not keep the handles from being heard.
             while let Ok(message) = self.messages.try_recv() {
-                self.hear(message, &mut closing);
+                self.hear(message);
             }
             if self.core.is_idle() {
                 // What has come by now came before the next request, so it is no reply to that.
@@ -112,7 +108,7 @@ impl Driver {
                     }
                 }
                 // Not before what is on the wire has ended, so that the PLC is not cut off in the middle of its answer.
-                Step::Wait(_) if (!closing.is_empty() || orphaned) && self.core.is_idle() => break,
+                Step::Wait(_) if (self.core.is_closing() || orphaned) && self.core.is_idle() => break,
                 Step::Wait(until) => tokio::select! {
                     // In this order, so that a run can be repeated: what has come is dealt with before time passes.
                     biased;
@@ -141,7 +137,7 @@ impl Driver {
                         }
                     }
                     message = self.messages.recv(), if !orphaned => match message {
-                        Some(message) => self.hear(message, &mut closing),
+                        Some(message) => self.hear(message),
                         None => orphaned = true,
                     },
                     () = pause(until) => {}
@@ -154,11 +150,9 @@ impl Driver {
             // A broadcast that has been said to be sent is not cut off.
             sleep_until(until).await;
         }
-        self.state.send_replace(LinkState::Closed);
         drop(io);
-        for done in closing {
-            let _ = done.send(());
-        }
+        // Whoever closes it waits for this: now all is done.
+        self.state.send_replace(LinkState::Closed);
     }
 
     /// Ends it before it has begun.
@@ -166,13 +160,12 @@ impl Driver {
         self.state.send_replace(LinkState::Closed);
     }
 
-    fn hear(&mut self, message: Message, closing: &mut Vec<oneshot::Sender<()>>) {
+    fn hear(&mut self, message: Message) {
         match message {
-            Message::Call(ticket) => self.core.push(ticket, Instant::now()),
-            Message::Close(done) => {
+            Some(ticket) => self.core.push(ticket, Instant::now()),
+            None => {
                 self.messages.close();
                 self.core.close();
-                closing.push(done);
             }
         }
     }

@@ -48,7 +48,7 @@ use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::runtime::Handle;
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, timeout_at};
 use tracing::Instrument;
 
@@ -262,11 +262,8 @@ impl Link {
         if let Some(driver) = self.take_driver() {
             return driver.never_run();
         }
-        let (done, closed) = oneshot::channel();
-        if self.shared.messages.send(Message::Close(done)).await.is_ok() {
-            let _ = closed.await;
-        }
-        // Somebody else may have closed it before; that may not be done yet. It is once the task has ended.
+        // If that is not heard any more, somebody else has closed it, and may not be done yet.
+        let _ = self.shared.messages.send(None).await;
         let mut state = self.shared.state.clone();
         let _ = state.wait_for(|state| matches!(state, LinkState::Closed)).await;
     }
@@ -324,7 +321,7 @@ impl Link {
         self.start()?;
         let Ticket { station, code, queued_at, deadline, .. } = *ticket;
         let answered = timeout_at(deadline, async {
-            self.shared.messages.send(Message::Call(ticket)).await.map_err(|_| Error::Closed { sent: false })?;
+            self.shared.messages.send(Some(ticket)).await.map_err(|_| Error::Closed { sent: false })?;
             (&mut *completion).await
         })
         .instrument(tracing::debug_span!("call", link = %self.shared.name, station, command = code.name()));
