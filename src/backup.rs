@@ -357,9 +357,7 @@ impl Backup {
     /// # Errors
     /// [`FileError`], which names the file and what is wrong with it.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, FileError> {
-        let path = path.as_ref();
-        let content = file::load(path)?;
-        Self::from_file(&content).map_err(|source| FileError::Format { path: path.to_owned(), source })
+        file::load_as(path.as_ref(), Self::from_file)
     }
 }
 

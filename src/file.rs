@@ -31,6 +31,6 @@ mod utc;
 pub use self::error::{FileError, FormatError};
 pub(crate) use self::frame::{Kind, frame, unframe};
 pub(crate) use self::lines::{Lines, hex};
-pub(crate) use self::save::{load, save};
+pub(crate) use self::save::{load, load_as, save};
 pub(crate) use self::utc::parse_utc;
 pub use self::utc::utc;

@@ -265,9 +265,7 @@ impl Program {
     /// # Errors
     /// [`FileError`], which names the file and what is wrong with it.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, FileError> {
-        let path = path.as_ref();
-        let content = file::load(path)?;
-        Self::from_file(&content).map_err(|source| FileError::Format { path: path.to_owned(), source })
+        file::load_as(path.as_ref(), Self::from_file)
     }
 
     /// Saves [its bytes](Self::to_bytes) and nothing else, for other tools. Such a file has no checksum.

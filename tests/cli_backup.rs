@@ -4,31 +4,8 @@
 mod process;
 
 use std::fs;
-use std::path::PathBuf;
 
-use self::process::{Fake, Ran, Sim, ascii, fatek};
-
-/// A folder of its own, which is removed at the end.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("fatek-cli-backup-{}-{name}", std::process::id()));
-        let _ = fs::remove_dir_all(&path);
-        fs::create_dir(&path).unwrap();
-        Self(path)
-    }
-
-    fn file(&self, name: &str) -> String {
-        self.0.join(name).to_str().unwrap().to_owned()
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
-}
+use self::process::{Fake, Folder, Ran, Sim, ascii, fatek};
 
 /// A saved backup of R0 to R99 and M0 to M9 of this PLC.
 fn saved(sim: &Sim, folder: &Folder) -> String {
@@ -87,7 +64,7 @@ fn what_was_saved_is_compared_and_restored_in_both_framings() {
 
 #[test]
 fn what_the_plc_does_not_have_is_told_and_an_empty_backup_takes_no_files_place() {
-    let (sim, folder) = (Sim::start(&["--last", "R99", "--set", "R0=1"]), Folder::new("missing"));
+    let (sim, folder) = (Sim::start(&["--last", "R99", "--set", "R0=1"]), Folder::new("backup-missing"));
     let file = folder.file("plant.backup");
     let ran = sim.fatek(&["backup", &file, "R90-R109", "M0-M9"]);
     assert_eq!((ran.status, ran.stdout.as_str()), (3, ""), "{ran:?}");
@@ -117,7 +94,7 @@ fn what_the_plc_does_not_have_is_told_and_an_empty_backup_takes_no_files_place()
 
 #[test]
 fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
-    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("running"));
+    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-running"));
     let file = saved(&sim, &folder);
     sim.fatek(&["run"]).ok();
     let runs = || sim.fatek(&["status", "--format", "csv"]).ok().contains("brief,running,true");
@@ -141,7 +118,7 @@ fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
 
 #[test]
 fn what_is_forced_and_what_is_an_input_is_left_out_and_told() {
-    let (sim, folder) = (Sim::start(&[]), Folder::new("forced"));
+    let (sim, folder) = (Sim::start(&[]), Folder::new("backup-forced"));
     let file = folder.file("plant.backup");
     sim.fatek(&["backup", &file, "X0-X9", "M0-M9"]).ok();
     sim.fatek(&["disable", "M3"]).ok();
@@ -164,7 +141,7 @@ fn what_does_not_stick_is_told_with_status_7() {
         b"47" => ascii("01470"),
         _ => ascii("01534"),
     });
-    let (sim, folder) = (Sim::start(&[]), Folder::new("stubborn"));
+    let (sim, folder) = (Sim::start(&[]), Folder::new("backup-stubborn"));
     let file = folder.file("plant.backup");
     sim.fatek(&["backup", &file, "R0"]).ok();
     let stubborn = plc.fatek(&["restore", &file, "--yes", "--format", "csv"]);
@@ -174,7 +151,7 @@ fn what_does_not_stick_is_told_with_status_7() {
 
 #[test]
 fn nothing_is_sent_without_a_yes_or_with_a_file_that_is_no_good() {
-    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("unasked"));
+    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-unasked"));
     let file = saved(&sim, &folder);
     // Nobody listens there; if anything were sent, the status would be 5.
     let nobody = |args: &[&str]| -> Ran { fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat()) };
@@ -213,7 +190,7 @@ fn nothing_is_sent_without_a_yes_or_with_a_file_that_is_no_good() {
 fn at_a_terminal_what_differs_is_shown_and_only_a_yes_writes_it() {
     use self::process::at_terminal;
 
-    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("terminal"));
+    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-terminal"));
     let file = saved(&sim, &folder);
     sim.fatek(&["write", "R5=9"]).ok();
     for no in ["n\n", "\n"] {
@@ -247,7 +224,7 @@ fn a_restoring_that_is_interrupted_tells_how_far_it_came() {
         b"47" => vec![],
         _ => ascii("01534"),
     });
-    let (sim, folder) = (Sim::start(&["--set", "R0=1"]), Folder::new("interrupted"));
+    let (sim, folder) = (Sim::start(&["--set", "R0=1"]), Folder::new("backup-interrupted"));
     let file = folder.file("plant.backup");
     sim.fatek(&["backup", &file, "R0"]).ok();
     let mut command = Command::new(process::FATEK);

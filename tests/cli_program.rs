@@ -4,31 +4,8 @@
 mod process;
 
 use std::fs;
-use std::path::PathBuf;
 
-use self::process::{Ran, Sim, fatek};
-
-/// A folder of its own, which is removed at the end.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("fatek-cli-program-{}-{name}", std::process::id()));
-        let _ = fs::remove_dir_all(&path);
-        fs::create_dir(&path).unwrap();
-        Self(path)
-    }
-
-    fn file(&self, name: &str) -> String {
-        self.0.join(name).to_str().unwrap().to_owned()
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
-}
+use self::process::{Folder, Ran, Sim, fatek};
 
 /// A program of 640 words: pages 3 and 7 hold something.
 fn raw_program() -> Vec<u8> {
@@ -46,7 +23,7 @@ fn program(sim: &Sim, args: &[&str]) -> Ran {
 
 #[test]
 fn a_program_is_read_looked_into_written_and_verified() {
-    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("whole"));
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-whole"));
     let (blank, raw, read) = (folder.file("blank.program"), folder.file("new.bin"), folder.file("read.bin"));
     fs::write(&raw, raw_program()).unwrap();
 
@@ -86,7 +63,7 @@ fn a_program_is_read_looked_into_written_and_verified() {
 
 #[test]
 fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
-    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("running"));
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-running"));
     let (raw, old) = (folder.file("new.bin"), folder.file("old.bin"));
     fs::write(&raw, raw_program()).unwrap();
     program(&sim, &["read", "--raw", &old]).ok();
@@ -113,7 +90,7 @@ fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
 
 #[test]
 fn without_a_terminal_writing_needs_a_yes_and_nothing_is_sent_without() {
-    let folder = Folder::new("unasked");
+    let folder = Folder::new("program-unasked");
     let raw = folder.file("new.bin");
     fs::write(&raw, raw_program()).unwrap();
     // Nobody listens there; if anything were sent, the status would be 5.
@@ -126,7 +103,7 @@ fn without_a_terminal_writing_needs_a_yes_and_nothing_is_sent_without() {
 
 #[test]
 fn a_bad_file_is_refused_before_anything_is_sent_and_a_failed_reading_leaves_the_old_one() {
-    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("damaged"));
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-damaged"));
     let file = folder.file("a.program");
     program(&sim, &["read", &file]).ok();
     let good = fs::read(&file).unwrap();
@@ -160,7 +137,7 @@ fn a_bad_file_is_refused_before_anything_is_sent_and_a_failed_reading_leaves_the
 
 #[test]
 fn in_the_binary_framing_there_are_no_programs() {
-    let (sim, folder) = (Sim::start(&["--framing", "binary"]), Folder::new("binary"));
+    let (sim, folder) = (Sim::start(&["--framing", "binary"]), Folder::new("program-binary"));
     let ran = program(&sim, &["read", &folder.file("a.program")]);
     assert_eq!(ran.status, 2, "{ran:?}");
     assert!(ran.stderr.contains("does not exist in the binary framing"), "{ran:?}");
@@ -179,7 +156,7 @@ mod terminal {
 
     #[test]
     fn at_a_terminal_only_a_yes_changes_the_plc_and_a_bar_shows_how_far_it_is() {
-        let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("terminal"));
+        let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-terminal"));
         let raw = folder.file("new.bin");
         fs::write(&raw, raw_program()).unwrap();
         let write = ["write", "--raw", &raw, "--stop"];

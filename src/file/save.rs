@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::FileError;
+use super::{FileError, FormatError};
 
 /// More than any file of this library takes.
 const MAX_LEN: u64 = 16 * 1024 * 1024;
@@ -30,6 +30,11 @@ pub(crate) fn load(path: &Path) -> Result<Vec<u8>, FileError> {
     } else {
         Err(FileError::TooLarge { path: path.to_owned(), limit: MAX_LEN })
     }
+}
+
+/// What the content of a file stands for.
+pub(crate) fn load_as<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, FormatError>) -> Result<T, FileError> {
+    parse(&load(path)?).map_err(|source| FileError::Format { path: path.to_owned(), source })
 }
 
 fn save_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<(), FileError> {

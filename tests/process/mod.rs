@@ -1,8 +1,10 @@
 //! The command line as a process, and what it talks to.
 #![allow(dead_code, reason = "each test uses a part of it")]
 
+use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -173,4 +175,26 @@ pub(crate) fn at_terminal(sim: &Sim, args: &[&str], answer: &str) -> (i32, Strin
     }
     assert!(answered || answer.is_empty(), "{shown}");
     (child.wait().unwrap().code().unwrap(), shown)
+}
+
+/// A folder of its own, which is removed at the end.
+pub(crate) struct Folder(pub(crate) PathBuf);
+
+impl Folder {
+    pub(crate) fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("fatek-cli-{}-{name}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir(&path).unwrap();
+        Self(path)
+    }
+
+    pub(crate) fn file(&self, name: &str) -> String {
+        self.0.join(name).to_str().unwrap().to_owned()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
 }
