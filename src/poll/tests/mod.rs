@@ -2,5 +2,5 @@ mod cycles;
 mod lab;
 mod quality;
 mod refusals;
-mod review;
+mod regressions;
 mod seeded;

@@ -1,9 +1,11 @@
-//! What a review found: each was wrong once.
+//! What was wrong once.
 
 use std::time::Duration;
 
 use super::lab::{Lab, ms, tags};
+use crate::command::Code;
 use crate::element::Symbol;
+use crate::error::{Error, ErrorCode};
 use crate::plan::{Limits, ReadRequest, Reply};
 use crate::poll::device::Step;
 use crate::poll::{Quality, Reason, Sample, ScanClass, TagId};
@@ -15,6 +17,10 @@ fn every(milliseconds: u64) -> ScanClass {
 fn add(lab: &mut Lab, class: ScanClass, texts: &[String]) -> Vec<TagId> {
     let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
     lab.add(class, &texts)
+}
+
+fn refusal() -> Error {
+    Error::Plc { station: 1, code: Code::ReadRegisters, error: ErrorCode::IllegalAddress, repeated: false }
 }
 
 /// Two refused tags in a class whose period is the probe interval: the second one is never probed again.
@@ -110,10 +116,10 @@ fn one_transient_refusal_does_not_make_a_group_bad() {
             Step::Read(request) => {
                 let is = matches!(&*request, ReadRequest::Registers(r) if r.count() == 64);
                 let result = if is {
-                    Err(crate::error::Error::Plc {
+                    Err(Error::Plc {
                         station: 1,
-                        code: crate::command::Code::ReadRegisters,
-                        error: crate::error::ErrorCode::IllegalFormat,
+                        code: Code::ReadRegisters,
+                        error: ErrorCode::IllegalFormat,
                         repeated: false,
                     })
                 } else {
@@ -189,14 +195,8 @@ fn a_group_stays_one_scan_when_a_tag_of_it_is_removed_in_the_middle() {
     let mut samples = Vec::new();
     let Step::Read(_) = lab.device.next(lab.stamp(), &mut samples) else { panic!() };
     lab.device.remove(group[1], lab.now);
-    let refuse = || crate::error::Error::Plc {
-        station: 1,
-        code: crate::command::Code::ReadRegisters,
-        error: crate::error::ErrorCode::IllegalAddress,
-        repeated: false,
-    };
     lab.now += ms(5);
-    lab.device.done(Err(refuse()), lab.stamp(), None, &mut samples);
+    lab.device.done(Err(refusal()), lab.stamp(), None, &mut samples);
     let mut n = 0;
     while let Step::Read(request) = lab.device.next(lab.stamp(), &mut samples) {
         lab.now += ms(5);
@@ -239,22 +239,11 @@ fn a_silent_half_does_not_starve_the_other() {
             Step::Wait(until) => lab.now = until.unwrap(),
             Step::Read(request) => {
                 let cells: Vec<u16> = super::lab::elements(&request).iter().map(|e| e.address()).collect();
-                let refuse = crate::error::Error::Plc {
-                    station: 1,
-                    code: crate::command::Code::ReadRegisters,
-                    error: crate::error::ErrorCode::IllegalAddress,
-                    repeated: false,
-                };
                 let result = if cells.contains(&3) {
-                    Err(refuse)
+                    Err(refusal())
                 } else if cells.contains(&0) {
                     lab.now += ms(300);
-                    Err(crate::error::Error::Timeout {
-                        station: 1,
-                        code: crate::command::Code::ReadRegisters,
-                        after: ms(300),
-                        sent: true,
-                    })
+                    Err(Error::Timeout { station: 1, code: Code::ReadRegisters, after: ms(300), sent: true })
                 } else {
                     Ok(Reply::Words(vec![1; cells.len()]))
                 };
@@ -300,15 +289,9 @@ fn a_boundary_is_not_a_length() {
             Step::Wait(until) => lab.now = until.unwrap(),
             Step::Read(request) => {
                 let cells: Vec<u16> = super::lab::elements(&request).iter().map(|e| e.address()).collect();
-                let refuse = crate::error::Error::Plc {
-                    station: 1,
-                    code: crate::command::Code::ReadRegisters,
-                    error: crate::error::ErrorCode::IllegalAddress,
-                    repeated: false,
-                };
                 let result = if cells.contains(&49) && cells.contains(&50) {
                     refusals += 1;
-                    Err(refuse)
+                    Err(refusal())
                 } else {
                     Ok(Reply::Words(vec![1; cells.len()]))
                 };
