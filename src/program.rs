@@ -68,7 +68,7 @@
 //!              ▼                           ▼
 //!            Write n (50) ⇄ ReadBack n (4F) … ─▶ [Verify n …] ─▶ Final (40) ─▶ [Run (41) ⇄ Running? (40)] ─▶ Done
 //!
-//! a failure:  LastLook (40) ── it runs ─▶ StopAgain (41) ⇄ (40) ─▶ Failed          without a connection: Failed
+//! a failure:  LastLook (40) ── it runs ─▶ StopAgain (41) ⇄ (40) ─▶ Failed      nothing written, or no answer to it: Failed
 //! ```
 //!
 //! What must always hold:
@@ -78,13 +78,17 @@
 //!   reads back as something else, is written again, a bounded number of times. That is harmless: it is the same page.
 //! - RUN is sent only if it was asked for, the PLC ran before, and every page has been found to be the program's: by the
 //!   comparison, or when it was read back.
+//! - No half-written PLC is left alone after a failure before its status has been asked for once more; if that fails as well,
+//!   the error says that it is not known whether the PLC runs.
+//! - That a page has been written is forgotten only when all have been found to be the program's, not when a run begins. A PLC
+//!   that was left half-written and runs when the next run begins is stopped: [`ProgramError::SetRunning`].
 //! - So after any failure, a dropped future or a crash between the first page and the last, the PLC is stopped.
 //! - That it is still stopped is looked at every 16 pages and at the end. If somebody else has set it running in between, it is
 //!   stopped again and the writing fails with [`ProgramError::SetRunning`], for two are at work there.
 //!
 //! **Resuming** needs the program and the PLC, and nothing else: whoever writes the program again, in this process or the
 //! next, compares all pages, finds those that were written to be the same, and writes the rest. What a `WriteProgram` that is run again
-//! knows besides is whether the PLC ran before it was first stopped.
+//! knows besides is whether the PLC ran before it was first stopped, and that it may hold a half.
 //!
 //! **Order.** The ladder's pages are written in ascending order and the header, page 0, last. So as long as the ladder is
 //! not whole, the header is the one from before. Where both headers are the same, which is so for two programs of one

@@ -206,12 +206,17 @@ impl fmt::Display for PlcState {
 pub struct WriteProgramError {
     /// Why it went no further.
     pub source: Box<ProgramError>,
-    /// The pages that were written and read back.
+    /// The pages that this run has written and read back.
     pub written: Vec<u16>,
+    /// The other pages that earlier runs of the same [`WriteProgram`](super::WriteProgram) have written and read back.
+    pub written_before: Vec<u16>,
     /// The pages that differ and are still to be written.
     pub unwritten: Vec<u16>,
     /// The one among them that may have been written, or in part: its write was sent, and not confirmed.
     pub in_doubt: Option<u16>,
+    /// Whether this run, or an earlier one of the same [`WriteProgram`](super::WriteProgram), has written a page, or perhaps,
+    /// since all pages were last found to be the program's.
+    pub touched: bool,
     /// Whether all pages have been found to be the program's. `false`, too, if they have not been compared yet.
     pub whole: bool,
     /// Whether it runs.
@@ -219,18 +224,27 @@ pub struct WriteProgramError {
 }
 
 impl WriteProgramError {
-    /// Whether the PLC may hold a part of the new program and a part of the old one, by this run.
+    /// Whether the PLC may hold a part of the new program and a part of the old one, by this run or an earlier one of the
+    /// same [`WriteProgram`](super::WriteProgram).
     #[must_use]
     pub fn is_half_written(&self) -> bool {
-        let touched = !self.written.is_empty() || self.in_doubt.is_some();
-        touched && !self.whole
+        self.touched && !self.whole
     }
 
     fn what_is_left(&self) -> String {
-        let Self { written, unwritten, plc, .. } = self;
+        let Self { written, written_before, unwritten, plc, .. } = self;
         let all = written.len().saturating_add(unwritten.len());
         if self.whole {
             format!("the program is written, and {plc}")
+        } else if self.is_half_written() && written.is_empty() && self.in_doubt.is_none() {
+            let earlier = match written_before.len() {
+                0 => "perhaps one".to_owned(),
+                pages => pages.to_string(),
+            };
+            format!(
+                "this run has written no page, and earlier ones {earlier}: the PLC may hold a half of the program, \
+                 and {plc}: write the rest before it runs"
+            )
         } else if self.is_half_written() {
             let doubt = self.in_doubt.map_or_else(String::new, |page| format!(", page {page} perhaps"));
             let written = written.len();

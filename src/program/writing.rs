@@ -1,103 +1,17 @@
 //! The states of writing a program, as the [module](super) draws them. No I/O, and no clock.
 
+mod states;
+
+use std::collections::BTreeSet;
+
+use self::states::State;
+pub(super) use self::states::{Goal, Step, Told};
 use super::{
     PlcState, Program, ProgramAction, ProgramError, ProgramHeader, WriteOptions, WriteProgramError, WriteReport,
 };
-use crate::command::{DetailedStatus, ProgramPage, StatusFlags};
+use crate::command::{DetailedStatus, ProgramPage};
 use crate::error::Error;
 use crate::progress::Phase;
-
-/// What is to be done next; [`Writing::told`] then takes what came of it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Step {
-    /// 53.
-    Status,
-    /// 40.
-    Flags,
-    /// 4F.
-    Read(u16),
-    /// 50: the program's page.
-    Write(u16),
-    /// 41.
-    Stop,
-    /// 41.
-    Run,
-    /// Nothing, for a moment.
-    Pause,
-    /// All is done: take [`Writing::report`].
-    Done,
-    /// It cannot go on: take [`Writing::failure`].
-    Failed,
-}
-
-/// What came of a step.
-#[derive(Debug)]
-pub(super) enum Told {
-    Status(DetailedStatus),
-    Flags(StatusFlags),
-    Page(ProgramPage),
-    Done,
-}
-
-/// What a run is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Goal {
-    /// To find out which pages differ.
-    Compare,
-    /// To write them.
-    Write,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
-    Fit,
-    Kind,
-    Compare(u16),
-    Look,
-    Stop {
-        left: u32,
-    },
-    Stopped {
-        left: u32,
-    },
-    StopPause {
-        left: u32,
-    },
-    Write {
-        left: u32,
-    },
-    ReadBack {
-        left: u32,
-    },
-    /// A page was refused: does it run?
-    Refused,
-    /// Between two pages: is it still stopped?
-    Check,
-    Verify(u16),
-    Final,
-    Run {
-        left: u32,
-    },
-    Running {
-        left: u32,
-    },
-    RunPause {
-        left: u32,
-    },
-    Done,
-    // A failure. What it is stands in `failure`.
-    LastLook,
-    StopAgain {
-        left: u32,
-    },
-    StoppedAgain {
-        left: u32,
-    },
-    StopAgainPause {
-        left: u32,
-    },
-    Failed,
-}
 
 /// How often the PLC is told to stop or to run before that is given up.
 const CONTROL_TRIES: u32 = 5;
@@ -115,6 +29,10 @@ pub(super) struct Writing {
     ran_before: bool,
     /// Whether it has been told to stop: of all runs of this writing.
     told_to_stop: bool,
+    /// Whether a page has been written, or perhaps, since all were last found to be the program's: in all runs of this writing.
+    touched: bool,
+    /// The pages that earlier runs of this writing have written and read back.
+    written_before: BTreeSet<u16>,
     plc: PlcState,
     /// Whether all pages have been compared in this run.
     compared: bool,
@@ -140,6 +58,8 @@ impl Writing {
             state: State::Fit,
             ran_before: false,
             told_to_stop: false,
+            touched: false,
+            written_before: BTreeSet::new(),
             plc: PlcState::Unknown,
             compared: false,
             pending: Vec::new(),
@@ -152,11 +72,17 @@ impl Writing {
         }
     }
 
-    /// A run begins: the first, or another after a failure. It knows of the last one whether the PLC ran before.
+    /// A run begins: the first, or another after a failure or when the last one was abandoned. It knows of those before
+    /// whether the PLC ran, and what they have done to it.
     pub(super) fn begin(&mut self, goal: Goal) {
-        let Self { program, options, ran_before, told_to_stop, .. } = self;
-        let fresh = Self::new(program.clone(), *options);
-        *self = Self { goal, ran_before: *ran_before, told_to_stop: *told_to_stop, ..fresh };
+        let fresh = Self::new(self.program.clone(), self.options);
+        let last = std::mem::replace(self, fresh);
+        self.goal = goal;
+        (self.ran_before, self.told_to_stop) = (last.ran_before, last.told_to_stop);
+        // Abandoned in this state, the write may have been sent.
+        self.touched = last.touched || matches!(last.state, State::Write { .. });
+        self.written_before = last.written_before;
+        self.written_before.extend(last.written);
     }
 
     pub(super) fn program(&self) -> &Program {
@@ -221,6 +147,7 @@ impl Writing {
     pub(super) fn report(&mut self) -> WriteReport {
         // As far as this writing is concerned, it is over.
         self.told_to_stop = false;
+        self.written_before.clear();
         WriteReport {
             written: std::mem::take(&mut self.written),
             pages: self.program.header().page_count(),
@@ -242,11 +169,23 @@ impl Writing {
         WriteProgramError {
             source: Box::new(source),
             written: self.written.clone(),
+            written_before: self.written_before.iter().copied().filter(|page| !self.written.contains(page)).collect(),
             unwritten: self.differing(),
             in_doubt: self.in_doubt,
-            whole: self.compared && self.pending.is_empty() && self.differing.is_empty(),
+            touched: self.touched,
+            whole: self.whole(),
             plc: self.plc,
         }
+    }
+
+    /// Whether all pages have been found to be the program's, in this run.
+    fn whole(&self) -> bool {
+        self.compared && self.pending.is_empty() && self.differing.is_empty()
+    }
+
+    /// Whether the PLC may hold a part of the new program and a part of the old one, by this writing.
+    fn half_written(&self) -> bool {
+        self.touched && !self.whole()
     }
 
     // What the replies mean.
@@ -258,6 +197,9 @@ impl Writing {
             self.fail(ProgramError::SizeMisfit { program, plc });
         } else if status.flags().memory_card() && self.goal == Goal::Write {
             self.fail(ProgramError::MemoryCard);
+        } else if self.plc == PlcState::Running && self.touched && self.goal == Goal::Write {
+            // An earlier run has left a half there, stopped.
+            self.stop_again();
         } else if !self.may_go_on_while_running() {
             self.fail(ProgramError::Running);
         } else {
@@ -310,6 +252,8 @@ impl Writing {
 
     fn all_compared(&mut self) {
         self.compared = true;
+        // Found whole, by whomever.
+        self.touched &= !self.pending.is_empty();
         // Taken from the end: the ladder in ascending order, and the header last.
         self.pending.reverse();
         if self.pending.last() == Some(&0) {
@@ -328,6 +272,7 @@ impl Writing {
         self.saw(running);
         match self.state {
             State::Look if !running => self.write_next(),
+            State::Look if self.touched && !self.options.stop_first => self.stop_again(),
             State::Look if !self.options.stop_first => self.fail(ProgramError::Running),
             State::Look => {
                 // Said before it is told to: whoever drops the future then does not know whether it has heard that.
@@ -381,6 +326,8 @@ impl Writing {
     fn write_next(&mut self) {
         self.excuse = None;
         let all = self.written.len().saturating_add(self.pending.len());
+        // Written and read back, or the same before.
+        self.touched &= !self.pending.is_empty();
         self.state = match self.pending.last() {
             None if self.options.verify_all => State::Verify(0),
             None => State::Final,
@@ -392,6 +339,10 @@ impl Writing {
 
     fn wrote(&mut self, left: u32, result: Result<(), Error>) {
         let page = self.pending.last().copied().unwrap_or_default();
+        let sent = result.as_ref().err().is_none_or(Error::may_have_executed);
+        if sent {
+            (self.touched, self.in_doubt) = (true, Some(page));
+        }
         match result {
             Ok(()) => self.excuse = None,
             Err(source) => {
@@ -409,7 +360,6 @@ impl Writing {
             }
         }
         // What has become of it, the page itself tells.
-        self.in_doubt = Some(page);
         self.state = State::ReadBack { left };
     }
 
@@ -430,6 +380,7 @@ impl Writing {
     fn verify(&mut self, page: u16, content: &ProgramPage) {
         if self.program.page(page) != Some(content) {
             self.differing.push(page);
+            self.touched = true;
         }
         let (next, count) = (page.saturating_add(1), self.program.header().page_count());
         self.progress = (Phase::Verifying, next.into(), count.into());
@@ -460,7 +411,8 @@ impl Writing {
 
     // What goes wrong.
 
-    /// A request brought no answer of use: nothing more can be asked.
+    /// A request brought no answer of use. It may be the only one that fails: before a half-written PLC is left alone, it is
+    /// looked at once more.
     fn lost(&mut self, source: Error) {
         let action = match self.next() {
             Step::Read(page) => ProgramAction::ReadPage(page),
@@ -471,14 +423,19 @@ impl Writing {
         };
         // Of two failures the first one counts.
         self.failure.get_or_insert(ProgramError::Call { action, source });
-        self.state = State::Failed;
+        let ending = matches!(self.state, State::LastLook | State::StoppedAgain { .. });
+        let look = !ending && self.goal == Goal::Write && self.half_written();
+        if ending {
+            self.plc = PlcState::Unknown;
+        }
+        self.state = if look { State::LastLook } else { State::Failed };
     }
 
     /// It cannot go on, though the PLC answers: if anything has been done to it, it must not be running.
     fn fail(&mut self, error: ProgramError) {
         self.failure = Some(error);
-        let touched = !self.written.is_empty() || self.in_doubt.is_some();
-        let at_rest = matches!(self.state, State::Running { .. }) || !touched;
+        // What does not fit is not the PLC that was written.
+        let at_rest = matches!(self.state, State::Fit | State::Kind) || !self.half_written();
         self.state = if at_rest { State::Failed } else { State::LastLook };
     }
 

@@ -104,9 +104,12 @@ fn check(error: &WriteProgramError, nth: u16, new: &Program, context: &str) {
     assert_eq!((&error.written, error.in_doubt), (&written, rest.first().copied()), "{context}");
     rest.sort_unstable();
     assert_eq!(error.unwritten, rest, "{context}");
-    assert!(error.is_half_written() && error.plc == PlcState::Stopped, "{context}: {error:?}");
+    assert!(error.is_half_written() && error.plc == PlcState::Unknown, "{context}: {error:?}");
     let text = error.to_string();
-    assert!(text.contains(&format!("{} of the ", nth - 1)) && text.contains("the PLC is stopped"), "{context}: {text}");
+    assert!(
+        text.contains(&format!("{} of the ", nth - 1)) && text.contains("whether the PLC runs is not known"),
+        "{context}: {text}"
+    );
 }
 
 /// Until the first rule has struck.

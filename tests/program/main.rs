@@ -5,4 +5,5 @@
 mod bench;
 mod crash;
 mod others;
+mod regressions;
 mod round_trip;

@@ -1,0 +1,95 @@
+//! A second failure, a request that fails alone, and others who start or stop the PLC in between.
+
+use std::time::Duration;
+
+use fatek::command::Code;
+use fatek::program::{PlcState, WriteOptions, WriteProgram};
+use fatek::sim::{Fault, Line, PageReply, Rule};
+use fatek::{CallOptions, ErrorCode};
+use tokio::time::sleep;
+
+use crate::bench::{Bench, program};
+
+const REQUEST: Duration = Duration::from_millis(10);
+
+/// With a program, and with requests that take a while.
+fn bench() -> Bench {
+    let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
+    bench.load(&program(640, 1));
+    bench.faults.set_line(Line::default().turnaround(REQUEST, REQUEST));
+    bench
+}
+
+fn once() -> CallOptions {
+    CallOptions::new().retries(0)
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_half_that_somebody_runs_is_stopped_again_though_the_request_fails_that_would_show_it() {
+    for fault in [Fault::Error(ErrorCode::IllegalFormat), Fault::Ignore] {
+        let bench = bench();
+        let new = program(640, 2);
+        let station = bench.station().with_options(once());
+        let writing = station.write_program(&new, WriteOptions::new());
+        // Page 0 and the ten of the comparison, and two that are read back.
+        bench.faults.add_rule(Rule::new(fault).command(Code::ReadProgramPage).skip(13).times(1));
+        let other = async {
+            while bench.plc.page(3).as_ref() != new.page(3) {
+                sleep(Duration::from_millis(1)).await;
+            }
+            bench.plc.run();
+        };
+        let (result, ()) = tokio::join!(writing, other);
+        let error = result.unwrap_err();
+        assert!(error.to_string().starts_with("cannot read page 3: "), "{error}");
+        assert!(error.is_half_written() && error.plc == PlcState::Stopped && !bench.plc.is_running(), "{error:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_second_failure_does_not_forget_that_the_plc_holds_a_half() {
+    let bench = bench();
+    bench.plc.run();
+    let station = bench.station().with_options(once());
+    let new = program(640, 2);
+    let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first().run_again());
+    bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(3));
+    let first = write.run(&station).await.unwrap_err();
+    assert!(first.is_half_written() && first.plc == PlcState::Stopped, "{first}");
+    bench.faults.set_rules([Rule::new(Fault::Ignore)]);
+    let second = write.run(&station).await.unwrap_err();
+    assert!(second.is_half_written() && second.written_before == [1, 2, 3], "{second:?}");
+    assert!(
+        second.to_string().ends_with(
+            "; this run has written no page, and earlier ones 3: the PLC may hold a half of the program, \
+             and whether the PLC runs is not known: write the rest before it runs"
+        ),
+        "{second}"
+    );
+    bench.faults.set_rules([]);
+    let report = write.run(&station).await.unwrap();
+    assert_eq!(report.written, (4..=10).collect::<Vec<_>>());
+    assert!(report.was_stopped && report.running && bench.plc.is_running());
+    // From here on it is one like any other.
+    bench.faults.set_rules([Rule::new(Fault::Ignore)]);
+    let error = write.run(&station).await.unwrap_err();
+    assert!(!error.is_half_written() && error.to_string().contains("nothing was written"), "{error}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_half_that_somebody_runs_between_two_runs_is_stopped_again() {
+    for options in [WriteOptions::new(), WriteOptions::new().stop_first()] {
+        let bench = bench();
+        let station = bench.station().with_options(once());
+        let new = program(640, 2);
+        let mut write = WriteProgram::new(&new, options);
+        bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(3));
+        assert!(write.run(&station).await.unwrap_err().is_half_written());
+        bench.faults.set_rules([]);
+        bench.plc.run();
+        let second = write.run(&station).await.unwrap_err();
+        assert!(matches!(*second.source, fatek::program::ProgramError::SetRunning), "{second}");
+        assert!(second.is_half_written() && second.plc == PlcState::Stopped && !bench.plc.is_running(), "{second:?}");
+        assert_eq!(write.run(&station).await.unwrap().written, (4..=10).collect::<Vec<_>>());
+    }
+}
