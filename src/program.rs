@@ -76,8 +76,8 @@
 //! - Nothing is written before the PLC's status has said that it is stopped.
 //! - A page counts as written when it has been read back and is what it should be. A page whose write had no answer, or that
 //!   reads back as something else, is written again, a bounded number of times. That is harmless: it is the same page.
-//! - RUN is sent only if it was asked for, the PLC ran before, and every page has been found to be the program's: by the
-//!   comparison, or when it was read back.
+//! - RUN is sent only if it was asked for, the PLC ran before and has obeyed a STOP from here, and every page has been found to
+//!   be the program's: by the comparison, or when it was read back.
 //! - No half-written PLC is left alone after a failure before its status has been asked for once more; if that fails as well,
 //!   the error says that it is not known whether the PLC runs.
 //! - That a page has been written is forgotten only when all have been found to be the program's, not when a run begins. A PLC

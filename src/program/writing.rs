@@ -29,6 +29,8 @@ pub(super) struct Writing {
     ran_before: bool,
     /// Whether it has been told to stop: of all runs of this writing.
     told_to_stop: bool,
+    /// Whether it has been seen to obey: then these two stay so.
+    has_stopped: bool,
     /// Whether a page has been written, or perhaps, since all were last found to be the program's: in all runs of this writing.
     touched: bool,
     /// The pages that earlier runs of this writing have written and read back.
@@ -58,6 +60,7 @@ impl Writing {
             state: State::Fit,
             ran_before: false,
             told_to_stop: false,
+            has_stopped: false,
             touched: false,
             written_before: BTreeSet::new(),
             plc: PlcState::Unknown,
@@ -79,6 +82,7 @@ impl Writing {
         let last = std::mem::replace(self, fresh);
         self.goal = goal;
         (self.ran_before, self.told_to_stop) = (last.ran_before, last.told_to_stop);
+        self.has_stopped = last.has_stopped;
         // Abandoned in this state, the write may have been sent.
         self.touched = last.touched || matches!(last.state, State::Write { .. });
         self.written_before = last.written_before;
@@ -132,7 +136,7 @@ impl Writing {
                 self.state = State::StoppedAgain { left };
             }
             (State::Run { left }, result) => self.ran(left, result.map(drop)),
-            (State::StopPause { left }, _) => self.state = State::Stop { left },
+            (State::StopPause { left }, _) => self.stop(left),
             (State::RunPause { left }, _) => self.state = State::Run { left },
             (State::StopAgainPause { left }, _) => self.state = State::StopAgain { left },
             (_, Ok(Told::Status(status))) => self.fits(&status),
@@ -146,7 +150,7 @@ impl Writing {
     /// What was done, after [`Step::Done`].
     pub(super) fn report(&mut self) -> WriteReport {
         // As far as this writing is concerned, it is over.
-        self.told_to_stop = false;
+        (self.told_to_stop, self.has_stopped) = (false, false);
         self.written_before.clear();
         WriteReport {
             written: std::mem::take(&mut self.written),
@@ -275,9 +279,7 @@ impl Writing {
             State::Look if self.touched && !self.options.stop_first => self.stop_again(),
             State::Look if !self.options.stop_first => self.fail(ProgramError::Running),
             State::Look => {
-                // Said before it is told to: whoever drops the future then does not know whether it has heard that.
-                (self.told_to_stop, self.ran_before) = (true, true);
-                self.state = State::Stop { left: CONTROL_TRIES };
+                self.stop(CONTROL_TRIES);
             }
             State::Stopped { .. } if !running => self.write_next(),
             State::Stopped { left } => match left.checked_sub(1) {
@@ -315,10 +317,29 @@ impl Writing {
 
     fn saw(&mut self, running: bool) {
         self.plc = if running { PlcState::Running } else { PlcState::Stopped };
+        if running {
+            self.not_stopped();
+        } else {
+            self.has_stopped |= self.told_to_stop;
+        }
+    }
+
+    fn stop(&mut self, left: u32) {
+        // Said before it is told to: whoever drops the future then does not know whether it has heard that.
+        (self.told_to_stop, self.ran_before) = (true, true);
+        self.state = State::Stop { left };
+    }
+
+    /// The last STOP did nothing: who has stopped it if it is stopped later was somebody else.
+    fn not_stopped(&mut self) {
+        (self.told_to_stop, self.ran_before) = (self.has_stopped, self.has_stopped);
     }
 
     fn stopping(&mut self, left: u32, result: Result<(), Error>) {
         self.plc = PlcState::Unknown;
+        if result.as_ref().is_err_and(|error| !error.may_have_executed()) {
+            self.not_stopped();
+        }
         self.excuse = result.err().map(|source| ProgramError::Call { action: ProgramAction::Stop, source });
         self.state = State::Stopped { left };
     }

@@ -93,3 +93,20 @@ async fn a_half_that_somebody_runs_between_two_runs_is_stopped_again() {
         assert_eq!(write.run(&station).await.unwrap().written, (4..=10).collect::<Vec<_>>());
     }
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_did_not_obey_and_that_somebody_else_has_stopped_is_not_run() {
+    for fault in [Fault::Error(ErrorCode::IllegalFormat), Fault::Ignore] {
+        let bench = bench();
+        bench.plc.run();
+        let (station, new) = (bench.station().with_options(once()), program(640, 2));
+        let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first().run_again());
+        bench.faults.add_rule(Rule::new(fault).command(Code::ControlPlc));
+        assert_eq!(write.run(&station).await.unwrap_err().plc, PlcState::Running);
+        bench.faults.set_rules([]);
+        // A person, at the machine.
+        bench.plc.stop();
+        let report = write.run(&station).await.unwrap();
+        assert!(!report.was_stopped && !report.running && !bench.plc.is_running(), "{report:?}");
+    }
+}
