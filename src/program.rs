@@ -84,7 +84,7 @@
 //!   that was left half-written and runs when the next run begins is stopped: [`ProgramError::SetRunning`].
 //! - So after any failure, a dropped future or a crash between the first page and the last, the PLC is stopped.
 //! - That it is still stopped is looked at every 16 pages and at the end. If somebody else has set it running in between, it is
-//!   stopped again and the writing fails with [`ProgramError::SetRunning`], for two are at work there.
+//!   stopped again, if a page has been written, and the writing fails with [`ProgramError::SetRunning`], for two are at work there.
 //!
 //! **Resuming** needs the program and the PLC, and nothing else: whoever writes the program again, in this process or the
 //! next, compares all pages, finds those that were written to be the same, and writes the rest. What a `WriteProgram` that is run again

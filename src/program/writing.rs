@@ -286,7 +286,9 @@ impl Writing {
                 Some(left @ 1..) => self.state = State::StopPause { left },
                 _ => self.give_up(ProgramError::StillRunning),
             },
-            State::Refused if running => self.stop_again(),
+            State::Refused if running && self.touched => self.stop_again(),
+            // It runs the old program, whole: that is left alone.
+            State::Refused if running => self.fail(ProgramError::SetRunning),
             State::Refused => {
                 self.failure = self.excuse.take();
                 self.state = State::Failed;
@@ -443,7 +445,8 @@ impl Writing {
             _ => ProgramAction::ReadStatus,
         };
         // Of two failures the first one counts.
-        self.failure.get_or_insert(ProgramError::Call { action, source });
+        let excuse = self.excuse.take();
+        self.failure.get_or_insert_with(|| excuse.unwrap_or(ProgramError::Call { action, source }));
         let ending = matches!(self.state, State::LastLook | State::StoppedAgain { .. });
         let look = !ending && self.goal == Goal::Write && self.half_written();
         if ending {

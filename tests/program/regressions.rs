@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use fatek::command::Code;
-use fatek::program::{PlcState, WriteOptions, WriteProgram};
+use fatek::program::{PlcState, ProgramError, WriteOptions, WriteProgram};
 use fatek::sim::{Fault, Line, PageReply, Rule};
 use fatek::{CallOptions, ErrorCode};
 use tokio::time::sleep;
@@ -88,7 +88,7 @@ async fn a_half_that_somebody_runs_between_two_runs_is_stopped_again() {
         bench.faults.set_rules([]);
         bench.plc.run();
         let second = write.run(&station).await.unwrap_err();
-        assert!(matches!(*second.source, fatek::program::ProgramError::SetRunning), "{second}");
+        assert!(matches!(*second.source, ProgramError::SetRunning), "{second}");
         assert!(second.is_half_written() && second.plc == PlcState::Stopped && !bench.plc.is_running(), "{second:?}");
         assert_eq!(write.run(&station).await.unwrap().written, (4..=10).collect::<Vec<_>>());
     }
@@ -109,4 +109,37 @@ async fn a_plc_that_did_not_obey_and_that_somebody_else_has_stopped_is_not_run()
         let report = write.run(&station).await.unwrap();
         assert!(!report.was_stopped && !report.running && !bench.plc.is_running(), "{report:?}");
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_whole_old_program_that_somebody_runs_before_the_first_page_is_not_stopped() {
+    let bench = bench();
+    let (old, new) = (program(640, 1), program(640, 2));
+    let station = bench.station();
+    let writing = station.write_program(&new, WriteOptions::new());
+    // 53, page 0, ten pages and 40 have been answered, and the first page is on its way.
+    let starting = async {
+        while bench.faults.log().entries().len() < 14 {
+            sleep(Duration::from_millis(1)).await;
+        }
+        bench.plc.run();
+    };
+    let (result, ()) = tokio::join!(writing, starting);
+    let error = result.unwrap_err();
+    assert!(matches!(*error.source, ProgramError::SetRunning) && !error.is_half_written(), "{error}");
+    assert!(error.to_string().ends_with("; nothing was written, and the PLC runs"), "{error}");
+    assert!(bench.holds() == old.pages() && bench.plc.is_running());
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_reason_of_a_refusal_is_told_though_the_next_request_fails_too() {
+    let bench = bench();
+    let new = program(640, 2);
+    let station = bench.station().with_options(once());
+    bench.faults.set_rules([
+        Rule::new(Fault::Error(ErrorCode::WriteProhibited)).command(Code::WriteProgramPage).skip(3),
+        Rule::new(Fault::Ignore).command(Code::ReadStatus).skip(1),
+    ]);
+    let error = station.write_program(&new, WriteOptions::new()).await.unwrap_err();
+    assert!(error.to_string().contains("ROM pack") && error.plc == PlcState::Unknown, "{error}");
 }
