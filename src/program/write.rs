@@ -61,7 +61,8 @@ impl WriteOptions {
         self
     }
 
-    /// Writes all pages, not only those that differ. None is read before it is written, then.
+    /// Writes all pages, not only those that differ. None is read before it is written, then; a
+    /// further run of the same [`WriteProgram`] compares all, and does not write again those that an earlier one has written.
     #[must_use]
     pub fn all_pages(mut self) -> Self {
         self.all_pages = true;

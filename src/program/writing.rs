@@ -233,7 +233,8 @@ impl Writing {
             Ok(header) if header.kind() != program => {
                 self.fail(ProgramError::KindMisfit { program, plc: header.kind() });
             }
-            _ if self.options.all_pages && self.goal == Goal::Write => {
+            // What an earlier run has written may be another since: that is compared.
+            _ if self.writes_all() && self.written_before.is_empty() => {
                 self.pending = (0..self.program.header().page_count()).collect();
                 self.all_compared();
             }
@@ -241,8 +242,13 @@ impl Writing {
         }
     }
 
+    fn writes_all(&self) -> bool {
+        self.options.all_pages && self.goal == Goal::Write
+    }
+
     fn compare(&mut self, page: u16, content: &ProgramPage) {
-        if self.program.page(page) != Some(content) {
+        let unwritten = self.writes_all() && !self.written_before.contains(&page);
+        if unwritten || self.program.page(page) != Some(content) {
             self.pending.push(page);
         }
         let (next, count) = (page.saturating_add(1), self.program.header().page_count());

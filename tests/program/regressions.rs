@@ -143,3 +143,21 @@ async fn the_reason_of_a_refusal_is_told_though_the_next_request_fails_too() {
     let error = station.write_program(&new, WriteOptions::new()).await.unwrap_err();
     assert!(error.to_string().contains("ROM pack") && error.plc == PlcState::Unknown, "{error}");
 }
+
+#[tokio::test(start_paused = true)]
+async fn the_writing_of_all_pages_goes_on_where_it_was() {
+    let bench = bench();
+    let new = program(640, 2);
+    let mut write = WriteProgram::new(&new, WriteOptions::new().all_pages());
+    let station = bench.station().with_options(once());
+    for (skip, written) in [(5, 1..=5), (3, 6..=8)] {
+        bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(skip)]);
+        let error = write.run(&station).await.unwrap_err();
+        assert_eq!(error.written, written.collect::<Vec<_>>());
+    }
+    // One that is another since is written again; and the header is the last.
+    bench.plc.set_page(3, program(640, 1).pages()[3].clone()).unwrap();
+    bench.faults.set_rules([]);
+    assert_eq!(write.run(&station).await.unwrap().written, [3, 9, 10, 0]);
+    assert_eq!(bench.holds(), new.pages());
+}

@@ -15,7 +15,7 @@ use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Output, Rows, complain};
 use crate::signal;
-use crate::transfer::Reporter;
+use crate::transfer::{GoingOn, Reporter};
 
 /// The ranges, or the file, are looked at before the station: nothing is sent for what is no good.
 pub(crate) async fn backup(
@@ -131,12 +131,18 @@ async fn until_done(
     reporter: &Reporter,
     output: &Output,
 ) -> Result<RestoreReport, RestoreError> {
+    let mut going_on = GoingOn::new();
     loop {
         match restore.run(station).await {
             Err(error) => match &error.source {
-                RestoreFailure::Call { source, .. } if may_go_on(source) && !error.report.written.is_empty() => {
+                RestoreFailure::Call { source, .. }
+                    if may_go_on(source)
+                        && !error.report.written.is_empty()
+                        && going_on.may(error.report.unwritten.iter().map(Tag::element_count).sum()) =>
+                {
                     reporter.end_line();
                     output.remark(format_args!("{error}; going on"));
+                    GoingOn::pause().await;
                 }
                 _ => return Err(error),
             },

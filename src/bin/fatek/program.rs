@@ -12,7 +12,7 @@ use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Format, Output, Rows};
-use crate::transfer::Reporter;
+use crate::transfer::{GoingOn, Reporter};
 
 pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Output) -> Result<(), Failure> {
     let reporter = Reporter::new(output);
@@ -58,13 +58,17 @@ pub(crate) async fn write(
     confirm(&question(plc, &program, args), args.consent.yes)?;
     let reporter = Reporter::new(output);
     let mut write = WriteProgram::new(&program, options(args)).on_progress(reporter.callback());
+    let mut going_on = GoingOn::new();
     let report = loop {
         let result = write.run(&station).await;
         reporter.end_line();
         match result {
             Ok(report) => break report,
-            Err(error) if may_go_on(&error.source) && !error.written.is_empty() => {
+            Err(error)
+                if may_go_on(&error.source) && !error.written.is_empty() && going_on.may(error.unwritten.len()) =>
+            {
                 output.remark(format_args!("{error}; going on"));
+                GoingOn::pause().await;
             }
             Err(error) => return Err(error.into()),
         }
