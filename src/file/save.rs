@@ -48,12 +48,9 @@ fn save_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Re
         Err(error) => return Err(failed(path, "find it")(error)),
     };
     let (mut temporary, mut file) = Temporary::create(&target).map_err(failed(path, "make a new file beside it"))?;
-    let written = write(&mut file).and_then(|()| {
-        if let Some(old) = old {
-            file.set_permissions(old.permissions())?;
-        }
-        file.sync_all()
-    });
+    // First of all: what the old one hides is never to be seen in the new one.
+    let permitted = old.map_or(Ok(()), |old| file.set_permissions(old.permissions()));
+    let written = permitted.and_then(|()| write(&mut file)).and_then(|()| file.sync_all());
     drop(file);
     written.map_err(failed(path, "write it"))?;
     fs::rename(&temporary.path, &target).map_err(failed(path, "replace it"))?;
@@ -66,6 +63,9 @@ fn failed(path: &Path, doing: &'static str) -> impl Fn(io::Error) -> FileError {
     move |source| FileError::Io { path: path.to_owned(), doing, source: Arc::new(source) }
 }
 
+/// How many names are tried for a new file.
+const NAMES: u32 = 1000;
+
 /// A file that is not there any more when this is dropped, unless it has been given another name.
 struct Temporary {
     path: PathBuf,
@@ -76,12 +76,18 @@ impl Temporary {
     fn create(target: &Path) -> io::Result<(Self, File)> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let name = target.file_name().ok_or(io::ErrorKind::InvalidFilename)?;
-        let mut hidden = OsString::from(".");
-        hidden.push(name);
-        hidden.push(format!(".{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)));
-        let path = target.with_file_name(hidden);
-        let file = OpenOptions::new().write(true).create_new(true).open(&path)?;
-        Ok((Self { path, gone: false }, file))
+        for _ in 0..NAMES {
+            let mut hidden = OsString::from(".");
+            hidden.push(name);
+            hidden.push(format!(".{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)));
+            let path = target.with_file_name(hidden);
+            match OpenOptions::new().write(true).create_new(true).open(&path) {
+                // Left by a process of this number that was killed: in a container they are often the same.
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+                result => return result.map(|file| (Self { path, gone: false }, file)),
+            }
+        }
+        Err(io::ErrorKind::AlreadyExists.into())
     }
 }
 

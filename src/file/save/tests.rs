@@ -66,6 +66,17 @@ fn what_is_no_file_is_left_as_it_is() {
     assert!(load(&folder.0.join("none")).unwrap_err().to_string().contains("cannot read it"));
 }
 
+#[test]
+fn what_a_killed_process_has_left_is_no_obstacle() {
+    let folder = Folder::new("left");
+    let path = folder.0.join("a");
+    for number in 0..200 {
+        fs::write(folder.0.join(format!(".a.{}-{number}.new", std::process::id())), b"half").unwrap();
+    }
+    save(&path, b"new").unwrap();
+    assert_eq!((load(&path).unwrap(), folder.names().len()), (b"new".to_vec(), 201));
+}
+
 #[cfg(unix)]
 #[test]
 fn permissions_and_symbolic_links_are_kept() {
@@ -79,6 +90,11 @@ fn permissions_and_symbolic_links_are_kept() {
     save(&link, b"new").unwrap();
     assert_eq!(load(&path).unwrap(), b"new");
     assert!(link.is_symlink());
+    save_with(&path, |file| {
+        assert_eq!(file.metadata()?.permissions().mode() & 0o777, 0o600, "before the first byte");
+        file.write_all(b"new")
+    })
+    .unwrap();
     assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
 
     symlink("nothing", &lost).unwrap();
