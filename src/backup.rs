@@ -17,8 +17,8 @@
 //! ```
 //!
 //! A range is a [`Tag`]: `R0-R3839`, `DR0-DR98`, `M0-M1911`, `WM0-WM96`. Of its type only one thing matters: whether a value
-//! takes two registers, as in `R0-R9:f32`. Such pairs, like the elements of 32 bits, are never split between two requests, and where
-//! the PLC refuses one half, the whole is missing. Two
+//! takes two registers, as in `R0-R9:f32`. Such pairs, like the elements of 32 bits, are never split between two requests, are
+//! written whole where one half differs, and where the PLC refuses one half, the whole is missing. Two
 //! ranges of a backup must not share memory, as `R0-R9` and `DR4` would.
 //!
 //! # What a backup is
@@ -50,7 +50,7 @@
 //! ```
 //!
 //! Inputs are the replies of the PLC and the options. What must always hold:
-//! - Only elements are written that have a value in the backup and were found to differ from it. Elements that are missing in
+//! - Only values are written that are in the backup and were found to differ from it. Elements that are missing in
 //!   the backup are neither read nor written. By choice ([`RestoreOptions::bridge`]) equal elements of the backup between two
 //!   that differ are written, too, where that saves a request.
 //! - Nothing is written before all has been compared, and unless the PLC gives all elements.
@@ -70,7 +70,7 @@
 //! (by model, such as `M1912` on, `R3840` on) have effects of their own, or cannot be written.
 //!
 //! **Forced discretes.** A discrete that is disabled (42) was forced to its state by somebody, perhaps for their safety. It stays
-//! as it is, and [`RestoreReport::forced`] names it; so does a word with such a discrete in it. To write it all the same there is
+//! as it is, and [`RestoreReport::forced`] names it; so does a word, or a value of two, with such a discrete in it. To write it all the same there is
 //! [`RestoreOptions::write_forced`].
 #![cfg_attr(
     not(test),

@@ -103,6 +103,18 @@ pub(super) fn runs<T>(items: &[T], mut holds: impl FnMut(&T) -> bool) -> Vec<Ran
     runs
 }
 
+/// The longest runs of values with an element where this holds. Values of so many elements are in them as a whole.
+pub(super) fn runs_of_values<T>(
+    items: &[T],
+    per_value: usize,
+    holds: impl FnMut(&T) -> bool + Copy,
+) -> Vec<Range<usize>> {
+    let per_value = per_value.max(1);
+    let values: Vec<bool> = items.chunks(per_value).map(|value| value.iter().any(holds)).collect();
+    let elements = |value: usize| value.saturating_mul(per_value).min(items.len());
+    runs(&values, |&holds| holds).into_iter().map(|run| elements(run.start)..elements(run.end)).collect()
+}
+
 /// Requests that are still to be made, one after the other; what a request was refused for is found by halving it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Chunks {

@@ -23,7 +23,7 @@ pub struct RestoreReport {
     pub unwritten: Vec<Tag>,
     /// What the PLC refused to give when it was compared, or to take when it was written.
     pub refused: Vec<RefusedRange>,
-    /// Forced discretes that differ, and were left as they are. Words with one in them, too.
+    /// Forced discretes that differ, and were left as they are. Words, and values of two, with one in them, too.
     pub forced: Vec<Tag>,
     /// Inputs, and contacts of timers and counters, which are never written.
     pub left_out: Vec<Tag>,

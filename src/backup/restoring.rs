@@ -1,6 +1,6 @@
 //! The states of restoring, as the [module](super) draws them. No I/O, and no clock.
 
-use super::block::{Chunk, Chunks, discretes, is_not_for_restoring, runs};
+use super::block::{Chunk, Chunks, discretes, is_not_for_restoring, runs, runs_of_values};
 use super::restore::{IfRunning, RestoreOptions};
 use super::target::{Mark, Slot, Target};
 use super::{Backup, Difference, RestoreFailure, RestoreReport};
@@ -192,7 +192,7 @@ impl Restoring {
         let wanted = |target: &Target| match state {
             State::Compare => runs(&target.slots, |slot| slot.mark == Mark::Unknown),
             State::Forced if self.options.write_forced || discretes(target.range).is_none() => Vec::new(),
-            State::Forced => runs(&target.slots, |slot| slot.mark == Mark::Differs),
+            State::Forced => target.differing(),
             State::Write => target.to_write(bridge),
             State::Verify => runs(&target.slots, |slot| slot.wanted.is_some() && slot.mark != Mark::Forced),
             _ => Vec::new(),
@@ -285,10 +285,12 @@ impl Restoring {
             }
             (State::Compare, Err(Error::Plc { error, .. })) => self.refused(Mark::NotGiven(error)),
             (State::Forced, Ok(Reply::Forced(forced))) => {
-                let per_slot = forced.len().checked_div(chunk.count).unwrap_or(1).max(1);
-                for (slot, forced) in self.slots(chunk).iter_mut().zip(forced.chunks(per_slot)) {
+                let per_value = chunk.range.elements_per_value().max(1);
+                let values = chunk.count.div_ceil(per_value);
+                let discretes = forced.len().checked_div(values).unwrap_or(1).max(1);
+                for (value, forced) in self.slots(chunk).chunks_mut(per_value).zip(forced.chunks(discretes)) {
                     if forced.contains(&true) {
-                        slot.mark = Mark::Forced;
+                        value.iter_mut().for_each(|slot| slot.mark = Mark::Forced);
                     }
                 }
                 self.settled(chunk);
@@ -344,7 +346,8 @@ impl Restoring {
             slot.mark = if slot.wanted == Some(value) { Mark::Written } else { Mark::Differs };
         }
         let tries = self.tries;
-        let differing = runs(self.slots(chunk), |slot| slot.mark == Mark::Differs);
+        let per_value = chunk.range.elements_per_value();
+        let differing = runs_of_values(self.slots(chunk), per_value, |slot| slot.mark == Mark::Differs);
         let shifted = differing.into_iter().map(|run| {
             let shift = |place: usize| place.saturating_add(chunk.start);
             (chunk.block, chunk.range, shift(run.start)..shift(run.end))

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::block::{Block, Cell, part, runs};
+use super::block::{Block, Cell, part, runs, runs_of_values};
 use super::{Difference, RefusedRange};
 use crate::command::{Value, most_in_one_request};
 use crate::error::ErrorCode;
@@ -44,8 +44,13 @@ pub(super) struct Target {
 
 impl Target {
     pub(super) fn new(block: &Block) -> Self {
-        let slot = |cell: &Cell| Slot { wanted: cell.ok(), found: None, mark: Mark::Absent };
-        Self { range: block.range, slots: block.cells.iter().map(slot).collect() }
+        // Half a value is none.
+        let values = block.cells.chunks(block.range.elements_per_value().max(1));
+        let slots = values.flat_map(|value| {
+            let whole = value.iter().all(Cell::is_ok);
+            value.iter().map(move |cell| Slot { wanted: cell.ok().filter(|_| whole), found: None, mark: Mark::Absent })
+        });
+        Self { range: block.range, slots: slots.collect() }
     }
 
     /// Nothing has been compared.
@@ -61,11 +66,16 @@ impl Target {
         runs(&self.slots, |slot| holds(slot.mark)).iter().map(|run| part(self.range, run)).collect()
     }
 
+    /// The values that differ in some element, whole.
+    pub(super) fn differing(&self) -> Vec<Range<usize>> {
+        runs_of_values(&self.slots, self.range.elements_per_value(), |slot| slot.mark == Mark::Differs)
+    }
+
     /// What differs, and what is equal and stands between, as far as that may be written to save a request.
     pub(super) fn to_write(&self, bridge: usize) -> Vec<Range<usize>> {
         let most = most_in_one_request(self.range.first());
         let mut merged: Vec<Range<usize>> = Vec::new();
-        for run in runs(&self.slots, |slot| slot.mark == Mark::Differs) {
+        for run in self.differing() {
             match merged.last_mut() {
                 Some(last)
                     if self.bridges(last.end..run.start, bridge) && run.end.saturating_sub(last.start) <= most =>

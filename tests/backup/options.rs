@@ -116,6 +116,46 @@ async fn what_a_program_changes_in_between_is_reported() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_value_of_two_registers_that_a_program_counts_on_is_written_whole() {
+    for framing in FRAMINGS {
+        let bench = Bench::new(framing, Faults::new(1));
+        bench.plc.write(element!("DR0"), 0x0001_0005_u32).unwrap();
+        let backup = bench.station().back_up(tags(["R0-R1:u32"])).await.unwrap();
+        bench.plc.write(element!("DR0"), 0x0001_FFFF_u32).unwrap();
+        bench.plc.run();
+        let (plc, mut compared) = (bench.plc.clone(), false);
+        // The low word differs when it is compared, and the high one is another as soon as it has been.
+        let mut restore = Restore::new(&backup, RestoreOptions::new()).on_progress(move |_| {
+            if !std::mem::replace(&mut compared, true) {
+                plc.write(element!("DR0"), 0x0002_0000_u32).unwrap();
+            }
+        });
+        let report = restore.run(&bench.station()).await.unwrap();
+        assert_eq!(bench.plc.read(element!("DR0")), 0x0001_0005_u32.into());
+        assert_eq!((report.differences.len(), report.written), (1, tags(["R0-R1"]).to_vec()));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_value_of_two_words_of_which_one_is_forced_stays_as_it_is() {
+    for framing in FRAMINGS {
+        let bench = Bench::new(framing, Faults::new(1));
+        let station = bench.station();
+        let backup = station.back_up(tags(["WM0-WM80:u32"])).await.unwrap();
+        // In the word that is right, in one that differs, and nowhere.
+        for forced in [discrete!("M20"), discrete!("M40")] {
+            station.disable(forced).await.unwrap();
+        }
+        for differs in [element!("WM0"), element!("WM32"), element!("WM80")] {
+            bench.plc.write(differs, 1_u16).unwrap();
+        }
+        let report = station.restore(&backup, RestoreOptions::new()).await.unwrap();
+        assert_eq!((report.forced, report.written), (tags(["WM0-WM48"]).to_vec(), tags(["WM64-WM80"]).to_vec()));
+        assert_eq!((bench.plc.read(element!("WM0")), bench.plc.read(element!("WM80"))), (1_u16.into(), 0_u16.into()));
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn forced_discretes_stay_as_they_are_unless_chosen() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));

@@ -143,10 +143,14 @@ async fn round_trip(seed: u64, framing: Framing, faulty: bool) -> Vec<u64> {
     for (first, count) in bench.writes() {
         let range: Tag = Tag::spanning(first, fatek::tag::TagType::default_for(first.width()), count).unwrap();
         let elements: Vec<_> = range.elements().map(|element| atoms(&[element.into()])).collect();
+        // Of the values of two registers, one may be right.
+        let is_pairs =
+            tags(RANGES).iter().any(|of| of.elements_per_value() == 2 && of.elements().any(|has| has == first));
+        let values: Vec<_> = elements.chunks(if is_pairs { 2 } else { 1 }).map(<[_]>::concat).collect();
         let differs = |atoms: &Vec<Element>| atoms.iter().any(|atom| differed.contains(atom));
         assert!(elements.iter().flatten().all(|atom| restored.contains(atom)), "{range}, {note}");
-        assert!(differs(&elements[0]) && differs(&elements[elements.len() - 1]), "{range}, {note}");
-        assert!(options != RestoreOptions::new() || elements.iter().all(differs), "{range}, {note}");
+        assert!(differs(&values[0]) && differs(&values[values.len() - 1]), "{range}, {note}");
+        assert!(options != RestoreOptions::new() || values.iter().all(differs), "{range}, {note}");
     }
     bench.faults.rules().iter().map(Rule::struck).collect()
 }
@@ -218,8 +222,8 @@ async fn runs_of_differences_are_one_request_and_values_of_32_bits_are_never_spl
         bench.clear_log();
         station.restore(&backup, RestoreOptions::new()).await.unwrap();
         let written: Vec<_> = bench.writes().iter().map(|(first, count)| format!("{first} {count}")).collect();
-        // From R2, the high word of the first value, as many whole values as a request takes.
-        let registers = ["R2 63", "R65 64", "R129 64", "R193 8", "DR300 32", "DR364 32", "DR428 32", "DR492 5"];
+        // Of the first value only the high word differs; it is written as a whole.
+        let registers = ["R1 64", "R65 64", "R129 64", "R193 8", "DR300 32", "DR364 32", "DR428 32", "DR492 5"];
         assert_eq!(written, [&registers[..], &["M0 2", "M5 1", "M598 2"]].concat());
     }
 }
