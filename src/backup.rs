@@ -40,13 +40,11 @@
 //! and can be run again:
 //!
 //! ```text
-//! Look (40) ── it runs, and is to be stopped ─▶ Stop (41) ⇄ Stopped? (40)
-//!   │                                              │ yes
-//!   ▼                                              ▼
-//! Compare (44, 46) … ─▶ Forced? (43) … ─▶ Write (45, 47) … ─▶ Verify (44, 46) … ─▶ [Run (41) ⇄ Running? (40)] ─▶ Done
-//!                                           │  ▲
-//!                                no answer  ▼  │ what still differs
-//!                                        Check (44, 46)
+//! Look (40) ─▶ Compare (44, 46) … ─▶ Forced? (43) … ─▶ Write (45, 47) … ─▶ Verify (44, 46) … ─▶ [Run (41) ⇄ Running? (40)] ─▶ Done
+//!                 ▲                     │                    │  ▲
+//!                 │ it has stopped      │ something differs, │  │ what still differs
+//!                 │                     │ and it is to be    ▼  │
+//!         Stopped? (40) ⇄ Stop (41) ◀───┘ stopped         Check (44, 46), if there was no answer
 //! ```
 //!
 //! Inputs are the replies of the PLC and the options. What must always hold:
@@ -59,7 +57,8 @@
 //! - When something was written, all is read once more. Success means: at that reading each element held what the backup holds,
 //!   save those that were left out. What did not stick, because a running program has its own mind, is an error that names
 //!   it.
-//! - A PLC is stopped only by choice, and run again only by choice, if it ran before, and if all has been restored.
+//! - A PLC is stopped only by choice, and only when something is to be written and the PLC has all of it; then all is compared
+//!   again. It is run again only by choice, if it ran before, and if all has been restored.
 //!
 //! Running it again continues, in this process or another: what is written already does not differ any more.
 //!

@@ -120,6 +120,10 @@ impl Meter {
         self.phase
     }
 
+    pub(crate) fn done(&self) -> usize {
+        self.done
+    }
+
     /// So many steps of so many are done by now, and so many bytes more have gone over the line.
     pub(crate) fn advance(&mut self, done: usize, total: usize, bytes: usize) {
         self.done = done;

@@ -29,8 +29,8 @@ pub struct RestoreReport {
     pub left_out: Vec<Tag>,
     /// Elements that did not hold what they should when all was read once more.
     pub remaining: Vec<Difference>,
-    /// Whether the PLC was running and has been stopped, by this run or an earlier one of the same
-    /// [`Restore`](super::Restore).
+    /// Whether the PLC was running and has been stopped, by this run or by earlier ones of the same
+    /// [`Restore`](super::Restore) that failed.
     pub was_stopped: bool,
     /// Whether it runs.
     pub plc: PlcState,

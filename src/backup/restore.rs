@@ -48,8 +48,8 @@ impl RestoreOptions {
         Self { if_running: IfRunning::GoOn, run_again: false, write_forced: false, bridge: 0, attempts: 3 }
     }
 
-    /// Stops the PLC if it runs, before anything is compared, and confirms by its status that it has stopped. A running program
-    /// may overwrite what is restored.
+    /// Stops the PLC if it runs and something is to be written, and confirms by its status that it has stopped. What is written
+    /// is what differs then. A running program may overwrite what is restored.
     #[must_use]
     pub fn stop_first(self) -> Self {
         Self { if_running: IfRunning::Stop, ..self }
@@ -98,7 +98,7 @@ impl Default for RestoreOptions {
 /// The restoring of a backup that can be repeated until it is done.
 ///
 /// Each [run](Self::run) compares all elements first, so it writes those only that an earlier one has not. Unlike a new
-/// `Restore` it remembers that the PLC ran before it was stopped.
+/// `Restore` it remembers, until a run succeeds, that the PLC ran before it was stopped.
 #[must_use]
 pub struct Restore {
     restoring: Restoring,
@@ -174,7 +174,8 @@ impl Restore {
                 let (phase, done, total) = self.restoring.progress();
                 // The request that begins a phase belongs to it, and so does its time.
                 let meter = match &mut meter {
-                    Some(known) if known.phase() == phase => known,
+                    // A PLC that has been stopped is compared again, from the beginning.
+                    Some(known) if known.phase() == phase && known.done() < done => known,
                     other => other.insert(Meter::new(phase, total, 0, began)),
                 };
                 meter.advance(done, total, bytes);

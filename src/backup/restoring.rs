@@ -110,6 +110,10 @@ impl Restoring {
 
     /// A run begins: the first, or another after a failure.
     pub(super) fn begin(&mut self, goal: Goal) {
+        // What has come to its end is over: whoever stops the PLC afterwards does not want it run by the next run.
+        if self.goal == Goal::Restore && self.state == State::Done {
+            (self.ran, self.was_stopped) = (false, false);
+        }
         self.targets.iter_mut().for_each(Target::forget);
         self.remaining.clear();
         self.plc = PlcState::Unknown;
@@ -158,6 +162,11 @@ impl Restoring {
         }
     }
 
+    /// Whether it runs and is not to run while it is written.
+    fn is_to_stop(&self) -> bool {
+        self.plc == PlcState::Running && self.options.if_running == IfRunning::Stop
+    }
+
     /// All that this state had to ask for is settled.
     fn leave(&mut self) -> Result<(), RestoreFailure> {
         match self.state {
@@ -169,6 +178,10 @@ impl Restoring {
                 self.enter(State::Forced);
             }
             State::Forced if self.goal == Goal::Compare => self.enter(State::Done),
+            // Only now it is known that there is something to write, and that it can be.
+            State::Forced if self.is_to_stop() && self.count(|mark| mark == Mark::Differs) > 0 => {
+                self.enter(State::Stop);
+            }
             State::Forced => self.enter(State::Write),
             // What was sent is looked at, whatever came of it.
             State::Write if self.count(|mark| matches!(mark, Mark::Written | Mark::NotTaken(_))) > 0 => {
@@ -177,7 +190,9 @@ impl Restoring {
             State::Verify if !self.remaining.is_empty() => {
                 return Err(RestoreFailure::Differs { count: self.remaining.len() });
             }
-            State::Write | State::Verify if self.options.run_again && self.ran && self.was_stopped => {
+            State::Write | State::Verify
+                if self.options.run_again && self.ran && self.was_stopped && self.plc != PlcState::Running =>
+            {
                 self.enter(State::Run);
             }
             _ => self.enter(State::Done),
@@ -211,12 +226,14 @@ impl Restoring {
         match self.state {
             State::Look => {
                 let running = self.running(reply)?;
-                self.ran |= running;
-                match (running, self.options.if_running) {
-                    (true, IfRunning::Refuse) => return Err(RestoreFailure::Running),
-                    (true, IfRunning::Stop) => self.enter(State::Stop),
-                    _ => self.enter(State::Compare),
+                if running {
+                    // If it was stopped by an earlier run, somebody has run it since.
+                    (self.ran, self.was_stopped) = (true, false);
                 }
+                if running && self.options.if_running == IfRunning::Refuse {
+                    return Err(RestoreFailure::Running);
+                }
+                self.enter(State::Compare);
             }
             State::Stop => {
                 // It runs, so it is known what it means if this was not sent.
@@ -228,7 +245,11 @@ impl Restoring {
                     self.was_stopped = false;
                     self.again(State::PauseToStop, RestoreFailure::StillRunning)?;
                 }
-                false => self.enter(State::Compare),
+                false => {
+                    // What was compared may have changed until it stood still.
+                    self.targets.iter_mut().for_each(Target::forget);
+                    self.enter(State::Compare);
+                }
             },
             State::PauseToStop => self.state = State::Stop,
             State::Run => self.told("running the PLC", reply, State::Running)?,

@@ -51,6 +51,96 @@ async fn a_plc_is_stopped_and_run_again_only_by_choice() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_plc_that_somebody_has_stopped_since_is_not_run() {
+    for framing in FRAMINGS {
+        let bench = Bench::new(framing, Faults::new(1));
+        let (backup, station) = (prepare(&bench, ["R0-R9"]).await, bench.station());
+        let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first().run_again());
+        restore.run(&station).await.unwrap();
+        assert!(bench.plc.is_running());
+        bench.plc.stop();
+        bench.plc.write(element!("R0"), 7_u16).unwrap();
+        assert!(!restore.compare(&station).await.unwrap().was_stopped);
+        let report = restore.run(&station).await.unwrap();
+        assert_eq!((bench.plc.is_running(), report.was_stopped), (false, false), "{report}");
+
+        // This one fails while the PLC is stopped; comparing in between does not make it forget.
+        bench.plc.run();
+        bench.plc.write(element!("R0"), 7_u16).unwrap();
+        let ignore = Rule::new(Fault::Ignore);
+        bench.faults.set_rules([ignore.clone().command(Code::WriteRegisters)]);
+        assert!(restore.run(&station).await.unwrap_err().report.was_stopped && !bench.plc.is_running());
+        bench.faults.set_rules([]);
+        restore.compare(&station).await.unwrap();
+        restore.run(&station).await.unwrap();
+        assert!(bench.plc.is_running());
+
+        // Somebody runs the PLC after such a failure, and stops it after the next one.
+        bench.plc.write(element!("R0"), 7_u16).unwrap();
+        bench.faults.set_rules([ignore.clone().command(Code::WriteRegisters)]);
+        restore.run(&station).await.unwrap_err();
+        bench.plc.run();
+        bench.faults.set_rules([ignore.command(Code::ReadRegisters)]);
+        restore.run(&station).await.unwrap_err();
+        bench.plc.stop();
+        bench.faults.set_rules([]);
+        restore.run(&station).await.unwrap();
+        assert!(!bench.plc.is_running());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_is_not_stopped_for_nothing() {
+    for framing in FRAMINGS {
+        let bench = Bench::new(framing, Faults::new(1));
+        let station = bench.station();
+        let options = RestoreOptions::new().stop_first().run_again();
+        let stops = || {
+            let log = bench.faults.log().entries();
+            log.iter().filter(|entry| entry.request().is_some_and(|request| request.code() == Code::ControlPlc)).count()
+        };
+        // All is as it should be, or stays as it is forced.
+        let backup = station.back_up(tags(["R0-R9", "M0-M9"])).await.unwrap();
+        bench.plc.run();
+        let report = station.restore(&backup, options).await.unwrap();
+        assert_eq!((stops(), report.was_stopped, report.plc), (0, false, PlcState::Running));
+        station.disable(discrete!("M3")).await.unwrap();
+        station.set(discrete!("M3")).await.unwrap();
+        let report = station.restore(&backup, options).await.unwrap();
+        assert_eq!((stops(), report.was_stopped, report.forced), (0, false, tags(["M3"]).to_vec()));
+        // It does not have all elements.
+        let larger = Bench::with_model(framing, Faults::new(1), fatek::sim::Model::default());
+        let more = larger.station().back_up(tags(["F90-F150"])).await.unwrap();
+        let error = station.restore(&more, options).await.unwrap_err();
+        assert!(matches!(error.source, RestoreFailure::NotThere { .. }), "{error}");
+        assert_eq!((stops(), bench.plc.is_running()), (0, true), "{error}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_changes_until_the_plc_has_stopped_is_compared_again() {
+    let bench = Bench::new(FRAMINGS[0], Faults::new(1));
+    let backup = bench.station().back_up(tags(["R0-R99"])).await.unwrap();
+    bench.plc.write(element!("R3"), 1_u16).unwrap();
+    bench.plc.run();
+    let (plc, told) = (bench.plc.clone(), std::sync::Arc::new(std::sync::Mutex::new(Vec::new())));
+    let tell = told.clone();
+    let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first()).on_progress(move |progress| {
+        let mut told = tell.lock().unwrap();
+        told.push((progress.phase.to_string(), progress.done, progress.bytes));
+        if told.len() == 2 {
+            plc.write(element!("R3"), 0_u16).unwrap();
+            plc.write(element!("R70"), 1_u16).unwrap();
+        }
+    });
+    let report = restore.run(&bench.station()).await.unwrap();
+    assert_eq!((report.written, report.plc), (tags(["R70"]).to_vec(), PlcState::Stopped));
+    let told = told.lock().unwrap();
+    let compared: Vec<_> = told.iter().filter(|told| told.0 == "comparing").map(|told| (told.1, told.2)).collect();
+    assert_eq!(compared, [(64, 128), (100, 200), (64, 128), (100, 200)]);
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_stop_whose_answer_is_lost_is_confirmed_by_the_status() {
     for framing in FRAMINGS {
         for fault in [Fault::DropReply, Fault::Ignore] {
