@@ -49,7 +49,7 @@
 //!
 //! Inputs are the replies of the PLC and the options. What must always hold:
 //! - Only values are written that are in the backup and were found to differ from it. Elements that are missing in
-//!   the backup are neither read nor written. By choice ([`RestoreOptions::bridge`]) equal elements of the backup between two
+//!   the backup are neither read nor written; [`RestoreReport::missing`] names them. By choice ([`RestoreOptions::bridge`]) equal elements of the backup between two
 //!   that differ are written, too, where that saves a request.
 //! - Nothing is written before all has been compared, and unless the PLC gives all elements.
 //! - A write that had no answer is not repeated before a read has shown that it still differs.

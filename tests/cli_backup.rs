@@ -93,6 +93,23 @@ fn what_the_plc_does_not_have_is_told_and_an_empty_backup_takes_no_files_place()
 }
 
 #[test]
+fn what_a_backup_lacks_is_told_whenever_it_is_compared_or_restored() {
+    let (sim, folder) = (Sim::start(&["--last", "R99"]), Folder::new("backup-lacking"));
+    let file = folder.file("plant.backup");
+    assert_eq!(sim.fatek(&["backup", &file, "R90-R109"]).status, 3);
+    let large = Sim::start(&["--set", "R95=3", "R105=9"]);
+    let missing = "\nR100-R109 is missing in the backup: refused: illegal address (A)\n";
+    let restored = large.fatek(&["restore", &file, "--yes"]);
+    assert!(restored.stderr.contains(missing), "{restored:?}");
+    assert!(restored.stderr.ends_with(" 1 written, 10 missing in the backup\n"), "{restored:?}");
+    restored.ok();
+    assert_eq!(values(&large, &["R95", "R105"]), ["0", "9"]);
+    let compared = large.fatek(&["backup", &file, "--compare"]);
+    assert!(compared.stderr.contains(missing), "{compared:?}");
+    compared.ok();
+}
+
+#[test]
 fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
     let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-running"));
     let file = saved(&sim, &folder);

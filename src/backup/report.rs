@@ -1,6 +1,6 @@
 use std::fmt;
 
-use super::Difference;
+use super::{Difference, MissingRange};
 use crate::error::ErrorCode;
 use crate::program::PlcState;
 use crate::tag::Tag;
@@ -27,6 +27,8 @@ pub struct RestoreReport {
     pub forced: Vec<Tag>,
     /// Inputs, and contacts of timers and counters, which are never written.
     pub left_out: Vec<Tag>,
+    /// What the backup itself does not have. It was neither compared nor written.
+    pub missing: Vec<MissingRange>,
     /// Elements that did not hold what they should when all was read once more.
     pub remaining: Vec<Difference>,
     /// Whether the PLC was running and has been stopped, by this run or by earlier ones of the same
@@ -57,6 +59,10 @@ impl fmt::Display for RestoreReport {
         }
         if !self.forced.is_empty() {
             write!(f, ", {} left as they are forced", count(&self.forced))?;
+        }
+        if !self.missing.is_empty() {
+            let missing: usize = self.missing.iter().map(|missing| missing.range.element_count()).sum();
+            write!(f, ", {missing} missing in the backup")?;
         }
         if self.was_stopped { write!(f, "; it was stopped, and {}", self.plc) } else { Ok(()) }
     }

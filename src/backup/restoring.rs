@@ -3,7 +3,7 @@
 use super::block::{Chunk, Chunks, discretes, is_not_for_restoring, runs, runs_of_values};
 use super::restore::{IfRunning, RestoreOptions};
 use super::target::{Mark, Slot, Target};
-use super::{Backup, Difference, RestoreFailure, RestoreReport};
+use super::{Backup, Difference, MissingRange, RestoreFailure, RestoreReport};
 use crate::command::Value;
 use crate::element::Discrete;
 use crate::error::{Error, ErrorCode};
@@ -71,6 +71,7 @@ pub(super) struct Restoring {
     options: RestoreOptions,
     targets: Vec<Target>,
     left_out: Vec<Tag>,
+    missing: Vec<MissingRange>,
     goal: Goal,
     state: State,
     /// What this state has still to ask for.
@@ -95,6 +96,7 @@ impl Restoring {
             options,
             targets: taken.into_iter().map(Target::new).collect(),
             left_out: left_out.into_iter().map(|block| block.range).collect(),
+            missing: backup.missing(),
             goal: Goal::Compare,
             state: State::Done,
             chunks: Chunks::default(),
@@ -434,6 +436,7 @@ impl Restoring {
             refused: self.targets.iter().flat_map(Target::refused).collect(),
             forced: ranges(|mark| mark == Mark::Forced),
             left_out: self.left_out.clone(),
+            missing: self.missing.clone(),
             remaining: self.remaining.clone(),
             was_stopped: self.was_stopped,
             plc: self.plc,

@@ -61,7 +61,9 @@ async fn what_is_refused_is_missing_and_neither_zero_nor_written_back() {
         let large = Bench::new(framing, Faults::new(1));
         large.fill(&mut Dice(9));
         let before = large.snapshot();
-        large.station().restore(&backup, RestoreOptions::new()).await.unwrap();
+        let report = large.station().restore(&backup, RestoreOptions::new()).await.unwrap();
+        assert_eq!(report.missing, backup.missing());
+        assert!(report.to_string().ends_with(" written, 41 missing in the backup"), "{report}");
         untouched(&large, &refused);
         let held = |element: Element| before.iter().find(|(known, _)| *known == element).map(|(_, value)| *value);
         for element in tags(["R7-R8", "R101-R130", "D22-D31", "M50-M52", "M96-M111"]).iter().flat_map(Tag::elements) {

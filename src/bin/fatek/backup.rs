@@ -191,6 +191,9 @@ fn cell(value: Value) -> Cell {
 }
 
 fn say_left_out(report: &RestoreReport, output: &Output) {
+    for missing in &report.missing {
+        complain(format_args!("{} is missing in the backup: {}", missing.range, missing.reason));
+    }
     for range in &report.left_out {
         output.remark(format_args!("{range} is left out: inputs and contacts cannot be restored"));
     }
