@@ -150,6 +150,24 @@ fn what_is_forced_and_what_is_an_input_is_left_out_and_told() {
 }
 
 #[test]
+fn inputs_that_differ_are_told_when_they_are_compared() {
+    let (sim, folder) = (Sim::start(&[]), Folder::new("backup-inputs"));
+    let file = folder.file("plant.backup");
+    sim.fatek(&["backup", &file, "X0-X9", "R0"]).ok();
+    sim.fatek(&["backup", &file, "--compare"]).ok();
+    sim.fatek(&["set", "X3"]).ok();
+    let compared = sim.fatek(&["backup", &file, "--compare", "--format", "csv"]);
+    assert_eq!((compared.status, compared.stdout.as_str()), (7, "element,backup,plc\nX3,0,1\n"), "{compared:?}");
+    assert!(compared.stderr.ends_with("error: 1 of 11 elements differ\n"), "{compared:?}");
+    let dry = sim.fatek(&["restore", &file, "--dry-run", "--format", "csv"]);
+    assert!(dry.stderr.ends_with("\n0 of 11 elements would be written\n"), "{dry:?}");
+    assert_eq!(dry.ok(), "element,backup,plc\n");
+    let small = Sim::start(&["--last", "X7"]).fatek(&["backup", &file, "--compare"]);
+    assert!(small.stderr.contains("\nX8-X9 was refused: illegal address (A)\n"), "{small:?}");
+    assert_eq!(small.status, 7, "{small:?}");
+}
+
+#[test]
 fn what_does_not_stick_is_told_with_status_7() {
     // A PLC whose R0 is 5, whatever is written to it.
     let plc = Fake::start(|request| match &request[3..5] {

@@ -27,6 +27,8 @@ pub struct RestoreReport {
     pub forced: Vec<Tag>,
     /// Inputs, and contacts of timers and counters, which are never written.
     pub left_out: Vec<Tag>,
+    /// Those of them that differ. Only [`Restore::compare`](super::Restore::compare) looks at them.
+    pub left_out_differences: Vec<Difference>,
     /// What the backup itself does not have. It was neither compared nor written.
     pub missing: Vec<MissingRange>,
     /// Elements that did not hold what they should when all was read once more.

@@ -122,7 +122,9 @@ impl Restore {
     }
 
     /// Finds out what would be written, and changes nothing: see [`RestoreReport::differences`] and
-    /// [`unwritten`](RestoreReport::unwritten). Whether the PLC runs is no matter here.
+    /// [`unwritten`](RestoreReport::unwritten). What is never written is compared, too: see
+    /// [`left_out_differences`](RestoreReport::left_out_differences); where the PLC refuses to give it,
+    /// [`refused`](RestoreReport::refused) has it, and that is no failure. Whether the PLC runs is no matter here.
     ///
     /// # Errors
     /// As for [`run`](Self::run), as far as that reads.

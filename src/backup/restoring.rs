@@ -70,7 +70,8 @@ enum State {
 pub(super) struct Restoring {
     options: RestoreOptions,
     targets: Vec<Target>,
-    left_out: Vec<Tag>,
+    /// What is compared, and never written.
+    left_out: Vec<Target>,
     missing: Vec<MissingRange>,
     goal: Goal,
     state: State,
@@ -95,7 +96,7 @@ impl Restoring {
         Self {
             options,
             targets: taken.into_iter().map(Target::new).collect(),
-            left_out: left_out.into_iter().map(|block| block.range).collect(),
+            left_out: left_out.into_iter().map(Target::new).collect(),
             missing: backup.missing(),
             goal: Goal::Compare,
             state: State::Done,
@@ -116,7 +117,7 @@ impl Restoring {
         if self.goal == Goal::Restore && self.state == State::Done {
             (self.ran, self.was_stopped) = (false, false);
         }
-        self.targets.iter_mut().for_each(Target::forget);
+        self.targets.iter_mut().chain(&mut self.left_out).for_each(Target::forget);
         self.remaining.clear();
         self.plc = PlcState::Unknown;
         self.goal = goal;
@@ -214,9 +215,12 @@ impl Restoring {
             State::Verify => runs(&target.slots, |slot| slot.wanted.is_some() && slot.mark != Mark::Forced),
             _ => Vec::new(),
         };
+        // They come behind the others, and so do their numbers.
+        let compared_only = self.left_out.iter().filter(|_| (state, self.goal) == (State::Compare, Goal::Compare));
         let all = self
             .targets
             .iter()
+            .chain(compared_only)
             .enumerate()
             .flat_map(|(block, target)| wanted(target).into_iter().map(move |run| (block, target.range, run)));
         let all: Vec<_> = all.collect();
@@ -428,14 +432,15 @@ impl Restoring {
     pub(super) fn report(&self) -> RestoreReport {
         let ranges = |holds: fn(Mark) -> bool| self.targets.iter().flat_map(|target| target.ranges(holds)).collect();
         RestoreReport {
-            compared: self.targets.iter().flat_map(|target| &target.slots).filter(|slot| slot.found.is_some()).count(),
+            compared: self.all().flat_map(|target| &target.slots).filter(|slot| slot.found.is_some()).count(),
             differences: self.targets.iter().flat_map(Target::differences).collect(),
             written: ranges(|mark| mark == Mark::Written),
             in_doubt: ranges(|mark| mark == Mark::Doubt),
             unwritten: ranges(|mark| mark == Mark::Differs),
-            refused: self.targets.iter().flat_map(Target::refused).collect(),
+            refused: self.all().flat_map(Target::refused).collect(),
             forced: ranges(|mark| mark == Mark::Forced),
-            left_out: self.left_out.clone(),
+            left_out: self.left_out.iter().map(|target| target.range).collect(),
+            left_out_differences: self.left_out.iter().flat_map(Target::differences).collect(),
             missing: self.missing.clone(),
             remaining: self.remaining.clone(),
             was_stopped: self.was_stopped,
@@ -443,12 +448,18 @@ impl Restoring {
         }
     }
 
+    /// Those that are never written come last.
+    fn all(&self) -> impl Iterator<Item = &Target> {
+        self.targets.iter().chain(&self.left_out)
+    }
+
     fn count(&self, holds: impl Fn(Mark) -> bool) -> usize {
         self.targets.iter().flat_map(|target| &target.slots).filter(|slot| holds(slot.mark)).count()
     }
 
     fn slots(&mut self, chunk: Chunk) -> &mut [Slot] {
-        let slots = self.targets.get_mut(chunk.block).and_then(|target| target.slots.get_mut(chunk.places()));
+        let target = self.targets.iter_mut().chain(&mut self.left_out).nth(chunk.block);
+        let slots = target.and_then(|target| target.slots.get_mut(chunk.places()));
         slots.unwrap_or_default()
     }
 }

@@ -200,7 +200,7 @@ async fn nothing_is_written_when_nothing_differs() {
         let arrivals = bench.faults.log().arrivals();
         bench.clear_log();
         assert_eq!(Restore::new(&backup, RestoreOptions::new()).compare(&station).await.unwrap().differences, []);
-        assert_eq!(bench.faults.log().arrivals() + 1, arrivals, "but for the status");
+        assert_eq!(bench.faults.log().arrivals(), arrivals, "the inputs are read, and not the status");
     }
 }
 

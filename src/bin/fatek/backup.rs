@@ -27,7 +27,12 @@ pub(crate) async fn backup(
     if args.compare {
         let backup = load(&args.file, &args.ranges)?;
         let report = compare(&connect::station(plc, timeout)?, &backup, RestoreOptions::new(), output).await?;
-        let (differing, all) = (report.differences.len(), report.compared);
+        output.rows(&rows(report.differences.iter().chain(&report.left_out_differences)))?;
+        // What the PLC does not give of the inputs is not as in the file either.
+        let refused: usize = report.refused.iter().map(|refused| refused.range.element_count()).sum();
+        say_refused(&report);
+        let differing = report.differences.len() + report.left_out_differences.len() + refused;
+        let all = report.compared + refused;
         if differing == 0 {
             output.remark(format_args!("the PLC holds what the file says: all {all} elements are the same"));
             return Ok(());
@@ -81,6 +86,7 @@ pub(crate) async fn restore(
     let station = connect::station(plc, timeout)?;
     if args.consent.dry_run {
         let report = compare(&station, &backup, options(args), output).await?;
+        output.rows(&rows(report.differences.iter()))?;
         let (written, all): (usize, _) = (report.unwritten.iter().map(Tag::element_count).sum(), report.compared);
         output.remark(format_args!("{written} of {all} elements would be written"));
         return Ok(());
@@ -88,6 +94,7 @@ pub(crate) async fn restore(
     if !args.consent.yes {
         // So that the answer is about something.
         let report = compare(&station, &backup, options(args), output).await?;
+        output.rows(&rows(report.differences.iter()))?;
         if report.unwritten.is_empty() {
             output.remark(format_args!("{report}"));
             return Ok(());
@@ -115,11 +122,9 @@ pub(crate) async fn restore(
 /// Says which elements it is about.
 fn explain(error: RestoreError, output: &Output) -> Result<RestoreReport, Failure> {
     let report = &error.report;
-    for refused in &report.refused {
-        complain(format_args!("{} was refused: {}", refused.range, refused.error));
-    }
+    say_refused(report);
     if !report.remaining.is_empty() {
-        output.rows(&rows(&report.remaining))?;
+        output.rows(&rows(report.remaining.iter()))?;
     }
     Err(error.into())
 }
@@ -157,7 +162,7 @@ fn load(file: &Path, ranges: &[Tag]) -> Result<Backup, Failure> {
     if ranges.is_empty() { Ok(backup) } else { backup.select(ranges.iter().copied()).map_err(Failure::usage) }
 }
 
-/// Prints what differs.
+/// Finds out what differs.
 async fn compare(
     station: &Station,
     backup: &Backup,
@@ -169,12 +174,11 @@ async fn compare(
     let report = restore.compare(station).await;
     reporter.end_line();
     let report = report.or_else(|error| explain(error, output))?;
-    output.rows(&rows(&report.differences))?;
     say_left_out(&report, output);
     Ok(report)
 }
 
-fn rows(differences: &[Difference]) -> Rows {
+fn rows<'a>(differences: impl Iterator<Item = &'a Difference>) -> Rows {
     let mut rows = Rows::new(["element", "backup", "plc"]);
     for Difference { element, expected, found, .. } in differences {
         rows.push([element.to_string().into(), cell(*expected), found.map(cell).into()]);
@@ -187,6 +191,12 @@ fn cell(value: Value) -> Cell {
         Value::Bit(on) => Cell { text: u8::from(on).to_string(), json: on.into() },
         Value::Word(word) => u32::from(word).into(),
         Value::Double(double) => double.into(),
+    }
+}
+
+fn say_refused(report: &RestoreReport) {
+    for refused in &report.refused {
+        complain(format_args!("{} was refused: {}", refused.range, refused.error));
     }
 }
 
