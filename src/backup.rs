@@ -40,11 +40,13 @@
 //! and can be run again:
 //!
 //! ```text
-//! Look (40) ─▶ Compare (44, 46) … ─▶ Forced? (43) … ─▶ Write (45, 47) … ─▶ Verify (44, 46) … ─▶ [Run (41) ⇄ Running? (40)] ─▶ Done
-//!                 ▲                     │                    │  ▲
-//!                 │ it has stopped      │ something differs, │  │ what still differs
-//!                 │                     │ and it is to be    ▼  │
-//!         Stopped? (40) ⇄ Stop (41) ◀───┘ stopped         Check (44, 46), if there was no answer
+//! Look (40) ─▶ Compare (44, 46) … ─▶ Forced? (43) … ─▶ [Ready (40)] ─▶ Write (45, 47) … ─▶ Verify (44, 46) … ─┐
+//!                 ▲                       something │ │ runs                │  ▲                                 │
+//!                 │ it has stopped     differs, and │ │ now                 │  │ what still differs              │
+//!                 │                   it is to stop ▼ ▼                     ▼  │                                 ▼
+//!         Stopped? (40) ⇄ Stop (41) ◀───────────────┴─┘      Check (44, 46), if there was no answer     [Last look (40)]
+//!                                                                                                                │
+//!                                                             Done ◀─ [Running? (40) ⇄ Run (41)] ◀───────────────┘
 //! ```
 //!
 //! Inputs are the replies of the PLC and the options. What must always hold:
@@ -52,13 +54,18 @@
 //!   the backup are neither read nor written; [`RestoreReport::missing`] names them. By choice ([`RestoreOptions::bridge`]) equal elements of the backup between two
 //!   that differ are written, too, where that saves a request.
 //! - Nothing is written before all has been compared, and unless the PLC gives all elements.
-//! - A write that had no answer is not repeated before a read has shown that it still differs.
+//! - A write that had no answer is not repeated before a read has shown that it still differs. Until it is settled, its elements
+//!   are [`in_doubt`](RestoreReport::in_doubt), and not among those that were never sent.
 //! - An element counts as written when the PLC has confirmed that, or a read has shown it.
 //! - When something was written, all is read once more. Success means: at that reading each element held what the backup holds,
 //!   save those that were left out. What did not stick, because a running program has its own mind, is an error that names
 //!   it.
 //! - A PLC is stopped only by choice, and only when something is to be written and the PLC has all of it; then all is compared
 //!   again. It is run again only by choice, if it ran before, and if all has been restored.
+//! - One that is to stand still ([`stop_first`](RestoreOptions::stop_first),
+//!   [`require_stopped`](RestoreOptions::require_stopped)) is looked at just before the first write, and once more when all is
+//!   read back. Success means that it was stopped both times; if somebody has set it running, that is
+//!   [`SetRunning`](RestoreFailure::SetRunning), and it is left so.
 //!
 //! Running it again continues, in this process or another: what is written already does not differ any more.
 //!

@@ -70,12 +70,23 @@ pub enum RestoreFailure {
         /// Why it failed.
         source: Error,
     },
-    /// The PLC runs, and was to be stopped already.
+    /// The PLC runs, and was to be stopped already. Nothing has been written.
     #[error("the PLC runs: stop it first, or choose `RestoreOptions::stop_first`")]
     Running,
     /// The PLC has been told to stop, and runs all the same.
     #[error("the PLC does not stop")]
     StillRunning,
+    /// Somebody else has set the PLC running while it was restored, though it was to stand still. It goes on running; its
+    /// program may have changed what was restored, before or after that was read back.
+    #[error(
+        "somebody has set the PLC running while it was restored{}",
+        if *differing == 0 { String::new() } else { format!("; {differing} of the elements do not hold what they should") }
+    )]
+    #[non_exhaustive]
+    SetRunning {
+        /// How many elements did not hold what they should when all was read back: see [`RestoreReport::remaining`].
+        differing: usize,
+    },
     /// The PLC does not have all elements: see [`RestoreReport::refused`].
     #[error(
         "the PLC refuses to give {count} of the elements, so none was written; leave them out to restore the others"

@@ -17,9 +17,10 @@ pub struct RestoreReport {
     pub differences: Vec<Difference>,
     /// What was written for certain.
     pub written: Vec<Tag>,
-    /// What may have been written: the request was sent, and not confirmed.
+    /// What may have been written: a request was sent, and not confirmed. Also what a read has then found to differ, until it is
+    /// written again: something else may have changed it since.
     pub in_doubt: Vec<Tag>,
-    /// What differs and has not been written, with nothing known against it.
+    /// What differs, with nothing known against it, and was never sent.
     pub unwritten: Vec<Tag>,
     /// What the PLC refused to give when it was compared, or to take when it was written.
     pub refused: Vec<RefusedRange>,
@@ -36,7 +37,7 @@ pub struct RestoreReport {
     /// Whether the PLC was running and has been stopped, by this run or by earlier ones of the same
     /// [`Restore`](super::Restore) that failed.
     pub was_stopped: bool,
-    /// Whether it runs.
+    /// Whether it runs, as it last said: where it need not be stopped, in the beginning.
     pub plc: PlcState,
 }
 

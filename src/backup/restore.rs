@@ -49,13 +49,18 @@ impl RestoreOptions {
     }
 
     /// Stops the PLC if it runs and something is to be written, and confirms by its status that it has stopped. What is written
-    /// is what differs then. A running program may overwrite what is restored.
+    /// is what differs then. Without this a running program may overwrite what is restored.
+    ///
+    /// If somebody runs it again meanwhile, that is [`RestoreFailure::SetRunning`](RestoreFailure::SetRunning). One that is run and
+    /// stopped again between two looks, which are made just before the first write and in the end, is not noticed.
     #[must_use]
     pub fn stop_first(self) -> Self {
         Self { if_running: IfRunning::Stop, ..self }
     }
 
-    /// A PLC that runs is [`RestoreFailure::Running`](RestoreFailure::Running).
+    /// A PLC that runs is [`RestoreFailure::Running`](RestoreFailure::Running), before anything is written, and one that is set
+    /// running later is [`RestoreFailure::SetRunning`](RestoreFailure::SetRunning). It is looked at as with
+    /// [`stop_first`](Self::stop_first).
     #[must_use]
     pub fn require_stopped(self) -> Self {
         Self { if_running: IfRunning::Refuse, ..self }
@@ -124,7 +129,8 @@ impl Restore {
     /// Finds out what would be written, and changes nothing: see [`RestoreReport::differences`] and
     /// [`unwritten`](RestoreReport::unwritten). What is never written is compared, too: see
     /// [`left_out_differences`](RestoreReport::left_out_differences); where the PLC refuses to give it,
-    /// [`refused`](RestoreReport::refused) has it, and that is no failure. Whether the PLC runs is no matter here.
+    /// [`refused`](RestoreReport::refused) has it, and that is no failure. Whether the PLC runs is asked first, if
+    /// that matters to the options, and [`require_stopped`](RestoreOptions::require_stopped) refuses it here, too.
     ///
     /// # Errors
     /// As for [`run`](Self::run), as far as that reads.
@@ -144,6 +150,7 @@ impl Restore {
     ///   written;
     /// - [`Call`](RestoreFailure::Call) when a request fails: run it again when the PLC is there again;
     /// - [`Differs`](RestoreFailure::Differs) when something was written and not all holds;
+    /// - [`SetRunning`](RestoreFailure::SetRunning) when somebody has set the PLC running, though it was to stand still;
     /// - [`StillRunning`](RestoreFailure::StillRunning) and [`NotRunning`](RestoreFailure::NotRunning) when the
     ///   PLC does not do as it is told.
     pub async fn run(&mut self, station: &Station) -> Result<RestoreReport, RestoreError> {

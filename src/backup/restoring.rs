@@ -1,69 +1,17 @@
 //! The states of restoring, as the [module](super) draws them. No I/O, and no clock.
 
+mod states;
+
+use self::states::State;
+pub(super) use self::states::{Goal, Reply, Step};
 use super::block::{Chunk, Chunks, discretes, is_not_for_restoring, runs, runs_of_values};
 use super::restore::{IfRunning, RestoreOptions};
 use super::target::{Mark, Slot, Target};
 use super::{Backup, Difference, MissingRange, RestoreFailure, RestoreReport};
 use crate::command::Value;
-use crate::element::Discrete;
 use crate::error::{Error, ErrorCode};
 use crate::program::PlcState;
 use crate::progress::Phase;
-use crate::tag::Tag;
-
-/// What a run is to come to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Goal {
-    /// Nothing is changed.
-    Compare,
-    Restore,
-}
-
-/// What is to be done next. The reply to it is said to [`Restoring::handle`].
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Step {
-    /// Ask for 40.
-    Status,
-    Stop,
-    Run,
-    /// Give the PLC a moment.
-    Pause,
-    Read(Chunk),
-    /// Ask which of so many discretes are disabled.
-    ReadForced(Discrete, usize),
-    /// Write these elements.
-    Write(Tag, Vec<Value>),
-    Done,
-}
-
-/// What has come of a step.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Reply {
-    /// Whether the PLC runs.
-    Running(bool),
-    Values(Vec<Value>),
-    Forced(Vec<bool>),
-    Done,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
-    Look,
-    Stop,
-    Stopped,
-    /// It does not stop at once.
-    PauseToStop,
-    Compare,
-    Forced,
-    Write,
-    /// What has become of a write without an answer.
-    Check,
-    Verify,
-    Run,
-    Running,
-    PauseToRun,
-    Done,
-}
 
 /// A backup that is being restored.
 #[derive(Clone, Debug)]
@@ -80,6 +28,8 @@ pub(super) struct Restoring {
     /// Elements that this state has settled, and all that it has to.
     done: usize,
     total: usize,
+    /// What the elements that were sent last were before.
+    before: Vec<Mark>,
     /// How often in a row the same was tried without an answer, or without effect.
     tries: u32,
     /// Whether the PLC was running before it was stopped, and whether it was: also by earlier runs.
@@ -103,6 +53,7 @@ impl Restoring {
             chunks: Chunks::default(),
             done: 0,
             total: 0,
+            before: Vec::new(),
             tries: 0,
             ran: false,
             was_stopped: false,
@@ -122,8 +73,9 @@ impl Restoring {
         self.plc = PlcState::Unknown;
         self.goal = goal;
         match goal {
-            Goal::Restore => self.enter(State::Look),
-            Goal::Compare => self.enter(State::Compare),
+            // It is no matter whether it runs.
+            Goal::Compare if self.options.if_running == IfRunning::GoOn => self.enter(State::Compare),
+            _ => self.enter(State::Look),
         }
     }
 
@@ -135,7 +87,10 @@ impl Restoring {
             };
             // What is sent may be done, whether anybody waits for the answer or not.
             match (&step, self.chunks.next()) {
-                (Step::Write(..), Some(chunk)) => self.slots(chunk).iter_mut().for_each(|slot| slot.mark = Mark::Doubt),
+                (Step::Write(..), Some(chunk)) => {
+                    let slots = self.slots(chunk).iter_mut();
+                    self.before = slots.map(|slot| std::mem::replace(&mut slot.mark, Mark::Doubt)).collect();
+                }
                 (Step::Stop, _) => (self.was_stopped, self.plc) = (true, PlcState::Unknown),
                 (Step::Run, _) => self.plc = PlcState::Unknown,
                 _ => {}
@@ -147,7 +102,7 @@ impl Restoring {
     /// What this state asks for; `None` if it has nothing left to ask for.
     fn step(&self) -> Option<Step> {
         match self.state {
-            State::Look | State::Stopped | State::Running => Some(Step::Status),
+            State::Look | State::Stopped | State::Ready | State::LastLook | State::Running => Some(Step::Status),
             State::Stop => Some(Step::Stop),
             State::Run => Some(Step::Run),
             State::PauseToStop | State::PauseToRun => Some(Step::Pause),
@@ -165,11 +120,6 @@ impl Restoring {
         }
     }
 
-    /// Whether it runs and is not to run while it is written.
-    fn is_to_stop(&self) -> bool {
-        self.plc == PlcState::Running && self.options.if_running == IfRunning::Stop
-    }
-
     /// All that this state had to ask for is settled.
     fn leave(&mut self) -> Result<(), RestoreFailure> {
         match self.state {
@@ -181,26 +131,46 @@ impl Restoring {
                 self.enter(State::Forced);
             }
             State::Forced if self.goal == Goal::Compare => self.enter(State::Done),
+            State::Forced if self.options.if_running == IfRunning::GoOn || self.count(Mark::differs) == 0 => {
+                self.enter(State::Write);
+            }
             // Only now it is known that there is something to write, and that it can be.
-            State::Forced if self.is_to_stop() && self.count(|mark| mark == Mark::Differs) > 0 => {
-                self.enter(State::Stop);
-            }
-            State::Forced => self.enter(State::Write),
+            State::Forced if self.plc == PlcState::Running => self.enter(State::Stop),
+            // The comparing has taken its time.
+            State::Forced => self.enter(State::Ready),
             // What was sent is looked at, whatever came of it.
-            State::Write if self.count(|mark| matches!(mark, Mark::Written | Mark::NotTaken(_))) > 0 => {
-                self.enter(State::Verify);
-            }
-            State::Verify if !self.remaining.is_empty() => {
-                return Err(RestoreFailure::Differs { count: self.remaining.len() });
-            }
+            State::Write if self.has_sent() => self.enter(State::Verify),
             State::Write | State::Verify
-                if self.options.run_again && self.ran && self.was_stopped && self.plc != PlcState::Running =>
+                if self.options.if_running != IfRunning::GoOn && self.plc != PlcState::Running =>
             {
-                self.enter(State::Run);
+                self.enter(State::LastLook);
             }
+            State::Write | State::Verify => self.end()?,
             _ => self.enter(State::Done),
         }
         Ok(())
+    }
+
+    /// Whether anything was sent that is settled.
+    fn has_sent(&self) -> bool {
+        self.count(|mark| matches!(mark, Mark::Written | Mark::NotTaken(_))) > 0
+    }
+
+    /// All is read back, and what is known of the PLC is so.
+    fn end(&mut self) -> Result<(), RestoreFailure> {
+        if !self.remaining.is_empty() {
+            return Err(RestoreFailure::Differs { count: self.remaining.len() });
+        }
+        let run = self.options.run_again && self.ran && self.was_stopped && self.plc != PlcState::Running;
+        self.enter(if run { State::Run } else { State::Done });
+        Ok(())
+    }
+
+    /// Somebody has set it running, who wants it to run: it is not stopped again. Nor is it run again by a later run, should
+    /// they have stopped it by then.
+    fn set_running(&mut self) -> RestoreFailure {
+        self.ran = false;
+        RestoreFailure::SetRunning { differing: self.remaining.len() }
     }
 
     fn enter(&mut self, state: State) {
@@ -242,9 +212,9 @@ impl Restoring {
                 self.enter(State::Compare);
             }
             State::Stop => {
-                // It runs, so it is known what it means if this was not sent.
+                // It runs, so it is known what it means if this was refused, or not sent.
                 self.was_stopped = reply.as_ref().err().is_none_or(Error::may_have_executed);
-                self.told("stopping the PLC", reply, State::Stopped)?;
+                self.told("stopping the PLC, which still runs", reply, PlcState::Running, State::Stopped)?;
             }
             State::Stopped => match self.running(reply)? {
                 true => {
@@ -258,7 +228,19 @@ impl Restoring {
                 }
             },
             State::PauseToStop => self.state = State::Stop,
-            State::Run => self.told("running the PLC", reply, State::Running)?,
+            State::Ready => match (self.running(reply)?, self.options.if_running) {
+                (false, _) => self.enter(State::Write),
+                (true, IfRunning::Stop) if self.was_stopped => return Err(self.set_running()),
+                (true, IfRunning::Stop) => {
+                    self.ran = true;
+                    self.enter(State::Stop);
+                }
+                (true, _) => return Err(RestoreFailure::Running),
+            },
+            State::LastLook => self.looked(reply)?,
+            State::Run => {
+                self.told("running the PLC, which is still stopped", reply, PlcState::Stopped, State::Running)?;
+            }
             State::Running => match self.running(reply)? {
                 true => self.enter(State::Done),
                 false => self.again(State::PauseToRun, RestoreFailure::NotRunning)?,
@@ -274,11 +256,35 @@ impl Restoring {
         Ok(())
     }
 
-    /// 41 was sent: whatever came of it, the status tells.
-    fn told(&mut self, doing: &str, reply: Result<Reply, Error>, next: State) -> Result<(), RestoreFailure> {
+    /// It has been written, and should have stood still.
+    fn looked(&mut self, reply: Result<Reply, Error>) -> Result<(), RestoreFailure> {
+        match self.running(reply) {
+            Ok(false) => self.end(),
+            Ok(true) if self.has_sent() => Err(self.set_running()),
+            Ok(true) if self.options.if_running == IfRunning::Refuse => Err(RestoreFailure::Running),
+            // It holds all, and this run has sent nothing.
+            Ok(true) => self.end(),
+            Err(failure) => {
+                self.plc = PlcState::Unknown;
+                // Of two failures the first one counts.
+                let differing = self.remaining.len();
+                Err(if differing > 0 { RestoreFailure::Differs { count: differing } } else { failure })
+            }
+        }
+    }
+
+    /// 41 was sent: whatever came of it, the status tells; unless nothing can have, and it is as it was.
+    fn told(
+        &mut self,
+        doing: &str,
+        reply: Result<Reply, Error>,
+        before: PlcState,
+        next: State,
+    ) -> Result<(), RestoreFailure> {
         if let Err(error) = reply
             && !error.may_have_executed()
         {
+            self.plc = before;
             return Err(RestoreFailure::Call { doing: doing.to_owned(), source: error });
         }
         self.state = next;
@@ -340,7 +346,7 @@ impl Restoring {
                 }
             }
             (_, Err(source)) => {
-                return Err(RestoreFailure::Call { doing: doing(self.state, chunk), source });
+                return Err(RestoreFailure::Call { doing: self.state.doing(chunk), source });
             }
             // No step has such a reply.
             (_, Ok(_)) => self.settled(chunk),
@@ -349,7 +355,7 @@ impl Restoring {
     }
 
     fn not_written(&mut self, chunk: Chunk, error: Error) -> Result<(), RestoreFailure> {
-        let doing = doing(self.state, chunk);
+        let doing = self.state.doing(chunk);
         match error {
             // Nothing in this PLC can be written: no need to try each.
             Error::Plc { error: ErrorCode::WriteProhibited, repeated: false, .. } => {}
@@ -370,11 +376,11 @@ impl Restoring {
     /// A write that was not confirmed has been read back.
     fn checked(&mut self, chunk: Chunk, values: &[Value]) {
         for (slot, &value) in self.slots(chunk).iter_mut().zip(values) {
-            slot.mark = if slot.wanted == Some(value) { Mark::Written } else { Mark::Differs };
+            slot.mark = if slot.wanted == Some(value) { Mark::Written } else { Mark::Again };
         }
         let tries = self.tries;
         let per_value = chunk.range.elements_per_value();
-        let differing = runs_of_values(self.slots(chunk), per_value, |slot| slot.mark == Mark::Differs);
+        let differing = runs_of_values(self.slots(chunk), per_value, |slot| slot.mark.differs());
         let shifted = differing.into_iter().map(|run| {
             let shift = |place: usize| place.saturating_add(chunk.start);
             (chunk.block, chunk.range, shift(run.start)..shift(run.end))
@@ -407,11 +413,10 @@ impl Restoring {
         }
     }
 
-    /// This has not been written for certain.
+    /// This time it has not been written, for certain: all is as it was before.
     fn unsent(&mut self, chunk: Chunk) {
-        for slot in self.slots(chunk) {
-            slot.mark = if slot.found == slot.wanted { Mark::Same } else { Mark::Differs };
-        }
+        let before = std::mem::take(&mut self.before);
+        self.slots(chunk).iter_mut().zip(before).for_each(|(slot, mark)| slot.mark = mark);
     }
 
     fn settled(&mut self, chunk: Chunk) {
@@ -435,7 +440,7 @@ impl Restoring {
             compared: self.all().flat_map(|target| &target.slots).filter(|slot| slot.found.is_some()).count(),
             differences: self.targets.iter().flat_map(Target::differences).collect(),
             written: ranges(|mark| mark == Mark::Written),
-            in_doubt: ranges(|mark| mark == Mark::Doubt),
+            in_doubt: ranges(|mark| matches!(mark, Mark::Doubt | Mark::Again)),
             unwritten: ranges(|mark| mark == Mark::Differs),
             refused: self.all().flat_map(Target::refused).collect(),
             forced: ranges(|mark| mark == Mark::Forced),
@@ -464,11 +469,5 @@ impl Restoring {
     }
 }
 
-fn doing(state: State, chunk: Chunk) -> String {
-    let names = chunk.names();
-    match state {
-        State::Write => format!("writing {names}"),
-        State::Forced => format!("asking which of {names} are forced"),
-        _ => format!("reading {names}"),
-    }
-}
+#[cfg(test)]
+mod tests;

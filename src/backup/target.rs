@@ -23,9 +23,18 @@ pub(super) enum Mark {
     Forced,
     /// It has been sent, and not confirmed.
     Doubt,
+    /// That, and a read has found that it differs: it is to be sent again.
+    Again,
     Written,
     /// The PLC refuses to take it.
     NotTaken(ErrorCode),
+}
+
+impl Mark {
+    /// Whether it is to be written.
+    pub(super) fn differs(self) -> bool {
+        matches!(self, Self::Differs | Self::Again)
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -68,7 +77,7 @@ impl Target {
 
     /// The values that differ in some element, whole.
     pub(super) fn differing(&self) -> Vec<Range<usize>> {
-        runs_of_values(&self.slots, self.range.elements_per_value(), |slot| slot.mark == Mark::Differs)
+        runs_of_values(&self.slots, self.range.elements_per_value(), |slot| slot.mark.differs())
     }
 
     /// What differs, and what is equal and stands between, as far as that may be written to save a request.

@@ -6,3 +6,4 @@ mod crash;
 mod options;
 mod refused;
 mod round_trip;
+mod running;
