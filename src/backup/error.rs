@@ -1,6 +1,7 @@
 use std::fmt;
 
 use super::{Backup, RestoreReport};
+use crate::command::DetailedStatus;
 use crate::error::Error;
 use crate::tag::Tag;
 
@@ -55,6 +56,34 @@ pub enum BackupError {
         /// Why it went no further.
         source: Error,
     },
+    /// The backup that is to go on was begun with another station. Nothing was sent.
+    #[error("the backup was begun with station {backup}, and cannot go on with station {station}")]
+    #[non_exhaustive]
+    OtherStation {
+        /// The station of the backup.
+        backup: u8,
+        /// The station that was to be read.
+        station: u8,
+    },
+    /// The backup that is to go on was begun with a PLC of another model, by its status (53). Nothing else was asked.
+    #[error(
+        "the backup was begun with another PLC ({}), and cannot go on with this one ({})",
+        model(Some(backup)),
+        model(plc.as_deref())
+    )]
+    #[non_exhaustive]
+    OtherPlc {
+        /// The status of the PLC that it was begun with.
+        backup: Box<DetailedStatus>,
+        /// The status of this one; `None` if it refuses to tell, which the other one did not.
+        plc: Option<Box<DetailedStatus>>,
+    },
+}
+
+fn model(status: Option<&DetailedStatus>) -> String {
+    status.map_or("which does not tell its type".to_owned(), |status| {
+        format!("main unit {}, I/O points code {}", status.main_unit(), status.io_points_code())
+    })
 }
 
 /// Why a backup was not restored, or not wholly.

@@ -6,8 +6,8 @@ use std::time::{Duration, SystemTime};
 use tokio::time::Instant;
 
 use super::block::{Chunk, Chunks, runs};
-use super::{Backup, InvalidBackup, Missing};
-use crate::command::{ReadDiscretes, ReadRegisters, Value};
+use super::{Backup, BackupError, InvalidBackup, Missing, Origin};
+use crate::command::{DetailedStatus, ReadDiscretes, ReadRegisters, Value};
 use crate::element::{Element, Width};
 use crate::error::Error;
 use crate::progress::{Meter, Phase, Progress};
@@ -18,7 +18,7 @@ pub(super) type OnProgress = Box<dyn FnMut(&Progress) + Send>;
 
 /// The reading of a backup that can be broken off and gone on with.
 ///
-/// It keeps what has been read when a run fails or is dropped. Run it with the same station.
+/// It keeps what has been read when a run fails or is dropped, and goes on with the same station alone.
 ///
 /// ```
 /// # fatek::sim::doctest(|station| async move {
@@ -50,7 +50,7 @@ impl TakeBackup {
         Ok(Self::resume(Backup::of(ranges)?))
     }
 
-    /// Goes on with a backup: what is [`Missing::NotRead`] in it is to be read.
+    /// Goes on with a backup: what is [`Missing::NotRead`] in it is to be read, from the station that the rest has come from.
     pub fn resume(partial: Backup) -> Self {
         Self { backup: partial, on_progress: None }
     }
@@ -73,9 +73,14 @@ impl TakeBackup {
     /// future can be dropped at any time.
     ///
     /// # Errors
-    /// The first that is not a refusal: no answer, no connection. Run it again to go on.
-    pub async fn run(&mut self, station: &Station) -> Result<Backup, Error> {
-        self.look(station).await?;
+    /// [`BackupError::Call`] when a request fails and it is no refusal: no answer, no connection. Run it again to go on.
+    /// [`BackupError::OtherStation`] and [`BackupError::OtherPlc`] when a part has been read from a station of another number, or
+    /// from a PLC whose status (53) tells of another main unit or number of I/O points.
+    pub async fn run(&mut self, station: &Station) -> Result<Backup, BackupError> {
+        match self.backup.station() {
+            None => self.look(station).await.map_err(|error| self.failed(error))?,
+            Some(_) => self.look_again(station).await?,
+        }
         let blocks = self.backup.blocks.iter().enumerate();
         let mut chunks = Chunks::new(blocks.flat_map(|(number, block)| {
             let unread = runs(&block.cells, |cell| *cell == Err(Missing::NotRead));
@@ -100,7 +105,7 @@ impl TakeBackup {
                     }
                     0
                 }
-                Err(error) => return Err(error),
+                Err(error) => return Err(self.failed(error)),
             };
             if let Some(tell) = &mut self.on_progress {
                 meter.advance(done, total, bytes);
@@ -110,18 +115,34 @@ impl TakeBackup {
         Ok(self.backup.clone())
     }
 
-    /// Asks the PLC what it is, once.
+    /// Asks the PLC what it is.
     async fn look(&mut self, station: &Station) -> Result<(), Error> {
         let origin = &mut self.backup.origin;
-        if origin.station.is_some() {
-            return Ok(());
-        }
         let read_at = whole_seconds(SystemTime::now());
         let brief = known(station.read_status().await)?;
         let detailed = known(station.read_detailed_status().await)?;
         (origin.brief, origin.detailed, origin.read_at) = (brief, detailed, Some(read_at));
         origin.station = Some(station.number());
         Ok(())
+    }
+
+    /// Asks whether the PLC is the one that was asked before, as far as that is known.
+    async fn look_again(&self, station: &Station) -> Result<(), BackupError> {
+        let Origin { station: before, detailed, .. } = &self.backup.origin;
+        if let Some(backup) = before.filter(|&before| before != station.number()) {
+            return Err(BackupError::OtherStation { backup, station: station.number() });
+        }
+        let Some(backup) = detailed else { return Ok(()) };
+        let plc = known(station.read_detailed_status().await).map_err(|error| self.failed(error))?;
+        let model = |status: &DetailedStatus| (status.main_unit(), status.io_points_code());
+        match plc {
+            Some(plc) if model(&plc) == model(backup) => Ok(()),
+            plc => Err(BackupError::OtherPlc { backup: Box::new(backup.clone()), plc: plc.map(Box::new) }),
+        }
+    }
+
+    fn failed(&self, source: Error) -> BackupError {
+        BackupError::Call { partial: Box::new(self.backup.clone()), source }
     }
 
     fn done(&self) -> usize {

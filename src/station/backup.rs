@@ -20,11 +20,7 @@ impl Station {
     /// [`BackupError::Invalid`] when the ranges are none for a backup; nothing is sent. [`BackupError::Call`], with what has been
     /// read, when a request fails.
     pub async fn back_up(&self, ranges: impl IntoIterator<Item = Tag>) -> Result<Backup, BackupError> {
-        let mut taking = TakeBackup::new(ranges)?;
-        match taking.run(self).await {
-            Ok(backup) => Ok(backup),
-            Err(source) => Err(BackupError::Call { partial: Box::new(taking.partial().clone()), source }),
-        }
+        TakeBackup::new(ranges)?.run(self).await
     }
 
     /// 45, 47: writes those elements of a backup that differ from what the PLC holds, reads all back and compares.

@@ -5,5 +5,6 @@ mod bench;
 mod crash;
 mod options;
 mod refused;
+mod resume;
 mod round_trip;
 mod running;

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use fatek::backup::{
-    Backup, Difference, Restore, RestoreError, RestoreFailure, RestoreOptions, RestoreReport, TakeBackup,
+    Backup, BackupError, Difference, Restore, RestoreError, RestoreFailure, RestoreOptions, RestoreReport, TakeBackup,
 };
 use fatek::tag::Tag;
 use fatek::{Error, Station, Value};
@@ -48,14 +48,21 @@ pub(crate) async fn backup(
         let result = taking.run(&station).await;
         reporter.end_line();
         match result {
-            Err(error) if may_go_on(&error) && taking.partial().value_count() > before => {
+            Err(BackupError::Call { source, .. }) if may_go_on(&source) && taking.partial().value_count() > before => {
                 before = taking.partial().value_count();
-                output.remark(format_args!("{error}; {before} elements are there, going on"));
+                output.remark(format_args!("{source}; {before} elements are there, going on"));
             }
             result => break result,
         }
     };
-    let backup = result?;
+    let backup = result.map_err(|error| match error {
+        BackupError::Call { source, partial, .. } if partial.value_count() > 0 => {
+            let (values, all) = (partial.value_count(), partial.element_count());
+            Failure::of(format_args!("nothing is saved, as {values} of {all} elements were read, and then"))(source)
+        }
+        BackupError::Call { source, .. } => source.into(),
+        error => Failure::usage(error),
+    })?;
     let (values, all) = (backup.value_count(), backup.element_count());
     let missing = backup.missing();
     for missing in &missing {

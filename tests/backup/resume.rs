@@ -1,0 +1,67 @@
+//! A backup that was broken off goes on with the PLC that it was begun with, and with no other.
+
+use fatek::backup::{Backup, BackupError, TakeBackup};
+use fatek::sim::{Fault, Faults, Model, Rule};
+use fatek::wire::Framing;
+use fatek::{ErrorCode, command::Code};
+
+use crate::bench::{Bench, FRAMINGS, model, tags};
+
+/// Half a backup of a PLC of this model, from a file.
+async fn partial(framing: Framing, model: Model) -> Backup {
+    let bench = Bench::with_model(framing, Faults::new(1), model);
+    // The PLC is gone behind the status and a request.
+    bench.faults.set_rules([Rule::new(Fault::Ignore).skip(3)]);
+    let error = bench.station().back_up(tags(["R0-R99"])).await.unwrap_err();
+    let BackupError::Call { partial, .. } = error else { panic!("{error}") };
+    assert_eq!(partial.value_count(), 64);
+    Backup::from_file(partial.to_file().as_bytes()).unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_backup_does_not_go_on_with_another_station() {
+    for framing in FRAMINGS {
+        let partial = partial(framing, model()).await;
+        let bench = Bench::new(framing, Faults::new(1));
+        let other = bench.station().link().station(2).unwrap();
+        let mut taking = TakeBackup::resume(partial.clone());
+        let error = taking.run(&other).await.unwrap_err();
+        assert!(matches!(error, BackupError::OtherStation { backup: 1, station: 2, .. }), "{error}");
+        assert_eq!(error.to_string(), "the backup was begun with station 1, and cannot go on with station 2");
+        assert_eq!((bench.faults.log().arrivals(), taking.partial()), (0, &partial));
+        // With the right one it does.
+        assert!(taking.run(&bench.station()).await.unwrap().is_complete());
+        // One of which nothing is known goes on with any.
+        let unread = Backup::of(tags(["R0"])).unwrap();
+        assert!(TakeBackup::resume(unread).run(&bench.station()).await.unwrap().is_complete());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_backup_does_not_go_on_with_a_plc_of_another_model() {
+    for framing in FRAMINGS {
+        let partial = partial(framing, model().main_unit(1).io_points_code(3)).await;
+        for (other, message) in [
+            (model().main_unit(0).io_points_code(3), "main unit MA/MU, I/O points code 3"),
+            (model().main_unit(1).io_points_code(4), "main unit MC, I/O points code 4"),
+        ] {
+            let bench = Bench::with_model(framing, Faults::new(1), other);
+            let mut taking = TakeBackup::resume(partial.clone());
+            let error = taking.run(&bench.station()).await.unwrap_err();
+            assert!(matches!(error, BackupError::OtherPlc { .. }), "{error}");
+            let begun =
+                "the backup was begun with another PLC (main unit MC, I/O points code 3), and cannot go on with";
+            assert_eq!(error.to_string(), format!("{begun} this one ({message})"));
+            assert_eq!((bench.faults.log().arrivals(), taking.partial()), (1, &partial));
+        }
+        // One that does not tell, where the other one did.
+        let bench = Bench::new(framing, Faults::new(1));
+        bench.faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ReadDetailedStatus)]);
+        let error = TakeBackup::resume(partial.clone()).run(&bench.station()).await.unwrap_err();
+        assert!(error.to_string().ends_with("cannot go on with this one (which does not tell its type)"), "{error}");
+        // A later version of the same is the same.
+        let same = model().main_unit(1).io_points_code(3).os_version(4, 2);
+        let bench = Bench::with_model(framing, Faults::new(1), same);
+        assert!(TakeBackup::resume(partial).run(&bench.station()).await.unwrap().is_complete());
+    }
+}
