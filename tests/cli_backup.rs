@@ -134,6 +134,62 @@ fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
 }
 
 #[test]
+fn a_dry_run_tells_what_the_real_run_does() {
+    let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-dry"));
+    let file = folder.file("plant.backup");
+    // Of the first value one half differs; M3 is forced, and X0 an input.
+    sim.fatek(&["backup", &file, "R0-R9:f32", "M0-M9", "X0-X9"]).ok();
+    sim.fatek(&["disable", "M3"]).ok();
+    let disturb = || {
+        sim.fatek(&["run", "-q"]).ok();
+        sim.fatek(&["write", "R0=1", "M4=1", "M6=1", "-q"]).ok();
+        sim.fatek(&["set", "M3", "X0", "-q"]).ok();
+    };
+    let restore = |args: &[&str]| {
+        disturb();
+        sim.fatek(&[&["restore", &file, "--format", "csv"], args].concat())
+    };
+    for (args, written, stopped) in [
+        (&[][..], 4, ""),
+        (&["--bridge", "1"], 5, ""),
+        (&["--stop"], 4, "; the PLC runs, and would be stopped"),
+        (&["--stop", "--run"], 4, "; the PLC runs, and would be stopped, and run again"),
+    ] {
+        let dry = restore(&[&["--dry-run"], args].concat());
+        assert!(dry.stderr.ends_with(&format!("\n{written} of 30 elements would be written{stopped}\n")), "{dry:?}");
+        assert_eq!(dry.ok(), "element,backup,plc\nR0,0,1\nM4,0,1\nM6,0,1\n");
+        assert_eq!(values(&sim, &["R0", "M4"]), ["1", "1"]);
+        assert!(sim.fatek(&["status", "--format", "csv"]).ok().contains("brief,running,true"));
+        let real = restore(&[&["--yes"], args].concat());
+        assert!(real.stderr.contains(&format!("differed, {written} written")), "{real:?}");
+        real.ok();
+    }
+    // What the real run refuses, and how.
+    for (args, status) in [(&["--require-stopped"][..], 7), (&["--require-stopped", "R0-R9:f32"], 7)] {
+        let (dry, real) = (restore(&[&["--dry-run"], args].concat()), restore(&[&["--yes"], args].concat()));
+        assert_eq!((dry.status, &dry.stderr, &dry.stdout), (status, &real.stderr, &real.stdout), "{dry:?}");
+        assert_eq!((dry.status, dry.stderr.starts_with("error: the PLC runs")), (real.status, true), "{dry:?}");
+    }
+    // Nothing is to be written, so nothing is stopped.
+    sim.fatek(&["restore", &file, "--yes"]).ok();
+    let dry = sim.fatek(&["restore", &file, "--dry-run", "--stop"]);
+    assert!(dry.stderr.ends_with("\n0 of 30 elements would be written\n"), "{dry:?}");
+}
+
+#[test]
+fn ranges_of_which_the_file_has_nothing_are_refused_before_anything_is_sent() {
+    let (sim, folder) = (Sim::start(&["--last", "R99"]), Folder::new("backup-nothing"));
+    let file = folder.file("plant.backup");
+    assert_eq!(sim.fatek(&["backup", &file, "R90-R109"]).status, 3);
+    let nobody = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat());
+    for args in [&["restore", &file, "R100-R109", "--yes"][..], &["backup", &file, "R101", "--compare"]] {
+        let said = nobody(args).usage();
+        assert!(said.contains("plant.backup has no value of what is asked for: R10"), "{said}");
+        assert!(said.contains(" is missing there, refused: illegal address (A)"), "{said}");
+    }
+}
+
+#[test]
 fn what_is_forced_and_what_is_an_input_is_left_out_and_told() {
     let (sim, folder) = (Sim::start(&[]), Folder::new("backup-forced"));
     let file = folder.file("plant.backup");
@@ -197,6 +253,7 @@ fn nothing_is_sent_without_a_yes_or_with_a_file_that_is_no_good() {
             .contains("R0-R100 is not wholly in one range of the backup")
     );
     assert!(nobody(&["backup", &file]).usage().contains("<RANGE>"));
+    assert!(nobody(&["backup", &folder.file("none/x"), "R0"]).usage().contains("x: there is no folder "));
     assert!(nobody(&["backup", &file, "R0-R9", "DR4"]).usage().contains("R0-R9 and DR4 share memory"));
     assert_eq!(nobody(&["restore", &file, "-y"]).status, 5);
     assert_eq!(nobody(&["backup", &file, "R0"]).status, 5);
@@ -228,6 +285,11 @@ fn at_a_terminal_what_differs_is_shown_and_only_a_yes_writes_it() {
     let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-terminal"));
     let file = saved(&sim, &folder);
     sim.fatek(&["write", "R5=9"]).ok();
+    let (_, shown) = at_terminal(&sim, &["restore", &file, "--stop"], "n\n");
+    assert!(shown.contains(&format!(" on {}? [y/N] ", sim.url)), "it stands still as it is: {shown}");
+    sim.fatek(&["run"]).ok();
+    let (status, shown) = at_terminal(&sim, &["restore", &file, "--require-stopped"], "");
+    assert!(status == 7 && shown.contains("error: the PLC runs"), "nobody is asked in vain: {shown}");
     for no in ["n\n", "\n"] {
         let (status, shown) = at_terminal(&sim, &["restore", &file, "--stop"], no);
         assert_eq!(status, 1, "{shown}");

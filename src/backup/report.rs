@@ -22,6 +22,9 @@ pub struct RestoreReport {
     pub in_doubt: Vec<Tag>,
     /// What differs, with nothing known against it, and was never sent.
     pub unwritten: Vec<Tag>,
+    /// What a run would write as it stands: what differs, the other half of a value of which one half does, and
+    /// what is [bridged](super::RestoreOptions::bridge).
+    pub to_write: Vec<Tag>,
     /// What the PLC refused to give when it was compared, or to take when it was written.
     pub refused: Vec<RefusedRange>,
     /// Forced discretes that differ, and were left as they are. Words, and values of two, with one in them, too.

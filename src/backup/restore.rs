@@ -127,7 +127,7 @@ impl Restore {
     }
 
     /// Finds out what would be written, and changes nothing: see [`RestoreReport::differences`] and
-    /// [`unwritten`](RestoreReport::unwritten). What is never written is compared, too: see
+    /// [`to_write`](RestoreReport::to_write). What is never written is compared, too: see
     /// [`left_out_differences`](RestoreReport::left_out_differences); where the PLC refuses to give it,
     /// [`refused`](RestoreReport::refused) has it, and that is no failure. Whether the PLC runs is asked first, if
     /// that matters to the options, and [`require_stopped`](RestoreOptions::require_stopped) refuses it here, too.

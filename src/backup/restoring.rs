@@ -442,6 +442,7 @@ impl Restoring {
             written: ranges(|mark| mark == Mark::Written),
             in_doubt: ranges(|mark| matches!(mark, Mark::Doubt | Mark::Again)),
             unwritten: ranges(|mark| mark == Mark::Differs),
+            to_write: self.targets.iter().flat_map(|target| target.ranges_to_write(self.options.bridge)).collect(),
             refused: self.all().flat_map(Target::refused).collect(),
             forced: ranges(|mark| mark == Mark::Forced),
             left_out: self.left_out.iter().map(|target| target.range).collect(),

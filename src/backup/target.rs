@@ -97,6 +97,10 @@ impl Target {
         merged
     }
 
+    pub(super) fn ranges_to_write(&self, bridge: usize) -> Vec<Tag> {
+        self.to_write(bridge).iter().map(|run| part(self.range, run)).collect()
+    }
+
     fn bridges(&self, gap: Range<usize>, most: usize) -> bool {
         gap.len() <= most && self.slots.get(gap).is_some_and(|slots| slots.iter().all(|slot| slot.mark == Mark::Same))
     }

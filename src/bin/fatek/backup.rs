@@ -1,13 +1,15 @@
 //! `fatek backup FILE RANGE…` and `fatek restore FILE`
 
+use std::collections::HashSet;
 use std::path::Path;
 use std::time::Duration;
 
 use fatek::backup::{
     Backup, BackupError, Difference, Restore, RestoreError, RestoreFailure, RestoreOptions, RestoreReport, TakeBackup,
 };
+use fatek::program::PlcState;
 use fatek::tag::Tag;
-use fatek::{Error, Station, Value};
+use fatek::{Element, Error, Station, Value};
 
 use crate::args::{BackupArgs, Plc, RestoreArgs};
 use crate::confirm::{can_be_confirmed, confirm};
@@ -40,6 +42,10 @@ pub(crate) async fn backup(
         return Err(Failure::Differs { what: "elements", differing, all });
     }
     let taking = TakeBackup::new(args.ranges.iter().copied()).map_err(Failure::usage)?;
+    // To find out only when all has been read would be a pity.
+    if let Some(folder) = args.file.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
+        return Err(Failure::Usage(format!("{}: there is no folder {}", args.file.display(), folder.display())));
+    }
     let reporter = Reporter::new(output);
     let mut taking = taking.on_progress(reporter.callback());
     let station = connect::station(plc, timeout)?;
@@ -93,16 +99,21 @@ pub(crate) async fn restore(
     let station = connect::station(plc, timeout)?;
     if args.consent.dry_run {
         let report = compare(&station, &backup, options(args), output).await?;
-        output.rows(&rows(report.differences.iter()))?;
-        let (written, all): (usize, _) = (report.unwritten.iter().map(Tag::element_count).sum(), report.compared);
-        output.remark(format_args!("{written} of {all} elements would be written"));
+        output.rows(&rows(to_be_written(&report)))?;
+        let (written, all) = (count(&report.to_write), report.compared);
+        let stopped = match (is_to_stop(&report, args), args.run) {
+            (true, true) => "; the PLC runs, and would be stopped, and run again",
+            (true, false) => "; the PLC runs, and would be stopped",
+            (false, _) => "",
+        };
+        output.remark(format_args!("{written} of {all} elements would be written{stopped}"));
         return Ok(());
     }
     if !args.consent.yes {
         // So that the answer is about something.
         let report = compare(&station, &backup, options(args), output).await?;
-        output.rows(&rows(report.differences.iter()))?;
-        if report.unwritten.is_empty() {
+        output.rows(&rows(to_be_written(&report)))?;
+        if report.to_write.is_empty() {
             output.remark(format_args!("{report}"));
             return Ok(());
         }
@@ -150,7 +161,7 @@ async fn until_done(
                 RestoreFailure::Call { source, .. }
                     if may_go_on(source)
                         && !error.report.written.is_empty()
-                        && going_on.may(error.report.unwritten.iter().map(Tag::element_count).sum()) =>
+                        && going_on.may(count(&error.report.unwritten) + count(&error.report.in_doubt)) =>
                 {
                     reporter.end_line();
                     output.remark(format_args!("{error}; going on"));
@@ -163,10 +174,35 @@ async fn until_done(
     }
 }
 
-/// The parts of the backup in a file.
+/// The parts of the backup in a file. To restore nothing, or to compare with nothing, would only look like a success.
 fn load(file: &Path, ranges: &[Tag]) -> Result<Backup, Failure> {
-    let backup = Backup::load(file)?;
-    if ranges.is_empty() { Ok(backup) } else { backup.select(ranges.iter().copied()).map_err(Failure::usage) }
+    let mut backup = Backup::load(file)?;
+    if !ranges.is_empty() {
+        backup = backup.select(ranges.iter().copied()).map_err(Failure::usage)?;
+    }
+    match backup.missing().first() {
+        Some(missing) if backup.value_count() == 0 => Err(Failure::Usage(format!(
+            "{} has no value of what is asked for: {} is missing there, {}",
+            file.display(),
+            missing.range,
+            missing.reason
+        ))),
+        _ => Ok(backup),
+    }
+}
+
+/// What differs and may be written. Of the second half of a value, or of what is bridged, there is nothing to show.
+fn to_be_written(report: &RestoreReport) -> impl Iterator<Item = &Difference> {
+    let written: HashSet<Element> = report.to_write.iter().flat_map(Tag::elements).collect();
+    report.differences.iter().filter(move |difference| written.contains(&difference.element))
+}
+
+fn is_to_stop(report: &RestoreReport, args: &RestoreArgs) -> bool {
+    args.stop && report.plc == PlcState::Running && !report.to_write.is_empty()
+}
+
+fn count(ranges: &[Tag]) -> usize {
+    ranges.iter().map(Tag::element_count).sum()
 }
 
 /// Finds out what differs.
@@ -231,12 +267,12 @@ fn options(args: &RestoreArgs) -> RestoreOptions {
 }
 
 fn question(plc: &Plc, report: &RestoreReport, args: &RestoreArgs) -> String {
-    let stopped = match (args.stop, args.run) {
+    let stopped = match (is_to_stop(report, args), args.run) {
         (true, true) => " It is stopped for that, and runs again afterwards.",
         (true, false) => " It is stopped for that, and stays so.",
         (false, _) => "",
     };
-    let written: usize = report.unwritten.iter().map(Tag::element_count).sum();
+    let written = count(&report.to_write);
     let (station, link) = (plc.station.as_deref().unwrap_or_default(), plc.link.as_deref().unwrap_or_default());
     format!(
         "Write {written} of {} elements of {} to station {station} on {link}?{stopped}",
