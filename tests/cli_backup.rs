@@ -241,6 +241,31 @@ fn what_does_not_stick_is_told_with_status_7() {
 }
 
 #[test]
+fn a_plc_that_was_set_running_meanwhile_is_told_with_status_7() {
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    // A PLC that stands still until R0 has been written.
+    let written = AtomicBool::new(false);
+    let plc = Fake::start(move |request| match (&request[3..5], written.load(Ordering::SeqCst)) {
+        (b"40", false) => ascii("01400000000"),
+        (b"40", true) => ascii("01400010000"),
+        (b"46", false) => ascii("014600005"),
+        (b"46", true) => ascii("014600000"),
+        (b"47", _) => {
+            written.store(true, Ordering::SeqCst);
+            ascii("01470")
+        }
+        _ => ascii("01534"),
+    });
+    let (sim, folder) = (Sim::start(&[]), Folder::new("backup-set-running"));
+    let file = folder.file("plant.backup");
+    sim.fatek(&["backup", &file, "R0"]).ok();
+    let ran = plc.fatek(&["restore", &file, "--yes", "--require-stopped", "-q"]);
+    assert_eq!(ran.status, 7, "{ran:?}");
+    assert!(ran.stderr.starts_with("error: somebody has set the PLC running while it was restored; 1 "), "{ran:?}");
+}
+
+#[test]
 fn nothing_is_sent_without_a_yes_or_with_a_file_that_is_no_good() {
     let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-unasked"));
     let file = saved(&sim, &folder);
