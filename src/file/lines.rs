@@ -55,6 +55,18 @@ impl<'a> Lines<'a> {
     }
 }
 
+/// That a content stands in the one form that it has: what has been read of it, written again, is this.
+pub(crate) fn in_form(content: &str, form: &str) -> Result<(), FormatError> {
+    let mut lines = Lines::new(content);
+    for expected in form.lines() {
+        if lines.any_field()? != expected.split_once(' ') {
+            return Err(lines.error(format!("`{expected}` was expected")));
+        }
+    }
+    lines.end()?;
+    if content == form { Ok(()) } else { Err(lines.error("the last line should end with a line feed")) }
+}
+
 /// The bytes that these upper-case hexadecimal digits stand for.
 pub(crate) fn hex(digits: &str) -> Option<Vec<u8>> {
     let value = |digit: u8| match digit {
@@ -84,6 +96,21 @@ mod tests {
             "line 3: the content should end before this line"
         );
         assert!(Lines::new("").field("a").unwrap_err().to_string().contains("`a` was expected, and the content ends"));
+    }
+
+    #[test]
+    fn a_content_in_another_form_is_refused_by_line() {
+        let form = "a 1\nb two words\n";
+        assert_eq!(in_form(form, form), Ok(()));
+        for (content, message) in [
+            ("a 01\nb two words\n", "line 3: `a 1` was expected"),
+            ("a 1\nb two  words\n", "line 4: `b two words` was expected"),
+            ("a 1\n", "line 4: `b two words` was expected"),
+            ("a 1\nb two words\nc 3\n", "line 5: the content should end before this line"),
+            ("a 1\nb two words", "line 5: the last line should end with a line feed"),
+        ] {
+            assert_eq!(in_form(content, form).unwrap_err().to_string(), message);
+        }
     }
 
     #[test]

@@ -1,5 +1,4 @@
-use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -37,17 +36,19 @@ pub(crate) fn load_as<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, For
     parse(&load(path)?).map_err(|source| FileError::Format { path: path.to_owned(), source })
 }
 
+/// Finds out whether something could be saved there: that nothing but a file has this name, and that a new file can be made
+/// beside it. Whoever is to work long for what he saves wants to know that before.
+///
+/// Nothing is left there, and what is in the file stays in it.
+///
+/// # Errors
+/// [`FileError`], the same that saving would meet.
+pub fn can_save(path: impl AsRef<Path>) -> Result<(), FileError> {
+    Begun::at(path.as_ref()).map(drop)
+}
+
 fn save_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<(), FileError> {
-    let (target, old) = match fs::metadata(path) {
-        // Behind symbolic links: what is replaced is the file, not the link to it.
-        Ok(old) if old.is_file() => (fs::canonicalize(path).map_err(failed(path, "find it"))?, Some(old)),
-        Ok(_) => return Err(FileError::NotAFile { path: path.to_owned() }),
-        // A link to nothing cannot be followed, and must not be replaced.
-        Err(_) if path.is_symlink() => return Err(FileError::NotAFile { path: path.to_owned() }),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => (path.to_owned(), None),
-        Err(error) => return Err(failed(path, "find it")(error)),
-    };
-    let (mut temporary, mut file) = Temporary::create(&target).map_err(failed(path, "make a new file beside it"))?;
+    let Begun { target, old, mut temporary, mut file } = Begun::at(path)?;
     // First of all: what the old one hides is never to be seen in the new one.
     let permitted = old.map_or(Ok(()), |old| file.set_permissions(old.permissions()));
     let written = permitted.and_then(|()| write(&mut file)).and_then(|()| file.sync_all());
@@ -57,6 +58,30 @@ fn save_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Re
     temporary.gone = true;
     sync_folder(&target);
     Ok(())
+}
+
+/// The empty file that is to take the place of another, or of none.
+struct Begun {
+    /// What is replaced: behind symbolic links the file, not the link to it.
+    target: PathBuf,
+    old: Option<Metadata>,
+    temporary: Temporary,
+    file: File,
+}
+
+impl Begun {
+    fn at(path: &Path) -> Result<Self, FileError> {
+        let (target, old) = match fs::metadata(path) {
+            Ok(old) if old.is_file() => (fs::canonicalize(path).map_err(failed(path, "find it"))?, Some(old)),
+            Ok(_) => return Err(FileError::NotAFile { path: path.to_owned() }),
+            // A link to nothing cannot be followed, and must not be replaced.
+            Err(_) if path.is_symlink() => return Err(FileError::NotAFile { path: path.to_owned() }),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => (path.to_owned(), None),
+            Err(error) => return Err(failed(path, "find it")(error)),
+        };
+        let (temporary, file) = Temporary::create(&target).map_err(failed(path, "make a new file in its folder"))?;
+        Ok(Self { target, old, temporary, file })
+    }
 }
 
 fn failed(path: &Path, doing: &'static str) -> impl Fn(io::Error) -> FileError {
@@ -75,11 +100,10 @@ struct Temporary {
 impl Temporary {
     fn create(target: &Path) -> io::Result<(Self, File)> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
-        let name = target.file_name().ok_or(io::ErrorKind::InvalidFilename)?;
+        target.file_name().ok_or(io::ErrorKind::InvalidFilename)?;
         for _ in 0..NAMES {
-            let mut hidden = OsString::from(".");
-            hidden.push(name);
-            hidden.push(format!(".{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)));
+            // Without the target's name, which may be as long as names can be.
+            let hidden = format!(".fatek-{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
             let path = target.with_file_name(hidden);
             match OpenOptions::new().write(true).create_new(true).open(&path) {
                 // Left by a process of this number that was killed: in a container they are often the same.

@@ -2,24 +2,38 @@
 //!
 //! ```text
 //! read 2026-11-22T07:09:13Z      when, or `-` if that is not known
-//! about FB00, 13184 words, …     for people; nothing reads it
+//! about FB00, 13184 words, …     for people; it follows from the rest
 //! brief 005400                   the bytes of 40, or `-`
 //! status 00010231 …              the bytes of 53, or `-`
 //! pages 207
 //! page 0 4642 …                  256 digits each, in ascending order
 //! ```
+//!
+//! One program has one form. What has been read is written again and compared, so that nothing is taken that was written
+//! otherwise.
 
 use std::fmt::Write;
 
 use super::{Origin, PAGE_BYTES, Program};
 use crate::command::{BriefStatus, DetailedStatus, ProgramPage};
-use crate::file::{FormatError, Kind, Lines, frame, hex, parse_utc, unframe, utc};
+use crate::file::{FormatError, Kind, Lines, frame, hex, in_form, parse_utc, unframe, utc};
 
 const PROGRAM: Kind = Kind("program");
 /// What stands for a value that is not known.
 const UNKNOWN: &str = "-";
 
 pub(super) fn write(program: &Program) -> String {
+    frame(PROGRAM, &content(program))
+}
+
+pub(super) fn read(file: &[u8]) -> Result<Program, FormatError> {
+    let text = unframe(PROGRAM, file)?;
+    let program = parse(text)?;
+    in_form(text, &content(&program))?;
+    Ok(program)
+}
+
+fn content(program: &Program) -> String {
     let origin = program.origin.as_ref();
     let field = |value: Option<String>| value.unwrap_or_else(|| UNKNOWN.to_owned());
     let mut content = String::new();
@@ -31,11 +45,11 @@ pub(super) fn write(program: &Program) -> String {
     for (number, page) in program.pages.iter().enumerate() {
         push(&mut content, "page", &format!("{number} {}", digits(&page.to_bytes())));
     }
-    frame(PROGRAM, &content)
+    content
 }
 
-pub(super) fn read(file: &[u8]) -> Result<Program, FormatError> {
-    let mut lines = Lines::new(unframe(PROGRAM, file)?);
+fn parse(content: &str) -> Result<Program, FormatError> {
+    let mut lines = Lines::new(content);
     let origin = read_origin(&mut lines)?;
     let count: usize = lines.field("pages")?.parse().map_err(|_| lines.error("a number of pages was expected"))?;
     let mut pages = Vec::new();
@@ -57,6 +71,7 @@ pub(super) fn read(file: &[u8]) -> Result<Program, FormatError> {
 fn read_origin(lines: &mut Lines<'_>) -> Result<Option<Origin>, FormatError> {
     let read_at = known(lines.field("read")?);
     let read_at = read_at.map(|text| parse_utc(text).ok_or_else(|| lines.error("a time was expected"))).transpose()?;
+    // It follows from the others, so it is compared in the end.
     lines.field("about")?;
     let brief = known(lines.field("brief")?);
     let brief =
@@ -93,7 +108,7 @@ fn digits(bytes: &[u8]) -> String {
 }
 
 /// What a person wants to know: the program, and the model of the PLC.
-pub(super) fn about(program: &Program) -> String {
+fn about(program: &Program) -> String {
     let header = program.header;
     program.origin.as_ref().map_or_else(
         || header.to_string(),

@@ -58,6 +58,10 @@ fn a_file_with_a_good_checksum_and_a_bad_content_is_refused_by_line() {
     let content = file::unframe(file::Kind("program"), good.as_bytes()).unwrap();
     for (from, to, message) in [
         ("read 2001-", "read 20x1-", "line 3: a time was expected"),
+        ("about FB07", "about FB08", "line 4: `about FB07, 64 words, from FBE 13K, "),
+        ("OS 3.1", "OS 3.1, and what somebody has added", "line 4: `about FB07, 64 words, "),
+        ("pages 2", "pages +2", "line 7: `pages 2` was expected"),
+        ("pages 2", "pages 02", "line 7: `pages 2` was expected"),
         ("about ", "model ", "line 4: `about` was expected"),
         ("brief 015400", "brief 0154", "line 5: three bytes were expected"),
         ("brief 015400", "brief -", "line 6: `read`, `brief` and `status` must be known together"),

@@ -62,8 +62,35 @@ fn what_is_no_file_is_left_as_it_is() {
     let error = save(&folder.0, b"x").unwrap_err();
     assert!(matches!(error, FileError::NotAFile { .. }), "{error}");
     let error = save(&folder.0.join("none").join("a"), b"x").unwrap_err().to_string();
-    assert!(error.contains("cannot make a new file beside it"), "{error}");
+    assert!(error.contains("cannot make a new file in its folder"), "{error}");
     assert!(load(&folder.0.join("none")).unwrap_err().to_string().contains("cannot read it"));
+}
+
+#[test]
+fn whether_a_file_can_be_saved_is_found_out_before_and_changes_nothing() {
+    let folder = Folder::new("before");
+    let path = folder.0.join("a");
+    can_save(&path).unwrap();
+    assert_eq!(folder.names().len(), 0);
+    save(&path, b"old").unwrap();
+    can_save(&path).unwrap();
+    assert_eq!((folder.names(), load(&path).unwrap()), (vec!["a".to_owned()], b"old".to_vec()));
+    assert!(matches!(can_save(&folder.0), Err(FileError::NotAFile { .. })));
+    for (name, found) in [("none/a", "cannot make a new file in its folder: "), ("a/b", "cannot find it: ")] {
+        let path = folder.0.join(name);
+        let (before, saving) = (can_save(&path).unwrap_err().to_string(), save(&path, b"x").unwrap_err().to_string());
+        assert!(before == saving && before.contains(found), "{before}, {saving}");
+    }
+}
+
+#[test]
+fn a_name_as_long_as_names_can_be_is_saved_too() {
+    let folder = Folder::new("long");
+    // So long is the longest name on most systems.
+    let path = folder.0.join("n".repeat(255));
+    save(&path, b"one").unwrap();
+    save(&path, b"two").unwrap();
+    assert_eq!((load(&path).unwrap(), folder.names().len()), (b"two".to_vec(), 1));
 }
 
 #[test]
@@ -71,7 +98,7 @@ fn what_a_killed_process_has_left_is_no_obstacle() {
     let folder = Folder::new("left");
     let path = folder.0.join("a");
     for number in 0..200 {
-        fs::write(folder.0.join(format!(".a.{}-{number}.new", std::process::id())), b"half").unwrap();
+        fs::write(folder.0.join(format!(".fatek-{}-{number}.new", std::process::id())), b"half").unwrap();
     }
     save(&path, b"new").unwrap();
     assert_eq!((load(&path).unwrap(), folder.names().len()), (b"new".to_vec(), 201));
