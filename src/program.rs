@@ -81,7 +81,14 @@
 //! - No half-written PLC is left alone after a failure before its status has been asked for once more; if that fails as well,
 //!   the error says that it is not known whether the PLC runs.
 //! - That a page has been written is forgotten only when all have been found to be the program's, not when a run begins. A PLC
-//!   that was left half-written and runs when the next run begins is stopped: [`ProgramError::SetRunning`].
+//!   that was left half-written and runs when the next run begins is compared, from a page on that was not written, and stopped
+//!   at the first one that differs, or if it cannot be compared: [`ProgramError::SetRunning`]. If none differs, somebody else
+//!   has written the rest, and nothing is touched.
+//! - What a STOP or RUN has done that had no answer is not known until the status has been read; one that was refused, or never
+//!   sent, has done nothing.
+//! - A page whose write was sent, and which has not been read back since as it should be, is [in doubt](WriteState::in_doubt),
+//!   and neither written nor [unwritten](WriteState::unwritten). That holds, too, when the future was dropped:
+//!   [`WriteProgram::state`].
 //! - So after any failure, a dropped future or a crash between the first page and the last, the PLC is stopped.
 //! - That it is still stopped is looked at every 16 pages and at the end. If somebody else has set it running in between, it is
 //!   stopped again, if a page has been written, and the writing fails with [`ProgramError::SetRunning`], for two are at work there.
@@ -112,6 +119,7 @@ mod format;
 mod header;
 mod read;
 mod reading;
+mod state;
 mod write;
 mod writing;
 
@@ -122,9 +130,10 @@ use std::time::SystemTime;
 use crate::command::{BriefStatus, DetailedStatus, PAGE_WORDS, ProgramPage};
 use crate::file::{self, FileError, FormatError};
 
-pub use self::error::{InvalidProgram, PlcState, ProgramAction, ProgramError, WriteProgramError};
+pub use self::error::{InvalidProgram, ProgramAction, ProgramError, WriteProgramError};
 pub use self::header::{ProgramHeader, ProgramKind};
 pub use self::read::ReadProgram;
+pub use self::state::{PlcState, WriteState};
 pub use self::write::{WriteOptions, WriteProgram, WriteReport};
 
 /// How many bytes a page has.

@@ -1,6 +1,7 @@
 use std::fmt;
 
 use super::header::ProgramKind;
+use super::state::WriteState;
 use crate::error::{Error, ErrorCode};
 
 /// Why some pages are no program: the page, and the rule.
@@ -130,7 +131,7 @@ pub enum ProgramError {
     #[error("the PLC has a ROM pack or memory card in use, which cannot be written")]
     MemoryCard,
     /// The PLC runs, and was not to be stopped.
-    #[error("the PLC runs: stop it first, or choose `WriteOptions::stop_first`")]
+    #[error("the PLC runs: stop it first, or have it stopped")]
     Running,
     /// The PLC has been told to stop, and runs all the same.
     #[error("the PLC does not stop")]
@@ -145,7 +146,7 @@ pub enum ProgramError {
         /// Which one.
         page: u16,
     },
-    /// Pages that were the program's are so no more.
+    /// Pages that were the program's are so no more; [`WriteState::unwritten`] has them, too.
     #[error("{} pages are not the program's any more, the first of them page {}", pages.len(), pages.first().unwrap_or(&0))]
     #[non_exhaustive]
     Differs {
@@ -176,28 +177,6 @@ impl ProgramError {
     }
 }
 
-/// What state a PLC is in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum PlcState {
-    /// It ran when it last answered.
-    Running,
-    /// It was stopped when it last answered, and nothing has been sent to it since that would start it.
-    Stopped,
-    /// It has not answered, or not since it was told to stop or to run.
-    Unknown,
-}
-
-impl fmt::Display for PlcState {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Running => "the PLC runs",
-            Self::Stopped => "the PLC is stopped",
-            Self::Unknown => "whether the PLC runs is not known",
-        })
-    }
-}
-
 /// Why a program was not written, how far it came, and in what state the PLC is.
 ///
 /// Writing it again compares all pages and writes those that are not yet the program's.
@@ -206,60 +185,13 @@ impl fmt::Display for PlcState {
 pub struct WriteProgramError {
     /// Why it went no further.
     pub source: Box<ProgramError>,
-    /// The pages that this run has written and read back.
-    pub written: Vec<u16>,
-    /// The other pages that earlier runs of the same [`WriteProgram`](super::WriteProgram) have written and read back.
-    pub written_before: Vec<u16>,
-    /// The pages that differ and are still to be written.
-    pub unwritten: Vec<u16>,
-    /// The one among them that may have been written, or in part: its write was sent, and not confirmed.
-    pub in_doubt: Option<u16>,
-    /// Whether this run, or an earlier one of the same [`WriteProgram`](super::WriteProgram), has written a page, or perhaps,
-    /// since all pages were last found to be the program's.
-    pub touched: bool,
-    /// Whether all pages have been found to be the program's. `false`, too, if they have not been compared yet.
-    pub whole: bool,
-    /// Whether it runs.
-    pub plc: PlcState,
-}
-
-impl WriteProgramError {
-    /// Whether the PLC may hold a part of the new program and a part of the old one, by this run or an earlier one of the
-    /// same [`WriteProgram`](super::WriteProgram).
-    #[must_use]
-    pub fn is_half_written(&self) -> bool {
-        self.touched && !self.whole
-    }
-
-    fn what_is_left(&self) -> String {
-        let Self { written, written_before, unwritten, plc, .. } = self;
-        let all = written.len().saturating_add(unwritten.len());
-        if self.whole {
-            format!("the program is written, and {plc}")
-        } else if self.is_half_written() && written.is_empty() && self.in_doubt.is_none() {
-            let earlier = match written_before.len() {
-                0 => "perhaps one".to_owned(),
-                pages => pages.to_string(),
-            };
-            format!(
-                "this run has written no page, and earlier ones {earlier}: the PLC may hold a half of the program, \
-                 and {plc}: write the rest before it runs"
-            )
-        } else if self.is_half_written() {
-            let doubt = self.in_doubt.map_or_else(String::new, |page| format!(", page {page} perhaps"));
-            let written = written.len();
-            format!(
-                "{written} of the {all} pages that differ are written{doubt}, and {plc}: write the rest before it runs"
-            )
-        } else {
-            format!("nothing was written, and {plc}")
-        }
-    }
+    /// How far it came.
+    pub state: Box<WriteState>,
 }
 
 impl fmt::Display for WriteProgramError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}; {}", self.source, self.what_is_left())
+        write!(f, "{}; {}", self.source, self.state)
     }
 }
 

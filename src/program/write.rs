@@ -5,7 +5,7 @@ use tokio::time::{Instant, sleep};
 
 use super::read::{OnProgress, in_framing, report};
 use super::writing::{Goal, Step, Told, Writing};
-use super::{PAGE_BYTES, Program, WriteProgramError};
+use super::{PAGE_BYTES, Program, WriteProgramError, WriteState};
 use crate::error::Error;
 use crate::progress::Progress;
 use crate::station::Station;
@@ -46,7 +46,7 @@ impl WriteOptions {
         }
     }
 
-    /// Stops the PLC if it runs and a page differs, and confirms by its status that it has stopped. Without this a PLC that
+    /// Stops the PLC if it runs and a page is to be written, and confirms by its status that it has stopped. Without this a PLC that
     /// runs is [`ProgramError::Running`](super::ProgramError::Running), before anything is written.
     #[must_use]
     pub fn stop_first(mut self) -> Self {
@@ -144,12 +144,22 @@ impl WriteProgram {
     /// As for [`run`](Self::run); whether the PLC runs or has a memory card is no matter here.
     pub async fn compare(&mut self, station: &Station) -> Result<Vec<u16>, WriteProgramError> {
         self.go(station, Goal::Compare).await?;
-        Ok(self.writing.differing())
+        Ok(self.state().unwritten)
+    }
+
+    /// Finds out which pages [`run`](Self::run) would write with these options, and changes nothing.
+    ///
+    /// # Errors
+    /// As for [`run`](Self::run), as far as that reads: what it would refuse before anything is changed is refused here, too.
+    pub async fn dry_run(&mut self, station: &Station) -> Result<Vec<u16>, WriteProgramError> {
+        self.go(station, Goal::DryRun).await?;
+        Ok(self.state().unwritten)
     }
 
     /// Writes the program, as the [module's documentation](super#writing) says.
     ///
-    /// The future can be dropped at any time. The PLC is then as after a failure: if it was stopped, it stays so.
+    /// The future can be dropped at any time. The PLC is then as after a failure: if it was stopped, it stays so; see
+    /// [`state`](Self::state).
     ///
     /// # Errors
     /// [`WriteProgramError`], which tells why, which pages are written and which are not, and whether the PLC runs. Its
@@ -166,6 +176,12 @@ impl WriteProgram {
     pub async fn run(&mut self, station: &Station) -> Result<WriteReport, WriteProgramError> {
         self.go(station, Goal::Write).await?;
         Ok(self.writing.report())
+    }
+
+    /// How far the last run has come, even one that was dropped.
+    #[must_use]
+    pub fn state(&self) -> WriteState {
+        self.writing.state()
     }
 
     async fn go(&mut self, station: &Station, goal: Goal) -> Result<(), WriteProgramError> {
@@ -189,8 +205,11 @@ impl WriteProgram {
             };
             let moved = told.is_ok() && matches!(step, Step::Read(_) | Step::Write(_));
             self.writing.told(told);
-            if let Some(tell) = self.on_progress.as_mut().filter(|_| moved) {
-                report(&mut meter, self.writing.progress(), PAGE_BYTES, began, tell);
+            let progress = self.writing.progress();
+            // Where all pages are written there is nothing to compare: the header alone is read.
+            let counts = moved && progress.2 > 0;
+            if let Some(tell) = self.on_progress.as_mut().filter(|_| counts) {
+                report(&mut meter, progress, PAGE_BYTES, began, tell);
             }
         }
     }

@@ -1,14 +1,13 @@
 //! The states of writing a program, as the [module](super) draws them. No I/O, and no clock.
 
+mod outcome;
 mod states;
 
 use std::collections::BTreeSet;
 
 use self::states::State;
 pub(super) use self::states::{Goal, Step, Told};
-use super::{
-    PlcState, Program, ProgramAction, ProgramError, ProgramHeader, WriteOptions, WriteProgramError, WriteReport,
-};
+use super::{PlcState, Program, ProgramAction, ProgramError, ProgramHeader, WriteOptions};
 use crate::command::{DetailedStatus, ProgramPage};
 use crate::error::Error;
 use crate::progress::Phase;
@@ -36,6 +35,13 @@ pub(super) struct Writing {
     /// The pages that earlier runs of this writing have written and read back.
     written_before: BTreeSet<u16>,
     plc: PlcState,
+    /// Whether it runs, and an earlier run of this writing has left a half there, stopped: unless somebody else has written the
+    /// rest, it is to be stopped.
+    suspect: bool,
+    /// The page whose comparison is likely to tell that soonest: one that no earlier run has written.
+    telling: u16,
+    /// The pages that are still to be compared, the next one last.
+    uncompared: Vec<u16>,
     /// Whether all pages have been compared in this run.
     compared: bool,
     /// The pages that are still to be written, the next one last.
@@ -64,6 +70,9 @@ impl Writing {
             touched: false,
             written_before: BTreeSet::new(),
             plc: PlcState::Unknown,
+            suspect: false,
+            telling: 0,
+            uncompared: Vec::new(),
             compared: false,
             pending: Vec::new(),
             written: Vec::new(),
@@ -76,15 +85,18 @@ impl Writing {
     }
 
     /// A run begins: the first, or another after a failure or when the last one was abandoned. It knows of those before
-    /// whether the PLC ran, and what they have done to it.
+    /// whether the PLC ran, and what they have done to it; unless one has ended well, for then all is over.
     pub(super) fn begin(&mut self, goal: Goal) {
         let fresh = Self::new(self.program.clone(), self.options);
         let last = std::mem::replace(self, fresh);
         self.goal = goal;
+        if last.goal == Goal::Write && last.state == State::Done {
+            return;
+        }
+        self.telling = if last.compared { last.unwritten().first().copied().unwrap_or(0) } else { last.telling };
         (self.ran_before, self.told_to_stop) = (last.ran_before, last.told_to_stop);
         self.has_stopped = last.has_stopped;
-        // Abandoned in this state, the write may have been sent.
-        self.touched = last.touched || matches!(last.state, State::Write { .. });
+        self.touched = last.touched || last.in_doubt().is_some();
         self.written_before = last.written_before;
         self.written_before.extend(last.written);
     }
@@ -131,8 +143,8 @@ impl Writing {
             (State::Write { left }, result) => self.wrote(left, result.map(drop)),
             // Whether it has obeyed is asked, whatever it has answered.
             (State::Stop { left }, result) => self.stopping(left, result.map(drop)),
-            (State::StopAgain { left }, _) => {
-                self.plc = PlcState::Unknown;
+            (State::StopAgain { left }, result) => {
+                self.controlled(&result.map(drop));
                 self.state = State::StoppedAgain { left };
             }
             (State::Run { left }, result) => self.ran(left, result.map(drop)),
@@ -144,41 +156,6 @@ impl Writing {
             (_, Ok(Told::Page(page))) => self.read(&page),
             (_, Ok(Told::Done)) => {}
             (_, Err(error)) => self.lost(error),
-        }
-    }
-
-    /// What was done, after [`Step::Done`].
-    pub(super) fn report(&mut self) -> WriteReport {
-        // As far as this writing is concerned, it is over.
-        (self.told_to_stop, self.has_stopped) = (false, false);
-        self.written_before.clear();
-        WriteReport {
-            written: std::mem::take(&mut self.written),
-            pages: self.program.header().page_count(),
-            was_stopped: std::mem::take(&mut self.ran_before),
-            running: self.plc == PlcState::Running,
-        }
-    }
-
-    /// The pages that differ, after a run to compare.
-    pub(super) fn differing(&self) -> Vec<u16> {
-        let mut pages = self.pending.clone();
-        pages.sort_unstable();
-        pages
-    }
-
-    /// Why it went no further, after [`Step::Failed`].
-    pub(super) fn failure(&mut self) -> WriteProgramError {
-        let source = self.failure.take().unwrap_or(ProgramError::NotRunning);
-        WriteProgramError {
-            source: Box::new(source),
-            written: self.written.clone(),
-            written_before: self.written_before.iter().copied().filter(|page| !self.written.contains(page)).collect(),
-            unwritten: self.differing(),
-            in_doubt: self.in_doubt,
-            touched: self.touched,
-            whole: self.whole(),
-            plc: self.plc,
         }
     }
 
@@ -198,13 +175,13 @@ impl Writing {
         let (program, plc) = (self.program.ladder_words(), status.ladder_words());
         self.saw(status.flags().running());
         if program != plc {
-            self.fail(ProgramError::SizeMisfit { program, plc });
-        } else if status.flags().memory_card() && self.goal == Goal::Write {
-            self.fail(ProgramError::MemoryCard);
-        } else if self.plc == PlcState::Running && self.touched && self.goal == Goal::Write {
-            // An earlier run has left a half there, stopped.
-            self.stop_again();
-        } else if !self.may_go_on_while_running() {
+            return self.fail(ProgramError::SizeMisfit { program, plc });
+        }
+        if status.flags().memory_card() && self.goal != Goal::Compare {
+            return self.fail(ProgramError::MemoryCard);
+        }
+        self.suspect = self.plc == PlcState::Running && self.touched;
+        if !self.may_go_on_while_running() {
             self.fail(ProgramError::Running);
         } else {
             self.state = State::Kind;
@@ -213,7 +190,7 @@ impl Writing {
 
     /// Whether it is no obstacle that the PLC runs, if it does.
     fn may_go_on_while_running(&self) -> bool {
-        self.plc != PlcState::Running || self.options.stop_first || self.goal == Goal::Compare
+        self.plc != PlcState::Running || self.suspect || self.options.stop_first || self.goal == Goal::Compare
     }
 
     fn read(&mut self, content: &ProgramPage) {
@@ -238,25 +215,32 @@ impl Writing {
                 self.pending = (0..self.program.header().page_count()).collect();
                 self.all_compared();
             }
-            _ => self.compare(0, content),
+            _ => {
+                self.uncompared = (1..self.program.header().page_count()).rev().collect();
+                self.uncompared.sort_by_key(|&page| page >= self.telling);
+                self.compare(0, content);
+            }
         }
     }
 
     fn writes_all(&self) -> bool {
-        self.options.all_pages && self.goal == Goal::Write
+        self.options.all_pages && self.goal != Goal::Compare && !self.suspect
     }
 
     fn compare(&mut self, page: u16, content: &ProgramPage) {
         let unwritten = self.writes_all() && !self.written_before.contains(&page);
-        if unwritten || self.program.page(page) != Some(content) {
+        let differs = self.program.page(page) != Some(content);
+        if unwritten || differs {
             self.pending.push(page);
         }
-        let (next, count) = (page.saturating_add(1), self.program.header().page_count());
-        self.progress = (Phase::Comparing, next.into(), count.into());
-        if next < count {
-            self.state = State::Compare(next);
-        } else {
-            self.all_compared();
+        let count = usize::from(self.program.header().page_count());
+        self.progress = (Phase::Comparing, count.saturating_sub(self.uncompared.len()), count);
+        if differs && self.suspect && self.goal != Goal::Compare {
+            return self.stop_again();
+        }
+        match self.uncompared.pop() {
+            Some(next) => self.state = State::Compare(next),
+            None => self.all_compared(),
         }
     }
 
@@ -265,12 +249,12 @@ impl Writing {
         // Found whole, by whomever.
         self.touched &= !self.pending.is_empty();
         // Taken from the end: the ladder in ascending order, and the header last.
-        self.pending.reverse();
+        self.pending.sort_unstable_by(|page, next| next.cmp(page));
         if self.pending.last() == Some(&0) {
             self.pending.rotate_right(1);
         }
         self.state = match (self.goal, self.pending.is_empty()) {
-            (Goal::Compare, _) => State::Done,
+            (Goal::Compare | Goal::DryRun, _) => State::Done,
             (Goal::Write, false) => State::Look,
             // An earlier run has stopped it, and may have got no further than the last page.
             (Goal::Write, true) if self.told_to_stop => State::Final,
@@ -343,8 +327,15 @@ impl Writing {
         (self.told_to_stop, self.ran_before) = (self.has_stopped, self.has_stopped);
     }
 
+    /// It was told to stop or to run. Unless that has certainly done nothing, its state is not known now.
+    fn controlled(&mut self, result: &Result<(), Error>) {
+        if result.as_ref().err().is_none_or(Error::may_have_executed) {
+            self.plc = PlcState::Unknown;
+        }
+    }
+
     fn stopping(&mut self, left: u32, result: Result<(), Error>) {
-        self.plc = PlcState::Unknown;
+        self.controlled(&result);
         if result.as_ref().is_err_and(|error| !error.may_have_executed()) {
             self.not_stopped();
         }
@@ -409,6 +400,7 @@ impl Writing {
     fn verify(&mut self, page: u16, content: &ProgramPage) {
         if self.program.page(page) != Some(content) {
             self.differing.push(page);
+            self.written.retain(|&written| written != page);
             self.touched = true;
         }
         let (next, count) = (page.saturating_add(1), self.program.header().page_count());
@@ -431,8 +423,8 @@ impl Writing {
             }
             // An answer or none: its status tells.
             result => {
+                self.controlled(&result);
                 self.excuse = result.err().map(|source| ProgramError::Call { action: ProgramAction::Run, source });
-                self.plc = PlcState::Unknown;
                 self.state = State::Running { left };
             }
         }
@@ -455,7 +447,7 @@ impl Writing {
         self.failure.get_or_insert_with(|| excuse.unwrap_or(ProgramError::Call { action, source }));
         let ending = matches!(self.state, State::LastLook | State::StoppedAgain { .. });
         let look = !ending && self.goal == Goal::Write && self.half_written();
-        if ending {
+        if self.state == State::LastLook {
             self.plc = PlcState::Unknown;
         }
         self.state = if look { State::LastLook } else { State::Failed };
@@ -465,8 +457,9 @@ impl Writing {
     fn fail(&mut self, error: ProgramError) {
         self.failure = Some(error);
         // What does not fit is not the PLC that was written.
-        let at_rest = matches!(self.state, State::Fit | State::Kind) || !self.half_written();
-        self.state = if at_rest { State::Failed } else { State::LastLook };
+        let fits = !matches!(self.state, State::Fit | State::Kind);
+        let look = fits && self.goal == Goal::Write && self.half_written();
+        self.state = if look { State::LastLook } else { State::Failed };
     }
 
     /// No attempt has done it: for the reason that the last one gave, or for this one.
@@ -477,7 +470,7 @@ impl Writing {
 
     fn stop_again(&mut self) {
         self.failure = Some(ProgramError::SetRunning);
-        self.state = State::StopAgain { left: CONTROL_TRIES };
+        self.state = if self.goal == Goal::Write { State::StopAgain { left: CONTROL_TRIES } } else { State::Failed };
     }
 }
 

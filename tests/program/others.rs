@@ -76,10 +76,13 @@ async fn a_plc_that_somebody_starts_in_the_middle_is_stopped_again_and_the_writi
         let (result, ()) = tokio::join!(writing, starting);
         let error = result.unwrap_err();
         assert!(matches!(*error.source, ProgramError::SetRunning), "{error}");
-        assert!(error.is_half_written() && error.plc == PlcState::Stopped && !bench.plc.is_running(), "{error:?}");
+        assert!(
+            error.state.is_half_written() && error.state.plc == PlcState::Stopped && !bench.plc.is_running(),
+            "{error:?}"
+        );
         // And then it goes on.
         let report = station.write_program(&new, WriteOptions::new()).await.unwrap();
-        assert_eq!(report.written, error.unwritten);
+        assert_eq!(report.written, error.state.unwritten);
         assert_eq!(bench.holds(), new.pages());
     }
 }
@@ -101,9 +104,9 @@ async fn a_plc_that_takes_pages_while_it_runs_is_found_to_run_within_16_pages() 
         let (result, before) = tokio::join!(writing, starting);
         let error = result.unwrap_err();
         assert!(matches!(*error.source, ProgramError::SetRunning), "{error}");
-        let written_since = error.written.len() as u64 - before;
+        let written_since = error.state.written.len() as u64 - before;
         assert!((1..=16).contains(&written_since), "at {at}: {written_since}");
-        assert!(error.plc == PlcState::Stopped && !bench.plc.is_running(), "{error:?}");
+        assert!(error.state.plc == PlcState::Stopped && !bench.plc.is_running(), "{error:?}");
     }
 }
 
@@ -115,7 +118,7 @@ async fn a_plc_that_does_not_stop_is_not_written() {
     let new = program(640, 2);
     let error = bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap_err();
     assert!(error.to_string().starts_with("cannot stop the PLC: station 1 did not answer"), "{error}");
-    assert_eq!((error.plc, bench.faults.log().writes()), (PlcState::Running, 0));
+    assert_eq!((error.state.plc, bench.faults.log().writes()), (PlcState::Running, 0));
     bench.faults.set_rules([]);
     bench.faults.add_rule(Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ControlPlc));
     let error = bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap_err();
@@ -136,7 +139,8 @@ async fn a_plc_that_refuses_to_run_is_left_stopped_with_the_whole_program() {
     let error = bench.station().write_program(&new, WriteOptions::new().stop_first().run_again()).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the PLC refuses to run the program: cannot run: syntax error (7); the program is written, and the PLC is stopped"
+        "the PLC refuses to run the program: cannot run: syntax error (7); the program is written, and the PLC ran before and is stopped \
+         now"
     );
     assert_eq!(bench.holds(), new.pages());
     assert!(!bench.plc.is_running());
@@ -168,7 +172,8 @@ async fn a_page_that_is_refused_in_the_middle_leaves_a_plc_that_is_stopped() {
     assert_eq!(
         error.to_string(),
         "cannot write page 4: station 1 refused write program page (50): write prohibited, the PLC has a ROM pack (3); \
-         3 of the 10 pages that differ are written, and the PLC is stopped: write the rest before it runs"
+         3 of the 10 pages that differ are written (1-3), and the PLC ran before and is stopped now: \
+         write the rest before it runs"
     );
     assert!(!bench.plc.is_running());
 }

@@ -1,8 +1,9 @@
 //! A second failure, a request that fails alone, and others who start or stop the PLC in between.
 
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use fatek::command::Code;
+use fatek::command::{Code, Request};
 use fatek::program::{PlcState, ProgramError, WriteOptions, WriteProgram};
 use fatek::sim::{Fault, Line, PageReply, Rule};
 use fatek::{CallOptions, ErrorCode};
@@ -42,7 +43,10 @@ async fn a_half_that_somebody_runs_is_stopped_again_though_the_request_fails_tha
         let (result, ()) = tokio::join!(writing, other);
         let error = result.unwrap_err();
         assert!(error.to_string().starts_with("cannot read page 3: "), "{error}");
-        assert!(error.is_half_written() && error.plc == PlcState::Stopped && !bench.plc.is_running(), "{error:?}");
+        assert!(
+            error.state.is_half_written() && error.state.plc == PlcState::Stopped && !bench.plc.is_running(),
+            "{error:?}"
+        );
     }
 }
 
@@ -55,14 +59,14 @@ async fn a_second_failure_does_not_forget_that_the_plc_holds_a_half() {
     let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first().run_again());
     bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(3));
     let first = write.run(&station).await.unwrap_err();
-    assert!(first.is_half_written() && first.plc == PlcState::Stopped, "{first}");
+    assert!(first.state.is_half_written() && first.state.plc == PlcState::Stopped, "{first}");
     bench.faults.set_rules([Rule::new(Fault::Ignore)]);
     let second = write.run(&station).await.unwrap_err();
-    assert!(second.is_half_written() && second.written_before == [1, 2, 3], "{second:?}");
+    assert!(second.state.is_half_written() && second.state.written_before == [1, 2, 3], "{second:?}");
     assert!(
         second.to_string().ends_with(
-            "; this run has written no page, and earlier ones 3: the PLC may hold a half of the program, \
-             and whether the PLC runs is not known: write the rest before it runs"
+            "; this run has written no page, and earlier ones 1-3: the PLC may hold a half of the program, \
+             and the PLC ran before, and whether it runs now is not known: write the rest before it runs"
         ),
         "{second}"
     );
@@ -73,7 +77,7 @@ async fn a_second_failure_does_not_forget_that_the_plc_holds_a_half() {
     // From here on it is one like any other.
     bench.faults.set_rules([Rule::new(Fault::Ignore)]);
     let error = write.run(&station).await.unwrap_err();
-    assert!(!error.is_half_written() && error.to_string().contains("nothing was written"), "{error}");
+    assert!(!error.state.is_half_written() && error.to_string().contains("nothing was written"), "{error}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -84,14 +88,119 @@ async fn a_half_that_somebody_runs_between_two_runs_is_stopped_again() {
         let new = program(640, 2);
         let mut write = WriteProgram::new(&new, options);
         bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(3));
-        assert!(write.run(&station).await.unwrap_err().is_half_written());
+        assert!(write.run(&station).await.unwrap_err().state.is_half_written());
         bench.faults.set_rules([]);
         bench.plc.run();
         let second = write.run(&station).await.unwrap_err();
         assert!(matches!(*second.source, ProgramError::SetRunning), "{second}");
-        assert!(second.is_half_written() && second.plc == PlcState::Stopped && !bench.plc.is_running(), "{second:?}");
+        assert!(
+            second.state.is_half_written() && second.state.plc == PlcState::Stopped && !bench.plc.is_running(),
+            "{second:?}"
+        );
         assert_eq!(write.run(&station).await.unwrap().written, (4..=10).collect::<Vec<_>>());
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_somebody_else_has_written_to_its_end_and_set_running_is_not_touched() {
+    let stop = WriteOptions::new().stop_first();
+    for options in [WriteOptions::new(), stop, stop.run_again(), stop.all_pages(), stop.verify_all()] {
+        let bench = bench();
+        bench.plc.run();
+        let (station, new) = (bench.station().with_options(once()), program(640, 2));
+        if options == WriteOptions::new() {
+            bench.plc.stop();
+        }
+        let mut write = WriteProgram::new(&new, options);
+        bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(3));
+        assert!(write.run(&station).await.unwrap_err().state.is_half_written());
+        bench.faults.set_rules([]);
+        // Another process.
+        bench.station().write_program(&new, WriteOptions::new()).await.unwrap();
+        bench.plc.run();
+        let before = bench.faults.log().entries().len();
+        let report = write.run(&station).await.unwrap();
+        assert!(report.written.is_empty() && report.running && bench.plc.is_running(), "{report:?}");
+        let changes = |entry: &fatek::sim::LogEntry| {
+            matches!(entry.request(), Some(Request::WriteProgramPage(_) | Request::ControlPlc(_)))
+        };
+        assert!(!bench.entries()[before..].iter().any(changes), "{options:?}");
+        // And from here on it is one like any other.
+        assert!(!write.state().is_half_written());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_half_that_somebody_runs_is_found_out_by_the_first_page_that_was_not_written() {
+    let bench = bench();
+    let (station, new) = (bench.station().with_options(once()), program(640, 2));
+    let mut write = WriteProgram::new(&new, WriteOptions::new());
+    bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(8));
+    assert_eq!(write.run(&station).await.unwrap_err().state.unwritten, [10]);
+    bench.faults.set_rules([]);
+    bench.plc.run();
+    let before = bench.faults.log().entries().len();
+    let error = write.run(&station).await.unwrap_err();
+    assert!(matches!(*error.source, ProgramError::SetRunning) && !bench.plc.is_running(), "{error}");
+    let pages: Vec<u16> = bench.entries()[before..]
+        .iter()
+        .filter_map(|entry| match entry.request() {
+            Some(Request::ReadProgramPage(read)) => Some(read.page),
+            _ => None,
+        })
+        .collect();
+    // The header is the same in both.
+    assert_eq!(pages, [0, 10]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_writing_that_was_dropped_tells_how_far_it_came() {
+    let bench = bench();
+    bench.plc.run();
+    let (station, new) = (bench.station(), program(640, 2));
+    let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first().run_again());
+    assert_eq!(write.state().to_string(), "nothing was written, and whether the PLC runs is not known");
+    type When = fn(&Request) -> bool;
+    let dropped_at: [(When, &str); 3] = [
+        (
+            |request| matches!(request, Request::ReadProgramPage(read) if read.page == 3),
+            "nothing was written, and the PLC runs",
+        ),
+        (
+            |request| matches!(request, Request::ControlPlc(_)),
+            "nothing was written, and the PLC ran before, and whether it runs now is not known",
+        ),
+        (
+            |request| matches!(request, Request::WriteProgramPage(write) if write.page == 4),
+            "3 of the 10 pages that differ are written (1-3), page 4 perhaps, and the PLC ran before and is stopped now: \
+             write the rest before it runs",
+        ),
+    ];
+    for (last, told) in dropped_at {
+        let mut run = Box::pin(write.run(&station));
+        while !bench.entries().last().and_then(|entry| entry.request()).is_some_and(last) {
+            tokio::select! {
+                ended = &mut run => panic!("{ended:?}"),
+                () = sleep(Duration::from_millis(1)) => {}
+            }
+        }
+        drop(run);
+        assert_eq!(write.state().to_string(), told);
+        bench.plc.run();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_writing_of_all_pages_has_no_progress_of_a_comparison() {
+    let bench = bench();
+    let (told, new) = (Arc::<Mutex<Vec<String>>>::default(), program(640, 2));
+    let shared = told.clone();
+    let mut write = WriteProgram::new(&new, WriteOptions::new().all_pages())
+        .on_progress(move |progress| shared.lock().unwrap().push(progress.to_string()));
+    write.run(&bench.station()).await.unwrap();
+    let told = told.lock().unwrap();
+    assert_eq!(told.len(), 22);
+    assert!(told.iter().all(|line| line.starts_with("writing: ") && line.contains(" of 11, ")), "{told:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -102,7 +211,7 @@ async fn a_plc_that_did_not_obey_and_that_somebody_else_has_stopped_is_not_run()
         let (station, new) = (bench.station().with_options(once()), program(640, 2));
         let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first().run_again());
         bench.faults.add_rule(Rule::new(fault).command(Code::ControlPlc));
-        assert_eq!(write.run(&station).await.unwrap_err().plc, PlcState::Running);
+        assert_eq!(write.run(&station).await.unwrap_err().state.plc, PlcState::Running);
         bench.faults.set_rules([]);
         // A person, at the machine.
         bench.plc.stop();
@@ -126,7 +235,7 @@ async fn a_whole_old_program_that_somebody_runs_before_the_first_page_is_not_sto
     };
     let (result, ()) = tokio::join!(writing, starting);
     let error = result.unwrap_err();
-    assert!(matches!(*error.source, ProgramError::SetRunning) && !error.is_half_written(), "{error}");
+    assert!(matches!(*error.source, ProgramError::SetRunning) && !error.state.is_half_written(), "{error}");
     assert!(error.to_string().ends_with("; nothing was written, and the PLC runs"), "{error}");
     assert!(bench.holds() == old.pages() && bench.plc.is_running());
 }
@@ -141,7 +250,7 @@ async fn the_reason_of_a_refusal_is_told_though_the_next_request_fails_too() {
         Rule::new(Fault::Ignore).command(Code::ReadStatus).skip(1),
     ]);
     let error = station.write_program(&new, WriteOptions::new()).await.unwrap_err();
-    assert!(error.to_string().contains("ROM pack") && error.plc == PlcState::Unknown, "{error}");
+    assert!(error.to_string().contains("ROM pack") && error.state.plc == PlcState::Unknown, "{error}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -153,7 +262,7 @@ async fn the_writing_of_all_pages_goes_on_where_it_was() {
     for (skip, written) in [(5, 1..=5), (3, 6..=8)] {
         bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(skip)]);
         let error = write.run(&station).await.unwrap_err();
-        assert_eq!(error.written, written.collect::<Vec<_>>());
+        assert_eq!(error.state.written, written.collect::<Vec<_>>());
     }
     // One that is another since is written again; and the header is the last.
     bench.plc.set_page(3, program(640, 1).pages()[3].clone()).unwrap();

@@ -43,9 +43,7 @@ pub(crate) async fn backup(
     }
     let taking = TakeBackup::new(args.ranges.iter().copied()).map_err(Failure::usage)?;
     // To find out only when all has been read would be a pity.
-    if let Some(folder) = args.file.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
-        return Err(Failure::Usage(format!("{}: there is no folder {}", args.file.display(), folder.display())));
-    }
+    fatek::file::can_save(&args.file)?;
     let reporter = Reporter::new(output);
     let mut taking = taking.on_progress(reporter.callback());
     let station = connect::station(plc, timeout)?;

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use fatek::backup::{RestoreError, RestoreFailure, RestoreReport};
 use fatek::file::FileError;
-use fatek::program::{ProgramError, WriteProgramError};
+use fatek::program::{PlcState, ProgramError, WriteProgramError, WriteState};
 
 use crate::output::complain;
 
@@ -31,6 +31,8 @@ pub(crate) enum Failure {
     Declined,
     /// A file could not be saved, or is not what it should be.
     File(FileError),
+    /// A file is none of this program, and may be one of bytes and nothing else.
+    NotRaw(FileError),
     /// A program could not be read.
     Program(ProgramError),
     /// A program could not be written.
@@ -41,6 +43,10 @@ pub(crate) enum Failure {
     BrokenOff(Box<RestoreReport>),
     /// The PLC has refused to give so many elements, of all; the others are saved, if there are any.
     Missing { missing: usize, all: usize, file: Option<PathBuf> },
+    /// The writing of a program was stopped by the user; how far it has come.
+    WriteBrokenOff(Box<WriteState>),
+    /// A reading was stopped by the user, after so many pages.
+    ReadBrokenOff { pages: usize },
     /// So many parts of what the PLC holds, of all, are not as in the file.
     Differs { what: &'static str, differing: usize, all: usize },
     /// The simulator cannot listen.
@@ -78,20 +84,33 @@ impl Failure {
 
     fn exit_status(&self) -> u8 {
         match self {
-            Self::Output(_) | Self::Runtime(_) | Self::Declined | Self::File(FileError::Io { .. }) => 1,
-            Self::BrokenOff(_) => 1,
+            Self::Output(_) | Self::Runtime(_) | Self::Declined => 1,
+            Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
+            Self::BrokenOff(_) | Self::WriteBrokenOff(_) | Self::ReadBrokenOff { .. } => 1,
             Self::Usage(_) => 2,
             Self::Missing { .. } => 3,
             Self::Restore(error) => of_restore(&error.source),
             Self::Call { error, .. } => of_call(error),
             Self::Program(error) => of_program(error),
             Self::WriteProgram(error) => of_program(&error.source),
-            Self::File(_) | Self::Differs { .. } => 7,
+            Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } => 7,
             Self::Lost { .. } | Self::Nobody { .. } => 4,
             Self::Listen { .. } => 5,
             Self::Spoilt { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,
         }
     }
+}
+
+/// How the writing of a program that has ended in the middle is brought to its end.
+fn go_on(state: &WriteState, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    // Another process does not know that it ran.
+    let run = state.was_stopped && state.plc != PlcState::Running;
+    f.write_str(match (state.is_half_written(), run) {
+        (true, true) => "; the same command again does that, and then `fatek run` runs it",
+        (true, false) => "; the same command again does that",
+        (false, true) => "; `fatek run` runs it",
+        (false, false) => "",
+    })
 }
 
 fn of_call(error: &fatek::Error) -> u8 {
@@ -174,10 +193,25 @@ impl fmt::Display for Failure {
             Self::BadFrames { bad, all } => write!(f, "{bad} of {all} are no good frames"),
             Self::Declined => f.write_str("not confirmed: nothing was changed"),
             Self::File(error) => error.fmt(f),
+            Self::NotRaw(error) => write!(f, "{error}; a file of bytes and nothing else is taken with --raw"),
             Self::Program(error) => error.fmt(f),
-            Self::WriteProgram(error) => error.fmt(f),
+            Self::WriteProgram(error) => match *error.source {
+                ProgramError::Running => {
+                    f.write_str("the PLC runs, and nothing was written: stop it first, or have it stopped with --stop")
+                }
+                ProgramError::RunRefused { .. } => error.fmt(f),
+                _ => {
+                    error.fmt(f)?;
+                    go_on(&error.state, f)
+                }
+            },
             Self::Restore(error) => error.fmt(f),
             Self::BrokenOff(report) => write!(f, "interrupted: {report}"),
+            Self::WriteBrokenOff(state) => {
+                write!(f, "interrupted: {state}")?;
+                go_on(state, f)
+            }
+            Self::ReadBrokenOff { pages } => write!(f, "interrupted: {pages} pages were read; nothing is saved"),
             Self::Missing { missing, all, file: None } => {
                 write!(f, "{missing} of {all} elements are missing; nothing is saved")
             }

@@ -2,8 +2,10 @@
 
 use std::time::Duration;
 
-use fatek::file::utc;
-use fatek::program::{Program, ProgramError, ReadProgram, WriteOptions, WriteProgram};
+use fatek::file::{FileError, FormatError, can_save, utc};
+use fatek::program::{
+    PlcState, Program, ProgramError, ReadProgram, WriteOptions, WriteProgram, WriteProgramError, WriteReport,
+};
 use fatek::{Error, Station};
 use serde_json::{Map, Value};
 
@@ -12,31 +14,51 @@ use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Format, Output, Rows};
+use crate::signal;
 use crate::transfer::{GoingOn, Reporter};
 
+/// The file is looked at before the station: nothing is read that could not be saved.
 pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Output) -> Result<(), Failure> {
+    can_save(&args.file.file)?;
+    let stopped = signal::stopped().map_err(Failure::Runtime)?;
     let reporter = Reporter::new(output);
     let mut read = ReadProgram::new().on_progress(reporter.callback());
     if args.twice {
         read = read.twice();
     }
-    let mut before = 0;
-    let result = loop {
-        let result = read.run(station).await;
-        reporter.end_line();
-        match result {
-            Err(error) if may_go_on(&error) && read.pages_done() > before => {
-                before = read.pages_done();
-                output.remark(format_args!("{error}; {before} pages are there, going on"));
-            }
-            result => break result,
-        }
+    let ended = tokio::select! {
+        biased;
+        _ = stopped => None,
+        ended = until_read(&mut read, station, &reporter, output) => Some(ended),
     };
-    let program = result?;
+    reporter.end_line();
+    let Some(program) = ended.transpose()? else {
+        return Err(Failure::ReadBrokenOff { pages: read.pages_done() });
+    };
     let path = &args.file.file;
     if args.file.raw { program.save_raw(path) } else { program.save(path) }?;
     output.remark(format_args!("{}: {}, {} pages", path.display(), program.header(), program.pages().len()));
     Ok(())
+}
+
+/// Goes on after a failure of the line, as long as that brings something.
+async fn until_read(
+    read: &mut ReadProgram,
+    station: &Station,
+    reporter: &Reporter,
+    output: &Output,
+) -> Result<Program, ProgramError> {
+    let mut before = 0;
+    loop {
+        match read.run(station).await {
+            Err(error) if may_go_on(&error) && read.pages_done() > before => {
+                before = read.pages_done();
+                reporter.end_line();
+                output.remark(format_args!("{error}; {before} pages are there, going on"));
+            }
+            result => return result,
+        }
+    }
 }
 
 /// The file is looked at before the station: nothing is sent for one that is no good.
@@ -49,36 +71,76 @@ pub(crate) async fn write(
     let program = load(&args.file)?;
     let station = connect::station(plc, timeout)?;
     if args.consent.dry_run {
-        let pages = differing(&station, &program, output).await?;
-        print_pages(&pages, output)?;
-        output.remark(format_args!("{} of {} pages would be written", pages.len(), program.pages().len()));
-        return Ok(());
+        return dry_run(&station, &program, args, output).await;
     }
     can_be_confirmed(args.consent.yes)?;
     confirm(&question(plc, &program, args), args.consent.yes)?;
+    let stopped = signal::stopped().map_err(Failure::Runtime)?;
     let reporter = Reporter::new(output);
     let mut write = WriteProgram::new(&program, options(args)).on_progress(reporter.callback());
-    let mut going_on = GoingOn::new();
-    let report = loop {
-        let result = write.run(&station).await;
-        reporter.end_line();
-        match result {
-            Ok(report) => break report,
-            Err(error)
-                if may_go_on(&error.source) && !error.written.is_empty() && going_on.may(error.unwritten.len()) =>
-            {
-                output.remark(format_args!("{error}; going on"));
-                GoingOn::pause().await;
-            }
-            Err(error) => return Err(error.into()),
-        }
+    let ended = tokio::select! {
+        biased;
+        _ = stopped => None,
+        ended = until_written(&mut write, &station, &reporter, output) => Some(ended),
+    };
+    reporter.end_line();
+    let Some(report) = ended.transpose()? else {
+        return Err(Failure::WriteBrokenOff(Box::new(write.state())));
     };
     let state = match (report.was_stopped, report.running) {
         (_, true) => "the PLC runs",
         (true, false) => "the PLC ran before and is stopped now",
         (false, false) => "the PLC is stopped",
     };
-    output.remark(format_args!("{} of {} pages written and compared; {state}", report.written.len(), report.pages));
+    match (report.written.len(), report.pages) {
+        (0, all) => output.remark(format_args!("all {all} pages were the same: nothing was written; {state}")),
+        (written, all) => output.remark(format_args!("{written} of {all} pages written and compared; {state}")),
+    }
+    Ok(())
+}
+
+/// Goes on after a failure of the line, as long as that brings something.
+async fn until_written(
+    write: &mut WriteProgram,
+    station: &Station,
+    reporter: &Reporter,
+    output: &Output,
+) -> Result<WriteReport, WriteProgramError> {
+    let mut going_on = GoingOn::new();
+    loop {
+        match write.run(station).await {
+            Err(error)
+                if may_go_on(&error.source) && !error.state.written.is_empty() && going_on.may(error.state.left()) =>
+            {
+                reporter.end_line();
+                output.remark(format_args!("{error}; going on"));
+                GoingOn::pause().await;
+            }
+            result => return result,
+        }
+    }
+}
+
+/// Ends as the writing would, as far as that can be told without changing anything.
+async fn dry_run(
+    station: &Station,
+    program: &Program,
+    args: &ProgramWriteArgs,
+    output: &Output,
+) -> Result<(), Failure> {
+    let reporter = Reporter::new(output);
+    let mut write = WriteProgram::new(program, options(args)).on_progress(reporter.callback());
+    let pages = write.dry_run(station).await;
+    reporter.end_line();
+    let pages = pages?;
+    print_pages(&pages, output)?;
+    let stopped = match (args.run, write.state().plc) {
+        _ if pages.is_empty() => "",
+        (true, PlcState::Running) => "; the PLC runs, and would be stopped and run again",
+        (false, PlcState::Running) => "; the PLC runs, and would be stopped and stay so",
+        _ => "; the PLC is stopped, and would stay so",
+    };
+    output.remark(format_args!("{} of {} pages would be written{stopped}", pages.len(), program.pages().len()));
     Ok(())
 }
 
@@ -134,7 +196,11 @@ fn fields(program: &Program) -> Vec<(&'static str, Cell)> {
 }
 
 fn load(file: &ProgramFile) -> Result<Program, Failure> {
-    Ok(if file.raw { Program::load_raw(&file.file) } else { Program::load(&file.file) }?)
+    let loaded = if file.raw { Program::load_raw(&file.file) } else { Program::load(&file.file) };
+    loaded.map_err(|error| match error {
+        FileError::Format { source: FormatError::Foreign, .. } => Failure::NotRaw(error),
+        error => error.into(),
+    })
 }
 
 async fn differing(station: &Station, program: &Program, output: &Output) -> Result<Vec<u16>, Failure> {

@@ -19,7 +19,7 @@ pub(in crate::program) enum Step {
     Run,
     /// Nothing, for a moment.
     Pause,
-    /// All is done: take [`Writing::report`](super::Writing::report).
+    /// All is done: see [`Writing::report`](super::Writing::report).
     Done,
     /// It cannot go on: take [`Writing::failure`](super::Writing::failure).
     Failed,
@@ -39,6 +39,8 @@ pub(in crate::program) enum Told {
 pub(in crate::program) enum Goal {
     /// To find out which pages differ.
     Compare,
+    /// To find out which pages would be written, and whether that would be refused.
+    DryRun,
     /// To write them.
     Write,
 }

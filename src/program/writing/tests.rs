@@ -2,11 +2,14 @@
 //! take, others who start the PLC, and a writer that is abandoned at any step. `FATEK_SEEDS=n` runs so many seeds,
 //! `FATEK_SEED=n` one.
 
+mod steps;
+
 use std::time::Duration;
 
 use super::*;
 use crate::ErrorCode;
 use crate::command::{Code, ControlPlc, ReadDetailedStatus, ReadProgramPage, ReadStatus, WriteProgramPage};
+use crate::program::{WriteProgramError, WriteReport, WriteState};
 use crate::random::Random;
 use crate::sim::{Execute, Model, Plc};
 
@@ -26,6 +29,8 @@ struct Chances {
     refused: u64,
     /// The link has sent it twice: it was done the first time, and refused the second.
     repeated: u64,
+    /// STOP or RUN is refused.
+    disobeyed: u64,
     /// Somebody else sets the PLC running.
     started: u64,
 }
@@ -94,6 +99,9 @@ impl World {
                     self.execute(&WriteProgramPage::new(page, content)).map(|()| Told::Done)
                 }
             }
+            Step::Stop | Step::Run if self.happens(self.chances.disobeyed) => {
+                Err(refusal(Code::ControlPlc, ErrorCode::IllegalFormat))
+            }
             Step::Stop => self.execute(&ControlPlc::Stop).map(|()| Told::Done),
             Step::Run => {
                 self.runs += 1;
@@ -144,21 +152,23 @@ impl World {
         let program = self.new.clone();
         writing.begin(Goal::Write);
         self.before = self.holds();
-        for _ in 0..steps {
+        let mut steps = 0..steps;
+        loop {
             match writing.next() {
+                // Nobody can abandon it behind its last step.
                 Step::Done => return Some(Ok(writing.report())),
                 Step::Failed => return Some(Err(writing.failure())),
                 step => {
+                    // Abandoned with a request on its way: it is done, and nobody hears of it.
+                    let abandoned = steps.next().is_none();
                     let told = self.ask(step, &program);
+                    if abandoned {
+                        return None;
+                    }
                     writing.told(told);
                 }
             }
         }
-        // Abandoned with a request on its way: it is done, and nobody hears of it.
-        if !matches!(writing.next(), Step::Done | Step::Failed) {
-            let _ = self.ask(writing.next(), &program);
-        }
-        None
     }
 }
 
@@ -240,7 +250,8 @@ fn a_writing_without_faults_writes_what_differs_and_nothing_else() {
 fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the_next_run_ends_it() {
     let mut failures = 0;
     for seed in seeds(4000) {
-        let chances = Chances { lost: 40, unanswered: 40, spoilt: 20, refused: 10, repeated: 30, started: 0 };
+        let chances =
+            Chances { lost: 40, unanswered: 40, spoilt: 20, refused: 10, repeated: 30, disobeyed: 30, started: 0 };
         let mut world = World::new(seed, chances);
         let mut random = Random::new(!seed);
         let options = options(&mut random);
@@ -260,15 +271,18 @@ fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the
                     assert!(!one_process || report.running == expected, "seed {seed}: {report:?}");
                     break;
                 }
-                Some(Err(error)) => {
-                    failures += 1;
-                    expect(&world, &error);
-                    let holds = world.holds();
-                    let half = holds != world.old.pages() && holds != world.new.pages();
-                    assert!(!half || !one_process || error.is_half_written(), "seed {seed}: {error}");
-                }
+                Some(Err(_)) => failures += 1,
                 None => assert!(steps < MANY, "seed {seed}: a run has no end"),
             }
+            let state = writing.state();
+            expect(&world, &state);
+            let holds = world.holds();
+            for &page in &state.unwritten {
+                let before = world.before.get(usize::from(page));
+                assert_eq!(holds.get(usize::from(page)), before, "seed {seed}: page {page} was written: {state:?}");
+            }
+            let half = holds != world.old.pages() && holds != world.new.pages();
+            assert!(!half || !one_process || state.is_half_written(), "seed {seed}: {state}");
             // The process may be another one, which knows nothing of the first.
             if random.next().is_multiple_of(2) {
                 writing = Writing::new(world.new.clone(), options);
@@ -290,13 +304,13 @@ fn a_plc_that_others_start_is_stopped_again_or_the_error_does_not_say_that_it_is
         // Until it is done, or somebody has stopped it often enough.
         for _ in 0..4 {
             let Some(Err(error)) = world.run(&mut writing, MANY) else { break };
-            expect(&world, &error);
-            if error.is_half_written() {
+            expect(&world, &error.state);
+            if error.state.is_half_written() {
                 // It is looked at before it is left alone, or the error says that it could not be.
                 assert!(world.looked, "seed {seed}: {error}");
-                assert!(error.plc != PlcState::Stopped || !world.plc.is_running(), "seed {seed}: {error}");
+                assert!(error.state.plc != PlcState::Stopped || !world.plc.is_running(), "seed {seed}: {error}");
                 // It takes as many STOP as needed: five that are lost or undone are too rare to be seen here.
-                assert_ne!(error.plc, PlcState::Running, "seed {seed}: {error}");
+                assert_ne!(error.state.plc, PlcState::Running, "seed {seed}: {error}");
             }
             set_running += usize::from(matches!(*error.source, ProgramError::SetRunning));
         }
@@ -325,32 +339,34 @@ fn a_plc_that_is_started_when_all_is_written_is_stopped_again_too() {
                 }
             }
         };
-        assert!(matches!(*error.source, ProgramError::SetRunning) && error.whole, "{error}");
-        assert_eq!((error.plc, world.plc.is_running()), (PlcState::Stopped, false));
+        assert!(matches!(*error.source, ProgramError::SetRunning) && error.state.whole, "{error}");
+        assert_eq!((error.state.plc, world.plc.is_running()), (PlcState::Stopped, false));
         assert!(error.to_string().ends_with("; the program is written, and the PLC is stopped"), "{error}");
     }
 }
 
-/// What an error says must be so.
-fn expect(world: &World, error: &WriteProgramError) {
+/// What is said of how far it came must be so.
+fn expect(world: &World, state: &WriteState) {
     let seed = world.seed;
-    match error.plc {
+    match state.plc {
         PlcState::Stopped => {
-            assert!(world.started_since || !world.plc.is_running(), "seed {seed}: {error}");
+            assert!(world.started_since || !world.plc.is_running(), "seed {seed}: {state}");
         }
-        PlcState::Running => assert!(world.plc.is_running(), "seed {seed}: {error}"),
+        PlcState::Running => assert!(world.plc.is_running(), "seed {seed}: {state}"),
         PlcState::Unknown => {}
     }
     let holds = world.holds();
-    assert!(holds == world.before || error.whole || error.is_half_written(), "seed {seed}: {error}");
-    assert!(!error.whole || holds == world.new.pages(), "seed {seed}: {error}");
-    for &page in &error.written {
-        assert_eq!(holds.get(usize::from(page)), world.new.page(page), "seed {seed}: {error}");
+    assert!(holds == world.before || state.whole || state.is_half_written(), "seed {seed}: {state}");
+    assert!(!state.whole || holds == world.new.pages(), "seed {seed}: {state}");
+    for &page in &state.written {
+        assert_eq!(holds.get(usize::from(page)), world.new.page(page), "seed {seed}: {state}");
     }
     for page in (0..PAGES).filter(|&page| holds.get(usize::from(page)) != world.new.page(page)) {
         // Nothing is known of the pages before they have been compared.
-        let known = error.unwritten.contains(&page) || error.written.is_empty() && error.in_doubt.is_none();
-        assert!(known, "seed {seed}: page {page} differs, and the error does not say so: {error:?}");
+        let known = state.unwritten.contains(&page)
+            || state.in_doubt == Some(page)
+            || state.written.is_empty() && state.in_doubt.is_none();
+        assert!(known, "seed {seed}: page {page} differs, and it is not said: {state:?}");
     }
 }
 
@@ -379,7 +395,18 @@ fn a_page_that_changes_behind_the_back_is_found_when_all_are_verified() {
         match (changed, end) {
             (Some(page), Err(error)) => {
                 let ProgramError::Differs { pages } = &*error.source else { panic!("seed {seed}: {error}") };
-                assert_eq!((pages, error.whole, error.plc), (&vec![page], false, PlcState::Stopped), "seed {seed}");
+                assert_eq!(
+                    (pages, error.state.whole, error.state.plc),
+                    (&vec![page], false, PlcState::Stopped),
+                    "seed {seed}"
+                );
+                assert_eq!(error.state.unwritten, vec![page], "seed {seed}");
+                assert!(!error.state.written.contains(&page), "seed {seed}: {error}");
+                let mut all = world.old.differing_pages(&world.new);
+                all.retain(|&other| other != page);
+                let mut written = error.state.written.clone();
+                written.sort_unstable();
+                assert_eq!(written, all, "seed {seed}");
                 assert_eq!(world.runs, 0);
                 assert!(!world.plc.is_running());
             }
@@ -397,7 +424,7 @@ fn what_does_not_fit_is_refused_before_anything_is_changed() {
     let error = |world: &mut World, program: &Program, options: WriteOptions| {
         let mut writing = Writing::new(program.clone(), options);
         let error = world.run(&mut writing, MANY).unwrap().unwrap_err();
-        assert_eq!((&error.written, error.in_doubt, error.plc), (&vec![], None, PlcState::Running));
+        assert_eq!((&error.state.written, error.state.in_doubt, error.state.plc), (&vec![], None, PlcState::Running));
         assert!(world.plc.is_running() && world.holds() == world.old.pages());
         error.to_string()
     };
@@ -405,7 +432,7 @@ fn what_does_not_fit_is_refused_before_anything_is_changed() {
     let stop = WriteOptions::new().stop_first();
     assert_eq!(
         error(&mut world, &new, WriteOptions::new()),
-        "the PLC runs: stop it first, or choose `WriteOptions::stop_first`; nothing was written, and the PLC runs"
+        "the PLC runs: stop it first, or have it stopped; nothing was written, and the PLC runs"
     );
     let mut bytes = new.to_bytes();
     bytes[1] = b'M';
@@ -432,9 +459,12 @@ fn a_plc_that_refuses_to_run_has_the_program_and_is_stopped() {
         let mut writing = Writing::new(world.new.clone(), WriteOptions::new().stop_first().run_again());
         let error = world.run(&mut writing, MANY).unwrap().unwrap_err();
         assert!(matches!(*error.source, ProgramError::RunRefused { error } if error == code), "{error}");
-        assert!(error.whole && !error.is_half_written() && error.plc == PlcState::Stopped, "{error:?}");
+        assert!(
+            error.state.whole && !error.state.is_half_written() && error.state.plc == PlcState::Stopped,
+            "{error:?}"
+        );
         assert_eq!((world.holds(), world.runs, world.plc.is_running()), (world.new.pages().to_vec(), 1, false));
-        assert!(error.to_string().ends_with("; the program is written, and the PLC is stopped"), "{error}");
+        assert!(error.to_string().ends_with("; the program is written, and the PLC ran before and is stopped now"));
         // It still knows that it ran, once the reason is gone.
         world.plc.refuse_run(None);
         let report = world.run(&mut writing, MANY).unwrap().unwrap();

@@ -47,7 +47,8 @@ pub(crate) struct ProgramReadArgs {
 /// Write the program in a file to the PLC: the pages that differ
 ///
 /// Asks before anything is changed; where there is no terminal, --yes must be given. Each page is read back and compared.
-/// If it ends in the middle, the PLC is left stopped; the same command again writes the rest.
+/// If it ends in the middle, by Ctrl-C too, the PLC is left stopped; the same command again writes the rest. With --dry-run it
+/// ends as it would without, also where it would be refused, but changes nothing.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   fatek program write pump.program --dry-run --link tcp://192.168.2.3 --station 1
