@@ -5,7 +5,9 @@ mod process;
 
 use std::fs;
 
-use self::process::{Folder, Ran, Sim, fatek};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use self::process::{Fake, Folder, Ran, Sim, fatek};
 
 /// A program of 640 words: pages 3 and 7 hold something.
 fn raw_program() -> Vec<u8> {
@@ -72,12 +74,13 @@ fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
 
     let refused = program(&sim, &["write", "--raw", &raw, "--yes"]);
     assert_eq!(refused.status, 7, "{refused:?}");
-    assert!(refused.stderr.contains("the PLC runs: stop it first"), "{refused:?}");
+    assert!(refused.stderr.contains("the PLC runs, and nothing was written: stop it first"), "{refused:?}");
     assert!(runs());
 
     let written = program(&sim, &["write", "--raw", &raw, "--yes", "--stop", "--run", "--all", "--verify"]);
     assert!(written.stderr.contains("11 of 11 pages written and compared; the PLC runs\n"), "{written:?}");
     assert!(written.stderr.contains("\nverifying: 11 of 11, 1408 bytes"), "{written:?}");
+    assert!(!written.stderr.contains("comparing"), "{written:?}");
     assert!(runs());
 
     let written = program(&sim, &["write", "--raw", &old, "-y", "--stop"]);
@@ -86,6 +89,163 @@ fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
         "{written:?}"
     );
     assert!(!runs());
+    let same = program(&sim, &["write", "--raw", &old, "-y", "-n"]);
+    assert!(same.stderr.ends_with("\n0 of 11 pages would be written\n"), "{same:?}");
+    let same = program(&sim, &["write", "--raw", &old, "-y"]);
+    assert!(
+        same.stderr.ends_with("\nall 11 pages were the same: nothing was written; the PLC is stopped\n"),
+        "{same:?}"
+    );
+}
+
+#[test]
+fn a_dry_run_is_that_of_the_options_and_is_refused_where_the_writing_would_be() {
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-dry"));
+    let raw = folder.file("new.bin");
+    fs::write(&raw, raw_program()).unwrap();
+    let dry =
+        |args: &[&str]| program(&sim, &[&["write", "--raw", &raw, "--dry-run", "--format", "csv"], args].concat());
+    let all = dry(&["--all"]);
+    assert!(
+        all.stderr.ends_with("11 of 11 pages would be written; the PLC is stopped, and would stay so\n"),
+        "{all:?}"
+    );
+    assert_eq!(all.ok(), "page\n0\n1\n2\n3\n4\n5\n6\n7\n8\n9\n10\n");
+
+    sim.fatek(&["run"]).ok();
+    let refused = dry(&["--all"]);
+    let real = program(&sim, &["write", "--raw", &raw, "--yes", "--all"]);
+    assert_eq!((refused.status, refused.stdout.as_str()), (7, ""), "{refused:?}");
+    assert_eq!((real.status, &real.stderr), (refused.status, &refused.stderr));
+    assert!(
+        refused
+            .stderr
+            .ends_with("error: the PLC runs, and nothing was written: stop it first, or have it stopped with --stop\n"),
+        "{refused:?}"
+    );
+    for (args, would) in [(&["--stop"][..], "stopped and stay so"), (&["--stop", "--run"], "stopped and run again")] {
+        let dry = dry(args);
+        let said = format!("2 of 11 pages would be written; the PLC runs, and would be {would}\n");
+        assert!(dry.stderr.ends_with(&said), "{dry:?}");
+        assert_eq!(dry.ok(), "page\n3\n7\n");
+    }
+    assert!(sim.fatek(&["status", "--format", "csv"]).ok().contains("brief,running,true"));
+    assert_eq!(program(&sim, &["verify", "--raw", &raw]).status, 7, "nothing was written");
+
+    let other = Sim::start(&["--ladder-words", "1280"]);
+    let misfit = |how| program(&other, &["write", "--raw", &raw, how]);
+    let (dry, real) = (misfit("--dry-run"), misfit("--yes"));
+    assert_eq!((dry.status, &dry.stderr), (7, &real.stderr), "{real:?}");
+    assert!(dry.stderr.contains("a ladder of 640 words, and the PLC one of 1280"), "{dry:?}");
+}
+
+/// Whether this is a request with this command.
+fn is(request: &[u8], command: &[u8; 2]) -> bool {
+    request.get(3..5) == Some(command)
+}
+
+/// How often such a request was received.
+fn count(received: &[u8], command: &[u8; 2]) -> usize {
+    received.split(|&byte| byte == 0x02).filter(|request| request.get(2..4) == Some(command)).count()
+}
+
+#[test]
+#[cfg(unix)]
+fn a_writing_that_is_interrupted_tells_which_pages_are_written_and_how_to_go_on() {
+    use self::process::interrupted;
+
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-interrupted"));
+    let raw = folder.file("new.bin");
+    fs::write(&raw, raw_program()).unwrap();
+    sim.fatek(&["run"]).ok();
+    let pages = AtomicUsize::new(0);
+    // The fourth page is written, and not answered.
+    let plc = Fake::before(&sim, move |request| !is(request, b"50") || pages.fetch_add(1, Ordering::Relaxed) < 3);
+    let write = ["program", "write", "--raw", &raw, "--yes", "--all", "--stop", "--run"];
+    let (status, said) = interrupted(&plc, &write, |received| count(received, b"50") == 4);
+    assert_eq!(status, 1, "{said}");
+    assert!(
+        said.ends_with(
+            "error: interrupted: 3 of the 11 pages that differ are written (1-3), page 4 perhaps, and the PLC ran before \
+             and is stopped now: write the rest before it runs; the same command again does that, and then `fatek run` \
+             runs it\n"
+        ),
+        "{said}"
+    );
+    assert!(sim.fatek(&["status", "--format", "csv"]).ok().contains("brief,running,false"));
+    let again = sim.fatek(&write);
+    assert!(again.stderr.ends_with("pages written and compared; the PLC is stopped\n"), "{again:?}");
+    program(&sim, &["verify", "--raw", &raw]).ok();
+    sim.fatek(&["run"]).ok();
+}
+
+#[test]
+#[cfg(unix)]
+fn a_reading_that_is_interrupted_leaves_the_file_as_it_was_and_nothing_beside_it() {
+    use self::process::interrupted;
+
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-read-interrupted"));
+    let file = folder.file("a.program");
+    fs::write(&file, "the old one").unwrap();
+    let pages = AtomicUsize::new(0);
+    let plc = Fake::before(&sim, move |request| !is(request, b"4F") || pages.fetch_add(1, Ordering::Relaxed) < 5);
+    let (status, said) = interrupted(&plc, &["program", "read", &file], |received| count(received, b"4F") == 6);
+    assert_eq!(status, 1, "{said}");
+    assert!(said.ends_with("error: interrupted: 5 pages were read; nothing is saved\n"), "{said}");
+    assert_eq!(fs::read_to_string(&file).unwrap(), "the old one");
+    assert_eq!(fs::read_dir(&folder.0).unwrap().count(), 1);
+}
+
+#[test]
+fn a_writing_goes_on_five_times_when_the_line_fails_and_then_no_more() {
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-five"));
+    let raw = folder.file("new.bin");
+    fs::write(&raw, raw_program()).unwrap();
+    // Of each run one page gets through, and then nothing until the next one begins.
+    let pages = AtomicUsize::new(0);
+    let plc = Fake::before(&sim, move |request| {
+        if is(request, b"53") {
+            pages.store(0, Ordering::Relaxed);
+        }
+        if is(request, b"50") {
+            pages.fetch_add(1, Ordering::Relaxed);
+        }
+        pages.load(Ordering::Relaxed) < 2
+    });
+    let write = ["--timeout", "50ms", "program", "write", "--raw", &raw, "--yes", "--all"];
+    let ran = plc.fatek(&write);
+    assert_eq!((ran.status, ran.stderr.matches("; going on\n").count()), (4, 5), "{ran:?}");
+    assert_eq!(count(&plc.received(), b"53"), 6, "{ran:?}");
+    let last = ran.stderr.lines().last().unwrap();
+    assert!(last.contains("1 of the 6 pages that differ are written (6), page 7 perhaps, and "), "{ran:?}");
+    assert!(last.ends_with("write the rest before it runs; the same command again does that"), "{ran:?}");
+
+    // Nothing gets through: there is no use in going on.
+    let sim = Sim::start(&["--ladder-words", "640"]);
+    let plc = Fake::before(&sim, |request| !is(request, b"50"));
+    let ran = plc.fatek(&write[..7]);
+    assert_eq!((ran.status, ran.stderr.matches("going on").count()), (4, 0), "{ran:?}");
+}
+
+#[test]
+fn where_nothing_can_be_saved_nothing_is_asked() {
+    let folder = Folder::new("program-nowhere");
+    let nobody = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat());
+    fs::write(folder.file("a"), "").unwrap();
+    for (file, message) in [
+        (folder.file("none/a"), "none/a: cannot make a new file in its folder: No such file"),
+        (folder.file("a/b"), "a/b: cannot find it: Not a directory"),
+        (folder.file("."), "this is not a regular file, and is left as it is"),
+    ] {
+        for args in [&["program", "read", &file][..], &["backup", &file, "R0-R9"]] {
+            // If anything were sent, the status would be 5.
+            let ran = nobody(args);
+            assert_eq!((ran.status, ran.stdout.as_str()), (1, ""), "{ran:?}");
+            assert!(ran.stderr.contains(message), "{ran:?}");
+        }
+    }
+    assert_eq!(nobody(&["program", "read", &folder.file("b")]).status, 5);
+    assert!(!fs::exists(folder.file("b")).unwrap());
 }
 
 #[test]
@@ -133,6 +293,10 @@ fn a_bad_file_is_refused_before_anything_is_sent_and_a_failed_reading_leaves_the
     assert_eq!(nobody.status, 5, "{nobody:?}");
     assert_eq!(fs::read(&file).unwrap(), good);
     assert_eq!(fatek(&["program", "info", &folder.file("none")]).status, 1);
+    fs::write(&file, raw_program()).unwrap();
+    let bare = fatek(&["program", "info", &file]);
+    assert_eq!(bare.status, 7, "{bare:?}");
+    assert!(bare.stderr.ends_with("; a file of bytes and nothing else is taken with --raw\n"), "{bare:?}");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
+use std::time::Duration;
 
 pub(crate) const FATEK: &str = env!("CARGO_BIN_EXE_fatek");
 
@@ -112,6 +113,26 @@ impl Fake {
         Self { url, seen }
     }
 
+    /// In front of a simulator: what it is asked and this lets pass is answered as the simulator does, and the rest is not.
+    pub(crate) fn before(sim: &Sim, pass: impl Fn(&[u8]) -> bool + Send + Sync + 'static) -> Self {
+        let plc = TcpStream::connect(sim.url.strip_prefix("tcp://").unwrap()).unwrap();
+        plc.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+        let plc = Mutex::new(plc);
+        Self::start(move |request| {
+            let mut reply = vec![];
+            if pass(request) {
+                let mut plc = plc.lock().unwrap();
+                plc.write_all(request).unwrap();
+                let mut byte = [0];
+                while reply.last() != Some(&0x03) {
+                    plc.read_exact(&mut byte).unwrap();
+                    reply.push(byte[0]);
+                }
+            }
+            reply
+        })
+    }
+
     fn serve(mut stream: TcpStream, seen: &Mutex<Seen>, reply: &dyn Fn(&[u8]) -> Vec<u8>) {
         let mut buffer = [0; 1024];
         while let Ok(len @ 1..) = stream.read(&mut buffer) {
@@ -136,6 +157,20 @@ impl Fake {
     pub(crate) fn received(&self) -> Vec<u8> {
         self.seen.lock().unwrap().received.clone()
     }
+}
+
+/// Runs the command line on this, interrupts it when the device has received something, and gives its status and complaints.
+#[cfg(unix)]
+pub(crate) fn interrupted(plc: &Fake, args: &[&str], when: impl Fn(&[u8]) -> bool) -> (i32, String) {
+    let mut command = Command::new(FATEK);
+    command.args(["--link", &plc.url, "--station", "1", "--timeout", "60s"]).args(args);
+    let child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    while !when(&plc.received()) {
+        thread::sleep(Duration::from_millis(5));
+    }
+    Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    let ended = child.wait_with_output().unwrap();
+    (ended.status.code().expect("no signal"), String::from_utf8(ended.stderr).unwrap())
 }
 
 /// A frame of the ASCII framing around this.
