@@ -71,6 +71,9 @@
 //! a failure:  LastLook (40) ── it runs ─▶ StopAgain (41) ⇄ (40) ─▶ Failed      nothing written, or no answer to it: Failed
 //! ```
 //!
+//! [`WriteProgram::compare`] and [`WriteProgram::dry_run`] end before Look. A dry run fails where the writing would; to a
+//! comparison it is no matter whether the PLC runs or has a ROM pack.
+//!
 //! What must always hold:
 //! - Nothing is written, and nothing is stopped, unless the program fits the PLC: size, kind, no ROM pack.
 //! - Nothing is written before the PLC's status has said that it is stopped.
