@@ -278,7 +278,6 @@ fn nothing_is_sent_without_a_yes_or_with_a_file_that_is_no_good() {
             .contains("R0-R100 is not wholly in one range of the backup")
     );
     assert!(nobody(&["backup", &file]).usage().contains("<RANGE>"));
-    assert!(nobody(&["backup", &folder.file("none/x"), "R0"]).usage().contains("x: there is no folder "));
     assert!(nobody(&["backup", &file, "R0-R9", "DR4"]).usage().contains("R0-R9 and DR4 share memory"));
     assert_eq!(nobody(&["restore", &file, "-y"]).status, 5);
     assert_eq!(nobody(&["backup", &file, "R0"]).status, 5);

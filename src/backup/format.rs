@@ -10,7 +10,7 @@ use super::{Backup, Missing, Origin};
 use crate::command::{BriefStatus, DetailedStatus, Value};
 use crate::element::{Element, Width};
 use crate::error::ErrorCode;
-use crate::file::{FormatError, Kind, Lines, frame, hex, parse_utc, unframe, utc};
+use crate::file::{FormatError, Kind, Lines, frame, hex, in_form, parse_utc, unframe, utc};
 use crate::tag::Tag;
 
 const BACKUP: Kind = Kind("backup");
@@ -29,14 +29,8 @@ pub(super) fn write(backup: &Backup) -> String {
 pub(super) fn read(file: &[u8]) -> Result<Backup, FormatError> {
     let text = unframe(BACKUP, file)?;
     let backup = parse(text)?;
-    let (again, mut lines) = (content(&backup), Lines::new(text));
-    for expected in again.lines() {
-        if lines.any_field()? != expected.split_once(' ') {
-            return Err(lines.error(format!("`{expected}` was expected")));
-        }
-    }
-    lines.end()?;
-    if again == text { Ok(backup) } else { Err(lines.error("the last line should end with a line feed")) }
+    in_form(text, &content(&backup))?;
+    Ok(backup)
 }
 
 fn content(backup: &Backup) -> String {
