@@ -1,0 +1,209 @@
+//! What is measured: each frame of two reads in both framings, and all that is done with it.
+
+use std::hint::black_box;
+
+use bytes::BytesMut;
+use fatek::command::{
+    Command, MAX_POINTS, MAX_UNITS, ReadDiscretes, ReadRegisters, decode_reply, encode_reply, encode_request,
+};
+use fatek::wire::{Codec, Frame, Framing, Side};
+use fatek::{Register, discrete, register};
+use tokio_util::codec::{Decoder, Encoder};
+
+use crate::limit;
+
+/// One thing that is done with one frame.
+pub(crate) struct Case {
+    framing: Framing,
+    read: Read,
+    /// Who sends the frame: a request comes from the client, a reply from the PLC.
+    sender: Side,
+    pub(crate) job: Job,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Read {
+    /// As many registers as one request takes.
+    Registers,
+    /// As many discretes as one request takes.
+    Discretes,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Job {
+    /// A [`Frame`] becomes bytes.
+    Encode,
+    /// Bytes, copied into the receive buffer, become a [`Frame`].
+    Decode,
+    /// What a client does: a command becomes the bytes of its request, or the bytes of a reply become values.
+    Client,
+    /// The bytes are copied, and their checksum is computed.
+    Limit,
+    /// The same, and the data of the reply is turned into values.
+    LimitOfValues,
+}
+
+impl Job {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Encode => "encode",
+            Self::Decode => "decode",
+            Self::Client => "client",
+            Self::Limit => "limit",
+            Self::LimitOfValues => "limit-of-values",
+        }
+    }
+}
+
+/// Warm buffers are as large as those of a link.
+const BUFFER: usize = 1024;
+const STATION: u8 = 1;
+const FIRST: Register = register!("R1000");
+
+impl Case {
+    pub(crate) fn all() -> impl Iterator<Item = Self> {
+        let frames = [Framing::Ascii, Framing::Binary].into_iter().flat_map(|framing| {
+            [Read::Registers, Read::Discretes]
+                .into_iter()
+                .flat_map(move |read| [Side::Client, Side::Plc].map(|sender| (framing, read, sender)))
+        });
+        let jobs = [Job::Encode, Job::Limit, Job::Decode, Job::Client, Job::LimitOfValues];
+        frames
+            .flat_map(move |(framing, read, sender)| jobs.map(|job| Self { framing, read, sender, job }))
+            .filter(|case| case.job != Job::LimitOfValues || case.sender == Side::Plc)
+    }
+
+    /// The frame, as its name.
+    pub(crate) fn group(&self) -> String {
+        let read = match self.read {
+            Read::Registers => "64-registers",
+            Read::Discretes => "256-discretes",
+        };
+        let frame = if self.sender == Side::Client { "request" } else { "reply" };
+        format!("{}/{read}-{frame}", self.framing)
+    }
+
+    /// How long the frame is.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.frame_bytes().len() as u64
+    }
+
+    /// What is measured. Buffers are warm, and what comes out has been looked at once.
+    pub(crate) fn work(&self) -> Box<dyn FnMut()> {
+        let framing = self.framing;
+        let bytes = self.frame_bytes();
+        let receiver = if self.sender == Side::Client { Side::Plc } else { Side::Client };
+        let mut codec = Codec::new(framing, receiver);
+        let mut buffer = BytesMut::with_capacity(BUFFER);
+        let mut copy = vec![0; bytes.len()];
+        match (self.job, self.sender, self.read) {
+            (Job::Encode, sender, _) => {
+                let mut codec_of_sender = Codec::new(framing, sender);
+                let frame = decode(&mut codec, &mut BytesMut::new(), &bytes);
+                assert_eq!(encode(&mut codec_of_sender, &mut buffer, &frame), bytes);
+                Box::new(move || {
+                    black_box(encode(&mut codec_of_sender, &mut buffer, black_box(&frame)));
+                })
+            }
+            (Job::Decode, ..) => Box::new(move || {
+                black_box(decode(&mut codec, &mut buffer, black_box(&bytes)));
+            }),
+            (Job::Client, Side::Client, Read::Registers) => Box::new(move || {
+                black_box(request(black_box(&registers()), framing, &mut buffer));
+            }),
+            (Job::Client, Side::Client, Read::Discretes) => Box::new(move || {
+                black_box(request(black_box(&discretes()), framing, &mut buffer));
+            }),
+            (Job::Client, Side::Plc, Read::Registers) => {
+                let mut reply = reply(registers(), codec, buffer, bytes);
+                assert_eq!(reply(), words());
+                Box::new(move || drop(black_box(reply())))
+            }
+            (Job::Client, Side::Plc, Read::Discretes) => {
+                let mut reply = reply(discretes(), codec, buffer, bytes);
+                assert_eq!(reply(), states());
+                Box::new(move || drop(black_box(reply())))
+            }
+            (Job::Limit, ..) => Box::new(move || {
+                assert!(limit::copy_and_check(framing, black_box(&bytes), &mut copy));
+                black_box(&copy);
+            }),
+            (Job::LimitOfValues, _, Read::Registers) => {
+                let mut values = [0; MAX_UNITS];
+                assert!(limit::registers(framing, &bytes, &mut values) && values == words());
+                Box::new(move || {
+                    assert!(limit::copy_and_check(framing, black_box(&bytes), &mut copy));
+                    assert!(limit::registers(framing, black_box(&copy), &mut values));
+                    black_box(&values);
+                })
+            }
+            (Job::LimitOfValues, _, Read::Discretes) => {
+                let mut values = [false; MAX_POINTS];
+                assert!(limit::discretes(framing, &bytes, &mut values) && values == states());
+                Box::new(move || {
+                    assert!(limit::copy_and_check(framing, black_box(&bytes), &mut copy));
+                    assert!(limit::discretes(framing, black_box(&copy), &mut values));
+                    black_box(&values);
+                })
+            }
+        }
+    }
+
+    fn frame_bytes(&self) -> Vec<u8> {
+        let (framing, mut bytes) = (self.framing, BytesMut::new());
+        match (self.read, self.sender) {
+            (Read::Registers, Side::Client) => return request(&registers(), framing, &mut bytes).into(),
+            (Read::Discretes, Side::Client) => return request(&discretes(), framing, &mut bytes).into(),
+            (Read::Registers, Side::Plc) => {
+                encode_reply(&registers(), Ok(&words().into()), framing, STATION, &mut bytes);
+            }
+            (Read::Discretes, Side::Plc) => {
+                encode_reply(&discretes(), Ok(&states().into()), framing, STATION, &mut bytes);
+            }
+        }
+        bytes.into()
+    }
+}
+
+fn encode<'a>(codec: &mut Codec, buffer: &'a mut BytesMut, frame: &Frame) -> &'a [u8] {
+    buffer.clear();
+    codec.encode(frame, buffer).expect("a good frame");
+    buffer
+}
+
+fn decode(codec: &mut Codec, buffer: &mut BytesMut, bytes: &[u8]) -> Frame {
+    buffer.extend_from_slice(bytes);
+    let item = codec.decode(buffer).expect("no error");
+    item.and_then(|item| item.frame()).expect("a good frame")
+}
+
+fn request<'a>(command: &impl Command, framing: Framing, buffer: &'a mut BytesMut) -> &'a [u8] {
+    buffer.clear();
+    encode_request(command, framing, STATION, buffer).expect("a good request");
+    buffer
+}
+
+fn reply<C: Command>(command: C, mut codec: Codec, mut buffer: BytesMut, bytes: Vec<u8>) -> impl FnMut() -> C::Reply {
+    move || {
+        let frame = decode(&mut codec, &mut buffer, black_box(&bytes));
+        decode_reply(black_box(&command), codec.framing(), &frame.data).expect("a good reply")
+    }
+}
+
+fn registers() -> ReadRegisters<Register> {
+    ReadRegisters::new(FIRST, MAX_UNITS).expect("a good request")
+}
+
+fn discretes() -> ReadDiscretes {
+    ReadDiscretes::new(discrete!("M100"), MAX_POINTS).expect("a good request")
+}
+
+/// What the registers hold: all digits.
+fn words() -> [u16; MAX_UNITS] {
+    std::array::from_fn(|n| (n as u16).wrapping_mul(0x9E37))
+}
+
+/// What the discretes hold.
+fn states() -> [bool; MAX_POINTS] {
+    std::array::from_fn(|n| n.wrapping_mul(0x9E37) & 0x40 != 0)
+}

@@ -1,0 +1,53 @@
+//! How long the codecs take for the largest reads, and how far that is from a plain copy and a checksum of the same
+//! bytes: the figures of docs/PERFORMANCE.md.
+//!
+//! ```text
+//! cargo bench --bench codec
+//! FATEK_CODEC_CASE=ascii/64-registers-reply/decode FATEK_CODEC_TIMES=1000 cargo bench --bench codec
+//! ```
+//!
+//! The second does one thing so many times and nothing else, for tools that count instructions. `docs/performance/codec.py`
+//! does both for all of them.
+
+mod cases;
+mod limit;
+
+use std::time::Duration;
+
+use criterion::{Criterion, Throughput};
+
+use self::cases::Case;
+
+fn main() {
+    match std::env::var("FATEK_CODEC_CASE") {
+        Ok(id) => repeat(&id),
+        Err(_) => {
+            let mut criterion = Criterion::default()
+                .warm_up_time(Duration::from_millis(300))
+                .measurement_time(Duration::from_secs(1))
+                .nresamples(10_000)
+                .configure_from_args();
+            measure(&mut criterion);
+            criterion.final_summary();
+        }
+    }
+}
+
+fn measure(criterion: &mut Criterion) {
+    for case in Case::all() {
+        let mut group = criterion.benchmark_group(case.group());
+        group.throughput(Throughput::Bytes(case.bytes()));
+        let mut work = case.work();
+        group.bench_function(case.job.name(), |b| b.iter(&mut work));
+        group.finish();
+    }
+}
+
+fn repeat(id: &str) {
+    let case = Case::all().find(|case| format!("{}/{}", case.group(), case.job.name()) == id);
+    let mut work = case.unwrap_or_else(|| panic!("there is no case {id}")).work();
+    let times = std::env::var("FATEK_CODEC_TIMES").map_or(1000, |times| times.parse().expect("a number of times"));
+    for _ in 0_u32..times {
+        work();
+    }
+}
