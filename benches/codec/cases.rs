@@ -108,12 +108,18 @@ impl Case {
             (Job::Decode, ..) => Box::new(move || {
                 black_box(decode(&mut codec, &mut buffer, black_box(&bytes)));
             }),
-            (Job::Client, Side::Client, Read::Registers) => Box::new(move || {
-                black_box(request(black_box(&registers()), framing, &mut buffer));
-            }),
-            (Job::Client, Side::Client, Read::Discretes) => Box::new(move || {
-                black_box(request(black_box(&discretes()), framing, &mut buffer));
-            }),
+            (Job::Client, Side::Client, Read::Registers) => {
+                let command = registers();
+                Box::new(move || {
+                    black_box(request(black_box(&command), framing, &mut buffer));
+                })
+            }
+            (Job::Client, Side::Client, Read::Discretes) => {
+                let command = discretes();
+                Box::new(move || {
+                    black_box(request(black_box(&command), framing, &mut buffer));
+                })
+            }
             (Job::Client, Side::Plc, Read::Registers) => {
                 let mut reply = reply(registers(), codec, buffer, bytes);
                 assert_eq!(reply(), words());

@@ -1,4 +1,4 @@
-use super::{Code, Command, InvalidRequest, limits};
+use super::{Code, Command, InvalidRequest, blank, limits};
 use crate::element::Discrete;
 use crate::wire::{FieldError, FieldReader, FieldWriter};
 
@@ -65,14 +65,15 @@ impl Command for WriteDiscretes {
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.count(self.states.len());
         fields.element(self.first.into());
-        self.states.iter().for_each(|&state| fields.bit(state));
+        fields.bits(&self.states);
     }
 
     fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
         let count = fields.count()?;
         fields.layout(1, count)?;
         let first = fields.element()?.try_into()?;
-        let states = (0..count).map(|_| fields.bit()).collect::<Result<Vec<_>, _>>()?;
+        let mut states = blank(count);
+        fields.bits(&mut states)?;
         Ok(Self::new(first, states)?)
     }
 
@@ -133,11 +134,13 @@ macro_rules! read_states {
             }
 
             fn write_reply<W: FieldWriter>(&self, reply: &Vec<bool>, fields: &mut W) {
-                reply.iter().for_each(|&state| fields.bit(state));
+                fields.bits(reply);
             }
 
             fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Vec<bool>, FieldError> {
-                (0..self.count).map(|_| fields.bit()).collect()
+                let mut states = blank(self.count);
+                fields.bits(&mut states)?;
+                Ok(states)
             }
         }
     };

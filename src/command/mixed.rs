@@ -109,7 +109,11 @@ impl Command for ReadMixed {
     }
 
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Vec<Value>, FieldError> {
-        self.elements.iter().map(|element| fields.value(element.width())).collect()
+        let mut values = Vec::with_capacity(self.elements.len());
+        for element in &self.elements {
+            values.push(fields.value(element.width())?);
+        }
+        Ok(values)
     }
 
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {

@@ -83,6 +83,13 @@ pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
     }
 }
 
+/// So many values, for others to be read into. Not with `vec!`, for memory that comes zeroed takes allocators longer.
+fn blank<T: Clone + Default>(count: usize) -> Vec<T> {
+    let mut values = Vec::with_capacity(count);
+    values.resize(count, T::default());
+    values
+}
+
 mod sealed {
     use super::*;
 

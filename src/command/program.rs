@@ -140,13 +140,11 @@ impl Command for WriteProgramPage {
 }
 
 fn write_page(page: &ProgramPage, fields: &mut impl FieldWriter) {
-    page.words.iter().for_each(|&word| fields.word(word));
+    fields.words(&page.words);
 }
 
 fn read_page(fields: &mut impl FieldReader) -> Result<ProgramPage, FieldError> {
     let mut words = [0; PAGE_WORDS];
-    for word in &mut words {
-        *word = fields.word()?;
-    }
+    fields.words(&mut words)?;
     Ok(ProgramPage { words })
 }

@@ -1,6 +1,6 @@
 use std::fmt;
 
-use super::{Code, Command, InvalidRequest, Value, limits};
+use super::{Code, Command, InvalidRequest, Value, blank, limits};
 use crate::element::{Element, ElementError, Register, Register32};
 use crate::wire::{FieldError, FieldReader, FieldWriter};
 
@@ -18,39 +18,39 @@ pub trait RegisterElement:
     + 'static
 {
     /// What it holds.
-    type Value: Copy + fmt::Debug + PartialEq + Eq + std::hash::Hash + Into<Value> + Send + Sync + 'static;
+    type Value: Copy + Default + fmt::Debug + PartialEq + Eq + std::hash::Hash + Into<Value> + Send + Sync + 'static;
 
-    /// Puts a value behind the fields.
-    fn write<W: FieldWriter>(value: Self::Value, fields: &mut W);
+    /// Puts values behind the fields.
+    fn write<W: FieldWriter>(values: &[Self::Value], fields: &mut W);
 
-    /// Takes a value.
+    /// Takes as many values as there is room for.
     ///
     /// # Errors
     /// [`FieldError::Truncated`], [`FieldError::NotHex`].
-    fn read<R: FieldReader>(fields: &mut R) -> Result<Self::Value, FieldError>;
+    fn read<R: FieldReader>(fields: &mut R, into: &mut [Self::Value]) -> Result<(), FieldError>;
 }
 
 impl RegisterElement for Register {
     type Value = u16;
 
-    fn write<W: FieldWriter>(value: u16, fields: &mut W) {
-        fields.word(value);
+    fn write<W: FieldWriter>(values: &[u16], fields: &mut W) {
+        fields.words(values);
     }
 
-    fn read<R: FieldReader>(fields: &mut R) -> Result<u16, FieldError> {
-        fields.word()
+    fn read<R: FieldReader>(fields: &mut R, into: &mut [u16]) -> Result<(), FieldError> {
+        fields.words(into)
     }
 }
 
 impl RegisterElement for Register32 {
     type Value = u32;
 
-    fn write<W: FieldWriter>(value: u32, fields: &mut W) {
-        fields.double(value);
+    fn write<W: FieldWriter>(values: &[u32], fields: &mut W) {
+        fields.doubles(values);
     }
 
-    fn read<R: FieldReader>(fields: &mut R) -> Result<u32, FieldError> {
-        fields.double()
+    fn read<R: FieldReader>(fields: &mut R, into: &mut [u32]) -> Result<(), FieldError> {
+        fields.doubles(into)
     }
 }
 
@@ -106,11 +106,13 @@ impl<E: RegisterElement> Command for ReadRegisters<E> {
     }
 
     fn write_reply<W: FieldWriter>(&self, reply: &Vec<E::Value>, fields: &mut W) {
-        reply.iter().for_each(|&value| E::write(value, fields));
+        E::write(reply, fields);
     }
 
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Vec<E::Value>, FieldError> {
-        (0..self.count).map(|_| E::read(fields)).collect()
+        let mut values = blank(self.count);
+        E::read(fields, &mut values)?;
+        Ok(values)
     }
 }
 
@@ -157,14 +159,15 @@ impl<E: RegisterElement> Command for WriteRegisters<E> {
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.count(self.values.len());
         fields.element(self.first.into());
-        self.values.iter().for_each(|&value| E::write(value, fields));
+        E::write(&self.values, fields);
     }
 
     fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
         let count = fields.count()?;
         fields.layout(1, count)?;
         let first = fields.element()?.try_into()?;
-        let values = (0..count).map(|_| E::read(fields)).collect::<Result<Vec<_>, _>>()?;
+        let mut values = blank(count);
+        E::read(fields, &mut values)?;
         Ok(Self::new(first, values)?)
     }
 

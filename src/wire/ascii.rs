@@ -11,11 +11,12 @@
 
 use std::io;
 
-use bytes::{BufMut, Bytes, BytesMut};
+use bytes::{Buf, BufMut, BytesMut};
 use tokio_util::codec::{Decoder, Encoder};
 
 use super::field::{FieldError, FieldReader, FieldWriter};
 use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received};
+use super::{bulk, hex};
 use crate::element::{Element, ElementError, LONGEST_SYMBOL, Symbol};
 
 /// The start code.
@@ -94,12 +95,13 @@ impl Decoder for AsciiCodec {
             None => return Ok(None),
             Some(&STX) => {}
             Some(_) => {
-                let garbage = position(src, 0, |b| b == STX).unwrap_or(src.len());
+                let garbage = memchr::memchr(STX, src).unwrap_or(src.len());
                 return Ok(Some(self.discard(src, garbage, Discard::Garbage)));
             }
         }
         // The data of a frame holds neither code, so the first of them ends this frame one way or the other.
-        let mark = position(src, self.scanned.max(1), |b| b == STX || b == ETX);
+        let from = self.scanned.max(1);
+        let mark = memchr::memchr2(STX, ETX, src.get(from..).unwrap_or_default()).map(|at| at.saturating_add(from));
         let end = mark.unwrap_or(src.len());
         if end >= self.max_frame_len {
             return Ok(Some(self.discard(src, end, Discard::TooLong)));
@@ -112,9 +114,13 @@ impl Decoder for AsciiCodec {
             return Ok(Some(self.discard(src, mark, Discard::Truncated)));
         }
         self.scanned = 0;
-        let bytes = src.split_to(mark.saturating_add(1)).freeze();
+        let mut bytes = src.split_to(mark.saturating_add(1)).freeze();
         Ok(Some(match parse(&bytes) {
-            Ok(frame) => Received::Frame(frame),
+            Ok((station, command)) => {
+                bytes.truncate(bytes.len().saturating_sub(TAIL));
+                bytes.advance(bytes.len().min(HEAD));
+                Received::Frame(Frame { station, command, data: bytes })
+            }
             Err(reason) => Received::Discarded { reason, bytes },
         }))
     }
@@ -139,6 +145,7 @@ impl Encoder<&Frame> for AsciiCodec {
             return Err(EncodeError::TooLong { len, max: self.max_frame_len });
         }
         check_printable(&frame.data)?;
+        dst.reserve(len);
         emit(dst, frame.station, frame.command, |fields| fields.raw(&frame.data));
         Ok(())
     }
@@ -155,29 +162,31 @@ impl Encoder<Frame> for AsciiCodec {
 /// Appends a frame whose data the closure writes.
 pub(crate) fn emit(dst: &mut BytesMut, station: u8, command: u8, data: impl FnOnce(&mut AsciiWriter<'_>)) {
     let start = dst.len();
-    let mut writer = AsciiWriter { dst };
-    writer.dst.put_u8(STX);
-    writer.byte(station);
-    writer.byte(command);
-    data(&mut writer);
-    let sum = lrc(writer.dst.get(start..).unwrap_or_default());
-    writer.byte(sum);
-    writer.dst.put_u8(ETX);
+    let ([s1, s0], [c1, c0]) = (hex::of_byte(station), hex::of_byte(command));
+    dst.put_slice(&[STX, s1, s0, c1, c0]);
+    data(&mut AsciiWriter { dst });
+    let [l1, l0] = hex::of_byte(lrc(dst.get(start..).unwrap_or_default()));
+    dst.put_slice(&[l1, l0, ETX]);
 }
 
 /// Only printable characters can stand between STX and ETX: the two codes end the frame, and a line of 7 data bits
 /// drops the eighth.
 pub(crate) fn check_printable(data: &[u8]) -> Result<(), EncodeError> {
-    match data.iter().position(|b| !(0x20..=0x7E).contains(b)) {
-        None => Ok(()),
-        Some(position) => {
-            Err(EncodeError::NotPrintable { byte: data.get(position).copied().unwrap_or_default(), position })
-        }
+    let printable = |byte: &u8| (0x20..=0x7E).contains(byte);
+    // Without a way out in the middle: nearly always all are.
+    if data.iter().fold(true, |all, byte| all & printable(byte)) {
+        return Ok(());
     }
+    let position = data.iter().position(|byte| !printable(byte)).unwrap_or_default();
+    Err(EncodeError::NotPrintable { byte: data.get(position).copied().unwrap_or_default(), position })
 }
 
-/// All of a frame but its data: STX, station, command, LRC, ETX.
-pub(crate) const OVERHEAD: usize = 8;
+/// STX, station and command.
+const HEAD: usize = 5;
+/// LRC and ETX.
+const TAIL: usize = 3;
+/// All of a frame but its data.
+pub(crate) const OVERHEAD: usize = HEAD + TAIL;
 
 /// The low byte of the sum.
 #[must_use]
@@ -185,23 +194,14 @@ pub fn lrc(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0, |sum, &byte| sum.wrapping_add(byte))
 }
 
-/// Reads one whole frame, STX to ETX.
-fn parse(bytes: &Bytes) -> Result<Frame, Discard> {
-    let body_len = bytes.len().checked_sub(3).ok_or(Discard::Malformed)?;
+/// Reads station and command of one whole frame, STX to ETX, whose checksum is right.
+fn parse(bytes: &[u8]) -> Result<(u8, u8), Discard> {
+    let body_len = bytes.len().checked_sub(TAIL).ok_or(Discard::Malformed)?;
     let (body, tail) = bytes.split_at_checked(body_len).ok_or(Discard::Malformed)?;
     let mut header = AsciiReader::new(body.get(1..).unwrap_or_default());
-    let station = header.byte().map_err(|_| Discard::Malformed)?;
-    let command = header.byte().map_err(|_| Discard::Malformed)?;
+    let [station, command] = header.word().map_err(|_| Discard::Malformed)?.to_be_bytes();
     let stated = AsciiReader::new(tail).byte().map_err(|_| Discard::BadChecksum)?;
-    if stated != lrc(body) {
-        return Err(Discard::BadChecksum);
-    }
-    Ok(Frame { station, command, data: bytes.slice(5..body_len) })
-}
-
-fn position(bytes: &[u8], from: usize, found: impl Fn(u8) -> bool) -> Option<usize> {
-    let at = bytes.get(from..)?.iter().position(|&b| found(b))?;
-    from.checked_add(at)
+    if stated == lrc(body) { Ok((station, command)) } else { Err(Discard::BadChecksum) }
 }
 
 /// Writes fields as characters.
@@ -225,34 +225,43 @@ impl FieldWriter for AsciiWriter<'_> {
 
     fn code(&mut self, code: u8) {
         // A code that has no digit of its own must not look like another one, least of all like 0.
-        self.dst.put_u8(digit(code.min(0x0F)));
+        self.dst.put_u8(hex::digit(code.min(0x0F)));
     }
 
     fn byte(&mut self, byte: u8) {
-        self.dst.put_slice(&[digit(byte >> 4), digit(byte & 0x0F)]);
+        self.dst.put_slice(&hex::of_byte(byte));
     }
 
     fn word(&mut self, word: u16) {
-        let [high, low] = word.to_be_bytes();
-        self.dst.put_slice(&[digit(high >> 4), digit(high & 0x0F), digit(low >> 4), digit(low & 0x0F)]);
+        self.dst.put_slice(&hex::of_word(word));
     }
 
     fn double(&mut self, double: u32) {
-        for byte in double.to_be_bytes() {
-            self.byte(byte);
-        }
+        self.dst.put_slice(&hex::of_double(double));
     }
 
     fn element(&mut self, element: Element) {
-        self.dst.put_slice(element.symbol().as_str().as_bytes());
-        let mut divisor = 10_u32.pow(u32::try_from(element.symbol().digits()).unwrap_or_default());
-        let mut address = u32::from(element.address());
-        while divisor > 1 {
-            address = address.checked_rem(divisor).unwrap_or_default();
-            divisor = divisor.checked_div(10).unwrap_or_default();
-            let value = address.checked_div(divisor).unwrap_or_default();
-            self.dst.put_u8(digit(u8::try_from(value).unwrap_or_default()));
+        let symbol = element.symbol();
+        let mut digits = [b'0'; LONGEST_ADDRESS];
+        let mut address = element.address();
+        for digit in digits.iter_mut().rev() {
+            *digit = hex::digit(u8::try_from(address % 10).unwrap_or_default());
+            address /= 10;
         }
+        self.dst.put_slice(symbol.as_str().as_bytes());
+        self.dst.put_slice(digits.get(LONGEST_ADDRESS.saturating_sub(symbol.digits())..).unwrap_or_default());
+    }
+
+    fn bits(&mut self, bits: &[bool]) {
+        bulk::put(self.dst, bits, |bit| [b'0' | u8::from(bit)]);
+    }
+
+    fn words(&mut self, words: &[u16]) {
+        bulk::put(self.dst, words, hex::of_word);
+    }
+
+    fn doubles(&mut self, doubles: &[u32]) {
+        bulk::put(self.dst, doubles, hex::of_double);
     }
 
     fn raw(&mut self, bytes: &[u8]) {
@@ -273,10 +282,34 @@ impl<'a> AsciiReader<'a> {
         Self { data }
     }
 
-    fn character(&mut self) -> Result<u8, FieldError> {
-        let (&first, rest) = self.data.split_first().ok_or(FieldError::Truncated)?;
-        self.data = rest;
-        Ok(first)
+    /// The next `N` characters, which must be digits.
+    fn digits<const N: usize>(&mut self) -> Result<[u8; N], FieldError> {
+        match self.data.split_first_chunk() {
+            Some((digits, rest)) if hex::are_digits(digits) => {
+                self.data = rest;
+                Ok(*digits)
+            }
+            _ => Err(self.not_digits(N)),
+        }
+    }
+
+    /// Why the next characters are not so many digits.
+    fn not_digits(&self, count: usize) -> FieldError {
+        let first = self.data.iter().take(count).find(|character| !character.is_ascii_hexdigit());
+        first.map_or(FieldError::Truncated, |&character| FieldError::NotHex(character))
+    }
+
+    /// Takes as many values as there is room for, each of `N` digits.
+    fn values<T, const N: usize>(&mut self, into: &mut [T], value: impl Fn([u8; N]) -> T) -> Result<(), FieldError> {
+        let count = into.len().saturating_mul(N);
+        match self.data.split_at_checked(count) {
+            Some((digits, rest)) if hex::are_digits(digits) => {
+                self.data = rest;
+                bulk::fill(into, digits, value);
+                Ok(())
+            }
+            _ => Err(self.not_digits(count)),
+        }
     }
 }
 
@@ -289,21 +322,40 @@ impl FieldReader for AsciiReader<'_> {
     }
 
     fn code(&mut self) -> Result<u8, FieldError> {
-        let character = self.character()?;
-        hex(character).ok_or(FieldError::NotHex(character))
+        let [digit] = self.digits()?;
+        Ok(hex::value(digit))
     }
 
     fn byte(&mut self) -> Result<u8, FieldError> {
-        let high = self.code()?;
-        Ok(high << 4 | self.code()?)
+        self.digits().map(hex::byte)
     }
 
     fn word(&mut self) -> Result<u16, FieldError> {
-        Ok(u16::from_be_bytes([self.byte()?, self.byte()?]))
+        self.digits().map(hex::word)
     }
 
     fn double(&mut self) -> Result<u32, FieldError> {
-        Ok(u32::from_be_bytes([self.byte()?, self.byte()?, self.byte()?, self.byte()?]))
+        self.digits().map(hex::double)
+    }
+
+    fn bits(&mut self, into: &mut [bool]) -> Result<(), FieldError> {
+        if let Some((bits, rest)) = self.data.split_at_checked(into.len())
+            && bits.iter().fold(0, |all, bit| all | bit ^ b'0') <= 1
+        {
+            self.data = rest;
+            bulk::fill(into, bits, |[bit]| bit & 1 == 1);
+            return Ok(());
+        }
+        // One by one, the first that is wrong says why.
+        into.iter_mut().try_for_each(|bit| self.bit().map(|value| *bit = value))
+    }
+
+    fn words(&mut self, into: &mut [u16]) -> Result<(), FieldError> {
+        self.values(into, hex::word)
+    }
+
+    fn doubles(&mut self, into: &mut [u32]) -> Result<(), FieldError> {
+        self.values(into, hex::double)
     }
 
     fn layout(&mut self, _elements: usize, _values: usize) -> Result<(), FieldError> {
@@ -337,16 +389,8 @@ impl FieldReader for AsciiReader<'_> {
     }
 }
 
-fn digit(value: u8) -> u8 {
-    match value {
-        0..=9 => b'0'.wrapping_add(value),
-        _ => b'A'.wrapping_add(value.wrapping_sub(10)),
-    }
-}
-
-fn hex(character: u8) -> Option<u8> {
-    char::from(character).to_digit(16).and_then(|d| u8::try_from(d).ok())
-}
+/// The digits of the longest address.
+const LONGEST_ADDRESS: usize = 5;
 
 #[cfg(test)]
 mod tests;

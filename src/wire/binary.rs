@@ -17,7 +17,7 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use super::field::{FieldError, FieldReader, FieldWriter};
 use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received, Side};
-use super::readings;
+use super::{bulk, readings};
 use crate::element::Element;
 
 /// The first byte of a query.
@@ -154,6 +154,7 @@ impl Encoder<&Frame> for BinaryCodec {
         if len > max {
             return Err(EncodeError::TooLong { len, max });
         }
+        dst.reserve(len);
         emit(dst, self.side, frame.station, frame.command, |fields| fields.raw(&frame.data));
         Ok(())
     }
@@ -183,9 +184,9 @@ pub(crate) fn emit(dst: &mut BytesMut, side: Side, station: u8, command: u8, dat
     if let Some(field) = dst.get_mut(length_field..).and_then(|tail| tail.first_chunk_mut()) {
         *field = length;
     }
-    let crc = crc(dst.get(length_field..).unwrap_or_default());
-    dst.put_u16_le(crc);
-    dst.put_slice(&TERMINATOR);
+    let [low, high] = crc(dst.get(length_field..).unwrap_or_default()).to_le_bytes();
+    let [end, of_frame] = TERMINATOR;
+    dst.put_slice(&[low, high, end, of_frame]);
 }
 
 /// CRC-16/MODBUS.
@@ -298,6 +299,18 @@ impl FieldWriter for BinaryWriter<'_> {
         self.dst.put_u16(element.address());
     }
 
+    fn bits(&mut self, bits: &[bool]) {
+        bulk::put(self.dst, bits, |bit| [u8::from(bit)]);
+    }
+
+    fn words(&mut self, words: &[u16]) {
+        bulk::put(self.dst, words, u16::to_be_bytes);
+    }
+
+    fn doubles(&mut self, doubles: &[u32]) {
+        bulk::put(self.dst, doubles, u32::to_be_bytes);
+    }
+
     fn raw(&mut self, bytes: &[u8]) {
         self.dst.put_slice(bytes);
     }
@@ -322,6 +335,14 @@ impl<'a> BinaryReader<'a> {
         let (taken, rest) = self.data.split_first_chunk().ok_or(FieldError::Truncated)?;
         self.data = rest;
         Ok(*taken)
+    }
+
+    /// Takes as many values as there is room for, each of `N` bytes.
+    fn values<T, const N: usize>(&mut self, into: &mut [T], value: impl Fn([u8; N]) -> T) -> Result<(), FieldError> {
+        let (taken, rest) = self.data.split_at_checked(into.len().saturating_mul(N)).ok_or(FieldError::Truncated)?;
+        self.data = rest;
+        bulk::fill(into, taken, value);
+        Ok(())
     }
 }
 
@@ -348,6 +369,26 @@ impl FieldReader for BinaryReader<'_> {
 
     fn double(&mut self) -> Result<u32, FieldError> {
         Ok(u32::from_be_bytes(self.take()?))
+    }
+
+    fn bits(&mut self, into: &mut [bool]) -> Result<(), FieldError> {
+        if let Some((bits, rest)) = self.data.split_at_checked(into.len())
+            && bits.iter().fold(0, |all, bit| all | bit) <= 1
+        {
+            self.data = rest;
+            bulk::fill(into, bits, |[bit]| bit & 1 == 1);
+            return Ok(());
+        }
+        // One by one, the first that is wrong says why.
+        into.iter_mut().try_for_each(|bit| self.bit().map(|value| *bit = value))
+    }
+
+    fn words(&mut self, into: &mut [u16]) -> Result<(), FieldError> {
+        self.values(into, u16::from_be_bytes)
+    }
+
+    fn doubles(&mut self, into: &mut [u32]) -> Result<(), FieldError> {
+        self.values(into, u32::from_be_bytes)
     }
 
     fn layout(&mut self, elements: usize, values: usize) -> Result<(), FieldError> {

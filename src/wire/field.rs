@@ -34,6 +34,21 @@ pub trait FieldWriter {
         self.code(u8::from(on));
     }
 
+    /// Several [bits](Self::bit).
+    fn bits(&mut self, bits: &[bool]) {
+        bits.iter().for_each(|&bit| self.bit(bit));
+    }
+
+    /// Several [words](Self::word).
+    fn words(&mut self, words: &[u16]) {
+        words.iter().for_each(|&word| self.word(word));
+    }
+
+    /// Several [doubles](Self::double).
+    fn doubles(&mut self, doubles: &[u32]) {
+        doubles.iter().for_each(|&double| self.double(double));
+    }
+
     /// A value, as wide as it is.
     fn value(&mut self, value: Value) {
         match value {
@@ -46,7 +61,8 @@ pub trait FieldWriter {
 
 /// Takes fields out of the data of a frame, in the order they stand.
 ///
-/// Every method fails rather than guess; after a failure the position is unspecified.
+/// Every method fails rather than guess; after a failure the position is unspecified, and so is what several values were
+/// read into.
 pub trait FieldReader {
     /// A number of items: 1 to 255, and 0 which means 256.
     ///
@@ -102,6 +118,30 @@ pub trait FieldReader {
             1 => Ok(true),
             other => Err(FieldError::NotABit(other)),
         }
+    }
+
+    /// As many bits as there is room for.
+    ///
+    /// # Errors
+    /// Those of [`bit`](Self::bit).
+    fn bits(&mut self, into: &mut [bool]) -> Result<(), FieldError> {
+        into.iter_mut().try_for_each(|bit| self.bit().map(|value| *bit = value))
+    }
+
+    /// As many words as there is room for.
+    ///
+    /// # Errors
+    /// Those of [`word`](Self::word).
+    fn words(&mut self, into: &mut [u16]) -> Result<(), FieldError> {
+        into.iter_mut().try_for_each(|word| self.word().map(|value| *word = value))
+    }
+
+    /// As many doubles as there is room for.
+    ///
+    /// # Errors
+    /// Those of [`double`](Self::double).
+    fn doubles(&mut self, into: &mut [u32]) -> Result<(), FieldError> {
+        into.iter_mut().try_for_each(|double| self.double().map(|value| *double = value))
     }
 
     /// A value of this width.

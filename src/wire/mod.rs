@@ -22,9 +22,11 @@
 
 pub mod ascii;
 pub mod binary;
+mod bulk;
 mod codec;
 mod field;
 mod frame;
+mod hex;
 mod readings;
 
 pub use ascii::{AsciiCodec, AsciiReader, AsciiWriter};

@@ -1,3 +1,5 @@
+use bytes::Bytes;
+
 use super::*;
 
 /// The status query of the manuals.
