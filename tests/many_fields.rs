@@ -136,7 +136,7 @@ impl Book<'_> {
 
 impl FieldReader for Book<'_> {
     fn count(&mut self) -> Result<usize, FieldError> {
-        unimplemented!()
+        unreachable!("it is not compared")
     }
 
     fn code(&mut self) -> Result<u8, FieldError> {
@@ -163,11 +163,11 @@ impl FieldReader for Book<'_> {
     }
 
     fn layout(&mut self, _elements: usize, _values: usize) -> Result<(), FieldError> {
-        unimplemented!()
+        unreachable!("it is not compared")
     }
 
     fn element(&mut self) -> Result<Element, FieldError> {
-        unimplemented!()
+        unreachable!("it is not compared")
     }
 
     fn rest(&mut self) -> &[u8] {
@@ -193,7 +193,7 @@ impl Scribe<'_> {
 
 impl FieldWriter for Scribe<'_> {
     fn count(&mut self, _count: usize) {
-        unimplemented!()
+        unreachable!("it is not compared")
     }
 
     fn code(&mut self, code: u8) {
@@ -213,10 +213,10 @@ impl FieldWriter for Scribe<'_> {
     }
 
     fn element(&mut self, _element: Element) {
-        unimplemented!()
+        unreachable!("it is not compared")
     }
 
     fn raw(&mut self, _bytes: &[u8]) {
-        unimplemented!()
+        unreachable!("it is not compared")
     }
 }

@@ -23,9 +23,10 @@ fn main() {
         Ok(id) => repeat(&id),
         Err(_) => {
             let mut criterion = Criterion::default()
-                .warm_up_time(Duration::from_millis(300))
-                .measurement_time(Duration::from_secs(1))
-                .nresamples(10_000)
+                .warm_up_time(Duration::from_millis(100))
+                .measurement_time(Duration::from_millis(400))
+                .sample_size(50)
+                .nresamples(2000)
                 .configure_from_args();
             measure(&mut criterion);
             criterion.final_summary();
