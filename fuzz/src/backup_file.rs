@@ -1,0 +1,17 @@
+//! Backups in files: one backup has one form, and anything else is refused.
+
+use fatek::Backup;
+
+use crate::saved;
+
+pub fn run(input: &[u8]) {
+    let file = saved::file("backup", input);
+    match Backup::from_file(&file) {
+        Ok(backup) => {
+            assert_eq!(backup.to_file().as_bytes(), file);
+            assert_eq!(backup.elements().count(), backup.element_count());
+            assert!(backup.value_count() <= backup.element_count());
+        }
+        Err(error) => assert_ne!(error.to_string(), ""),
+    }
+}

@@ -1,0 +1,127 @@
+//! Requests and replies as data: a request that is read is sent as it came, in either framing; a reply that is taken for
+//! one to a request is, encoded again, the very data that came.
+
+use bytes::{Bytes, BytesMut};
+use fatek::command::{Code, Command, ErrorField, InvalidRequest, ReplyError, Request, decode_reply, encode_reply};
+use fatek::wire::{Frame, Framing};
+
+use crate::book::carried;
+use crate::input::{Flags, Input};
+
+const STATION: u8 = 1;
+
+/// Which bit of the first byte chooses what.
+const BINARY: u8 = 0;
+const ACCEPTED: u8 = 1;
+
+/// The input: choices, command, how long the request's data is, that data, the reply's data.
+pub fn run(input: &[u8]) {
+    let mut input = Input::new(input);
+    let flags = Flags(input.byte());
+    let framing = if flags.has(BINARY) { Framing::Binary } else { Framing::Ascii };
+    let command = match input.byte() {
+        any @ 0x80.. => any & 0x7F,
+        index => u8::from(Code::ALL[usize::from(index) % Code::ALL.len()]),
+    };
+    let len = usize::from(input.byte()) << u8::from(flags.has(7));
+    let data = Bytes::copy_from_slice(input.take(len));
+    let mut reply = input.rest().to_vec();
+    if flags.has(ACCEPTED) {
+        // Past the error code, where most bytes would end.
+        reply.insert(0, if framing == Framing::Ascii { b'0' } else { 0 });
+    }
+    let frame = Frame { station: STATION, command, data };
+    if let Ok(request) = Request::decode(&frame, framing) {
+        is_sent_as_it_came(&request, &frame, framing);
+        is_understood(&request, &reply, framing);
+    }
+}
+
+fn is_sent_as_it_came(request: &Request, frame: &Frame, framing: Framing) {
+    assert_eq!(u8::from(request.code()), frame.command);
+    for to in [framing, other(framing)] {
+        let mut encoded = BytesMut::new();
+        match request.encode(to, STATION, &mut encoded) {
+            Ok(()) => {
+                let again = carried(to, &encoded);
+                assert_eq!(Request::decode(&again, to).as_ref(), Ok(request), "{frame:?} in {to}");
+                assert!(to != framing || same(framing, &again.data, &frame.data), "{frame:?} was sent as {again:?}");
+            }
+            Err(InvalidRequest::NotInFraming { .. }) => assert_ne!(to, framing),
+            // What came over a line of 8 bits, or in the other framing.
+            Err(InvalidRequest::NotPrintable { .. }) => {
+                assert_eq!((to, request.code()), (Framing::Ascii, Code::LoopBack))
+            }
+            Err(InvalidRequest::Ambiguous { .. }) => assert_eq!((to, framing), (Framing::Binary, Framing::Ascii)),
+            Err(error) => panic!("{frame:?}: {error}"),
+        }
+        assert!(encoded.len() <= 1024);
+    }
+}
+
+/// Panics unless the client takes the data for a reply, or a refusal, of this request.
+pub(crate) fn is_a_reply(request: &Request, data: &[u8], framing: Framing) {
+    assert!(is_understood(request, data, framing), "{request:?} was answered with {data:?}");
+}
+
+/// Whether the data is taken for a reply, or a refusal.
+fn is_understood(request: &Request, data: &[u8], framing: Framing) -> bool {
+    macro_rules! each {
+        ($($command:ident),*) => {
+            match request {
+                $(Request::$command(command) => understood(command, data, framing),)*
+                other => panic!("a request that no target knows: {other:?}"),
+            }
+        };
+    }
+    each!(
+        ReadStatus,
+        ControlPlc,
+        ControlDiscrete,
+        ReadDisabled,
+        ReadDiscretes,
+        WriteDiscretes,
+        ReadRegisters,
+        ReadRegisters32,
+        WriteRegisters,
+        WriteRegisters32,
+        ReadMixed,
+        WriteMixed,
+        LoopBack,
+        ReadProgramPage,
+        WriteProgramPage,
+        ReadDetailedStatus
+    )
+}
+
+fn understood<C: Command>(request: &C, data: &[u8], framing: Framing) -> bool {
+    let reply = decode_reply(request, framing, data);
+    let encoded = match &reply {
+        Ok(reply) => Ok(reply),
+        Err(ReplyError::Plc(error)) => Err(*error),
+        Err(ReplyError::Mismatch(_)) => return false,
+        Err(error) => panic!("{error}"),
+    };
+    let mut frame = BytesMut::new();
+    encode_reply(request, encoded, framing, STATION, &mut frame);
+    let again = carried(framing, &frame);
+    // Of a program page (4F) there are two forms; the one with the digit is what is sent.
+    let digit_missing = C::CODE.error_field() == ErrorField::ByLength && again.data.len() == data.len() + 1;
+    let came = if digit_missing { &again.data[1..] } else { &again.data[..] };
+    assert!(same(framing, came, data), "{request:?}: {reply:?} came as {data:?}");
+    match (decode_reply(request, framing, &again.data), reply) {
+        (Ok(again), Ok(reply)) => assert_eq!(again, reply),
+        (Err(ReplyError::Plc(again)), Err(ReplyError::Plc(error))) => assert_eq!(again, error),
+        (again, _) => panic!("{request:?}: {again:?}"),
+    }
+    true
+}
+
+/// The same bytes; in ASCII, digits may be of either case.
+fn same(framing: Framing, one: &[u8], other: &[u8]) -> bool {
+    if framing == Framing::Ascii { one.eq_ignore_ascii_case(other) } else { one == other }
+}
+
+fn other(framing: Framing) -> Framing {
+    if framing == Framing::Ascii { Framing::Binary } else { Framing::Ascii }
+}

@@ -1,0 +1,62 @@
+//! The simulator's side: whatever comes, a PLC answers good frames to its own number, each once, with something that the
+//! client understands, and nothing else.
+
+use bytes::BytesMut;
+use fatek::command::Request;
+use fatek::sim::{Bus, Plc};
+use fatek::wire::{Codec, Frame, Framing, MAX_FRAME_LEN, Received, Side};
+use tokio_util::codec::Decoder;
+
+use crate::input::{Flags, Input};
+use crate::repair::repair;
+
+/// Which bit of the first byte chooses what.
+const REPAIR: u8 = 0;
+const BINARY: u8 = 1;
+
+/// The PLCs on the line.
+const STATIONS: [u8; 2] = [1, 2];
+
+pub fn run(input: &[u8]) {
+    let mut input = Input::new(input);
+    let flags = Flags(input.byte());
+    let framing = if flags.has(BINARY) { Framing::Binary } else { Framing::Ascii };
+    let mut bytes = input.rest().to_vec();
+    if flags.has(REPAIR) {
+        repair(framing, &mut bytes);
+    }
+    let bus = STATIONS.iter().fold(Bus::new(), |bus, &station| bus.with_station(station, Plc::new()).unwrap());
+    let mut codec = Codec::new(framing, Side::Plc);
+    let mut received = BytesMut::from(&bytes[..]);
+    while let Some(item) = codec.decode_eof(&mut received).unwrap() {
+        let mut reply = BytesMut::new();
+        bus.answer(&item, framing, &mut reply);
+        assert!(reply.len() <= MAX_FRAME_LEN);
+        match item {
+            Received::Frame(frame) if STATIONS.contains(&frame.station) => is_a_reply(&frame, framing, reply),
+            item => assert!(reply.is_empty(), "{item:?} was answered"),
+        }
+    }
+}
+
+fn is_a_reply(request: &Frame, framing: Framing, mut reply: BytesMut) {
+    let mut client = Codec::new(framing, Side::Client);
+    let Some(Received::Frame(frame)) = client.decode(&mut reply).unwrap() else {
+        panic!("{request:?} was answered with no frame");
+    };
+    assert!(reply.is_empty(), "one frame for one frame");
+    assert_eq!((frame.station, frame.command), (request.station, request.command));
+    match Request::decode(request, framing) {
+        Ok(request) => crate::reply::is_a_reply(&request, &frame.data, framing),
+        Err(fault) => {
+            // Refused, with the code that belongs to the fault.
+            let code = u8::from(fault.error_code());
+            let said = match (&frame.data[..], framing) {
+                (&[code], Framing::Binary) => code,
+                (&[digit], _) => char::from(digit).to_digit(16).and_then(|code| u8::try_from(code).ok()).unwrap(),
+                (data, _) => panic!("{request:?}, which is none ({fault}), was answered with {data:?}"),
+            };
+            assert_eq!(said, code);
+        }
+    }
+}

@@ -1,0 +1,57 @@
+//! Tags, and values for them, as people write them.
+
+use fatek::Value;
+use fatek::tag::{Assignment, Tag, TagType};
+
+use crate::text::round_trip;
+
+pub fn run(input: &[u8]) {
+    let text = String::from_utf8_lossy(input);
+    round_trip::<TagType>(&text);
+    let name = text.split('=').next().unwrap_or_default();
+    if let Some(tag) = round_trip::<Tag>(name) {
+        assert_eq!(tag.elements().count(), tag.element_count());
+        assert_eq!(tag.value_count() * tag.elements_per_value(), tag.element_count());
+        // A long tag takes long to read, and says nothing new.
+        if tag.element_count() <= 64 {
+            any_memory_is_a_value(tag, input);
+        }
+    }
+    // NaN is not equal to itself, so the values are compared by the memory that they stand for.
+    let Ok(assignment) = text.parse::<Assignment>() else { return };
+    let printed = assignment.to_string();
+    match printed.parse::<Assignment>() {
+        Ok(again) => assert_eq!(again.encode(), assignment.encode(), "`{text}` prints as `{printed}`"),
+        Err(error) => panic!("`{text}` prints as `{printed}`, and that is not parsed: {error}"),
+    }
+    let tag = assignment.tag();
+    assert_eq!(tag.encode(assignment.values()), Ok(assignment.encode()));
+    assert_eq!(assignment.encode().len(), tag.element_count());
+}
+
+/// Whatever stands in the elements has a value, and the value leads back to it: whatever the scale if it is an integer,
+/// and bit by bit if there is no scale, but for which NaN it is.
+fn any_memory_is_a_value(tag: Tag, bytes: &[u8]) {
+    let mut bytes = bytes.iter().rev().copied().chain(std::iter::repeat(0));
+    let mut next = || bytes.next().unwrap_or_default();
+    let raw: Vec<Value> = tag
+        .elements()
+        .map(|element| match element.width().units() {
+            2 => Value::Double(u32::from_be_bytes([next(), next(), next(), next()])),
+            _ if element.width() == fatek::Width::Bit => Value::Bit(next() & 1 == 1),
+            _ => Value::Word(u16::from_be_bytes([next(), next()])),
+        })
+        .collect();
+    let values = tag.decode(&raw).unwrap();
+    let exact = tag.tag_type() != TagType::F32;
+    match tag.encode(&values) {
+        Ok(again) if exact => assert_eq!(again, raw, "{tag}: {values:?}"),
+        Ok(again) => assert_eq!(again.len(), raw.len()),
+        Err(error) => assert!(!exact, "{tag}: {values:?}: {error}"),
+    }
+    if exact {
+        let assignment = Assignment::new(tag, values).unwrap();
+        let printed = assignment.to_string();
+        assert_eq!(printed.parse::<Assignment>().map(|again| again.encode()), Ok(raw), "{printed}");
+    }
+}
