@@ -1,1 +1,25 @@
-pub fn run(_: &[u8]) {}
+//! A link, its callers and the other end of its line, driven by the input in paused time: what the link does is held
+//! against the model of `tests/model`.
+
+use fatek::wire::Framing;
+
+#[path = "../../tests/model/ear.rs"]
+mod ear;
+#[path = "../../tests/model/op.rs"]
+mod op;
+#[path = "../../tests/model/spec.rs"]
+mod spec;
+#[path = "../../tests/model/world.rs"]
+mod world;
+
+/// As many as give the fuzzer room, and no more: each takes as long as a whole input of another target.
+const MAX_STEPS: usize = 64;
+
+pub fn run(input: &[u8]) {
+    let mut bytes = input.iter().copied();
+    let framing = if bytes.next().unwrap_or_default() & 1 == 0 { Framing::Ascii } else { Framing::Binary };
+    let ops: Vec<op::Op> = std::iter::from_fn(|| op::Op::from_bytes(&mut bytes)).take(MAX_STEPS).collect();
+    if let Err(broken) = world::run(framing, u64::from(framing == Framing::Binary), &ops) {
+        panic!("{broken}\n{ops:#?}");
+    }
+}

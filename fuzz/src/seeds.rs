@@ -102,6 +102,21 @@ pub fn backup_file() -> Vec<Vec<u8>> {
     contents.chain([[b"\0", backups[0].as_bytes()].concat()]).collect()
 }
 
+/// A framing, then steps: calls, answers of many kinds, silence and lost connections.
 pub fn link() -> Vec<Vec<u8>> {
-    vec![vec![0]]
+    let runs: [&[u8]; 8] = [
+        &[0, 1, 0, 4],
+        &[0, 1, 12, 1, 0, 4, 4],
+        // Nobody answers, then somebody does.
+        &[0, 1, 3, 12, 50, 4, 4, 4],
+        // Late, doubled, begun and ended, spoilt.
+        &[0, 1, 0, 12, 26, 6, 1, 4, 0x57, 1, 0x67, 5, 9, 0x47, 1],
+        &[0, 1, 2, 13, 4, 1, 2, 14, 4],
+        &[0, 15, 1, 0, 12, 40, 0x2F, 12, 40, 4],
+        // Until the station is offline, and back.
+        &[0, 1, 3, 12, 100, 1, 1, 12, 20, 4, 1, 0, 4],
+        // An echo that was not expected, and then is.
+        &[0, 1, 0, 10, 4, 1, 24, 10, 4, 1, 0, 10, 4],
+    ];
+    runs.iter().flat_map(|run| [run.to_vec(), [&[1], &run[1..]].concat()]).collect()
 }

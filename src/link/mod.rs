@@ -329,12 +329,14 @@ impl Link {
             let after = queued_at.elapsed();
             Err(Error::Timeout { station, code, after, sent: completion.abandon() })
         });
+        // Before its time is up, a call times out because a station is silent, and what the connection does is another matter.
+        let expired = Instant::now() >= deadline;
         match (result, &*self.shared.state.borrow()) {
             // The time was spent on trying to connect: that is what the caller wants to know.
-            (Err(Error::Timeout { sent: false, .. }), LinkState::Down { error }) => {
+            (Err(Error::Timeout { sent: false, .. }), LinkState::Down { error }) if expired => {
                 Err(self.connect_error(error.clone()))
             }
-            (Err(Error::Timeout { sent: false, .. }), LinkState::Waiting) => {
+            (Err(Error::Timeout { sent: false, .. }), LinkState::Waiting) if expired => {
                 let reason = "too many other connections were to be opened before it";
                 Err(self.connect_error(Arc::new(io::Error::new(io::ErrorKind::TimedOut, reason))))
             }

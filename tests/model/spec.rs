@@ -1,0 +1,717 @@
+//! What a link may do, said as simply as it can be: the rules of docs/DESIGN.md ("The link"), docs/GUARANTEES.md and the
+//! protocol reference, and nothing of how the link does it.
+//!
+//! It is told what happens, in order: what callers want, what is on the wire, how calls end. Each event is allowed or an
+//! error that names the rule. Times are in microseconds; the link's timers fire at whole milliseconds.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use fatek::wire::{Framing, Side};
+
+use super::ear::{Ear, Heard};
+use crate::book::{carried, framed};
+
+pub(crate) type Micros = u64;
+pub(crate) type Id = usize;
+
+/// The link's settings.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rules {
+    pub(crate) framing: Framing,
+    /// The response timeout where a call has no other.
+    pub(crate) timeout: Micros,
+    /// How long a line may take to settle after something spoilt.
+    pub(crate) settle: Micros,
+    pub(crate) offline_after: u32,
+    pub(crate) probe_interval: (Micros, Micros),
+    /// The pause after a probe, in times of what it took.
+    pub(crate) probe_pause: u64,
+    pub(crate) queue: usize,
+    /// The longest pause before connecting again.
+    pub(crate) backoff: Micros,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Call {
+    pub(crate) station: u8,
+    /// 0 control, 1 write, 2 read: that is the order, and calls of one keep theirs.
+    pub(crate) lane: usize,
+    pub(crate) request: Vec<u8>,
+    pub(crate) retries: u32,
+    pub(crate) timeout: Micros,
+    pub(crate) deadline: Micros,
+}
+
+/// What a call ends with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum End {
+    /// With these registers; none for a write or a control command.
+    Done(Vec<u16>),
+    Refused {
+        code: u8,
+        repeated: bool,
+    },
+    Timeout {
+        sent: bool,
+    },
+    BadReply {
+        sent: bool,
+    },
+    Offline {
+        sent: bool,
+    },
+    Disconnected {
+        sent: bool,
+    },
+    NotConnected,
+    QueueFull,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) enum Event {
+    Called(Id, Call),
+    Cancelled(Id),
+    Ended(Id, End),
+    Connecting,
+    Connected,
+    NotConnected,
+    Lost,
+    /// The link wrote this.
+    Wrote(Vec<u8>),
+    /// The link was writing this when the connection was lost.
+    WroteInVain(Vec<u8>),
+    /// The link was to read this.
+    Read(Vec<u8>),
+}
+
+#[derive(Debug)]
+pub(crate) struct Spec {
+    rules: Rules,
+    calls: BTreeMap<Id, State>,
+    waiting: BTreeMap<u8, [VecDeque<Id>; 3]>,
+    /// The call whose barrier has just been passed: it goes before all others.
+    cleared: Option<Id>,
+    wire: Option<Wire>,
+    stations: BTreeMap<u8, Station>,
+    nonces: BTreeSet<Vec<u8>>,
+    ear: Ear,
+    echo: Echo,
+    up: bool,
+    connecting: bool,
+    /// Since when a call has been waiting for an attempt to connect.
+    unconnected_since: Option<Micros>,
+    no_probe_before: Micros,
+}
+
+#[derive(Debug)]
+struct State {
+    call: Call,
+    retries_left: u32,
+    sends: u32,
+    /// What it must end with, and has not yet.
+    due: Option<End>,
+    over: bool,
+}
+
+#[derive(Debug)]
+struct Wire {
+    goal: Goal,
+    station: u8,
+    /// The call that is on the wire or waits for what is.
+    call: Option<Id>,
+    request: Vec<u8>,
+    command: u8,
+    data: Vec<u8>,
+    sent: Micros,
+    give_up: Micros,
+    /// As far as the deadline can move while a frame comes in.
+    limit: Micros,
+    /// Whether the station has its whole response timeout.
+    whole: bool,
+    fault: bool,
+    doubtful: bool,
+    echoed: bool,
+    noise: usize,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Goal {
+    Call,
+    Barrier,
+    /// A status request, to learn whether the line echoes.
+    Learn,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Echo {
+    Absent,
+    Present,
+    Unknown,
+}
+
+#[derive(Debug, Default)]
+struct Station {
+    dirty: bool,
+    /// When it refused the barrier, or sent anything after that.
+    refused: Option<Micros>,
+    timeouts: u32,
+    offline: Option<Probe>,
+    /// The longest response timeout that it was ever given.
+    allowed: Micros,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Probe {
+    at: Micros,
+    interval: Micros,
+}
+
+/// What the data of a frame is to a request.
+enum Fit {
+    Reply(Vec<u16>),
+    Refusal(u8),
+    None,
+}
+
+type Verdict = Result<(), String>;
+
+impl Spec {
+    pub(crate) fn new(rules: Rules) -> Self {
+        Self {
+            rules,
+            calls: BTreeMap::new(),
+            waiting: BTreeMap::new(),
+            cleared: None,
+            wire: None,
+            stations: BTreeMap::new(),
+            nonces: BTreeSet::new(),
+            ear: Ear::new(rules.framing),
+            echo: Echo::Absent,
+            up: false,
+            connecting: false,
+            unconnected_since: None,
+            no_probe_before: 0,
+        }
+    }
+
+    /// Something has happened.
+    pub(crate) fn observe(&mut self, at: Micros, event: Event) -> Verdict {
+        self.pass(at);
+        match event {
+            Event::Called(id, call) => self.called(id, call, at),
+            Event::Cancelled(id) => self.calls.get_mut(&id).into_iter().for_each(|state| state.over = true),
+            Event::Ended(id, end) => return self.ended(id, end, at),
+            Event::Connecting => return self.connecting(at),
+            Event::Connected => self.connected(at),
+            Event::NotConnected => self.connecting = false,
+            Event::Lost => self.lost(at),
+            Event::Wrote(bytes) => return self.wrote(bytes, true, at),
+            Event::WroteInVain(bytes) => {
+                self.wrote(bytes, false, at)?;
+                self.lost(at);
+            }
+            Event::Read(bytes) => self.read(&bytes, at),
+        }
+        Ok(())
+    }
+
+    /// All that had to happen by now has.
+    pub(crate) fn settled(&mut self, at: Micros) -> Verdict {
+        self.pass(at);
+        for (id, state) in &self.calls {
+            match &state.due {
+                _ if state.over => {}
+                Some(due) => return Err(format!("call {id} has not ended, and must with {due:?}")),
+                None if at >= whole_ms(state.call.deadline) => return Err(format!("call {id} is past its deadline")),
+                None => {}
+            }
+        }
+        let ready = |station: &u8| self.stations.get(station).is_none_or(|s| s.refused.is_none());
+        let waits = self.waiting.keys().filter(|&station| ready(station)).find_map(|&station| self.front(station, at));
+        if let (Some(id), true, None) = (waits, self.up, &self.wire) {
+            return Err(format!("call {id} waits, and nothing is on the wire"));
+        }
+        if waits.is_none() || self.up || self.connecting {
+            self.unconnected_since = None;
+        } else if at > *self.unconnected_since.get_or_insert(at) + self.rules.backoff + 1000 {
+            return Err("a call waits, and no connection is opened".to_owned());
+        }
+        Ok(())
+    }
+
+    pub(crate) fn is_over(&self) -> bool {
+        self.calls.values().all(|state| state.over)
+    }
+
+    fn called(&mut self, id: Id, call: Call, at: Micros) {
+        let (station, lane, retries_left) = (call.station, call.lane, call.retries);
+        let full = self.waiting.get(&station).is_some_and(|lanes| {
+            lanes.iter().flatten().filter(|id| self.is_wanted(**id, at)).count() >= self.rules.queue
+        });
+        let due = match self.stations.get(&station) {
+            Some(Station { offline: Some(_), .. }) => Some(End::Offline { sent: false }),
+            _ if full => Some(End::QueueFull),
+            _ => None,
+        };
+        if due.is_none() {
+            self.waiting.entry(station).or_default()[lane].push_back(id);
+        }
+        self.calls.insert(id, State { call, retries_left, sends: 0, due, over: false });
+    }
+
+    fn ended(&mut self, id: Id, end: End, at: Micros) -> Verdict {
+        let (up, state) = (self.up, self.calls.get_mut(&id).ok_or("a call that nobody made has ended")?);
+        if state.over {
+            return Err(format!("call {id} has ended twice, or after it was cancelled"));
+        }
+        state.over = true;
+        let sent = state.sends > 0;
+        let late = at >= whole_ms(state.call.deadline);
+        let allowed = match &end {
+            End::Timeout { sent: said } if late && *said == sent => true,
+            End::NotConnected if late && !sent && !up => true,
+            end => state.due.as_ref() == Some(end),
+        };
+        match allowed {
+            true => Ok(()),
+            false => Err(format!("call {id} has ended with {end:?}, and may with {:?} (sent: {sent})", state.due)),
+        }
+    }
+
+    fn connecting(&mut self, at: Micros) -> Verdict {
+        if self.up || self.connecting {
+            return Err("there is a connection already".to_owned());
+        }
+        (self.connecting, self.unconnected_since) = (true, None);
+        let waits = self.waiting.keys().any(|&station| self.front(station, at).is_some());
+        let probes = self.stations.values().any(|station| station.offline.is_some());
+        if waits || probes { Ok(()) } else { Err("nobody wants a connection".to_owned()) }
+    }
+
+    fn connected(&mut self, at: Micros) {
+        (self.up, self.connecting) = (true, false);
+        self.ear.forget();
+        if self.echo != Echo::Absent {
+            self.echo = Echo::Unknown;
+        }
+        self.hurry(at);
+    }
+
+    fn lost(&mut self, at: Micros) {
+        self.up = false;
+        self.ear.forget();
+        if let Some(id) = self.cleared.take() {
+            self.put_back(id);
+        }
+        if let Some(wire) = self.wire.take() {
+            if wire.station != 0 {
+                self.doubt(wire.station, at);
+            }
+            match wire.call {
+                Some(id) => self.again_or(id, at, |sent| End::Disconnected { sent }),
+                None => self.probe_failed(wire.station, at),
+            }
+        }
+        self.hurry(at);
+    }
+
+    /// Time passes: an answer that has not come is given up.
+    fn pass(&mut self, at: Micros) {
+        while let Some(when) = self.wire.as_ref().map(|wire| whole_ms(wire.give_up)).filter(|&when| when <= at) {
+            self.give_up(when);
+        }
+    }
+
+    fn give_up(&mut self, at: Micros) {
+        while let Some(heard) = self.ear.next(true) {
+            self.heard(heard, at);
+        }
+        let Some(mut wire) = self.wire.take() else { return };
+        wire.fault |= self.ear.is_amid_a_frame();
+        if wire.goal == Goal::Barrier && wire.echoed {
+            self.echo = Echo::Unknown;
+        }
+        self.doubt(wire.station, at);
+        match wire.call {
+            Some(id) if wire.fault => self.again_or(id, at, |sent| End::BadReply { sent }),
+            Some(id) => self.again_or(id, at, |sent| End::Timeout { sent }),
+            None => {
+                self.no_probe_before = at + (at - wire.sent) * self.rules.probe_pause;
+                self.probe_failed(wire.station, at);
+            }
+        }
+        if !wire.fault && wire.whole {
+            self.silent(wire.station, at);
+        }
+    }
+
+    /// A station has not answered within the whole response timeout.
+    fn silent(&mut self, station: u8, at: Micros) {
+        let rules = self.rules;
+        let known = self.stations.entry(station).or_default();
+        known.timeouts += 1;
+        if known.timeouts >= rules.offline_after && known.offline.is_none() {
+            known.offline = Some(Probe { at: at + rules.probe_interval.0, interval: rules.probe_interval.0 });
+            for id in self.waiting.remove(&station).into_iter().flatten().flatten() {
+                self.end(id, |sent| End::Offline { sent });
+            }
+        }
+    }
+
+    fn wrote(&mut self, request: Vec<u8>, whole: bool, at: Micros) -> Verdict {
+        if let Some(wire) = &self.wire {
+            return Err(format!("two requests on the wire: {request:02X?} beside {:02X?}", wire.request));
+        }
+        if !self.up {
+            return Err("there is no connection".to_owned());
+        }
+        let frame = carried(self.rules.framing, &request);
+        let (station, again) =
+            (frame.station, framed(self.rules.framing, Side::Client, frame.station, frame.command, &frame.data));
+        if again != request {
+            return Err(format!("{request:02X?} is no request"));
+        }
+        let (goal, call) = self.purpose(&request, station, frame.command, &frame.data, at)?;
+        self.ear.forget();
+        if station == 0 {
+            // Nobody answers a broadcast.
+            let end = |sent| if whole { End::Done(Vec::new()) } else { End::Disconnected { sent } };
+            call.into_iter().for_each(|id| self.end(id, end));
+            return Ok(());
+        }
+        let known = self.stations.entry(station).or_default();
+        let own = call.map(|id| &self.calls[&id].call);
+        // A barrier is a part of its call's attempt; a probe waits as long as anybody has.
+        let timeout = own.map_or(self.rules.timeout.max(known.allowed), |call| call.timeout);
+        if goal == Goal::Call {
+            known.allowed = known.allowed.max(timeout);
+        }
+        let limit = own.map_or(at + timeout, |call| call.deadline.min(at + timeout));
+        self.wire = Some(Wire {
+            goal,
+            station,
+            call,
+            command: frame.command,
+            data: frame.data.to_vec(),
+            request,
+            sent: at,
+            give_up: limit,
+            limit,
+            whole: limit == at + timeout,
+            fault: false,
+            doubtful: false,
+            echoed: false,
+            noise: 0,
+        });
+        Ok(())
+    }
+
+    /// What a request is for, if it is allowed at all.
+    fn purpose(
+        &mut self,
+        request: &[u8],
+        station: u8,
+        command: u8,
+        data: &[u8],
+        at: Micros,
+    ) -> Result<(Goal, Option<Id>), String> {
+        let cleared = self.cleared.take().filter(|id| self.is_wanted(*id, at));
+        let probe = self.stations.get(&station).and_then(|known| known.offline);
+        if command != 0x4E && command != 0x40 {
+            return self.call_for(request, station, cleared, at).map(|id| (Goal::Call, Some(id)));
+        }
+        if let Some(id) = cleared {
+            return Err(format!("call {id} has passed its barrier, and another request is sent"));
+        }
+        if (command == 0x40) != (self.echo == Echo::Unknown) {
+            return Err(format!("command {command:02X}, and of the line's echo it is known: {:?}", self.echo));
+        }
+        let call = match probe {
+            Some(probe) => {
+                let others = self.stations.values().any(|known| known.offline.is_none());
+                let due = if others { probe.at.max(self.no_probe_before) } else { probe.at };
+                if at < due {
+                    return Err(format!("station {station} is probed before {due}"));
+                }
+                None
+            }
+            None => Some(self.front(station, at).ok_or("a station is asked for nobody")?),
+        };
+        if let Some(id) = call {
+            self.first_of_all(id, at)?;
+            self.take(id);
+        }
+        if command == 0x40 {
+            return Ok((Goal::Learn, call));
+        }
+        if call.is_some() && !self.stations.get(&station).is_some_and(|known| known.dirty) {
+            return Err(format!("station {station} is not in doubt, and must pass a barrier"));
+        }
+        if !self.nonces.insert(data.to_vec()) {
+            return Err(format!("the nonce {data:02X?} was used before"));
+        }
+        Ok((Goal::Barrier, call))
+    }
+
+    fn call_for(&mut self, request: &[u8], station: u8, cleared: Option<Id>, at: Micros) -> Result<Id, String> {
+        let id = match cleared {
+            Some(id) => id,
+            None => {
+                let id = self.front(station, at).ok_or_else(|| format!("station {station} is asked for nobody"))?;
+                self.first_of_all(id, at)?;
+                self.take(id);
+                id
+            }
+        };
+        let wanted = &self.calls[&id].call;
+        if wanted.request != request {
+            return Err(format!("call {id} is next at station {station}, and {request:02X?} is sent"));
+        }
+        if station != 0 {
+            if self.echo == Echo::Unknown {
+                return Err("it is not known whether the line echoes".to_owned());
+            }
+            let known = self.stations.entry(station).or_default();
+            let quiet = self.rules.timeout.max(known.allowed);
+            match known.refused {
+                // The next best thing to an echo.
+                Some(since) if at >= since + quiet => (known.dirty, known.refused) = (false, None),
+                _ if known.dirty => return Err(format!("station {station} is in doubt, and has passed no barrier")),
+                _ => {}
+            }
+        }
+        let state = self.calls.get_mut(&id).ok_or("no such call")?;
+        state.sends += 1;
+        if state.sends > 1 + state.call.retries {
+            return Err(format!("call {id} is sent for the {}. time", state.sends));
+        }
+        Ok(id)
+    }
+
+    /// No call of a better lane waits, at a station that can be asked.
+    fn first_of_all(&self, id: Id, at: Micros) -> Verdict {
+        let lane = self.calls[&id].call.lane;
+        let askable = |station: &u8| self.stations.get(station).is_none_or(|known| known.refused.is_none());
+        let better = |station: &u8| self.front(*station, at).filter(|other| self.calls[other].call.lane < lane);
+        match self.waiting.keys().filter(|station| askable(station)).find_map(better) {
+            Some(other) => Err(format!("call {other} is of a better lane than call {id}")),
+            None => Ok(()),
+        }
+    }
+
+    fn read(&mut self, bytes: &[u8], at: Micros) {
+        self.ear.hear(bytes);
+        while let Some(heard) = self.ear.next(false) {
+            self.heard(heard, at);
+        }
+        // A frame that is coming in is given the time that it takes.
+        if let (Some(wire), true) = (&mut self.wire, self.ear.is_amid_a_frame()) {
+            wire.give_up = wire.give_up.max(wire.limit.min(at + self.rules.settle));
+        }
+    }
+
+    fn heard(&mut self, heard: Heard, at: Micros) {
+        match heard {
+            Heard::Noise { spoils, len } => {
+                let Some(wire) = &mut self.wire else { return };
+                wire.noise += len;
+                wire.fault |= spoils;
+                // The reply may have been in it; a call that can be repeated need not wait for it.
+                if spoils && wire.call.is_some_and(|id| self.calls[&id].retries_left > 0) {
+                    wire.give_up = wire.give_up.min(at + self.rules.settle);
+                }
+            }
+            Heard::Frame { station, command, data, bytes } => self.frame(station, command, &data, &bytes, at),
+        }
+    }
+
+    fn frame(&mut self, station: u8, command: u8, data: &[u8], bytes: &[u8], at: Micros) {
+        let Some(wire) = &mut self.wire else { return self.stray(station, at) };
+        let copy = self.rules.framing == Framing::Ascii && !wire.echoed && bytes.eq_ignore_ascii_case(&wire.request);
+        let fit = if (station, command) == (wire.station, wire.command) {
+            fit(self.rules.framing, command, &wire.data, data)
+        } else {
+            Fit::None
+        };
+        if copy && (self.echo == Echo::Present || wire.goal == Goal::Learn || matches!(fit, Fit::None)) {
+            wire.echoed = true;
+            self.echo = Echo::Present;
+            return;
+        }
+        match fit {
+            Fit::None if station == wire.station => {
+                wire.fault = true;
+                wire.doubtful = true;
+            }
+            Fit::None => self.stray(station, at),
+            Fit::Reply(words) => self.answered(Ok(words), at),
+            Fit::Refusal(code) => self.answered(Err(code), at),
+        }
+    }
+
+    /// A frame that nobody asked for.
+    fn stray(&mut self, station: u8, at: Micros) {
+        if self.stations.contains_key(&station) {
+            self.doubt(station, at);
+        }
+    }
+
+    fn answered(&mut self, answer: Result<Vec<u16>, u8>, at: Micros) {
+        let Some(wire) = self.wire.take() else { return };
+        let known = self.stations.entry(wire.station).or_default();
+        known.timeouts = 0;
+        if known.offline.take().is_some() {
+            self.hurry(at);
+        }
+        let passed = wire.goal == Goal::Barrier && answer.is_ok();
+        let known = self.stations.entry(wire.station).or_default();
+        match (wire.goal, &answer) {
+            (Goal::Barrier, Ok(_)) => (known.dirty, known.refused) = (false, None),
+            (Goal::Barrier, Err(_)) => known.refused = Some(at),
+            (Goal::Learn, _) => {
+                if self.echo == Echo::Unknown && wire.noise * 2 < wire.request.len() {
+                    self.echo = Echo::Absent;
+                }
+            }
+            (Goal::Call, _) => {}
+        }
+        if wire.doubtful && wire.goal != Goal::Barrier {
+            self.doubt(wire.station, at);
+        }
+        match (wire.goal, wire.call) {
+            (Goal::Call, Some(id)) => {
+                let repeated = self.calls[&id].sends > 1;
+                self.end(id, |_| match answer {
+                    Ok(words) => End::Done(words),
+                    Err(code) => End::Refused { code, repeated },
+                });
+            }
+            (_, Some(id)) if passed => self.cleared = Some(id),
+            (_, Some(id)) => self.put_back(id),
+            (_, None) => self.no_probe_before = at + (at - wire.sent) * self.rules.probe_pause,
+        }
+    }
+
+    fn again_or(&mut self, id: Id, at: Micros, otherwise: impl FnOnce(bool) -> End) {
+        let wanted = self.is_wanted(id, at);
+        let state = self.calls.get_mut(&id).filter(|state| state.retries_left > 0 && wanted);
+        match state {
+            Some(state) => {
+                state.retries_left -= 1;
+                self.put_back(id);
+            }
+            None => self.end(id, otherwise),
+        }
+    }
+
+    fn end(&mut self, id: Id, with: impl FnOnce(bool) -> End) {
+        if let Some(state) = self.calls.get_mut(&id)
+            && state.due.is_none()
+        {
+            state.due = Some(with(state.sends > 0));
+        }
+    }
+
+    fn doubt(&mut self, station: u8, at: Micros) {
+        let known = self.stations.entry(station).or_default();
+        known.dirty = true;
+        if known.refused.is_some() {
+            known.refused = Some(at);
+        }
+        // What came behind the echo counts.
+        if let Some(id) = self.cleared.take_if(|id| self.calls[id].call.station == station) {
+            self.put_back(id);
+        }
+    }
+
+    fn hurry(&mut self, at: Micros) {
+        self.no_probe_before = 0;
+        self.stations.values_mut().filter_map(|known| known.offline.as_mut()).for_each(|probe| probe.at = at);
+    }
+
+    fn probe_failed(&mut self, station: u8, at: Micros) {
+        let longest = self.rules.probe_interval.1;
+        if let Some(probe) = self.stations.get_mut(&station).and_then(|known| known.offline.as_mut()) {
+            probe.interval = (2 * probe.interval).min(longest);
+            probe.at = at + probe.interval;
+        }
+    }
+
+    fn is_wanted(&self, id: Id, at: Micros) -> bool {
+        self.calls.get(&id).is_some_and(|state| !state.over && state.due.is_none() && at < state.call.deadline)
+    }
+
+    /// The call of a station that is next.
+    fn front(&self, station: u8, at: Micros) -> Option<Id> {
+        self.waiting.get(&station)?.iter().flatten().copied().find(|id| self.is_wanted(*id, at))
+    }
+
+    fn take(&mut self, id: Id) {
+        let call = &self.calls[&id].call;
+        if let Some(lanes) = self.waiting.get_mut(&call.station) {
+            lanes[call.lane].retain(|other| *other != id);
+        }
+    }
+
+    fn put_back(&mut self, id: Id) {
+        let call = &self.calls[&id].call;
+        self.waiting.entry(call.station).or_default()[call.lane].push_front(id);
+    }
+}
+
+fn fit(framing: Framing, command: u8, request: &[u8], data: &[u8]) -> Fit {
+    if command == 0x4E {
+        if data == request {
+            return Fit::Reply(Vec::new());
+        }
+        return match (data, code(framing, data)) {
+            ([_], Some(code)) if code > 0 => Fit::Refusal(code),
+            _ => Fit::None,
+        };
+    }
+    let (Some(code), Some((_, rest))) = (code(framing, data), data.split_first()) else { return Fit::None };
+    match code {
+        0 => bytes(framing, rest)
+            .and_then(|bytes| values(framing, command, request, &bytes))
+            .map_or(Fit::None, Fit::Reply),
+        code if rest.is_empty() => Fit::Refusal(code),
+        _ => Fit::None,
+    }
+}
+
+/// The registers that a reply must hold.
+fn values(framing: Framing, command: u8, request: &[u8], reply: &[u8]) -> Option<Vec<u16>> {
+    let expected = match command {
+        0x40 => 3,
+        0x46 if framing == Framing::Ascii => 2 * usize::from(bytes(framing, request.get(..2)?)?[0]),
+        0x46 => 2 * usize::from(request[0]),
+        _ => 0,
+    };
+    let words = reply.chunks(2).filter_map(|pair| Some(u16::from_be_bytes(pair.try_into().ok()?)));
+    (reply.len() == expected).then(|| if command == 0x46 { words.collect() } else { Vec::new() })
+}
+
+fn code(framing: Framing, data: &[u8]) -> Option<u8> {
+    let first = *data.first()?;
+    if framing == Framing::Binary { Some(first) } else { digit(first) }
+}
+
+fn bytes(framing: Framing, data: &[u8]) -> Option<Vec<u8>> {
+    if framing == Framing::Binary {
+        return Some(data.to_vec());
+    }
+    let pairs = data.chunks(2).map(|pair| match pair {
+        [high, low] => Some(digit(*high)? << 4 | digit(*low)?),
+        _ => None,
+    });
+    pairs.collect()
+}
+
+fn digit(character: u8) -> Option<u8> {
+    char::from(character).to_digit(16).and_then(|digit| u8::try_from(digit).ok())
+}
+
+/// When a timer for this time fires.
+fn whole_ms(at: Micros) -> Micros {
+    at.div_ceil(1000) * 1000
+}

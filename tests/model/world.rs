@@ -1,0 +1,460 @@
+//! A link, its callers and the other end of its line, in paused time; what happens is told to the [`Spec`].
+//!
+//! Steps are taken between whole milliseconds, where no timer fires, and each a little earlier within its millisecond than
+//! those before it: so no step falls between a deadline that an earlier one has set and its timer, and it is never a matter
+//! of chance whether an answer comes in time.
+
+use std::future::pending;
+use std::io;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
+
+use fatek::command::{ControlPlc, ReadRegisters, Request, WriteRegisters};
+use fatek::wire::{Framing, Side};
+use fatek::{CallOptions, Error, Link, Register, Symbol};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::task::{AbortHandle, yield_now};
+use tokio::time::{Instant, advance, sleep};
+
+use super::op::{Connecting, Kind, Op, Spoilt};
+use super::spec::{Call, End, Event, Id, Micros, Rules, Spec};
+use crate::book::{carried, framed};
+
+const MS: Micros = 1000;
+/// At 1 s without service a call rises among the lanes; no call lasts so long.
+const CALL_TIMEOUT: Micros = 900 * MS;
+const CONNECT_TIMEOUT: Micros = 50 * MS;
+
+fn rules(framing: Framing) -> Rules {
+    Rules {
+        framing,
+        timeout: 100 * MS,
+        settle: 30 * MS,
+        offline_after: 3,
+        probe_interval: (50 * MS, 200 * MS),
+        probe_pause: 19,
+        queue: 3,
+        backoff: 40 * MS,
+    }
+}
+
+/// How many steps a run can have: each takes place at its own microsecond.
+pub(crate) const MAX_STEPS: usize = 900;
+
+/// Takes the steps with a new link; says which rule was broken, and where.
+pub(crate) fn run(framing: Framing, seed: u64, ops: &[Op]) -> Result<(), String> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
+    runtime.map_err(|error| error.to_string())?.block_on(async {
+        let mut world = World::new(framing, seed);
+        for (number, op) in ops.iter().take(MAX_STEPS).enumerate() {
+            let step = world.step(op, MS - 1 - number as Micros).await;
+            step.map_err(|broken| format!("step {number}, {op:?}: {broken}\n{}", world.story()))?;
+        }
+        let end = world.finish().await;
+        end.map_err(|broken| format!("at the end: {broken}\n{}", world.story()))
+    })
+}
+
+struct World {
+    framing: Framing,
+    rules: Rules,
+    link: Link,
+    line: Arc<Mutex<Line>>,
+    spec: Spec,
+    calls: Vec<AbortHandle>,
+    /// Each reply has other registers, and each call another address.
+    serial: u16,
+    held_back: Vec<u8>,
+    started: Instant,
+    told: Vec<(Micros, Event)>,
+}
+
+/// What both ends of the line can see.
+struct Line {
+    started: Instant,
+    connecting: Connecting,
+    lost: bool,
+    fails_on_write: bool,
+    incoming: Vec<u8>,
+    reader: Option<Waker>,
+    /// What the link has asked, last of all first.
+    asked: Vec<Vec<u8>>,
+    events: Vec<(Micros, Event)>,
+}
+
+impl Line {
+    fn tell(&mut self, event: Event) {
+        let at = self.started.elapsed().as_micros();
+        self.events.push((Micros::try_from(at).unwrap_or(Micros::MAX), event));
+    }
+
+    fn wake(&mut self) {
+        if let Some(reader) = self.reader.take() {
+            reader.wake();
+        }
+    }
+}
+
+impl World {
+    fn new(framing: Framing, seed: u64) -> Self {
+        let (rules, started) = (rules(framing), Instant::now());
+        let line = Arc::new(Mutex::new(Line {
+            started,
+            connecting: Connecting::Accepted,
+            lost: false,
+            fails_on_write: false,
+            incoming: Vec::new(),
+            reader: None,
+            asked: Vec::new(),
+            events: Vec::new(),
+        }));
+        let micros = Duration::from_micros;
+        let opened = line.clone();
+        let link = Link::connector_builder("the model's line", framing, move || open(opened.clone()))
+            .response_timeout(micros(rules.timeout))
+            .call_timeout(micros(CALL_TIMEOUT))
+            .connect_timeout(micros(CONNECT_TIMEOUT))
+            .connect_backoff(micros(rules.backoff / 4), micros(rules.backoff))
+            .probe_interval(micros(rules.probe_interval.0), micros(rules.probe_interval.1))
+            .offline_after(rules.offline_after)
+            .queue_capacity(rules.queue)
+            .seed(seed)
+            .build();
+        let (spec, held_back) = (Spec::new(rules), Vec::new());
+        Self { framing, rules, link, line, spec, calls: Vec::new(), serial: 0, held_back, started, told: Vec::new() }
+    }
+
+    /// Takes a step, so many microseconds past a whole millisecond.
+    async fn step(&mut self, op: &Op, past: Micros) -> Result<(), String> {
+        // By hand: where time passes by itself, it does so by whole milliseconds.
+        advance(Duration::from_micros(past)).await;
+        self.act(op);
+        self.settle().await?;
+        advance(Duration::from_micros(MS - past)).await;
+        self.settle().await?;
+        if let Op::Wait(ms) = op {
+            for _ in 0..ms / 16 {
+                sleep(Duration::from_millis(16)).await;
+                self.settle().await?;
+            }
+            sleep(Duration::from_millis(u64::from(ms % 16))).await;
+            self.settle().await?;
+        }
+        Ok(())
+    }
+
+    /// All calls end by their deadlines, and then the link can be closed.
+    async fn finish(&mut self) -> Result<(), String> {
+        if !self.spec.is_over() {
+            sleep(Duration::from_micros(CALL_TIMEOUT)).await;
+            self.settle().await?;
+        }
+        self.link.close().await;
+        if self.spec.is_over() { Ok(()) } else { Err("a call has not ended".to_owned()) }
+    }
+
+    /// Lets everybody do what there is to be done at this time, and looks at it.
+    async fn settle(&mut self) -> Result<(), String> {
+        loop {
+            for _ in 0..4 {
+                yield_now().await;
+            }
+            let events = std::mem::take(&mut self.line().events);
+            if events.is_empty() {
+                return self.spec.settled(self.now());
+            }
+            for (at, event) in events {
+                self.told.push((at, event.clone()));
+                self.spec.observe(at, event)?;
+            }
+        }
+    }
+
+    fn act(&mut self, op: &Op) {
+        match op {
+            Op::Call { station, kind, patience } => self.call(*station, *kind, *patience),
+            Op::Cancel(number) => {
+                let live: Vec<Id> = (0..self.calls.len()).filter(|&id| !self.calls[id].is_finished()).collect();
+                if let Some(&id) = live.get(usize::from(*number) % live.len().max(1)) {
+                    self.calls[id].abort();
+                    self.line().tell(Event::Cancelled(id));
+                }
+            }
+            Op::Answer { late, refusal } => {
+                let answer = self.answer(usize::from(*late), *refusal);
+                self.deliver(&answer);
+            }
+            Op::Spoilt(how) => {
+                let spoilt = self.spoilt(*how);
+                self.deliver(&spoilt);
+            }
+            Op::Noise(bytes) => self.deliver(bytes),
+            Op::Rest => {
+                let rest = std::mem::take(&mut self.held_back);
+                self.deliver(&rest);
+            }
+            Op::Echo => {
+                let echo = self.line().asked.last().cloned().unwrap_or_default();
+                self.deliver(&echo);
+            }
+            Op::Wait(_) => {}
+            Op::Lose => {
+                let mut line = self.line();
+                line.lost = true;
+                line.wake();
+            }
+            Op::LoseOnWrite => self.line().fails_on_write = true,
+            Op::Connecting(how) => self.line().connecting = *how,
+        }
+    }
+
+    fn call(&mut self, station: u8, kind: Kind, patience: u8) {
+        let station = station.max(1);
+        self.serial += 1;
+        let first = Register::new(Symbol::R, self.serial).expect("there are 65536");
+        let (broadcast, lane, request) = match kind {
+            Kind::Read(count) => (false, 2, Request::ReadRegisters(read(first, count))),
+            Kind::Write => (false, 1, Request::WriteRegisters(write(first, self.serial))),
+            Kind::Run => (false, 0, Request::ControlPlc(ControlPlc::Run)),
+            Kind::Stop => (false, 0, Request::ControlPlc(ControlPlc::Stop)),
+            Kind::Broadcast => (true, 1, Request::WriteRegisters(write(first, self.serial))),
+        };
+        let (retries, again) = (u32::from(patience & 3), patience & 4 != 0);
+        let timeout = self.rules.timeout << u32::from(patience >> 3 & 1);
+        let allowed = if patience & 16 == 0 { CALL_TIMEOUT } else { 150 * MS };
+        let options = CallOptions::new()
+            .retries(retries)
+            .retry_writes(again)
+            .response_timeout(Duration::from_micros(timeout))
+            .call_timeout(Duration::from_micros(allowed));
+        let mut bytes = bytes::BytesMut::new();
+        let number = if broadcast { 0 } else { station };
+        request.encode(self.framing, number, &mut bytes).expect("all of these can be sent");
+        let call = Call {
+            station: number,
+            lane,
+            request: bytes.to_vec(),
+            retries: if lane == 2 || again { retries } else { 0 },
+            timeout,
+            deadline: self.now() + allowed,
+        };
+        let id = self.calls.len();
+        self.line().tell(Event::Called(id, call));
+        let (link, line) = (self.link.clone(), self.line.clone());
+        let task = tokio::spawn(async move {
+            let end = make(&link, station, kind, request, options).await;
+            lock(&line).tell(Event::Ended(id, end));
+        });
+        self.calls.push(task.abort_handle());
+    }
+
+    /// The right answer to what was asked so many requests ago; or a refusal with this code.
+    fn answer(&mut self, late: usize, refusal: u8) -> Vec<u8> {
+        let asked = self.line().asked.iter().rev().nth(late).cloned();
+        let Some(asked) = asked else { return Vec::new() };
+        let frame = carried(self.framing, &asked);
+        self.serial += 1;
+        let number = |n: u8| match self.framing {
+            Framing::Binary => vec![n],
+            _ => format!("{:X}", n & 15).into_bytes(),
+        };
+        let word = |word: u16| match self.framing {
+            Framing::Binary => word.to_be_bytes().to_vec(),
+            _ => format!("{word:04X}").into_bytes(),
+        };
+        let data = match (refusal, frame.command) {
+            (1.., _) => number(refusal),
+            (_, 0x4E) => frame.data.to_vec(),
+            (_, 0x46) => {
+                let count = match self.framing {
+                    Framing::Binary => u16::from(frame.data[0]),
+                    _ => u16::from(frame.data[1] & 15),
+                };
+                (0..count).fold(number(0), |data, n| [data, word(self.serial ^ n << 12)].concat())
+            }
+            (_, 0x40) => [number(0), word(1), word(2)[..word(2).len() / 2].to_vec()].concat(),
+            _ => number(0),
+        };
+        framed(self.framing, Side::Plc, frame.station, frame.command, &data)
+    }
+
+    fn spoilt(&mut self, how: Spoilt) -> Vec<u8> {
+        let answer = self.answer(0, 0);
+        if answer.is_empty() {
+            return answer;
+        }
+        let frame = carried(self.framing, &answer);
+        let (mut station, mut command, mut data) = (frame.station, frame.command, frame.data.to_vec());
+        match how {
+            Spoilt::Station(by) => station = station.wrapping_add(by) % 4,
+            Spoilt::Command(other) => command = 0x40 | other & 15,
+            Spoilt::Shorter => data.truncate(data.len().saturating_sub(1)),
+            Spoilt::Longer => data.push(b'0'),
+            Spoilt::Doubled => return answer.repeat(2),
+            Spoilt::Begun(len) => {
+                let (begun, rest) = answer.split_at(usize::from(len) % answer.len());
+                self.held_back = rest.to_vec();
+                return begun.to_vec();
+            }
+            Spoilt::Checksum => {
+                let mut answer = answer;
+                let at = answer.len() - 3;
+                answer[at] ^= 1;
+                return answer;
+            }
+        }
+        framed(self.framing, Side::Plc, station, command, &data)
+    }
+
+    fn deliver(&mut self, bytes: &[u8]) {
+        let mut line = self.line();
+        line.incoming.extend(bytes);
+        line.wake();
+    }
+
+    fn now(&self) -> Micros {
+        Micros::try_from(self.started.elapsed().as_micros()).unwrap_or(Micros::MAX)
+    }
+
+    fn line(&self) -> MutexGuard<'_, Line> {
+        lock(&self.line)
+    }
+
+    /// The last events, for a failure.
+    fn story(&self) -> String {
+        let bytes = |bytes: &[u8]| match self.framing {
+            Framing::Binary => format!("{bytes:02X?}"),
+            _ => bytes.escape_ascii().to_string(),
+        };
+        let line = |(at, event): &(Micros, Event)| match event {
+            Event::Wrote(asked) | Event::WroteInVain(asked) => format!("{at:>9} Wrote {}\n", bytes(asked)),
+            Event::Read(came) => format!("{at:>9} Read {}\n", bytes(came)),
+            Event::Called(id, call) => {
+                format!("{at:>9} Called {id}: {}, until {}, {call:?}\n", bytes(&call.request), call.deadline)
+            }
+            event => format!("{at:>9} {event:?}\n"),
+        };
+        self.told.iter().map(line).collect()
+    }
+}
+
+fn read(first: Register, count: u8) -> ReadRegisters<Register> {
+    ReadRegisters::new(first, usize::from(count % 8) + 1).expect("a few registers")
+}
+
+fn write(first: Register, value: u16) -> WriteRegisters<Register> {
+    WriteRegisters::new(first, [value]).expect("one register")
+}
+
+async fn make(link: &Link, station: u8, kind: Kind, request: Request, options: CallOptions) -> End {
+    let result = match (kind, request) {
+        (Kind::Broadcast, request) => {
+            link.broadcast().with_options(options).forward(request).await.map(|()| Vec::new())
+        }
+        (_, request) => {
+            let station = link.station(station).expect("a station").with_options(options);
+            match request {
+                Request::ReadRegisters(request) => station.call(request).await,
+                request => station.forward(request).await.map(|_| Vec::new()),
+            }
+        }
+    };
+    match result {
+        Ok(words) => End::Done(words),
+        Err(Error::Plc { error, repeated, .. }) => End::Refused { code: error.into(), repeated },
+        Err(Error::Timeout { sent, .. }) => End::Timeout { sent },
+        Err(Error::BadReply { sent, .. }) => End::BadReply { sent },
+        Err(Error::Offline { sent, .. }) => End::Offline { sent },
+        Err(Error::Disconnected { sent, .. }) => End::Disconnected { sent },
+        Err(Error::Connect { sent: false, .. }) => End::NotConnected,
+        Err(Error::QueueFull { .. }) => End::QueueFull,
+        Err(error) => panic!("no call of the model can end with {error:?}"),
+    }
+}
+
+/// The link wants a connection.
+async fn open(line: Arc<Mutex<Line>>) -> io::Result<Wire> {
+    let connecting = {
+        let mut line = lock(&line);
+        line.tell(Event::Connecting);
+        line.connecting
+    };
+    match connecting {
+        Connecting::Accepted => {
+            let mut opened = lock(&line);
+            (opened.lost, opened.fails_on_write) = (false, false);
+            opened.incoming.clear();
+            opened.tell(Event::Connected);
+            drop(opened);
+            Ok(Wire { line })
+        }
+        Connecting::Refused => {
+            lock(&line).tell(Event::NotConnected);
+            Err(io::ErrorKind::ConnectionRefused.into())
+        }
+        Connecting::Unanswered => {
+            // Told when it is given up.
+            let _unanswered = Unanswered(line);
+            pending().await
+        }
+    }
+}
+
+struct Unanswered(Arc<Mutex<Line>>);
+
+impl Drop for Unanswered {
+    fn drop(&mut self) {
+        lock(&self.0).tell(Event::NotConnected);
+    }
+}
+
+/// The link's end of the line.
+struct Wire {
+    line: Arc<Mutex<Line>>,
+}
+
+impl AsyncRead for Wire {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let mut line = lock(&self.line);
+        if line.lost {
+            line.tell(Event::Lost);
+            return Poll::Ready(Ok(()));
+        }
+        if line.incoming.is_empty() {
+            line.reader = Some(cx.waker().clone());
+            return Poll::Pending;
+        }
+        let len = line.incoming.len().min(buf.remaining());
+        let read: Vec<u8> = line.incoming.drain(..len).collect();
+        buf.put_slice(&read);
+        line.tell(Event::Read(read));
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl AsyncWrite for Wire {
+    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
+        let mut line = lock(&self.line);
+        line.asked.push(buf.to_vec());
+        if std::mem::take(&mut line.fails_on_write) {
+            line.tell(Event::WroteInVain(buf.to_vec()));
+            return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
+        }
+        line.tell(Event::Wrote(buf.to_vec()));
+        Poll::Ready(Ok(buf.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+fn lock(line: &Mutex<Line>) -> MutexGuard<'_, Line> {
+    line.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}
