@@ -175,6 +175,23 @@ async fn with_fail_fast_a_failed_attempt_fails_all_that_waits() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_silent_station_is_not_taken_for_a_connection_that_is_lost_behind_it() {
+    let (builder, mut peers) = reconnecting(|attempt| attempt == 1);
+    let plc = once(&station(&builder.build()));
+    let read = plc.read_registers(register!("R0"), 1).await.unwrap_err();
+    assert!(matches!(read, Error::Timeout { .. }), "{read:?}");
+    // In doubt now, so a loop-back comes first; it is not answered, and the caller looks only later.
+    let mut write = pin!(plc.write_registers(register!("R0"), &[1]));
+    assert!(tokio::time::timeout(Duration::from_millis(1), &mut write).await.is_err());
+    sleep(Duration::from_secs(2)).await;
+    drop(peers.recv().await);
+    sleep(Duration::from_millis(10)).await;
+    assert!(matches!(plc.link().state(), LinkState::Down { .. }));
+    let error = write.await.unwrap_err();
+    assert!(matches!(error, Error::Timeout { sent: false, .. }), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_write_that_was_sent_once_is_never_said_not_to_have_been() {
     let options = CallOptions::new().retry_writes(true);
 
