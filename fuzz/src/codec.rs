@@ -53,10 +53,7 @@ fn codec(framing: Framing, receiver: Side, limit: usize) -> Codec {
 }
 
 fn frames(items: &[Received]) -> Vec<&fatek::wire::Frame> {
-    let frame = |item| match item {
-        &Received::Frame(ref frame) => Some(frame),
-        _ => None,
-    };
+    let frame = |item| if let Received::Frame(frame) = item { Some(frame) } else { None };
     items.iter().filter_map(frame).collect()
 }
 

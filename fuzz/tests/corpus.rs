@@ -33,7 +33,7 @@ fn dictionaries_are_those_of_the_tables() {
         let file = root().join("dict").join(format!("{}.dict", target.name));
         let kept = fs::read_to_string(&file).unwrap_or_default();
         let current = dictionary::of(target.name);
-        assert_eq!(kept, current, "{}: write it anew with `cargo run --bin prepare`", file.display());
+        assert_eq!(kept, current, "{}: write it anew with `cargo run --example prepare`", file.display());
     }
 }
 
