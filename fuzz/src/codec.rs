@@ -53,8 +53,7 @@ fn codec(framing: Framing, receiver: Side, limit: usize) -> Codec {
 }
 
 fn frames(items: &[Received]) -> Vec<&fatek::wire::Frame> {
-    let frame = |item| if let Received::Frame(frame) = item { Some(frame) } else { None };
-    items.iter().filter_map(frame).collect()
+    items.iter().filter_map(|item| if let Received::Frame(frame) = item { Some(frame) } else { None }).collect()
 }
 
 /// A line that falls silent now and then: other frames may be found, but no byte is lost or comes twice.
