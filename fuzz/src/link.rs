@@ -5,6 +5,8 @@ use fatek::wire::Framing;
 
 #[path = "../../tests/model/ear.rs"]
 mod ear;
+#[path = "../../tests/model/fit.rs"]
+mod fit;
 #[path = "../../tests/model/op.rs"]
 mod op;
 #[path = "../../tests/model/spec.rs"]

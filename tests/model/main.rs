@@ -1,12 +1,13 @@
-//! The link against a small model of what a link may do: `spec` has the rules, `ear` what a listener hears, `world` a link,
-//! its callers and the other end of the line, `op` the steps.
+//! The link against a small model of what a link may do: `spec` has the rules, `ear` what a listener hears, `fit` what a
+//! reply is, `world` a link, its callers and the other end of the line, `op` the steps.
 //!
-//! `FATEK_MODEL_CASES=20000` runs more cases. What has ever failed stands in `regressions.txt` and comes first; a failure
+//! `FATEK_MODEL_CASES=20000` has 20 000 runs of each framing, more or less. What has ever failed stands in `regressions.txt` and comes first; a failure
 //! adds its seed there.
 
 #[path = "../common/book.rs"]
 mod book;
 mod ear;
+mod fit;
 mod op;
 mod spec;
 mod world;
