@@ -11,6 +11,8 @@ mod fit;
 mod op;
 #[path = "../../tests/model/spec.rs"]
 mod spec;
+#[path = "../../tests/model/state.rs"]
+mod state;
 #[path = "../../tests/model/world.rs"]
 mod world;
 

@@ -1,8 +1,8 @@
-//! The link against a small model of what a link may do: `spec` has the rules, `ear` what a listener hears, `fit` what a
-//! reply is, `world` a link, its callers and the other end of the line, `op` the steps.
+//! The link against a small model of what a link may do: `spec` has the rules, `state` what they speak of, `ear` what a
+//! listener hears, `fit` what a reply is, `world` a link, its callers and the other end of the line, `op` the steps.
 //!
-//! `FATEK_MODEL_CASES=20000` has 20 000 runs of each framing, more or less. What has ever failed stands in `regressions.txt` and comes first; a failure
-//! adds its seed there.
+//! `FATEK_MODEL_CASES=20000` has 20 000 runs of each framing, more or less. What has ever failed stands in
+//! `regressions.txt` and comes first; a failure adds its seed there.
 
 #[path = "../common/book.rs"]
 mod book;
@@ -10,6 +10,7 @@ mod ear;
 mod fit;
 mod op;
 mod spec;
+mod state;
 mod world;
 
 use fatek::wire::Framing;

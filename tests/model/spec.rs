@@ -10,80 +10,8 @@ use fatek::wire::{Framing, Side};
 
 use super::ear::{Ear, Heard};
 use super::fit::{Fit, fit};
+use super::state::{Call, Echo, End, Event, Goal, Id, Micros, Probe, Rules, State, Station, Wire};
 use crate::book::{carried, framed};
-
-pub(crate) type Micros = u64;
-pub(crate) type Id = usize;
-
-/// The link's settings.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Rules {
-    pub(crate) framing: Framing,
-    /// The response timeout where a call has no other.
-    pub(crate) timeout: Micros,
-    /// How long a line may take to settle after something spoilt.
-    pub(crate) settle: Micros,
-    pub(crate) offline_after: u32,
-    pub(crate) probe_interval: (Micros, Micros),
-    /// The pause after a probe, in times of what it took.
-    pub(crate) probe_pause: u64,
-    pub(crate) queue: usize,
-    /// The longest pause before connecting again.
-    pub(crate) backoff: Micros,
-}
-
-#[derive(Clone, Debug)]
-pub(crate) struct Call {
-    pub(crate) station: u8,
-    /// 0 control, 1 write, 2 read: that is the order, and calls of one keep theirs.
-    pub(crate) lane: usize,
-    pub(crate) request: Vec<u8>,
-    pub(crate) retries: u32,
-    pub(crate) timeout: Micros,
-    pub(crate) deadline: Micros,
-}
-
-/// What a call ends with.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum End {
-    /// With these registers; none for a write or a control command.
-    Done(Vec<u16>),
-    Refused {
-        code: u8,
-        repeated: bool,
-    },
-    Timeout {
-        sent: bool,
-    },
-    BadReply {
-        sent: bool,
-    },
-    Offline {
-        sent: bool,
-    },
-    Disconnected {
-        sent: bool,
-    },
-    NotConnected,
-    QueueFull,
-}
-
-#[derive(Clone, Debug)]
-pub(crate) enum Event {
-    Called(Id, Call),
-    Cancelled(Id),
-    Ended(Id, End),
-    Connecting,
-    Connected,
-    NotConnected,
-    Lost,
-    /// The link wrote this.
-    Wrote(Vec<u8>),
-    /// The link was writing this when the connection was lost.
-    WroteInVain(Vec<u8>),
-    /// The link was to read this.
-    Read(Vec<u8>),
-}
 
 #[derive(Debug)]
 pub(crate) struct Spec {
@@ -102,69 +30,6 @@ pub(crate) struct Spec {
     /// Since when a call has been waiting for an attempt to connect.
     unconnected_since: Option<Micros>,
     no_probe_before: Micros,
-}
-
-#[derive(Debug)]
-struct State {
-    call: Call,
-    retries_left: u32,
-    sends: u32,
-    /// What it must end with, and has not yet.
-    due: Option<End>,
-    over: bool,
-}
-
-#[derive(Debug)]
-struct Wire {
-    goal: Goal,
-    station: u8,
-    /// The call that is on the wire or waits for what is.
-    call: Option<Id>,
-    request: Vec<u8>,
-    command: u8,
-    data: Vec<u8>,
-    sent: Micros,
-    give_up: Micros,
-    /// As far as the deadline can move while a frame comes in.
-    limit: Micros,
-    /// Whether the station has its whole response timeout.
-    whole: bool,
-    fault: bool,
-    doubtful: bool,
-    echoed: bool,
-    noise: usize,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Goal {
-    Call,
-    Barrier,
-    /// A status request, to learn whether the line echoes.
-    Learn,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Echo {
-    Absent,
-    Present,
-    Unknown,
-}
-
-#[derive(Debug, Default)]
-struct Station {
-    dirty: bool,
-    /// When it refused the barrier, or sent anything after that.
-    refused: Option<Micros>,
-    timeouts: u32,
-    offline: Option<Probe>,
-    /// The longest response timeout that it was ever given.
-    allowed: Micros,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Probe {
-    at: Micros,
-    interval: Micros,
 }
 
 type Verdict = Result<(), String>;

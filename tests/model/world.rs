@@ -19,7 +19,8 @@ use tokio::task::{AbortHandle, yield_now};
 use tokio::time::{Instant, advance, sleep};
 
 use super::op::{Connecting, Kind, Op, Spoilt};
-use super::spec::{Call, End, Event, Id, Micros, Rules, Spec};
+use super::spec::Spec;
+use super::state::{Call, End, Event, Id, Micros, Rules};
 use crate::book::{carried, framed};
 
 const MS: Micros = 1000;
