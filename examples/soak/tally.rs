@@ -1,0 +1,75 @@
+//! What the callers of a line count, and what they find.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use fatek::Error;
+
+/// After so many findings there is nothing more to be learned.
+pub(crate) const MAX_FINDINGS: u64 = 10;
+
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    pub(crate) calls: AtomicU64,
+    pub(crate) confirmed: AtomicU64,
+    pub(crate) cancelled: AtomicU64,
+    /// Values that were read and compared, those of samples included.
+    pub(crate) values: AtomicU64,
+    pub(crate) samples: AtomicU64,
+    pub(crate) not_good: AtomicU64,
+    /// Writes that PLCs executed, and how often it was looked.
+    pub(crate) writes: AtomicU64,
+    pub(crate) audits: AtomicU64,
+    pub(crate) wrong: AtomicU64,
+    failed: Mutex<BTreeMap<&'static str, u64>>,
+    findings: Mutex<Vec<String>>,
+}
+
+impl Tally {
+    pub(crate) fn failed(&self, error: &Error) {
+        *lock(&self.failed).entry(kind(error)).or_default() += 1;
+    }
+
+    pub(crate) fn wrong(&self, what: String) {
+        if self.wrong.fetch_add(1, Ordering::Relaxed) < MAX_FINDINGS {
+            lock(&self.findings).push(what);
+        }
+    }
+
+    /// What has been found since this was last asked.
+    pub(crate) fn take_findings(&self) -> Vec<String> {
+        std::mem::take(&mut lock(&self.findings))
+    }
+
+    pub(crate) fn failures(&self) -> BTreeMap<&'static str, u64> {
+        lock(&self.failed).clone()
+    }
+}
+
+pub(crate) fn count(counter: &AtomicU64, by: usize) {
+    counter.fetch_add(by as u64, Ordering::Relaxed);
+}
+
+pub(crate) fn load(counter: &AtomicU64) -> u64 {
+    counter.load(Ordering::Relaxed)
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn kind(error: &Error) -> &'static str {
+    match error {
+        Error::Invalid(_) => "invalid",
+        Error::Plc { .. } => "refused",
+        Error::Timeout { .. } => "timeout",
+        Error::BadReply { .. } => "bad reply",
+        Error::Connect { .. } => "connect",
+        Error::Disconnected { .. } => "disconnected",
+        Error::Offline { .. } => "offline",
+        Error::QueueFull { .. } => "queue full",
+        Error::Closed { .. } => "closed",
+        _ => "other",
+    }
+}
