@@ -47,7 +47,7 @@ const BOUNDS: [Bound; 4] = [
     Bound { what: "tasks", of: |used| used.tasks, bytes: false, most: 30 },
 ];
 
-/// What the allocator, the logs and the memories of the simulated PLCs may need more by chance; it takes a leak of six bytes a
+/// What the allocator, the logs and the memories of the simulated PLCs may need more by chance; it takes a leak of four bytes a
 /// call to exceed that in half an hour.
 const MEMORY_GROWTH: u64 = 2 << 20;
 

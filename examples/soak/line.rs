@@ -14,7 +14,7 @@ use tokio::sync::RwLock;
 use crate::Result;
 use crate::dice::Dice;
 use crate::ends::End;
-use crate::layout::{self, Kind, MAX_CALLERS, Place};
+use crate::layout::{self, Kind, Place};
 use crate::options::Options;
 use crate::shadow::Shadow;
 use crate::tally::Tally;
@@ -75,7 +75,7 @@ impl Line {
         for (station, &station_number) in numbers.iter().enumerate() {
             let plc = Plc::with_model(Model::default().pages_while_running(true));
             layout::prepare_constants(&plc, number, station)?;
-            for owner in 0..MAX_CALLERS {
+            for owner in 0..options.callers + options.guests {
                 for kind in Kind::ALL {
                     Place { station, owner, kind }.prepare(&plc, number)?;
                 }
@@ -112,7 +112,7 @@ impl Line {
             link,
             tally: Tally::default(),
             calls: RwLock::new(()),
-            shadow: Mutex::new(Shadow::new(number)),
+            shadow: Mutex::new(Shadow::new(number, options.stations, options.callers + options.guests)),
         };
         Ok((line, end))
     }

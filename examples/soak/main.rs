@@ -44,7 +44,7 @@ use std::time::Duration;
 
 use futures::future::join_all;
 use tokio::task::{JoinHandle, JoinSet};
-use tokio::time::{Instant, interval, sleep};
+use tokio::time::{Instant, interval, sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
 use self::audit::HANG;
@@ -87,10 +87,12 @@ async fn run(options: &Options) -> Result<bool> {
     let uses = soak.watch(options).await;
     let well = soak.end(options, &uses).await?;
     drop(soak);
-
+    if !well {
+        return Ok(false);
+    }
     let left = left(before).await;
     println!("left when all is closed: {} tasks, {} open files", left.tasks, left.files);
-    Ok(well && (left.tasks, left.files) == (0, 0))
+    Ok((left.tasks, left.files) == (0, 0))
 }
 
 /// All that is under way.
@@ -182,6 +184,12 @@ impl Soak {
     /// Ends it all and says whether all was well.
     async fn end(&mut self, options: &Options, uses: &[Use]) -> Result<bool> {
         self.report.show(Use::now());
+        if self.report.findings() >= MAX_FINDINGS {
+            // Whatever it is, it need not end by itself.
+            self.work.shutdown().await;
+            self.report.summary(0, &[]);
+            return Ok(false);
+        }
         self.stop_work.cancel();
         while let Some(ended) = self.work.join_next().await {
             ended??;
@@ -190,7 +198,9 @@ impl Soak {
             audited?;
         }
         for line in &self.lines {
-            line.link.close().await;
+            if timeout(HANG, line.link.close()).await.is_err() {
+                line.wrong(0, "its link cannot be closed");
+            }
         }
         self.stop_ends.cancel();
         let mut interruptions = 0;

@@ -19,12 +19,14 @@ use fatek::Error;
 use fatek::command::Request;
 use tokio::time::Instant;
 
-use crate::layout::{Kind, MAX_CALLERS, MAX_STATIONS, Place};
+use crate::layout::{Kind, Place};
 
 /// All cells of a line, and what the journal of its PLCs must say.
 #[derive(Debug)]
 pub(crate) struct Shadow {
     line: usize,
+    owners: usize,
+    /// By station, owner and kind.
     cells: Vec<Cell>,
     /// How often a request that is not one of its kind was called for, and how often confirmed, since the last audit.
     controls: HashMap<(usize, Request), (u64, u64)>,
@@ -41,13 +43,12 @@ pub(crate) struct Write {
 }
 
 impl Shadow {
-    pub(crate) fn new(line: usize) -> Self {
-        let places = (0..MAX_STATIONS).flat_map(|station| {
-            (0..MAX_CALLERS)
-                .flat_map(move |owner| Kind::ALL.into_iter().map(move |kind| Place { station, owner, kind }))
+    pub(crate) fn new(line: usize, stations: usize, owners: usize) -> Self {
+        let places = (0..stations).flat_map(|station| {
+            (0..owners).flat_map(move |owner| Kind::ALL.into_iter().map(move |kind| Place { station, owner, kind }))
         });
         let cells = places.map(|place| Cell::new(place.value(line, 0))).collect();
-        Self { line, cells, controls: HashMap::new(), repeatable: HashSet::new() }
+        Self { line, owners, cells, controls: HashMap::new(), repeatable: HashSet::new() }
     }
 
     /// Begins to write the next version to these cells, in one request; gives the values.
@@ -55,9 +56,10 @@ impl Shadow {
         let mut write = Write { parts: Vec::new(), control: None };
         let mut values = Vec::new();
         for &place in places {
-            let cell = &mut self.cells[index(place)];
+            let line = self.line;
+            let cell = self.cell(place);
             cell.version = cell.version.wrapping_add(1);
-            let value = place.value(self.line, cell.version);
+            let value = place.value(line, cell.version);
             write.parts.push((place, cell.begin(value, now)));
             values.push(value);
         }
@@ -73,7 +75,7 @@ impl Shadow {
 
     /// Begins a request that has no version: the journal can only count it.
     pub(crate) fn begin_control(&mut self, place: Place, on: bool, request: Request, now: Instant) -> Write {
-        let id = self.cells[index(place)].begin(on.into(), now);
+        let id = self.cell(place).begin(on.into(), now);
         let control = (place.station, request);
         self.controls.entry(control.clone()).or_default().0 += 1;
         Write { parts: vec![(place, id)], control: Some(control) }
@@ -86,7 +88,7 @@ impl Shadow {
     /// A write has ended. One whose future was dropped never does.
     pub(crate) fn end(&mut self, write: &Write, result: &Result<(), Error>, now: Instant) {
         for &(place, id) in &write.parts {
-            let cell = &mut self.cells[index(place)];
+            let cell = self.cell(place);
             match result {
                 Ok(()) => cell.confirmed(id, now),
                 Err(error) if !error.may_have_executed() => cell.refused(id, now),
@@ -100,12 +102,23 @@ impl Shadow {
 
     /// Whether a read that began then may have found this value there; else what it may have found.
     pub(crate) fn check(&self, place: Place, value: u32, began: Instant) -> Result<(), String> {
-        self.cells[index(place)].check(value, began).map_err(|may| format!("{place:?} cannot hold {value:08X}, {may}"))
+        self.cells[self.index(place)]
+            .check(value, began)
+            .map_err(|may| format!("{place:?} cannot hold {value:08X}, {may}"))
     }
 
     /// It holds this value, and no write to it is under way.
     pub(crate) fn holds(&mut self, place: Place, value: u32, now: Instant) {
-        self.cells[index(place)].holds(value, now);
+        self.cell(place).holds(value, now);
+    }
+
+    fn cell(&mut self, place: Place) -> &mut Cell {
+        let index = self.index(place);
+        &mut self.cells[index]
+    }
+
+    fn index(&self, place: Place) -> usize {
+        (place.station * self.owners + place.owner) * Kind::ALL.len() + place.kind.index()
     }
 
     /// How often a request may have been executed since the last audit: at least, and at most.
@@ -130,10 +143,6 @@ impl Shadow {
     }
 }
 
-fn index(place: Place) -> usize {
-    (place.station * MAX_CALLERS + place.owner) * Kind::ALL.len() + place.kind.index()
-}
-
 /// For how long it is remembered what a cell could hold: longer than any read takes.
 const MEMORY: Duration = Duration::from_secs(60);
 
@@ -154,7 +163,10 @@ struct Held {
 
 impl Cell {
     fn new(value: u32) -> Self {
-        Self { version: 0, next_id: 1, values: vec![Held { id: 0, value, until: None }] }
+        // All that most of them will ever need, so that memory does not grow while they are written for the first time.
+        let mut values = Vec::with_capacity(4);
+        values.push(Held { id: 0, value, until: None });
+        Self { version: 0, next_id: 1, values }
     }
 
     fn begin(&mut self, value: u32, now: Instant) -> u64 {
@@ -205,7 +217,7 @@ mod tests {
 
     fn shadow() -> (Shadow, Instant) {
         let now = Instant::now();
-        (Shadow::new(1), now)
+        (Shadow::new(1, 4, 4), now)
     }
 
     fn at(start: Instant, seconds: u64) -> Instant {
@@ -268,7 +280,7 @@ mod tests {
             let (write, _) = shadow.begin(&[PLACE], at(start, second));
             shadow.end(&write, &Ok(()), at(start, second));
         }
-        assert!(shadow.cells[index(PLACE)].values.len() < 70);
+        assert!(shadow.cells[shadow.index(PLACE)].values.len() < 70);
     }
 
     #[test]
