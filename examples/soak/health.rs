@@ -138,8 +138,8 @@ mod tests {
     #[test]
     fn a_leak_is_growth() {
         let leaking = |second: u64| Use {
-            memory: 10 * MIB + second * 40_000,
-            heap: 5 * MIB + second * 40_000,
+            memory: 10 * MIB + second * 100_000,
+            heap: 5 * MIB + second * 100_000,
             files: 40 + second,
             tasks: 100 + second,
         };
