@@ -1,6 +1,6 @@
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, is_separator};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -76,6 +76,10 @@ impl Begun {
             Ok(_) => return Err(FileError::NotAFile { path: path.to_owned() }),
             // A link to nothing cannot be followed, and must not be replaced.
             Err(_) if path.is_symlink() => return Err(FileError::NotAFile { path: path.to_owned() }),
+            // Nothing but a folder can have such a name.
+            Err(_) if path.as_os_str().as_encoded_bytes().last().is_some_and(|&last| is_separator(last.into())) => {
+                return Err(FileError::NotAFile { path: path.to_owned() });
+            }
             Err(error) if error.kind() == io::ErrorKind::NotFound => (path.to_owned(), None),
             Err(error) => return Err(failed(path, "find it")(error)),
         };

@@ -76,7 +76,11 @@ fn whether_a_file_can_be_saved_is_found_out_before_and_changes_nothing() {
     can_save(&path).unwrap();
     assert_eq!((folder.names(), load(&path).unwrap()), (vec!["a".to_owned()], b"old".to_vec()));
     assert!(matches!(can_save(&folder.0), Err(FileError::NotAFile { .. })));
-    for (name, found) in [("none/a", "cannot make a new file in its folder: "), ("a/b", "cannot find it: ")] {
+    for (name, found) in [
+        ("none/a", "cannot make a new file in its folder: "),
+        ("a/b", "cannot find it: "),
+        ("folder/", "this is not a regular file"),
+    ] {
         let path = folder.0.join(name);
         let (before, saving) = (can_save(&path).unwrap_err().to_string(), save(&path, b"x").unwrap_err().to_string());
         assert!(before == saving && before.contains(found), "{before}, {saving}");
