@@ -4,6 +4,7 @@
 mod process;
 
 use std::fs;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use self::process::{Fake, Folder, Ran, Sim, ascii, fatek};
 
@@ -60,6 +61,28 @@ fn what_was_saved_is_compared_and_restored_in_both_framings() {
         assert_eq!(values(&sim, &["R5", "R6", "M3", "R100"]), ["7", "0", "1", "5"]);
         assert_eq!(sim.fatek(&["restore", &file, "-y", "-q"]).stderr, "");
     }
+}
+
+#[test]
+fn a_restoring_that_goes_on_tells_what_the_attempts_before_have_written() {
+    let (sim, folder) = (Sim::start(&[]), Folder::new("restore-before"));
+    let file = saved(&sim, &folder);
+    sim.fatek(&["write", "R5=9", "R80=1"]).ok();
+    let of = |request: &[u8], code: &[u8; 2]| usize::from(request.get(3..5) == Some(code));
+    // All is written, and nothing can be read any more until the next attempt begins.
+    let (attempts, writes) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let plc = Fake::before(&sim, move |request| {
+        attempts.fetch_add(of(request, b"40"), Ordering::Relaxed);
+        writes.fetch_add(of(request, b"47"), Ordering::Relaxed);
+        of(request, b"46") == 0 || attempts.load(Ordering::Relaxed) > 1 || writes.load(Ordering::Relaxed) < 2
+    });
+    let ran = plc.fatek(&["--timeout", "50ms", "restore", &file, "--yes"]);
+    assert_eq!(ran.status, 0, "{ran:?}");
+    assert!(
+        ran.stderr.ends_with("\n110 elements compared, 0 differed, 0 written; the attempts before have written 2\n"),
+        "{ran:?}"
+    );
+    assert_eq!(values(&sim, &["R5", "R80"]), ["0", "0"]);
 }
 
 #[test]

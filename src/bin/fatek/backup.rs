@@ -120,18 +120,28 @@ pub(crate) async fn restore(
     let stopped = signal::stopped().map_err(Failure::Runtime)?;
     let reporter = Reporter::new(output);
     let mut restore = Restore::new(&backup, options(args)).on_progress(reporter.callback());
+    let mut before = 0;
     let ended = tokio::select! {
         biased;
         _ = stopped => None,
-        ended = until_done(&mut restore, &station, &reporter, output) => Some(ended),
+        ended = until_done(&mut restore, &station, &mut before, &reporter, output) => Some(ended),
     };
     reporter.end_line();
+    // A report is that of the last attempt.
+    let before = if before > 0 { format!("the attempts before have written {before}") } else { String::new() };
     let report = match ended {
-        Some(ended) => ended.or_else(|error| explain(error, output))?,
-        None => return Err(Failure::BrokenOff(Box::new(restore.report()))),
+        Some(Ok(report)) => report,
+        failed => {
+            if !before.is_empty() {
+                complain(format_args!("{before}"));
+            }
+            let broken_off = || Err(Failure::BrokenOff(Box::new(restore.report())));
+            return failed.map_or_else(broken_off, |ended| ended.or_else(|error| explain(error, output)).map(drop));
+        }
     };
     say_left_out(&report, output);
-    output.remark(format_args!("{report}"));
+    let separator = if before.is_empty() { "" } else { "; " };
+    output.remark(format_args!("{report}{separator}{before}"));
     Ok(())
 }
 
@@ -145,10 +155,11 @@ fn explain(error: RestoreError, output: &Output) -> Result<RestoreReport, Failur
     Err(error.into())
 }
 
-/// Goes on after a failure of the line, as long as that brings something.
+/// Goes on after a failure of the line, as long as that brings something. Adds up what the attempts but the last have written.
 async fn until_done(
     restore: &mut Restore,
     station: &Station,
+    before: &mut usize,
     reporter: &Reporter,
     output: &Output,
 ) -> Result<RestoreReport, RestoreError> {
@@ -163,6 +174,7 @@ async fn until_done(
                 {
                     reporter.end_line();
                     output.remark(format_args!("{error}; going on"));
+                    *before += count(&error.report.written);
                     GoingOn::pause().await;
                 }
                 _ => return Err(error),
