@@ -75,7 +75,8 @@
 //! comparison it is no matter whether the PLC runs or has a ROM pack.
 //!
 //! What must always hold:
-//! - Nothing is written, and nothing is stopped, unless the program fits the PLC: size, kind, no ROM pack.
+//! - Nothing is written, and nothing is stopped, unless the program fits the PLC: size, kind, no ROM pack. The one exception is a
+//!   PLC that an earlier run of the same [`WriteProgram`] has left half-written, as below.
 //! - Nothing is written before the PLC's status has said that it is stopped.
 //! - A page counts as written when it has been read back and is what it should be. A page whose write had no answer, or that
 //!   reads back as something else, is written again, a bounded number of times. That is harmless: it is the same page.
@@ -85,8 +86,10 @@
 //!   the error says that it is not known whether the PLC runs.
 //! - That a page has been written is forgotten only when all have been found to be the program's, not when a run begins. A PLC
 //!   that was left half-written and runs when the next run begins is compared, from a page on that was not written, and stopped
-//!   at the first one that differs, or if it cannot be compared: [`ProgramError::SetRunning`]. If none differs, somebody else
-//!   has written the rest, and nothing is touched.
+//!   at the first one that differs: [`ProgramError::SetRunning`]. If none differs, somebody else has written the rest, and
+//!   nothing is touched. If it cannot be compared, as a request fails, it is stopped, whatever it holds.
+//! - What is known of one PLC is not used on another: until a run has ended well, a [`WriteProgram`] goes on with the station that
+//!   it was begun with, or fails with [`ProgramError::OtherStation`] before anything is sent.
 //! - What a STOP or RUN has done that had no answer is not known until the status has been read; one that was refused, or never
 //!   sent, has done nothing.
 //! - A page whose write was sent, and which has not been read back since as it should be, is [in doubt](WriteState::in_doubt),

@@ -107,6 +107,11 @@ impl Station {
         self.number
     }
 
+    /// What it is known by beyond the life of its link: number and endpoint.
+    pub(crate) fn place(&self) -> String {
+        format!("station {} on {}", self.number, self.link.name())
+    }
+
     /// The link it is on.
     #[must_use]
     pub fn link(&self) -> &Link {

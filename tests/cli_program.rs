@@ -228,6 +228,24 @@ fn a_writing_goes_on_five_times_when_the_line_fails_and_then_no_more() {
 }
 
 #[test]
+fn a_writing_that_goes_on_counts_what_it_has_written_before() {
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-before"));
+    let raw = folder.file("new.bin");
+    fs::write(&raw, raw_program()).unwrap();
+    // All is written, and the last page is not read back any more: the next run finds nothing to do.
+    let (runs, pages) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let plc = Fake::before(&sim, move |request| {
+        runs.fetch_add(usize::from(is(request, b"53")), Ordering::Relaxed);
+        pages.fetch_add(usize::from(is(request, b"50")), Ordering::Relaxed);
+        !is(request, b"4F") || runs.load(Ordering::Relaxed) > 1 || pages.load(Ordering::Relaxed) < 2
+    });
+    let ran = plc.fatek(&["--timeout", "50ms", "program", "write", "--raw", &raw, "--yes"]);
+    assert_eq!((ran.status, count(&plc.received(), b"53")), (0, 2), "{ran:?}");
+    assert!(ran.stderr.ends_with("\n2 of 11 pages written and compared; the PLC is stopped\n"), "{ran:?}");
+    program(&sim, &["verify", "--raw", &raw]).ok();
+}
+
+#[test]
 fn where_nothing_can_be_saved_nothing_is_asked() {
     let folder = Folder::new("program-nowhere");
     let nobody = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat());

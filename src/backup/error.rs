@@ -99,6 +99,16 @@ pub enum RestoreFailure {
         /// Why it failed.
         source: Error,
     },
+    /// An earlier run of this restoring has stopped another station, and has not ended well. Nothing was sent, and the report is
+    /// about the other one.
+    #[error("the restoring was begun with {begun}, and cannot go on with {station}")]
+    #[non_exhaustive]
+    OtherStation {
+        /// The station of the earlier run, and its endpoint.
+        begun: String,
+        /// The one that was to be restored now.
+        station: String,
+    },
     /// The PLC runs, and was to be stopped already. Nothing has been written.
     #[error("the PLC runs: stop it first, or choose `RestoreOptions::stop_first`")]
     Running,

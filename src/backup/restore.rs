@@ -103,10 +103,13 @@ impl Default for RestoreOptions {
 /// The restoring of a backup that can be repeated until it is done.
 ///
 /// Each [run](Self::run) compares all elements first, so it writes those only that an earlier one has not. Unlike a new
-/// `Restore` it remembers, until a run succeeds, that the PLC ran before it was stopped.
+/// `Restore` it remembers, until a run succeeds, that the PLC ran before it was stopped; and if it was, it goes on with the station
+/// that it was begun with, by number and endpoint, and with no other.
 #[must_use]
 pub struct Restore {
     restoring: Restoring,
+    /// The station of the last run.
+    place: Option<String>,
     on_progress: Option<OnProgress>,
 }
 
@@ -116,7 +119,7 @@ const PAUSE: Duration = Duration::from_millis(100);
 impl Restore {
     /// This backup is to be restored.
     pub fn new(backup: &Backup, options: RestoreOptions) -> Self {
-        Self { restoring: Restoring::new(backup, options), on_progress: None }
+        Self { restoring: Restoring::new(backup, options), place: None, on_progress: None }
     }
 
     /// Called after each request that has read or written; the steps are elements. It must not take long: the PLC waits
@@ -146,6 +149,7 @@ impl Restore {
     /// # Errors
     /// [`RestoreError`], which tells why, what is written and what is not, and whether the PLC runs. Its
     /// [`source`](RestoreError::source) is
+    /// - [`OtherStation`](RestoreFailure::OtherStation) before anything is sent;
     /// - [`Running`](RestoreFailure::Running) and [`NotThere`](RestoreFailure::NotThere) before anything is
     ///   written;
     /// - [`Call`](RestoreFailure::Call) when a request fails: run it again when the PLC is there again;
@@ -164,6 +168,11 @@ impl Restore {
     }
 
     async fn go(&mut self, station: &Station, goal: Goal) -> Result<RestoreReport, RestoreError> {
+        let place = station.place();
+        if let Some(begun) = self.place.clone().filter(|begun| self.restoring.is_bound() && *begun != place) {
+            return Err(self.failed(RestoreFailure::OtherStation { begun, station: place }));
+        }
+        self.place = Some(place);
         self.restoring.begin(goal);
         let mut meter: Option<Meter> = None;
         loop {

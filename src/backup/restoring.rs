@@ -79,6 +79,11 @@ impl Restoring {
         }
     }
 
+    /// Whether the last runs have left something that belongs to this one PLC: that it was told to stop.
+    pub(super) fn is_bound(&self) -> bool {
+        self.was_stopped && (self.goal, self.state) != (Goal::Restore, State::Done)
+    }
+
     pub(super) fn next(&mut self) -> Result<Step, RestoreFailure> {
         loop {
             let Some(step) = self.step() else {

@@ -244,6 +244,11 @@ impl Link {
         Arc::strong_count(&self.shared)
     }
 
+    /// The endpoint, or what a link over something else was called.
+    pub(crate) fn name(&self) -> &str {
+        &self.shared.name
+    }
+
     pub(crate) fn line(&self) -> Option<Line> {
         self.shared.line
     }

@@ -109,6 +109,16 @@ pub enum ProgramError {
         /// The page that is another now; `None` for the PLC's type, version or ladder size.
         page: Option<u16>,
     },
+    /// An earlier run of this writing has written, or stopped, another station, and has not ended well. Nothing was sent, and
+    /// the [`WriteState`] is that of the other one.
+    #[error("the writing was begun with {begun}, and cannot go on with {station}")]
+    #[non_exhaustive]
+    OtherStation {
+        /// The station of the earlier run, and its endpoint.
+        begun: String,
+        /// The one that was to be written now.
+        station: String,
+    },
     /// The program is not as large as the PLC's.
     #[error("the program has a ladder of {program} words, and the PLC one of {plc}")]
     #[non_exhaustive]

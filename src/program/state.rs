@@ -32,7 +32,8 @@ impl fmt::Display for PlcState {
 pub struct WriteState {
     /// The pages that this run has written and read back, in this order, and not found to be others since.
     pub written: Vec<u16>,
-    /// The other pages that earlier runs of the same [`WriteProgram`](super::WriteProgram) have written and read back.
+    /// The other pages that earlier runs of the same [`WriteProgram`](super::WriteProgram) have written, and that have been read
+    /// back.
     pub written_before: Vec<u16>,
     /// The pages that differ, or with [`WriteOptions::all_pages`](super::WriteOptions::all_pages) were to be written, and whose
     /// write was not sent; and those that were found to be others in the end. If it ended while pages were compared, only

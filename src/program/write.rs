@@ -5,7 +5,7 @@ use tokio::time::{Instant, sleep};
 
 use super::read::{OnProgress, in_framing, report};
 use super::writing::{Goal, Step, Told, Writing};
-use super::{PAGE_BYTES, Program, WriteProgramError, WriteState};
+use super::{PAGE_BYTES, Program, ProgramError, WriteProgramError, WriteState};
 use crate::error::Error;
 use crate::progress::Progress;
 use crate::station::Station;
@@ -99,12 +99,15 @@ impl Default for WriteOptions {
     }
 }
 
-/// What was done to write a program. All its pages are the PLC's now.
+/// What was done to write a program, by the run that has ended well and those before it. All its pages are the PLC's now.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct WriteReport {
-    /// The pages that differed, in the order in which they were written; each was read back.
+    /// The pages that this run has written, in this order; each was read back.
     pub written: Vec<u16>,
+    /// The other pages that earlier runs of the same [`WriteProgram`] have written, and that were as they should be when they were
+    /// read back.
+    pub written_before: Vec<u16>,
     /// How many pages there are.
     pub pages: u16,
     /// Whether the PLC was running and has been stopped, by this run or an earlier one of the same [`WriteProgram`].
@@ -116,10 +119,13 @@ pub struct WriteReport {
 /// The writing of a program that can be repeated until it is done.
 ///
 /// Each [run](Self::run) compares all pages first, so it writes those only that an earlier one has not. Unlike a new
-/// `WriteProgram` it remembers that the PLC ran before it was stopped.
+/// `WriteProgram` it remembers that the PLC ran before it was stopped. So until a run has ended well, it goes on with the station
+/// that it was begun with, by number and endpoint, and with no other.
 #[must_use]
 pub struct WriteProgram {
     writing: Writing,
+    /// The station of the last run.
+    place: Option<String>,
     on_progress: Option<OnProgress>,
 }
 
@@ -129,7 +135,7 @@ const PAUSE: Duration = Duration::from_millis(100);
 impl WriteProgram {
     /// This program is to be written.
     pub fn new(program: &Program, options: WriteOptions) -> Self {
-        Self { writing: Writing::new(program.clone(), options), on_progress: None }
+        Self { writing: Writing::new(program.clone(), options), place: None, on_progress: None }
     }
 
     /// Called after each page that was read or written. It must not take long: the PLC waits meanwhile.
@@ -164,6 +170,7 @@ impl WriteProgram {
     /// # Errors
     /// [`WriteProgramError`], which tells why, which pages are written and which are not, and whether the PLC runs. Its
     /// [`source`](WriteProgramError::source) is
+    /// - [`OtherStation`](super::ProgramError::OtherStation) before anything is sent;
     /// - [`SizeMisfit`](super::ProgramError::SizeMisfit), [`KindMisfit`](super::ProgramError::KindMisfit),
     ///   [`MemoryCard`](super::ProgramError::MemoryCard) and [`Running`](super::ProgramError::Running) before anything is
     ///   changed;
@@ -185,6 +192,12 @@ impl WriteProgram {
     }
 
     async fn go(&mut self, station: &Station, goal: Goal) -> Result<(), WriteProgramError> {
+        let place = station.place();
+        if let Some(begun) = self.place.clone().filter(|begun| self.writing.is_bound() && *begun != place) {
+            let source = Box::new(ProgramError::OtherStation { begun, station: place });
+            return Err(WriteProgramError { source, state: Box::new(self.state()) });
+        }
+        self.place = Some(place);
         self.writing.begin(goal);
         if let Err(error) = in_framing(station) {
             self.writing.told(Err(error));

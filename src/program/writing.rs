@@ -32,8 +32,10 @@ pub(super) struct Writing {
     has_stopped: bool,
     /// Whether a page has been written, or perhaps, since all were last found to be the program's: in all runs of this writing.
     touched: bool,
-    /// The pages that earlier runs of this writing have written and read back.
+    /// The pages that earlier runs of this writing have written and read back, or that were found written since.
     written_before: BTreeSet<u16>,
+    /// The pages that earlier runs have sent without having seen what became of them.
+    doubted: BTreeSet<u16>,
     plc: PlcState,
     /// Whether it runs, and an earlier run of this writing has left a half there, stopped: unless somebody else has written the
     /// rest, it is to be stopped.
@@ -69,6 +71,7 @@ impl Writing {
             has_stopped: false,
             touched: false,
             written_before: BTreeSet::new(),
+            doubted: BTreeSet::new(),
             plc: PlcState::Unknown,
             suspect: false,
             telling: 0,
@@ -93,12 +96,22 @@ impl Writing {
         if last.goal == Goal::Write && last.state == State::Done {
             return;
         }
-        self.telling = if last.compared { last.unwritten().first().copied().unwrap_or(0) } else { last.telling };
+        let unwritten = last.unwritten().first().copied();
+        self.telling = if last.compared { unwritten.or(last.in_doubt()).unwrap_or(0) } else { last.telling };
         (self.ran_before, self.told_to_stop) = (last.ran_before, last.told_to_stop);
         self.has_stopped = last.has_stopped;
         self.touched = last.touched || last.in_doubt().is_some();
+        self.doubted.extend(last.in_doubt());
+        self.doubted.extend(last.doubted);
         self.written_before = last.written_before;
         self.written_before.extend(last.written);
+    }
+
+    /// Whether the last runs have left something that belongs to this one PLC: that it was told to stop, or written.
+    pub(super) fn is_bound(&self) -> bool {
+        let over = self.goal == Goal::Write && self.state == State::Done;
+        let written = !self.written.is_empty() || !self.written_before.is_empty();
+        !over && (self.told_to_stop || self.touched || self.in_doubt().is_some() || written)
     }
 
     pub(super) fn program(&self) -> &Program {
@@ -232,6 +245,8 @@ impl Writing {
         let differs = self.program.page(page) != Some(content);
         if unwritten || differs {
             self.pending.push(page);
+        } else if self.doubted.remove(&page) {
+            self.written_before.insert(page);
         }
         let count = usize::from(self.program.header().page_count());
         self.progress = (Phase::Comparing, count.saturating_sub(self.uncompared.len()), count);

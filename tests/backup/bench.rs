@@ -46,9 +46,14 @@ impl Bench {
 
     /// Over a link of its own.
     pub(crate) fn station(&self) -> Station {
+        self.station_named("in memory")
+    }
+
+    /// Over a link of this name.
+    pub(crate) fn station_named(&self, name: &str) -> Station {
         let connector = sim::connector(self.bus.clone(), self.framing);
         let options = CallOptions::new().response_timeout(Duration::from_millis(60));
-        Link::connector_builder("in memory", self.framing, connector).options(options).build().station(1).unwrap()
+        Link::connector_builder(name, self.framing, connector).options(options).build().station(1).unwrap()
     }
 
     /// Fills all memory with something that depends on the seed.

@@ -158,3 +158,26 @@ async fn a_plc_that_refuses_to_run_again_is_known_to_be_stopped() {
         assert_eq!(error.report.plc, PlcState::Stopped);
     }
 }
+
+#[tokio::test(start_paused = true)]
+async fn what_is_known_of_one_plc_is_not_used_on_another() {
+    for framing in FRAMINGS {
+        let (bench, backup) = prepare(framing).await;
+        bench.plc.run();
+        let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first().run_again());
+        bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::WriteRegisters)]);
+        let error = restore.run(&bench.station()).await.unwrap_err();
+        assert!(error.report.was_stopped && !bench.plc.is_running(), "{error}");
+        bench.faults.set_rules([]);
+        // It stands still, and nothing here has stopped it.
+        let (other, _) = prepare(framing).await;
+        let result = restore.run(&other.station_named("in another memory")).await;
+        assert!(!other.plc.is_running() && other.faults.log().arrivals() == 0, "{framing}: {result:?}");
+        // What is known of the first one is not lost by that.
+        let report = restore.run(&bench.station()).await.unwrap();
+        assert!(report.was_stopped && bench.plc.is_running(), "{framing}: {report}");
+        // When all is done, it may be used for others.
+        let report = restore.run(&other.station_named("in another memory")).await.unwrap();
+        assert!(!report.was_stopped && !other.plc.is_running(), "{framing}: {report}");
+    }
+}

@@ -4,9 +4,10 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use fatek::command::{Code, Request};
-use fatek::program::{PlcState, ProgramError, WriteOptions, WriteProgram};
+use fatek::program::{PlcState, Program, ProgramError, WriteOptions, WriteProgram};
 use fatek::sim::{Fault, Line, PageReply, Rule};
-use fatek::{CallOptions, ErrorCode};
+use fatek::wire::Framing;
+use fatek::{CallOptions, ErrorCode, Link, Station};
 use tokio::time::sleep;
 
 use crate::bench::{Bench, program};
@@ -269,4 +270,68 @@ async fn the_writing_of_all_pages_goes_on_where_it_was() {
     bench.faults.set_rules([]);
     assert_eq!(write.run(&station).await.unwrap().written, [3, 9, 10, 0]);
     assert_eq!(bench.holds(), new.pages());
+}
+
+/// A PLC of its own with this program, and stations to reach it: under another number, and over another link.
+fn another(holds: &Program) -> (Bench, [Station; 2]) {
+    let other = bench();
+    other.load(holds);
+    let bus = other.bus.clone().with_station(2, other.plc.clone()).unwrap();
+    let link = |name| {
+        let open = fatek::sim::connector(bus.clone(), Framing::Ascii);
+        Link::connector_builder(name, Framing::Ascii, open).response_timeout(Duration::from_millis(50)).build()
+    };
+    let stations = [link("in memory").station(2).unwrap(), link("in another memory").station(1).unwrap()];
+    (other, stations)
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_known_of_one_plc_is_not_used_on_another() {
+    let (old, new) = (program(640, 1), program(640, 2));
+    // The other one stands still on purpose, with the whole program; or it runs, and nobody has allowed to stop it.
+    let stop = WriteOptions::new().stop_first().run_again();
+    for (options, holds, runs) in [(stop, &new, false), (WriteOptions::new(), &old, true)] {
+        let bench = bench();
+        if !runs {
+            bench.plc.run();
+        }
+        let mut write = WriteProgram::new(&new, options);
+        bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(3));
+        let station = bench.station().with_options(once());
+        let first = write.run(&station).await.unwrap_err();
+        assert!(first.state.is_half_written(), "{first}");
+        let (other, stations) = another(holds);
+        if runs {
+            other.plc.run();
+        }
+        for another in stations {
+            let result = write.run(&another).await;
+            assert_eq!((other.plc.is_running(), other.faults.log().arrivals()), (runs, 0), "{result:?}");
+        }
+        // What is known of the first one is not lost by that.
+        bench.faults.set_rules([]);
+        let report = write.run(&bench.station()).await.unwrap();
+        assert_eq!((report.was_stopped, report.running), (!runs, !runs));
+        // When all is done, it may be used for others.
+        for another in another(&new).1 {
+            assert!(write.run(&another).await.unwrap().written.is_empty());
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_half_that_somebody_runs_is_found_out_by_the_page_in_doubt_if_no_other_is_left() {
+    let bench = bench();
+    let (station, new) = (bench.station().with_options(once()), program(640, 2));
+    let mut write = WriteProgram::new(&new, WriteOptions::new());
+    bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(9));
+    let state = write.run(&station).await.unwrap_err().state;
+    assert_eq!((state.unwritten, state.in_doubt), (vec![], Some(10)));
+    bench.faults.set_rules([]);
+    bench.plc.run();
+    let before = bench.faults.log().entries().len();
+    let error = write.run(&station).await.unwrap_err();
+    assert!(matches!(*error.source, ProgramError::SetRunning) && !bench.plc.is_running(), "{error}");
+    let is_read = |entry: &&fatek::sim::LogEntry| matches!(entry.request(), Some(Request::ReadProgramPage(_)));
+    assert_eq!(bench.entries()[before..].iter().filter(is_read).count(), 2, "the header, and page 10");
 }

@@ -92,7 +92,8 @@ pub(crate) async fn write(
         (true, false) => "the PLC ran before and is stopped now",
         (false, false) => "the PLC is stopped",
     };
-    match (report.written.len(), report.pages) {
+    // The attempts that went before are those of this command, too.
+    match (report.written.len() + report.written_before.len(), report.pages) {
         (0, all) => output.remark(format_args!("all {all} pages were the same: nothing was written; {state}")),
         (written, all) => output.remark(format_args!("{written} of {all} pages written and compared; {state}")),
     }

@@ -7,8 +7,10 @@ use crate::program::{WriteProgramError, WriteReport, WriteState};
 impl Writing {
     /// What was done, after [`Step::Done`](super::Step::Done).
     pub(in crate::program) fn report(&self) -> WriteReport {
+        let WriteState { written, written_before, .. } = self.state();
         WriteReport {
-            written: self.written.clone(),
+            written,
+            written_before,
             pages: self.program.header().page_count(),
             was_stopped: self.ran_before,
             running: self.plc == PlcState::Running,

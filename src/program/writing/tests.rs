@@ -257,6 +257,7 @@ fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the
         let options = options(&mut random);
         let mut writing = Writing::new(world.new.clone(), options);
         let ran = world.plc.is_running();
+        let to_write = if options.all_pages { (0..PAGES).collect() } else { world.old.differing_pages(&world.new) };
         let mut one_process = true;
         for attempt in 0.. {
             assert!(attempt < 200, "seed {seed}: it does not come to an end");
@@ -265,6 +266,9 @@ fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the
                 Some(Ok(report)) => {
                     assert_eq!(world.holds(), world.new.pages(), "seed {seed}");
                     assert_eq!(report.running, world.plc.is_running(), "seed {seed}");
+                    let mut written = [&report.written[..], &report.written_before].concat();
+                    written.sort_unstable();
+                    assert!(!one_process || written == to_write, "seed {seed}: {report:?}, {to_write:?}");
                     // Whoever has stopped it knows that it ran.
                     let untouched = report.written.is_empty() && !report.was_stopped;
                     let expected = ran && (options.run_again || untouched);
