@@ -48,7 +48,7 @@
 //! What must always hold:
 //! - Nothing is kept of a page but what a reply to the request for this very page has brought.
 //! - The header fits the ladder size of 53; so the number of pages is known before the second is asked for.
-//! - Pages of two runs come together only if the PLC's type, version and ladder size and its page 0 are still the same; and
+//! - Pages of two runs come together only if both are with the same station, by number and endpoint, and the PLC's type, version and ladder size and its page 0 are still the same; and
 //!   they are compared once more when all pages are there. A change of one of these is
 //!   [`ProgramError::Changed`], and then nothing is kept.
 //!

@@ -109,9 +109,9 @@ pub enum ProgramError {
         /// The page that is another now; `None` for the PLC's type, version or ladder size.
         page: Option<u16>,
     },
-    /// An earlier run of this writing has written, or stopped, another station, and has not ended well. Nothing was sent, and
-    /// the [`WriteState`] is that of the other one.
-    #[error("the writing was begun with {begun}, and cannot go on with {station}")]
+    /// An earlier run has read pages of another station, or has stopped or written it, and has not ended well. Nothing was sent,
+    /// and a [`WriteState`] is that of the other one.
+    #[error("this was begun with {begun}, and cannot go on with {station}")]
     #[non_exhaustive]
     OtherStation {
         /// The station of the earlier run, and its endpoint.

@@ -16,11 +16,13 @@ pub(super) type OnProgress = Box<dyn FnMut(&Progress) + Send>;
 /// The reading of a program that can be interrupted: [`run`](Self::run) goes on where the last run ended.
 ///
 /// The [module's documentation](super#reading) has an example. It keeps the pages that have been read when a run fails or is
-/// dropped. Run it with the same station.
+/// dropped, and goes on with the same station alone, by number and endpoint.
 #[derive(Default)]
 #[must_use]
 pub struct ReadProgram {
     reading: Reading,
+    /// The station of the last run.
+    place: Option<String>,
     on_progress: Option<OnProgress>,
 }
 
@@ -56,11 +58,17 @@ impl ReadProgram {
     ///
     /// # Errors
     /// - [`ProgramError::Call`] when a request fails: run it again to go on;
+    /// - [`ProgramError::OtherStation`] when pages have been read from another one; nothing is sent;
     /// - [`ProgramError::Invalid`] when page 0 is no header, or one for another size than 53 says;
     /// - [`ProgramError::Changed`] when the program was changed meanwhile. Nothing is kept then.
     pub async fn run(&mut self, station: &Station) -> Result<Program, ProgramError> {
         let failed = |action| move |source| ProgramError::Call { action, source };
         in_framing(station).map_err(failed(ProgramAction::ReadPage(0)))?;
+        let place = station.place();
+        if let Some(begun) = self.place.clone().filter(|begun| self.pages_done() > 0 && *begun != place) {
+            return Err(ProgramError::OtherStation { begun, station: place });
+        }
+        self.place = Some(place);
         self.reading.begin();
         let mut meter: Option<Meter> = None;
         loop {

@@ -320,6 +320,25 @@ async fn what_is_known_of_one_plc_is_not_used_on_another() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_reading_does_not_go_on_with_another_plc() {
+    let bench = bench();
+    let (mut read, station) = (fatek::program::ReadProgram::new(), bench.station().with_options(once()));
+    bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ReadProgramPage).skip(5));
+    read.run(&station).await.unwrap_err();
+    // Of the same model, with the same header.
+    let (other, stations) = another(&program(640, 2));
+    for another in stations {
+        let error = read.run(&another).await.expect_err("one program of two PLCs");
+        assert!(matches!(error, ProgramError::OtherStation { .. }) && other.faults.log().arrivals() == 0, "{error}");
+        assert!(error.to_string().starts_with("this was begun with station 1 on in memory, and cannot go on with "));
+    }
+    assert_eq!(read.pages_done(), 5);
+    bench.faults.set_rules([]);
+    assert_eq!(read.run(&bench.station()).await.unwrap(), program(640, 1));
+    assert_eq!(read.run(&another(&program(640, 2)).1[0]).await.unwrap(), program(640, 2));
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_half_that_somebody_runs_is_found_out_by_the_page_in_doubt_if_no_other_is_left() {
     let bench = bench();
     let (station, new) = (bench.station().with_options(once()), program(640, 2));
