@@ -1,0 +1,176 @@
+//! The ways of reading 64 registers, and the callers that do it.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use fatek::{Endpoint, Link, Station, register};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio::sync::{Mutex, mpsc, oneshot};
+use tokio_modbus::client::{Context, Reader, tcp};
+
+use crate::server::{REGISTERS, Script, Servers};
+use crate::{Result, Setting};
+
+/// A way of reading 64 registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Way {
+    Fatek(Bytes),
+    /// As [`Fatek`](Self::Fatek), into memory of the caller.
+    Into(Bytes),
+    /// A bare write and read of the same bytes.
+    Bare(Bytes),
+    /// The same, done by a task that owns the connection; callers and task talk through channels.
+    Task(Bytes),
+    Modbus,
+}
+
+/// Whose bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Bytes {
+    Ascii,
+    Binary,
+}
+
+impl Way {
+    pub(crate) const ALL: [Self; 7] = [
+        Self::Fatek(Bytes::Binary),
+        Self::Bare(Bytes::Binary),
+        Self::Modbus,
+        Self::Fatek(Bytes::Ascii),
+        Self::Bare(Bytes::Ascii),
+        Self::Task(Bytes::Binary),
+        Self::Task(Bytes::Ascii),
+    ];
+
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Fatek(Bytes::Ascii) => "fatek-ascii",
+            Self::Fatek(Bytes::Binary) => "fatek-binary",
+            Self::Into(Bytes::Ascii) => "into-ascii",
+            Self::Into(Bytes::Binary) => "into-binary",
+            Self::Bare(Bytes::Ascii) => "bare-ascii",
+            Self::Bare(Bytes::Binary) => "bare-binary",
+            Self::Task(Bytes::Ascii) => "task-ascii",
+            Self::Task(Bytes::Binary) => "task-binary",
+            Self::Modbus => "tokio-modbus",
+        }
+    }
+}
+
+/// One caller.
+pub(crate) enum Client {
+    Fatek(Station),
+    Bare(Bare),
+    Task(mpsc::Sender<oneshot::Sender<io::Result<usize>>>),
+    Modbus(Context),
+    /// One context for many callers, as its users do it.
+    Shared(Arc<Mutex<Context>>),
+}
+
+/// A connection and what is sent and received over it.
+pub(crate) struct Bare {
+    stream: TcpStream,
+    script: Script,
+}
+
+/// Makes the callers of a setting, all connected.
+pub(crate) async fn connect(way: Way, setting: Setting, servers: &Servers) -> Result<Vec<Client>> {
+    let mut clients = Vec::new();
+    for _ in 0..setting.links {
+        match way {
+            Way::Fatek(bytes) | Way::Into(bytes) => {
+                let (address, _) = server(bytes, servers);
+                let framing = if bytes == Bytes::Ascii { "ascii" } else { "binary" };
+                let endpoint: Endpoint = format!("tcp://{address}?framing={framing}").parse()?;
+                let station = Link::new(endpoint).station(1)?;
+                clients.extend((0..setting.callers).map(|_| Client::Fatek(station.clone())));
+            }
+            // A bare connection cannot be shared: its limit is one caller that never pauses.
+            Way::Bare(bytes) => clients.push(Client::Bare(Bare::connect(server(bytes, servers)).await?)),
+            Way::Task(bytes) => {
+                let (requests, task) = mpsc::channel(64);
+                tokio::spawn(Bare::connect(server(bytes, servers)).await?.serve(task));
+                clients.extend((0..setting.callers).map(|_| Client::Task(requests.clone())));
+            }
+            Way::Modbus => {
+                let context = tcp::attach(open(servers.modbus.0).await?);
+                if setting.callers == 1 {
+                    clients.push(Client::Modbus(context));
+                } else {
+                    let shared = Arc::new(Mutex::new(context));
+                    clients.extend((0..setting.callers).map(|_| Client::Shared(shared.clone())));
+                }
+            }
+        }
+    }
+    for client in &mut clients {
+        client.call(1).await?;
+    }
+    Ok(clients)
+}
+
+fn server(bytes: Bytes, servers: &Servers) -> &(SocketAddr, Script) {
+    match bytes {
+        Bytes::Ascii => &servers.ascii,
+        Bytes::Binary => &servers.binary,
+    }
+}
+
+async fn open(address: SocketAddr) -> io::Result<TcpStream> {
+    let stream = TcpStream::connect(address).await?;
+    stream.set_nodelay(true)?;
+    Ok(stream)
+}
+
+impl Client {
+    /// Makes so many requests, one after the other.
+    pub(crate) async fn call(&mut self, requests: usize) -> Result<()> {
+        for _ in 0..requests {
+            let registers = match self {
+                Self::Fatek(station) => station.read_registers(register!("R0"), REGISTERS).await?.len(),
+                Self::Bare(bare) => bare.call().await?,
+                Self::Task(task) => {
+                    let (answer, answered) = oneshot::channel();
+                    task.send(answer).await?;
+                    answered.await??
+                }
+                Self::Modbus(context) => context.read_holding_registers(0, REGISTERS as u16).await??.len(),
+                Self::Shared(context) => {
+                    context.lock().await.read_holding_registers(0, REGISTERS as u16).await??.len()
+                }
+            };
+            if registers != REGISTERS {
+                return Err(format!("{registers} registers were read, not {REGISTERS}").into());
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Bare {
+    async fn connect((address, script): &(SocketAddr, Script)) -> io::Result<Self> {
+        Ok(Self { stream: open(*address).await?, script: script.clone() })
+    }
+
+    async fn call(&mut self) -> io::Result<usize> {
+        self.stream.write_all(&self.script.request).await?;
+        // Longer than what comes: a read that fills its buffer is followed by one more, which finds nothing.
+        let mut buffer = [0; 1024];
+        let mut filled = 0;
+        while filled < self.script.reply.len() {
+            match self.stream.read(buffer.get_mut(filled..).unwrap_or_default()).await? {
+                0 => return Err(io::ErrorKind::UnexpectedEof.into()),
+                read => filled += read,
+            }
+        }
+        Ok(REGISTERS)
+    }
+
+    async fn serve(mut self, mut requests: mpsc::Receiver<oneshot::Sender<io::Result<usize>>>) {
+        while let Some(answer) = requests.recv().await {
+            let _ = answer.send(self.call().await);
+        }
+    }
+}

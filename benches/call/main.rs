@@ -1,0 +1,148 @@
+//! How fast calls are, end to end over loopback TCP, beside the least that they can cost and beside a peer.
+//!
+//! ```text
+//! cargo bench --bench call                      # a table
+//! cargo bench --bench call -- --csv             # and docs/performance/call.csv
+//! cargo bench --bench call -- --test            # a few requests of each, to see that it works
+//! ```
+//!
+//! In each setting three ways of reading 64 registers take turns, round by round, so that whatever else the machine does hits
+//! all of them:
+//!
+//! - a [`Station`](fatek::Station) of this crate;
+//! - the limit: a bare `write` and `read` of exactly the same bytes;
+//! - the peer: tokio-modbus, which reads as many registers.
+//!
+//! Each round gives a ratio of two rates; the table has their median and the middle half of them. The [`server`] is the same
+//! for all: a thread of its own that answers every request with the same prepared bytes. [`clients`] are the three ways.
+
+mod clients;
+mod options;
+mod server;
+mod table;
+
+use std::error::Error;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use tokio::runtime::{Builder, Runtime};
+
+use self::clients::{Client, Way};
+use self::options::Options;
+use self::server::Servers;
+use self::table::{Row, Table};
+
+type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
+
+/// Who calls, over how many links.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Setting {
+    pub(crate) links: usize,
+    /// On each of them.
+    pub(crate) callers: usize,
+}
+
+const SETTINGS: [Setting; 4] = [
+    Setting { links: 1, callers: 1 },
+    Setting { links: 64, callers: 1 },
+    Setting { links: 1000, callers: 1 },
+    Setting { links: 1, callers: 64 },
+];
+
+fn main() -> ExitCode {
+    match Options::parse(std::env::args().skip(1)) {
+        Ok(Some(options)) => match run(&options) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                eprintln!("call: {error}");
+                ExitCode::FAILURE
+            }
+        },
+        Ok(None) => {
+            print!("{}", options::HELP);
+            ExitCode::SUCCESS
+        }
+        Err(wrong) => {
+            eprintln!("{wrong}\n\n{}", options::HELP);
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn run(options: &Options) -> Result<()> {
+    let servers = Servers::start()?;
+    let mut table = Table::new();
+    table.head();
+    for (name, runtime) in [("current_thread", Builder::new_current_thread()), ("multi_thread", threads())] {
+        let mut runtime = runtime;
+        for setting in SETTINGS.into_iter().filter(|setting| options.selects(name, *setting)) {
+            let runtime = runtime.enable_all().build()?;
+            for row in measure(&runtime, name, setting, &servers, options)? {
+                table.add(row);
+            }
+        }
+    }
+    if options.csv {
+        table.save()?;
+    }
+    Ok(())
+}
+
+fn threads() -> Builder {
+    let mut builder = Builder::new_multi_thread();
+    builder.worker_threads(2);
+    builder
+}
+
+/// All ways in one setting, in turns.
+fn measure(
+    runtime: &Runtime,
+    name: &'static str,
+    setting: Setting,
+    servers: &Servers,
+    options: &Options,
+) -> Result<Vec<Row>> {
+    let mut ways = Vec::new();
+    for way in Way::ALL.into_iter().filter(|way| options.selects_way(*way)) {
+        ways.push((way, runtime.block_on(clients::connect(way, setting, servers))?, Vec::new()));
+    }
+    // What is opened, grown and learned once is none of a call's cost.
+    let mut requests = Vec::new();
+    for (_, clients, _) in &mut ways {
+        let before = Instant::now();
+        let probe = if options.test { 1 } else { 200_usize.div_ceil(clients.len()) };
+        round(runtime, clients, probe)?;
+        round(runtime, clients, probe)?;
+        let each = before.elapsed().div_f64(2.0 * probe as f64);
+        let wanted = options.round.as_secs_f64() / each.as_secs_f64();
+        requests.push(if options.test { 1 } else { (wanted as usize).max(1) });
+    }
+    for n in 0..options.rounds {
+        // Whoever comes first after a pause, or last, is not always the same.
+        let mut order: Vec<usize> = (0..ways.len()).collect();
+        let first = n % order.len().max(1);
+        order.rotate_left(first);
+        for at in order {
+            let (Some((_, clients, rates)), Some(&requests)) = (ways.get_mut(at), requests.get(at)) else { continue };
+            let calls = requests * clients.len();
+            rates.push(calls as f64 / round(runtime, clients, requests)?.as_secs_f64());
+        }
+    }
+    let rates: Vec<(Way, Vec<f64>)> = ways.into_iter().map(|(way, _, rates)| (way, rates)).collect();
+    Ok(table::rows(name, setting, &rates))
+}
+
+/// Every client makes so many requests, all at the same time; says how long that takes.
+fn round(runtime: &Runtime, clients: &mut Vec<Client>, requests: usize) -> Result<Duration> {
+    runtime.block_on(async {
+        let began = Instant::now();
+        let tasks: Vec<_> = clients
+            .drain(..)
+            .map(|mut client| tokio::spawn(async move { client.call(requests).await.map(|()| client) }))
+            .collect();
+        for task in tasks {
+            clients.push(task.await??);
+        }
+        Ok(began.elapsed())
+    })
+}

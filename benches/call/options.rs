@@ -1,0 +1,81 @@
+//! The command line.
+
+use std::time::Duration;
+
+use crate::Setting;
+use crate::clients::Way;
+
+pub(crate) const HELP: &str = "\
+Measures calls over loopback TCP beside a bare write and read, and beside tokio-modbus.
+
+  --rounds N        how often each way has its turn [default: 41]
+  --round-ms N      how long a turn is, about [default: 60]
+  --runtime NAME    only current_thread, or multi_thread
+  --setting L,C     only L links with C callers each, such as 64,1
+  --way NAME        only this way; can be given several times
+  --csv             writes docs/performance/call.csv
+  --test            a few requests of each way, to see that it works
+";
+
+#[derive(Debug)]
+pub(crate) struct Options {
+    pub(crate) rounds: usize,
+    pub(crate) round: Duration,
+    pub(crate) csv: bool,
+    pub(crate) test: bool,
+    runtime: Option<String>,
+    setting: Option<String>,
+    ways: Vec<String>,
+}
+
+impl Options {
+    /// `None`: help is wanted.
+    pub(crate) fn parse(mut args: impl Iterator<Item = String>) -> Result<Option<Self>, String> {
+        let mut options = Self {
+            rounds: 41,
+            round: Duration::from_millis(60),
+            csv: false,
+            test: false,
+            runtime: None,
+            setting: None,
+            ways: Vec::new(),
+        };
+        while let Some(name) = args.next() {
+            let mut value = || args.next().ok_or_else(|| format!("{name} needs a value"));
+            match name.as_str() {
+                "--rounds" => options.rounds = number(&name, &value()?)?,
+                "--round-ms" => options.round = Duration::from_millis(number(&name, &value()?)? as u64),
+                "--runtime" => options.runtime = Some(value()?),
+                "--setting" => options.setting = Some(value()?),
+                "--way" => options.ways.push(value()?),
+                "--csv" => options.csv = true,
+                "--test" => (options.test, options.rounds) = (true, 2),
+                // Cargo says that this is a benchmark.
+                "--bench" => {}
+                "--help" | "-h" => return Ok(None),
+                _ => return Err(format!("`{name}` is not known")),
+            }
+        }
+        match options.ways.iter().find(|name| !Way::ALL.iter().any(|way| way.name() == *name)) {
+            Some(unknown) => Err(format!("there is no way `{unknown}`")),
+            None => Ok(Some(options)),
+        }
+    }
+
+    pub(crate) fn selects(&self, runtime: &str, setting: Setting) -> bool {
+        let Setting { links, callers } = setting;
+        self.runtime.as_deref().is_none_or(|only| only == runtime)
+            && self.setting.as_deref().is_none_or(|only| only == format!("{links},{callers}"))
+    }
+
+    pub(crate) fn selects_way(&self, way: Way) -> bool {
+        self.ways.is_empty() || self.ways.iter().any(|name| name == way.name())
+    }
+}
+
+fn number(name: &str, text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(number @ 1..=100_000) => Ok(number),
+        _ => Err(format!("{name} must be a number from 1 to 100000, not `{text}`")),
+    }
+}
