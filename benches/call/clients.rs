@@ -8,6 +8,7 @@ use fatek::{Endpoint, Link, Station, register};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::sync::{Mutex, mpsc, oneshot};
+use tokio_modbus::Slave;
 use tokio_modbus::client::{Context, Reader, tcp};
 
 use crate::server::{REGISTERS, Script, Servers};
@@ -95,7 +96,7 @@ pub(crate) async fn connect(way: Way, setting: Setting, servers: &Servers) -> Re
                 clients.extend((0..setting.callers).map(|_| Client::Task(requests.clone())));
             }
             Way::Modbus => {
-                let context = tcp::attach(open(servers.modbus.0).await?);
+                let context = tcp::attach_slave(open(servers.modbus.0).await?, Slave(1));
                 if setting.callers == 1 {
                     clients.push(Client::Modbus(context));
                 } else {

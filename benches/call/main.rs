@@ -109,13 +109,11 @@ fn measure(
     // What is opened, grown and learned once is none of a call's cost.
     let mut requests = Vec::new();
     for (_, clients, _) in &mut ways {
-        let before = Instant::now();
-        let probe = if options.test { 1 } else { 200_usize.div_ceil(clients.len()) };
-        round(runtime, clients, probe)?;
-        round(runtime, clients, probe)?;
-        let each = before.elapsed().div_f64(2.0 * probe as f64);
-        let wanted = options.round.as_secs_f64() / each.as_secs_f64();
-        requests.push(if options.test { 1 } else { (wanted as usize).max(1) });
+        let few = options.requests.unwrap_or(500_usize.div_ceil(clients.len()));
+        round(runtime, clients, few)?;
+        let each = round(runtime, clients, few)?.div_f64(few as f64);
+        let by_time = options.round.div_duration_f64(each) as usize;
+        requests.push(options.requests.unwrap_or(by_time.max(1)));
     }
     for n in 0..options.rounds {
         // Whoever comes first after a pause, or last, is not always the same.

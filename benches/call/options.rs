@@ -10,6 +10,7 @@ Measures calls over loopback TCP beside a bare write and read, and beside tokio-
 
   --rounds N        how often each way has its turn [default: 41]
   --round-ms N      how long a turn is, about [default: 60]
+  --requests N      how many requests a caller makes in a turn, instead of by time
   --runtime NAME    only current_thread, or multi_thread
   --setting L,C     only L links with C callers each, such as 64,1
   --way NAME        only this way; can be given several times
@@ -21,8 +22,8 @@ Measures calls over loopback TCP beside a bare write and read, and beside tokio-
 pub(crate) struct Options {
     pub(crate) rounds: usize,
     pub(crate) round: Duration,
+    pub(crate) requests: Option<usize>,
     pub(crate) csv: bool,
-    pub(crate) test: bool,
     runtime: Option<String>,
     setting: Option<String>,
     ways: Vec<String>,
@@ -34,8 +35,8 @@ impl Options {
         let mut options = Self {
             rounds: 41,
             round: Duration::from_millis(60),
+            requests: None,
             csv: false,
-            test: false,
             runtime: None,
             setting: None,
             ways: Vec::new(),
@@ -45,11 +46,12 @@ impl Options {
             match name.as_str() {
                 "--rounds" => options.rounds = number(&name, &value()?)?,
                 "--round-ms" => options.round = Duration::from_millis(number(&name, &value()?)? as u64),
+                "--requests" => options.requests = Some(number(&name, &value()?)?),
                 "--runtime" => options.runtime = Some(value()?),
                 "--setting" => options.setting = Some(value()?),
                 "--way" => options.ways.push(value()?),
                 "--csv" => options.csv = true,
-                "--test" => (options.test, options.rounds) = (true, 2),
+                "--test" => (options.rounds, options.requests) = (2, Some(1)),
                 // Cargo says that this is a benchmark.
                 "--bench" => {}
                 "--help" | "-h" => return Ok(None),
