@@ -13,8 +13,9 @@ use tokio::time::Instant;
 
 use crate::command::{
     Answer, BriefStatus, Command, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, InvalidRequest,
-    LoopBack, ProgramPage, ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadMixed, ReadProgramPage, ReadRegisters,
-    ReadStatus, Request, Value, WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters, with_command,
+    LoopBack, MAX_POINTS, MAX_UNITS, ProgramPage, ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadMixed,
+    ReadProgramPage, ReadRegisters, ReadStatus, Request, Value, WriteDiscretes, WriteMixed, WriteProgramPage,
+    WriteRegisters, with_command,
 };
 use crate::element::{Discrete, Element, Register, Register32};
 use crate::error::Error;
@@ -330,6 +331,25 @@ impl Station {
         any_length::read(self, first, count, ReadDiscretes::new).await
     }
 
+    /// 44: reads the states of consecutive discretes, as many as `into` has places: as
+    /// [`read_discretes`](Self::read_discretes), without a new `Vec` for each call.
+    ///
+    /// Of `into`, it can be said after an error, or when the future was dropped, what can be said after an error of
+    /// [`read_registers_into`](Self::read_registers_into); a request is 256 discretes.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// let mut relays = [false; 24];
+    /// station.read_discretes_into(fatek::discrete!("M0"), &mut relays).await?;
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type.
+    pub async fn read_discretes_into(&self, first: Discrete, into: &mut [bool]) -> Result<(), Error> {
+        any_length::read_into::<_, _, MAX_POINTS>(self, first, into, ReadDiscretes::new).await
+    }
+
     /// 45: writes the states of consecutive discretes: `true` is on. Each 256 are [one request](#any-length).
     ///
     /// ```
@@ -359,6 +379,29 @@ impl Station {
     /// As for every method of this type.
     pub async fn read_registers(&self, first: Register, count: usize) -> Result<Vec<u16>, Error> {
         any_length::read(self, first, count, ReadRegisters::new).await
+    }
+
+    /// 46: reads consecutive registers of 16 bits, as many as `into` has places: as
+    /// [`read_registers`](Self::read_registers), without a new `Vec` for each call. Once the link has made a few calls,
+    /// such a call takes no memory from the heap, unless more than 16 calls are under way on the link.
+    ///
+    /// All of `into` is filled when this succeeds. After an error, or when the future was dropped, the values of each
+    /// request that was answered before are in their places, 64 registers each, from the first on; everything behind them
+    /// is as it was. So up to 64 registers are all read, or none is.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// let mut values = [0; 64];
+    /// for _ in 0..10 {
+    ///     station.read_registers_into(fatek::register!("R0"), &mut values).await?;
+    /// }
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// As for every method of this type; [`InvalidRequest::Count`] when `into` is empty.
+    pub async fn read_registers_into(&self, first: Register, into: &mut [u16]) -> Result<(), Error> {
+        any_length::read_into::<_, _, MAX_UNITS>(self, first, into, ReadRegisters::new).await
     }
 
     /// 47: writes consecutive registers of 16 bits. Each 64 are [one request](#any-length).

@@ -218,3 +218,43 @@ async fn each_request_of_a_long_read_has_the_time_of_a_call() {
     let states = station.read_discretes(Discrete::new(Symbol::S, 0).unwrap(), 1000).await.unwrap();
     assert_eq!(states.len(), 1000);
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_read_into_memory_of_the_caller_fills_it_and_after_a_failure_leaves_the_rest_as_it_was() {
+    for framing in FRAMINGS {
+        let Bench { plc, faults, station } = bench(framing);
+        for address in 0..300 {
+            plc.write(Register::r(address), address + 1).unwrap();
+            plc.write(Discrete::new(Symbol::M, address).unwrap(), address % 3 == 0).unwrap();
+        }
+        for count in [1, 63, 64, 65, 128, 200] {
+            let mut values = vec![0xAAAA; count];
+            station.read_registers_into(register!("R0"), &mut values).await.unwrap();
+            assert!(values.iter().copied().eq(1..=count as u16), "{framing}, {count}");
+        }
+        let mut states = [true; 300];
+        station.read_discretes_into(discrete!("M0"), &mut states).await.unwrap();
+        assert!(states.into_iter().eq((0..300).map(|n| n % 3 == 0)), "{framing}");
+
+        // The third request is refused: two are in their places, and what lies behind them is not touched.
+        faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalAddress)).element(register!("R128"))]);
+        let mut values = [0xAAAA; 200];
+        let error = station.read_registers_into(register!("R0"), &mut values).await.unwrap_err();
+        assert!(matches!(error, Error::Plc { .. }), "{error:?}");
+        assert!(values[..128].iter().copied().eq(1..=128) && values[128..] == [0xAAAA; 72], "{framing}: {values:?}");
+
+        // The same when nobody waits any more.
+        faults.set_rules([Rule::new(Fault::Ignore).element(register!("R64"))]);
+        let mut values = [0xAAAA; 100];
+        let dropped =
+            tokio::time::timeout(Duration::from_millis(100), station.read_registers_into(register!("R0"), &mut values));
+        assert!(dropped.await.is_err());
+        assert!(values[..64].iter().copied().eq(1..=64) && values[64..] == [0xAAAA; 36], "{framing}: {values:?}");
+
+        faults.set_rules([]);
+        faults.log().clear();
+        assert!(matches!(station.read_registers_into(register!("R0"), &mut []).await, Err(Error::Invalid(_))));
+        assert!(matches!(station.read_registers_into(register!("R65535"), &mut [0; 2]).await, Err(Error::Invalid(_))));
+        assert_eq!(faults.log().arrivals(), 0, "nothing is sent");
+    }
+}

@@ -35,14 +35,15 @@ pub(crate) enum Bytes {
 }
 
 impl Way {
-    pub(crate) const ALL: [Self; 7] = [
+    pub(crate) const ALL: [Self; 8] = [
         Self::Fatek(Bytes::Binary),
         Self::Bare(Bytes::Binary),
         Self::Modbus,
+        Self::Into(Bytes::Binary),
         Self::Fatek(Bytes::Ascii),
         Self::Bare(Bytes::Ascii),
+        Self::Into(Bytes::Ascii),
         Self::Task(Bytes::Binary),
-        Self::Task(Bytes::Ascii),
     ];
 
     pub(crate) fn name(self) -> &'static str {
@@ -63,6 +64,7 @@ impl Way {
 /// One caller.
 pub(crate) enum Client {
     Fatek(Station),
+    Into(Station, [u16; REGISTERS]),
     Bare(Bare),
     Task(mpsc::Sender<oneshot::Sender<io::Result<usize>>>),
     Modbus(Context),
@@ -86,7 +88,10 @@ pub(crate) async fn connect(way: Way, setting: Setting, servers: &Servers) -> Re
                 let framing = if bytes == Bytes::Ascii { "ascii" } else { "binary" };
                 let endpoint: Endpoint = format!("tcp://{address}?framing={framing}").parse()?;
                 let station = Link::new(endpoint).station(1)?;
-                clients.extend((0..setting.callers).map(|_| Client::Fatek(station.clone())));
+                clients.extend((0..setting.callers).map(|_| match way {
+                    Way::Into(_) => Client::Into(station.clone(), [0; REGISTERS]),
+                    _ => Client::Fatek(station.clone()),
+                }));
             }
             // A bare connection cannot be shared: its limit is one caller that never pauses.
             Way::Bare(bytes) => clients.push(Client::Bare(Bare::connect(server(bytes, servers)).await?)),
@@ -131,6 +136,10 @@ impl Client {
         for _ in 0..requests {
             let registers = match self {
                 Self::Fatek(station) => station.read_registers(register!("R0"), REGISTERS).await?.len(),
+                Self::Into(station, values) => {
+                    station.read_registers_into(register!("R0"), values).await?;
+                    values.len()
+                }
                 Self::Bare(bare) => bare.call().await?,
                 Self::Task(task) => {
                     let (answer, answered) = oneshot::channel();
@@ -138,9 +147,7 @@ impl Client {
                     answered.await??
                 }
                 Self::Modbus(context) => context.read_holding_registers(0, REGISTERS as u16).await??.len(),
-                Self::Shared(context) => {
-                    context.lock().await.read_holding_registers(0, REGISTERS as u16).await??.len()
-                }
+                Self::Shared(context) => context.lock().await.read_holding_registers(0, REGISTERS as u16).await??.len(),
             };
             if registers != REGISTERS {
                 return Err(format!("{registers} registers were read, not {REGISTERS}").into());

@@ -78,7 +78,9 @@ async fn answer(mut stream: TcpStream, mut script: Script) -> io::Result<()> {
             return Ok(());
         }
         filled += read;
-        while let Some((request, rest)) = buffer.get(..filled).and_then(|all| all.split_at_checked(script.request.len())) {
+        while let Some((request, rest)) =
+            buffer.get(..filled).and_then(|all| all.split_at_checked(script.request.len()))
+        {
             if let (true, Some(id), Some(place)) = (script.echoes_id, request.get(..2), script.reply.get_mut(..2)) {
                 place.copy_from_slice(id);
             }

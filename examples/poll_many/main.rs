@@ -10,8 +10,10 @@
 //!
 //! - [`poller`] is the polling itself, the part that a program of yours would have;
 //! - [`simulator`] is the second process, and [`plc`] what its PLCs hold and where they are;
+//! - [`idle`] weighs the links before they are polled;
 //! - [`tally`] counts, [`process`] asks the system what the process uses, [`summary`] prints both.
 
+mod idle;
 mod options;
 mod plc;
 mod poller;
@@ -82,10 +84,13 @@ async fn run(options: Options) -> Result<bool> {
         .idle_timeout(None)
         .links(move |link| link.connect_backoff(backoff.0, backoff.1))
         .build();
+    let idle = idle::measure(&pool, simulator.endpoints(), &options, memory_before).await?;
     let tally = Arc::new(Tally::new(options.plcs));
     let pollers = poller::start(&pool, endpoints, &options, &tally)?;
     let mut summary =
         Summary::new(&options, pool.clone(), pollers.handle(), tally.clone(), memory_before, simulator.process());
+
+    summary.idle(idle);
 
     // All must be connected before anything is measured.
     let most = options.longest_start();

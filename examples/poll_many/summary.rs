@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use fatek::Pool;
 use fatek::poll::PollerHandle;
 
+use crate::idle::Idle;
 use crate::options::Options;
 use crate::process::{memory, processor_time};
 use crate::tally::{Counts, Tally};
@@ -24,6 +25,7 @@ pub(crate) struct Summary {
     last: Sample,
     first: Sample,
     measured: Option<Measured>,
+    idle: Idle,
     back: Option<Option<Duration>>,
     /// Tasks, and open files, that are left after all has been closed.
     left: (usize, usize),
@@ -73,9 +75,15 @@ impl Summary {
             last: sample.clone(),
             first: sample,
             measured: None,
+            idle: Idle::default(),
             back: None,
             left: (0, 0),
         }
+    }
+
+    /// What links cost that are not used.
+    pub(crate) fn idle(&mut self, idle: Idle) {
+        self.idle = idle;
     }
 
     /// What is measured begins now.
@@ -170,7 +178,9 @@ impl Summary {
         let (half, most) = (counts.percentile(50), counts.percentile(99));
         row("round trip, p50 and p99", format!("{:.2} ms, {:.2} ms", millis(half), millis(most)));
         row("resident memory", measured.memory.map_or("n/a".into(), mebibytes));
-        row("resident memory a link", measured.memory_per_link.map_or("n/a".into(), kibibytes));
+        row("resident memory a link that was never used", self.idle.unused.map_or("n/a".into(), kibibytes));
+        row("resident memory a link, connected and idle", self.idle.connected.map_or("n/a".into(), kibibytes));
+        row("resident memory a link, polled", measured.memory_per_link.map_or("n/a".into(), kibibytes));
         row("CPU of one core", percent(measured.processor));
         row("CPU of one core, the simulator's", percent(measured.simulator));
         if let Some(back) = self.back {

@@ -1,12 +1,14 @@
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::sync::{mpsc, watch};
+use tokio::sync::watch;
 
+use super::call::Spares;
 use super::config::Config;
 use super::core::Core;
 use super::driver::Driver;
 use super::gate::Gate;
+use super::hub::Hub;
 use super::line::Line;
 use super::options::{CallOptions, EchoMode};
 use super::stations::Rules;
@@ -198,32 +200,25 @@ impl LinkBuilder {
     /// Makes the link. The connection is opened by the first call.
     #[must_use]
     pub fn build(self) -> Link {
-        let (sender, messages) = mpsc::channel(CHANNEL_LEN);
         let (state, watcher) = watch::channel(LinkState::Idle);
         let timeout = self.options.response_timeout.unwrap_or(self.response_timeout);
         // A connection that cannot be opened again is not closed for being idle.
         let idle_timeout = self.config.idle_timeout.filter(|_| !matches!(self.connector, Connector::Once(_)));
         let config = Config { probe_timeout: timeout, quiet: timeout, idle_timeout, ..self.config };
         let board = Arc::new(Board::default());
+        let (name, framing) = (config.name.clone(), config.framing);
+        let core = Core::new(config, board.clone(), self.seed.unwrap_or_else(Random::seed));
+        let driver = Driver::new(core, (self.connector, self.connect_timeout), self.gate, self.line, state);
         let shared = Shared {
-            name: config.name.clone(),
-            framing: config.framing,
+            name,
+            framing,
             options: self.options.response_timeout(timeout),
             response_timeout: timeout,
-            messages: sender,
+            hub: Arc::new(Hub::new(driver)),
+            spares: Spares::default(),
             state: watcher,
-            board: board.clone(),
+            board,
             line: self.line,
-            driver: Mutex::new(Some(Box::new(Driver {
-                core: Core::new(config, board, self.seed.unwrap_or_else(Random::seed)),
-                connector: self.connector,
-                connect_timeout: self.connect_timeout,
-                gate: self.gate,
-                line: self.line,
-                sent_until: None,
-                messages,
-                state,
-            }))),
         };
         Link { shared: Arc::new(shared) }
     }
@@ -268,6 +263,3 @@ impl LinkBuilder {
 
 /// The longest frame that the protocol has, in bytes.
 const LONGEST_FRAME: usize = 508;
-
-/// How many calls can be on their way to the task. Those that do not fit wait for their turn, within their deadline.
-const CHANNEL_LEN: usize = 64;

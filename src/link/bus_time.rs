@@ -14,7 +14,7 @@ use bytes::{Bytes, BytesMut};
 use tokio::time::Instant;
 use tokio_util::codec::Decoder;
 
-use super::call::{self, Completion, Ticket};
+use super::call::{self, Completion, Spares, Terms};
 use super::core::{Core, Step};
 use super::options::CallOptions;
 use super::stats::{Board, StationState};
@@ -136,22 +136,19 @@ impl World {
     }
 
     fn push<C: Command>(&mut self, station: u8, request: C) -> Completion<C> {
-        let (call, completion) = call::new(request);
-        let options = CallOptions::new().call_timeout(Duration::from_secs(3600));
-        self.core.push(
-            Box::new(Ticket {
-                call,
-                station,
-                code: C::CODE,
-                lane: options.lane(C::CODE.class()),
-                deadline: later(self.now, options.call_timeout),
-                queued_at: self.now,
-                response_timeout: RESPONSE_TIMEOUT,
-                options,
-                retries_left: 2,
-            }),
-            self.now,
-        );
+        let options = CallOptions::new().call_timeout(Duration::from_secs(3600)).retries(2);
+        let terms = Terms {
+            station,
+            code: C::CODE,
+            lane: options.lane(C::CODE.class()),
+            deadline: later(self.now, options.call_timeout),
+            queued_at: self.now,
+            response_timeout: RESPONSE_TIMEOUT,
+            options,
+        };
+        let (mut ticket, completion) = call::new(request, None, terms, &Spares::default());
+        ticket.retries_left = 2;
+        self.core.push(ticket, self.now);
         completion
     }
 

@@ -5,10 +5,12 @@
 //!    └────────┴─────▶ abandoned   (the caller's future was dropped, or its deadline passed)
 //! ```
 //!
-//! The caller and the link task share one allocation. The link task sees it without its type, as [`AnyCall`]; what it
-//! needs for scheduling stands beside it in the [`Ticket`].
+//! The caller and the link share one allocation, which [`Spares`] keeps for the next call. The link sees it without its
+//! type, as [`AnyCall`]; what it needs for scheduling are the call's [`Terms`].
 
+use std::any::Any;
 use std::future::Future;
+use std::ops::Deref;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -24,8 +26,11 @@ use crate::command::{self, Code, Command, InvalidRequest, ReplyError};
 use crate::error::{Error, ErrorCode};
 use crate::wire::{FieldError, Framing};
 
-/// What the link task can do with a call whose type it does not know.
+/// What the link can do with a call whose type it does not know.
 pub(crate) trait AnyCall: Send + Sync {
+    /// What it needs to know of it.
+    fn terms(&self) -> &Terms;
+
     /// Appends the request as a frame.
     fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest>;
 
@@ -49,10 +54,9 @@ pub(crate) trait AnyCall: Send + Sync {
     fn was_sent(&self) -> bool;
 }
 
-/// A call in the link task's hands. Dropped without a result, it ends with [`Error::Closed`], so that no caller waits for
-/// a task that is gone.
-pub(crate) struct Ticket {
-    pub(crate) call: Arc<dyn AnyCall>,
+/// What is said of a call when it is made.
+#[derive(Debug)]
+pub(crate) struct Terms {
     pub(crate) station: u8,
     pub(crate) code: Code,
     pub(crate) lane: Lane,
@@ -61,8 +65,22 @@ pub(crate) struct Ticket {
     pub(crate) queued_at: Instant,
     pub(crate) response_timeout: Duration,
     pub(crate) options: CallOptions,
+}
+
+/// A call in the link's hands. Dropped without a result, it ends with [`Error::Closed`], so that no caller waits for a task
+/// that is gone.
+pub(crate) struct Ticket {
+    pub(crate) call: Arc<dyn AnyCall>,
     /// How often it can still be sent after it has failed.
     pub(crate) retries_left: u32,
+}
+
+impl Deref for Ticket {
+    type Target = Terms;
+
+    fn deref(&self) -> &Terms {
+        self.call.terms()
+    }
 }
 
 impl Ticket {
@@ -101,26 +119,68 @@ pub(crate) struct Completion<C: Command> {
     answered_at: Option<Instant>,
 }
 
-/// Makes the two halves of a call that a reply ends.
-pub(crate) fn new<C: Command>(request: C) -> (Arc<dyn AnyCall>, Completion<C>) {
-    halves(request, None)
-}
-
-/// Makes the two halves of a call that ends, with this, once it has been sent.
-pub(crate) fn unanswered<C: Command>(request: C, reply: C::Reply) -> (Arc<dyn AnyCall>, Completion<C>) {
-    halves(request, Some(reply))
-}
-
-fn halves<C: Command>(request: C, unanswered: Option<C::Reply>) -> (Arc<dyn AnyCall>, Completion<C>) {
-    let slot = Arc::new(Slot {
-        request,
+/// Makes the two halves of a call. `unanswered` is what it ends with once it has been sent, if no reply ends it.
+pub(crate) fn new<C: Command>(
+    request: C,
+    unanswered: Option<C::Reply>,
+    terms: Terms,
+    spares: &Spares,
+) -> (Ticket, Completion<C>) {
+    let retries_left = terms.options.retries_for(C::CODE.class());
+    let slot = Slot {
+        request: Some(request),
         unanswered,
+        terms,
         state: AtomicU8::new(0),
         sends: AtomicU8::new(0),
         result: Mutex::new(None),
         waker: AtomicWaker::new(),
-    });
-    (slot.clone(), Completion { slot, answered_at: None })
+    };
+    let slot = match spares.take::<Slot<C>>() {
+        None => Arc::new(slot),
+        Some(mut spare) => match Arc::get_mut(&mut spare) {
+            None => Arc::new(slot),
+            Some(old) => {
+                *old = slot;
+                spare
+            }
+        },
+    };
+    (Ticket { call: slot.clone(), retries_left }, Completion { slot, answered_at: None })
+}
+
+/// Slots of calls that have ended, for those that follow.
+#[derive(Default)]
+pub(crate) struct Spares {
+    slots: Mutex<Vec<Arc<dyn Any + Send + Sync>>>,
+}
+
+/// How many are kept at the most: as many calls can be under way at once without one of them needing new memory.
+const MOST_SPARES: usize = 16;
+
+impl Spares {
+    fn take<S: Any + Send + Sync>(&self) -> Option<Arc<S>> {
+        let mut slots = lock(&self.slots);
+        let at = slots.iter().rposition(|slot| slot.is::<S>() && Arc::strong_count(slot) == 1)?;
+        slots.swap_remove(at).downcast().ok()
+    }
+
+    fn keep<C: Command>(&self, mut slot: Arc<Slot<C>>) {
+        if std::mem::needs_drop::<C>() {
+            // The values of a write are not kept with it.
+            match Arc::get_mut(&mut slot) {
+                Some(slot) => slot.request = None,
+                None => return,
+            }
+        }
+        let mut slots = lock(&self.slots);
+        if slots.len() >= MOST_SPARES {
+            slots.remove(0);
+        }
+        // Most links have one caller at a time.
+        slots.reserve_exact(1);
+        slots.push(slot);
+    }
 }
 
 impl<C: Command> Completion<C> {
@@ -133,15 +193,29 @@ impl<C: Command> Completion<C> {
     pub(crate) fn answered_at(&self) -> Option<Instant> {
         self.answered_at
     }
+
+    /// Leaves the slot of a call that has ended to another one.
+    pub(crate) fn recycle(self, spares: &Spares) {
+        let slot = self.slot.clone();
+        drop(self);
+        if slot.state.load(Ordering::Acquire) & DONE != 0 {
+            // It would keep the caller's task in memory.
+            drop(slot.waker.take());
+            spares.keep(slot);
+        }
+    }
 }
 
 impl<C: Command> Future for Completion<C> {
     type Output = Result<C::Reply, Error>;
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
-        self.slot.waker.register(cx.waker());
         if self.slot.state.load(Ordering::Acquire) & DONE == 0 {
-            return Poll::Pending;
+            self.slot.waker.register(cx.waker());
+            // Once more, for it may have ended in between, and have woken nobody.
+            if self.slot.state.load(Ordering::Acquire) & DONE == 0 {
+                return Poll::Pending;
+            }
         }
         // A future is not polled again after it is ready, so the result is there; a caller that does so all the same
         // gets an error rather than a panic.
@@ -160,9 +234,11 @@ impl<C: Command> Drop for Completion<C> {
 
 #[derive(Debug)]
 struct Slot<C: Command> {
-    request: C,
+    /// Always there while the call is under way.
+    request: Option<C>,
     /// What the caller gets when there is no reply to wait for.
     unanswered: Option<C::Reply>,
+    terms: Terms,
     state: AtomicU8,
     /// How often the request has been sent, as far as 255.
     sends: AtomicU8,
@@ -194,12 +270,20 @@ impl<C: Command> Slot<C> {
 }
 
 impl<C: Command> AnyCall for Slot<C> {
+    fn terms(&self) -> &Terms {
+        &self.terms
+    }
+
     fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
-        command::encode_request(&self.request, framing, station, dst)
+        match &self.request {
+            Some(request) => command::encode_request(request, framing, station, dst),
+            None => Ok(()),
+        }
     }
 
     fn offer(&self, framing: Framing, station: u8, data: &[u8], now: Instant) -> Result<Option<ErrorCode>, FieldError> {
-        match command::decode_reply(&self.request, framing, data) {
+        let Some(request) = &self.request else { return Err(FieldError::Unreadable) };
+        match command::decode_reply(request, framing, data) {
             Ok(reply) => {
                 self.finish(Ok(reply), Some(now));
                 Ok(None)

@@ -58,7 +58,7 @@ pub(crate) struct Core {
     stations: Stations,
     board: Arc<Board>,
     /// A call whose barrier has just been passed: it is sent before all others.
-    cleared: Option<Box<Ticket>>,
+    cleared: Option<Ticket>,
     connection: Connection,
     hold_until: Option<Instant>,
     /// When a call came or ended last; nothing while it is idle.
@@ -87,7 +87,7 @@ impl Core {
     }
 
     /// Takes a call.
-    pub(crate) fn push(&mut self, ticket: Box<Ticket>, now: Instant) {
+    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) {
         if self.closing {
             return; // Dropped, it ends with the right error.
         }
@@ -157,7 +157,7 @@ impl Core {
 
     /// The bytes to be written.
     pub(crate) fn outgoing(&self) -> &[u8] {
-        self.exchange.active().map(|active| &active.request[..]).unwrap_or_default()
+        self.exchange.request()
     }
 
     /// All of [`outgoing`](Self::outgoing) has been written, and has left or will have left the machine at this time.
@@ -175,7 +175,8 @@ impl Core {
         self.exchange.sent(at, deadline, patient);
     }
 
-    /// Where the driver puts the bytes it receives; then it says [`received`](Self::received).
+    /// Where the driver puts the bytes it receives; then it says [`received`](Self::received). What is left in it then is
+    /// the beginning of a frame.
     pub(crate) fn incoming(&mut self) -> &mut BytesMut {
         &mut self.exchange.received
     }
@@ -380,13 +381,13 @@ impl Core {
             }
             Goal::Check { .. } => self.board.count_for(station, |stats| add(&mut stats.checks, 1)),
         }
-        tracing::trace!(station, bytes = %active.request.escape_ascii(), "sending");
+        tracing::trace!(station, bytes = %self.exchange.request().escape_ascii(), "sending");
         Some(Step::Send(deadline))
     }
 
     /// What must be settled about a station before a call: first whether the line echoes, then whether it can be
     /// believed.
-    fn check(&mut self, station: u8, call: Option<Box<Ticket>>) -> Goal {
+    fn check(&mut self, station: u8, call: Option<Ticket>) -> Goal {
         if self.exchange.must_learn_echo() {
             return Goal::Check { station, check: Check::Echo, call };
         }

@@ -1,19 +1,38 @@
-//! The task that owns the connection: it moves bytes and time between the [`Core`] and the world, and decides nothing.
+//! What moves bytes and time between the [`Core`] and the world, and decides nothing. It owns the connection.
+//!
+//! ```text
+//!        ┌───────────────────────────────────────────────────────────────┐
+//!        ▼                                                               │
+//! a request is being written ──done──▶ read until nothing comes ──▶ what does the core want?
+//!                                                                  connect, disconnect, send: done, and on
+//!                                                                  wait: back to whoever called
+//! ```
+//!
+//! [`Driver::advance`] goes as far as it can without waiting. It is called by the link's task whenever something that it
+//! waits for has come, and by a caller with a new request, so that this is sent without waking the task. It is always the task
+//! that is woken by the connection: a caller only lends its time, and may go away at any moment.
+//!
+//! What must always hold:
+//! - a request is begun only after all that had come was read;
+//! - a request of which a part has been written is written to its end, or the connection is given up;
+//! - the task hears of everything that `advance` waits for: bytes and room for bytes by its waker, times because
+//!   `advance` tells them.
 
-use std::future::poll_fn;
 use std::io;
 use std::mem::MaybeUninit;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Poll, ready};
+use std::task::{Context, Poll, Waker, ready};
 use std::time::Duration;
 
+use bytes::BytesMut;
 use futures::future::{BoxFuture, FutureExt};
-use tokio::io::{AsyncRead as _, AsyncWriteExt, ReadBuf};
-use tokio::sync::{mpsc, watch};
-use tokio::time::{Instant, sleep_until, timeout_at};
+use tokio::io::{AsyncRead as _, AsyncWrite as _, ReadBuf};
+use tokio::sync::watch;
+use tokio::time::Instant;
 
 use super::LinkState;
+use super::buffer;
 use super::call::Ticket;
 use super::core::{Core, Step};
 use super::gate::{Gate, Pass, Turn};
@@ -21,163 +40,323 @@ use super::later;
 use super::line::Line;
 use super::transport::{BoxIo, Connector};
 
-/// What the handles tell the task: here is a call; or, with `None`, to end.
-///
-/// No more than a pointer, for the channel keeps room for dozens of them, and there may be thousands of links.
-pub(crate) type Message = Option<Box<Ticket>>;
-
-/// Everything the task needs to run.
-#[derive(Debug)]
+/// Everything that is needed to run a link.
 pub(crate) struct Driver {
-    pub(crate) core: Core,
-    pub(crate) connector: Connector,
-    pub(crate) connect_timeout: Duration,
+    core: Core,
+    connector: Connector,
+    connect_timeout: Duration,
     /// What lets links connect one after the other, if they share one.
-    pub(crate) gate: Option<Arc<Gate>>,
+    gate: Option<Arc<Gate>>,
     /// The serial line, if it is one.
-    pub(crate) line: Option<Line>,
+    line: Option<Line>,
     /// Until when the line is busy with what has been written.
-    pub(crate) sent_until: Option<Instant>,
-    pub(crate) messages: mpsc::Receiver<Message>,
-    pub(crate) state: watch::Sender<LinkState>,
+    sent_until: Option<Instant>,
+    state: watch::Sender<LinkState>,
+    /// The task's.
+    waker: Waker,
+    io: Option<BoxIo>,
+    /// A fresh socket must differ from the old one, so that one is kept until the new one is open.
+    retired: Option<BoxIo>,
+    opening: Option<Opening>,
+    /// Whether the core wants a connection, and the task has not begun to open it yet.
+    connects: bool,
+    writing: Option<Writing>,
+    /// Whether there is a handle that can make calls.
+    orphaned: bool,
+    /// Whether nothing new is done any more.
+    ending: bool,
 }
 
-/// How often is read before a request, to be rid of what came before it.
-const MAX_DRAINED_READS: usize = 64;
+/// A request on its way out.
+#[derive(Debug)]
+struct Writing {
+    /// How much of it is out.
+    written: usize,
+    /// When it must be.
+    by: Instant,
+}
 
-/// How much is read at once. The longest reply fits.
-const READ_LEN: usize = 1024;
+/// What is left to wait for, when all has been done that can be.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Next {
+    /// What the waker was given to, or this time, if there is one.
+    Wait(Option<Instant>),
+    /// Something that only the task can do.
+    Task,
+    /// Nothing; but others are to have their turn.
+    Yield,
+    /// Nothing, for good.
+    End,
+}
+
+/// Who lends its time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum By {
+    Task,
+    Caller,
+}
+
+/// How often is read before a request, to be rid of what came before it; and how many steps are made before others have
+/// their turn.
+const MAX_AT_ONCE: usize = 64;
 
 impl Driver {
-    /// Runs until the link is closed, its last handle is dropped, or its one connection has ended.
-    pub(crate) async fn run(mut self: Box<Self>) {
-        // In its box, for it would be in the task twice: as what the future begins with, and as what it works on.
-        let mut io: Option<BoxIo> = None;
-        let mut opening: Option<Opening> = None;
-        let mut orphaned = false;
-        let mut retired: Option<BoxIo> = None;
-        loop {
-            // A peer that never stops sending must not keep the handles from being heard.
-            while let Ok(message) = self.messages.try_recv() {
-                self.hear(message);
+    pub(crate) fn new(
+        core: Core,
+        (connector, connect_timeout): (Connector, Duration),
+        gate: Option<Arc<Gate>>,
+        line: Option<Line>,
+        state: watch::Sender<LinkState>,
+    ) -> Self {
+        Self {
+            core,
+            connector,
+            connect_timeout,
+            gate,
+            line,
+            sent_until: None,
+            state,
+            waker: Waker::noop().clone(),
+            io: None,
+            retired: None,
+            opening: None,
+            connects: false,
+            writing: None,
+            orphaned: false,
+            ending: false,
+        }
+    }
+
+    /// Takes a call.
+    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) {
+        self.core.push(ticket, now);
+    }
+
+    /// Sends nothing new any more.
+    pub(crate) fn close(&mut self) {
+        if !self.core.is_closing() {
+            self.core.close();
+        }
+    }
+
+    /// The last handle is gone.
+    pub(crate) fn orphan(&mut self) {
+        self.orphaned = true;
+    }
+
+    /// The task is woken by this.
+    pub(crate) fn wake_with(&mut self, waker: &Waker) {
+        self.waker.clone_from(waker);
+    }
+
+    /// Whether a call that comes now would be sent at once, as far as can be told.
+    pub(crate) fn is_free(&self) -> bool {
+        self.io.is_some() && self.opening.is_none() && self.writing.is_none() && !self.ending && self.core.is_idle()
+    }
+
+    /// Whether a call that comes now waits for nothing but the end of the request on the wire, which the task awaits.
+    pub(crate) fn is_at_work(&self) -> bool {
+        self.io.is_some() && self.writing.is_none() && !self.core.is_idle()
+    }
+
+    /// Does what can be done now.
+    pub(crate) fn advance(&mut self, by: By, mut now: Instant) -> Next {
+        let waker = std::mem::replace(&mut self.waker, Waker::noop().clone());
+        let next = self.steps(by, &mut now, &mut Context::from_waker(&waker));
+        self.waker = waker;
+        next
+    }
+
+    fn steps(&mut self, by: By, now: &mut Instant, cx: &mut Context<'_>) -> Next {
+        // Whether all that has come is read, and the task will hear of more.
+        let mut listens = false;
+        for _ in 0..MAX_AT_ONCE {
+            if self.ending {
+                return self.end(*now);
             }
-            if self.core.is_idle() {
-                // What has come by now came before the next request, so it is no reply to that.
-                if let Some(Err(error)) = drain(&mut io, &mut self.core)
-                    && !self.lose(&mut io, error)
-                {
-                    break;
+            if let Some(Writing { by, .. }) = self.writing {
+                match self.poll_write(cx) {
+                    Poll::Pending if *now < by => return Next::Wait(Some(by)),
+                    Poll::Pending => {
+                        let late = "the request could not be written in time";
+                        self.lose(io::Error::new(io::ErrorKind::TimedOut, late), *now);
+                    }
+                    Poll::Ready(Ok(())) => {
+                        *now = Instant::now();
+                        let at = self.transmitted_at(*now);
+                        self.core.sent(at);
+                        // Some streams have the reply by now, and tell nobody.
+                        listens = false;
+                    }
+                    Poll::Ready(Err(error)) => self.lose(error, *now),
+                }
+                continue;
+            }
+            if !listens {
+                match self.read_all(cx, now) {
+                    Ok(all) => listens = all,
+                    Err(error) => {
+                        self.lose(error, *now);
+                        continue;
+                    }
                 }
             }
-            match self.core.step(Instant::now()) {
+            match self.core.step(*now) {
                 Step::Connect => {
-                    // A fresh socket must differ from the old one, so that one is kept until the new one is open.
-                    retired = io.take();
-                    opening = match self.gate.clone() {
-                        Some(gate) => {
-                            self.waits();
-                            Some(Opening::Turn(gate.turn().boxed()))
-                        }
-                        None => self.open(None),
-                    };
-                    if opening.is_none() {
-                        break;
-                    }
+                    self.retired = self.io.take();
+                    self.connects = true;
                 }
                 Step::Disconnect => {
                     tracing::debug!("idle");
-                    io = None;
+                    self.io = None;
                     self.state.send_replace(LinkState::Idle);
                 }
-                Step::Send(by) => {
-                    let written = match &mut io {
-                        // Flushing a serial port blocks the thread until the last bit is on the line.
-                        Some(io) => write(io, self.core.outgoing(), self.line.is_none(), by).await,
-                        None => Err(io::ErrorKind::NotConnected.into()),
-                    };
-                    match written {
-                        Ok(()) => {
-                            let at = self.transmitted_at();
-                            self.core.sent(at);
+                Step::Send(by) => self.writing = Some(Writing { written: 0, by }),
+                // Not before what is on the wire has ended, so that the PLC is not cut off in the middle of its answer.
+                Step::Wait(_) if (self.core.is_closing() || self.orphaned) && self.core.is_idle() => self.ending = true,
+                Step::Wait(until) => {
+                    if self.opening.is_some() || self.connects {
+                        if by == By::Caller {
+                            return Next::Task;
                         }
-                        Err(error) => {
-                            if !self.lose(&mut io, error) {
-                                break;
-                            }
+                        if self.open(cx, *now).is_ready() {
+                            *now = Instant::now();
+                            listens = false;
+                            continue;
                         }
+                    }
+                    match until {
+                        Some(until) if until <= *now => listens = false,
+                        until if listens => return Next::Wait(until),
+                        _ => {}
                     }
                 }
-                // Not before what is on the wire has ended, so that the PLC is not cut off in the middle of its answer.
-                Step::Wait(_) if (self.core.is_closing() || orphaned) && self.core.is_idle() => break,
-                Step::Wait(until) => tokio::select! {
-                    // In this order, so that a run can be repeated: what has come is dealt with before time passes.
-                    biased;
-                    read = read(&mut io, &mut self.core) => match read {
-                        Ok(()) => self.core.received(Instant::now()),
-                        Err(error) => {
-                            if !self.lose(&mut io, error) {
-                                break;
-                            }
-                        }
-                    },
-                    opened = opened(&mut opening) => {
-                        opening = None;
-                        match opened {
-                            Progress::Opened(opened) => {
-                                drop(retired.take());
-                                self.opened(opened, &mut io);
-                            }
-                            Progress::Turn(turn) if self.core.may_connect(Instant::now()) => {
-                                opening = self.open(turn.take());
-                                if opening.is_none() {
-                                    break;
-                                }
-                            }
-                            Progress::Turn(_) => self.waits_no_more(),
-                        }
-                    }
-                    message = self.messages.recv(), if !orphaned => match message {
-                        Some(message) => self.hear(message),
-                        None => orphaned = true,
-                    },
-                    () = pause(until) => {}
-                },
             }
         }
-        self.messages.close();
+        Next::Yield
+    }
+
+    /// The end of all: calls that wait fail, and the connection is closed as soon as what was sent has left the machine.
+    fn end(&mut self, now: Instant) -> Next {
         self.core.close();
-        if let (Some(_), Some(until)) = (&io, self.sent_until) {
+        match self.sent_until {
             // A broadcast that has been said to be sent is not cut off.
-            sleep_until(until).await;
+            Some(until) if self.io.is_some() && now < until => Next::Wait(Some(until)),
+            _ => Next::End,
         }
-        drop(io);
-        // Whoever closes it waits for this: now all is done.
-        self.state.send_replace(LinkState::Closed);
     }
 
-    /// Ends it before it has begun.
-    pub(crate) fn never_run(self) {
+    /// Closes the connection. Whoever closes the link waits for this: now all is done.
+    pub(crate) fn finish(mut self) {
+        self.io = None;
         self.state.send_replace(LinkState::Closed);
-    }
-
-    fn hear(&mut self, message: Message) {
-        match message {
-            Some(ticket) => self.core.push(ticket, Instant::now()),
-            None => {
-                self.messages.close();
-                self.core.close();
-            }
-        }
     }
 
     /// When what has just been written leaves the machine. On a serial line, it waits for what was written before.
-    fn transmitted_at(&mut self) -> Instant {
-        let now = Instant::now();
+    fn transmitted_at(&mut self, now: Instant) -> Instant {
         let Some(line) = self.line else { return now };
         let begins = self.sent_until.map_or(now, |until| until.max(now));
         let ends = later(begins, line.transmission(self.core.outgoing().len()));
         self.sent_until = Some(ends);
         ends
+    }
+
+    /// Goes on writing the request; ready when that is over.
+    fn poll_write(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        let Some(writing) = &mut self.writing else { return Poll::Ready(Ok(())) };
+        let Some(io) = &mut self.io else {
+            self.writing = None;
+            return Poll::Ready(Err(io::ErrorKind::NotConnected.into()));
+        };
+        let result = loop {
+            match self.core.outgoing().get(writing.written..) {
+                Some(rest) if !rest.is_empty() => match ready!(Pin::new(&mut *io).poll_write(cx, rest)) {
+                    Ok(0) => break Err(io::ErrorKind::WriteZero.into()),
+                    Ok(written) => writing.written = writing.written.saturating_add(written),
+                    Err(error) => break Err(error),
+                },
+                // Flushing a serial port blocks the thread until the last bit is on the line.
+                _ if self.line.is_some() => break Ok(()),
+                _ => break ready!(Pin::new(&mut *io).poll_flush(cx)),
+            }
+        };
+        self.writing = None;
+        Poll::Ready(result)
+    }
+
+    /// Reads what has come, and lets the core understand it. Says whether that is all; of a peer that never stops, no more
+    /// than a few reads' worth is taken.
+    fn read_all(&mut self, cx: &mut Context<'_>, now: &mut Instant) -> io::Result<bool> {
+        for reads in 0..MAX_AT_ONCE {
+            let Some(io) = &mut self.io else { return Ok(true) };
+            let mut bytes = [const { MaybeUninit::uninit() }; buffer::LEN];
+            let mut bytes = ReadBuf::uninit(&mut bytes);
+            match Pin::new(io).poll_read(cx, &mut bytes) {
+                Poll::Pending => return Ok(true),
+                Poll::Ready(result) => result?,
+            }
+            if bytes.filled().is_empty() {
+                return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the other end closed it"));
+            }
+            if reads > 0 {
+                *now = Instant::now();
+            }
+            self.understand(bytes.filled(), *now);
+            if !self.core.is_idle() {
+                // Its time may be up.
+                return Ok(false);
+            }
+        }
+        Ok(false)
+    }
+
+    fn understand(&mut self, bytes: &[u8], now: Instant) {
+        let borrows = self.core.incoming().is_empty();
+        if borrows {
+            *self.core.incoming() = buffer::borrow();
+        }
+        self.core.incoming().extend_from_slice(bytes);
+        self.core.received(now);
+        let left = self.core.incoming();
+        // As much as is needed, and no more.
+        let kept = if left.is_empty() { BytesMut::new() } else { BytesMut::from(&left[..]) };
+        if borrows {
+            buffer::give_back(std::mem::replace(left, kept));
+        } else if left.is_empty() {
+            *left = kept;
+        }
+    }
+
+    /// Goes on opening a connection, or begins to; ready when something has come of it.
+    fn open(&mut self, cx: &mut Context<'_>, now: Instant) -> Poll<()> {
+        if std::mem::take(&mut self.connects) {
+            match self.gate.clone() {
+                Some(gate) => {
+                    self.waits();
+                    self.opening = Some(Opening::Turn(gate.turn().boxed()));
+                }
+                None => self.begin_to_open(None),
+            }
+        }
+        match &mut self.opening {
+            None => {}
+            Some(Opening::Turn(turn)) => {
+                let turn = ready!(turn.poll_unpin(cx));
+                self.opening = None;
+                if self.core.may_connect(now) {
+                    self.begin_to_open(turn.take());
+                } else {
+                    self.waits_no_more();
+                }
+            }
+            Some(Opening::Connection { opening, .. }) => {
+                let opened = ready!(opening.poll_unpin(cx));
+                self.opening = None;
+                self.retired = None;
+                self.opened(opened);
+            }
+        }
+        Poll::Ready(())
     }
 
     /// It is not its turn to connect yet. A link that is down goes on saying why.
@@ -202,18 +381,22 @@ impl Driver {
         });
     }
 
-    /// Begins to open a connection. `None`: there will never be another.
-    fn open(&mut self, pass: Option<Pass>) -> Option<Opening> {
-        let opening = self.connector.open(self.connect_timeout)?;
-        self.state.send_replace(LinkState::Connecting);
-        Some(Opening::Connection { opening, _pass: pass })
+    /// Begins to open a connection. If there will never be another, that is the end.
+    fn begin_to_open(&mut self, pass: Option<Pass>) {
+        match self.connector.open(self.connect_timeout) {
+            Some(opening) => {
+                self.state.send_replace(LinkState::Connecting);
+                self.opening = Some(Opening::Connection { opening, _pass: pass });
+            }
+            None => self.ending = true,
+        }
     }
 
-    fn opened(&mut self, opened: io::Result<BoxIo>, io: &mut Option<BoxIo>) {
+    fn opened(&mut self, opened: io::Result<BoxIo>) {
         match opened {
             Ok(opened) => {
                 tracing::debug!("connected");
-                *io = Some(opened);
+                self.io = Some(opened);
                 self.sent_until = None;
                 self.core.connected(Instant::now());
                 self.state.send_replace(LinkState::Up);
@@ -227,59 +410,20 @@ impl Driver {
         }
     }
 
-    /// The connection is lost; says whether there can be another.
-    fn lose(&mut self, io: &mut Option<BoxIo>, error: io::Error) -> bool {
+    /// The connection is lost. If there can be no other, that is the end.
+    fn lose(&mut self, error: io::Error, now: Instant) {
         tracing::debug!(%error, "connection lost");
-        *io = None;
+        self.io = None;
+        self.writing = None;
         let error = Arc::new(error);
-        let reopens = self.connector.reopens();
-        if reopens {
-            self.core.disconnected(&error, Instant::now());
+        if self.connector.reopens() {
+            self.core.disconnected(&error, now);
         } else {
             self.core.abort(&error);
+            self.ending = true;
         }
         self.state.send_replace(LinkState::Down { error });
-        reopens
     }
-}
-
-async fn write(io: &mut BoxIo, bytes: &[u8], flush: bool, by: Instant) -> io::Result<()> {
-    let written = timeout_at(by, async {
-        io.write_all(bytes).await?;
-        if flush { io.flush().await } else { Ok(()) }
-    });
-    written
-        .await
-        .unwrap_or_else(|_| Err(io::Error::new(io::ErrorKind::TimedOut, "the request could not be written in time")))
-}
-
-/// Waits for bytes and puts them where the core looks for them; for ever if there is no connection.
-async fn read(io: &mut Option<BoxIo>, core: &mut Core) -> io::Result<()> {
-    let Some(io) = io else { return std::future::pending().await };
-    poll_fn(|cx| {
-        // Not kept while nothing comes: most links wait most of the time, and there may be thousands of them.
-        let mut buffer = [const { MaybeUninit::uninit() }; READ_LEN];
-        let mut buffer = ReadBuf::uninit(&mut buffer);
-        ready!(Pin::new(&mut *io).poll_read(cx, &mut buffer))?;
-        core.incoming().extend_from_slice(buffer.filled());
-        Poll::Ready(match buffer.filled() {
-            [] => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the other end closed it")),
-            _ => Ok(()),
-        })
-    })
-    .await
-}
-
-/// Takes what can be read without waiting; of a peer that never stops, no more than a few reads' worth.
-fn drain(io: &mut Option<BoxIo>, core: &mut Core) -> Option<io::Result<()>> {
-    for _ in 0..MAX_DRAINED_READS {
-        io.as_ref()?;
-        match read(io, core).now_or_never()? {
-            Ok(()) => core.received(Instant::now()),
-            error => return Some(error),
-        }
-    }
-    None
 }
 
 /// A connection on its way.
@@ -293,22 +437,11 @@ enum Opening {
     },
 }
 
-enum Progress {
-    Turn(Turn),
-    Opened(io::Result<BoxIo>),
-}
-
-async fn opened(opening: &mut Option<Opening>) -> Progress {
-    match opening {
-        Some(Opening::Turn(turn)) => Progress::Turn(turn.await),
-        Some(Opening::Connection { opening, .. }) => Progress::Opened(opening.await),
-        None => std::future::pending().await,
-    }
-}
-
-async fn pause(until: Option<Instant>) {
-    match until {
-        Some(until) => sleep_until(until).await,
-        None => std::future::pending().await,
+impl std::fmt::Debug for Opening {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Turn(_) => "Turn",
+            Self::Connection { .. } => "Connection",
+        })
     }
 }

@@ -26,6 +26,7 @@ use bytes::BytesMut;
 use tokio::time::Instant;
 use tokio_util::codec::{Decoder, Encoder};
 
+use super::buffer;
 use super::call::Ticket;
 use super::options::EchoMode;
 use crate::command::{self, Code, Command, LoopBack, ReadStatus, ReplyError};
@@ -36,9 +37,9 @@ use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side, as
 #[derive(Debug)]
 pub(crate) enum Goal {
     /// A call's request.
-    Call(Box<Ticket>),
+    Call(Ticket),
     /// A request of the link itself; then, if there is one, the call that it is for.
-    Check { station: u8, check: Check, call: Option<Box<Ticket>> },
+    Check { station: u8, check: Check, call: Option<Ticket> },
 }
 
 /// What the link itself asks a station.
@@ -62,12 +63,12 @@ impl Goal {
     pub(crate) fn call(&self) -> Option<&Ticket> {
         match self {
             Self::Call(ticket) => Some(ticket),
-            Self::Check { call, .. } => call.as_deref(),
+            Self::Check { call, .. } => call.as_ref(),
         }
     }
 
     /// The same, taken.
-    pub(crate) fn into_call(self) -> Option<Box<Ticket>> {
+    pub(crate) fn into_call(self) -> Option<Ticket> {
         match self {
             Self::Call(ticket) => Some(ticket),
             Self::Check { call, .. } => call,
@@ -114,8 +115,6 @@ fn verdict<T>(reply: Result<T, ReplyError>) -> Result<Option<ErrorCode>, FieldEr
 #[derive(Debug)]
 pub(crate) struct Active {
     pub(crate) goal: Goal,
-    /// As it is sent.
-    pub(crate) request: BytesMut,
     /// When its sending began.
     pub(crate) began: Instant,
     /// When its last bit was sent.
@@ -161,6 +160,10 @@ pub(crate) struct Exchange {
     /// What has been received and not yet been understood.
     pub(crate) received: BytesMut,
     active: Option<Active>,
+    /// The request, until it is written.
+    request: BytesMut,
+    /// How long it is, or was.
+    request_len: usize,
     mode: EchoMode,
     echo: Echo,
 }
@@ -168,7 +171,15 @@ pub(crate) struct Exchange {
 impl Exchange {
     pub(crate) fn new(framing: Framing, mode: EchoMode) -> Self {
         let codec = Codec::new(framing, Side::Client);
-        let mut exchange = Self { codec, received: BytesMut::new(), active: None, mode, echo: Echo::Absent };
+        let mut exchange = Self {
+            codec,
+            received: BytesMut::new(),
+            active: None,
+            request: BytesMut::new(),
+            request_len: 0,
+            mode,
+            echo: Echo::Absent,
+        };
         exchange.reconnected();
         exchange
     }
@@ -186,22 +197,28 @@ impl Exchange {
         self.active.as_ref()
     }
 
+    /// The request on the wire, as it is sent; nothing once it is.
+    pub(crate) fn request(&self) -> &[u8] {
+        &self.request
+    }
+
     /// Puts a request on the wire.
     ///
     /// What has been received so far came before it, and is forgotten; the number of such bytes is returned. `None`: it
     /// cannot be sent in this framing, and its call has failed.
     pub(crate) fn begin(&mut self, goal: Goal, now: Instant, deadline: Instant) -> Option<usize> {
-        let mut request = BytesMut::with_capacity(REQUEST_LEN);
+        let mut request = buffer::borrow();
         if let Err(invalid) = goal.encode(self.framing(), &mut request) {
             if let Some(ticket) = goal.call() {
                 ticket.call.fail(invalid.into());
             }
             return None;
         }
+        self.request_len = request.len();
+        self.request = request;
         let stale = self.forget();
         self.active = Some(Active {
             goal,
-            request,
             began: now,
             sent: None,
             deadline,
@@ -216,10 +233,18 @@ impl Exchange {
 
     /// The request has been sent, at this time; its reply is given up at that one.
     pub(crate) fn sent(&mut self, at: Instant, deadline: Instant, patient: bool) {
+        self.written();
         if let Some(active) = &mut self.active {
             active.sent = Some(at);
             active.deadline = deadline;
             active.patient = patient;
+        }
+    }
+
+    /// The bytes of the request are not needed any more.
+    fn written(&mut self) {
+        if self.request.capacity() > 0 {
+            buffer::give_back(std::mem::take(&mut self.request));
         }
     }
 
@@ -232,12 +257,13 @@ impl Exchange {
 
     /// Takes what is on the wire off it; what comes of it later is stray.
     pub(crate) fn end(&mut self) -> Option<Active> {
+        self.written();
         self.active.take()
     }
 
     /// The same, when no reply has come.
     pub(crate) fn give_up(&mut self) -> Option<Active> {
-        let active = self.active.take()?;
+        let active = self.end()?;
         let barrier = matches!(active.goal, Goal::Check { check: Check::Barrier(_), .. });
         if barrier && active.echoed && self.mode != EchoMode::On {
             // Perhaps that was the reply, and the line does not echo any more.
@@ -249,7 +275,9 @@ impl Exchange {
     /// Forgets what has been received, as after a lost connection; says how many bytes that were.
     pub(crate) fn forget(&mut self) -> usize {
         let len = self.received.len();
-        self.received = BytesMut::new();
+        if len > 0 {
+            self.received = BytesMut::new();
+        }
         self.codec.reset();
         len
     }
@@ -271,12 +299,7 @@ impl Exchange {
     /// Understands the next thing that has been received, at `now`. `None`: more bytes are needed.
     pub(crate) fn next_event(&mut self, now: Instant) -> Option<Event> {
         // The codecs do no I/O, so they have no errors.
-        let item = self.codec.decode(&mut self.received).ok().flatten();
-        if self.received.is_empty() {
-            // While nothing comes, nothing is kept for it: a link waits most of the time, and there may be thousands.
-            self.received = BytesMut::new();
-        }
-        Some(match item? {
+        Some(match self.codec.decode(&mut self.received).ok().flatten()? {
             Received::Frame(frame) => self.classify(&frame, now),
             Received::Discarded { reason, bytes } => {
                 tracing::trace!(%reason, bytes = %bytes.escape_ascii(), "discarded");
@@ -309,13 +332,14 @@ impl Exchange {
 
     fn classify(&mut self, frame: &Frame, now: Instant) -> Event {
         tracing::trace!(station = frame.station, command = frame.command, data = %frame.data.escape_ascii(), "received");
-        let Some(mut active) = self.active.take() else {
+        let framing = self.framing();
+        let Some(active) = &mut self.active else {
             return Event::Stray { station: frame.station };
         };
-        let copy = !active.echoed && is_copy(&active.request, self.framing(), frame);
+        let copy = !active.echoed && is_copy(&active.goal, self.request_len, framing, frame);
         let learning = matches!(active.goal, Goal::Check { check: Check::Echo, .. });
         if copy && (self.echo == Echo::Present || learning) {
-            return self.echoed(active);
+            return self.echoed();
         }
         let station = active.goal.station();
         let fault = if frame.station != station {
@@ -323,14 +347,13 @@ impl Exchange {
         } else if frame.command != u8::from(active.goal.code()) {
             Some(format!("a reply to command {:02X}", frame.command))
         } else {
-            match active.goal.offer(self.framing(), &frame.data, now) {
+            match active.goal.offer(framing, &frame.data, now) {
                 Ok(refusal) => {
                     // An echo that was garbled is noise, and nearly as long as the request.
-                    let quiet = active.discarded.saturating_mul(2) < active.request.len();
+                    let quiet = active.discarded.saturating_mul(2) < self.request_len;
                     if learning && quiet && self.echo == Echo::Unknown {
                         self.echo = Echo::Absent;
                     }
-                    self.active = Some(active);
                     return Event::Replied { refused: refusal.is_some() };
                 }
                 Err(mismatch) => Some(mismatch.to_string()),
@@ -338,25 +361,22 @@ impl Exchange {
         };
         if copy && fault.is_some() {
             tracing::warn!("the line sends back what is sent on it; from now on that is expected");
-            return self.echoed(active);
+            return self.echoed();
         }
         active.doubtful |= fault.is_some();
-        active.fault = fault.or(active.fault);
-        self.active = Some(active);
+        active.fault = fault.or(active.fault.take());
         Event::Stray { station: frame.station }
     }
 
     /// The request itself has come back, so the line echoes; the reply is still to come.
-    fn echoed(&mut self, mut active: Active) -> Event {
+    fn echoed(&mut self) -> Event {
         self.echo = Echo::Present;
-        active.echoed = true;
-        self.active = Some(active);
+        if let Some(active) = &mut self.active {
+            active.echoed = true;
+        }
         Event::Echoed
     }
 }
-
-/// What most requests fit into: all reads of consecutive elements do.
-const REQUEST_LEN: usize = 32;
 
 /// Whether a frame, and perhaps the reply, was lost with such bytes.
 pub(crate) fn spoils(reason: Discard) -> bool {
@@ -364,11 +384,13 @@ pub(crate) fn spoils(reason: Discard) -> bool {
 }
 
 /// Whether a frame is the request that was sent, come back. In the binary framing it would not even be a frame.
-fn is_copy(request: &[u8], framing: Framing, frame: &Frame) -> bool {
+fn is_copy(goal: &Goal, request_len: usize, framing: Framing, frame: &Frame) -> bool {
     // Most replies are of another length: those need no closer look.
-    if framing != Framing::Ascii || request.len() != frame.data.len().saturating_add(ascii::OVERHEAD) {
+    if framing != Framing::Ascii || request_len != frame.data.len().saturating_add(ascii::OVERHEAD) {
         return false;
     }
-    let mut copy = BytesMut::with_capacity(request.len());
-    Codec::new(framing, Side::Client).encode(frame, &mut copy).is_ok() && copy == request
+    let (mut request, mut copy) = (BytesMut::with_capacity(request_len), BytesMut::with_capacity(request_len));
+    goal.encode(framing, &mut request).is_ok()
+        && Codec::new(framing, Side::Client).encode(frame, &mut copy).is_ok()
+        && copy == request
 }

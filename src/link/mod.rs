@@ -1,13 +1,15 @@
 //! The link: one connection, shared by many callers and many stations.
 //!
 //! - [`Link`] is the handle: cheap to clone, nothing but a sender to the task.
-//! - `driver` is the task that owns the connection. It moves bytes and time, and decides nothing.
+//! - `driver` owns the connection. It moves bytes and time, and decides nothing. `hub` is what handles and task share: the
+//!   driver is advanced by the link's task and, to put a request on the wire, by a caller.
 //! - `core` decides: which call is next, when to connect, whom to believe. It does no I/O and reads no clock.
 //!   `connection` is whether there is one and when there may be another.
 //! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others;
 //!   `stations` is whom to believe, and who is there.
 //! - `call` is what a caller and the task share; `stats` is what everybody can see; `by_station` is a map for what is
 //!   known of each station.
+//! - `buffer` is what they put bytes in that they have in hand.
 //! - `gate` lets links that share it connect one after the other.
 //! - `transport` is what the bytes go over, and `line` how long they take.
 #![cfg_attr(
@@ -21,6 +23,7 @@
     )
 )]
 
+mod buffer;
 mod builder;
 #[cfg(all(test, feature = "sim"))]
 pub(crate) mod bus_time;
@@ -32,6 +35,7 @@ mod core;
 mod driver;
 mod exchange;
 mod gate;
+mod hub;
 mod line;
 pub(crate) use line::Line;
 mod options;
@@ -43,18 +47,18 @@ mod transport;
 use std::fmt;
 use std::future::Future;
 use std::io;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::runtime::Handle;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::watch;
 use tokio::time::{Instant, timeout_at};
 use tracing::Instrument;
 
-use self::call::{AnyCall, Completion, Ticket};
-use self::driver::{Driver, Message};
+use self::call::{Spares, Terms};
 pub(crate) use self::gate::Gate;
+use self::hub::Hub;
 use self::stats::Board;
 pub(crate) use self::transport::{BoxIo, Connector};
 use crate::command::{Command, InvalidRequest};
@@ -95,13 +99,18 @@ struct Shared {
     options: CallOptions,
     /// For calls whose options have none.
     response_timeout: Duration,
-    messages: mpsc::Sender<Message>,
+    hub: Arc<Hub>,
+    spares: Spares,
     state: watch::Receiver<LinkState>,
     board: Arc<Board>,
     /// The serial line, if it is one.
     line: Option<Line>,
-    /// The task, until the first call starts it.
-    driver: Mutex<Option<Box<Driver>>>,
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        self.hub.orphan();
+    }
 }
 
 /// What a link's connection is doing.
@@ -236,7 +245,7 @@ impl Link {
 
     /// Whether it will never do anything again: it has been closed, or its task has ended.
     pub(crate) fn is_closed(&self) -> bool {
-        self.shared.messages.is_closed()
+        self.shared.hub.is_closed()
     }
 
     /// How many handles there are, those of stations included.
@@ -260,15 +269,10 @@ impl Link {
     /// Closes the link for all its handles: what waits fails with [`Error::Closed`], the request on the wire is
     /// finished, the connection is closed. Returns when that is done; calls made later fail at once.
     ///
-    /// Dropping the future does not undo it, once the task has been told; that may take a moment when very many calls are
-    /// on their way to it.
+    /// Dropping the future does not undo it.
     pub async fn close(&self) {
-        // A task that has not been started has nothing to finish.
-        if let Some(driver) = self.take_driver() {
-            return driver.never_run();
-        }
-        // If that is not heard any more, somebody else has closed it, and may not be done yet.
-        let _ = self.shared.messages.send(None).await;
+        // If somebody else has closed it, that may not be done yet.
+        self.shared.hub.close();
         let mut state = self.shared.state.clone();
         let _ = state.wait_for(|state| matches!(state, LinkState::Closed)).await;
     }
@@ -279,9 +283,7 @@ impl Link {
         request: C,
         options: CallOptions,
     ) -> Result<C::Reply, Error> {
-        request.check(self.framing())?;
-        let (call, mut completion) = call::new(request);
-        self.submit(self.ticket::<C>(station, call, options), &mut completion).await
+        self.timed_call(station, request, options).await.0
     }
 
     /// As [`call`](Self::call), and tells when the reply came; if none did, when that was known.
@@ -291,89 +293,84 @@ impl Link {
         request: C,
         options: CallOptions,
     ) -> (Result<C::Reply, Error>, Instant) {
-        if let Err(error) = request.check(self.framing()) {
-            return (Err(error.into()), Instant::now());
-        }
-        let (call, mut completion) = call::new(request);
-        let result = self.submit(self.ticket::<C>(station, call, options), &mut completion).await;
-        (result, completion.answered_at().unwrap_or_else(Instant::now))
+        let (result, answered_at) = self.submit(station, request, None, options).await;
+        (result, answered_at.unwrap_or_else(Instant::now))
     }
 
     /// Sends a request that no station answers.
     pub(crate) async fn cast<C: Command<Reply = ()>>(&self, request: C, options: CallOptions) -> Result<(), Error> {
-        request.check(self.framing())?;
-        let (call, mut completion) = call::unanswered(request, ());
-        self.submit(self.ticket::<C>(0, call, options), &mut completion).await
+        self.submit(0, request, Some(()), options).await.0
     }
 
-    fn ticket<C: Command>(&self, station: u8, call: Arc<dyn AnyCall>, options: CallOptions) -> Box<Ticket> {
-        let class = C::CODE.class();
+    /// Has a request sent. Tells, with its result, when the reply came if one did.
+    async fn submit<C: Command>(
+        &self,
+        station: u8,
+        request: C,
+        unanswered: Option<C::Reply>,
+        options: CallOptions,
+    ) -> (Result<C::Reply, Error>, Option<Instant>) {
+        if let Err(error) = request.check(self.framing()).map_err(Error::from).and_then(|()| self.start()) {
+            return (Err(error), None);
+        }
         let queued_at = Instant::now();
-        Box::new(Ticket {
-            call,
+        let deadline = later(queued_at, options.call_timeout);
+        let terms = Terms {
             station,
             code: C::CODE,
-            lane: options.lane(class),
-            deadline: later(queued_at, options.call_timeout),
+            lane: options.lane(C::CODE.class()),
+            deadline,
             queued_at,
             response_timeout: options.response_timeout.unwrap_or(self.shared.response_timeout),
             options,
-            retries_left: options.retries_for(class),
-        })
+        };
+        let (ticket, mut completion) = call::new(request, unanswered, terms, &self.shared.spares);
+        // Until the call has ended.
+        let span = tracing::debug_span!("call", link = %self.shared.name, station, command = C::CODE.name());
+        span.in_scope(|| self.shared.hub.submit(ticket));
+        let answered = timeout_at(deadline, &mut completion).await;
+        drop(span);
+        let result = answered.unwrap_or_else(|_| {
+            let after = queued_at.elapsed();
+            Err(Error::Timeout { station, code: C::CODE, after, sent: completion.abandon() })
+        });
+        let answered_at = completion.answered_at();
+        completion.recycle(&self.shared.spares);
+        (result.map_err(|error| self.explain(error, deadline)), answered_at)
     }
 
-    async fn submit<C: Command>(&self, ticket: Box<Ticket>, completion: &mut Completion<C>) -> Result<C::Reply, Error> {
-        self.start()?;
-        let Ticket { station, code, queued_at, deadline, .. } = *ticket;
-        let answered = timeout_at(deadline, async {
-            self.shared.messages.send(Some(ticket)).await.map_err(|_| Error::Closed { sent: false })?;
-            (&mut *completion).await
-        })
-        .instrument(tracing::debug_span!("call", link = %self.shared.name, station, command = code.name()));
-        let result = answered.await.unwrap_or_else(|_| {
-            let after = queued_at.elapsed();
-            Err(Error::Timeout { station, code, after, sent: completion.abandon() })
-        });
+    /// When the time was spent on trying to connect, that is what the caller wants to know.
+    fn explain(&self, error: Error, deadline: Instant) -> Error {
         // Before its time is up, a call times out because a station is silent, and what the connection does is another matter.
-        let expired = Instant::now() >= deadline;
-        match (result, &*self.shared.state.borrow()) {
-            // The time was spent on trying to connect: that is what the caller wants to know.
-            (Err(Error::Timeout { sent: false, .. }), LinkState::Down { error }) if expired => {
-                Err(self.connect_error(error.clone()))
-            }
-            (Err(Error::Timeout { sent: false, .. }), LinkState::Waiting) if expired => {
+        if !matches!(error, Error::Timeout { sent: false, .. }) || Instant::now() < deadline {
+            return error;
+        }
+        match &*self.shared.state.borrow() {
+            LinkState::Down { error } => self.connect_error(error.clone()),
+            LinkState::Waiting => {
                 let reason = "too many other connections were to be opened before it";
-                Err(self.connect_error(Arc::new(io::Error::new(io::ErrorKind::TimedOut, reason))))
+                self.connect_error(Arc::new(io::Error::new(io::ErrorKind::TimedOut, reason)))
             }
-            (result, _) => result,
+            _ => error,
         }
     }
 
     /// Starts the task, the first time.
     fn start(&self) -> Result<(), Error> {
-        let mut driver = self.lock_driver();
-        if driver.is_none() {
+        if self.shared.hub.is_started(false) {
             return Ok(());
         }
         // Only with a runtime at hand: a caller without one must not use the task up.
         let runtime = Handle::try_current().map_err(|error| self.connect_error(Arc::new(io::Error::other(error))))?;
-        if let Some(driver) = driver.take() {
-            runtime.spawn(driver.run().instrument(tracing::debug_span!("link", name = %self.shared.name)));
+        if !self.shared.hub.is_started(true) {
+            let task = self.shared.hub.clone().run();
+            runtime.spawn(task.instrument(tracing::debug_span!("link", name = %self.shared.name)));
         }
         Ok(())
     }
 
     fn connect_error(&self, source: Arc<io::Error>) -> Error {
         Error::Connect { endpoint: self.shared.name.to_string(), source, sent: false }
-    }
-
-    fn take_driver(&self) -> Option<Box<Driver>> {
-        self.lock_driver().take()
-    }
-
-    fn lock_driver(&self) -> MutexGuard<'_, Option<Box<Driver>>> {
-        // Nothing panics while it holds this lock.
-        self.shared.driver.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

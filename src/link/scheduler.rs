@@ -30,7 +30,7 @@ pub(crate) struct Scheduler {
 
 #[derive(Debug, Default)]
 struct Queues {
-    lanes: [VecDeque<Box<Ticket>>; Lane::COUNT],
+    lanes: [VecDeque<Ticket>; Lane::COUNT],
     /// How much bus time it has used, as far as that matters for fairness.
     used: Duration,
     /// When each of its lanes was served last.
@@ -52,7 +52,7 @@ impl Scheduler {
 
     /// Puts a call at the end of its queue; gives it back when the station's queues are full.
     #[must_use]
-    pub(crate) fn push(&mut self, ticket: Box<Ticket>, now: Instant) -> Option<Box<Ticket>> {
+    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) -> Option<Ticket> {
         let capacity = self.capacity;
         self.queues(ticket.station, |queues| {
             if queues.len() >= capacity {
@@ -69,7 +69,7 @@ impl Scheduler {
     }
 
     /// Puts a call that was taken back before all others of its queue. It had its place, so no bound applies.
-    pub(crate) fn push_front(&mut self, ticket: Box<Ticket>) {
+    pub(crate) fn push_front(&mut self, ticket: Ticket) {
         self.queues(ticket.station, |queues| {
             if let Some(lane) = queues.lanes.get_mut(index(ticket.lane)) {
                 lane.push_front(ticket);
@@ -78,7 +78,7 @@ impl Scheduler {
     }
 
     /// Takes the next call that is still wanted, if there is one whose station may be served.
-    pub(crate) fn pop(&mut self, now: Instant) -> Option<Box<Ticket>> {
+    pub(crate) fn pop(&mut self, now: Instant) -> Option<Ticket> {
         loop {
             let (station, lane) = self.next(now)?;
             let queues = self.stations.get_mut(station)?;
@@ -116,7 +116,7 @@ impl Scheduler {
     }
 
     /// Takes every call of a station.
-    pub(crate) fn drain(&mut self, station: u8) -> VecDeque<Box<Ticket>> {
+    pub(crate) fn drain(&mut self, station: u8) -> VecDeque<Ticket> {
         match self.stations.get_mut(station) {
             Some(queues) => queues.lanes.iter_mut().flat_map(std::mem::take).collect(),
             None => VecDeque::new(),
@@ -124,7 +124,7 @@ impl Scheduler {
     }
 
     /// Takes every call.
-    pub(crate) fn drain_all(&mut self) -> VecDeque<Box<Ticket>> {
+    pub(crate) fn drain_all(&mut self) -> VecDeque<Ticket> {
         let queues = self.stations.values_mut().flat_map(|queues| queues.lanes.iter_mut());
         queues.flat_map(std::mem::take).collect()
     }
@@ -156,17 +156,25 @@ impl Scheduler {
 
     /// The station and lane whose turn it is.
     fn next(&self, now: Instant) -> Option<(u8, usize)> {
-        let lanes = (0..Lane::COUNT).filter_map(|lane| {
+        let mut lanes = (0..Lane::COUNT).filter_map(|lane| {
             let waiting = self.stations.iter().filter_map(|(station, queues)| {
                 let ticket = queues.lanes.get(lane)?.front()?;
                 let free = queues.blocked_until.is_none_or(|until| until <= now);
                 free.then_some((queues.used, ticket.queued_at, station))
             });
             let (_, queued_at, station) = waiting.min()?;
-            let served_at = self.stations.get(station)?.served_at.get(lane)?.unwrap_or(queued_at);
-            Some((self.rank(lane, queued_at.max(served_at), now), lane, station))
+            Some((lane, queued_at, station))
         });
-        lanes.min().map(|(_, lane, station)| (station, lane))
+        let (lane, queued_at, station) = lanes.next()?;
+        let Some(second) = lanes.next() else {
+            // Mostly there is one: nothing is to be weighed.
+            return Some((station, lane));
+        };
+        let ranked = [(lane, queued_at, station), second].into_iter().chain(lanes).map(|(lane, queued_at, station)| {
+            let served_at = self.stations.get(station).and_then(|queues| *queues.served_at.get(lane)?);
+            (self.rank(lane, served_at.map_or(queued_at, |at| at.max(queued_at)), now), lane, station)
+        });
+        ranked.min().map(|(_, lane, station)| (station, lane))
     }
 
     /// The lane, less one for each ageing period since then.

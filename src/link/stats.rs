@@ -150,6 +150,14 @@ impl Board {
         self.lock().stations.with(station, Tally::default, |tally| count(&mut tally.stats));
     }
 
+    /// A station has answered, and is there.
+    pub(crate) fn answered(&self, station: u8, count: impl FnOnce(&mut StationStats)) {
+        self.lock().stations.with(station, Tally::default, |tally| {
+            tally.set_state(StationState::Online);
+            count(&mut tally.stats);
+        });
+    }
+
     pub(crate) fn discarded(&self, reason: Discard, bytes: usize) {
         self.count(|link| match reason {
             Discard::WrongSide => add(&mut link.echoes, 1),

@@ -4,9 +4,10 @@
 //! - nothing is sent unless all the elements exist;
 //! - a request begins where the one before it has ended, and is as long as the protocol allows, so that no value of 32
 //!   bits, nor a pair of words that begins at an even distance from the first, is split between two;
-//! - the first failure is the end; a write tells how much came before it.
+//! - the first failure is the end; a write tells how much came before it, and a read into memory of the caller leaves what
+//!   lies behind it as it was.
 
-use crate::command::{Command, InvalidRequest, check_range, most_in_one_request};
+use crate::command::{Command, Consecutive, InPlace, InvalidRequest, check_range, most_in_one_request};
 use crate::element::{Element, ElementError};
 use crate::error::Error;
 
@@ -31,6 +32,29 @@ where
         values.extend(station.call(request(next, most.min(count - values.len()))?).await?);
     }
     Ok(values)
+}
+
+/// Reads as many elements from `first` on as there is room for; `request` makes one request, of at most `N`.
+pub(super) async fn read_into<E, C, const N: usize>(
+    station: &Station,
+    first: E,
+    into: &mut [C::Value],
+    request: impl Fn(E, usize) -> Result<C, InvalidRequest>,
+) -> Result<(), Error>
+where
+    E: Into<Element> + TryFrom<Element, Error = ElementError> + Copy,
+    C: Consecutive,
+{
+    check_range(C::CODE, first.into(), into.len())?;
+    let mut read = 0;
+    for part in into.chunks_mut(most_in_one_request(first.into())) {
+        let request = request(nth(first, read)?, part.len())?;
+        // Copied by the caller: the link never has memory that it must give back when a call is dropped.
+        let reply = station.call(InPlace::<C, N>(request)).await?;
+        part.iter_mut().zip(reply.as_slice()).for_each(|(place, &value)| *place = value);
+        read += part.len();
+    }
+    Ok(())
 }
 
 /// Writes these values to `first` and the elements after it; `request` makes one request.

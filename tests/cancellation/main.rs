@@ -48,18 +48,18 @@ fn a_call_that_is_dropped_behind_another_one_harms_nobody() {
 }
 
 #[test]
-fn a_call_that_is_dropped_before_it_has_a_place_in_the_channel_harms_nobody() {
+fn a_call_that_is_dropped_behind_many_others_harms_nobody() {
     drop_everywhere(Scene::Crowded, &[Stage::Queued]);
 }
 
 #[test]
 fn a_call_to_a_dirty_station_that_is_dropped_before_behind_or_with_the_barrier_harms_nobody() {
-    drop_everywhere(Scene::Dirty, &[Stage::Queued, Stage::Checked]);
+    drop_everywhere(Scene::Dirty, &[Stage::Checked]);
 }
 
 #[test]
 fn a_call_that_is_dropped_before_or_between_its_retries_harms_nobody() {
-    drop_everywhere(Scene::Unanswered, &[Stage::Queued]);
+    drop_everywhere(Scene::Unanswered, &[]);
 }
 
 #[test]
@@ -91,21 +91,6 @@ fn closing_that_is_dropped_at_any_point_closes_all_the_same_once_it_has_begun() 
                     break;
                 }
             }
-        }
-    });
-}
-
-#[test]
-fn closing_that_is_dropped_before_it_has_a_place_in_the_channel_closes_nothing() {
-    paused(async {
-        for framing in FRAMINGS {
-            let bench = Bench::new(framing);
-            let crowd = bench.crowd().await;
-            assert!(cut_off(closing(&bench.link), 1).await.is_none());
-            for call in crowd {
-                assert_eq!(call.await.unwrap().unwrap().len(), 3);
-            }
-            assert_eq!(bench.station().read_registers(d(500), 3).await.unwrap(), words(500));
         }
     });
 }
@@ -156,7 +141,12 @@ fn drop_everywhere(scene: Scene, stages: &[Stage]) {
                     _ => expected.extend([Stage::Sent, Stage::Executed, Stage::Replied]),
                 }
                 assert!(expected.is_subset(&seen), "{scene:?}, {framing}, {}: only {seen:?}", method.name);
-                let at_least = if method.kind == Kind::Broadcast { 2 } else { 10 };
+                let at_least = match (method.kind, scene) {
+                    // Nothing is on the wire, so it is sent as soon as it is polled, and that is all.
+                    (Kind::Broadcast, Scene::Dirty | Scene::Unanswered) => 0,
+                    (Kind::Broadcast, _) => 2,
+                    _ => 10,
+                };
                 assert!(polls > at_least, "{scene:?}, {framing}, {}: {polls}", method.name);
             }
         }

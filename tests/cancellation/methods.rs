@@ -7,7 +7,7 @@ use fatek::command::{
     WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters,
 };
 use fatek::wire::{AsciiCodec, Frame, Framing};
-use fatek::{Link, Value};
+use fatek::{Discrete, Error, Link, Register, Station, Value};
 use futures::FutureExt;
 use tokio_util::codec::Encoder;
 
@@ -28,6 +28,24 @@ pub(crate) enum Kind {
     Read,
     Write,
     Broadcast,
+}
+
+/// The reads into memory of the caller, with memory.
+trait IntoMemory {
+    async fn registers_into(&self, first: Register, count: usize) -> Result<Vec<u16>, Error>;
+    async fn discretes_into(&self, first: Discrete, count: usize) -> Result<Vec<bool>, Error>;
+}
+
+impl IntoMemory for Station {
+    async fn registers_into(&self, first: Register, count: usize) -> Result<Vec<u16>, Error> {
+        let mut values = vec![0xAAAA; count];
+        self.read_registers_into(first, &mut values).await.map(|()| values)
+    }
+
+    async fn discretes_into(&self, first: Discrete, count: usize) -> Result<Vec<bool>, Error> {
+        let mut states = vec![true; count];
+        self.read_discretes_into(first, &mut states).await.map(|()| states)
+    }
 }
 
 macro_rules! methods {
@@ -61,7 +79,7 @@ macro_rules! methods {
 
 pub(crate) fn reads() -> Vec<Method> {
     // The battery is full until the first turn is over.
-    methods! { Read by station;
+    let mut methods = methods! { Read by station;
         |n| read_status() seen as brief => ReadStatus(ReadStatus), n == 2;
         |n| read_detailed_status() seen as detailed => ReadDetailedStatus(ReadDetailedStatus), n == 2;
         |n| read_disabled(x(16 * n), 3)
@@ -69,6 +87,9 @@ pub(crate) fn reads() -> Vec<Method> {
         |n| read_discretes(m(16 * n), 3)
             => ReadDiscretes(ReadDiscretes::new(m(16 * n), 3).unwrap()), [n == 1, n == 2, false];
         |n| read_registers(d(100 * n), 3) => ReadRegisters(ReadRegisters::new(d(100 * n), 3).unwrap()), words(100 * n);
+        |n| registers_into(d(100 * n), 3) => ReadRegisters(ReadRegisters::new(d(100 * n), 3).unwrap()), words(100 * n);
+        |n| discretes_into(m(16 * n), 3)
+            => ReadDiscretes(ReadDiscretes::new(m(16 * n), 3).unwrap()), [n == 1, n == 2, false];
         |n| call(ReadRegisters::new(d(100 * n), 3).unwrap())
             => ReadRegisters(ReadRegisters::new(d(100 * n), 3).unwrap()), words(100 * n);
         |n| forward(Request::ReadRegisters(ReadRegisters::new(d(100 * n), 3).unwrap())) seen as frame
@@ -80,7 +101,15 @@ pub(crate) fn reads() -> Vec<Method> {
             [Value::Word(word(1, 100 * n)), Value::Double(double(100 * n + 1))];
         |n| loop_back(format!("turn {n}")) => LoopBack(LoopBack::new(format!("turn {n}")).unwrap()), ();
         |n| read_program_page(n) seen as first_word => ReadProgramPage(ReadProgramPage::new(n)), n;
+    };
+    for method in &mut methods {
+        method.name = match method.name {
+            "registers_into" => "read_registers_into",
+            "discretes_into" => "read_discretes_into",
+            name => name,
+        };
     }
+    methods
 }
 
 pub(crate) fn writes() -> Vec<Method> {

@@ -221,6 +221,8 @@ impl AsyncWrite for Wire {
 
 impl Drop for Wire {
     fn drop(&mut self) {
+        // Nobody waits for it any more.
+        self.plant.ports[self.n].lock().unwrap().waiting = None;
         self.plant.counts.open.fetch_sub(1, Ordering::SeqCst);
     }
 }

@@ -50,11 +50,15 @@ impl Core {
         if self.stations.answered(station, round_trip, now) {
             tracing::info!(station, "station is back");
         }
-        self.board.state(station, StationState::Online);
+        let is_call = matches!(active.goal, Goal::Call(_));
+        self.board.answered(station, |stats| {
+            if is_call {
+                stats.replied(round_trip, refused);
+            }
+        });
         match active.goal {
             Goal::Call(_) => {
                 self.used_at = Some(now);
-                self.board.count_for(station, |stats| stats.replied(round_trip, refused));
                 if active.doubtful {
                     self.doubt(station);
                 }
@@ -116,7 +120,7 @@ impl Core {
         }
     }
 
-    pub(super) fn retry_or_fail(&mut self, mut ticket: Box<Ticket>, now: Instant, error: impl FnOnce(bool) -> Error) {
+    pub(super) fn retry_or_fail(&mut self, mut ticket: Ticket, now: Instant, error: impl FnOnce(bool) -> Error) {
         match ticket.retries_left.checked_sub(1) {
             Some(left) if ticket.is_wanted(now) && !self.closing => {
                 ticket.retries_left = left;
