@@ -298,6 +298,9 @@ impl Exchange {
 
     /// Understands the next thing that has been received, at `now`. `None`: more bytes are needed.
     pub(crate) fn next_event(&mut self, now: Instant) -> Option<Event> {
+        if self.received.is_empty() {
+            return None;
+        }
         // The codecs do no I/O, so they have no errors.
         Some(match self.codec.decode(&mut self.received).ok().flatten()? {
             Received::Frame(frame) => self.classify(&frame, now),

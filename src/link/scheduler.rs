@@ -156,15 +156,22 @@ impl Scheduler {
 
     /// The station and lane whose turn it is.
     fn next(&self, now: Instant) -> Option<(u8, usize)> {
-        let mut lanes = (0..Lane::COUNT).filter_map(|lane| {
-            let waiting = self.stations.iter().filter_map(|(station, queues)| {
-                let ticket = queues.lanes.get(lane)?.front()?;
-                let free = queues.blocked_until.is_none_or(|until| until <= now);
-                free.then_some((queues.used, ticket.queued_at, station))
-            });
-            let (_, queued_at, station) = waiting.min()?;
-            Some((lane, queued_at, station))
-        });
+        // Of each lane, the station whose turn it is.
+        let mut turns: [Option<(Duration, Instant, u8)>; Lane::COUNT] = [None; Lane::COUNT];
+        for (station, queues) in self.stations.iter() {
+            if queues.blocked_until.is_some_and(|until| now < until) {
+                continue;
+            }
+            for (turn, lane) in turns.iter_mut().zip(&queues.lanes) {
+                let Some(ticket) = lane.front() else { continue };
+                let waits = (queues.used, ticket.queued_at, station);
+                if turn.is_none_or(|turn| waits < turn) {
+                    *turn = Some(waits);
+                }
+            }
+        }
+        let turns = turns.into_iter().enumerate();
+        let mut lanes = turns.filter_map(|(lane, turn)| turn.map(|(_, queued_at, station)| (lane, queued_at, station)));
         let (lane, queued_at, station) = lanes.next()?;
         let Some(second) = lanes.next() else {
             // Mostly there is one: nothing is to be weighed.
