@@ -200,6 +200,7 @@ impl LogEntry {
 #[non_exhaustive]
 pub enum Heard {
     /// A request, perhaps to a station that is not there.
+    #[non_exhaustive]
     Request {
         /// To which station; 0 is the broadcast.
         station: u8,
@@ -207,6 +208,7 @@ pub enum Heard {
         request: Request,
     },
     /// A good frame that is no request.
+    #[non_exhaustive]
     Unreadable {
         /// The frame.
         frame: Frame,
@@ -214,6 +216,7 @@ pub enum Heard {
         reason: FieldError,
     },
     /// Bytes that are no frame.
+    #[non_exhaustive]
     Noise {
         /// Why not.
         reason: Discard,
