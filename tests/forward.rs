@@ -64,8 +64,11 @@ async fn a_reply_to_another_request_is_not_sent_on() {
     for data in [&b"0AAAABBBB"[..], b"0AAAABBBBCCCCDDDD", b"0000100020003"] {
         line.write_all(&framed(Framing::Ascii, Side::Plc, 1, 0x46, data)).await.unwrap();
     }
+    let answer = forwarding.await.unwrap().unwrap();
+    let shown = format!("{answer:?}");
+    assert!(shown.contains("request: ReadRegisters") && shown.contains("reply: [1, 2, 3]"), "{shown}");
     let mut sent_on = BytesMut::new();
-    forwarding.await.unwrap().unwrap().encode(Framing::Ascii, 1, &mut sent_on);
+    answer.encode(Framing::Ascii, 1, &mut sent_on);
     assert_eq!(sent_on, framed(Framing::Ascii, Side::Plc, 1, 0x46, b"0000100020003"));
 }
 

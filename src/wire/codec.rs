@@ -90,3 +90,26 @@ impl Encoder<Frame> for Codec {
         self.encode(&frame, dst)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn either_codec_that_was_reset_waits_for_a_new_frame_as_if_it_had_seen_none() {
+        let ascii: &[u8] = b"\x0201410F8\x03";
+        let binary: &[u8] = b"\x52\x10\x00\x03\x01\x41\x00\x45\xD4\x55\xAA";
+        for (framing, frame) in [(Framing::Ascii, ascii), (Framing::Binary, binary)] {
+            let mut codec = Codec::new(framing, Side::Client);
+            assert_eq!(codec.framing(), framing);
+            assert_eq!(codec.decode(&mut BytesMut::from(&frame[..frame.len() - 2])).unwrap(), None, "{framing}");
+            codec.skip_partial();
+            codec.reset();
+            let mut buffer = BytesMut::from(&frame[..5]);
+            assert_eq!(codec.decode(&mut buffer).unwrap(), None, "{framing}: nothing is given up");
+            buffer.extend_from_slice(&frame[5..]);
+            let found = codec.decode(&mut buffer).unwrap().and_then(Received::frame);
+            assert_eq!(found.map(|frame| (frame.station, frame.command)), Some((1, 0x41)), "{framing}");
+        }
+    }
+}

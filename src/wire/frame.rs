@@ -162,3 +162,14 @@ pub enum EncodeError {
     #[error(transparent)]
     Io(#[from] std::io::Error),
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_is_shown_with_its_data_as_text() {
+        let frame = Frame { station: 7, command: 0x4E, data: Bytes::from_static(b"AB\x02") };
+        assert_eq!(format!("{frame:?}"), r#"Frame { station: 7, command: 4Eh, data: b"AB\x02" }"#);
+    }
+}
