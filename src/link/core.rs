@@ -17,6 +17,8 @@
 //! - a station that does not answer costs the others no more than one response timeout at a time.
 
 mod outcome;
+#[cfg(test)]
+mod tests;
 
 use std::io;
 use std::sync::Arc;

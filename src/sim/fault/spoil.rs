@@ -30,7 +30,7 @@ pub(super) fn spoil(mut reply: BytesMut, framing: Framing, faults: &[Fault], dic
         reply = garbled(&reply, framing, max_len, dice);
     }
     if faults.contains(&Fault::Duplicate) {
-        reply.extend_from_within(..);
+        reply.extend_from_slice(&reply.clone());
     }
     if let Some(max_len) = faults.iter().find_map(|fault| fault.garbage_before()) {
         reply = after_garbage(&reply, framing, max_len, dice);
