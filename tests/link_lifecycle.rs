@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use fatek::wire::Framing;
 use fatek::{CallOptions, Error, Link, LinkBuilder, LinkState, StationState, register};
+use futures::future::join3;
 use tokio::io::{AsyncReadExt, DuplexStream, duplex};
 use tokio::runtime::Builder;
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
@@ -278,7 +279,7 @@ async fn nothing_is_sent_after_close_not_even_what_was_on_its_way() {
     end.reply(1, 0x40, "0000000").await;
     call.await.unwrap().unwrap();
     let ((), written, request) =
-        tokio::join!(biased; link.close(), plc.write_registers(register!("R0"), &[1]), end.request_if_any());
+        join3(link.close(), plc.write_registers(register!("R0"), &[1]), end.request_if_any()).await;
     assert!(matches!(written, Err(Error::Closed { sent: false, .. })), "{written:?}");
     assert_eq!(request, None);
 }

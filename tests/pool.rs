@@ -11,7 +11,7 @@ use fatek::pool::{PoolBuilder, PoolError};
 use fatek::sim::{self, Bus, Plc, Server};
 use fatek::wire::Framing;
 use fatek::{CallOptions, Endpoint, Error, Link, LinkState, Pool, Station, register};
-use futures::future::join_all;
+use futures::future::{join, join_all};
 use tokio::io::DuplexStream;
 use tokio::time::{Instant, sleep};
 
@@ -264,13 +264,14 @@ async fn a_call_that_waits_for_its_turn_ends_by_its_deadline_and_says_why() {
     let pool = plant.pool().connects_at_once(1).build();
     let (first, second) = (pool.station(host(1), 1).unwrap(), pool.station(host(2), 1).unwrap());
     let hasty = second.with_options(CallOptions::new().call_timeout(Duration::from_millis(500)));
-    let (_, error) = tokio::join!(biased; first.read_status(), async {
+    let waiting = async {
         let began = Instant::now();
         let error = hasty.read_status().await.unwrap_err();
         assert!(began.elapsed() < Duration::from_millis(510));
         assert!(matches!(second.link().state(), LinkState::Waiting));
         error
-    });
+    };
+    let (_, error) = join(first.read_status(), waiting).await;
     assert!(matches!(error, Error::Connect { .. }) && !error.may_have_executed(), "{error:?}");
     assert!(error.to_string().contains("too many other connections were to be opened before it"), "{error}");
     sleep(Duration::from_secs(10)).await;

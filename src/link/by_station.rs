@@ -87,6 +87,8 @@ mod tests {
             }
             assert!(map.iter().eq(expected.iter().map(|(&station, value)| (station, value))), "seed {seed}");
             assert!(map.values().eq(expected.values()), "seed {seed}");
+            assert!(map.iter_mut().eq(expected.iter_mut().map(|(&station, value)| (station, value))), "seed {seed}");
+            assert!(map.values_mut().eq(expected.values_mut()), "seed {seed}");
             assert_eq!(map.entries.capacity(), expected.len(), "seed {seed}");
         }
     }

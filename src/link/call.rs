@@ -329,3 +329,101 @@ impl<C: Command> AnyCall for Slot<C> {
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::ReadStatus;
+
+    fn ticket(options: CallOptions) -> (Ticket, Completion<ReadStatus>) {
+        let (call, completion) = new(ReadStatus);
+        let queued_at = Instant::now();
+        let ticket = Ticket {
+            call,
+            station: 7,
+            code: ReadStatus::CODE,
+            lane: Lane::Read,
+            deadline: queued_at + options.call_timeout,
+            queued_at,
+            response_timeout: Duration::from_secs(1),
+            options,
+            retries_left: 0,
+        };
+        (ticket, completion)
+    }
+
+    fn result(completion: &mut Completion<ReadStatus>) -> Option<Result<(), Error>> {
+        let mut context = Context::from_waker(std::task::Waker::noop());
+        match Pin::new(completion).poll(&mut context) {
+            Poll::Ready(result) => Some(result.map(drop)),
+            Poll::Pending => None,
+        }
+    }
+
+    #[test]
+    fn a_call_is_wanted_until_its_deadline_or_until_its_caller_has_gone() {
+        let (ticket, completion) = ticket(CallOptions::new());
+        let just_before = ticket.deadline - Duration::from_nanos(1);
+        assert!(ticket.is_wanted(just_before));
+        assert!(!ticket.is_wanted(ticket.deadline));
+        assert!(!ticket.call.is_abandoned());
+        drop(completion);
+        assert!(ticket.call.is_abandoned() && !ticket.is_wanted(just_before));
+    }
+
+    #[test]
+    fn a_call_that_has_expired_says_after_which_time_and_whether_it_was_sent() {
+        for sends in 0..=2 {
+            let (ticket, mut completion) = ticket(CallOptions::new().call_timeout(Duration::from_secs(3)));
+            for _ in 0..sends {
+                assert!(ticket.call.mark_sent());
+            }
+            ticket.expire();
+            drop(ticket);
+            let Some(Err(Error::Timeout { station: 7, code: Code::ReadStatus, after, sent })) = result(&mut completion)
+            else {
+                panic!("the first result stays, and it is the timeout")
+            };
+            assert_eq!((after, sent), (Duration::from_secs(3), sends > 0));
+        }
+    }
+
+    #[test]
+    fn a_call_whose_ticket_is_lost_ends_all_the_same() {
+        let (ticket, mut completion) = ticket(CallOptions::new());
+        assert!(result(&mut completion).is_none());
+        drop(ticket);
+        assert!(matches!(result(&mut completion), Some(Err(Error::Closed { sent: false }))));
+        assert!(matches!(result(&mut completion), Some(Err(Error::Closed { sent: true }))), "polled once too often");
+    }
+
+    #[test]
+    fn what_was_given_up_is_never_sent_and_what_was_sent_is_told_so_when_it_is_given_up() {
+        let (first, completion) = ticket(CallOptions::new());
+        assert!(!completion.abandon());
+        assert!(!first.call.mark_sent() && !first.call.was_sent());
+        let (second, completion) = ticket(CallOptions::new());
+        assert!(second.call.mark_sent());
+        assert!(completion.abandon() && second.call.was_sent());
+    }
+
+    #[test]
+    fn a_refusal_says_whether_the_request_was_repeated() {
+        for sends in 1..=3 {
+            let (ticket, mut completion) = ticket(CallOptions::new());
+            for _ in 0..sends {
+                ticket.call.mark_sent();
+            }
+            let refusal = ticket.call.offer(Framing::Ascii, 7, b"4", Instant::now());
+            assert_eq!(refusal.expect("it is one"), ErrorCode::from_u8(4));
+            let Some(Err(Error::Plc { repeated, .. })) = result(&mut completion) else { panic!("it is a refusal") };
+            assert_eq!(repeated, sends > 1);
+        }
+    }
+
+    #[test]
+    fn a_ticket_is_shown_by_its_station_command_and_lane() {
+        let (ticket, _completion) = ticket(CallOptions::new());
+        assert_eq!(format!("{ticket:?}"), "Ticket(station 7, read brief status (40), Read)");
+    }
+}

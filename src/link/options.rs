@@ -138,3 +138,44 @@ pub(crate) enum Lane {
 impl Lane {
     pub(crate) const COUNT: usize = 4;
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_reads_give_way_and_only_if_asked_to() {
+        let background = CallOptions::new().background(true);
+        for (class, lane, in_background) in [
+            (Class::Control, Lane::Control, Lane::Control),
+            (Class::Write, Lane::Write, Lane::Write),
+            (Class::Read, Lane::Read, Lane::Background),
+        ] {
+            assert_eq!((CallOptions::new().lane(class), background.lane(class)), (lane, in_background), "{class:?}");
+        }
+        assert!(Lane::Control < Lane::Write && Lane::Write < Lane::Read && Lane::Read < Lane::Background);
+    }
+
+    #[test]
+    fn only_reads_are_repeated_unless_writes_shall_be_too() {
+        let once = CallOptions::new().retries(5);
+        assert_eq!(
+            (once.retries_for(Class::Read), once.retries_for(Class::Write), once.retries_for(Class::Control)),
+            (5, 0, 0)
+        );
+        let all = once.retry_writes(true);
+        assert_eq!(
+            (all.retries_for(Class::Read), all.retries_for(Class::Write), all.retries_for(Class::Control)),
+            (5, 5, 5)
+        );
+    }
+
+    #[test]
+    fn each_option_changes_itself_and_leaves_the_others() {
+        let time = Duration::from_millis(7);
+        let options = CallOptions::new().response_timeout(time).retries(9).background(true).adaptive_timeout(time / 2);
+        assert_eq!((options.response_timeout, options.retries, options.adaptive), (Some(time), 9, Some(time / 2)));
+        assert_eq!((options.call_timeout, options.retry_writes), (CallOptions::default().call_timeout, false));
+        assert_eq!(options.call_timeout(time), CallOptions { call_timeout: time, ..options });
+    }
+}

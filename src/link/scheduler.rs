@@ -209,3 +209,141 @@ fn index(lane: Lane) -> usize {
         Lane::Background => 3,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::{Command, ReadStatus};
+    use crate::link::call::{self, Completion};
+    use crate::link::options::CallOptions;
+
+    const SECOND: Duration = Duration::from_secs(1);
+
+    fn ticket(station: u8, lane: Lane, now: Instant) -> (Box<Ticket>, Completion<ReadStatus>) {
+        let (call, completion) = call::new(ReadStatus);
+        let ticket = Ticket {
+            call,
+            station,
+            code: ReadStatus::CODE,
+            lane,
+            deadline: now + 1000 * SECOND,
+            queued_at: now,
+            response_timeout: SECOND,
+            options: CallOptions::new(),
+            retries_left: 0,
+        };
+        (Box::new(ticket), completion)
+    }
+
+    /// A scheduler with these calls waiting, and what keeps them wanted.
+    fn with(capacity: usize, calls: &[(u8, Lane)], now: Instant) -> (Scheduler, Vec<Completion<ReadStatus>>) {
+        let mut scheduler = Scheduler::new(capacity, SECOND);
+        let mut callers = Vec::new();
+        for &(station, lane) in calls {
+            let (ticket, caller) = ticket(station, lane, now);
+            assert!(scheduler.push(ticket, now).is_none(), "there is room");
+            callers.push(caller);
+        }
+        (scheduler, callers)
+    }
+
+    fn order(scheduler: &mut Scheduler, now: Instant) -> Vec<(u8, Lane)> {
+        std::iter::from_fn(|| scheduler.pop(now).map(|ticket| (ticket.station, ticket.lane))).collect()
+    }
+
+    #[test]
+    fn a_stations_queues_hold_so_many_calls_together_and_those_that_nobody_wants_give_way() {
+        let now = Instant::now();
+        let (mut scheduler, mut callers) = with(3, &[(1, Lane::Read), (1, Lane::Write), (1, Lane::Read)], now);
+        let (fourth, _caller) = ticket(1, Lane::Control, now);
+        let fourth = scheduler.push(fourth, now).expect("it is full");
+        let (elsewhere, _waits) = ticket(2, Lane::Read, now);
+        assert!(scheduler.push(elsewhere, now).is_none(), "another station has its own room");
+        callers.pop();
+        assert!(scheduler.push(fourth, now).is_none(), "one has gone");
+        assert_eq!(scheduler.drain(1).len(), 3);
+        assert_eq!(scheduler.drain_all().len(), 1);
+        assert!(scheduler.pop(now).is_none());
+    }
+
+    #[test]
+    fn a_call_that_was_taken_back_comes_first_again_whatever_the_bound() {
+        let now = Instant::now();
+        let (mut scheduler, _callers) = with(1, &[(1, Lane::Read)], now);
+        let (mut back, _caller) = ticket(1, Lane::Read, now);
+        back.retries_left = 9;
+        scheduler.push_front(back);
+        assert_eq!(scheduler.pop(now).map(|ticket| ticket.retries_left), Some(9));
+    }
+
+    #[test]
+    fn better_lanes_come_first_and_none_waits_for_ever() {
+        let now = Instant::now();
+        let lanes = [Lane::Background, Lane::Read, Lane::Write, Lane::Control];
+        let (mut scheduler, _callers) = with(9, &lanes.map(|lane| (1, lane)), now);
+        assert_eq!(
+            order(&mut scheduler, now).iter().map(|(_, lane)| *lane).collect::<Vec<_>>(),
+            [Lane::Control, Lane::Write, Lane::Read, Lane::Background]
+        );
+        // Behind by two lanes: level after two periods, when the better lane comes first; ahead after the third.
+        for (waited, first) in
+            [(2 * SECOND, Lane::Write), (3 * SECOND - SECOND / 100, Lane::Write), (3 * SECOND, Lane::Background)]
+        {
+            let (mut scheduler, mut callers) = with(9, &[(1, Lane::Background)], now);
+            let (write, caller) = ticket(1, Lane::Write, now + waited);
+            assert!(scheduler.push(write, now + waited).is_none());
+            callers.push(caller);
+            assert_eq!(scheduler.pop(now + waited).map(|ticket| ticket.lane), Some(first), "after {waited:?}");
+        }
+    }
+
+    #[test]
+    fn the_station_that_has_used_the_least_is_next_and_an_idle_one_gains_nothing() {
+        let now = Instant::now();
+        let (mut scheduler, _callers) = with(9, &[(1, Lane::Read), (1, Lane::Read), (2, Lane::Read)], now);
+        scheduler.charge(1, 5 * SECOND);
+        assert_eq!(order(&mut scheduler, now).iter().map(|(station, _)| *station).collect::<Vec<_>>(), [2, 1, 1]);
+        // Station 3 comes late. It begins where the others are, and not with all that they have used before it.
+        let mut scheduler = Scheduler::new(9, SECOND);
+        let mut callers = Vec::new();
+        let mut push = |scheduler: &mut Scheduler, station| {
+            let (ticket, caller) = ticket(station, Lane::Read, now);
+            callers.push(caller);
+            assert!(scheduler.push(ticket, now).is_none());
+        };
+        push(&mut scheduler, 1);
+        scheduler.charge(1, 10 * SECOND);
+        push(&mut scheduler, 1);
+        assert_eq!(scheduler.pop(now).map(|ticket| ticket.station), Some(1));
+        push(&mut scheduler, 3);
+        scheduler.charge(3, SECOND);
+        push(&mut scheduler, 3);
+        assert_eq!(scheduler.pop(now).map(|ticket| ticket.station), Some(1), "3 has begun at ten seconds and used one");
+        assert_eq!(scheduler.pop(now).map(|ticket| ticket.station), Some(3));
+    }
+
+    #[test]
+    fn a_station_that_is_blocked_is_passed_over_until_its_time_and_wakes_nobody_when_it_has_no_calls() {
+        let now = Instant::now();
+        let (mut scheduler, _callers) = with(9, &[(1, Lane::Control), (2, Lane::Read)], now);
+        scheduler.block(1, now + SECOND);
+        scheduler.block(7, now + SECOND / 2);
+        assert_eq!(scheduler.next_unblocked(), Some(now + SECOND), "7 has nothing to be done");
+        assert_eq!(order(&mut scheduler, now), [(2, Lane::Read)]);
+        assert!(!scheduler.has_work(now) && scheduler.is_waiting(now));
+        assert!(scheduler.has_work(now + SECOND));
+        assert_eq!(order(&mut scheduler, now + SECOND), [(1, Lane::Control)]);
+        assert_eq!(scheduler.next_unblocked(), None);
+    }
+
+    #[test]
+    fn what_nobody_wants_any_more_is_no_work() {
+        let now = Instant::now();
+        let (mut scheduler, callers) = with(9, &[(1, Lane::Read), (1, Lane::Write)], now);
+        assert!(scheduler.has_work(now) && scheduler.is_waiting(now));
+        drop(callers);
+        assert!(!scheduler.has_work(now));
+        let (mut scheduler, _callers) = with(9, &[(1, Lane::Read)], now);
+        assert!(!scheduler.is_waiting(now + 1000 * SECOND), "its time is up");
+    }
+}

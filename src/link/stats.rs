@@ -242,3 +242,83 @@ fn mean(a: Duration, weight_a: u32, b: Duration, weight_b: u32) -> Duration {
     let sum = a.saturating_mul(weight_a).saturating_add(b.saturating_mul(weight_b));
     sum.checked_div(weight_a.saturating_add(weight_b)).unwrap_or_default()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    #[test]
+    fn round_trips_have_a_last_a_shortest_a_longest_and_a_smoothed_one() {
+        let mut stats = StationStats::default();
+        stats.replied(80 * MS, false);
+        stats.replied(160 * MS, true);
+        stats.replied(10 * MS, false);
+        let smoothed = ((80 * MS * 7 + 160 * MS) / 8 * 7 + 10 * MS) / 8;
+        let expected = RoundTripStats { last: 10 * MS, shortest: 10 * MS, longest: 160 * MS, smoothed };
+        assert_eq!((stats.replies, stats.refusals, stats.round_trip), (3, 1, Some(expected)));
+    }
+
+    #[test]
+    fn a_link_has_the_sum_of_its_stations() {
+        let board = Board::default();
+        board.count_for(1, |stats| stats.replied(20 * MS, false));
+        board.count_for(2, |stats| stats.replied(40 * MS, true));
+        board.count_for(9, |stats| add(&mut stats.requests, 3));
+        let sum = board.link().stations;
+        let round_trip = RoundTripStats { last: 40 * MS, shortest: 20 * MS, longest: 40 * MS, smoothed: 30 * MS };
+        assert_eq!((sum.requests, sum.replies, sum.refusals, sum.round_trip), (3, 2, 1, Some(round_trip)));
+        assert_eq!((board.station(2).refusals, board.station(3)), (1, StationStats::default()));
+    }
+
+    #[test]
+    fn bytes_that_are_no_frame_are_counted_by_what_they_are() {
+        let board = Board::default();
+        board.discarded(Discard::Garbage, 3);
+        board.discarded(Discard::BadChecksum, 10);
+        board.discarded(Discard::Truncated, 4);
+        board.discarded(Discard::WrongSide, 100);
+        let stats = board.link();
+        assert_eq!((stats.garbage_bytes, stats.checksum_errors, stats.echoes), (17, 1, 1));
+    }
+
+    #[test]
+    fn sums_of_links_add_every_counter() {
+        let one = LinkStats {
+            stations: StationStats { requests: 1, ..StationStats::default() },
+            broadcasts: 2,
+            checksum_errors: 3,
+            garbage_bytes: 4,
+            stale_bytes: 5,
+            echoes: 6,
+            connects: 7,
+            disconnects: 8,
+            idle_closes: 9,
+            connect_failures: 10,
+        };
+        let two = one.plus(&one);
+        assert_eq!(
+            [two.stations.requests, two.broadcasts, two.checksum_errors, two.garbage_bytes, two.stale_bytes],
+            [2, 4, 6, 8, 10]
+        );
+        assert_eq!(
+            [two.echoes, two.connects, two.disconnects, two.idle_closes, two.connect_failures],
+            [12, 14, 16, 18, 20]
+        );
+    }
+
+    #[test]
+    fn a_state_is_seen_by_whoever_watches_it_before_or_after_and_only_when_it_changes() {
+        let board = Board::default();
+        board.state(1, StationState::Online);
+        let mut watcher = board.watch(1);
+        assert_eq!(*watcher.borrow_and_update(), StationState::Online);
+        board.state(1, StationState::Online);
+        assert!(!watcher.has_changed().expect("the board is there"));
+        board.state(1, StationState::Unknown);
+        assert!(watcher.has_changed().expect("the board is there"));
+        assert_eq!(*watcher.borrow(), StationState::Unknown);
+        assert_eq!(*board.watch(2).borrow(), StationState::Unknown);
+    }
+}

@@ -90,3 +90,35 @@ async fn open(endpoint: Endpoint, keep_alive: bool) -> io::Result<BoxIo> {
         Transport::Serial { path, settings } => Box::new(serial::open(path, *settings).await?),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_connector_is_shown_by_where_it_leads_and_opens_what_it_can() {
+        let endpoint: Endpoint = "tcp://127.0.0.1:500".parse().expect("it is one");
+        let shown = format!("Connector({endpoint})");
+        assert_eq!(format!("{:?}", Connector::Endpoint { endpoint, keep_alive: true }), shown);
+
+        let mut once = Connector::Once(Some(Box::new(tokio::io::empty())));
+        assert_eq!((format!("{once:?}"), once.reopens()), ("Connector(once)".to_owned(), true));
+        assert!(once.open(Duration::from_secs(1)).expect("there is one").await.is_ok());
+        assert!(!once.reopens() && once.open(Duration::from_secs(1)).is_none(), "there was only one");
+
+        let mut custom = Connector::custom(|| async { Ok(tokio::io::empty()) });
+        assert_eq!(format!("{custom:?}"), "Connector(custom)");
+        for _ in 0..2 {
+            assert!(custom.open(Duration::from_secs(1)).expect("always").await.is_ok() && custom.reopens());
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn what_does_not_open_in_its_time_fails_and_says_so() {
+        let mut never = Connector::custom(|| async { std::future::pending::<io::Result<tokio::io::Empty>>().await });
+        let Err(error) = never.open(Duration::from_secs(3)).expect("it can be tried").await else {
+            panic!("it opened")
+        };
+        assert_eq!((error.kind(), error.to_string().as_str()), (io::ErrorKind::TimedOut, "no connection within 3s"));
+    }
+}

@@ -1,0 +1,106 @@
+//! What a link is told when it is built is what it does, and what its handles say of it.
+
+use std::time::Duration;
+
+use fatek::wire::Framing;
+use fatek::{CallOptions, Endpoint, Link, LinkState, StationState, register};
+use tokio::io::duplex;
+use tokio::time::Instant;
+
+mod peer;
+
+use peer::{Peer, once, station};
+
+const SHORT: Duration = Duration::from_millis(200);
+
+/// A link with a response timeout of its own, and the peer.
+fn line() -> (Link, Peer) {
+    let (client, plc) = duplex(4096);
+    let mut client = Some(client);
+    let builder = Link::connector_builder("a line", Framing::Ascii, move || {
+        let client = client.take();
+        async move { client.ok_or_else(|| std::io::ErrorKind::NotFound.into()) }
+    });
+    (builder.response_timeout(SHORT).build(), Peer::new(plc))
+}
+
+#[test]
+fn a_link_is_shown_by_where_it_leads_and_knows_its_framing() {
+    for (url, framing) in
+        [("tcp://127.0.0.1:500", Framing::Ascii), ("tcp://127.0.0.1:500?framing=binary", Framing::Binary)]
+    {
+        let endpoint: Endpoint = url.parse().unwrap();
+        let link = Link::builder(endpoint.clone()).build();
+        assert_eq!(link.framing(), framing);
+        assert_eq!(format!("{link:?}"), format!("Link({endpoint}, {framing})"));
+        assert!(matches!(link.state(), LinkState::Idle));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_probe_is_waited_for_as_long_as_the_link_says() {
+    let (link, mut peer) = line();
+    let station = once(&station(&link));
+    let mut states = link.station(1).unwrap().watch_state();
+    let failing = tokio::spawn(async move {
+        for _ in 0..3 {
+            station.read_registers(register!("R1"), 1).await.unwrap_err();
+        }
+    });
+    // Three timeouts; then the probe is not answered either.
+    for _ in 0..4 {
+        peer.request().await;
+    }
+    failing.await.unwrap();
+    let asked = Instant::now();
+    let StationState::Offline { probe_at: before, .. } = *states.borrow_and_update() else { panic!("it is offline") };
+    states.changed().await.unwrap();
+    let StationState::Offline { probe_at: after, .. } = *states.borrow_and_update() else { panic!("it is offline") };
+    assert!(after > before);
+    assert_eq!(asked.elapsed(), SHORT);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_device_that_refuses_loop_backs_is_left_alone_for_as_long_as_the_link_says() {
+    let (link, mut peer) = line();
+    let station = once(&station(&link));
+    let calls = tokio::spawn(async move {
+        station.read_registers(register!("R1"), 1).await.unwrap_err();
+        station.read_registers(register!("R1"), 1).await.unwrap()
+    });
+    peer.request().await;
+    assert_eq!(peer.request().await.command, 0x4E);
+    peer.reply(1, 0x4E, "4").await;
+    let refused = Instant::now();
+    assert_eq!(peer.request().await.command, 0x46);
+    assert_eq!(refused.elapsed(), SHORT);
+    peer.reply(1, 0x46, "00007").await;
+    assert_eq!(calls.await.unwrap(), [7]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_adaptive_timeout_is_shorter_once_the_station_is_known_and_never_shorter_than_asked() {
+    let shortest = Duration::from_millis(50);
+    let (link, mut peer) = line();
+    let options = CallOptions::new().retries(0).adaptive_timeout(shortest);
+    let station = station(&link).with_options(options);
+    let calls = tokio::spawn(async move {
+        let mut times = Vec::new();
+        for _ in 0..22 {
+            let asked = Instant::now();
+            let _ = station.read_registers(register!("R1"), 1).await;
+            times.push(asked.elapsed());
+        }
+        times
+    });
+    peer.request().await;
+    peer.echo().await;
+    for _ in 0..20 {
+        peer.request().await;
+        peer.reply(1, 0x46, "00001").await;
+    }
+    peer.request().await;
+    let times = calls.await.unwrap();
+    assert_eq!(times.first(), Some(&SHORT), "nothing is known of it yet");
+    assert_eq!(times.last(), Some(&shortest));
+}
