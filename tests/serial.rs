@@ -184,6 +184,7 @@ async fn without_its_feature_a_serial_port_is_refused_by_name() {
 mod ports {
     use std::fs::File;
     use std::path::{Path, PathBuf};
+    use std::sync::{Arc, Mutex};
 
     use fatek::endpoint::{DataBits, Parity, StopBits};
     use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
@@ -342,6 +343,41 @@ mod ports {
             assert!(!set.output_modes.contains(OutputModes::OPOST), "nothing is translated");
             assert!(!set.local_modes.intersects(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG));
             link.close().await;
+            adapter.gone().await;
+        }
+    }
+
+    /// What this program has logged; a port is opened on a thread of its own, so it is the same log for all tests.
+    #[derive(Clone, Default)]
+    struct Log(Arc<Mutex<Vec<u8>>>);
+
+    impl std::io::Write for Log {
+        fn write(&mut self, text: &[u8]) -> std::io::Result<usize> {
+            self.0.lock().unwrap().extend_from_slice(text);
+            Ok(text.len())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[tokio::test]
+    async fn a_port_that_does_not_keep_its_settings_is_warned_of_and_one_that_does_is_not() {
+        let log = Log::default();
+        let writer = log.clone();
+        tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).init();
+        // A pseudo-terminal has 8 data bits and no parity, whatever it is asked for.
+        for (framing, warned) in [(Framing::Ascii, true), (Framing::Binary, false)] {
+            let adapter = Adapter::new(bus(&Plc::new()), framing);
+            let endpoint = adapter.endpoint().with_framing(framing);
+            let link = Link::builder(endpoint).response_timeout(LONG).build();
+            link.station(1).unwrap().read_status().await.unwrap();
+            link.close().await;
+            let text = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
+            let path = format!("port=\"{}\"", adapter.path.display());
+            let warning = text.lines().find(|line| line.contains("does not keep its settings") && line.contains(&path));
+            assert_eq!(warning.is_some(), warned, "{framing}: {text}");
             adapter.gone().await;
         }
     }
