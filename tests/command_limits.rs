@@ -164,6 +164,7 @@ fn a_list_with_two_readings_is_told_by_its_elements() {
     let list = ReadMixed::new([element!("RT87"), element!("X0")]).unwrap();
     let message = send(&list, Framing::Binary).unwrap_err().to_string();
     assert!(message.contains(" RT87 X0 can also be read "), "the input is not named: {message}");
+    assert!(!message.contains("  "), "the list stands between single spaces: {message}");
 }
 
 #[test]

@@ -1,10 +1,13 @@
 //! What a link is told when it is built is what it does, and what its handles say of it.
 
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll};
 use std::time::Duration;
 
 use fatek::wire::Framing;
 use fatek::{CallOptions, Endpoint, Link, LinkState, StationState, register};
-use tokio::io::duplex;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf, duplex};
 use tokio::time::Instant;
 
 mod peer;
@@ -19,7 +22,7 @@ fn line() -> (Link, Peer) {
     let mut client = Some(client);
     let builder = Link::connector_builder("a line", Framing::Ascii, move || {
         let client = client.take();
-        async move { client.ok_or_else(|| std::io::ErrorKind::NotFound.into()) }
+        async move { client.ok_or_else(|| io::ErrorKind::NotFound.into()) }
     });
     (builder.response_timeout(SHORT).build(), Peer::new(plc))
 }
@@ -103,4 +106,70 @@ async fn an_adaptive_timeout_is_shorter_once_the_station_is_known_and_never_shor
     let times = calls.await.unwrap();
     assert_eq!(times.first(), Some(&SHORT), "nothing is known of it yet");
     assert_eq!(times.last(), Some(&shortest));
+}
+
+/// Hears nothing, and cannot be written to.
+struct Deaf;
+
+impl AsyncRead for Deaf {
+    fn poll_read(self: Pin<&mut Self>, _: &mut Context<'_>, _: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        Poll::Pending
+    }
+}
+
+impl AsyncWrite for Deaf {
+    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, _: &[u8]) -> Poll<io::Result<usize>> {
+        Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+/// A link over these connections, one after the other.
+fn over(connections: Vec<Box<dyn Stream>>) -> Link {
+    let mut connections = connections.into_iter();
+    Link::connector_builder("a line", Framing::Ascii, move || {
+        let next = connections.next();
+        async move { next.ok_or_else(|| io::ErrorKind::NotFound.into()) }
+    })
+    .build()
+}
+
+trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
+impl<T: AsyncRead + AsyncWrite + Send + Unpin> Stream for T {}
+
+#[tokio::test(start_paused = true)]
+async fn a_connection_that_cannot_be_written_to_is_replaced_and_the_read_repeated() {
+    let (client, plc) = duplex(4096);
+    let link = over(vec![Box::new(Deaf), Box::new(client)]);
+    let serving = tokio::spawn(Peer::new(plc).serve());
+    station(&link).read_status().await.unwrap();
+    let stats = link.stats();
+    assert_eq!((stats.connects, stats.disconnects, stats.stations.retries), (2, 1, 1));
+    drop(link);
+    serving.await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_plc_that_answers_and_hangs_up_is_connected_to_again_by_the_next_call() {
+    let ((first, plc), (second, next)) = (duplex(4096), duplex(4096));
+    let link = over(vec![Box::new(first), Box::new(second)]);
+    let plc = tokio::spawn(async move {
+        let mut peer = Peer::new(plc);
+        peer.request().await;
+        peer.reply(1, 0x40, "0010000").await;
+    });
+    station(&link).read_status().await.unwrap();
+    plc.await.unwrap();
+    let serving = tokio::spawn(Peer::new(next).serve());
+    station(&link).read_status().await.unwrap();
+    assert_eq!((link.stats().connects, link.stats().disconnects), (2, 1));
+    drop(link);
+    serving.await.unwrap();
 }

@@ -264,11 +264,13 @@ async fn a_call_that_waits_for_its_turn_ends_by_its_deadline_and_says_why() {
     let pool = plant.pool().connects_at_once(1).build();
     let (first, second) = (pool.station(host(1), 1).unwrap(), pool.station(host(2), 1).unwrap());
     let hasty = second.with_options(CallOptions::new().call_timeout(Duration::from_millis(500)));
+    let mut states = second.link().watch_state();
     let waiting = async {
         let began = Instant::now();
         let error = hasty.read_status().await.unwrap_err();
         assert!(began.elapsed() < Duration::from_millis(510));
-        assert!(matches!(second.link().state(), LinkState::Waiting));
+        assert!(states.has_changed().unwrap(), "whoever watches is told");
+        assert!(matches!(*states.borrow_and_update(), LinkState::Waiting));
         error
     };
     let (_, error) = join(first.read_status(), waiting).await;

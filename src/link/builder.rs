@@ -263,3 +263,29 @@ impl LinkBuilder {
 
 /// The longest frame that the protocol has, in bytes.
 const LONGEST_FRAME: usize = 508;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::endpoint::Endpoint;
+
+    #[test]
+    fn a_serial_link_knows_its_line_and_a_network_has_none() {
+        let settings = SerialSettings::new(Framing::Ascii);
+        let serial = Link::builder(Endpoint::serial("/dev/ttyS0")).build();
+        assert_eq!(serial.line(), Some(Line::from(settings)));
+        assert_eq!(Link::builder(Endpoint::tcp("127.0.0.1", 500)).build().line(), None);
+    }
+
+    #[test]
+    fn only_a_connection_that_can_be_opened_again_is_closed_when_it_is_idle() {
+        let minute = Duration::from_secs(60);
+        let built = |connector| {
+            let link = LinkBuilder::with_connector(connector, Framing::Ascii, "here").idle_timeout(minute).build();
+            link.shared.hub.shown()
+        };
+        let idle = format!("idle_timeout: {:?}", Some(minute));
+        assert!(built(Connector::custom(|| async { Ok(tokio::io::empty()) })).contains(&idle));
+        assert!(built(Connector::Once(None)).contains("idle_timeout: None"));
+    }
+}

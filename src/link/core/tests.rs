@@ -405,7 +405,9 @@ fn a_link_that_closes_sends_nothing_more_and_ends_what_waits() {
     let mut on_the_wire = desk.ask(1, read(1));
     let mut waiting = desk.ask(1, read(1));
     desk.sends();
+    assert!(!desk.core.is_closing());
     desk.core.close();
+    assert!(desk.core.is_closing());
     assert!(matches!(result(&mut waiting), Some(Err(Error::Closed { sent: false }))));
     assert!(matches!(result(&mut desk.ask(1, read(1))), Some(Err(Error::Closed { sent: false }))));
     assert!(!desk.core.is_idle());
@@ -413,4 +415,74 @@ fn a_link_that_closes_sends_nothing_more_and_ends_what_waits() {
     desk.step();
     assert!(matches!(result(&mut on_the_wire), Some(Err(Error::Timeout { sent: true, .. }))), "it is not repeated");
     assert!(desk.core.is_idle());
+}
+
+#[test]
+fn the_call_behind_an_echoed_nonce_is_sent_before_all_others() {
+    let mut desk = Desk::new(Framing::Ascii);
+    let _lost = desk.ask_with(1, read(1), CallOptions::new().retries(0));
+    desk.sends();
+    desk.passes(TIMEOUT);
+    desk.step();
+    let _read = desk.ask(1, read(1));
+    assert_eq!(desk.sends(), Code::LoopBack);
+    let _urgent = desk.ask(2, ControlPlc::Stop);
+    desk.hears_echo();
+    assert_eq!(desk.sends(), Code::ReadRegisters, "what has proved itself may be in doubt again a moment later");
+    desk.hears_frame(1, 0x46, b"00001");
+    assert_eq!(desk.sends(), Code::ControlPlc);
+}
+
+#[test]
+fn a_call_whose_time_is_up_when_the_nonce_comes_back_is_not_sent() {
+    let mut desk = Desk::new(Framing::Ascii);
+    let _lost = desk.ask_with(1, read(1), CallOptions::new().retries(0));
+    desk.sends();
+    desk.passes(TIMEOUT);
+    desk.step();
+    let mut call = desk.ask_with(1, read(1), CallOptions::new().call_timeout(40 * MS));
+    assert_eq!(desk.sends(), Code::LoopBack);
+    desk.passes(40 * MS);
+    desk.hears_echo();
+    assert_eq!(desk.step(), Step::Wait(None));
+    assert!(matches!(result(&mut call), Some(Err(Error::Timeout { sent: false, .. }))));
+}
+
+#[test]
+fn a_station_that_speaks_while_another_one_is_asked_must_prove_itself() {
+    let mut desk = Desk::new(Framing::Ascii);
+    let _known = desk.ask(1, read(1));
+    desk.sends();
+    desk.hears_frame(1, 0x46, b"00001");
+    let mut other = desk.ask(2, read(1));
+    desk.sends();
+    desk.hears_frame(1, 0x46, b"00001");
+    desk.hears_frame(2, 0x46, b"00002");
+    assert_eq!(result(&mut other).unwrap().unwrap(), [2]);
+    let _next = desk.ask(1, read(1));
+    assert_eq!(desk.sends(), Code::LoopBack);
+}
+
+#[test]
+fn a_new_connection_hurries_the_probes_unless_it_is_only_for_a_doubt() {
+    for (doubt, first) in [(false, Code::LoopBack), (true, Code::ReadRegisters)] {
+        let mut desk = Desk::with(Framing::Ascii, |config| {
+            config.fresh_on_doubt = true;
+            config.rules.offline_after = 1;
+        });
+        let _silent = desk.ask_with(1, read(1), CallOptions::new().retries(0));
+        desk.sends();
+        desk.passes(TIMEOUT);
+        desk.step();
+        assert!(desk.core.stations.offline_until(1).is_some());
+        if !doubt {
+            desk.core.connection.opened();
+        }
+        let _call = desk.ask(2, read(1));
+        if doubt {
+            assert_eq!(desk.step(), Step::Connect);
+        }
+        desk.core.connected(desk.now);
+        assert_eq!(desk.sends(), first, "a doubt: {doubt}");
+    }
 }
