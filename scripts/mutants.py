@@ -252,7 +252,7 @@ def cpu_ticks(pid):
 
 
 def run_tests(binary, tests, mutant, timeout, trace=None, idle=math.inf):
-    """None if they pass, otherwise what happened."""
+    """What happened unless they passed, and how much processor time they took."""
     env = dict(os.environ, MUTANT=str(mutant), RUST_BACKTRACE="0", PROPTEST_FAILURE_PERSISTENCE="off")
     if trace:
         env["MUTANT_TRACE"] = trace
@@ -272,13 +272,14 @@ def run_tests(binary, tests, mutant, timeout, trace=None, idle=math.inf):
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             reader.join()
-            return "timeout"
-    process.wait()
-    output = output[0]
+            return "timeout", now - began
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    seconds = usage.ru_utime + usage.ru_stime
     if process.returncode == 0:
-        return None
-    failed = re.findall(r"^test (\S+) .*FAILED", output, re.M)
-    return failed[0] if failed else f"exit {process.returncode}"
+        return None, seconds
+    failed = re.findall(r"^test (\S+) .*FAILED", output[0], re.M)
+    return failed[0] if failed else f"exit {process.returncode}", seconds
 
 
 def trace(binaries, known):
@@ -295,15 +296,12 @@ def trace(binaries, known):
     def one(job):
         name, binary, test = job
         with tempfile.NamedTemporaryFile() as file:
-            began = os.times()
-            start = time.monotonic()
-            what = run_tests(binary, [test], 0, 400, trace=file.name)
-            took = time.monotonic() - start
+            what, seconds = run_tests(binary, [test], 0, 400, trace=file.name)
             reached = sorted({int(n) for n in open(file.name).read().split()})
         if what:
             print(f"left out, it fails without a mutant: {name} {test}: {what}", flush=True)
         else:
-            known[name]["tests"][test] = {"s": round(took, 4), "reached": reached}
+            known[name]["tests"][test] = {"s": round(seconds, 4), "reached": reached}
 
     with concurrent.futures.ThreadPoolExecutor(3) as pool:
         list(pool.map(one, jobs))
@@ -337,7 +335,7 @@ def main():
     parser.add_argument("what", choices=["build", "run", "report"])
     parser.add_argument("-f", "--file", action="append", default=[], help="only files that this pattern fits")
     parser.add_argument("--budget", type=float, default=10, help="seconds of tests for each mutant, as they took without one")
-    parser.add_argument("--again", action="store_true", help="the missed ones once more")
+    parser.add_argument("--again", action="store_true", help="those that were missed or timed out once more")
     parser.add_argument("-j", "--jobs", type=int, default=2)
     options = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
@@ -361,15 +359,15 @@ def main():
 
         def one(mutant):
             before = results.get(mutant["name"])
-            if mutant["number"] not in home or before and not (options.again and before[0] == "missed"):
+            if mutant["number"] not in home or before and not (options.again and before[0] != "caught"):
                 return
             verdict = ["missed", ""]
             for name, tests, seconds in schedule(home[mutant["number"]], state["known"], options.budget):
-                patience = 10 + 6 * seconds
+                patience = 20 + 10 * seconds
                 idle = math.inf if name in WALL_CLOCK else 3
-                what = run_tests(state["binaries"][name], tests, mutant["number"], patience, idle=idle)
+                what, _ = run_tests(state["binaries"][name], tests, mutant["number"], patience, idle=idle)
                 if what and name in WALL_CLOCK:
-                    what = run_tests(state["binaries"][name], tests, mutant["number"], patience)
+                    what, _ = run_tests(state["binaries"][name], tests, mutant["number"], patience)
                 if what:
                     verdict = ["timeout" if what == "timeout" else "caught", f"{name} {what}"]
                     break
