@@ -336,10 +336,8 @@ mod tests {
     use crate::command::ReadStatus;
 
     fn ticket(options: CallOptions) -> (Ticket, Completion<ReadStatus>) {
-        let (call, completion) = new(ReadStatus);
         let queued_at = Instant::now();
-        let ticket = Ticket {
-            call,
+        let terms = Terms {
             station: 7,
             code: ReadStatus::CODE,
             lane: Lane::Read,
@@ -347,9 +345,8 @@ mod tests {
             queued_at,
             response_timeout: Duration::from_secs(1),
             options,
-            retries_left: 0,
         };
-        (ticket, completion)
+        new(ReadStatus, None, terms, &Spares::default())
     }
 
     fn result(completion: &mut Completion<ReadStatus>) -> Option<Result<(), Error>> {

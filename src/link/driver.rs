@@ -159,6 +159,11 @@ impl Driver {
         self.io.is_some() && self.writing.is_none() && !self.core.is_idle()
     }
 
+    #[cfg(test)]
+    pub(crate) fn shown(&self) -> String {
+        format!("{:?}", self.core)
+    }
+
     /// Does what can be done now.
     pub(crate) fn advance(&mut self, by: By, mut now: Instant) -> Next {
         let waker = std::mem::replace(&mut self.waker, Waker::noop().clone());

@@ -187,6 +187,12 @@ impl Hub {
         }
     }
 
+    /// What the driver's core is, in words; nothing when the task has ended.
+    #[cfg(test)]
+    pub(crate) fn shown(&self) -> String {
+        lock(&self.desk).as_ref().map(|desk| desk.driver.shown()).unwrap_or_default()
+    }
+
     fn end(&self) {
         self.closed.store(true, Ordering::Release);
         let desk = lock(&self.desk).take();

@@ -214,15 +214,13 @@ fn index(lane: Lane) -> usize {
 mod tests {
     use super::*;
     use crate::command::{Command, ReadStatus};
-    use crate::link::call::{self, Completion};
+    use crate::link::call::{self, Completion, Spares, Terms};
     use crate::link::options::CallOptions;
 
     const SECOND: Duration = Duration::from_secs(1);
 
-    fn ticket(station: u8, lane: Lane, now: Instant) -> (Box<Ticket>, Completion<ReadStatus>) {
-        let (call, completion) = call::new(ReadStatus);
-        let ticket = Ticket {
-            call,
+    fn ticket(station: u8, lane: Lane, now: Instant) -> (Ticket, Completion<ReadStatus>) {
+        let terms = Terms {
             station,
             code: ReadStatus::CODE,
             lane,
@@ -230,9 +228,8 @@ mod tests {
             queued_at: now,
             response_timeout: SECOND,
             options: CallOptions::new(),
-            retries_left: 0,
         };
-        (Box::new(ticket), completion)
+        call::new(ReadStatus, None, terms, &Spares::default())
     }
 
     /// A scheduler with these calls waiting, and what keeps them wanted.

@@ -12,7 +12,7 @@ use super::super::{Core, Step};
 use crate::command::{self, Code, Command, ReadRegisters, WriteRegisters};
 use crate::element::Register;
 use crate::error::Error;
-use crate::link::call::{self, Completion, Ticket};
+use crate::link::call::{self, Completion, Spares, Terms};
 use crate::link::config::Config;
 use crate::link::options::CallOptions;
 use crate::link::stats::{Board, LinkStats, StationStats};
@@ -29,6 +29,8 @@ pub(super) struct Desk {
     board: Arc<Board>,
     framing: Framing,
     pub(super) now: Instant,
+    /// What was sent last.
+    sent: Vec<u8>,
 }
 
 type Read = ReadRegisters<Register>;
@@ -60,7 +62,8 @@ impl Desk {
         config.quiet = TIMEOUT;
         set(&mut config);
         let board = Arc::new(Board::default());
-        let mut desk = Self { core: Core::new(config, board.clone(), 1), board, framing, now: Instant::now() };
+        let mut desk =
+            Self { core: Core::new(config, board.clone(), 1), board, framing, now: Instant::now(), sent: Vec::new() };
         desk.core.connected(desk.now);
         desk
     }
@@ -70,9 +73,7 @@ impl Desk {
     }
 
     pub(super) fn ask_with<C: Command>(&mut self, station: u8, request: C, options: CallOptions) -> Completion<C> {
-        let (call, completion) = call::new(request);
-        let ticket = Ticket {
-            call,
+        let terms = Terms {
             station,
             code: C::CODE,
             lane: options.lane(C::CODE.class()),
@@ -80,9 +81,9 @@ impl Desk {
             queued_at: self.now,
             response_timeout: options.response_timeout.unwrap_or(TIMEOUT),
             options,
-            retries_left: options.retries_for(C::CODE.class()),
         };
-        self.core.push(Box::new(ticket), self.now);
+        let (ticket, completion) = call::new(request, None, terms, &Spares::default());
+        self.core.push(ticket, self.now);
         completion
     }
 
@@ -94,12 +95,11 @@ impl Desk {
     pub(super) fn sends(&mut self) -> Code {
         let step = self.step();
         assert!(matches!(step, Step::Send(_)), "{step:?}");
-        let code =
-            self.core.exchange.active().map(|active| active.request.clone()).expect("there is something to send");
+        self.sent = self.core.outgoing().to_vec();
         self.core.sent(self.now);
         let code = match self.framing {
-            Framing::Ascii => u8::from_str_radix(str::from_utf8(&code[3..5]).unwrap(), 16).unwrap(),
-            Framing::Binary => code[5],
+            Framing::Ascii => u8::from_str_radix(str::from_utf8(&self.sent[3..5]).unwrap(), 16).unwrap(),
+            Framing::Binary => self.sent[5],
         };
         Code::from_u8(code).unwrap()
     }
@@ -131,7 +131,7 @@ impl Desk {
 
     /// The station sends back what was sent last.
     pub(super) fn hears_echo(&mut self) {
-        let request = self.core.outgoing().to_vec();
+        let request = self.sent.clone();
         self.hears(&request);
     }
 
