@@ -292,7 +292,7 @@ impl Driver {
     /// Reads what has come, and lets the core understand it. Says whether that is all; of a peer that never stops, no more
     /// than a few reads' worth is taken.
     fn read_all(&mut self, cx: &mut Context<'_>, now: &mut Instant) -> io::Result<bool> {
-        for reads in 0..MAX_AT_ONCE {
+        for _ in 0..MAX_AT_ONCE {
             let Some(io) = &mut self.io else { return Ok(true) };
             let mut bytes = [const { MaybeUninit::uninit() }; buffer::LEN];
             let mut bytes = ReadBuf::uninit(&mut bytes);
@@ -303,9 +303,8 @@ impl Driver {
             if bytes.filled().is_empty() {
                 return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the other end closed it"));
             }
-            if reads > 0 {
-                *now = Instant::now();
-            }
+            // Not before it has been read: the gap on a serial line begins then.
+            *now = Instant::now();
             self.understand(bytes.filled(), *now);
             if !self.core.is_idle() {
                 // Its time may be up.

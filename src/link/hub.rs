@@ -13,13 +13,16 @@
 //! What must always hold:
 //! - a call that is in the inbox when the driver is let go of is taken out by whoever lets go of it, or by whoever has it next;
 //! - the task's timer is due no later than the first time that the driver waits for;
-//! - when the task has ended, however it did, no call waits.
+//! - when the task has ended, however it did, no call waits;
+//! - a transport that panics ends the task, whoever lent it the time, and no caller.
 //!
 //! The timer is put off only when it has gone off: nearly every call waits for its reply longer than its predecessor did, so
 //! a timer that is due too early costs one look a second, and one that were set anew for each call would cost that each time.
 
+use std::any::Any;
 use std::collections::VecDeque;
-use std::future::poll_fn;
+use std::future::{Future, poll_fn};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
@@ -50,13 +53,15 @@ struct Desk {
     driver: Driver,
     /// When the task's timer is due.
     timer: Option<Instant>,
+    /// What a transport did to a caller that lent its time: it is the task that ends with it.
+    panic: Option<Box<dyn Any + Send>>,
 }
 
 impl Hub {
     pub(crate) fn new(driver: Driver) -> Self {
         Self {
             inbox: Mutex::default(),
-            desk: Mutex::new(Some(Box::new(Desk { driver, timer: None }))),
+            desk: Mutex::new(Some(Box::new(Desk { driver, timer: None, panic: None }))),
             task: AtomicWaker::new(),
             started: AtomicBool::new(false),
             closed: AtomicBool::new(false),
@@ -137,12 +142,15 @@ impl Hub {
     }
 
     /// The task: runs until the link is closed, its last handle is dropped, or its one connection has ended.
-    pub(crate) async fn run(self: Arc<Self>) {
-        // Also when the task is dropped, with its runtime.
+    pub(crate) fn run(self: Arc<Self>) -> impl Future<Output = ()> + Send {
+        // Also when the task is dropped, with its runtime, and be it before its first turn.
         let hub = End(self);
-        let mut timer = pin!(sleep_until(Instant::now()));
-        // It takes turns with others by itself, after so many steps.
-        unconstrained(poll_fn(|cx| hub.0.poll(cx, timer.as_mut()))).await;
+        async move {
+            let hub = hub;
+            let mut timer = pin!(sleep_until(Instant::now()));
+            // It takes turns with others by itself, after so many steps.
+            unconstrained(poll_fn(|cx| hub.0.poll(cx, timer.as_mut()))).await;
+        }
     }
 
     fn poll(&self, cx: &mut Context<'_>, mut timer: Pin<&mut Sleep>) -> Poll<()> {
@@ -150,6 +158,10 @@ impl Hub {
         loop {
             let mut guard = lock(&self.desk);
             let Some(desk) = guard.as_mut() else { return Poll::Ready(()) };
+            if let Some(panic) = desk.panic.take() {
+                drop(guard);
+                resume_unwind(panic);
+            }
             desk.driver.wake_with(cx.waker());
             if self.is_closed() {
                 desk.driver.close();
@@ -199,6 +211,8 @@ impl Hub {
         if let Some(desk) = desk {
             desk.driver.finish();
         }
+        // It would keep the memory of the task, and with it the runtime's.
+        drop(self.task.take());
         // Dropped, they end with the right error.
         drop(self.take_inbox());
     }
@@ -211,14 +225,22 @@ impl Desk {
         for ticket in inbox.into_iter().chain(ticket) {
             self.driver.push(ticket, now);
         }
+        if self.panic.is_some() {
+            return true;
+        }
         if !free {
             return !at_work;
         }
         // What comes must be seen, however much the caller has done in this turn of its.
-        match unconstrained(async { self.driver.advance(By::Caller, now) }).now_or_never() {
-            Some(Next::Wait(Some(until))) => self.timer.is_none_or(|due| until < due),
-            Some(Next::Wait(None)) => false,
-            _ => true,
+        let advance = unconstrained(async { self.driver.advance(By::Caller, now) });
+        match catch_unwind(AssertUnwindSafe(|| advance.now_or_never())) {
+            Ok(Some(Next::Wait(Some(until)))) => self.timer.is_none_or(|due| until < due),
+            Ok(Some(Next::Wait(None))) => false,
+            Ok(_) => true,
+            Err(panic) => {
+                self.panic = Some(panic);
+                true
+            }
         }
     }
 }
@@ -232,8 +254,7 @@ impl Drop for End {
     }
 }
 
-/// A lock whose holder panicked is still good: the link's own code does not panic, and what a transport leaves behind ends
-/// with the task.
+/// A lock whose holder panicked is still good: the link's own code does not panic, and after a transport has, the task ends.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -53,6 +53,7 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
+use tokio::task::consume_budget;
 use tokio::time::{Instant, timeout_at};
 use tracing::Instrument;
 
@@ -313,6 +314,8 @@ impl Link {
         if let Err(error) = request.check(self.framing()).map_err(Error::from).and_then(|()| self.start()) {
             return (Err(error), None);
         }
+        // It may never have to wait: a broadcast is done when it is written. All the same, others have their turn.
+        consume_budget().await;
         let queued_at = Instant::now();
         let deadline = later(queued_at, options.call_timeout);
         let terms = Terms {
