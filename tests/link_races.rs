@@ -5,6 +5,7 @@
 #![cfg(feature = "sim")]
 
 use std::io;
+use std::panic::{RefUnwindSafe, UnwindSafe};
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -44,6 +45,13 @@ fn a_runtime_that_ends_before_the_links_task_has_begun_leaves_no_call_waiting() 
         assert!(matches!(error, Error::Closed { sent: false, .. }), "{error:?}");
         timeout(AT_ONCE, link.close()).await.unwrap();
     });
+}
+
+#[test]
+fn handles_can_be_used_across_a_panic() {
+    fn check<T: UnwindSafe + RefUnwindSafe + Send + Sync>() {}
+    check::<Link>();
+    check::<Station>();
 }
 
 /// A stream that does something of its own.

@@ -22,7 +22,7 @@
 use std::any::Any;
 use std::collections::VecDeque;
 use std::future::{Future, poll_fn};
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::panic::{AssertUnwindSafe, RefUnwindSafe, catch_unwind, resume_unwind};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
@@ -47,6 +47,9 @@ pub(crate) struct Hub {
     /// No handles.
     orphaned: AtomicBool,
 }
+
+/// Wakers are swapped whole, and after a panic the locks are still good.
+impl RefUnwindSafe for Hub {}
 
 /// What only one has at a time.
 struct Desk {
