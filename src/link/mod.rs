@@ -181,6 +181,8 @@ impl Link {
 
     /// A link over connections that `open` opens: the first one and, after each loss, the next one.
     ///
+    /// They are opened by the link's task; requests are also written by callers, on the runtime that polls them.
+    ///
     /// ```
     /// use fatek::{Link, wire::Framing};
     ///
@@ -330,7 +332,8 @@ impl Link {
         let (ticket, mut completion) = call::new(request, unanswered, terms, &self.shared.spares);
         // Until the call has ended.
         let span = tracing::debug_span!("call", link = %self.shared.name, station, command = C::CODE.name());
-        span.in_scope(|| self.shared.hub.submit(ticket));
+        // What is done for the link now may be for others' calls, too.
+        self.span().in_scope(|| self.shared.hub.submit(ticket));
         let answered = timeout_at(deadline, &mut completion).await;
         drop(span);
         let result = answered.unwrap_or_else(|_| {
@@ -367,9 +370,14 @@ impl Link {
         let runtime = Handle::try_current().map_err(|error| self.connect_error(Arc::new(io::Error::other(error))))?;
         if !self.shared.hub.is_started(true) {
             let task = self.shared.hub.clone().run();
-            runtime.spawn(task.instrument(tracing::debug_span!("link", name = %self.shared.name)));
+            runtime.spawn(task.instrument(self.span()));
         }
         Ok(())
+    }
+
+    /// What is told of the link is told in this span, whoever lends it the time.
+    fn span(&self) -> tracing::Span {
+        tracing::debug_span!(parent: None, "link", name = %self.shared.name)
     }
 
     fn connect_error(&self, source: Arc<io::Error>) -> Error {

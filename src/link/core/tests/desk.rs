@@ -30,7 +30,7 @@ pub(super) struct Desk {
     framing: Framing,
     pub(super) now: Instant,
     /// What was sent last.
-    sent: Vec<u8>,
+    pub(super) sent: Vec<u8>,
 }
 
 type Read = ReadRegisters<Register>;
