@@ -71,8 +71,8 @@ def plot_call():
     settings = list(dict.fromkeys((r["runtime"], r["links"], r["callers"]) for r in rows))
     figure, axes = plt.subplots(1, 2, figsize=(12, 6.5), sharey=True)
     for axis, name, title, goal in (
-        (axes[0], "limit", "of a bare write and read of the same bytes", 0.9),
-        (axes[1], "peer", "of tokio-modbus, as many registers", 1.0),
+        (axes[0], "limit", "a bare write and read", 0.9),
+        (axes[1], "peer", "tokio-modbus", 1.0),
     ):
         axis.axvline(goal, color="#888888", linestyle="--", linewidth=1, label=f"target, {goal}")
         for offset, (way, (text, color, marker)) in enumerate(WAYS.items()):
@@ -85,7 +85,7 @@ def plot_call():
                 y = place + (offset - 1.5) * 0.17
                 axis.plot([low, high], [y, y], color=color, linewidth=2, alpha=0.45)
                 axis.plot(middle, y, marker, color=color, markersize=6, label=text if place == 0 else None)
-        axis.set_xlabel(f"requests a second, as a share {title}")
+        axis.set_xlabel(f"requests a second, as a share of {title}")
         axis.set_yticks(range(len(settings)), [label(setting) for setting in settings])
         axis.grid(axis="x", alpha=0.3)
         axis.set_xlim(left=min(0.5, axis.get_xlim()[0]))
