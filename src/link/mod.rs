@@ -1,13 +1,13 @@
 //! The link: one connection, shared by many callers and many stations.
 //!
-//! - [`Link`] is the handle: cheap to clone, nothing but a sender to the task.
+//! - [`Link`] is the handle: cheap to clone, what all of them share and no more.
 //! - `driver` owns the connection. It moves bytes and time, and decides nothing. `hub` is what handles and task share: the
 //!   driver is advanced by the link's task and, to put a request on the wire, by a caller.
 //! - `core` decides: which call is next, when to connect, whom to believe. It does no I/O and reads no clock.
 //!   `connection` is whether there is one and when there may be another.
 //! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others;
 //!   `stations` is whom to believe, and who is there.
-//! - `call` is what a caller and the task share; `stats` is what everybody can see; `by_station` is a map for what is
+//! - `call` is what a caller and the link share for one call; `stats` is what everybody can see; `by_station` is a map for what is
 //!   known of each station.
 //! - `buffer` is what they put bytes in that they have in hand.
 //! - `gate` lets links that share it connect one after the other.
