@@ -112,6 +112,8 @@ fn understood<C: Command>(request: &C, data: &[u8], framing: Framing) -> bool {
     match (decode_reply(request, framing, &again.data), reply) {
         (Ok(again), Ok(reply)) => assert_eq!(again, reply),
         (Err(ReplyError::Plc(again)), Err(ReplyError::Plc(error))) => assert_eq!(again, error),
+        // `d` refuses a loop-back of `D`; written again, in upper case, the digit is the echo. The protocol has no way out of that.
+        (Ok(_), Err(ReplyError::Plc(_))) if C::CODE.error_field() == ErrorField::Absent && data.len() == 1 => {}
         (again, _) => panic!("{request:?}: {again:?}"),
     }
     true
