@@ -92,3 +92,49 @@ impl<C: Consecutive, const N: usize> Command for InPlace<C, N> {
         Ok(reply)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use bytes::BytesMut;
+
+    use super::*;
+    use crate::command::{ReplyError, decode_reply, encode_reply, encode_request};
+    use crate::element::{Discrete, Symbol};
+    use crate::wire::{Framing, ascii};
+
+    /// Request and reply are those of the plain read.
+    fn is_the_same<C: Consecutive<Reply = Vec<T>, Value = T>, T: Copy + Default>(read: C, values: Vec<T>) {
+        let few = InPlace::<C, 8>(read);
+        let mut reply = Few { len: values.len(), values: [T::default(); 8] };
+        reply.values[..values.len()].copy_from_slice(&values);
+        for framing in [Framing::Ascii, Framing::Binary] {
+            let (mut plain, mut in_place) = (BytesMut::new(), BytesMut::new());
+            encode_request(&read, framing, 1, &mut plain).unwrap();
+            encode_request(&few, framing, 1, &mut in_place).unwrap();
+            encode_reply(&read, Ok(&values), framing, 1, &mut plain);
+            encode_reply(&few, Ok(&reply), framing, 1, &mut in_place);
+            assert_eq!(plain, in_place, "{framing}");
+        }
+        assert_eq!(reply.as_slice().len(), values.len());
+    }
+
+    #[test]
+    fn a_read_in_place_is_the_plain_one_on_the_wire() {
+        is_the_same(ReadRegisters::new(Register::r(5), 3).unwrap(), vec![1, 0xABCD, 3]);
+        is_the_same(
+            ReadDiscretes::new(Discrete::new(Symbol::M, 7).unwrap(), 4).unwrap(),
+            vec![true, false, true, true],
+        );
+    }
+
+    #[test]
+    fn more_values_than_there_is_room_for_are_refused() {
+        let read = ReadRegisters::new(Register::r(0), 3).unwrap();
+        let mut frame = BytesMut::new();
+        encode_reply(&read, Ok(&vec![1, 2, 3]), Framing::Ascii, 1, &mut frame);
+        let data = &frame[5..frame.len() + 5 - ascii::OVERHEAD];
+        assert!(decode_reply(&InPlace::<_, 3>(read), Framing::Ascii, data).is_ok());
+        let refused = decode_reply(&InPlace::<_, 2>(read), Framing::Ascii, data);
+        assert_eq!(refused.unwrap_err(), ReplyError::Mismatch(FieldError::WrongLength));
+    }
+}
