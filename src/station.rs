@@ -158,12 +158,13 @@ impl Station {
     /// # Errors
     /// As for every method of this type.
     pub async fn call<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
-        self.link.call(self.number, request, self.options).await
+        self.link.submit(self.number, request, None, self.options).await.0
     }
 
     /// As [`call`](Self::call), and tells when the reply came; if none did, when that was known.
     pub(crate) async fn timed_call<C: Command>(&self, request: C) -> (Result<C::Reply, Error>, Instant) {
-        self.link.timed_call(self.number, request, self.options).await
+        let (result, answered_at) = self.link.submit(self.number, request, None, self.options).await;
+        (result, answered_at.unwrap_or_else(Instant::now))
     }
 
     /// Sends a request that was made elsewhere, such as one that a gateway has decoded, and gives its reply so that it can

@@ -47,6 +47,9 @@ pub(crate) trait AnyCall: Send + Sync {
     /// Ends the call.
     fn fail(&self, error: Error);
 
+    /// Ends the call if it has not ended: nobody sees to it any more.
+    fn let_go(&self);
+
     /// Whether nobody waits for the result any more.
     fn is_abandoned(&self) -> bool;
 
@@ -102,7 +105,7 @@ impl Ticket {
 
 impl Drop for Ticket {
     fn drop(&mut self) {
-        self.call.fail(Error::Closed { sent: self.call.was_sent() });
+        self.call.let_go();
     }
 }
 
@@ -127,21 +130,12 @@ pub(crate) fn new<C: Command>(
     spares: &Spares,
 ) -> (Ticket, Completion<C>) {
     let retries_left = terms.options.retries_for(C::CODE.class());
-    let slot = Slot {
-        request: Some(request),
-        unanswered,
-        terms,
-        state: AtomicU8::new(0),
-        sends: AtomicU8::new(0),
-        result: Mutex::new(None),
-        waker: AtomicWaker::new(),
-    };
     let slot = match spares.take::<Slot<C>>() {
-        None => Arc::new(slot),
+        None => Arc::new(Slot::new(request, unanswered, terms)),
         Some(mut spare) => match Arc::get_mut(&mut spare) {
-            None => Arc::new(slot),
-            Some(old) => {
-                *old = slot;
+            None => Arc::new(Slot::new(request, unanswered, terms)),
+            Some(slot) => {
+                slot.begin(request, unanswered, terms);
                 spare
             }
         },
@@ -256,6 +250,28 @@ const ABANDONED: u8 = 2;
 const SENT: u8 = 4;
 
 impl<C: Command> Slot<C> {
+    fn new(request: C, unanswered: Option<C::Reply>, terms: Terms) -> Self {
+        Self {
+            request: Some(request),
+            unanswered,
+            terms,
+            state: AtomicU8::new(0),
+            sends: AtomicU8::new(0),
+            result: Mutex::new(None),
+            waker: AtomicWaker::new(),
+        }
+    }
+
+    /// What [`new`](Self::new) makes, in the place of a call that has ended. Of that, the waker is gone already.
+    fn begin(&mut self, request: C, unanswered: Option<C::Reply>, terms: Terms) {
+        self.request = Some(request);
+        self.unanswered = unanswered;
+        self.terms = terms;
+        *self.state.get_mut() = 0;
+        *self.sends.get_mut() = 0;
+        *self.result.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
     /// The first result stays: nothing that comes later can replace it.
     fn finish(&self, result: Result<C::Reply, Error>, at: Option<Instant>) {
         let mut slot = lock(&self.result);
@@ -314,6 +330,12 @@ impl<C: Command> AnyCall for Slot<C> {
 
     fn fail(&self, error: Error) {
         self.finish(Err(error), None);
+    }
+
+    fn let_go(&self) {
+        if self.state.load(Ordering::Acquire) & DONE == 0 {
+            self.fail(Error::Closed { sent: self.was_sent() });
+        }
     }
 
     fn is_abandoned(&self) -> bool {

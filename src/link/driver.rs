@@ -32,6 +32,7 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 
 use super::LinkState;
+use super::bell::Bell;
 use super::buffer;
 use super::call::Ticket;
 use super::core::{Core, Step};
@@ -52,8 +53,11 @@ pub(crate) struct Driver {
     /// Until when the line is busy with what has been written.
     sent_until: Option<Instant>,
     state: watch::Sender<LinkState>,
-    /// The task's.
+    bell: Arc<Bell>,
+    /// The bell's.
     waker: Waker,
+    /// Whether all had been read that had come when the ring was taken last, so that the bell rings when more comes.
+    listens: bool,
     io: Option<BoxIo>,
     /// A fresh socket must differ from the old one, so that one is kept until the new one is open.
     retired: Option<BoxIo>,
@@ -96,6 +100,21 @@ pub(crate) enum By {
     Caller,
 }
 
+/// The time, looked at no more often than is needed.
+struct Clock(Option<Instant>);
+
+impl Clock {
+    /// What it was when it was looked at last.
+    fn now(&mut self) -> Instant {
+        *self.0.get_or_insert_with(Instant::now)
+    }
+
+    /// What it is.
+    fn look(&mut self) -> Instant {
+        *self.0.insert(Instant::now())
+    }
+}
+
 /// How often is read before a request, to be rid of what came before it; and how many steps are made before others have
 /// their turn.
 const MAX_AT_ONCE: usize = 64;
@@ -108,6 +127,7 @@ impl Driver {
         line: Option<Line>,
         state: watch::Sender<LinkState>,
     ) -> Self {
+        let bell = Arc::new(Bell::default());
         Self {
             core,
             connector,
@@ -116,7 +136,9 @@ impl Driver {
             line,
             sent_until: None,
             state,
-            waker: Waker::noop().clone(),
+            waker: Waker::from(bell.clone()),
+            bell,
+            listens: false,
             io: None,
             retired: None,
             opening: None,
@@ -144,9 +166,14 @@ impl Driver {
         self.orphaned = true;
     }
 
-    /// The task is woken by this.
-    pub(crate) fn wake_with(&mut self, waker: &Waker) {
-        self.waker.clone_from(waker);
+    /// What rings when there is something to be done.
+    pub(crate) fn bell(&self) -> &Arc<Bell> {
+        &self.bell
+    }
+
+    /// For what the task waits for.
+    pub(crate) fn context(&self) -> Context<'_> {
+        Context::from_waker(&self.waker)
     }
 
     /// Whether a call that comes now would be sent at once, as far as can be told.
@@ -164,49 +191,48 @@ impl Driver {
         format!("{:?}", self.core)
     }
 
-    /// Does what can be done now.
-    pub(crate) fn advance(&mut self, by: By, mut now: Instant) -> Next {
+    /// Does what can be done now; `now` is the time, if it was looked at a moment ago.
+    pub(crate) fn advance(&mut self, by: By, now: Option<Instant>) -> Next {
         let waker = std::mem::replace(&mut self.waker, Waker::noop().clone());
-        let next = self.steps(by, &mut now, &mut Context::from_waker(&waker));
+        let next = self.steps(by, &mut Clock(now), &mut Context::from_waker(&waker));
         self.waker = waker;
         next
     }
 
-    fn steps(&mut self, by: By, now: &mut Instant, cx: &mut Context<'_>) -> Next {
-        // Whether all that has come is read, and the task will hear of more.
-        let mut listens = false;
+    fn steps(&mut self, by: By, clock: &mut Clock, cx: &mut Context<'_>) -> Next {
+        // Some users' streams have more, and tell nobody.
+        self.listens = self.listens && self.connector.tells() && !self.bell.has_rung();
         for _ in 0..MAX_AT_ONCE {
             if self.ending {
-                return self.end(*now);
+                return self.end(clock.now());
             }
             if let Some(Writing { by, .. }) = self.writing {
                 match self.poll_write(cx) {
-                    Poll::Pending if *now < by => return Next::Wait(Some(by)),
+                    Poll::Pending if clock.now() < by => return Next::Wait(Some(by)),
                     Poll::Pending => {
                         let late = "the request could not be written in time";
-                        self.lose(io::Error::new(io::ErrorKind::TimedOut, late), *now);
+                        self.lose(io::Error::new(io::ErrorKind::TimedOut, late), clock.now());
                     }
                     Poll::Ready(Ok(())) => {
-                        *now = Instant::now();
-                        let at = self.transmitted_at(*now);
+                        let at = self.transmitted_at(clock);
                         self.core.sent(at);
-                        // Some streams have the reply by now, and tell nobody.
-                        listens = false;
+                        self.listens = self.listens && self.connector.tells();
                     }
-                    Poll::Ready(Err(error)) => self.lose(error, *now),
+                    Poll::Ready(Err(error)) => self.lose(error, clock.now()),
                 }
                 continue;
             }
-            if !listens {
-                match self.read_all(cx, now) {
-                    Ok(all) => listens = all,
+            if !self.listens {
+                match self.read_all(cx, clock) {
+                    Ok(all) => self.listens = all,
                     Err(error) => {
-                        self.lose(error, *now);
+                        self.lose(error, clock.now());
                         continue;
                     }
                 }
             }
-            match self.core.step(*now) {
+            let now = clock.now();
+            match self.core.step(now) {
                 Step::Connect => {
                     self.retired = self.io.take();
                     self.connects = true;
@@ -224,15 +250,15 @@ impl Driver {
                         if by == By::Caller {
                             return Next::Task;
                         }
-                        if self.open(cx, *now).is_ready() {
-                            *now = Instant::now();
-                            listens = false;
+                        if self.open(cx, now).is_ready() {
+                            clock.look();
+                            self.listens = false;
                             continue;
                         }
                     }
                     match until {
-                        Some(until) if until <= *now => listens = false,
-                        until if listens => return Next::Wait(until),
+                        Some(until) if until <= now => self.listens = false,
+                        until if self.listens => return Next::Wait(until),
                         _ => {}
                     }
                 }
@@ -257,9 +283,11 @@ impl Driver {
         self.state.send_replace(LinkState::Closed);
     }
 
-    /// When what has just been written leaves the machine. On a serial line, it waits for what was written before.
-    fn transmitted_at(&mut self, now: Instant) -> Instant {
-        let Some(line) = self.line else { return now };
+    /// When what has just been written leaves the machine. On a serial line, it waits for what was written before; elsewhere
+    /// it does so within the write, which takes too little time to look at the clock for it.
+    fn transmitted_at(&mut self, clock: &mut Clock) -> Instant {
+        let Some(line) = self.line else { return clock.now() };
+        let now = clock.look();
         let begins = self.sent_until.map_or(now, |until| until.max(now));
         let ends = later(begins, line.transmission(self.core.outgoing().len()));
         self.sent_until = Some(ends);
@@ -291,9 +319,10 @@ impl Driver {
 
     /// Reads what has come, and lets the core understand it. Says whether that is all; of a peer that never stops, no more
     /// than a few reads' worth is taken.
-    fn read_all(&mut self, cx: &mut Context<'_>, now: &mut Instant) -> io::Result<bool> {
+    fn read_all(&mut self, cx: &mut Context<'_>, clock: &mut Clock) -> io::Result<bool> {
         for _ in 0..MAX_AT_ONCE {
             let Some(io) = &mut self.io else { return Ok(true) };
+            self.bell.take();
             let mut bytes = [const { MaybeUninit::uninit() }; buffer::LEN];
             let mut bytes = ReadBuf::uninit(&mut bytes);
             match Pin::new(io).poll_read(cx, &mut bytes) {
@@ -304,8 +333,7 @@ impl Driver {
                 return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the other end closed it"));
             }
             // Not before it has been read: the gap on a serial line begins then.
-            *now = Instant::now();
-            self.understand(bytes.filled(), *now);
+            self.understand(bytes.filled(), clock.look());
             if !self.core.is_idle() {
                 // Its time may be up.
                 return Ok(false);

@@ -29,18 +29,21 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::task::{Context, Poll};
 
 use futures::future::FutureExt;
-use futures::task::AtomicWaker;
 use tokio::task::unconstrained;
 use tokio::time::{Instant, Sleep, sleep_until};
 
+use super::bell::Bell;
 use super::call::Ticket;
 use super::driver::{By, Driver, Next};
 
 pub(crate) struct Hub {
     inbox: Mutex<VecDeque<Ticket>>,
+    /// Whether anything has been put into the inbox since it was emptied: mostly nothing, and then it need not be locked.
+    posted: AtomicBool,
     /// Until the task has ended.
     desk: Mutex<Option<Box<Desk>>>,
-    task: AtomicWaker,
+    /// Wakes the task.
+    bell: Arc<Bell>,
     started: AtomicBool,
     /// No new calls.
     closed: AtomicBool,
@@ -62,10 +65,12 @@ struct Desk {
 
 impl Hub {
     pub(crate) fn new(driver: Driver) -> Self {
+        let bell = driver.bell().clone();
         Self {
             inbox: Mutex::default(),
+            posted: AtomicBool::new(false),
             desk: Mutex::new(Some(Box::new(Desk { driver, timer: None, panic: None }))),
-            task: AtomicWaker::new(),
+            bell,
             started: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             orphaned: AtomicBool::new(false),
@@ -86,7 +91,7 @@ impl Hub {
     pub(crate) fn close(&self) {
         self.closed.store(true, Ordering::Release);
         if self.is_started(true) {
-            self.task.wake();
+            self.bell.call();
         } else {
             // A task that has not been started has nothing to finish.
             self.end();
@@ -96,7 +101,7 @@ impl Hub {
     /// The last handle is gone.
     pub(crate) fn orphan(&self) {
         self.orphaned.store(true, Ordering::Release);
-        self.task.wake();
+        self.bell.call();
     }
 
     /// Takes a call, and sends it at once if that can be.
@@ -108,7 +113,7 @@ impl Hub {
             Ok(desk) => desk,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
             Err(TryLockError::WouldBlock) => {
-                lock(&self.inbox).push_back(ticket);
+                self.post(ticket);
                 return self.deliver();
             }
         };
@@ -118,7 +123,7 @@ impl Hub {
         });
         drop(desk);
         if wakes {
-            self.task.wake();
+            self.bell.call();
         }
         self.deliver();
     }
@@ -135,13 +140,26 @@ impl Hub {
             let wakes = desk.as_mut().is_some_and(|desk| desk.serve(None, calls, Instant::now()));
             drop(desk);
             if wakes {
-                self.task.wake();
+                self.bell.call();
             }
         }
     }
 
+    fn post(&self, ticket: Ticket) {
+        let mut inbox = lock(&self.inbox);
+        inbox.push_back(ticket);
+        self.posted.store(true, Ordering::Release);
+    }
+
+    /// Takes what is in the inbox. What is put there at this very moment may be left: [`deliver`](Self::deliver) and the
+    /// task look again, behind the lock.
     fn take_inbox(&self) -> VecDeque<Ticket> {
-        std::mem::take(&mut *lock(&self.inbox))
+        if !self.posted.load(Ordering::Acquire) {
+            return VecDeque::new();
+        }
+        let mut inbox = lock(&self.inbox);
+        self.posted.store(false, Ordering::Release);
+        std::mem::take(&mut *inbox)
     }
 
     /// The task: runs until the link is closed, its last handle is dropped, or its one connection has ended.
@@ -157,7 +175,7 @@ impl Hub {
     }
 
     fn poll(&self, cx: &mut Context<'_>, mut timer: Pin<&mut Sleep>) -> Poll<()> {
-        self.task.register(cx.waker());
+        self.bell.wakes(cx.waker());
         loop {
             let mut guard = lock(&self.desk);
             let Some(desk) = guard.as_mut() else { return Poll::Ready(()) };
@@ -165,15 +183,15 @@ impl Hub {
                 drop(guard);
                 resume_unwind(panic);
             }
-            desk.driver.wake_with(cx.waker());
             if self.is_closed() {
                 desk.driver.close();
             }
             if self.orphaned.load(Ordering::Acquire) {
                 desk.driver.orphan();
             }
-            let now = Instant::now();
-            for ticket in self.take_inbox() {
+            let inbox = self.take_inbox();
+            let now = (!inbox.is_empty()).then(Instant::now);
+            for (ticket, now) in inbox.into_iter().zip(now.into_iter().cycle()) {
                 desk.driver.push(ticket, now);
             }
             match desk.driver.advance(By::Task, now) {
@@ -183,13 +201,14 @@ impl Hub {
                     return Poll::Pending;
                 }
                 Next::Wait(until) => {
-                    if let Some(until) = until
-                        && desk.timer.is_none_or(|due| until < due)
-                    {
+                    let sooner = until.filter(|&until| desk.timer.is_none_or(|due| until < due));
+                    if let Some(until) = sooner {
                         timer.as_mut().reset(until);
                         desk.timer = Some(until);
                     }
-                    if desk.timer.is_some() && timer.as_mut().poll(cx).is_ready() {
+                    // Once it has been polled, it rings: the bell is always the same.
+                    let polls = desk.timer.is_some() && (sooner.is_some() || timer.is_elapsed());
+                    if polls && timer.as_mut().poll(&mut desk.driver.context()).is_ready() {
                         desk.timer = None;
                         continue;
                     }
@@ -215,7 +234,7 @@ impl Hub {
             desk.driver.finish();
         }
         // It would keep the memory of the task, and with it the runtime's.
-        drop(self.task.take());
+        self.bell.forget();
         // Dropped, they end with the right error.
         drop(self.take_inbox());
     }
@@ -225,7 +244,10 @@ impl Desk {
     /// Takes calls, and sends one if none is on the wire; says whether the task must look after the rest.
     fn serve(&mut self, ticket: Option<Ticket>, inbox: VecDeque<Ticket>, now: Instant) -> bool {
         let (free, at_work) = (self.driver.is_free(), self.driver.is_at_work());
-        for ticket in inbox.into_iter().chain(ticket) {
+        for ticket in inbox {
+            self.driver.push(ticket, now);
+        }
+        if let Some(ticket) = ticket {
             self.driver.push(ticket, now);
         }
         if self.panic.is_some() {
@@ -235,7 +257,7 @@ impl Desk {
             return !at_work;
         }
         // What comes must be seen, however much the caller has done in this turn of its.
-        let advance = unconstrained(async { self.driver.advance(By::Caller, now) });
+        let advance = unconstrained(async { self.driver.advance(By::Caller, Some(now)) });
         match catch_unwind(AssertUnwindSafe(|| advance.now_or_never())) {
             Ok(Some(Next::Wait(Some(until)))) => self.timer.is_none_or(|due| until < due),
             Ok(Some(Next::Wait(None))) => false,

@@ -2,7 +2,7 @@
 //!
 //! - [`Link`] is the handle: cheap to clone, what all of them share and no more.
 //! - `driver` owns the connection. It moves bytes and time, and decides nothing. `hub` is what handles and task share: the
-//!   driver is advanced by the link's task and, to put a request on the wire, by a caller.
+//!   driver is advanced by the link's task and, to put a request on the wire, by a caller. `bell` is what wakes the task.
 //! - `core` decides: which call is next, when to connect, whom to believe. It does no I/O and reads no clock.
 //!   `connection` is whether there is one and when there may be another.
 //! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others;
@@ -23,6 +23,7 @@
     )
 )]
 
+mod bell;
 mod buffer;
 mod builder;
 #[cfg(all(test, feature = "sim"))]
@@ -280,33 +281,11 @@ impl Link {
         let _ = state.wait_for(|state| matches!(state, LinkState::Closed)).await;
     }
 
-    pub(crate) async fn call<C: Command>(
-        &self,
-        station: u8,
-        request: C,
-        options: CallOptions,
-    ) -> Result<C::Reply, Error> {
-        self.timed_call(station, request, options).await.0
-    }
-
-    /// As [`call`](Self::call), and tells when the reply came; if none did, when that was known.
-    pub(crate) async fn timed_call<C: Command>(
-        &self,
-        station: u8,
-        request: C,
-        options: CallOptions,
-    ) -> (Result<C::Reply, Error>, Instant) {
-        let (result, answered_at) = self.submit(station, request, None, options).await;
-        (result, answered_at.unwrap_or_else(Instant::now))
-    }
-
-    /// Sends a request that no station answers.
-    pub(crate) async fn cast<C: Command<Reply = ()>>(&self, request: C, options: CallOptions) -> Result<(), Error> {
-        self.submit(0, request, Some(()), options).await.0
-    }
-
-    /// Has a request sent. Tells, with its result, when the reply came if one did.
-    async fn submit<C: Command>(
+    /// Has a request sent; `unanswered` is its result if no station answers it. Tells, with the result, when the reply came
+    /// if one did.
+    // Whatever a call needs is moved on before anything is awaited: its future is part of its caller's, of which there may be
+    // thousands.
+    pub(crate) async fn submit<C: Command>(
         &self,
         station: u8,
         request: C,
@@ -316,8 +295,6 @@ impl Link {
         if let Err(error) = request.check(self.framing()).map_err(Error::from).and_then(|()| self.start()) {
             return (Err(error), None);
         }
-        // It may never have to wait: a broadcast is done when it is written. All the same, others have their turn.
-        consume_budget().await;
         let queued_at = Instant::now();
         let deadline = later(queued_at, options.call_timeout);
         let terms = Terms {
@@ -334,6 +311,8 @@ impl Link {
         let span = tracing::debug_span!("call", link = %self.shared.name, station, command = C::CODE.name());
         // What is done for the link now may be for others' calls, too.
         self.span().in_scope(|| self.shared.hub.submit(ticket));
+        // It may never have to wait: a broadcast is done when it is written. All the same, others have their turn.
+        consume_budget().await;
         let answered = timeout_at(deadline, &mut completion).await;
         drop(span);
         let result = answered.unwrap_or_else(|_| {

@@ -5,8 +5,11 @@
 //! comes first; but a call rises by one lane for each [`Scheduler::ageing`] that it has waited while nothing of its lane
 //! was served at its station, so that no lane starves another.
 //!
+//! A call that comes when no other waits is not put into a queue unless another one comes before it is taken: it is the
+//! *only* one. Mostly it is taken at once, and a service with thousands of links has other things to keep in its caches.
+//!
 //! What must always hold: a queue is never longer than its bound; calls of one station and lane keep their order; a
-//! station that was idle gains no credit for it.
+//! station that was idle gains no credit for it; while there is an only call, the queues are empty.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -19,6 +22,9 @@ use super::options::Lane;
 
 #[derive(Debug)]
 pub(crate) struct Scheduler {
+    only: Option<Ticket>,
+    /// How many calls are in queues.
+    queued: usize,
     stations: ByStation<Queues>,
     /// How many calls a station can have waiting.
     capacity: usize,
@@ -30,13 +36,25 @@ pub(crate) struct Scheduler {
 
 #[derive(Debug, Default)]
 struct Queues {
+    service: Service,
     lanes: [VecDeque<Ticket>; Lane::COUNT],
+}
+
+/// How a station has been served so far.
+#[derive(Debug, Default)]
+struct Service {
     /// How much bus time it has used, as far as that matters for fairness.
     used: Duration,
     /// When each of its lanes was served last.
     served_at: [Option<Instant>; Lane::COUNT],
     /// Not served before then.
     blocked_until: Option<Instant>,
+}
+
+impl Service {
+    fn is_blocked(&self, now: Instant) -> bool {
+        self.blocked_until.is_some_and(|until| now < until)
+    }
 }
 
 impl Queues {
@@ -47,44 +65,72 @@ impl Queues {
 
 impl Scheduler {
     pub(crate) fn new(capacity: usize, ageing: Duration) -> Self {
-        Self { stations: ByStation::new(), capacity, ageing, served: Duration::ZERO }
+        Self { only: None, queued: 0, stations: ByStation::new(), capacity, ageing, served: Duration::ZERO }
     }
 
     /// Puts a call at the end of its queue; gives it back when the station's queues are full.
     #[must_use]
     pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) -> Option<Ticket> {
         let capacity = self.capacity;
-        self.queues(ticket.station, |queues| {
-            if queues.len() >= capacity {
+        if self.queued == 0 && self.only.is_none() {
+            let blocked = self.queues(ticket.station, |queues| queues.service.is_blocked(now));
+            if !blocked {
+                self.only = Some(ticket);
+                return None;
+            }
+        }
+        self.queue_only();
+        let (refused, left) = self.queues(ticket.station, |queues| {
+            let before = queues.len();
+            if before >= capacity {
                 queues.lanes.iter_mut().for_each(|lane| lane.retain(|waiting| keep(waiting, now)));
             }
+            let left = before.saturating_sub(queues.len());
             if queues.len() >= capacity {
-                return Some(ticket);
+                return (Some(ticket), left);
             }
             if let Some(lane) = queues.lanes.get_mut(index(ticket.lane)) {
                 lane.push_back(ticket);
             }
-            None
-        })
+            (None, left)
+        });
+        self.queued = self.queued.saturating_sub(left).saturating_add(usize::from(refused.is_none()));
+        refused
     }
 
     /// Puts a call that was taken back before all others of its queue. It had its place, so no bound applies.
     pub(crate) fn push_front(&mut self, ticket: Ticket) {
+        self.queue_only();
         self.queues(ticket.station, |queues| {
             if let Some(lane) = queues.lanes.get_mut(index(ticket.lane)) {
                 lane.push_front(ticket);
             }
         });
+        self.queued = self.queued.saturating_add(1);
+    }
+
+    /// The only call is that no more, or its station is to be blocked.
+    fn queue_only(&mut self) {
+        if let Some(ticket) = self.only.take() {
+            self.push_front(ticket);
+        }
     }
 
     /// Takes the next call that is still wanted, if there is one whose station may be served.
     pub(crate) fn pop(&mut self, now: Instant) -> Option<Ticket> {
         loop {
-            let (station, lane) = self.next(now)?;
-            let queues = self.stations.get_mut(station)?;
-            let ticket = queues.lanes.get_mut(lane)?.pop_front()?;
-            self.served = queues.used;
-            if let Some(served_at) = queues.served_at.get_mut(lane) {
+            let ticket = match self.only.take() {
+                Some(ticket) => ticket,
+                None => {
+                    let (station, lane) = self.next(now)?;
+                    let ticket = self.stations.get_mut(station)?.lanes.get_mut(lane)?.pop_front()?;
+                    self.queued = self.queued.saturating_sub(1);
+                    ticket
+                }
+            };
+            let service = &mut self.stations.get_mut(ticket.station)?.service;
+            self.served = service.used;
+            if let Some(served_at) = service.served_at.get_mut(index(ticket.lane)) {
                 *served_at = Some(now);
             }
             if keep(&ticket, now) {
@@ -95,11 +141,18 @@ impl Scheduler {
 
     /// Whether a call is waiting whose station may be served now.
     pub(crate) fn has_work(&mut self, now: Instant) -> bool {
+        self.only.take_if(|ticket| !keep(ticket, now));
+        if self.only.is_some() {
+            return true;
+        }
         while let Some((station, lane)) = self.next(now) {
             let queue = self.stations.get_mut(station).and_then(|queues| queues.lanes.get_mut(lane));
             match queue {
                 Some(queue) if queue.front().is_some_and(|ticket| keep(ticket, now)) => return true,
-                Some(queue) => drop(queue.pop_front()),
+                Some(queue) => {
+                    drop(queue.pop_front());
+                    self.queued = self.queued.saturating_sub(1);
+                }
                 None => return false,
             }
         }
@@ -108,47 +161,61 @@ impl Scheduler {
 
     /// Whether a call is waiting that is still wanted, may its station be served or not.
     pub(crate) fn is_waiting(&mut self, now: Instant) -> bool {
-        let queues = self.stations.values_mut().flat_map(|queues| queues.lanes.iter_mut());
-        queues.fold(false, |waiting, queue| {
-            queue.retain(|ticket| keep(ticket, now));
-            waiting || !queue.is_empty()
-        })
+        self.only.take_if(|ticket| !keep(ticket, now));
+        if self.queued > 0 {
+            let queues = self.stations.values_mut().flat_map(|queues| queues.lanes.iter_mut());
+            self.queued = queues.fold(0_usize, |queued, queue| {
+                queue.retain(|ticket| keep(ticket, now));
+                queued.saturating_add(queue.len())
+            });
+        }
+        self.only.is_some() || self.queued > 0
     }
 
     /// Takes every call of a station.
     pub(crate) fn drain(&mut self, station: u8) -> VecDeque<Ticket> {
-        match self.stations.get_mut(station) {
+        self.queue_only();
+        let calls: VecDeque<Ticket> = match self.stations.get_mut(station) {
             Some(queues) => queues.lanes.iter_mut().flat_map(std::mem::take).collect(),
             None => VecDeque::new(),
-        }
+        };
+        self.queued = self.queued.saturating_sub(calls.len());
+        calls
     }
 
     /// Takes every call.
     pub(crate) fn drain_all(&mut self) -> VecDeque<Ticket> {
+        self.queue_only();
+        self.queued = 0;
         let queues = self.stations.values_mut().flat_map(|queues| queues.lanes.iter_mut());
         queues.flat_map(std::mem::take).collect()
     }
 
     /// Counts bus time that a station has used.
     pub(crate) fn charge(&mut self, station: u8, time: Duration) {
-        self.queues(station, |queues| queues.used = queues.used.saturating_add(time));
+        self.queues(station, |queues| queues.service.used = queues.service.used.saturating_add(time));
     }
 
     /// Does not serve a station before then.
     pub(crate) fn block(&mut self, station: u8, until: Instant) {
-        self.queues(station, |queues| queues.blocked_until = Some(until));
+        self.queue_only();
+        self.queues(station, |queues| queues.service.blocked_until = Some(until));
     }
 
     /// When the next station that is blocked and has calls may be served.
     pub(crate) fn next_unblocked(&self) -> Option<Instant> {
-        self.stations.values().filter(|queues| queues.len() > 0).filter_map(|queues| queues.blocked_until).min()
+        if self.queued == 0 {
+            return None;
+        }
+        self.stations.values().filter(|queues| queues.len() > 0).filter_map(|queues| queues.service.blocked_until).min()
     }
 
     fn queues<R>(&mut self, station: u8, work: impl FnOnce(&mut Queues) -> R) -> R {
-        let served = self.served;
+        let (served, idle) = (self.served, self.queued == 0);
+        let only = self.only.as_ref().is_some_and(|ticket| ticket.station == station);
         self.stations.with(station, Queues::default, |queues| {
-            if queues.len() == 0 {
-                queues.used = queues.used.max(served);
+            if queues.service.used < served && !only && (idle || queues.len() == 0) {
+                queues.service.used = served;
             }
             work(queues)
         })
@@ -156,32 +223,40 @@ impl Scheduler {
 
     /// The station and lane whose turn it is.
     fn next(&self, now: Instant) -> Option<(u8, usize)> {
+        if self.queued == 0 {
+            return None;
+        }
+        // Mostly there is one, or none: nothing is to be weighed.
+        let mut waiting = self.waiting(now).map(|(station, _, lane, _)| (station, lane));
+        let first = waiting.next()?;
+        if waiting.next().is_none() {
+            return Some(first);
+        }
         // Of each lane, the station whose turn it is.
         let mut turns: [Option<(Duration, Instant, u8)>; Lane::COUNT] = [None; Lane::COUNT];
-        for (station, queues) in self.stations.iter() {
-            if queues.blocked_until.is_some_and(|until| now < until) {
-                continue;
-            }
-            for (turn, lane) in turns.iter_mut().zip(&queues.lanes) {
-                let Some(ticket) = lane.front() else { continue };
-                let waits = (queues.used, ticket.queued_at, station);
-                if turn.is_none_or(|turn| waits < turn) {
-                    *turn = Some(waits);
-                }
+        for (station, queues, lane, ticket) in self.waiting(now) {
+            let Some(turn) = turns.get_mut(lane) else { continue };
+            let waits = (queues.service.used, ticket.queued_at, station);
+            if turn.is_none_or(|turn| waits < turn) {
+                *turn = Some(waits);
             }
         }
         let turns = turns.into_iter().enumerate();
-        let mut lanes = turns.filter_map(|(lane, turn)| turn.map(|(_, queued_at, station)| (lane, queued_at, station)));
-        let (lane, queued_at, station) = lanes.next()?;
-        let Some(second) = lanes.next() else {
-            // Mostly there is one: nothing is to be weighed.
-            return Some((station, lane));
-        };
-        let ranked = [(lane, queued_at, station), second].into_iter().chain(lanes).map(|(lane, queued_at, station)| {
-            let served_at = self.stations.get(station).and_then(|queues| *queues.served_at.get(lane)?);
+        let lanes = turns.filter_map(|(lane, turn)| turn.map(|(_, queued_at, station)| (lane, queued_at, station)));
+        let ranked = lanes.map(|(lane, queued_at, station)| {
+            let served_at = self.stations.get(station).and_then(|queues| *queues.service.served_at.get(lane)?);
             (self.rank(lane, served_at.map_or(queued_at, |at| at.max(queued_at)), now), lane, station)
         });
         ranked.min().map(|(_, lane, station)| (station, lane))
+    }
+
+    /// The stations that may be served and have calls, with those of their lanes that have any, and the first call in each.
+    fn waiting(&self, now: Instant) -> impl Iterator<Item = (u8, &Queues, usize, &Ticket)> {
+        let served = self.stations.iter().filter(move |(_, queues)| !queues.service.is_blocked(now));
+        served.flat_map(|(station, queues)| {
+            let lanes = queues.lanes.iter().enumerate();
+            lanes.filter_map(move |(lane, queue)| Some((station, queues, lane, queue.front()?)))
+        })
     }
 
     /// The lane, less one for each ageing period since then.
@@ -216,6 +291,7 @@ mod tests {
     use crate::command::{Command, ReadStatus};
     use crate::link::call::{self, Completion, Spares, Terms};
     use crate::link::options::CallOptions;
+    use crate::random::Random;
 
     const SECOND: Duration = Duration::from_secs(1);
 
@@ -329,6 +405,74 @@ mod tests {
         assert!(scheduler.has_work(now + SECOND));
         assert_eq!(order(&mut scheduler, now + SECOND), [(1, Lane::Control)]);
         assert_eq!(scheduler.next_unblocked(), None);
+    }
+
+    /// A call that is not put into a queue is treated as if it were in one.
+    #[test]
+    fn the_only_call_is_like_any_other() {
+        let start = Instant::now();
+        for seed in 0..500 {
+            let mut random = Random::new(seed);
+            let mut any = |n: u64| random.next() % n;
+            let (mut one, mut other) = (Scheduler::new(3, SECOND), Scheduler::new(3, SECOND));
+            let (mut now, mut calls, mut number) = (start, Vec::new(), 0);
+            let shown =
+                |ticket: Option<Ticket>| ticket.map(|ticket| (ticket.station, ticket.lane, ticket.retries_left));
+            let all = |calls: VecDeque<Ticket>| calls.into_iter().map(|ticket| shown(Some(ticket))).collect::<Vec<_>>();
+            for step in 0..200 {
+                let (station, at) = (any(3) as u8, format!("seed {seed}, step {step}"));
+                match any(12) {
+                    0..=4 => {
+                        let lane = [Lane::Control, Lane::Write, Lane::Read, Lane::Background][any(4) as usize];
+                        let front = any(6) == 0;
+                        number += 1;
+                        let [first, second] = [&mut one, &mut other].map(|scheduler| {
+                            let (mut ticket, caller) = ticket(station, lane, now);
+                            ticket.retries_left = number;
+                            let refused = if front {
+                                scheduler.push_front(ticket);
+                                None
+                            } else {
+                                scheduler.push(ticket, now)
+                            };
+                            (shown(refused), caller)
+                        });
+                        other.queue_only();
+                        assert_eq!(first.0, second.0, "{at}");
+                        calls.push((first.1, second.1));
+                    }
+                    5..=7 => assert_eq!(shown(one.pop(now)), shown(other.pop(now)), "{at}"),
+                    8 => {
+                        let time = Duration::from_millis(any(50));
+                        one.charge(station, time);
+                        other.charge(station, time);
+                    }
+                    9 => {
+                        let until = now + Duration::from_millis(any(40));
+                        one.block(station, until);
+                        other.block(station, until);
+                    }
+                    10 if any(4) == 0 => assert_eq!(all(one.drain(station)), all(other.drain(station)), "{at}"),
+                    10 if !calls.is_empty() => drop(calls.swap_remove(any(calls.len() as u64) as usize)),
+                    _ => now += Duration::from_millis(any(400)),
+                }
+                match any(4) {
+                    0 => assert_eq!(one.has_work(now), other.has_work(now), "{at}"),
+                    1 => assert_eq!(one.is_waiting(now), other.is_waiting(now), "{at}"),
+                    _ => {}
+                }
+                for scheduler in [&one, &other] {
+                    let queued: usize = scheduler.stations.values().map(Queues::len).sum();
+                    assert_eq!(scheduler.queued, queued, "{at}");
+                    assert!(scheduler.only.is_none() || queued == 0, "{at}");
+                }
+                let used = |scheduler: &Scheduler| -> Vec<_> {
+                    scheduler.stations.iter().map(|(station, queues)| (station, queues.service.used)).collect()
+                };
+                assert_eq!((used(&one), one.served), (used(&other), other.served), "{at}");
+            }
+            assert_eq!(all(one.drain_all()), all(other.drain_all()), "seed {seed}");
+        }
     }
 
     #[test]

@@ -24,8 +24,11 @@ where
     E: Into<Element> + TryFrom<Element, Error = ElementError> + Copy,
     C: Command<Reply = Vec<T>>,
 {
-    check_range(C::CODE, first.into(), count)?;
     let most = most_in_one_request(first.into());
+    if !(1..=most).contains(&count) {
+        // What one request can do is checked when it is made.
+        check_range(C::CODE, first.into(), count)?;
+    }
     let mut values = station.call(request(first, count.min(most))?).await?;
     while values.len() < count {
         let next = nth(first, values.len())?;

@@ -105,7 +105,7 @@ impl Broadcast {
     }
 
     async fn cast<C: Command<Reply = ()>>(&self, request: C) -> Result<(), Error> {
-        self.link.cast(request, self.options.retries(0)).await
+        self.link.submit(0, request, Some(()), self.options.retries(0)).await.0
     }
 }
 

@@ -53,6 +53,11 @@ impl Connector {
         !matches!(self, Self::Once(None))
     }
 
+    /// Whether its connections surely wake their reader, whenever something has come: ours do.
+    pub(crate) fn tells(&self) -> bool {
+        matches!(self, Self::Endpoint { .. })
+    }
+
     /// Opens a connection, within the time. `None`: there will never be another.
     pub(crate) fn open(&mut self, within: Duration) -> Option<BoxFuture<'static, io::Result<BoxIo>>> {
         let opening = match self {
