@@ -3,6 +3,7 @@
 mod any_length;
 mod backup;
 mod broadcast;
+mod place;
 mod program;
 
 use std::fmt;
@@ -22,6 +23,7 @@ use crate::error::Error;
 use crate::link::{CallOptions, Link, StationState, StationStats};
 
 pub use self::broadcast::Broadcast;
+pub(crate) use self::place::{BegunWith, OtherStation};
 
 /// One PLC on a [`Link`]. Cheap to clone; every method takes `&self`, so that one handle serves many tasks.
 ///
@@ -106,11 +108,6 @@ impl Station {
     #[must_use]
     pub fn number(&self) -> u8 {
         self.number
-    }
-
-    /// What it is known by beyond the life of its link: number and endpoint.
-    pub(crate) fn place(&self) -> String {
-        format!("station {} on {}", self.number, self.link.name())
     }
 
     /// The link it is on.

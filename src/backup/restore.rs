@@ -11,7 +11,7 @@ use crate::command::{Value, WriteDiscretes, WriteRegisters};
 use crate::element::Element;
 use crate::error::Error;
 use crate::progress::{Meter, Progress};
-use crate::station::Station;
+use crate::station::{BegunWith, OtherStation, Station};
 use crate::tag::Tag;
 
 /// How a backup is restored.
@@ -108,8 +108,7 @@ impl Default for RestoreOptions {
 #[must_use]
 pub struct Restore {
     restoring: Restoring,
-    /// The station of the last run.
-    place: Option<String>,
+    begun_with: BegunWith,
     on_progress: Option<OnProgress>,
 }
 
@@ -119,7 +118,7 @@ const PAUSE: Duration = Duration::from_millis(100);
 impl Restore {
     /// This backup is to be restored.
     pub fn new(backup: &Backup, options: RestoreOptions) -> Self {
-        Self { restoring: Restoring::new(backup, options), place: None, on_progress: None }
+        Self { restoring: Restoring::new(backup, options), begun_with: BegunWith::default(), on_progress: None }
     }
 
     /// Called after each request that has read or written; the steps are elements. It must not take long: the PLC waits
@@ -168,11 +167,8 @@ impl Restore {
     }
 
     async fn go(&mut self, station: &Station, goal: Goal) -> Result<RestoreReport, RestoreError> {
-        let place = station.place();
-        if let Some(begun) = self.place.clone().filter(|begun| self.restoring.is_bound() && *begun != place) {
-            return Err(self.failed(RestoreFailure::OtherStation { begun, station: place }));
-        }
-        self.place = Some(place);
+        let same = self.begun_with.go_on(station, self.restoring.is_bound());
+        same.map_err(|OtherStation { begun, station }| self.failed(RestoreFailure::OtherStation { begun, station }))?;
         self.restoring.begin(goal);
         let mut meter: Option<Meter> = None;
         loop {

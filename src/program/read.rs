@@ -8,7 +8,7 @@ use super::{PAGE_BYTES, Program, ProgramAction, ProgramError};
 use crate::command::{Command, ReadProgramPage};
 use crate::error::Error;
 use crate::progress::{Meter, Progress};
-use crate::station::Station;
+use crate::station::{BegunWith, OtherStation, Station};
 
 /// What is told of the progress of a transfer.
 pub(super) type OnProgress = Box<dyn FnMut(&Progress) + Send>;
@@ -21,8 +21,7 @@ pub(super) type OnProgress = Box<dyn FnMut(&Progress) + Send>;
 #[must_use]
 pub struct ReadProgram {
     reading: Reading,
-    /// The station of the last run.
-    place: Option<String>,
+    begun_with: BegunWith,
     on_progress: Option<OnProgress>,
 }
 
@@ -64,11 +63,8 @@ impl ReadProgram {
     pub async fn run(&mut self, station: &Station) -> Result<Program, ProgramError> {
         let failed = |action| move |source| ProgramError::Call { action, source };
         in_framing(station).map_err(failed(ProgramAction::ReadPage(0)))?;
-        let place = station.place();
-        if let Some(begun) = self.place.clone().filter(|begun| self.pages_done() > 0 && *begun != place) {
-            return Err(ProgramError::OtherStation { begun, station: place });
-        }
-        self.place = Some(place);
+        let same = self.begun_with.go_on(station, self.pages_done() > 0);
+        same.map_err(|OtherStation { begun, station }| ProgramError::OtherStation { begun, station })?;
         self.reading.begin();
         let mut meter: Option<Meter> = None;
         loop {

@@ -8,7 +8,7 @@ use super::writing::{Goal, Step, Told, Writing};
 use super::{PAGE_BYTES, Program, ProgramError, WriteProgramError, WriteState};
 use crate::error::Error;
 use crate::progress::Progress;
-use crate::station::Station;
+use crate::station::{BegunWith, OtherStation, Station};
 
 /// How a program is written.
 ///
@@ -124,8 +124,7 @@ pub struct WriteReport {
 #[must_use]
 pub struct WriteProgram {
     writing: Writing,
-    /// The station of the last run.
-    place: Option<String>,
+    begun_with: BegunWith,
     on_progress: Option<OnProgress>,
 }
 
@@ -135,7 +134,7 @@ const PAUSE: Duration = Duration::from_millis(100);
 impl WriteProgram {
     /// This program is to be written.
     pub fn new(program: &Program, options: WriteOptions) -> Self {
-        Self { writing: Writing::new(program.clone(), options), place: None, on_progress: None }
+        Self { writing: Writing::new(program.clone(), options), begun_with: BegunWith::default(), on_progress: None }
     }
 
     /// Called after each page that was read or written. It must not take long: the PLC waits meanwhile.
@@ -192,12 +191,11 @@ impl WriteProgram {
     }
 
     async fn go(&mut self, station: &Station, goal: Goal) -> Result<(), WriteProgramError> {
-        let place = station.place();
-        if let Some(begun) = self.place.clone().filter(|begun| self.writing.is_bound() && *begun != place) {
-            let source = Box::new(ProgramError::OtherStation { begun, station: place });
-            return Err(WriteProgramError { source, state: Box::new(self.state()) });
-        }
-        self.place = Some(place);
+        let same = self.begun_with.go_on(station, self.writing.is_bound());
+        same.map_err(|OtherStation { begun, station }| WriteProgramError {
+            source: Box::new(ProgramError::OtherStation { begun, station }),
+            state: Box::new(self.state()),
+        })?;
         self.writing.begin(goal);
         if let Err(error) = in_framing(station) {
             self.writing.told(Err(error));
