@@ -5,7 +5,7 @@ use super::Station;
 impl Station {
     /// What it is known by: number and endpoint.
     fn place(&self) -> String {
-        format!("station {} on {}", self.number, self.link.name())
+        format!("station {} on {}", self.number(), self.link().name())
     }
 }
 
