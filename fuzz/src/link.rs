@@ -9,7 +9,7 @@ mod ear;
 mod fit;
 #[path = "../../tests/model/op.rs"]
 mod op;
-#[path = "../../tests/model/spec.rs"]
+#[path = "../../tests/model/spec/mod.rs"]
 mod spec;
 #[path = "../../tests/model/state.rs"]
 mod state;
