@@ -9,6 +9,8 @@ mod ear;
 mod fit;
 #[path = "../../tests/model/op.rs"]
 mod op;
+#[path = "../../tests/model/rest.rs"]
+mod rest;
 #[path = "../../tests/model/spec/mod.rs"]
 mod spec;
 #[path = "../../tests/model/state.rs"]

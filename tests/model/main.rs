@@ -1,5 +1,6 @@
 //! The link against a small model of what a link may do: `spec` has the rules, `state` what they speak of, `ear` what a
-//! listener hears, `fit` what a reply is, `world` a link, its callers and the other end of the line, `op` the steps.
+//! listener hears, `fit` what a reply is, `world` a link, its callers and the other end of the line, `op` the steps, `rest`
+//! when all is done that there is to be done at a time.
 //!
 //! `FATEK_MODEL_CASES=20000` has 20 000 runs of each framing, more or less. What has ever failed stands in
 //! `regressions.txt` and comes first; a failure adds its seed there.
@@ -9,6 +10,7 @@ mod book;
 mod ear;
 mod fit;
 mod op;
+mod rest;
 mod spec;
 mod state;
 mod world;

@@ -4,9 +4,9 @@
 //! those before it: so no step falls between a deadline that an earlier one has set and its timer, and it is never a matter
 //! of chance whether an answer comes in time.
 
-use std::future::pending;
+use std::future::{Future, pending, poll_fn};
 use std::io;
-use std::pin::Pin;
+use std::pin::{Pin, pin};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
@@ -15,10 +15,11 @@ use fatek::command::{ControlPlc, ReadRegisters, Request, WriteRegisters};
 use fatek::wire::{Framing, Side};
 use fatek::{CallOptions, Error, Link, Register, Symbol};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::task::{AbortHandle, yield_now};
+use tokio::task::AbortHandle;
 use tokio::time::{Instant, advance, sleep};
 
 use super::op::{Connecting, Kind, Op, Spoilt};
+use super::rest::{next_rest, rest, runtime};
 use super::spec::Spec;
 use super::state::{Call, End, Event, Id, Micros, Rules};
 use crate::book::{carried, framed};
@@ -46,8 +47,7 @@ pub(crate) const MAX_STEPS: usize = 900;
 
 /// Takes the steps with a new link; says which rule was broken, and where.
 pub(crate) fn run(framing: Framing, seed: u64, ops: &[Op]) -> Result<(), String> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
-    runtime.map_err(|error| error.to_string())?.block_on(async {
+    runtime().map_err(|error| error.to_string())?.block_on(async {
         let mut world = World::new(framing, seed);
         for (number, op) in ops.iter().take(MAX_STEPS).enumerate() {
             let step = world.step(op, MS - 1 - number as Micros).await;
@@ -135,13 +135,19 @@ impl World {
         self.settle().await?;
         advance(Duration::from_micros(MS - past)).await;
         self.settle().await?;
-        if let Op::Wait(ms) = op {
-            for _ in 0..ms / 16 {
-                sleep(Duration::from_millis(16)).await;
-                self.settle().await?;
+        if let Op::Wait(ms) = op { self.wait(u64::from(*ms) * MS).await } else { Ok(()) }
+    }
+
+    /// Lets time pass, from one whole millisecond to another, and looks whenever there was something to be done.
+    async fn wait(&mut self, time: Micros) -> Result<(), String> {
+        let mut end = pin!(sleep(Duration::from_micros(time)));
+        while poll_fn(|cx| Poll::Ready(end.as_mut().poll(cx))).await.is_pending() {
+            next_rest().await;
+            if !self.line().events.is_empty() {
+                // Nothing was done until now, so nothing had to be.
+                self.spec.settled(self.now() - 1)?;
             }
-            sleep(Duration::from_millis(u64::from(ms % 16))).await;
-            self.settle().await?;
+            self.look()?;
         }
         Ok(())
     }
@@ -149,8 +155,7 @@ impl World {
     /// All calls end by their deadlines, and then the link can be closed.
     async fn finish(&mut self) -> Result<(), String> {
         if !self.spec.is_over() {
-            sleep(Duration::from_micros(CALL_TIMEOUT)).await;
-            self.settle().await?;
+            self.wait(CALL_TIMEOUT).await?;
         }
         self.link.close().await;
         if self.spec.is_over() { Ok(()) } else { Err("a call has not ended".to_owned()) }
@@ -158,19 +163,17 @@ impl World {
 
     /// Lets everybody do what there is to be done at this time, and looks at it.
     async fn settle(&mut self) -> Result<(), String> {
-        loop {
-            for _ in 0..4 {
-                yield_now().await;
-            }
-            let events = std::mem::take(&mut self.line().events);
-            if events.is_empty() {
-                return self.spec.settled(self.now());
-            }
-            for (at, event) in events {
-                self.told.push((at, event.clone()));
-                self.spec.observe(at, event)?;
-            }
+        rest().await;
+        self.look()
+    }
+
+    fn look(&mut self) -> Result<(), String> {
+        let events = std::mem::take(&mut self.line().events);
+        for (at, event) in events {
+            self.told.push((at, event.clone()));
+            self.spec.observe(at, event)?;
         }
+        self.spec.settled(self.now())
     }
 
     fn act(&mut self, op: &Op) {
