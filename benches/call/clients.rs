@@ -3,11 +3,13 @@
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use fatek::{Endpoint, Link, Station, register};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::sync::{Mutex, mpsc, oneshot};
+use tokio::time::timeout;
 use tokio_modbus::Slave;
 use tokio_modbus::client::{Context, Reader, tcp};
 
@@ -25,6 +27,8 @@ pub(crate) enum Way {
     /// The same, done by a task that owns the connection; callers and task talk through channels.
     Task(Bytes),
     Modbus,
+    /// The same, each call within a timeout, as every call of a `Station` is.
+    Timed,
 }
 
 /// Whose bytes.
@@ -35,10 +39,11 @@ pub(crate) enum Bytes {
 }
 
 impl Way {
-    pub(crate) const ALL: [Self; 8] = [
+    pub(crate) const ALL: [Self; 9] = [
         Self::Fatek(Bytes::Binary),
         Self::Bare(Bytes::Binary),
         Self::Modbus,
+        Self::Timed,
         Self::Into(Bytes::Binary),
         Self::Fatek(Bytes::Ascii),
         Self::Bare(Bytes::Ascii),
@@ -57,6 +62,7 @@ impl Way {
             Self::Task(Bytes::Ascii) => "task-ascii",
             Self::Task(Bytes::Binary) => "task-binary",
             Self::Modbus => "tokio-modbus",
+            Self::Timed => "modbus-timed",
         }
     }
 }
@@ -67,10 +73,14 @@ pub(crate) enum Client {
     Into(Station, [u16; REGISTERS]),
     Bare(Bare),
     Task(mpsc::Sender<oneshot::Sender<io::Result<usize>>>),
-    Modbus(Context),
+    /// Within this time, if there is one.
+    Modbus(Context, Option<Duration>),
     /// One context for many callers, as its users do it.
-    Shared(Arc<Mutex<Context>>),
+    Shared(Arc<Mutex<Context>>, Option<Duration>),
 }
+
+/// As long as a call of a `Station` may take, unless it is said otherwise.
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A connection and what is sent and received over it.
 pub(crate) struct Bare {
@@ -100,13 +110,14 @@ pub(crate) async fn connect(way: Way, setting: Setting, servers: &Servers) -> Re
                 tokio::spawn(Bare::connect(server(bytes, servers)).await?.serve(task));
                 clients.extend((0..setting.callers).map(|_| Client::Task(requests.clone())));
             }
-            Way::Modbus => {
+            Way::Modbus | Way::Timed => {
+                let within = (way == Way::Timed).then_some(TIMEOUT);
                 let context = tcp::attach_slave(open(servers.modbus.0).await?, Slave(1));
                 if setting.callers == 1 {
-                    clients.push(Client::Modbus(context));
+                    clients.push(Client::Modbus(context, within));
                 } else {
                     let shared = Arc::new(Mutex::new(context));
-                    clients.extend((0..setting.callers).map(|_| Client::Shared(shared.clone())));
+                    clients.extend((0..setting.callers).map(|_| Client::Shared(shared.clone(), within)));
                 }
             }
         }
@@ -146,8 +157,12 @@ impl Client {
                     task.send(answer).await?;
                     answered.await??
                 }
-                Self::Modbus(context) => context.read_holding_registers(0, REGISTERS as u16).await??.len(),
-                Self::Shared(context) => context.lock().await.read_holding_registers(0, REGISTERS as u16).await??.len(),
+                Self::Modbus(context, None) => read(context).await?,
+                Self::Modbus(context, Some(within)) => timeout(*within, read(context)).await??,
+                Self::Shared(context, None) => read(&mut *context.lock().await).await?,
+                Self::Shared(context, Some(within)) => {
+                    timeout(*within, async { read(&mut *context.lock().await).await }).await??
+                }
             };
             if registers != REGISTERS {
                 return Err(format!("{registers} registers were read, not {REGISTERS}").into());
@@ -155,6 +170,10 @@ impl Client {
         }
         Ok(())
     }
+}
+
+async fn read(context: &mut Context) -> Result<usize> {
+    Ok(context.read_holding_registers(0, REGISTERS as u16).await??.len())
 }
 
 impl Bare {

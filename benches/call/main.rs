@@ -6,15 +6,16 @@
 //! cargo bench --bench call -- --test            # a few requests of each, to see that it works
 //! ```
 //!
-//! In each setting three ways of reading 64 registers take turns, round by round, so that whatever else the machine does hits
+//! In each setting the ways of reading 64 registers take turns, round by round, so that whatever else the machine does hits
 //! all of them:
 //!
 //! - a [`Station`](fatek::Station) of this crate;
 //! - the limit: a bare `write` and `read` of exactly the same bytes;
-//! - the peer: tokio-modbus, which reads as many registers.
+//! - the peer: tokio-modbus, which reads as many registers; once as it is, and once within a timeout, which each call of a
+//!   `Station` has.
 //!
 //! Each round gives a ratio of two rates; the table has their median and the middle half of them. The [`server`] is the same
-//! for all: a thread of its own that answers every request with the same prepared bytes. [`clients`] are the three ways.
+//! for all: a thread of its own that answers every request with the same prepared bytes. [`clients`] are the ways.
 
 mod clients;
 mod options;

@@ -15,6 +15,7 @@ pub(crate) struct Row {
     rate: f64,
     limit: Option<Ratio>,
     peer: Option<Ratio>,
+    timed: Option<Ratio>,
 }
 
 /// Of two rates of the same round: quartiles.
@@ -34,9 +35,11 @@ pub(crate) fn rows(runtime: &'static str, setting: Setting, rates: &[(Way, Vec<f
     let row = |(way, own): &(Way, Vec<f64>)| {
         let limit = match way {
             Way::Fatek(bytes) | Way::Into(bytes) | Way::Task(bytes) => of(Way::Bare(*bytes)),
-            Way::Modbus | Way::Bare(_) => None,
+            Way::Modbus | Way::Timed | Way::Bare(_) => None,
         };
-        let peer = if matches!(way, Way::Fatek(_) | Way::Into(_)) { of(Way::Modbus) } else { None };
+        let ours = matches!(way, Way::Fatek(_) | Way::Into(_));
+        let peer = if ours || *way == Way::Timed { of(Way::Modbus) } else { None };
+        let timed = if ours { of(Way::Timed) } else { None };
         Row {
             runtime,
             setting,
@@ -44,6 +47,7 @@ pub(crate) fn rows(runtime: &'static str, setting: Setting, rates: &[(Way, Vec<f
             rate: quantile(own.clone(), 0.5),
             limit: limit.map(|limit| ratio(own, limit)),
             peer: peer.map(|peer| ratio(own, peer)),
+            timed: timed.map(|timed| ratio(own, timed)),
         }
     };
     rates.iter().map(row).collect()
@@ -68,15 +72,15 @@ impl Table {
 
     pub(crate) fn head(&self) {
         println!(
-            "{:<15} {:>5} {:>7}  {:<13} {:>10}  {:<22} {:<22}",
-            "runtime", "links", "callers", "way", "requests/s", "of the limit", "of the peer"
+            "{:<15} {:>5} {:>7}  {:<13} {:>10}  {:<22} {:<22} {:<22}",
+            "runtime", "links", "callers", "way", "requests/s", "of the limit", "of the peer", "of the timed peer"
         );
     }
 
     pub(crate) fn add(&mut self, row: Row) {
         let Setting { links, callers } = row.setting;
         println!(
-            "{:<15} {:>5} {:>7}  {:<13} {:>10.0}  {:<22} {:<22}",
+            "{:<15} {:>5} {:>7}  {:<13} {:>10.0}  {:<22} {:<22} {:<22}",
             row.runtime,
             links,
             callers,
@@ -84,6 +88,7 @@ impl Table {
             row.rate,
             row.limit.map_or(String::new(), Ratio::text),
             row.peer.map_or(String::new(), Ratio::text),
+            row.timed.map_or(String::new(), Ratio::text),
         );
         self.rows.push(row);
     }
@@ -92,12 +97,12 @@ impl Table {
     pub(crate) fn save(&self) -> Result<()> {
         let mut text = String::from(
             "runtime,links,callers,way,requests_per_s,\
-             limit_low,limit_median,limit_high,peer_low,peer_median,peer_high\n",
+             limit_low,limit_median,limit_high,peer_low,peer_median,peer_high,timed_low,timed_median,timed_high\n",
         );
-        for Row { runtime, setting: Setting { links, callers }, way, rate, limit, peer } in &self.rows {
+        for Row { runtime, setting: Setting { links, callers }, way, rate, limit, peer, timed } in &self.rows {
             let name = way.name();
-            let (limit, peer) = (limit.map_or(",,".to_owned(), Ratio::csv), peer.map_or(",,".to_owned(), Ratio::csv));
-            writeln!(text, "{runtime},{links},{callers},{name},{rate:.0},{limit},{peer}")?;
+            let [limit, peer, timed] = [limit, peer, timed].map(|of| of.map_or(",,".to_owned(), Ratio::csv));
+            writeln!(text, "{runtime},{links},{callers},{name},{rate:.0},{limit},{peer},{timed}")?;
         }
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/performance/call.csv");
         fs::create_dir_all(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/performance"))?;
