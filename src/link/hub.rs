@@ -235,8 +235,8 @@ impl Hub {
         }
         // It would keep the memory of the task, and with it the runtime's.
         self.bell.forget();
-        // Dropped, they end with the right error.
-        drop(self.take_inbox());
+        // Dropped, they end with the right error. Behind the lock, so that whoever puts a call there later finds the desk free.
+        drop(std::mem::take(&mut *lock(&self.inbox)));
     }
 }
 

@@ -1,0 +1,76 @@
+//! Takes the models through every interleaving; then sees whether they find faults. See the README.
+
+mod hub;
+mod lock;
+
+use std::process::{Command, ExitCode, Stdio};
+
+use self::hub::{Ending, Fault, Model};
+
+/// How often a thread is interrupted at most, other than where it waits.
+const BOUND: usize = 2;
+
+fn main() -> ExitCode {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let found = match args[..] {
+        [] => all(BOUND),
+        ["--bound", bound] => match bound.parse() {
+            Ok(bound) => all(bound),
+            Err(error) => {
+                eprintln!("--bound {bound}: {error}");
+                return ExitCode::from(2);
+            }
+        },
+        // One run, in a process of its own: where loom finds something, it aborts.
+        ["--one", model, ending, fault, bound] => {
+            let (Some(model), Some(ending)) = (named(&Model::ALL, model), named(&Ending::ALL, ending)) else {
+                return ExitCode::from(2);
+            };
+            hub::run(model, ending, named(&Fault::ALL, fault), bound.parse().unwrap_or(BOUND));
+            true
+        }
+        _ => {
+            eprintln!("usage: fatek-models [--bound N]");
+            return ExitCode::from(2);
+        }
+    };
+    if found { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn all(bound: usize) -> bool {
+    let mut good = true;
+    for model in Model::ALL {
+        for ending in Ending::ALL {
+            let holds = one(model, ending, None, bound);
+            good &= holds;
+            println!("{model:?}, {ending:?}: {}", if holds { "all interleavings are right" } else { "NOT RIGHT" });
+        }
+    }
+    for fault in Fault::ALL {
+        let runs = || Model::ALL.into_iter().flat_map(|model| Ending::ALL.map(|ending| (model, ending)));
+        let found = runs().find(|&(model, ending)| !one(model, ending, Some(fault), bound));
+        good &= found.is_some();
+        match found {
+            Some((model, ending)) => println!("{fault:?}: found by {model:?}, {ending:?}"),
+            None => println!("{fault:?}: NOT FOUND"),
+        }
+    }
+    good
+}
+
+/// Whether all interleavings of a run are right. It says why not when it is the only one.
+fn one(model: Model, ending: Ending, fault: Option<Fault>, bound: usize) -> bool {
+    let own = std::env::current_exe().expect("it runs");
+    let fault = fault.map_or_else(String::new, |fault| format!("{fault:?}"));
+    let mut run = Command::new(own);
+    run.args(["--one", &format!("{model:?}"), &format!("{ending:?}"), &fault, &bound.to_string()]);
+    if !fault.is_empty() {
+        run.stderr(Stdio::null());
+    }
+    run.status().expect("it can be run again").success()
+}
+
+fn named<T: Copy + std::fmt::Debug>(all: &[T], name: &str) -> Option<T> {
+    all.iter().copied().find(|one| format!("{one:?}") == name)
+}
