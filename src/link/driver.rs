@@ -18,6 +18,9 @@
 //! - the task hears of everything that `advance` waits for: bytes and room for bytes by its waker, times because
 //!   `advance` tells them.
 
+#[cfg(test)]
+mod tests;
+
 use std::io;
 use std::mem::MaybeUninit;
 use std::pin::Pin;
@@ -201,7 +204,8 @@ impl Driver {
 
     fn steps(&mut self, by: By, clock: &mut Clock, cx: &mut Context<'_>) -> Next {
         // Some users' streams have more, and tell nobody.
-        self.listens = self.listens && self.connector.tells() && !self.bell.has_rung();
+        self.listens = self.listens && self.connector.tells();
+        let mut sends = false;
         for _ in 0..MAX_AT_ONCE {
             if self.ending {
                 return self.end(clock.now());
@@ -222,7 +226,7 @@ impl Driver {
                 }
                 continue;
             }
-            if !self.listens {
+            if !self.listens || self.bell.has_rung() {
                 match self.read_all(cx, clock) {
                     Ok(all) => self.listens = all,
                     Err(error) => {
@@ -242,7 +246,13 @@ impl Driver {
                     self.io = None;
                     self.state.send_replace(LinkState::Idle);
                 }
-                Step::Send(by) => self.writing = Some(Writing { written: 0, by }),
+                Step::Send(by) => {
+                    if std::mem::replace(&mut sends, true) {
+                        // What was sent before it has taken its time.
+                        clock.look();
+                    }
+                    self.writing = Some(Writing { written: 0, by });
+                }
                 // Not before what is on the wire has ended, so that the PLC is not cut off in the middle of its answer.
                 Step::Wait(_) if (self.core.is_closing() || self.orphaned) && self.core.is_idle() => self.ending = true,
                 Step::Wait(until) => {
@@ -283,10 +293,13 @@ impl Driver {
         self.state.send_replace(LinkState::Closed);
     }
 
-    /// When what has just been written leaves the machine. On a serial line, it waits for what was written before; elsewhere
-    /// it does so within the write, which takes too little time to look at the clock for it.
+    /// When what has just been written leaves the machine. On a serial line, it waits for what was written before; a socket
+    /// takes it at once, so that the clock need not be looked at for it; and what a user's stream does within a write or a flush
+    /// may take long.
     fn transmitted_at(&mut self, clock: &mut Clock) -> Instant {
-        let Some(line) = self.line else { return clock.now() };
+        let Some(line) = self.line else {
+            return if self.connector.tells() { clock.now() } else { clock.look() };
+        };
         let now = clock.look();
         let begins = self.sent_until.map_or(now, |until| until.max(now));
         let ends = later(begins, line.transmission(self.core.outgoing().len()));

@@ -194,7 +194,8 @@ impl Settings {
         }
         if let Some(connect) = self.connect.clone() {
             let endpoint = endpoint.clone();
-            builder = builder.connector(Connector::Custom(Box::new(move || connect(endpoint.clone()))));
+            builder = builder
+                .connector(Connector::Custom { open: Box::new(move || connect(endpoint.clone())), tells: false });
         }
         builder.idle_timeout(self.idle_timeout).build()
     }

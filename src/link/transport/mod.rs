@@ -32,7 +32,11 @@ pub(crate) enum Connector {
     /// The one connection there is.
     Once(Option<BoxIo>),
     /// As the user says.
-    Custom(Box<dyn FnMut() -> BoxFuture<'static, io::Result<BoxIo>> + Send>),
+    Custom {
+        open: Box<dyn FnMut() -> BoxFuture<'static, io::Result<BoxIo>> + Send>,
+        /// Whether they are as good as ours; nobody says so of a user's.
+        tells: bool,
+    },
 }
 
 impl Connector {
@@ -42,10 +46,11 @@ impl Connector {
         Fut: Future<Output = io::Result<T>> + Send + 'static,
         T: AsyncRead + AsyncWrite + Send + Unpin + 'static,
     {
-        Self::Custom(Box::new(move || {
+        let open = Box::new(move || {
             let opening = open();
             async move { Ok(Box::new(opening.await?) as BoxIo) }.boxed()
-        }))
+        });
+        Self::Custom { open, tells: false }
     }
 
     /// Whether there can be another connection after this one.
@@ -55,7 +60,7 @@ impl Connector {
 
     /// Whether its connections surely wake their reader, whenever something has come: ours do.
     pub(crate) fn tells(&self) -> bool {
-        matches!(self, Self::Endpoint { .. })
+        matches!(self, Self::Endpoint { .. } | Self::Custom { tells: true, .. })
     }
 
     /// Opens a connection, within the time. `None`: there will never be another.
@@ -66,7 +71,7 @@ impl Connector {
                 let io = io.take()?;
                 async move { Ok(io) }.boxed()
             }
-            Self::Custom(open) => open(),
+            Self::Custom { open, .. } => open(),
         };
         let limited = async move {
             match tokio::time::timeout(within, opening).await {
@@ -83,7 +88,7 @@ impl fmt::Debug for Connector {
         match self {
             Self::Endpoint { endpoint, .. } => write!(f, "Connector({endpoint})"),
             Self::Once(_) => f.write_str("Connector(once)"),
-            Self::Custom(_) => f.write_str("Connector(custom)"),
+            Self::Custom { .. } => f.write_str("Connector(custom)"),
         }
     }
 }

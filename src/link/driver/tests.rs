@@ -1,0 +1,122 @@
+//! What has come and has rung is read before the next request, also when several are sent in one go.
+
+use std::collections::VecDeque;
+use std::io;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, Waker};
+
+use bytes::BytesMut;
+use futures::future::{FutureExt, join_all};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio_util::codec::{Decoder, Encoder};
+
+use crate::link::builder::LinkBuilder;
+use crate::link::transport::{BoxIo, Connector};
+use crate::wire::{Codec, Frame, Framing, Side};
+use crate::{Link, register};
+
+/// A PLC that answers at once, and at its first broadcast repeats its last answer, with the old value.
+#[derive(Default)]
+struct Plc {
+    came: VecDeque<u8>,
+    reader: Option<Waker>,
+    value: u16,
+    answered: Vec<u8>,
+    broadcasts: u32,
+    /// How many requests came before a repeated answer had been read.
+    unheard: u32,
+}
+
+#[derive(Clone, Default)]
+struct Line(Arc<Mutex<Plc>>);
+
+impl Line {
+    fn plc(&self) -> MutexGuard<'_, Plc> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn link(&self) -> Link {
+        let line = self.clone();
+        let open = Box::new(move || futures::future::ready(Ok(Box::new(line.clone()) as BoxIo)).boxed());
+        LinkBuilder::with_connector(Connector::Custom { open, tells: true }, Framing::Ascii, "a line that tells")
+            .build()
+    }
+}
+
+impl Plc {
+    fn asked(&mut self, request: &Frame) {
+        self.unheard += u32::from(!self.came.is_empty());
+        if request.station == 0 {
+            self.broadcasts += 1;
+            self.value = 2;
+            if self.broadcasts == 1 {
+                let again = self.answered.clone();
+                self.come(&again);
+            }
+            return;
+        }
+        let data = match request.command {
+            0x46 => format!("0{:04X}", self.value).into(),
+            _ => request.data.clone(),
+        };
+        let mut answer = BytesMut::new();
+        let frame = Frame { station: request.station, command: request.command, data };
+        Codec::new(Framing::Ascii, Side::Plc).encode(&frame, &mut answer).expect("it can be sent");
+        self.answered = answer.to_vec();
+        self.come(&answer);
+    }
+
+    fn come(&mut self, bytes: &[u8]) {
+        self.came.extend(bytes);
+        if let Some(reader) = self.reader.take() {
+            reader.wake();
+        }
+    }
+}
+
+impl AsyncRead for Line {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let mut plc = self.plc();
+        if plc.came.is_empty() {
+            plc.reader = Some(cx.waker().clone());
+            return Poll::Pending;
+        }
+        into.put_slice(&plc.came.drain(..).collect::<Vec<u8>>());
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl AsyncWrite for Line {
+    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        let request = Codec::new(Framing::Ascii, Side::Plc).decode(&mut BytesMut::from(bytes));
+        self.plc().asked(&request.expect("no I/O").and_then(|item| item.frame()).expect("a request is written whole"));
+        Poll::Ready(Ok(bytes.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_answer_that_is_repeated_while_broadcasts_are_sent_is_not_that_of_the_read_behind_them() {
+    let line = Line::default();
+    line.plc().value = 1;
+    let link = line.link();
+    let station = link.station(1).expect("a station");
+    assert_eq!(station.read_registers(register!("R0"), 1).await.expect("it answers"), [1]);
+    // All of them wait for the first one, and are then sent in one go.
+    let (all, first) = (link.broadcast(), station.read_registers(register!("R0"), 1));
+    let casts = join_all((0..20).map(|_| all.write_registers(register!("R0"), &[2])));
+    let (first, casts, second) = tokio::join!(first, casts, station.read_registers(register!("R0"), 1));
+    assert_eq!(first.expect("it answers"), [1]);
+    assert!(casts.iter().all(Result::is_ok) && line.plc().broadcasts == 20);
+    assert_eq!(second.expect("it answers"), [2]);
+    assert_eq!(line.plc().unheard, 0, "what had come was read before the next request");
+    assert_eq!(station.stats().stray_frames, 1);
+}
