@@ -1,20 +1,22 @@
-//! What has come and has rung is read before the next request, also when several are sent in one go.
+//! What the driver does with a stream of ours, which wakes its reader whenever something has come.
 
 use std::collections::VecDeque;
 use std::io;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, Waker};
+use std::time::Duration;
 
 use bytes::BytesMut;
 use futures::future::{FutureExt, join_all};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::Instant;
 use tokio_util::codec::{Decoder, Encoder};
 
 use crate::link::builder::LinkBuilder;
 use crate::link::transport::{BoxIo, Connector};
 use crate::wire::{Codec, Frame, Framing, Side};
-use crate::{Link, register};
+use crate::{CallOptions, Error, Link, register};
 
 /// A PLC that answers at once, and at its first broadcast repeats its last answer, with the old value.
 #[derive(Default)]
@@ -24,6 +26,8 @@ struct Plc {
     value: u16,
     answered: Vec<u8>,
     broadcasts: u32,
+    /// Whether it takes no bytes.
+    stuck: bool,
     /// How many requests came before a repeated answer had been read.
     unheard: u32,
 }
@@ -89,6 +93,9 @@ impl AsyncRead for Line {
 
 impl AsyncWrite for Line {
     fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        if self.plc().stuck {
+            return Poll::Pending;
+        }
         let request = Codec::new(Framing::Ascii, Side::Plc).decode(&mut BytesMut::from(bytes));
         self.plc().asked(&request.expect("no I/O").and_then(|item| item.frame()).expect("a request is written whole"));
         Poll::Ready(Ok(bytes.len()))
@@ -119,4 +126,25 @@ async fn an_answer_that_is_repeated_while_broadcasts_are_sent_is_not_that_of_the
     assert_eq!(second.expect("it answers"), [2]);
     assert_eq!(line.plc().unheard, 0, "what had come was read before the next request");
     assert_eq!(station.stats().stray_frames, 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_request_that_cannot_be_written_in_time_costs_the_connection_and_not_before() {
+    let line = Line::default();
+    let link = line.link();
+    let timeout = Duration::from_millis(700);
+    let options = CallOptions::new().retries(0).response_timeout(timeout);
+    let station = link.station(1).expect("a station").with_options(options);
+    assert_eq!(station.read_registers(register!("R0"), 1).await.expect("it answers"), [0]);
+    line.plc().stuck = true;
+    let began = Instant::now();
+    let error = station.read_registers(register!("R0"), 1).await.expect_err("it does not get there");
+    assert!(matches!(error, Error::Disconnected { sent: true, .. }), "{error:?}");
+    let source = std::error::Error::source(&error).expect("it has one").to_string();
+    assert_eq!(source, "the request could not be written in time");
+    let took = began.elapsed();
+    assert!((timeout..timeout * 2).contains(&took), "{took:?}");
+    line.plc().stuck = false;
+    assert_eq!(station.read_registers(register!("R0"), 1).await.expect("over the next one"), [0]);
+    assert_eq!((link.stats().connects, link.stats().disconnects), (2, 1));
 }
