@@ -408,6 +408,18 @@ mod tests {
     }
 
     #[test]
+    fn the_first_result_stays_and_one_that_comes_when_the_caller_has_gone_is_nobodys() {
+        let (ticket, mut completion) = ticket(CallOptions::new());
+        ticket.expire();
+        ticket.call.fail(Error::Closed { sent: false });
+        assert!(matches!(result(&mut completion), Some(Err(Error::Timeout { .. }))));
+        let (ticket, mut completion) = self::ticket(CallOptions::new());
+        completion.abandon();
+        ticket.expire();
+        assert!(result(&mut completion).is_none());
+    }
+
+    #[test]
     fn a_call_whose_ticket_is_lost_ends_all_the_same() {
         let (ticket, mut completion) = ticket(CallOptions::new());
         assert!(result(&mut completion).is_none());
