@@ -212,9 +212,9 @@ impl Scheduler {
 
     fn queues<R>(&mut self, station: u8, work: impl FnOnce(&mut Queues) -> R) -> R {
         let (served, idle) = (self.served, self.queued == 0);
-        let only = self.only.as_ref().is_some_and(|ticket| ticket.station == station);
         self.stations.with(station, Queues::default, |queues| {
-            if queues.service.used < served && !only && (idle || queues.len() == 0) {
+            // If the only call is this station's, this was done when it came, and nothing has been served since.
+            if queues.service.used < served && (idle || queues.len() == 0) {
                 queues.service.used = served;
             }
             work(queues)
