@@ -481,12 +481,3 @@ enum Opening {
         _pass: Option<Pass>,
     },
 }
-
-impl std::fmt::Debug for Opening {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Turn(_) => "Turn",
-            Self::Connection { .. } => "Connection",
-        })
-    }
-}
