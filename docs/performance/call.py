@@ -29,14 +29,14 @@ ROUNDS = 4
 
 def main():
     program = build()
-    print("| | instructions a call | code | memory |\n|---|---|---|---|")
+    print("| | instructions | code | memory |\n|---|---|---|---|")
     for way, name in WAYS.items():
         few, many = (total(count(program, way, "1,1", calls), "Ir") for calls in (500, 1500))
         instructions = (many - few) / (1000 * ROUNDS)
         code = lines_of_code(count(program, way, "64,1", 100, "--dump-instr=yes"), 64 * 100 * ROUNDS)
         few, many = (misses(count(program, way, "1000,1", calls, *CACHES)) for calls in (3, 9))
         memory = (many - few) / (6 * 1000 * ROUNDS)
-        print(f"| {name} | {round(instructions, -1):.0f} | {code * 64 / 1024:.0f} KiB | {memory:.0f} lines |", flush=True)
+        print(f"| {name} | {round(instructions, -1):,.0f} | {code * 64 / 1024:.0f} KiB | {memory:.0f} lines |", flush=True)
 
 
 def build():
