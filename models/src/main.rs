@@ -1,4 +1,4 @@
-//! Takes the models through every interleaving; then sees whether they find faults. See the README.
+//! Takes the models through every interleaving up to a bound; then sees whether they find faults. See the README.
 
 mod hub;
 mod lock;
