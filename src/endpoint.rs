@@ -1,5 +1,6 @@
 //! Where a PLC is: endpoints and how they are written.
 
+mod in_step;
 mod serial;
 
 use std::fmt;
@@ -7,6 +8,7 @@ use std::str::FromStr;
 
 use crate::wire::Framing;
 
+pub use in_step::{DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET, InStepSettings};
 pub use serial::{DataBits, MAX_BAUD, MIN_BAUD, Parity, SerialSettings, StopBits};
 
 /// Where a PLC is, and how it talks.

@@ -128,6 +128,30 @@ pub enum Error {
         /// Whether the request itself had been sent.
         sent: bool,
     },
+    /// Something came back that fits the request, and there is no proof that it is not the reply to an earlier one.
+    #[error(
+        "station {station} answered {code}, but that may be a late reply or a duplicate of a reply to an earlier request"
+    )]
+    #[non_exhaustive]
+    OutOfStep {
+        /// The station.
+        station: u8,
+        /// The command.
+        code: Code,
+        /// How long was waited.
+        after: Duration,
+        /// Whether the request itself had been sent.
+        sent: bool,
+    },
+    /// Replies came twice and out of order while several requests belonged together, each time that they were repeated.
+    #[error("station {station} sends duplicates of replies out of order: the results of several requests cannot be trusted")]
+    #[non_exhaustive]
+    Duplicates {
+        /// The station.
+        station: u8,
+        /// Whether a request may have been executed whose reply cannot be trusted: `true` for writes.
+        sent: bool,
+    },
     /// The station has not answered several times in a row; nothing is sent to it until it answers a probe.
     #[error("station {station} is offline; the next probe is due in {probe_in:?}")]
     #[non_exhaustive]
@@ -206,6 +230,8 @@ impl Error {
             Self::PartlyWritten { .. } => true,
             Self::Timeout { sent, .. }
             | Self::BadReply { sent, .. }
+            | Self::OutOfStep { sent, .. }
+            | Self::Duplicates { sent, .. }
             | Self::Offline { sent, .. }
             | Self::Connect { sent, .. }
             | Self::Disconnected { sent, .. }

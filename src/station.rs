@@ -3,6 +3,7 @@
 mod any_length;
 mod backup;
 mod broadcast;
+mod job;
 mod place;
 mod program;
 
@@ -21,6 +22,7 @@ use crate::error::Error;
 
 pub use self::broadcast::Broadcast;
 pub use self::handle::Station;
+pub(crate) use self::job::{JobReply, Outcome, StationJob};
 pub(crate) use self::place::{BegunWith, OtherStation};
 
 /// The commands, by name.

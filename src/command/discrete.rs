@@ -1,6 +1,6 @@
-use super::{Code, Command, InvalidRequest, blank, limits};
+use super::{Candidates, Code, Command, InvalidRequest, Run, Spelling, blank, limits, spelling};
 use crate::element::Discrete;
-use crate::wire::{FieldError, FieldReader, FieldWriter};
+use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 
 read_states! {
     /// 43: reads which of consecutive discretes are disabled.
@@ -82,6 +82,30 @@ impl Command for WriteDiscretes {
     fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
         Ok(())
     }
+
+    fn plain(&self) -> Spelling {
+        Spelling { code: Self::CODE, count: spelling::narrow(self.states.len()) }
+    }
+
+    fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
+        let run = Run { first: self.first.into(), count: self.states.len() };
+        let elements = (0..run.count).map_while(|n| run.first.nth(n).ok());
+        run.write_candidates(longer, framing, elements.zip(self.states.iter().map(|&state| state.into())))
+    }
+
+    fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
+        match spelling.code {
+            Code::WriteMixed => {
+                let states = self.states.get(..spelling.count.into()).unwrap_or(&self.states);
+                spelling::write_mixed_write(self.first.into(), states, fields);
+            }
+            _ => self.write_request(fields),
+        }
+    }
+
+    fn run(&self) -> Option<Run> {
+        Some(Run { first: self.first.into(), count: self.states.len() })
+    }
 }
 
 /// 43 and 44 differ in their code and in what the states mean.
@@ -115,6 +139,10 @@ macro_rules! read_states {
             pub fn count(&self) -> usize {
                 self.count
             }
+
+            fn elements(&self) -> Run {
+                Run { first: self.first.into(), count: self.count }
+            }
         }
 
         impl Command for $name {
@@ -141,6 +169,39 @@ macro_rules! read_states {
                 let mut states = blank(self.count);
                 fields.bits(&mut states)?;
                 Ok(states)
+            }
+
+            fn plain(&self) -> Spelling {
+                Spelling { code: Self::CODE, count: spelling::narrow(self.count) }
+            }
+
+            fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
+                self.elements().read_candidates(Self::CODE, longer, framing)
+            }
+
+            fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
+                match spelling.code {
+                    Code::ReadMixed => spelling::write_mixed_read(self.first.into(), spelling.count.into(), fields),
+                    _ => Self { count: spelling.count.into(), ..*self }.write_request(fields),
+                }
+            }
+
+            fn read_spelled<R: FieldReader>(
+                &self,
+                spelling: Spelling,
+                fields: &mut R,
+            ) -> Result<Self::Reply, FieldError> {
+                let mut states = Self { count: spelling.count.into(), ..*self }.read_reply(fields)?;
+                states.truncate(self.count);
+                Ok(states)
+            }
+
+            fn reply_size(&self, spelling: Spelling, framing: Framing) -> u32 {
+                spelling::values_len(self.elements().first.width(), spelling.count.into(), framing)
+            }
+
+            fn run(&self) -> Option<Run> {
+                Some(self.elements())
             }
         }
     };

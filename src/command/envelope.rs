@@ -2,7 +2,7 @@
 
 use bytes::BytesMut;
 
-use super::{Command, ErrorField, InvalidRequest};
+use super::{Command, ErrorField, InvalidRequest, Spelling};
 use crate::error::ErrorCode;
 use crate::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, FieldWriter, Framing, Side, ascii, binary};
 
@@ -32,12 +32,25 @@ pub fn encode_request<C: Command>(
     if station == u8::MAX {
         return Err(InvalidRequest::Station { station });
     }
-    let code = C::CODE.into();
-    match framing {
-        Framing::Ascii => ascii::emit(dst, station, code, |fields| request.write_request(fields)),
-        Framing::Binary => binary::emit(dst, Side::Client, station, code, |fields| request.write_request(fields)),
-    }
+    encode_spelled(request, request.plain(), framing, station, dst);
     Ok(())
+}
+
+/// Appends a request in one of its spellings. The caller has checked it for this framing.
+pub(crate) fn encode_spelled<C: Command>(
+    request: &C,
+    spelling: Spelling,
+    framing: Framing,
+    station: u8,
+    dst: &mut BytesMut,
+) {
+    let code = spelling.code.into();
+    match framing {
+        Framing::Ascii => ascii::emit(dst, station, code, |fields| request.write_spelled(spelling, fields)),
+        Framing::Binary => {
+            binary::emit(dst, Side::Client, station, code, |fields| request.write_spelled(spelling, fields));
+        }
+    }
 }
 
 /// Appends the reply to a request as a whole frame, as the PLC sends it.
@@ -62,9 +75,19 @@ pub fn encode_reply<C: Command>(
 /// # Errors
 /// [`ReplyError::Plc`] when the PLC refused the request, [`ReplyError::Mismatch`] when the data is no reply to it.
 pub fn decode_reply<C: Command>(request: &C, framing: Framing, data: &[u8]) -> Result<C::Reply, ReplyError> {
+    decode_spelled(request, request.plain(), framing, data)
+}
+
+/// Reads the data of a reply to a spelling of this request.
+pub(crate) fn decode_spelled<C: Command>(
+    request: &C,
+    spelling: Spelling,
+    framing: Framing,
+    data: &[u8],
+) -> Result<C::Reply, ReplyError> {
     match framing {
-        Framing::Ascii => read_reply(request, || AsciiReader::new(data)),
-        Framing::Binary => read_reply(request, || BinaryReader::new(data)),
+        Framing::Ascii => read_reply(request, spelling, || AsciiReader::new(data)),
+        Framing::Binary => read_reply(request, spelling, || BinaryReader::new(data)),
     }
 }
 
@@ -92,23 +115,31 @@ fn write_reply<C: Command, W: FieldWriter>(request: &C, reply: Result<&C::Reply,
     }
 }
 
-fn read_reply<C: Command, R: FieldReader>(request: &C, fields: impl Fn() -> R) -> Result<C::Reply, ReplyError> {
-    match C::CODE.error_field() {
-        ErrorField::Leading => read_with_error(request, &mut fields()),
+fn read_reply<C: Command, R: FieldReader>(
+    request: &C,
+    spelling: Spelling,
+    fields: impl Fn() -> R,
+) -> Result<C::Reply, ReplyError> {
+    match spelling.code.error_field() {
+        ErrorField::Leading => read_with_error(request, spelling, &mut fields()),
         // The echo first: a device may refuse a loop-back with an error digit, and that digit may also be the echo.
         ErrorField::Absent => {
-            read_without_error(request, &mut fields()).or_else(|mismatch| refused(&mut fields(), mismatch))
+            read_without_error(request, spelling, &mut fields()).or_else(|mismatch| refused(&mut fields(), mismatch))
         }
-        ErrorField::ByLength => match read_with_error(request, &mut fields()) {
-            Err(ReplyError::Mismatch(_)) => Ok(read_without_error(request, &mut fields())?),
+        ErrorField::ByLength => match read_with_error(request, spelling, &mut fields()) {
+            Err(ReplyError::Mismatch(_)) => Ok(read_without_error(request, spelling, &mut fields())?),
             result => result,
         },
     }
 }
 
-fn read_with_error<C: Command>(request: &C, fields: &mut impl FieldReader) -> Result<C::Reply, ReplyError> {
+fn read_with_error<C: Command>(
+    request: &C,
+    spelling: Spelling,
+    fields: &mut impl FieldReader,
+) -> Result<C::Reply, ReplyError> {
     match ErrorCode::from_u8(fields.code().map_err(ReplyError::Mismatch)?) {
-        None => Ok(read_without_error(request, fields)?),
+        None => Ok(read_without_error(request, spelling, fields)?),
         Some(error) => {
             // The data is absent when there is an error: anything else is no error reply.
             fields.finish()?;
@@ -117,8 +148,12 @@ fn read_with_error<C: Command>(request: &C, fields: &mut impl FieldReader) -> Re
     }
 }
 
-fn read_without_error<C: Command>(request: &C, fields: &mut impl FieldReader) -> Result<C::Reply, FieldError> {
-    let reply = request.read_reply(fields)?;
+fn read_without_error<C: Command>(
+    request: &C,
+    spelling: Spelling,
+    fields: &mut impl FieldReader,
+) -> Result<C::Reply, FieldError> {
+    let reply = request.read_spelled(spelling, fields)?;
     fields.finish()?;
     Ok(reply)
 }

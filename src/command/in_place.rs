@@ -1,6 +1,6 @@
-use super::{Code, Command, ReadDiscretes, ReadRegisters, sealed};
+use super::{Candidates, Code, Command, ReadDiscretes, ReadRegisters, Run, Spelling, sealed};
 use crate::element::Register;
-use crate::wire::{FieldError, FieldReader, FieldWriter};
+use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 
 /// A read of consecutive elements whose reply has its place in itself, so that it takes no memory from the heap: for values
 /// that are copied to where the caller wants them. `N` is how many values there can be.
@@ -86,10 +86,35 @@ impl<C: Consecutive, const N: usize> Command for InPlace<C, N> {
     }
 
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Self::Reply, FieldError> {
-        let mut reply = Few { len: self.0.len(), values: [C::Value::default(); N] };
-        let values = reply.values.get_mut(..reply.len).ok_or(FieldError::WrongLength)?;
+        self.read_spelled(self.plain(), fields)
+    }
+
+    fn plain(&self) -> Spelling {
+        self.0.plain()
+    }
+
+    fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
+        self.0.candidates(longer, framing)
+    }
+
+    fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
+        self.0.write_spelled(spelling, fields);
+    }
+
+    fn read_spelled<R: FieldReader>(&self, spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
+        let count = usize::from(spelling.count);
+        let mut reply = Few { len: count.min(self.0.len()), values: [C::Value::default(); N] };
+        let values = reply.values.get_mut(..count).ok_or(FieldError::WrongLength)?;
         C::take(values, fields)?;
         Ok(reply)
+    }
+
+    fn reply_size(&self, spelling: Spelling, framing: Framing) -> u32 {
+        self.0.reply_size(spelling, framing)
+    }
+
+    fn run(&self) -> Option<Run> {
+        self.0.run()
     }
 }
 

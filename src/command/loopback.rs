@@ -1,6 +1,6 @@
 use bytes::Bytes;
 
-use super::{Code, Command, InvalidRequest, limits};
+use super::{Code, Command, InvalidRequest, Spelling, limits};
 use crate::wire::{EncodeError, FieldError, FieldReader, FieldWriter, Framing, ascii};
 
 /// 4E: sends data that the PLC returns as it is.
@@ -26,9 +26,18 @@ impl LoopBack {
         Ok(Self { data })
     }
 
-    /// A loop-back whose data nobody else sends: 16 characters, legal in both framings.
+    /// A loop-back with 8 characters of a nonce, digits and upper-case letters: 40 bits, the low ones of `nonce`.
     pub(crate) fn nonce(nonce: u64) -> Self {
-        Self { data: format!("{nonce:016X}").into() }
+        let digit = |place: u64| {
+            let bits = u8::try_from(nonce >> (5 * place) & 0x1F).unwrap_or_default();
+            if bits < 10 { b'0' + bits } else { b'A' + bits - 10 }
+        };
+        Self { data: (0..8).rev().map(digit).collect() }
+    }
+
+    /// A loop-back without data: the shortest exchange there is.
+    pub(crate) fn empty() -> Self {
+        Self { data: Bytes::new() }
     }
 
     /// The data.
@@ -66,5 +75,16 @@ impl Command for LoopBack {
             }
             _ => Ok(()),
         }
+    }
+
+    fn is_like_a_refusal(&self) -> bool {
+        self.data.len() == 1
+    }
+
+    /// A fingerprint of the data: an echo fits a loop-back of the same data only.
+    fn reply_size(&self, _spelling: Spelling, _framing: Framing) -> u32 {
+        self.data.iter().fold(u32::try_from(self.data.len()).unwrap_or(u32::MAX), |hash, &byte| {
+            (hash.rotate_left(5) ^ u32::from(byte)).wrapping_mul(0x9E37_79B1)
+        })
     }
 }

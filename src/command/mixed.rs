@@ -2,7 +2,7 @@ use std::fmt;
 
 use bytes::BytesMut;
 
-use super::{Code, Command, InvalidRequest, limits};
+use super::{Candidates, Code, Command, InvalidRequest, Run, Spelling, limits, spelling};
 use crate::element::{Element, Width};
 use crate::wire::{BinaryReader, BinaryWriter, FieldError, FieldReader, FieldWriter, Framing};
 
@@ -85,6 +85,11 @@ impl ReadMixed {
     pub fn elements(&self) -> &[Element] {
         &self.elements
     }
+
+    /// The elements of a spelling: the list, and from its beginning as many more as the spelling has.
+    fn spelled(&self, spelling: Spelling) -> impl Iterator<Item = Element> {
+        self.elements.iter().copied().cycle().take(spelling.count.into())
+    }
 }
 
 impl Command for ReadMixed {
@@ -119,6 +124,39 @@ impl Command for ReadMixed {
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)?;
         one_reading(self, framing, || self.elements.clone())
+    }
+
+    fn plain(&self) -> Spelling {
+        Spelling { code: Self::CODE, count: spelling::narrow(self.elements.len()) }
+    }
+
+    fn candidates(&self, _longer: bool, framing: Framing) -> Candidates {
+        spelling::mixed_read_candidates(&self.elements, framing)
+    }
+
+    fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
+        fields.count(spelling.count.into());
+        self.spelled(spelling).for_each(|element| fields.element(element));
+    }
+
+    fn read_spelled<R: FieldReader>(&self, spelling: Spelling, fields: &mut R) -> Result<Vec<Value>, FieldError> {
+        let mut values = Vec::with_capacity(self.elements.len());
+        for (n, element) in self.spelled(spelling).enumerate() {
+            let value = fields.value(element.width())?;
+            if n < self.elements.len() {
+                values.push(value);
+            }
+        }
+        Ok(values)
+    }
+
+    fn reply_size(&self, spelling: Spelling, framing: Framing) -> u32 {
+        self.spelled(spelling).map(|element| spelling::values_len(element.width(), 1, framing)).sum()
+    }
+
+    /// Its first element: the one that may be read twice.
+    fn run(&self) -> Option<Run> {
+        self.elements.first().map(|&first| Run { first, count: 1 })
     }
 }
 
@@ -189,6 +227,10 @@ impl Command for WriteMixed {
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)?;
         one_reading(self, framing, || self.items.iter().map(|&(element, _)| element).collect())
+    }
+
+    fn plain(&self) -> Spelling {
+        Spelling { code: Self::CODE, count: spelling::narrow(self.items.len()) }
     }
 }
 

@@ -20,6 +20,7 @@ mod mixed;
 mod program;
 mod register;
 mod request;
+mod spelling;
 mod status;
 
 use std::fmt;
@@ -29,6 +30,7 @@ pub use code::{Class, Code, ErrorField};
 pub use control::{ControlDiscrete, ControlPlc, DiscreteControl};
 pub use discrete::{ReadDisabled, ReadDiscretes, WriteDiscretes};
 pub use envelope::{ReplyError, decode_reply, encode_refusal, encode_reply, encode_request};
+pub(crate) use envelope::{decode_spelled, encode_spelled};
 pub(crate) use in_place::{Consecutive, InPlace};
 pub use limits::{InvalidRequest, MAX_LOOP_BACK, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, MAX_POINTS, MAX_UNITS};
 pub(crate) use limits::{check_range, most_in_one_request};
@@ -38,6 +40,7 @@ pub use program::{PAGE_WORDS, ProgramPage, ReadProgramPage, WriteProgramPage};
 pub use register::{ReadRegisters, RegisterElement, WriteRegisters};
 pub use request::Request;
 pub(crate) use request::with_command;
+pub(crate) use spelling::{Candidate, Candidates, Run, Spelling};
 pub use status::{
     BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, ReadDetailedStatus, ReadStatus, Series, StatusFlags,
 };
@@ -82,6 +85,49 @@ pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
     /// [`InvalidRequest::NotInFraming`], and what the command itself adds.
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)
+    }
+
+    /// The spelling that is this request itself.
+    #[doc(hidden)]
+    fn plain(&self) -> Spelling {
+        Spelling { code: Self::CODE, count: 0 }
+    }
+
+    /// The other spellings; `longer`: the request is a part of a longer read or write, and may leave elements to the next one.
+    #[doc(hidden)]
+    fn candidates(&self, _longer: bool, _framing: Framing) -> Candidates {
+        spelling::NONE
+    }
+
+    /// Puts the request's fields behind the code of a spelling.
+    #[doc(hidden)]
+    fn write_spelled<W: FieldWriter>(&self, _spelling: Spelling, fields: &mut W) {
+        self.write_request(fields);
+    }
+
+    /// Takes the fields of a reply to a spelling: the values that the request asks for, or the first of them.
+    #[doc(hidden)]
+    fn read_spelled<R: FieldReader>(&self, _spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
+        self.read_reply(fields)
+    }
+
+    /// What the size of a positive reply is, as far as it decides whether the reply fits another request of its command: equal
+    /// numbers for replies that fit each other's requests.
+    #[doc(hidden)]
+    fn reply_size(&self, _spelling: Spelling, _framing: Framing) -> u32 {
+        0
+    }
+
+    /// Whether a refusal of an earlier request of this command could pass for its positive reply.
+    #[doc(hidden)]
+    fn is_like_a_refusal(&self) -> bool {
+        false
+    }
+
+    /// The consecutive elements that are read or written.
+    #[doc(hidden)]
+    fn run(&self) -> Option<Run> {
+        None
     }
 }
 

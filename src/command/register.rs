@@ -1,8 +1,8 @@
 use std::fmt;
 
-use super::{Code, Command, InvalidRequest, Value, blank, limits};
+use super::{Candidates, Code, Command, InvalidRequest, Run, Spelling, Value, blank, limits, spelling};
 use crate::element::{Element, ElementError, Register, Register32};
-use crate::wire::{FieldError, FieldReader, FieldWriter};
+use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 
 /// An element that 46 and 47 take: [`Register`], whose value is a `u16`, or [`Register32`], whose value is a `u32`.
 pub trait RegisterElement:
@@ -87,6 +87,10 @@ impl<E: RegisterElement> ReadRegisters<E> {
     pub fn count(&self) -> usize {
         self.count
     }
+
+    fn elements(&self) -> Run {
+        Run { first: self.first.into(), count: self.count }
+    }
 }
 
 impl<E: RegisterElement> Command for ReadRegisters<E> {
@@ -113,6 +117,35 @@ impl<E: RegisterElement> Command for ReadRegisters<E> {
         let mut values = blank(self.count);
         E::read(fields, &mut values)?;
         Ok(values)
+    }
+
+    fn plain(&self) -> Spelling {
+        Spelling { code: Self::CODE, count: spelling::narrow(self.count) }
+    }
+
+    fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
+        self.elements().read_candidates(Self::CODE, longer, framing)
+    }
+
+    fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
+        match spelling.code {
+            Code::ReadMixed => spelling::write_mixed_read(self.first.into(), spelling.count.into(), fields),
+            _ => Self { count: spelling.count.into(), ..*self }.write_request(fields),
+        }
+    }
+
+    fn read_spelled<R: FieldReader>(&self, spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
+        let mut values = Self { count: spelling.count.into(), ..*self }.read_reply(fields)?;
+        values.truncate(self.count);
+        Ok(values)
+    }
+
+    fn reply_size(&self, spelling: Spelling, framing: Framing) -> u32 {
+        spelling::values_len(self.elements().first.width(), spelling.count.into(), framing)
+    }
+
+    fn run(&self) -> Option<Run> {
+        Some(self.elements())
     }
 }
 
@@ -175,6 +208,30 @@ impl<E: RegisterElement> Command for WriteRegisters<E> {
 
     fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
         Ok(())
+    }
+
+    fn plain(&self) -> Spelling {
+        Spelling { code: Self::CODE, count: spelling::narrow(self.values.len()) }
+    }
+
+    fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
+        let run = Run { first: self.first.into(), count: self.values.len() };
+        let elements = (0..run.count).map_while(|n| run.first.nth(n).ok());
+        run.write_candidates(longer, framing, elements.zip(self.values.iter().map(|&value| value.into())))
+    }
+
+    fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
+        match spelling.code {
+            Code::WriteMixed => {
+                let values = self.values.get(..spelling.count.into()).unwrap_or(&self.values);
+                spelling::write_mixed_write(self.first.into(), values, fields);
+            }
+            _ => self.write_request(fields),
+        }
+    }
+
+    fn run(&self) -> Option<Run> {
+        Some(Run { first: self.first.into(), count: self.values.len() })
     }
 }
 

@@ -15,7 +15,7 @@ use super::stations::Rules;
 use super::stats::Board;
 use super::transport::Connector;
 use super::{Link, LinkState, Shared};
-use crate::endpoint::SerialSettings;
+use crate::endpoint::{InStepSettings, SerialSettings};
 use crate::random::Random;
 use crate::wire::Framing;
 
@@ -98,11 +98,10 @@ impl LinkBuilder {
         self.line = Some(line);
         self.response_timeout = Duration::from_millis(300);
         self.config.frame_time = line.transmission(LONGEST_FRAME);
+        self.config.byte_time = line.transmission(1);
         self.config.gap = line.gap();
         self.config.broadcast_gap = Duration::from_millis(100);
         self.config.settle = self.config.settle.max(line.gap());
-        // What another program or an earlier run has asked may still be answered.
-        self.config.rules.doubtful_start = true;
         self.config.echo = EchoMode::Auto;
         self
     }
@@ -179,6 +178,21 @@ impl LinkBuilder {
         self
     }
 
+    /// Sets how the line treats replies: how far back a duplicate may come, and what replaces the check where a device does not
+    /// know it. Default: that of the [`Endpoint`](crate::Endpoint).
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::{Endpoint, Link, endpoint::InStepSettings};
+    ///
+    /// let settings = InStepSettings::new().with_window(Duration::from_millis(300));
+    /// let link = Link::builder(Endpoint::tcp("192.168.2.3", 500)).in_step(settings).build();
+    /// ```
+    pub fn in_step(mut self, settings: InStepSettings) -> Self {
+        self.config.in_step = settings;
+        self
+    }
+
     /// What opens the connections instead.
     pub(crate) fn connector(mut self, connector: Connector) -> Self {
         self.connector = connector;
@@ -204,7 +218,7 @@ impl LinkBuilder {
         let timeout = self.options.response_timeout.unwrap_or(self.response_timeout);
         // A connection that cannot be opened again is not closed for being idle.
         let idle_timeout = self.config.idle_timeout.filter(|_| !matches!(self.connector, Connector::Once(_)));
-        let config = Config { probe_timeout: timeout, quiet: timeout, idle_timeout, ..self.config };
+        let config = Config { probe_timeout: timeout, idle_timeout, ..self.config };
         let board = Arc::new(Board::default());
         let (name, framing) = (config.name.clone(), config.framing);
         let core = Core::new(config, board.clone(), self.seed.unwrap_or_else(Random::seed));
@@ -235,16 +249,15 @@ impl LinkBuilder {
                 offline_after: 3,
                 probe_interval: (Duration::from_secs(1), Duration::from_secs(60)),
                 probe_pause: 19,
-                doubtful_start: false,
             },
             connect_backoff: (Duration::from_millis(100), Duration::from_secs(30)),
             fail_fast: false,
-            quiet: response_timeout,
+            in_step: InStepSettings::default(),
+            byte_time: NETWORK_BYTE,
             settle: Duration::from_millis(30),
             frame_time: Duration::ZERO,
             gap: Duration::ZERO,
             broadcast_gap: Duration::ZERO,
-            fresh_on_doubt: false,
             echo: EchoMode::Off,
             idle_timeout: None,
         };
@@ -260,6 +273,9 @@ impl LinkBuilder {
         }
     }
 }
+
+/// The time of a byte on a network of 10 Mbit/s.
+pub(crate) const NETWORK_BYTE: Duration = Duration::from_nanos(800);
 
 /// The longest frame that the protocol has, in bytes.
 const LONGEST_FRAME: usize = 508;

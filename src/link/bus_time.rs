@@ -145,6 +145,8 @@ impl World {
             queued_at: self.now,
             response_timeout: RESPONSE_TIMEOUT,
             options,
+            longer: false,
+            confirms: false,
         };
         let (mut ticket, completion) = call::new(request, None, terms, &Spares::default());
         ticket.retries_left = 2;

@@ -12,7 +12,7 @@ use std::any::Any;
 use std::future::Future;
 use std::ops::Deref;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
@@ -21,8 +21,9 @@ use bytes::BytesMut;
 use futures::task::AtomicWaker;
 use tokio::time::Instant;
 
+use super::in_step::{Kind, Proof, Shape, Spelled};
 use super::options::{CallOptions, Lane};
-use crate::command::{self, Code, Command, InvalidRequest, ReplyError};
+use crate::command::{self, Candidates, Class, Code, Command, InvalidRequest, ReplyError, Run, Spelling};
 use crate::error::{Error, ErrorCode};
 use crate::wire::{FieldError, Framing};
 
@@ -31,18 +32,48 @@ pub(crate) trait AnyCall: Send + Sync {
     /// What it needs to know of it.
     fn terms(&self) -> &Terms;
 
-    /// Appends the request as a frame.
+    /// What the request is to the rule of `in_step`.
+    fn kind(&self) -> Kind;
+
+    /// The spelling that is the request itself.
+    fn plain(&self) -> Spelling;
+
+    /// The other spellings.
+    fn candidates(&self, framing: Framing) -> Candidates;
+
+    /// The shape of the positive reply to a spelling.
+    fn shape(&self, spelling: Spelling, framing: Framing) -> Shape;
+
+    /// The consecutive elements that are read.
+    fn run(&self) -> Option<Run>;
+
+    /// Chooses the spelling that is sent next.
+    fn spell(&self, spelling: Spelling);
+
+    /// The spelling that was chosen last.
+    fn spelling(&self) -> Spelling;
+
+    /// Appends the request, in the spelling chosen, as a frame.
     fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest>;
 
-    /// Offers the data of a frame with the right station and command. It is taken if it is exactly a reply to this
-    /// request; then the call is done. `now` is when the frame came.
+    /// Offers the data of a frame with the right station and command. It is held if it is exactly a reply to this request; then
+    /// the call waits for [`commit`](Self::commit) or [`retract`](Self::retract). `now` is when the frame came.
     fn offer(&self, framing: Framing, station: u8, data: &[u8], now: Instant) -> Result<Option<ErrorCode>, FieldError>;
+
+    /// Ends the call with the reply that is held.
+    fn commit(&self, proof: Proof);
+
+    /// Drops the reply that is held: it may be another request's.
+    fn retract(&self);
 
     /// The request is about to be sent, and from now on the PLC may execute it; `false`: nobody wants that any more.
     fn mark_sent(&self) -> bool;
 
+    /// The request that was sent last has been refused for its spelling alone, so it counts as not sent.
+    fn respelled(&self);
+
     /// Ends a call that has no reply to wait for: a broadcast.
-    fn complete_unanswered(&self);
+    fn complete_unanswered(&self, proof: Proof);
 
     /// Ends the call.
     fn fail(&self, error: Error);
@@ -68,6 +99,10 @@ pub(crate) struct Terms {
     pub(crate) queued_at: Instant,
     pub(crate) response_timeout: Duration,
     pub(crate) options: CallOptions,
+    /// A part of a longer read or write, which may leave elements to the next request.
+    pub(crate) longer: bool,
+    /// Not a request, but a check that confirms what was taken before.
+    pub(crate) confirms: bool,
 }
 
 /// A call in the link's hands. Dropped without a result, it ends with [`Error::Closed`], so that no caller waits for a task
@@ -76,6 +111,31 @@ pub(crate) struct Ticket {
     pub(crate) call: Arc<dyn AnyCall>,
     /// How often it can still be sent after it has failed.
     pub(crate) retries_left: u32,
+    /// A reply came without proof, and it was asked again: that is not counted as a retry, once.
+    pub(crate) asked_again: bool,
+    /// Another spelling was refused.
+    pub(crate) plain: bool,
+}
+
+/// A call to the rule of `in_step`.
+pub(crate) struct InFraming<'a>(pub(crate) &'a Ticket, pub(crate) Framing);
+
+impl Spelled for InFraming<'_> {
+    fn kind(&self) -> Kind {
+        self.0.call.kind()
+    }
+
+    fn plain(&self) -> Spelling {
+        self.0.call.plain()
+    }
+
+    fn candidates(&self) -> Candidates {
+        self.0.call.candidates(self.1)
+    }
+
+    fn shape(&self, spelling: Spelling) -> Shape {
+        self.0.call.shape(spelling, self.1)
+    }
 }
 
 impl Deref for Ticket {
@@ -140,7 +200,8 @@ pub(crate) fn new<C: Command>(
             }
         },
     };
-    (Ticket { call: slot.clone(), retries_left }, Completion { slot, answered_at: None })
+    let ticket = Ticket { call: slot.clone(), retries_left, asked_again: false, plain: false };
+    (ticket, Completion { slot, answered_at: None })
 }
 
 /// Slots of calls that have ended, for those that follow.
@@ -186,6 +247,23 @@ impl<C: Command> Completion<C> {
     /// When the reply came, once the result is there and if there was one.
     pub(crate) fn answered_at(&self) -> Option<Instant> {
         self.answered_at
+    }
+
+    /// How the request was spelt that was answered.
+    pub(crate) fn spelling(&self) -> Spelling {
+        self.slot.spelling()
+    }
+
+    /// The shape of the positive reply.
+    pub(crate) fn shape(&self, framing: Framing) -> Shape {
+        self.slot.shape(self.slot.spelling(), framing)
+    }
+
+    /// What was proven of the station when the reply was taken.
+    pub(crate) fn proof(&self) -> Proof {
+        let bits = self.slot.proof.load(Ordering::Relaxed);
+        let half = |bits: u64| u32::try_from(bits & u64::from(u32::MAX)).unwrap_or_default();
+        Proof { proofs: half(bits >> 32), doubts: half(bits) }
     }
 
     /// Leaves the slot of a call that has ended to another one.
@@ -236,6 +314,10 @@ struct Slot<C: Command> {
     state: AtomicU8,
     /// How often the request has been sent, as far as 255.
     sends: AtomicU8,
+    /// The spelling: the code, then the number of elements.
+    spelling: AtomicU32,
+    /// The proofs, then the doubts.
+    proof: AtomicU64,
     result: Mutex<Option<Answer<C>>>,
     waker: AtomicWaker,
 }
@@ -257,6 +339,8 @@ impl<C: Command> Slot<C> {
             terms,
             state: AtomicU8::new(0),
             sends: AtomicU8::new(0),
+            spelling: AtomicU32::new(0),
+            proof: AtomicU64::new(0),
             result: Mutex::new(None),
             waker: AtomicWaker::new(),
         }
@@ -269,17 +353,29 @@ impl<C: Command> Slot<C> {
         self.terms = terms;
         *self.state.get_mut() = 0;
         *self.sends.get_mut() = 0;
+        *self.spelling.get_mut() = 0;
+        *self.proof.get_mut() = 0;
         *self.result.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
     /// The first result stays: nothing that comes later can replace it.
     fn finish(&self, result: Result<C::Reply, Error>, at: Option<Instant>) {
-        let mut slot = lock(&self.result);
-        if self.state.load(Ordering::Acquire) & (DONE | ABANDONED) != 0 {
-            return;
+        if self.hold(result, at) {
+            self.done();
         }
-        *slot = Some((result, at));
-        drop(slot);
+    }
+
+    /// Puts a result there that may still be taken back; `false`: the call has ended.
+    fn hold(&self, result: Result<C::Reply, Error>, at: Option<Instant>) -> bool {
+        let mut slot = lock(&self.result);
+        let wanted = self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0;
+        if wanted {
+            *slot = Some((result, at));
+        }
+        wanted
+    }
+
+    fn done(&self) {
         self.state.fetch_or(DONE, Ordering::AcqRel);
         self.waker.wake();
     }
@@ -290,27 +386,86 @@ impl<C: Command> AnyCall for Slot<C> {
         &self.terms
     }
 
-    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
-        match &self.request {
-            Some(request) => command::encode_request(request, framing, station, dst),
-            None => Ok(()),
+    fn kind(&self) -> Kind {
+        match (C::CODE.class(), &self.request) {
+            (Class::Write | Class::Control, _) | (Class::Read, None) => Kind::Once,
+            (Class::Read, Some(request)) if request.is_like_a_refusal() => Kind::Once,
+            (Class::Read, Some(_)) if C::CODE == Code::ReadProgramPage => Kind::Page,
+            (Class::Read, Some(_)) => Kind::Read,
         }
+    }
+
+    fn plain(&self) -> Spelling {
+        self.request.as_ref().map_or(Spelling { code: C::CODE, count: 0 }, C::plain)
+    }
+
+    fn candidates(&self, framing: Framing) -> Candidates {
+        self.request.as_ref().map_or([None; 3], |request| request.candidates(self.terms.longer, framing))
+    }
+
+    fn shape(&self, spelling: Spelling, framing: Framing) -> Shape {
+        let size = self.request.as_ref().map_or(0, |request| request.reply_size(spelling, framing));
+        Shape { code: spelling.code, size }
+    }
+
+    fn run(&self) -> Option<Run> {
+        self.request.as_ref().filter(|_| C::CODE.class() == Class::Read)?.run()
+    }
+
+    fn spell(&self, spelling: Spelling) {
+        let bits = u32::from(u8::from(spelling.code)) << 16 | u32::from(spelling.count);
+        self.spelling.store(bits, Ordering::Release);
+    }
+
+    fn spelling(&self) -> Spelling {
+        let [_, code, high, low] = self.spelling.load(Ordering::Acquire).to_be_bytes();
+        match Code::from_u8(code) {
+            Some(code) => Spelling { code, count: u16::from_be_bytes([high, low]) },
+            None => self.plain(),
+        }
+    }
+
+    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
+        if let Some(request) = &self.request {
+            request.check(framing)?;
+            command::encode_spelled(request, self.spelling(), framing, station, dst);
+        }
+        Ok(())
     }
 
     fn offer(&self, framing: Framing, station: u8, data: &[u8], now: Instant) -> Result<Option<ErrorCode>, FieldError> {
         let Some(request) = &self.request else { return Err(FieldError::Unreadable) };
-        match command::decode_reply(request, framing, data) {
+        match command::decode_spelled(request, self.spelling(), framing, data) {
             Ok(reply) => {
-                self.finish(Ok(reply), Some(now));
+                self.hold(Ok(reply), Some(now));
                 Ok(None)
             }
             Err(ReplyError::Plc(error)) => {
                 let repeated = self.sends.load(Ordering::Acquire) > 1;
-                self.finish(Err(Error::Plc { station, code: C::CODE, error, repeated }), Some(now));
+                self.hold(Err(Error::Plc { station, code: C::CODE, error, repeated }), Some(now));
                 Ok(Some(error))
             }
             Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
         }
+    }
+
+    fn commit(&self, proof: Proof) {
+        self.proof.store(u64::from(proof.proofs) << 32 | u64::from(proof.doubts), Ordering::Relaxed);
+        if self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0 {
+            self.done();
+        }
+    }
+
+    fn retract(&self) {
+        let mut slot = lock(&self.result);
+        if self.state.load(Ordering::Acquire) & DONE == 0 {
+            *slot = None;
+        }
+    }
+
+    fn respelled(&self) {
+        let count = self.sends.load(Ordering::Acquire);
+        self.sends.store(count.saturating_sub(1), Ordering::Release);
     }
 
     fn mark_sent(&self) -> bool {
@@ -324,8 +479,10 @@ impl<C: Command> AnyCall for Slot<C> {
         sends
     }
 
-    fn complete_unanswered(&self) {
-        self.finish(self.unanswered.clone().ok_or(Error::Closed { sent: true }), None);
+    fn complete_unanswered(&self, proof: Proof) {
+        if self.hold(self.unanswered.clone().ok_or(Error::Closed { sent: true }), None) {
+            self.commit(proof);
+        }
     }
 
     fn fail(&self, error: Error) {
@@ -367,6 +524,8 @@ mod tests {
             queued_at,
             response_timeout: Duration::from_secs(1),
             options,
+            longer: false,
+            confirms: false,
         };
         new(ReadStatus, None, terms, &Spares::default())
     }

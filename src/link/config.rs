@@ -3,6 +3,7 @@ use std::time::Duration;
 
 use super::options::EchoMode;
 use super::stations::Rules;
+use crate::endpoint::InStepSettings;
 use crate::wire::Framing;
 
 /// How the link behaves towards all its stations.
@@ -19,8 +20,10 @@ pub(crate) struct Config {
     pub(crate) connect_backoff: (Duration, Duration),
     /// Whether calls fail as soon as an attempt to connect does, instead of waiting for the next one.
     pub(crate) fail_fast: bool,
-    /// How long the line must be silent about a station that refuses loop-backs.
-    pub(crate) quiet: Duration,
+    /// How the line treats replies.
+    pub(crate) in_step: InStepSettings,
+    /// The time of a byte on the line.
+    pub(crate) byte_time: Duration,
     /// How long to go on listening while a frame is coming in, or after a corrupt one in which the reply may have been.
     pub(crate) settle: Duration,
     /// How long the longest frame takes on the line; nothing on a network.
@@ -29,8 +32,6 @@ pub(crate) struct Config {
     pub(crate) gap: Duration,
     /// How long the line is left alone after a broadcast.
     pub(crate) broadcast_gap: Duration,
-    /// Whether what carries the bytes can reorder or double them, so that a doubt asks for a new connection, too.
-    pub(crate) fresh_on_doubt: bool,
     pub(crate) echo: EchoMode,
     /// After how long without a call the connection is closed.
     pub(crate) idle_timeout: Option<Duration>,

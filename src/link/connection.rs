@@ -21,8 +21,8 @@ pub(crate) struct Connection {
     state: State,
     /// Attempts to connect, and connections that ended without a single reply, since the last reply.
     failures: u32,
-    /// Whether a doubt has arisen since it was opened.
-    doubted: bool,
+    /// It is for one request alone, which has been answered.
+    spent: bool,
     /// The shortest and the longest pause.
     backoff: (Duration, Duration),
     random: Random,
@@ -37,20 +37,21 @@ pub(crate) enum State {
 
 impl Connection {
     pub(crate) fn new(backoff: (Duration, Duration), random: Random) -> Self {
-        Self { state: State::Down { retry_at: None }, failures: 0, doubted: false, backoff, random }
+        Self { state: State::Down { retry_at: None }, failures: 0, spent: false, backoff, random }
     }
 
     pub(crate) fn state(&self) -> State {
         self.state
     }
 
-    /// Whether a doubt has arisen since it was opened.
-    pub(crate) fn is_doubted(&self) -> bool {
-        self.doubted
+    /// Whether another one must be opened for the next request.
+    pub(crate) fn is_spent(&self) -> bool {
+        self.spent
     }
 
-    pub(crate) fn doubt(&mut self) {
-        self.doubted = true;
+    /// It was for the one request that has been answered.
+    pub(crate) fn spend(&mut self) {
+        self.spent = true;
     }
 
     /// One is being opened.
@@ -60,7 +61,7 @@ impl Connection {
 
     pub(crate) fn opened(&mut self) {
         self.state = State::Up { replied: false };
-        self.doubted = false;
+        self.spent = false;
     }
 
     /// Something that was asked over it has been answered.

@@ -4,16 +4,14 @@
 //! [`Exchange`], the order of the others is [`Scheduler`]; this is what ties them together. Here it is decided what is done
 //! next, and in `outcome` what follows from what has come of it.
 //!
-//! The protocol has no transaction id: after a timeout, a late reply to the same kind of request looks right. So any
-//! doubt makes the station *dirty*: a timeout, a corrupt reply, a frame that nobody asked for. A dirty station is asked
-//! nothing until it has echoed a loop-back with a nonce that was never used before; a PLC answers in order, so whatever
-//! it sends before that echo is stale. The loop-back is also the probe of a station that is offline.
+//! Whether a reply is that to the request on the wire is decided by the rule of [`InStep`](super::in_step::InStep), one for each
+//! station: it chooses how a request is spelt, asks for a check before it, and says whether a reply is proven. The nonce of a
+//! check is also the probe of a station that is offline.
 //!
-//! What must always hold:
+//! Invariants:
 //! - a call ends once: with its reply, or with an error;
-//! - a write or control command is sent once, unless the caller has chosen otherwise;
-//! - between a doubt about a station and its next request lies an echoed nonce (or, if the station refuses loop-backs,
-//!   a quiet period);
+//! - a write or control command is executed once at most, unless the caller has chosen otherwise;
+//! - a request is sent only as its station's rule allows, and its reply is given to its call only if it is proven;
 //! - a station that does not answer costs the others no more than one response timeout at a time.
 
 mod outcome;
@@ -27,10 +25,11 @@ use std::time::Duration;
 use bytes::BytesMut;
 use tokio::time::Instant;
 
-use super::call::Ticket;
+use super::call::{InFraming, Ticket};
 use super::config::Config;
 use super::connection::{Connection, State};
 use super::exchange::{Check, Exchange, Goal};
+use super::in_step::{self, Choice, InStep, Prices, Proof, Rule, Why};
 use super::later;
 use super::scheduler::Scheduler;
 use super::stations::Stations;
@@ -68,7 +67,20 @@ pub(crate) struct Core {
     /// Whether nothing new is sent any more.
     closing: bool,
     nonce: u64,
+    prices: Prices,
+    /// The device closes its connection after each reply: set, or learned.
+    one_request: bool,
+    /// Nothing has come over the connection since the echo of a check.
+    echo_was_last: bool,
+    /// Connections in a row that were closed right behind the echo of a check.
+    closed_behind_echo: u32,
 }
+
+/// Connections that are closed right behind the echo of a check before silence replaces the check.
+const CLOSES_TO_LEARN: u32 = 2;
+
+/// The part of an exchange that is not its bytes, as it is priced: half a scan of a PLC.
+const LATENCY: Duration = Duration::from_millis(5);
 
 impl Core {
     pub(crate) fn new(config: Config, board: Arc<Board>, seed: u64) -> Self {
@@ -84,6 +96,10 @@ impl Core {
             closing: false,
             nonce: random.next(),
             connection: Connection::new(config.connect_backoff, random),
+            prices: prices(&config),
+            one_request: config.in_step.one_request(),
+            echo_was_last: false,
+            closed_behind_echo: 0,
             config,
         }
     }
@@ -129,7 +145,7 @@ impl Core {
                     self.connection.begin();
                     return Step::Connect;
                 }
-                State::Up { .. } if self.wants_fresh() => {
+                State::Up { .. } if self.connection.is_spent() => {
                     if !self.has_work(now) {
                         if self.falls_idle(now) {
                             return self.disconnect();
@@ -168,8 +184,10 @@ impl Core {
         if let Goal::Call(ticket) = &active.goal
             && ticket.is_broadcast()
         {
-            ticket.call.complete_unanswered();
+            let code = ticket.code;
+            ticket.call.complete_unanswered(Proof::default());
             self.exchange.end();
+            self.stations.for_all(|station| station.broadcast(code));
             self.hold_until = Some(later(at, self.config.broadcast_gap));
             return;
         }
@@ -188,6 +206,8 @@ impl Core {
         while let Some(event) = self.exchange.next_event(now) {
             self.on_event(event, now);
         }
+        // Not before: a frame that came with the reply may contradict it.
+        self.conclude(now);
         // A frame is coming in: it is given the time it takes, but not for ever.
         if let (Some(active), false) = (self.exchange.active(), self.exchange.received.is_empty())
             && let Some(sent) = active.sent
@@ -211,7 +231,9 @@ impl Core {
     /// The connection is open.
     pub(crate) fn connected(&mut self, now: Instant) {
         self.exchange.reconnected();
-        if !self.wants_fresh() {
+        self.stations.for_all(InStep::connected);
+        self.echo_was_last = false;
+        if !self.connection.is_spent() {
             self.stations.hurry(now);
         }
         self.connection.opened();
@@ -235,16 +257,12 @@ impl Core {
         self.board.count(|link| add(&mut link.disconnects, 1));
         self.connection.lost(now);
         self.exchange.forget();
+        self.learn_one_request(error);
         if let Some(ticket) = self.cleared.take() {
-            // The nonce came back over a connection that is gone; behind a bridge the line to the PLC is the same, so
-            // the station stays clean.
             self.scheduler.push_front(ticket);
         }
         if let Some(active) = self.exchange.end() {
             let station = active.goal.station();
-            if station != BROADCAST {
-                self.stations.doubt(station);
-            }
             match active.goal.into_call() {
                 None => self.probe_failed(station, now),
                 Some(ticket) => {
@@ -310,9 +328,27 @@ impl Core {
         Step::Disconnect
     }
 
-    /// Whether a doubt is a reason to open another connection, and there is one.
-    fn wants_fresh(&self) -> bool {
-        self.connection.is_doubted() && self.config.fresh_on_doubt
+    /// A device that closes its connection after each reply closes it behind the echo of the check, too.
+    fn learn_one_request(&mut self, error: &io::Error) {
+        use io::ErrorKind::{BrokenPipe, ConnectionAborted, ConnectionReset, UnexpectedEof};
+        let closed = matches!(error.kind(), UnexpectedEof | ConnectionReset | ConnectionAborted | BrokenPipe);
+        if !closed || !self.echo_was_last || self.one_request {
+            return;
+        }
+        self.closed_behind_echo = self.closed_behind_echo.saturating_add(1);
+        if self.closed_behind_echo >= CLOSES_TO_LEARN {
+            self.one_request = true;
+            self.board.count(|link| link.one_request = true);
+            let quiet = self.config.in_step.quiet();
+            tracing::warn!(?quiet, "the device closes its connection after each reply: silence replaces the check from now on");
+        }
+    }
+
+    /// The rule as it holds for a station.
+    fn rule(&self, station: u8) -> Rule {
+        let settings = self.config.in_step;
+        let quiet = settings.quiet().max(self.stations.allowed(station));
+        Rule { settings, quiet, one_request: self.one_request, prices: self.prices }
     }
 
     fn has_work(&mut self, now: Instant) -> bool {
@@ -326,35 +362,55 @@ impl Core {
             return None;
         }
         match self.cleared.take() {
-            // A doubt may have arisen behind the echo.
-            Some(ticket) if self.stations.is_dirty(ticket.station) => self.scheduler.push_front(ticket),
-            Some(ticket) if ticket.is_wanted(now) => return Some(Goal::Call(ticket)),
+            Some(ticket) if ticket.is_wanted(now) => {
+                if let Some(goal) = self.goal_of(ticket, now) {
+                    return Some(goal);
+                }
+            }
             Some(ticket) => ticket.expire(),
             None => {}
         }
         if let Some(station) = self.stations.due_probe(now) {
-            return Some(self.check(station, None));
+            return Some(self.check(station, in_step::Check::Nonce, Why::Confirm, None));
         }
         loop {
             let ticket = self.scheduler.pop(now)?;
-            let station = ticket.station;
-            if ticket.is_broadcast() {
-                return Some(Goal::Call(ticket));
+            if let Some(goal) = self.goal_of(ticket, now) {
+                return Some(goal);
             }
-            if self.exchange.must_learn_echo() {
-                return Some(self.check(station, Some(ticket)));
+        }
+    }
+
+    /// What is sent for a call: its request, or a check before it. `None`: the station must be silent first, or the call has ended.
+    fn goal_of(&mut self, ticket: Ticket, now: Instant) -> Option<Goal> {
+        let station = ticket.station;
+        if ticket.is_broadcast() {
+            return Some(Goal::Call(ticket));
+        }
+        if self.exchange.must_learn_echo() {
+            return Some(self.check(station, in_step::Check::Nonce, Why::Connected, Some(ticket)));
+        }
+        let (rule, framing) = (self.rule(station), self.config.framing);
+        let choice = self.stations.with_in_step(station, |known| match ticket.confirms {
+            true => known.confirm(&rule, now).ok_or(known.proof()),
+            false => Ok(known.choose(&InFraming(&ticket, framing), ticket.plain, &rule, now)),
+        });
+        match choice {
+            Ok(Choice::Send(spelling)) => {
+                ticket.call.spell(spelling);
+                Some(Goal::Call(ticket))
             }
-            if !self.stations.is_dirty(station) {
-                return Some(Goal::Call(ticket));
+            Ok(Choice::Check(check, why)) => Some(self.check(station, check, why, Some(ticket))),
+            Ok(Choice::Silence(until)) => {
+                self.board.count_for(station, |stats| add(&mut stats.silences, 1));
+                self.scheduler.push_front(ticket);
+                self.scheduler.block(station, until);
+                None
             }
-            if !self.stations.has_refused(station) {
-                return Some(self.check(station, Some(ticket)));
+            Err(proof) => {
+                ticket.call.complete_unanswered(proof);
+                None
             }
-            // The next best thing to an echo: silence. Whatever still comes makes the station dirty again.
-            let quiet = self.config.quiet.max(self.stations.allowed(station));
-            self.stations.clear(station);
-            self.scheduler.push_front(ticket);
-            self.scheduler.block(station, later(now, quiet));
         }
     }
 
@@ -372,29 +428,40 @@ impl Core {
         if stale > 0 {
             self.board.count(|link| add(&mut link.stale_bytes, u64::try_from(stale).unwrap_or(u64::MAX)));
         }
-        match &active.goal {
-            Goal::Call(ticket) => {
-                if ticket.is_broadcast() {
-                    self.board.count(|link| add(&mut link.broadcasts, 1));
-                } else {
-                    self.stations.allow(station, ticket.response_timeout);
-                    self.board.count_for(station, |stats| add(&mut stats.requests, 1));
-                }
+        if let Goal::Call(ticket) = &active.goal {
+            if ticket.is_broadcast() {
+                self.board.count(|link| add(&mut link.broadcasts, 1));
+            } else {
+                let (plain, spelling) = (ticket.call.plain(), ticket.call.spelling());
+                self.stations.allow(station, ticket.response_timeout);
+                self.board.count_for(station, |stats| stats.sent(plain, spelling));
+                debug_assert!(
+                    self.stations.with_in_step(station, |known| {
+                        known.allows(&InFraming(ticket, self.config.framing), spelling)
+                    }),
+                    "rule 2: nothing owed could answer {spelling:?}"
+                );
             }
-            Goal::Check { .. } => self.board.count_for(station, |stats| add(&mut stats.checks, 1)),
         }
         tracing::trace!(station, bytes = %self.exchange.request().escape_ascii(), "sending");
         Some(Step::Send(deadline))
     }
 
-    /// What must be settled about a station before a call: first whether the line echoes, then whether it can be
-    /// believed.
-    fn check(&mut self, station: u8, call: Option<Ticket>) -> Goal {
+    /// A check of a station, for a call or as a probe.
+    fn check(&mut self, station: u8, check: in_step::Check, why: Why, call: Option<Ticket>) -> Goal {
         if self.exchange.must_learn_echo() {
+            self.board.count_for(station, |stats| add(&mut stats.checks, 1));
             return Goal::Check { station, check: Check::Echo, call };
         }
-        self.nonce = self.nonce.wrapping_add(1);
-        Goal::Check { station, check: Check::Barrier(LoopBack::nonce(self.nonce)), call }
+        self.board.count_for(station, |stats| stats.checked(why));
+        tracing::debug!(station, ?check, ?why, "check");
+        let data = if check == in_step::Check::Nonce {
+            self.nonce = self.nonce.wrapping_add(1);
+            LoopBack::nonce(self.nonce)
+        } else {
+            LoopBack::empty()
+        };
+        Goal::Check { station, check: Check::Separate(check, data), call }
     }
 
     /// Until when the reply is waited for, and whether that is the whole response timeout.
@@ -425,8 +492,11 @@ impl Core {
     }
 }
 
-/// The station number of a broadcast.
-const BROADCAST: u8 = 0;
+fn prices(config: &Config) -> Prices {
+    let byte = config.byte_time;
+    let frames = byte.saturating_mul(2).saturating_mul(u32::try_from(config.framing.overhead()).unwrap_or(u32::MAX));
+    Prices { byte, exchange: frames.saturating_add(LATENCY).saturating_add(config.gap) }
+}
 
 fn offline(ticket: &Ticket, probe_at: Instant, now: Instant) -> Error {
     let probe_in = probe_at.saturating_duration_since(now);

@@ -62,8 +62,6 @@ pub(crate) struct Driver {
     /// Whether all had been read that had come when the ring was taken last, so that the bell rings when more comes.
     listens: bool,
     io: Option<BoxIo>,
-    /// A fresh socket must differ from the old one, so that one is kept until the new one is open.
-    retired: Option<BoxIo>,
     opening: Option<Opening>,
     /// Whether the core wants a connection, and the task has not begun to open it yet.
     connects: bool,
@@ -143,7 +141,6 @@ impl Driver {
             bell,
             listens: false,
             io: None,
-            retired: None,
             opening: None,
             connects: false,
             writing: None,
@@ -238,7 +235,7 @@ impl Driver {
             let now = clock.now();
             match self.core.step(now) {
                 Step::Connect => {
-                    self.retired = self.io.take();
+                    self.io = None;
                     self.connects = true;
                 }
                 Step::Disconnect => {
@@ -397,7 +394,6 @@ impl Driver {
             Some(Opening::Connection { opening, .. }) => {
                 let opened = ready!(opening.poll_unpin(cx));
                 self.opening = None;
-                self.retired = None;
                 self.opened(opened);
             }
         }

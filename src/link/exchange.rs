@@ -28,8 +28,9 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use super::buffer;
 use super::call::Ticket;
+use super::in_step::{self, Reply, Shape};
 use super::options::EchoMode;
-use crate::command::{self, Code, Command, LoopBack, ReadStatus, ReplyError};
+use crate::command::{self, Command, LoopBack, ReadDetailedStatus, ReadStatus, ReplyError};
 use crate::error::ErrorCode;
 use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side, ascii};
 
@@ -45,9 +46,9 @@ pub(crate) enum Goal {
 /// What the link itself asks a station.
 #[derive(Debug)]
 pub(crate) enum Check {
-    /// The loop-back that must come back before anything of a dirty station is believed.
-    Barrier(LoopBack),
-    /// The status, to learn whether the line echoes.
+    /// What stands between two requests, with its loop-back if it is one.
+    Separate(in_step::Check, LoopBack),
+    /// The status, to learn whether the line echoes. Its reply proves nothing else.
     Echo,
 }
 
@@ -75,11 +76,17 @@ impl Goal {
         }
     }
 
-    fn code(&self) -> Code {
+    /// The shape of the positive reply.
+    pub(crate) fn shape(&self, framing: Framing) -> Shape {
         match self {
-            Self::Call(ticket) => ticket.code,
-            Self::Check { check: Check::Barrier(_), .. } => LoopBack::CODE,
-            Self::Check { check: Check::Echo, .. } => ReadStatus::CODE,
+            Self::Call(ticket) => ticket.call.shape(ticket.call.spelling(), framing),
+            Self::Check { check, .. } => match check {
+                Check::Separate(in_step::Check::Nonce | in_step::Check::Empty, data) => {
+                    Shape { code: LoopBack::CODE, size: data.reply_size(data.plain(), framing) }
+                }
+                Check::Separate(in_step::Check::Status, _) | Check::Echo => in_step::Check::STATUS,
+                Check::Separate(in_step::Check::Detail, _) => in_step::Check::DETAIL,
+            },
         }
     }
 
@@ -87,18 +94,35 @@ impl Goal {
         let station = self.station();
         match self {
             Self::Call(ticket) => ticket.call.encode(framing, station, tx),
-            Self::Check { check: Check::Barrier(nonce), .. } => command::encode_request(nonce, framing, station, tx),
-            Self::Check { check: Check::Echo, .. } => command::encode_request(&ReadStatus, framing, station, tx),
+            Self::Check { check, .. } => match check {
+                Check::Separate(in_step::Check::Nonce | in_step::Check::Empty, data) => {
+                    command::encode_request(data, framing, station, tx)
+                }
+                Check::Separate(in_step::Check::Status, _) | Check::Echo => {
+                    command::encode_request(&ReadStatus, framing, station, tx)
+                }
+                Check::Separate(in_step::Check::Detail, _) => {
+                    command::encode_request(&ReadDetailedStatus, framing, station, tx)
+                }
+            },
         }
     }
 
-    /// Offers the data of a frame with the right station and command; it is taken if it is the reply, which may be a
-    /// refusal.
+    /// Offers the data of a frame with the right station and command; it is held if it is the reply, which may be a refusal.
     fn offer(&self, framing: Framing, data: &[u8], now: Instant) -> Result<Option<ErrorCode>, FieldError> {
         match self {
             Self::Call(ticket) => ticket.call.offer(framing, ticket.station, data, now),
-            Self::Check { check: Check::Barrier(nonce), .. } => verdict(command::decode_reply(nonce, framing, data)),
-            Self::Check { check: Check::Echo, .. } => verdict(command::decode_reply(&ReadStatus, framing, data)),
+            Self::Check { check, .. } => match check {
+                Check::Separate(in_step::Check::Nonce | in_step::Check::Empty, echo) => {
+                    verdict(command::decode_reply(echo, framing, data))
+                }
+                Check::Separate(in_step::Check::Status, _) | Check::Echo => {
+                    verdict(command::decode_reply(&ReadStatus, framing, data))
+                }
+                Check::Separate(in_step::Check::Detail, _) => {
+                    verdict(command::decode_reply(&ReadDetailedStatus, framing, data))
+                }
+            },
         }
     }
 }
@@ -125,8 +149,16 @@ pub(crate) struct Active {
     pub(crate) patient: bool,
     /// What was wrong with the last thing that came instead of the reply.
     pub(crate) fault: Option<String>,
-    /// Whether a frame of this very station came that was not its reply: there may be more behind it.
-    pub(crate) doubtful: bool,
+    /// The shape of its positive reply.
+    pub(crate) shape: Shape,
+    /// The reply, until all that came with it is understood.
+    pub(crate) reply: Option<Reply>,
+    /// The error code of the reply.
+    pub(crate) refusal: Option<ErrorCode>,
+    /// Behind the reply came another frame of the station in the same read, and no copy.
+    pub(crate) followed: bool,
+    /// That frame fits the request, too.
+    pub(crate) ambiguous: bool,
     /// Whether the request itself has come back.
     echoed: bool,
     /// How many bytes came that were no frame.
@@ -144,12 +176,14 @@ pub(crate) enum Echo {
 /// What the received bytes amount to.
 #[derive(Debug)]
 pub(crate) enum Event {
-    /// The reply has come; if it is that of a call, the call has it. What was on the wire can be taken off it.
-    Replied { refused: bool },
+    /// The reply has come, and is held until all that came with it is understood.
+    Replied,
     /// The request itself has come back.
     Echoed,
+    /// A copy of the reply that is held came with it.
+    Copy { station: u8 },
     /// A good frame that is no reply to what is on the wire.
-    Stray { station: u8 },
+    Stray { station: u8, command: u8, fingerprint: u64 },
     /// Bytes that are no frame.
     Noise { reason: Discard, bytes: usize },
 }
@@ -166,6 +200,9 @@ pub(crate) struct Exchange {
     request_len: usize,
     mode: EchoMode,
     echo: Echo,
+    /// The station whose reply to a status request has shown that the line does not echo. If its request comes back after all,
+    /// the reply was a late one.
+    learned_from: Option<u8>,
 }
 
 impl Exchange {
@@ -179,6 +216,7 @@ impl Exchange {
             request_len: 0,
             mode,
             echo: Echo::Absent,
+            learned_from: None,
         };
         exchange.reconnected();
         exchange
@@ -217,14 +255,19 @@ impl Exchange {
         self.request_len = request.len();
         self.request = request;
         let stale = self.forget();
+        let shape = goal.shape(self.framing());
         self.active = Some(Active {
+            shape,
+            reply: None,
+            refusal: None,
+            followed: false,
+            ambiguous: false,
             goal,
             began: now,
             sent: None,
             deadline,
             patient: false,
             fault: None,
-            doubtful: false,
             echoed: false,
             discarded: 0,
         });
@@ -264,7 +307,7 @@ impl Exchange {
     /// The same, when no reply has come.
     pub(crate) fn give_up(&mut self) -> Option<Active> {
         let active = self.end()?;
-        let barrier = matches!(active.goal, Goal::Check { check: Check::Barrier(_), .. });
+        let barrier = matches!(active.goal, Goal::Check { check: Check::Separate(..), .. });
         if barrier && active.echoed && self.mode != EchoMode::On {
             // Perhaps that was the reply, and the line does not echo any more.
             self.echo = Echo::Unknown;
@@ -285,6 +328,7 @@ impl Exchange {
     /// There is a new connection, perhaps over another adapter.
     pub(crate) fn reconnected(&mut self) {
         self.forget();
+        self.learned_from = None;
         self.echo = match self.mode {
             // The binary framing marks an echo by its header.
             _ if self.framing() == Framing::Binary => Echo::Absent,
@@ -336,28 +380,46 @@ impl Exchange {
     fn classify(&mut self, frame: &Frame, now: Instant) -> Event {
         tracing::trace!(station = frame.station, command = frame.command, data = %frame.data.escape_ascii(), "received");
         let framing = self.framing();
-        let Some(active) = &mut self.active else {
-            return Event::Stray { station: frame.station };
-        };
+        let fingerprint = in_step::fingerprint(frame.command, &frame.data);
+        let stray = Event::Stray { station: frame.station, command: frame.command, fingerprint };
+        if self.is_late_echo(frame) {
+            tracing::warn!("the line sends back what is sent on it: the reply that seemed to show the contrary was a late one");
+            self.echo = Echo::Present;
+            self.learned_from = None;
+            return Event::Echoed;
+        }
+        let Some(active) = &mut self.active else { return stray };
+        let own = frame.station == active.goal.station();
+        let fits = own && frame.command == u8::from(active.shape.code);
+        if let Some(reply) = &active.reply {
+            if own && reply.fingerprint == fingerprint {
+                return Event::Copy { station: frame.station };
+            }
+            active.followed |= own;
+            active.ambiguous |= fits && active.goal.offer(framing, &frame.data, now).is_ok();
+            return stray;
+        }
         let copy = !active.echoed && is_copy(&active.goal, self.request_len, framing, frame);
         let learning = matches!(active.goal, Goal::Check { check: Check::Echo, .. });
         if copy && (self.echo == Echo::Present || learning) {
             return self.echoed();
         }
-        let station = active.goal.station();
-        let fault = if frame.station != station {
+        let fault = if !own {
             None
-        } else if frame.command != u8::from(active.goal.code()) {
+        } else if !fits {
             Some(format!("a reply to command {:02X}", frame.command))
         } else {
             match active.goal.offer(framing, &frame.data, now) {
                 Ok(refusal) => {
+                    active.reply = Some(Reply { shape: active.shape, refused: refusal.is_some(), fingerprint });
+                    active.refusal = refusal;
                     // An echo that was garbled is noise, and nearly as long as the request.
                     let quiet = active.discarded.saturating_mul(2) < self.request_len;
                     if learning && quiet && self.echo == Echo::Unknown {
                         self.echo = Echo::Absent;
+                        self.learned_from = Some(frame.station);
                     }
-                    return Event::Replied { refused: refusal.is_some() };
+                    return Event::Replied;
                 }
                 Err(mismatch) => Some(mismatch.to_string()),
             }
@@ -366,9 +428,14 @@ impl Exchange {
             tracing::warn!("the line sends back what is sent on it; from now on that is expected");
             return self.echoed();
         }
-        active.doubtful |= fault.is_some();
         active.fault = fault.or(active.fault.take());
-        Event::Stray { station: frame.station }
+        stray
+    }
+
+    /// Whether a frame is the status request by which it was learned that the line does not echo: no reply to 40 is empty.
+    fn is_late_echo(&self, frame: &Frame) -> bool {
+        let request = frame.command == u8::from(ReadStatus::CODE) && frame.data.is_empty();
+        request && self.framing() == Framing::Ascii && self.learned_from == Some(frame.station)
     }
 
     /// The request itself has come back, so the line echoes; the reply is still to come.

@@ -37,6 +37,8 @@ mod driver;
 mod exchange;
 mod gate;
 mod hub;
+mod in_step;
+pub(crate) mod job;
 mod line;
 pub(crate) use line::Line;
 mod options;
@@ -63,7 +65,8 @@ pub(crate) use self::gate::Gate;
 use self::hub::Hub;
 use self::stats::Board;
 pub(crate) use self::transport::{BoxIo, Connector};
-use crate::command::{Command, InvalidRequest};
+pub(crate) use self::in_step::{Proof, Shape};
+use crate::command::{Command, InvalidRequest, Spelling};
 use crate::endpoint::{Endpoint, Transport};
 use crate::error::Error;
 use crate::station::{Broadcast, Station};
@@ -71,7 +74,7 @@ use crate::wire::Framing;
 
 pub use self::builder::LinkBuilder;
 pub use self::options::{CallOptions, EchoMode};
-pub use self::stats::{LinkStats, RoundTripStats, StationState, StationStats};
+pub use self::stats::{CheckStats, LinkStats, RoundTripStats, SpellingStats, StationState, StationStats};
 
 /// One connection to one or more PLCs. Cheap to clone; all clones share the connection.
 ///
@@ -151,14 +154,9 @@ impl Link {
         let name = endpoint.to_string();
         let transport = endpoint.transport().clone();
         let connector = Connector::Endpoint { endpoint, keep_alive: true };
-        let mut builder = LinkBuilder::with_connector(connector, framing, &name);
+        let builder = LinkBuilder::with_connector(connector, framing, &name);
         match transport {
-            Transport::Tcp { .. } => builder,
-            Transport::Udp { .. } => {
-                // What comes late for one socket never reaches the next.
-                builder.config.fresh_on_doubt = true;
-                builder
-            }
+            Transport::Tcp { .. } | Transport::Udp { .. } => builder,
             Transport::Serial { settings, .. } => builder.serial_line(settings),
         }
     }
@@ -281,19 +279,18 @@ impl Link {
         let _ = state.wait_for(|state| matches!(state, LinkState::Closed)).await;
     }
 
-    /// Has a request sent; `unanswered` is its result if no station answers it. Tells, with the result, when the reply came
-    /// if one did.
+    /// Has a request sent.
     // Whatever a call needs is moved on before anything is awaited: its future is part of its caller's, of which there may be
     // thousands.
     pub(crate) async fn submit<C: Command>(
         &self,
         station: u8,
         request: C,
-        unanswered: Option<C::Reply>,
+        purpose: Purpose<C>,
         options: CallOptions,
-    ) -> (Result<C::Reply, Error>, Option<Instant>) {
+    ) -> Answered<C::Reply> {
         if let Err(error) = request.check(self.framing()).map_err(Error::from).and_then(|()| self.start()) {
-            return (Err(error), None);
+            return Answered::none(Err(error), request.plain());
         }
         let queued_at = Instant::now();
         let deadline = later(queued_at, options.call_timeout);
@@ -305,6 +302,13 @@ impl Link {
             queued_at,
             response_timeout: options.response_timeout.unwrap_or(self.shared.response_timeout),
             options,
+            longer: matches!(purpose, Purpose::Part),
+            confirms: matches!(purpose, Purpose::Confirm(_)),
+        };
+        let in_job = matches!(purpose, Purpose::InJob | Purpose::Part);
+        let unanswered = match purpose {
+            Purpose::Whole | Purpose::InJob | Purpose::Part => None,
+            Purpose::Broadcast(reply) | Purpose::Confirm(reply) => Some(reply),
         };
         let (ticket, mut completion) = call::new(request, unanswered, terms, &self.shared.spares);
         // Until the call has ended.
@@ -319,9 +323,14 @@ impl Link {
             let after = queued_at.elapsed();
             Err(Error::Timeout { station, code: C::CODE, after, sent: completion.abandon() })
         });
-        let answered_at = completion.answered_at();
+        let mut answered = Answered::none(result.map_err(|error| self.explain(error, deadline)), completion.spelling());
+        answered.at = completion.answered_at();
+        answered.proof = completion.proof();
+        if in_job {
+            answered.shape = completion.shape(self.framing());
+        }
         completion.recycle(&self.shared.spares);
-        (result.map_err(|error| self.explain(error, deadline)), answered_at)
+        answered
     }
 
     /// When the time was spent on trying to connect, that is what the caller wants to know.
@@ -361,6 +370,39 @@ impl Link {
 
     fn connect_error(&self, source: Arc<io::Error>) -> Error {
         Error::Connect { endpoint: self.shared.name.to_string(), source, sent: false }
+    }
+}
+
+/// What a call is for.
+pub(crate) enum Purpose<C: Command> {
+    /// The request is all that is asked for.
+    Whole,
+    /// A request of a [`job`].
+    InJob,
+    /// A part of a longer read or write, which is a job: it may leave elements to the next request.
+    Part,
+    /// A broadcast, which has this result once it is sent.
+    Broadcast(C::Reply),
+    /// The confirmation of what was taken before, which has this result. The request itself is never sent.
+    Confirm(C::Reply),
+}
+
+/// The result of a call.
+pub(crate) struct Answered<T> {
+    pub(crate) result: Result<T, Error>,
+    /// When the reply came, if one did.
+    pub(crate) at: Option<Instant>,
+    /// How the request was spelt.
+    pub(crate) spelling: Spelling,
+    /// The shape of the positive reply, within a job.
+    pub(crate) shape: Shape,
+    /// What was proven of the station when the reply was taken.
+    pub(crate) proof: Proof,
+}
+
+impl<T> Answered<T> {
+    fn none(result: Result<T, Error>, spelling: Spelling) -> Self {
+        Self { result, at: None, spelling, shape: Shape { code: spelling.code, size: 0 }, proof: Proof::default() }
     }
 }
 

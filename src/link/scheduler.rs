@@ -304,6 +304,8 @@ mod tests {
             queued_at: now,
             response_timeout: SECOND,
             options: CallOptions::new(),
+            longer: false,
+            confirms: false,
         };
         call::new(ReadStatus, None, terms, &Spares::default())
     }

@@ -5,14 +5,14 @@
 //! online ──timeouts in a row──▶ offline ──any answer──▶ online
 //! ```
 //!
-//! What must always hold: a station in doubt stays so until something has cleared it; probes take no more than their
-//! share of the bus, however many stations are offline.
+//! Invariant: probes take no more than their share of the bus, however many stations are offline.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
 use super::by_station::ByStation;
+use super::in_step::InStep;
 use super::later;
 
 #[derive(Debug)]
@@ -31,15 +31,11 @@ pub(crate) struct Rules {
     pub(crate) probe_interval: (Duration, Duration),
     /// After a probe that took a time, none for so many times as long.
     pub(crate) probe_pause: u32,
-    /// Whether a station is in doubt before it has been asked anything.
-    pub(crate) doubtful_start: bool,
 }
 
 #[derive(Debug)]
 struct Health {
-    dirty: bool,
-    /// Whether it has refused the loop-back that was to settle the present doubt.
-    refused: bool,
+    in_step: InStep,
     /// The longest response timeout that it was ever given.
     allowed: Duration,
     /// Timeouts in a row.
@@ -61,37 +57,19 @@ impl Stations {
         Self { known: ByStation::new(), rules, probe_allowed_at: None }
     }
 
-    /// Whether the station must prove itself before it is asked anything.
-    pub(crate) fn is_dirty(&self, station: u8) -> bool {
-        self.known.get(station).map_or(self.rules.doubtful_start, |health| health.dirty)
+    /// What is known of the station's replies; `None`: it has not been asked anything yet.
+    pub(crate) fn in_step(&mut self, station: u8) -> Option<&mut InStep> {
+        self.known.get_mut(station).map(|health| &mut health.in_step)
     }
 
-    /// There is reason to doubt what the station sends next.
-    pub(crate) fn doubt(&mut self, station: u8) {
-        self.health(station, |health| health.dirty = true);
+    /// Does something with what is known of the station's replies.
+    pub(crate) fn with_in_step<R>(&mut self, station: u8, work: impl FnOnce(&mut InStep) -> R) -> R {
+        self.health(station, |health| work(&mut health.in_step))
     }
 
-    /// The station has proved itself.
-    pub(crate) fn clear(&mut self, station: u8) {
-        self.health(station, |health| {
-            health.dirty = false;
-            health.refused = false;
-        });
-    }
-
-    /// Whether anything has been asked of the station yet.
-    pub(crate) fn knows(&self, station: u8) -> bool {
-        self.known.get(station).is_some()
-    }
-
-    /// Whether the station has refused the loop-back that was to settle the present doubt.
-    pub(crate) fn has_refused(&self, station: u8) -> bool {
-        self.known.get(station).is_some_and(|health| health.refused)
-    }
-
-    /// The station has refused the loop-back. It may have had its reasons for once, so the next doubt asks again.
-    pub(crate) fn loop_back_refused(&mut self, station: u8) {
-        self.health(station, |health| health.refused = true);
+    /// Does something for all stations that have been asked anything.
+    pub(crate) fn for_all(&mut self, work: impl Fn(&mut InStep)) {
+        self.known.values_mut().for_each(|health| work(&mut health.in_step));
     }
 
     /// The station is given this long for an answer.
@@ -200,8 +178,7 @@ impl Stations {
 
     fn health<R>(&mut self, station: u8, work: impl FnOnce(&mut Health) -> R) -> R {
         let new = || Health {
-            dirty: self.rules.doubtful_start,
-            refused: false,
+            in_step: InStep::new(),
             allowed: Duration::ZERO,
             timeouts: 0,
             offline: None,
@@ -260,7 +237,7 @@ mod tests {
 
     fn stations() -> Stations {
         let probe_interval = (Duration::from_secs(1), Duration::from_secs(60));
-        Stations::new(Rules { offline_after: 3, probe_interval, probe_pause: 19, doubtful_start: false })
+        Stations::new(Rules { offline_after: 3, probe_interval, probe_pause: 19 })
     }
 
     #[test]

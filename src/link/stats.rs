@@ -1,5 +1,6 @@
 //! What can be seen of a link from outside: counters, and states to be watched.
 
+use std::cmp::Ordering;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -7,6 +8,8 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 
 use super::by_station::ByStation;
+use super::in_step::Why;
+use crate::command::Spelling;
 use crate::wire::Discard;
 
 /// What a station has been asked and has answered, since the link was made. A snapshot.
@@ -25,12 +28,64 @@ pub struct StationStats {
     pub bad_replies: u64,
     /// Requests sent again.
     pub retries: u64,
-    /// Loop-backs that the link sent to see whether the station can be believed, or is there.
+    /// Requests of the link itself that separate two requests, or show whether the station is there.
     pub checks: u64,
-    /// Good frames that were dropped, because they were no reply to what was on the wire.
+    /// The checks by what they were sent for.
+    pub checks_for: CheckStats,
+    /// Checks that were refused: the device does not know the loop-back (4E), or not always.
+    pub refused_checks: u64,
+    /// Silences that replaced a check.
+    pub silences: u64,
+    /// The requests by how they were spelt.
+    pub spellings: SpellingStats,
+    /// Requests that were refused in another spelling than their own, and sent again as themselves.
+    pub refused_spellings: u64,
+    /// Replies without proof that they belong to the request, which was sent again.
+    pub unproven_replies: u64,
+    /// Copies of the reply taken last.
+    pub duplicates: u64,
+    /// Replies to requests that had timed out.
+    pub late_replies: u64,
+    /// Answers to broadcasts.
+    pub broadcast_answers: u64,
+    /// Reads and writes of several requests that were repeated in part, because an unexpected frame came in between.
+    pub repeated_jobs: u64,
+    /// Other good frames that were no reply to what was on the wire.
     pub stray_frames: u64,
     /// How long replies took, from the end of the request to the end of the reply.
     pub round_trip: Option<RoundTripStats>,
+}
+
+/// Checks, by what they were sent for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CheckStats {
+    /// The connection was new.
+    pub connected: u64,
+    /// A request had not been answered in time.
+    pub timed_out: u64,
+    /// A frame had come that no request takes.
+    pub stray: u64,
+    /// A reply had come without proof.
+    pub unproven: u64,
+    /// A copy of an earlier reply could have answered the next request in each of its spellings.
+    pub owed: u64,
+    /// A read or write of several requests was confirmed, or an offline station was probed.
+    pub confirm: u64,
+}
+
+/// Requests, by how they were spelt.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SpellingStats {
+    /// As themselves.
+    pub plain: u64,
+    /// With one element more, or the first one once more.
+    pub one_more: u64,
+    /// With fewer elements, as a part of a longer read or write.
+    pub fewer: u64,
+    /// As a mixed read or write (48, 49).
+    pub mixed: u64,
 }
 
 /// How long replies took.
@@ -71,6 +126,8 @@ pub struct LinkStats {
     pub idle_closes: u64,
     /// Attempts to connect that failed.
     pub connect_failures: u64,
+    /// The device closes its connection after each reply, as was [set](crate::endpoint::InStepSettings::one_request) or learned.
+    pub one_request: bool,
 }
 
 /// Whether a station answers.
@@ -158,6 +215,11 @@ impl Board {
         });
     }
 
+    /// A job was rewound.
+    pub(crate) fn job_repeated(&self, station: u8) {
+        self.count_for(station, |stats| add(&mut stats.repeated_jobs, 1));
+    }
+
     pub(crate) fn discarded(&self, reason: Discard, bytes: usize) {
         self.count(|link| match reason {
             Discard::WrongSide => add(&mut link.echoes, 1),
@@ -191,6 +253,7 @@ impl LinkStats {
             disconnects: self.disconnects.saturating_add(other.disconnects),
             idle_closes: self.idle_closes.saturating_add(other.idle_closes),
             connect_failures: self.connect_failures.saturating_add(other.connect_failures),
+            one_request: self.one_request || other.one_request,
         }
     }
 }
@@ -210,6 +273,34 @@ impl StationStats {
         });
     }
 
+    /// A request goes out, so spelt.
+    pub(crate) fn sent(&mut self, plain: Spelling, spelling: Spelling) {
+        add(&mut self.requests, 1);
+        let spellings = &mut self.spellings;
+        let counter = match spelling.count.cmp(&plain.count) {
+            _ if spelling.code != plain.code => &mut spellings.mixed,
+            Ordering::Equal => &mut spellings.plain,
+            Ordering::Greater => &mut spellings.one_more,
+            Ordering::Less => &mut spellings.fewer,
+        };
+        add(counter, 1);
+    }
+
+    /// A check goes out.
+    pub(crate) fn checked(&mut self, why: Why) {
+        add(&mut self.checks, 1);
+        let checks = &mut self.checks_for;
+        let counter = match why {
+            Why::Connected => &mut checks.connected,
+            Why::TimedOut => &mut checks.timed_out,
+            Why::Stray => &mut checks.stray,
+            Why::Unproven => &mut checks.unproven,
+            Why::Owed => &mut checks.owed,
+            Why::Confirm => &mut checks.confirm,
+        };
+        add(counter, 1);
+    }
+
     fn plus(self, other: &Self) -> Self {
         Self {
             requests: self.requests.saturating_add(other.requests),
@@ -219,6 +310,16 @@ impl StationStats {
             bad_replies: self.bad_replies.saturating_add(other.bad_replies),
             retries: self.retries.saturating_add(other.retries),
             checks: self.checks.saturating_add(other.checks),
+            checks_for: self.checks_for.plus(&other.checks_for),
+            refused_checks: self.refused_checks.saturating_add(other.refused_checks),
+            silences: self.silences.saturating_add(other.silences),
+            spellings: self.spellings.plus(&other.spellings),
+            refused_spellings: self.refused_spellings.saturating_add(other.refused_spellings),
+            unproven_replies: self.unproven_replies.saturating_add(other.unproven_replies),
+            duplicates: self.duplicates.saturating_add(other.duplicates),
+            late_replies: self.late_replies.saturating_add(other.late_replies),
+            broadcast_answers: self.broadcast_answers.saturating_add(other.broadcast_answers),
+            repeated_jobs: self.repeated_jobs.saturating_add(other.repeated_jobs),
             stray_frames: self.stray_frames.saturating_add(other.stray_frames),
             round_trip: match (self.round_trip, other.round_trip) {
                 (Some(a), Some(b)) => Some(RoundTripStats {
@@ -229,6 +330,30 @@ impl StationStats {
                 }),
                 (a, b) => a.or(b),
             },
+        }
+    }
+}
+
+impl CheckStats {
+    fn plus(self, other: &Self) -> Self {
+        Self {
+            connected: self.connected.saturating_add(other.connected),
+            timed_out: self.timed_out.saturating_add(other.timed_out),
+            stray: self.stray.saturating_add(other.stray),
+            unproven: self.unproven.saturating_add(other.unproven),
+            owed: self.owed.saturating_add(other.owed),
+            confirm: self.confirm.saturating_add(other.confirm),
+        }
+    }
+}
+
+impl SpellingStats {
+    fn plus(self, other: &Self) -> Self {
+        Self {
+            plain: self.plain.saturating_add(other.plain),
+            one_more: self.one_more.saturating_add(other.one_more),
+            fewer: self.fewer.saturating_add(other.fewer),
+            mixed: self.mixed.saturating_add(other.mixed),
         }
     }
 }

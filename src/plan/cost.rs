@@ -132,38 +132,26 @@ impl CostModel {
         nanoseconds(self.byte_time).saturating_mul(u64::try_from(bytes).unwrap_or(u64::MAX))
     }
 
-    /// The bytes of a request without its elements.
+    /// The bytes of a request without its elements: the frame and N.
     pub(super) fn request_bytes(&self) -> usize {
-        match self.framing {
-            Framing::Ascii => 8 + 2,
-            Framing::Binary => 10 + 1,
-        }
+        self.framing.overhead()
+            + match self.framing {
+                Framing::Ascii => 2,
+                Framing::Binary => 1,
+            }
     }
 
-    /// The bytes of a reply without its values.
+    /// The bytes of a reply without its values: the frame and the error code.
     pub(super) fn reply_bytes(&self) -> usize {
-        match self.framing {
-            Framing::Ascii => 8 + 1,
-            Framing::Binary => 10 + 1,
-        }
+        self.framing.overhead() + 1
     }
 
     pub(super) fn element_bytes(&self, symbol: Symbol) -> usize {
-        let address = match self.framing {
-            Framing::Ascii => symbol.digits(),
-            Framing::Binary => 2,
-        };
-        symbol.as_str().len() + address
+        self.framing.element_len(symbol)
     }
 
     pub(super) fn value_bytes(&self, width: Width) -> usize {
-        match (width, self.framing) {
-            (Width::Bit, _) => 1,
-            (Width::Word, Framing::Ascii) => 4,
-            (Width::Word, Framing::Binary) => 2,
-            (Width::Double, Framing::Ascii) => 8,
-            (Width::Double, Framing::Binary) => 4,
-        }
+        self.framing.value_len(width)
     }
 }
 

@@ -1,17 +1,16 @@
-//! Reads and writes of any length: consecutive elements in as many requests as they take, one after the other.
+//! Reads and writes of any length: consecutive elements in as many requests as they take, one after the other. Those that take
+//! more than one are a [job](StationJob).
 //!
-//! What must always hold:
+//! Invariants:
 //! - nothing is sent unless all the elements exist;
-//! - a request begins where the one before it has ended, and is as long as the protocol allows, so that no value of 32
-//!   bits, nor a pair of words that begins at an even distance from the first, is split between two;
-//! - the first failure is the end; a write tells how much came before it, and a read into memory of the caller leaves what
-//!   lies behind it as it was.
+//! - a request begins where the one before it has ended, so that no value of 32 bits is split between two. It is as long as the
+//!   protocol allows, or one element shorter, as the link chooses to tell its reply from the one before;
+//! - the first failure is the end; a write tells how much is confirmed to have been written before it.
 
+use super::{JobReply, Outcome, Station, StationJob};
 use crate::command::{Command, Consecutive, InPlace, InvalidRequest, check_range, most_in_one_request};
 use crate::element::{Element, ElementError};
 use crate::error::Error;
-
-use super::Station;
 
 /// Reads `count` elements from `first` on; `request` makes one request.
 pub(super) async fn read<E, T, C>(
@@ -25,16 +24,26 @@ where
     C: Command<Reply = Vec<T>>,
 {
     let most = most_in_one_request(first.into());
-    if !(1..=most).contains(&count) {
-        // What one request can do is checked when it is made.
-        check_range(C::CODE, first.into(), count)?;
+    if (1..=most).contains(&count) {
+        return station.call(request(first, count)?).await;
     }
-    let mut values = station.call(request(first, count.min(most))?).await?;
-    while values.len() < count {
-        let next = nth(first, values.len())?;
-        values.extend(station.call(request(next, most.min(count - values.len()))?).await?);
+    // What one request can do is checked when it is made.
+    check_range(C::CODE, first.into(), count)?;
+    let mut job = StationJob::new(station);
+    let mut values = Vec::with_capacity(count);
+    loop {
+        while values.len() < count {
+            let part = request(nth(first, values.len())?, most.min(count - values.len()))?;
+            match job.call(values.len(), part, true).await? {
+                Outcome::Reply(JobReply { reply, .. }) => values.extend(reply),
+                Outcome::Rewind(confirmed) => values.truncate(confirmed),
+            }
+        }
+        match job.confirm().await? {
+            None => return Ok(values),
+            Some(confirmed) => values.truncate(confirmed),
+        }
     }
-    Ok(values)
 }
 
 /// Reads as many elements from `first` on as there is room for; `request` makes one request, of at most `N`.
@@ -48,16 +57,36 @@ where
     E: Into<Element> + TryFrom<Element, Error = ElementError> + Copy,
     C: Consecutive,
 {
-    check_range(C::CODE, first.into(), into.len())?;
-    let mut read = 0;
-    for part in into.chunks_mut(most_in_one_request(first.into())) {
-        let request = request(nth(first, read)?, part.len())?;
-        // Copied by the caller: the link never has memory that it must give back when a call is dropped.
-        let reply = station.call(InPlace::<C, N>(request)).await?;
-        part.iter_mut().zip(reply.as_slice()).for_each(|(place, &value)| *place = value);
-        read += part.len();
+    let count = into.len();
+    let most = most_in_one_request(first.into());
+    // Copied by the caller: the link never has memory that it must give back when a call is dropped.
+    let mut copy = |from: usize, values: &[C::Value]| {
+        into.iter_mut().skip(from).zip(values).for_each(|(place, &value)| *place = value);
+    };
+    if (1..=most).contains(&count) {
+        let reply = station.call(InPlace::<C, N>(request(first, count)?)).await?;
+        copy(0, reply.as_slice());
+        return Ok(());
     }
-    Ok(())
+    check_range(C::CODE, first.into(), count)?;
+    let mut job = StationJob::new(station);
+    let mut read = 0;
+    loop {
+        while read < count {
+            let part = InPlace::<C, N>(request(nth(first, read)?, most.min(count - read))?);
+            match job.call(read, part, true).await? {
+                Outcome::Reply(JobReply { reply, .. }) => {
+                    copy(read, reply.as_slice());
+                    read += reply.as_slice().len();
+                }
+                Outcome::Rewind(confirmed) => read = confirmed,
+            }
+        }
+        match job.confirm().await? {
+            None => return Ok(()),
+            Some(confirmed) => read = confirmed,
+        }
+    }
 }
 
 /// Writes these values to `first` and the elements after it; `request` makes one request.
@@ -71,16 +100,33 @@ where
     E: Into<Element> + TryFrom<Element, Error = ElementError> + Copy,
     C: Command<Reply = ()>,
 {
-    check_range(C::CODE, first.into(), values.len())?;
-    let mut written = 0;
-    for part in values.chunks(most_in_one_request(first.into())) {
-        station.call(request(nth(first, written)?, part)?).await.map_err(|error| match written {
-            0 => error,
-            written => Error::PartlyWritten { written, count: values.len(), source: Box::new(error) },
-        })?;
-        written += part.len();
+    let (count, most) = (values.len(), most_in_one_request(first.into()));
+    if (1..=most).contains(&count) {
+        return station.call(request(first, values)?).await;
     }
-    Ok(())
+    check_range(C::CODE, first.into(), count)?;
+    let partly = |written: usize, error: Error| match written {
+        0 => error,
+        written => Error::PartlyWritten { written, count, source: Box::new(error) },
+    };
+    // Writes are not repeated: those since the last proof have an unknown result.
+    let unknown = |written| partly(written, Error::Duplicates { station: station.number, sent: true });
+    let mut job = StationJob::of_writes(station);
+    let mut written = 0;
+    while let Some(rest) = values.get(written..).filter(|rest| !rest.is_empty()) {
+        let part = request(nth(first, written)?, rest.get(..most).unwrap_or(rest))?;
+        match job.call(written, part, true).await {
+            Ok(Outcome::Reply(JobReply { count, .. })) => written += count,
+            Ok(Outcome::Rewind(confirmed)) => return Err(unknown(confirmed)),
+            Err(error) => return Err(partly(written, error)),
+        }
+    }
+    match job.confirm().await {
+        Ok(None) => Ok(()),
+        Ok(Some(confirmed)) => Err(unknown(confirmed)),
+        // All was acknowledged, and is not confirmed.
+        Err(error) => Err(partly(job.first_held().unwrap_or(count), error)),
+    }
 }
 
 fn nth<E>(first: E, n: usize) -> Result<E, InvalidRequest>

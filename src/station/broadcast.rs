@@ -8,7 +8,7 @@ use crate::command::{
 };
 use crate::element::{Discrete, Element, Register, Register32};
 use crate::error::Error;
-use crate::link::{CallOptions, Link};
+use crate::link::{CallOptions, Link, Purpose};
 
 /// All PLCs of a [`Link`] at once: station 0. Cheap to clone.
 ///
@@ -105,7 +105,7 @@ impl Broadcast {
     }
 
     async fn cast<C: Command<Reply = ()>>(&self, request: C) -> Result<(), Error> {
-        self.link.submit(0, request, Some(()), self.options.retries(0)).await.0
+        self.link.submit(0, request, Purpose::Broadcast(()), self.options.retries(0)).await.result
     }
 }
 

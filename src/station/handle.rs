@@ -7,7 +7,7 @@ use tokio::time::Instant;
 
 use crate::command::{Answer, Command, InvalidRequest, Request, with_command};
 use crate::error::Error;
-use crate::link::{CallOptions, Link, StationState, StationStats};
+use crate::link::{Answered, CallOptions, Link, Purpose, StationState, StationStats};
 
 /// One PLC on a [`Link`]. Cheap to clone; every method takes `&self`, so that one handle serves many tasks.
 ///
@@ -54,9 +54,9 @@ use crate::link::{CallOptions, Link, StationState, StationStats};
 /// ```
 #[derive(Clone)]
 pub struct Station {
-    link: Link,
-    number: u8,
-    options: CallOptions,
+    pub(super) link: Link,
+    pub(super) number: u8,
+    pub(super) options: CallOptions,
 }
 
 impl Station {
@@ -139,13 +139,17 @@ impl Station {
     /// # Errors
     /// As for every method of this type.
     pub async fn call<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
-        self.link.submit(self.number, request, None, self.options).await.0
+        self.submit(request, Purpose::Whole).await.result
     }
 
     /// As [`call`](Self::call), and tells when the reply came; if none did, when that was known.
     pub(crate) async fn timed_call<C: Command>(&self, request: C) -> (Result<C::Reply, Error>, Instant) {
-        let (result, answered_at) = self.link.submit(self.number, request, None, self.options).await;
-        (result, answered_at.unwrap_or_else(Instant::now))
+        let answered = self.submit(request, Purpose::Whole).await;
+        (answered.result, answered.at.unwrap_or_else(Instant::now))
+    }
+
+    pub(super) async fn submit<C: Command>(&self, request: C, purpose: Purpose<C>) -> Answered<C::Reply> {
+        self.link.submit(self.number, request, purpose, self.options).await
     }
 
     /// Sends a request that was made elsewhere, such as one that a gateway has decoded, and gives its reply so that it can

@@ -3,6 +3,8 @@ use std::str::FromStr;
 
 use bytes::Bytes;
 
+use crate::element::{Symbol, Width};
+
 /// The longest frame the codecs accept and make by default, in bytes.
 ///
 /// The longest that the protocol has are 508 bytes in ASCII and 270 in binary.
@@ -17,6 +19,36 @@ pub enum Framing {
     Ascii,
     /// `51h/52h 10h … CRC 55h AAh`: the M series.
     Binary,
+}
+
+impl Framing {
+    /// The length of an element in a request: letters and address.
+    pub(crate) fn element_len(self, symbol: Symbol) -> usize {
+        let address = match self {
+            Self::Ascii => symbol.digits(),
+            Self::Binary => 2,
+        };
+        symbol.as_str().len() + address
+    }
+
+    /// The length of a value of this width in a request or a reply.
+    pub(crate) fn value_len(self, width: Width) -> usize {
+        match (width, self) {
+            (Width::Bit, _) => 1,
+            (Width::Word, Self::Ascii) => 4,
+            (Width::Word, Self::Binary) => 2,
+            (Width::Double, Self::Ascii) => 8,
+            (Width::Double, Self::Binary) => 4,
+        }
+    }
+
+    /// The length of a frame without data.
+    pub(crate) fn overhead(self) -> usize {
+        match self {
+            Self::Ascii => 8,
+            Self::Binary => 10,
+        }
+    }
 }
 
 impl fmt::Display for Framing {

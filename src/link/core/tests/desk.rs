@@ -59,7 +59,7 @@ impl Desk {
     pub(super) fn with(framing: Framing, set: impl FnOnce(&mut Config)) -> Self {
         let mut config = LinkBuilder::with_connector(Connector::Once(None), framing, "desk").config;
         config.probe_timeout = TIMEOUT;
-        config.quiet = TIMEOUT;
+        config.in_step = config.in_step.with_quiet(TIMEOUT);
         set(&mut config);
         let board = Arc::new(Board::default());
         let mut desk =
@@ -81,6 +81,8 @@ impl Desk {
             queued_at: self.now,
             response_timeout: options.response_timeout.unwrap_or(TIMEOUT),
             options,
+            longer: false,
+            confirms: false,
         };
         let (ticket, completion) = call::new(request, None, terms, &Spares::default());
         self.core.push(ticket, self.now);

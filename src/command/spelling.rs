@@ -1,0 +1,158 @@
+//! Spellings: requests for the same elements whose replies differ in shape.
+//!
+//! The protocol has no transaction id. The link tells the reply to a request from a duplicate of the reply before it by its
+//! shape, so it needs a second way to ask for the same elements:
+//!
+//! | request | other spellings |
+//! |---|---|
+//! | 46 N, 44 N | one element more; 48 of the same elements; in a longer read one element less |
+//! | 43 N | one element more; in a longer read one element less |
+//! | 48 list | the first element once more, behind the list |
+//! | 47 N, 45 N | 49 of the same elements; in a longer write 49 of as many as it takes |
+//!
+//! All other requests have one spelling. The data of a reply to 48 is that of a reply to 46 or 44, behind another command.
+
+use super::{Code, Command, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, ReadMixed, WriteMixed, most_in_one_request};
+use crate::command::Value;
+use crate::element::{Element, Width};
+use crate::wire::{FieldWriter, Framing};
+
+/// One way to put a request on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Spelling {
+    /// The command that is sent.
+    pub(crate) code: Code,
+    /// The number of elements that are named; 0 for a command that names none.
+    pub(crate) count: u16,
+}
+
+/// A spelling that a request may take instead of the plain one, and its price.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Candidate {
+    pub(crate) spelling: Spelling,
+    /// An element that the request does not ask for: the device must have answered it before.
+    pub(crate) extra: Option<Element>,
+    /// Bytes of request and reply beyond those of the plain spelling.
+    pub(crate) more_bytes: usize,
+    /// Elements that are left to another request.
+    pub(crate) left: u16,
+}
+
+/// The other spellings of a request.
+pub type Candidates = [Option<Candidate>; 3];
+
+/// No other spelling.
+pub(crate) const NONE: Candidates = [None; 3];
+
+/// Consecutive elements that a request reads or writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Run {
+    pub(crate) first: Element,
+    pub(crate) count: usize,
+}
+
+impl Run {
+    /// The other spellings of a read with this command; `longer`: the run is a part of a longer read.
+    pub(super) fn read_candidates(self, code: Code, longer: bool, framing: Framing) -> Candidates {
+        let one_less = if longer { self.one_less(code) } else { None };
+        let mixed = if code == Code::ReadDisabled { None } else { self.mixed_read(framing) };
+        [one_less, self.one_more(code, framing), mixed]
+    }
+
+    /// The other spellings of a write of these values; `longer`: they are a part of a longer write.
+    pub(super) fn write_candidates(
+        self,
+        longer: bool,
+        framing: Framing,
+        items: impl Iterator<Item = (Element, Value)>,
+    ) -> Candidates {
+        let most = MAX_MIXED_WRITE_UNITS / self.first.width().units();
+        if self.count > most && !longer {
+            return NONE;
+        }
+        let count = self.count.min(most);
+        // Whether a list of the binary framing has two readings depends on the values, too.
+        let is_one = || Some(WriteMixed::new(items.take(count).collect::<Vec<_>>()).ok()?.check(framing).is_ok());
+        if framing == Framing::Binary && is_one() != Some(true) {
+            return NONE;
+        }
+        [Some(self.mixed(Code::WriteMixed, count, framing)), None, None]
+    }
+
+    fn mixed_read(self, framing: Framing) -> Option<Candidate> {
+        if self.count * self.first.width().units() > MAX_MIXED_READ_UNITS {
+            return None;
+        }
+        if framing == Framing::Binary {
+            let elements = (0..self.count).map(|n| self.first.nth(n)).collect::<Result<Vec<_>, _>>().ok()?;
+            ReadMixed::new(elements).ok()?.check(framing).ok()?;
+        }
+        Some(self.mixed(Code::ReadMixed, self.count, framing))
+    }
+
+    fn mixed(self, code: Code, count: usize, framing: Framing) -> Candidate {
+        Candidate {
+            spelling: Spelling { code, count: narrow(count) },
+            extra: None,
+            more_bytes: count.saturating_sub(1) * framing.element_len(self.first.symbol()),
+            left: narrow(self.count - count),
+        }
+    }
+
+    fn one_more(self, code: Code, framing: Framing) -> Option<Candidate> {
+        if self.count >= most_in_one_request(self.first) {
+            return None;
+        }
+        let extra = self.first.nth(self.count).ok()?;
+        let more_bytes = framing.value_len(self.first.width());
+        let spelling = Spelling { code, count: narrow(self.count + 1) };
+        Some(Candidate { spelling, extra: Some(extra), more_bytes, left: 0 })
+    }
+
+    fn one_less(self, code: Code) -> Option<Candidate> {
+        let count = self.count.checked_sub(1).filter(|&count| count > 0)?;
+        Some(Candidate { spelling: Spelling { code, count: narrow(count) }, extra: None, more_bytes: 0, left: 1 })
+    }
+}
+
+/// The other spelling of a mixed read: its first element once more.
+pub(super) fn mixed_read_candidates(elements: &[Element], framing: Framing) -> Candidates {
+    let candidate = || {
+        let &first = elements.first()?;
+        let repeated: Vec<_> = elements.iter().copied().chain([first]).collect();
+        ReadMixed::new(repeated).ok()?.check(framing).ok()?;
+        Some(Candidate {
+            spelling: Spelling { code: Code::ReadMixed, count: narrow(elements.len() + 1) },
+            extra: Some(first),
+            more_bytes: framing.element_len(first.symbol()) + framing.value_len(first.width()),
+            left: 0,
+        })
+    };
+    [candidate(), None, None]
+}
+
+/// The fields of 48 for consecutive elements.
+pub(super) fn write_mixed_read<W: FieldWriter>(first: Element, count: usize, fields: &mut W) {
+    fields.count(count);
+    (0..count).filter_map(|n| first.nth(n).ok()).for_each(|element| fields.element(element));
+}
+
+/// The fields of 49 for values of consecutive elements.
+pub(super) fn write_mixed_write<W: FieldWriter>(first: Element, values: &[impl Into<Value> + Copy], fields: &mut W) {
+    fields.count(values.len());
+    for (n, &value) in values.iter().enumerate() {
+        if let Ok(element) = first.nth(n) {
+            fields.element(element);
+            fields.value(value.into());
+        }
+    }
+}
+
+/// The length of this many values in a reply.
+pub(super) fn values_len(width: Width, count: usize, framing: Framing) -> u32 {
+    u32::try_from(framing.value_len(width) * count).unwrap_or(u32::MAX)
+}
+
+pub(super) fn narrow(count: usize) -> u16 {
+    u16::try_from(count).unwrap_or(u16::MAX)
+}

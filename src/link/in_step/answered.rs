@@ -1,0 +1,108 @@
+//! Elements that a station has answered reads of.
+//!
+//! Invariant: at most [`MOST`] spans, which do not overlap or touch. Where there are more, the oldest is forgotten.
+
+use crate::element::{Element, Symbol};
+
+/// Spans that are kept for a station.
+const MOST: usize = 16;
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) struct Answered {
+    spans: Vec<Span>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Span {
+    symbol: Symbol,
+    first: u16,
+    last: u16,
+}
+
+impl Answered {
+    pub(super) fn new() -> Self {
+        Self { spans: Vec::new() }
+    }
+
+    pub(super) fn contains(&self, element: Element) -> bool {
+        self.spans.iter().any(|span| span.contains(element.symbol(), element.address()))
+    }
+
+    /// Adds consecutive elements.
+    pub(super) fn add(&mut self, first: Element, count: usize) {
+        let Ok(last) = first.nth(count.saturating_sub(1)) else { return };
+        let mut new = Span { symbol: first.symbol(), first: first.address(), last: last.address() };
+        let holds = |span: &Span| span.contains(new.symbol, new.first) && span.contains(new.symbol, new.last);
+        if self.spans.iter().any(holds) {
+            return;
+        }
+        self.spans.retain(|span| {
+            let joins = span.touches(&new);
+            if joins {
+                new.first = new.first.min(span.first);
+                new.last = new.last.max(span.last);
+            }
+            !joins
+        });
+        if self.spans.len() >= MOST {
+            self.spans.remove(0);
+        }
+        // Most stations are asked for one block.
+        self.spans.reserve_exact(1);
+        self.spans.push(new);
+    }
+
+    /// Forgets the elements around this one.
+    pub(super) fn forget(&mut self, element: Element) {
+        self.spans.retain(|span| !span.contains(element.symbol(), element.address()));
+    }
+}
+
+impl Span {
+    fn contains(&self, symbol: Symbol, address: u16) -> bool {
+        self.symbol == symbol && (self.first..=self.last).contains(&address)
+    }
+
+    fn touches(&self, other: &Self) -> bool {
+        let step = self.symbol.step();
+        self.symbol == other.symbol
+            && self.first <= other.last.saturating_add(step)
+            && other.first <= self.last.saturating_add(step)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn element(text: &str) -> Element {
+        text.parse().unwrap()
+    }
+
+    #[test]
+    fn spans_that_overlap_or_touch_are_joined() {
+        let mut answered = Answered::new();
+        answered.add(element("R0"), 16);
+        answered.add(element("R32"), 16);
+        assert!(!answered.contains(element("R16")) && !answered.contains(element("D0")));
+        answered.add(element("R16"), 16);
+        assert_eq!(answered.spans.len(), 1);
+        assert!(answered.contains(element("R0")) && answered.contains(element("R47")));
+        assert!(!answered.contains(element("R48")));
+        answered.add(element("WM0"), 2);
+        answered.add(element("WM32"), 1);
+        assert!(answered.contains(element("WM32")) && !answered.contains(element("WM48")));
+        answered.forget(element("R5"));
+        assert!(!answered.contains(element("R0")) && answered.contains(element("WM0")));
+    }
+
+    #[test]
+    fn the_oldest_of_too_many_spans_is_forgotten() {
+        let mut answered = Answered::new();
+        for n in 0..=MOST {
+            answered.add(Element::new(Symbol::R, u16::try_from(10 * n).unwrap()).unwrap(), 1);
+        }
+        assert_eq!(answered.spans.len(), MOST);
+        assert!(!answered.contains(element("R0")) && answered.contains(element("R10")));
+    }
+}

@@ -1,0 +1,119 @@
+//! The requests of a job, sent one after the other: see [`Job`].
+
+use tokio::time::Instant;
+
+use super::Station;
+use crate::command::{Command, LoopBack};
+use crate::error::Error;
+use crate::link::job::{Job, Progress};
+use crate::link::{Answered, Purpose};
+
+/// A job on a station.
+pub(crate) struct StationJob<'s, M> {
+    station: &'s Station,
+    job: Job<M>,
+}
+
+/// What came of a request of a job.
+#[derive(Debug)]
+pub(crate) enum Outcome<M, T> {
+    /// Its reply, which is held: it is good once the job is confirmed.
+    Reply(JobReply<T>),
+    /// The results from this mark on are to be asked for again.
+    Rewind(M),
+}
+
+/// The reply to a request of a job.
+#[derive(Debug)]
+pub(crate) struct JobReply<T> {
+    pub(crate) reply: T,
+    /// When it came.
+    pub(crate) at: Instant,
+    /// Elements that were named: fewer than the request has, if it was a part of a longer read or write.
+    pub(crate) count: usize,
+}
+
+impl<'s, M: Copy> StationJob<'s, M> {
+    /// A job that asks again as often as a read of the station is retried.
+    pub(crate) fn new(station: &'s Station) -> Self {
+        Self { station, job: Job::new(station.options.retries) }
+    }
+
+    /// A job of writes. They are not repeated, so the first rewind is the end.
+    pub(crate) fn of_writes(station: &'s Station) -> Self {
+        Self { station, job: Job::new(1) }
+    }
+
+    /// The first result that is not confirmed: those from there on are not to be used if the job ends now.
+    pub(crate) fn first_held(&self) -> Option<M> {
+        self.job.first_held()
+    }
+
+    /// Sends a request that stands at this mark. `longer`: it may leave elements to the next request.
+    ///
+    /// # Errors
+    /// As for every method of [`Station`]; [`Error::OutOfStep`] when the job has been rewound too often. A refusal of a read is
+    /// confirmed before it is given out.
+    pub(crate) async fn call<C: Command>(
+        &mut self,
+        mark: M,
+        request: C,
+        longer: bool,
+    ) -> Result<Outcome<M, C::Reply>, Error> {
+        let purpose = if longer { Purpose::Part } else { Purpose::InJob };
+        let Answered { result, at, spelling, shape, proof } = self.station.submit(request, purpose).await;
+        let refused = match result {
+            Ok(reply) => {
+                return Ok(match self.job.answered(mark, shape, proof) {
+                    Progress::Go => {
+                        let at = at.unwrap_or_else(Instant::now);
+                        Outcome::Reply(JobReply { reply, at, count: spelling.count.into() })
+                    }
+                    progress => Outcome::Rewind(self.rewound(progress, mark)?),
+                });
+            }
+            Err(error @ Error::Plc { .. }) => error,
+            Err(error) => return Err(error),
+        };
+        let progress = match self.job.answered(mark, shape, proof) {
+            Progress::Go => self.job.confirmed(self.check().await?),
+            progress => progress,
+        };
+        match progress {
+            Progress::Go => Err(refused),
+            progress => Ok(Outcome::Rewind(self.rewound(progress, mark)?)),
+        }
+    }
+
+    /// Confirms all results, if that is needed; `Some`: those from this mark on are to be asked for again.
+    ///
+    /// # Errors
+    /// As for every method of [`Station`]; [`Error::OutOfStep`] when the job has been rewound too often. Then the results that
+    /// are [held](Self::first_held) are not good.
+    pub(crate) async fn confirm(&mut self) -> Result<Option<M>, Error> {
+        let Some(first) = self.job.first_held().filter(|_| self.job.must_confirm()) else { return Ok(None) };
+        let proof = self.check().await?;
+        match self.job.confirmed(proof) {
+            Progress::Go => Ok(None),
+            progress => self.rewound(progress, first).map(Some),
+        }
+    }
+
+    async fn check(&self) -> Result<crate::link::Proof, Error> {
+        let answered = self.station.submit(LoopBack::empty(), Purpose::Confirm(())).await;
+        answered.result.map(|()| answered.proof)
+    }
+
+    fn rewound(&self, progress: Progress<M>, mark: M) -> Result<M, Error> {
+        let number = self.station.number;
+        self.station.link.board().job_repeated(number);
+        match progress {
+            Progress::Go => Ok(mark),
+            Progress::Rewind(first) => {
+                tracing::debug!(station = number, "an unexpected frame came within a job: its results are asked for again");
+                Ok(first)
+            }
+            Progress::Failed(_) => Err(Error::Duplicates { station: number, sent: true }),
+        }
+    }
+}
