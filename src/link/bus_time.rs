@@ -210,7 +210,8 @@ fn the_line_is_used_to_98_percent_of_what_bytes_and_turnaround_allow() {
             world.run(time);
             let used = world.busy.as_secs_f64() / time.as_secs_f64();
             println!("{framing}, {baud} baud: the line is used to {:.2} %", 100.0 * used);
-            assert!((0.98..=1.0).contains(&used), "{framing}, {baud} baud: {used}");
+            // The last exchange may end behind the time.
+            assert!((0.98..1.001).contains(&used), "{framing}, {baud} baud: {used}");
             let (fewest, most) = (world.answered.values().min().unwrap(), world.answered.values().max().unwrap());
             assert!(most - fewest <= 1, "all are served alike: {fewest} to {most}");
         }

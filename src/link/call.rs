@@ -606,6 +606,8 @@ mod tests {
             }
             let refusal = ticket.call.offer(Framing::Ascii, 7, b"4", Instant::now());
             assert_eq!(refusal.expect("it is one"), ErrorCode::from_u8(4));
+            assert!(result(&mut completion).is_none(), "it is held");
+            ticket.call.commit(Proof::default());
             let Some(Err(Error::Plc { repeated, .. })) = result(&mut completion) else { panic!("it is a refusal") };
             assert_eq!(repeated, sends > 1);
         }

@@ -230,6 +230,13 @@ impl InStep {
         }
     }
 
+    /// A station that is in step, and that nothing is owed of.
+    #[cfg(test)]
+    pub(crate) fn trusted() -> Self {
+        Self { suspect: None, ..Self::new() }
+    }
+
+    #[cfg(test)]
     pub(crate) fn is_suspect(&self) -> bool {
         self.suspect.is_some()
     }

@@ -421,6 +421,7 @@ mod tests {
             disconnects: 8,
             idle_closes: 9,
             connect_failures: 10,
+            one_request: true,
         };
         let two = one.plus(&one);
         assert_eq!(

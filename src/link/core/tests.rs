@@ -4,10 +4,12 @@ mod desk;
 
 use desk::{Desk, MS, TIMEOUT, read, result, write};
 
+use bytes::BytesMut;
+
 use super::*;
 use crate::command::{Code, ControlPlc, ReadStatus};
 use crate::link::options::{CallOptions, EchoMode};
-use crate::wire::Framing;
+use crate::wire::{FieldWriter as _, Framing, ascii};
 
 #[test]
 fn after_a_doubt_nothing_is_asked_before_a_nonce_has_come_back() {
@@ -27,27 +29,8 @@ fn after_a_doubt_nothing_is_asked_before_a_nonce_has_come_back() {
     desk.hears_frame(1, 0x46, b"00008");
     assert_eq!(result(&mut second).unwrap().unwrap(), [8]);
     let stats = desk.stats_of(1);
-    assert_eq!((stats.requests, stats.replies, stats.timeouts, stats.checks, stats.stray_frames), (2, 1, 1, 1, 1));
-}
-
-#[test]
-fn a_doubt_opens_another_connection_where_datagrams_can_overtake_each_other_but_not_for_nobody() {
-    for fresh_on_doubt in [false, true] {
-        let mut desk = Desk::with(Framing::Ascii, |config| config.fresh_on_doubt = fresh_on_doubt);
-        let _lost = desk.ask_with(1, read(1), CallOptions::new().retries(0));
-        desk.sends();
-        desk.passes(TIMEOUT);
-        desk.step();
-        assert_eq!(desk.step(), Step::Wait(None), "nobody asks anything");
-        let _next = desk.ask(1, read(1));
-        if fresh_on_doubt {
-            assert_eq!(desk.step(), Step::Connect);
-            assert_eq!(desk.step(), Step::Wait(None), "while it is being opened");
-            desk.core.connected(desk.now);
-        }
-        assert_eq!(desk.sends(), Code::LoopBack);
-        assert_eq!(desk.stats().connects, if fresh_on_doubt { 2 } else { 1 });
-    }
+    assert_eq!((stats.requests, stats.replies, stats.timeouts, stats.checks, stats.late_replies), (2, 1, 1, 1, 1));
+    assert_eq!((stats.checks_for.timed_out, stats.stray_frames), (1, 0));
 }
 
 #[test]
@@ -126,16 +109,66 @@ fn a_corrupt_frame_shortens_the_wait_of_a_call_that_can_be_repeated_and_of_no_ot
 }
 
 #[test]
-fn a_frame_of_another_command_makes_the_reply_behind_it_doubtful() {
+fn a_read_whose_reply_follows_a_stray_is_asked_again_behind_a_check() {
     let mut desk = Desk::new(Framing::Ascii);
     let mut call = desk.ask(1, read(1));
     desk.sends();
     desk.hears_frame(1, 0x40, b"010000");
     assert_eq!(desk.stats_of(1).stray_frames, 1);
     desk.hears_frame(1, 0x46, b"00009");
-    assert_eq!(result(&mut call).unwrap().unwrap(), [9], "it fits, so it is taken");
-    let _next = desk.ask(1, read(1));
-    assert_eq!(desk.sends(), Code::LoopBack, "but there may be more behind it");
+    assert!(result(&mut call).is_none(), "the reply is not proven");
+    assert_eq!(desk.sends(), Code::LoopBack);
+    desk.hears_echo();
+    assert_eq!(desk.sends(), Code::ReadRegisters);
+    desk.hears_frame(1, 0x46, b"00009");
+    assert_eq!(result(&mut call).unwrap().unwrap(), [9]);
+    assert_eq!((desk.stats_of(1).unproven_replies, desk.stats_of(1).retries), (1, 0));
+}
+
+#[test]
+fn a_write_whose_reply_follows_a_stray_of_another_command_is_done() {
+    let mut desk = Desk::new(Framing::Ascii);
+    let mut call = desk.ask(1, write());
+    desk.sends();
+    desk.hears_frame(1, 0x40, b"010000");
+    desk.hears_frame(1, 0x47, b"0");
+    assert!(matches!(result(&mut call), Some(Ok(()))));
+    let _next = desk.ask(1, write());
+    assert_eq!(desk.sends(), Code::LoopBack);
+}
+
+#[test]
+fn two_frames_in_one_read_that_fit_are_no_value() {
+    let glued = |frames: [&[u8]; 2]| {
+        let mut bytes = BytesMut::new();
+        for data in frames {
+            ascii::emit(&mut bytes, 1, 0x46, |fields| fields.raw(data));
+        }
+        bytes
+    };
+    let mut desk = Desk::new(Framing::Ascii);
+    let mut call = desk.ask_with(1, read(1), CallOptions::new().retries(0));
+    desk.sends();
+    desk.hears(&glued([b"00007", b"00008"]));
+    assert!(result(&mut call).is_none());
+    assert_eq!(desk.sends(), Code::LoopBack);
+    desk.hears_echo();
+    desk.sends();
+    desk.hears(&glued([b"00008", b"00008"]));
+    assert_eq!(result(&mut call).unwrap().unwrap(), [8], "a copy is no other reply");
+    assert_eq!((desk.stats_of(1).duplicates, desk.stats_of(1).stray_frames), (1, 1));
+}
+
+#[test]
+fn two_answers_to_a_write_in_one_read_leave_its_result_unknown() {
+    let mut desk = Desk::new(Framing::Ascii);
+    let mut call = desk.ask(1, write());
+    desk.sends();
+    let mut bytes = BytesMut::new();
+    ascii::emit(&mut bytes, 1, 0x47, |fields| fields.raw(b"0"));
+    ascii::emit(&mut bytes, 1, 0x47, |fields| fields.raw(b"4"));
+    desk.hears(&bytes);
+    assert!(matches!(result(&mut call), Some(Err(Error::OutOfStep { sent: true, .. }))));
 }
 
 #[test]
@@ -151,7 +184,7 @@ fn a_frame_of_another_command_alone_is_a_bad_reply_that_names_it() {
 }
 
 #[test]
-fn a_frame_of_a_station_that_was_asked_before_makes_that_one_prove_itself_and_leaves_the_others() {
+fn a_stray_of_a_station_makes_it_suspect_and_no_other() {
     let mut desk = Desk::new(Framing::Ascii);
     for station in [1, 2] {
         let mut call = desk.ask(station, read(1));
@@ -159,19 +192,30 @@ fn a_frame_of_a_station_that_was_asked_before_makes_that_one_prove_itself_and_le
         desk.hears_frame(station, 0x46, b"00001");
         assert!(result(&mut call).unwrap().is_ok());
     }
-    desk.hears_frame(1, 0x46, b"00001");
-    desk.hears_frame(9, 0x46, b"00001");
-    assert!(!desk.core.stations.knows(9), "nobody has asked that one");
-    let _of_2 = desk.ask(2, read(1));
-    assert_eq!(desk.sends(), Code::ReadRegisters);
-    desk.hears_frame(2, 0x46, b"00001");
-    let _of_1 = desk.ask(1, read(1));
+    desk.hears_frame(1, 0x46, b"00005");
+    desk.hears_frame(8, 0x46, b"00001");
+    let _of_2 = desk.ask(2, ReadStatus);
+    assert_eq!(desk.sends(), Code::ReadStatus);
+    desk.hears_frame(2, 0x40, b"0010000");
+    let _of_1 = desk.ask(1, ReadStatus);
     assert_eq!(desk.sends(), Code::LoopBack);
-    desk.hears_echo();
+    assert_eq!(desk.stats_of(1).checks_for.stray, 1);
+}
+
+#[test]
+fn a_copy_of_the_reply_taken_last_is_dropped_and_makes_no_suspect() {
+    let mut desk = Desk::new(Framing::Ascii);
+    let mut call = desk.ask(1, read(1));
     desk.sends();
     desk.hears_frame(1, 0x46, b"00001");
-    let _of_9 = desk.ask(9, read(1));
-    assert_eq!(desk.sends(), Code::ReadRegisters, "it is nobody's concern what a stranger sends");
+    assert!(result(&mut call).unwrap().is_ok());
+    desk.hears_frame(1, 0x46, b"00001");
+    let mut next = desk.ask(1, ReadStatus);
+    assert_eq!(desk.sends(), Code::ReadStatus);
+    desk.hears_frame(1, 0x46, b"00001");
+    desk.hears_frame(1, 0x40, b"0010000");
+    assert!(result(&mut next).unwrap().is_ok());
+    assert_eq!((desk.stats_of(1).duplicates, desk.stats_of(1).stray_frames), (2, 0));
 }
 
 #[test]
@@ -182,20 +226,20 @@ fn a_frame_of_another_station_leaves_the_one_on_the_wire_undoubted() {
     desk.hears_frame(2, 0x46, b"00002");
     desk.hears_frame(1, 0x46, b"00001");
     assert_eq!(result(&mut call).unwrap().unwrap(), [1]);
-    let _next = desk.ask(1, read(1));
-    assert_eq!(desk.sends(), Code::ReadRegisters);
+    let _next = desk.ask(1, ReadStatus);
+    assert_eq!(desk.sends(), Code::ReadStatus);
 }
 
 #[test]
 fn in_the_binary_framing_a_reply_like_its_request_is_no_echo() {
     let mut desk = Desk::new(Framing::Binary);
-    let mut call = desk.ask_with(1, read(1), CallOptions::new().retries(0));
+    let _first = desk.ask_with(1, read(1), CallOptions::new().retries(0));
     desk.sends();
     // What the request holds: a count, `R` and its address.
     desk.hears_frame(1, 0x46, b"\x01R\x00\x00");
     assert_eq!((desk.stats().echoes, desk.stats_of(1).stray_frames), (0, 1));
-    desk.hears_frame(1, 0x46, b"\x00\x00\x05");
-    assert_eq!(result(&mut call).unwrap().unwrap(), [5]);
+    desk.passes(TIMEOUT);
+    desk.step();
     // A true echo has the header of a query.
     let mut call = desk.ask(1, read(1));
     assert_eq!(desk.sends(), Code::LoopBack);
@@ -243,7 +287,8 @@ fn what_may_have_been_a_garbled_echo_leaves_open_whether_the_line_echoes() {
         desk.hears(garbage);
         desk.hears_frame(1, 0x40, b"0010000");
         assert_eq!(!desk.core.exchange.must_learn_echo(), known, "{} bytes", garbage.len());
-        assert_eq!(desk.sends(), if known { Code::ReadRegisters } else { Code::ReadStatus });
+        // The reply proves nothing: a check follows.
+        assert_eq!(desk.sends(), if known { Code::LoopBack } else { Code::ReadStatus });
     }
 }
 
@@ -455,7 +500,7 @@ fn a_station_that_speaks_while_another_one_is_asked_must_prove_itself() {
     desk.hears_frame(1, 0x46, b"00001");
     let mut other = desk.ask(2, read(1));
     desk.sends();
-    desk.hears_frame(1, 0x46, b"00001");
+    desk.hears_frame(1, 0x46, b"00003");
     desk.hears_frame(2, 0x46, b"00002");
     assert_eq!(result(&mut other).unwrap().unwrap(), [2]);
     let _next = desk.ask(1, read(1));
@@ -463,25 +508,106 @@ fn a_station_that_speaks_while_another_one_is_asked_must_prove_itself() {
 }
 
 #[test]
-fn a_new_connection_hurries_the_probes_unless_it_is_only_for_a_doubt() {
-    for (doubt, first) in [(false, Code::LoopBack), (true, Code::ReadRegisters)] {
-        let mut desk = Desk::with(Framing::Ascii, |config| {
-            config.fresh_on_doubt = true;
-            config.rules.offline_after = 1;
-        });
-        let _silent = desk.ask_with(1, read(1), CallOptions::new().retries(0));
-        desk.sends();
-        desk.passes(TIMEOUT);
-        desk.step();
-        assert!(desk.core.stations.offline_until(1).is_some());
-        if !doubt {
-            desk.core.connection.opened();
-        }
-        let _call = desk.ask(2, read(1));
-        if doubt {
-            assert_eq!(desk.step(), Step::Connect);
-        }
-        desk.core.connected(desk.now);
-        assert_eq!(desk.sends(), first, "a doubt: {doubt}");
+fn a_new_connection_hurries_the_probes() {
+    let mut desk = Desk::with(Framing::Ascii, |config| config.rules.offline_after = 1);
+    let _silent = desk.ask_with(1, read(1), CallOptions::new().retries(0));
+    desk.sends();
+    desk.passes(TIMEOUT);
+    desk.step();
+    assert!(desk.core.stations.offline_until(1).is_some());
+    let _call = desk.ask(2, read(1));
+    desk.core.connected(desk.now);
+    assert_eq!(desk.sends(), Code::LoopBack);
+    assert_eq!(&desk.sent[1..3], b"01", "the station that is offline");
+}
+
+#[test]
+fn every_station_of_a_new_connection_is_asked_nothing_before_a_check() {
+    let mut desk = Desk::new(Framing::Ascii);
+    desk.core.connected(desk.now);
+    for station in [1, 2, 7] {
+        let mut call = desk.ask(station, read(1));
+        assert_eq!(desk.sends(), Code::LoopBack, "station {station}");
+        desk.hears_frame(station, 0x46, b"00009");
+        desk.hears_echo();
+        assert_eq!(desk.sends(), Code::ReadRegisters);
+        desk.hears_frame(station, 0x46, b"00001");
+        assert_eq!(result(&mut call).unwrap().unwrap(), [1]);
+        assert_eq!(desk.stats_of(station).checks_for.connected, 1);
     }
+}
+
+#[test]
+fn two_closes_behind_the_echo_of_a_check_make_silence_replace_it() {
+    let mut desk = Desk::new(Framing::Ascii);
+    let mut call = desk.ask(1, read(1));
+    let closed = Arc::new(io::Error::from(io::ErrorKind::UnexpectedEof));
+    for _ in 0..2 {
+        desk.core.connected(desk.now);
+        assert_eq!(desk.sends(), Code::LoopBack);
+        desk.hears_echo();
+        desk.core.disconnected(&closed, desk.now);
+        desk.step();
+    }
+    assert!(desk.stats().one_request);
+    desk.core.connected(desk.now);
+    assert_eq!(desk.step(), Step::Wait(Some(desk.now + TIMEOUT)));
+    desk.passes(TIMEOUT);
+    assert_eq!(desk.sends(), Code::ReadRegisters);
+    desk.hears_frame(1, 0x46, b"00001");
+    assert_eq!(result(&mut call).unwrap().unwrap(), [1]);
+    let _next = desk.ask(1, read(1));
+    assert_eq!(desk.step(), Step::Connect, "the connection has had its one request");
+}
+
+#[test]
+fn a_spelling_that_is_refused_is_sent_as_itself_and_not_used_again() {
+    let mut desk = Desk::new(Framing::Ascii);
+    for (asked, number) in [("the first", 1), ("spelt otherwise", 2)] {
+        let mut call = desk.ask(1, read(1));
+        let code = desk.sends();
+        if number == 2 {
+            assert_eq!(code, Code::ReadMixed, "{asked}");
+            desk.hears_frame(1, 0x48, b"4");
+            assert!(result(&mut call).is_none());
+            assert_eq!(desk.sends(), Code::ReadRegisters);
+        }
+        desk.hears_frame(1, 0x46, b"00001");
+        assert_eq!(result(&mut call).unwrap().unwrap(), [1]);
+    }
+    let _call = desk.ask(1, read(1));
+    assert_eq!(desk.sends(), Code::LoopBack, "48 is not known there");
+    assert_eq!(desk.stats_of(1).refused_spellings, 1);
+}
+
+#[test]
+fn an_answer_to_a_broadcast_is_not_the_reply_to_what_follows() {
+    let mut desk = Desk::new(Framing::Ascii);
+    let _all = desk.ask_with(0, ControlPlc::Stop, CallOptions::new());
+    assert_eq!(desk.sends(), Code::ControlPlc);
+    let mut run = desk.ask(1, ControlPlc::Run);
+    assert_eq!(desk.sends(), Code::LoopBack);
+    desk.hears_frame(1, 0x41, b"0");
+    desk.hears_frame(0, 0x41, b"0");
+    desk.hears_echo();
+    assert_eq!(desk.sends(), Code::LoopBack, "the answer was a stray: a nonce goes before RUN");
+    desk.hears_echo();
+    assert_eq!(desk.sends(), Code::ControlPlc);
+    desk.hears_frame(1, 0x41, b"5");
+    assert!(matches!(result(&mut run), Some(Err(Error::Plc { .. }))));
+    assert_eq!((desk.stats_of(1).broadcast_answers, desk.stats_of(0).broadcast_answers), (1, 1));
+}
+
+#[test]
+fn the_echo_of_a_status_request_behind_a_late_reply_is_seen() {
+    let mut desk = Desk::with(Framing::Ascii, |config| config.echo = EchoMode::Auto);
+    let _call = desk.ask(1, read(1));
+    assert_eq!(desk.sends(), Code::ReadStatus);
+    let status = desk.sent.clone();
+    desk.hears_frame(1, 0x40, b"0010000"); // of an earlier process
+    assert_eq!(desk.sends(), Code::LoopBack);
+    desk.hears(&status);
+    assert_eq!(desk.stats().echoes, 1);
+    desk.hears_echo();
+    assert!(!desk.core.is_idle(), "that was the line, and not the PLC");
 }

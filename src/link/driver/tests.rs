@@ -61,7 +61,7 @@ impl Plc {
             return;
         }
         let data = match request.command {
-            0x46 => format!("0{:04X}", self.value).into(),
+            0x46 | 0x48 => format!("0{:04X}", self.value).into(),
             _ => request.data.clone(),
         };
         let mut answer = BytesMut::new();
@@ -125,7 +125,7 @@ async fn an_answer_that_is_repeated_while_broadcasts_are_sent_is_not_that_of_the
     assert!(casts.iter().all(Result::is_ok) && line.plc().broadcasts == 20);
     assert_eq!(second.expect("it answers"), [2]);
     assert_eq!(line.plc().unheard, 0, "what had come was read before the next request");
-    assert_eq!(station.stats().stray_frames, 1);
+    assert_eq!(station.stats().duplicates, 1);
 }
 
 #[tokio::test(start_paused = true)]
