@@ -8,7 +8,8 @@ use std::str::FromStr;
 
 use crate::wire::Framing;
 
-pub use in_step::{DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET, InStepSettings};
+use in_step::InStepOptions;
+pub use in_step::{DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET, InStepSettings, MAX_COPIES};
 pub use serial::{DataBits, MAX_BAUD, MIN_BAUD, Parity, SerialSettings, StopBits};
 
 /// Where a PLC is, and how it talks.
@@ -19,8 +20,17 @@ pub use serial::{DataBits, MAX_BAUD, MIN_BAUD, Parity, SerialSettings, StopBits}
 /// | `udp://host[:port]` | UDP, one frame a datagram |
 /// | `serial:path[?baud=9600&frame=7E1]` | a serial port: its path or name, its speed, and its data bits, parity (`N`, `E`, `O`) and stop bits |
 ///
-/// Each can be followed by `?framing=ascii` or `?framing=binary`; the framing is ASCII unless stated. Several options are
-/// joined by `&`.
+/// Options follow a `?` and are joined by `&`. Those of every transport, with their defaults:
+///
+/// | | |
+/// |---|---|
+/// | `framing=ascii` | The framing, `ascii` or `binary`. |
+/// | `copies=1` | A duplicate of a reply can come this many exchanges late, 0 to 8: each more costs a check between more of the requests of the same shape, and 0 is for lines that never double a reply. |
+/// | `window=100ms` | A duplicate comes before the station has been silent this long: a longer time costs a check between equal requests whose pause is shorter. |
+/// | `quiet=1s` | A station that refuses the loop-back must be silent this long before it is believed: the first request of a connection, and the first after an unexpected reply, waits as long. |
+/// | `one_request=false` | If `true`, the device closes the connection after each reply: each request waits for the quiet time, since no loop-back can go before it. |
+///
+/// Times are in `ms` or `s`, at most a day, and can be fractions: `1.5s`. See [`InStepSettings`] for the last four.
 ///
 /// The port is 500 unless stated, but must be stated for the binary framing, which has no usual one. An IPv6 address
 /// stands in brackets. A serial port has 9600 baud unless stated, and 7E1, or 8N1 for the binary framing, which needs 8
@@ -36,12 +46,15 @@ pub use serial::{DataBits, MAX_BAUD, MIN_BAUD, Parity, SerialSettings, StopBits}
 /// assert_eq!(endpoint.framing(), Framing::Binary);
 /// let endpoint: Endpoint = "serial:/dev/ttyUSB0?baud=19200&frame=7E1".parse()?;
 /// assert_eq!(endpoint.to_string(), "serial:/dev/ttyUSB0?baud=19200");
+/// let endpoint: Endpoint = "tcp://192.168.2.3?copies=2&quiet=500ms".parse()?;
+/// assert_eq!(endpoint.in_step().copies(), 2);
 /// # Ok::<(), fatek::ParseEndpointError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Endpoint {
     transport: Transport,
     framing: Framing,
+    in_step: InStepSettings,
 }
 
 /// What carries the bytes.
@@ -81,13 +94,13 @@ impl Endpoint {
     /// A TCP endpoint with the ASCII framing.
     #[must_use]
     pub fn tcp(host: impl Into<String>, port: u16) -> Self {
-        Self { transport: Transport::Tcp { host: host.into(), port }, framing: Framing::Ascii }
+        Self::new(Transport::Tcp { host: host.into(), port })
     }
 
     /// A UDP endpoint with the ASCII framing.
     #[must_use]
     pub fn udp(host: impl Into<String>, port: u16) -> Self {
-        Self { transport: Transport::Udp { host: host.into(), port }, framing: Framing::Ascii }
+        Self::new(Transport::Udp { host: host.into(), port })
     }
 
     /// A serial port with the ASCII framing, 9600 baud and 7E1.
@@ -104,8 +117,11 @@ impl Endpoint {
     /// ```
     #[must_use]
     pub fn serial(path: impl Into<String>) -> Self {
-        let framing = Framing::Ascii;
-        Self { transport: Transport::Serial { path: path.into(), settings: SerialSettings::new(framing) }, framing }
+        Self::new(Transport::Serial { path: path.into(), settings: SerialSettings::new(Framing::Ascii) })
+    }
+
+    fn new(transport: Transport) -> Self {
+        Self { transport, framing: Framing::Ascii, in_step: InStepSettings::new() }
     }
 
     /// The same with other settings of the serial port.
@@ -140,6 +156,13 @@ impl Endpoint {
         self
     }
 
+    /// The same with other assumptions about late and duplicate replies.
+    #[must_use]
+    pub fn with_in_step(mut self, in_step: InStepSettings) -> Self {
+        self.in_step = in_step;
+        self
+    }
+
     /// What carries the bytes.
     #[must_use]
     pub fn transport(&self) -> &Transport {
@@ -150,6 +173,12 @@ impl Endpoint {
     #[must_use]
     pub fn framing(&self) -> Framing {
         self.framing
+    }
+
+    /// The assumptions about late and duplicate replies.
+    #[must_use]
+    pub fn in_step(&self) -> InStepSettings {
+        self.in_step
     }
 }
 
@@ -219,6 +248,7 @@ impl fmt::Display for Endpoint {
             Framing::Ascii => {}
             framing @ Framing::Binary => options.push(format!("framing={framing}")),
         }
+        options.extend(self.in_step.options());
         for (position, option) in options.iter().enumerate() {
             write!(f, "{}{option}", if position == 0 { '?' } else { '&' })?;
         }
@@ -247,6 +277,12 @@ pub enum InvalidSettings {
     Baud {
         /// The speed.
         baud: u32,
+    },
+    /// More than [`MAX_COPIES`] exchanges after which a duplicate of a reply can still come.
+    #[error("the number of copies {copies} is not within 0 to {MAX_COPIES}")]
+    Copies {
+        /// The number.
+        copies: u8,
     },
     /// Too few data bits for the binary framing, which uses all values of a byte.
     #[error("the binary framing needs 8 data bits, and {settings} has {}", settings.data_bits())]
@@ -299,7 +335,7 @@ fn parse(text: &str) -> Result<Endpoint, String> {
             ));
         }
     };
-    Ok(endpoint(host.to_owned(), port).with_framing(options.framing))
+    Ok(endpoint(host.to_owned(), port).with_framing(options.framing).with_in_step(options.in_step.parse()?))
 }
 
 const SCHEMES: &str = "it must begin with `tcp://`, `udp://` or `serial:`";
@@ -329,7 +365,7 @@ fn parse_serial(rest: &str) -> Result<Endpoint, String> {
             format!("the frame `{text}` must be data bits (7, 8), parity (N, E, O) and stop bits (1, 2), as in `7E1`")
         })?;
     }
-    let endpoint = Endpoint::serial(path).with_framing(options.framing);
+    let endpoint = Endpoint::serial(path).with_framing(options.framing).with_in_step(options.in_step.parse()?);
     endpoint.with_serial(settings).map_err(|invalid| invalid.to_string())
 }
 
@@ -339,6 +375,7 @@ struct Options<'a> {
     framing: Framing,
     baud: Option<&'a str>,
     frame: Option<&'a str>,
+    in_step: InStepOptions<'a>,
 }
 
 fn split_options(text: &str) -> Result<(&str, Options<'_>), String> {
@@ -351,9 +388,14 @@ fn split_options(text: &str) -> Result<(&str, Options<'_>), String> {
             "framing" => &mut framing,
             "baud" => &mut options.baud,
             "frame" => &mut options.frame,
+            "copies" => &mut options.in_step.copies,
+            "window" => &mut options.in_step.window,
+            "quiet" => &mut options.in_step.quiet,
+            "one_request" => &mut options.in_step.one_request,
             _ => {
                 return Err(format!(
-                    "the option `{option}` is not known, only `framing` is and, for a serial port, `baud` and `frame`"
+                    "the option `{option}` is not known, only `framing`, `copies`, `window`, `quiet` and `one_request` \
+                     are and, for a serial port, `baud` and `frame`"
                 ));
             }
         };

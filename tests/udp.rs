@@ -1,4 +1,4 @@
-//! The link over UDP: one frame a datagram, a socket of its own after each doubt, and whatever else comes along.
+//! The link over UDP: one frame a datagram, a local port for each request, and traffic that is no reply.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -61,11 +61,15 @@ impl Peer {
     }
 
     fn reply_bytes(&self, value: u16) -> BytesMut {
-        let data = match self.framing {
+        self.frame(0x46, &self.register(value))
+    }
+
+    /// The data of a reply with one register.
+    fn register(&self, value: u16) -> Vec<u8> {
+        match self.framing {
             Framing::Ascii => format!("0{value:04X}").into_bytes(),
             _ => [&[0][..], &value.to_be_bytes()].concat(),
-        };
-        self.frame(0x46, &data)
+        }
     }
 
     fn frame(&self, command: u8, data: &[u8]) -> BytesMut {
@@ -125,7 +129,7 @@ async fn a_lost_datagram_costs_a_timeout_and_the_read_is_repeated_from_a_fresh_s
         assert_ne!(lost.from.port(), barrier.from.port());
         let repeated = peer.request().await;
         assert_eq!(repeated.frame, lost.frame);
-        assert_eq!(repeated.from, barrier.from, "there is no doubt about this socket");
+        assert_ne!(repeated.from, barrier.from, "each request has its own port");
         peer.reply(&repeated, 7).await;
         assert_eq!(call.await.unwrap().unwrap(), [7]);
     }
@@ -150,6 +154,45 @@ async fn a_late_datagram_is_not_given_to_the_next_read() {
         peer.reply(&first, 1).await;
         peer.reply(&second, 2).await;
         assert_eq!(call.await.unwrap().unwrap(), [2]);
+    }
+}
+
+/// Before each request had a local port of its own, the copy was read as the answer: 32 wrong values of 64 as `Ok`, with
+/// both framings. Only the surplus reply after each of them led to another socket.
+#[tokio::test]
+async fn a_copy_of_a_reply_is_not_read_by_later_requests() {
+    const READS: u16 = 64;
+    for framing in FRAMINGS {
+        let peer = Peer::bind(framing).await;
+        let link = peer.builder().build();
+        let station = link.station(1).unwrap();
+        let plc = tokio::spawn(async move {
+            let mut before: Option<(Asked, BytesMut)> = None;
+            for value in 0..READS {
+                let asked = loop {
+                    let asked = peer.request().await;
+                    if asked.frame.command != 0x4E {
+                        break asked;
+                    }
+                    peer.send(&asked, &peer.frame(0x4E, &asked.frame.data)).await;
+                };
+                if let Some((earlier, copy)) = &before {
+                    peer.send(earlier, copy).await;
+                }
+                let reply = peer.frame(asked.frame.command, &peer.register(value));
+                peer.send(&asked, &reply).await;
+                before = Some((asked, reply));
+            }
+        });
+        let mut wrong = Vec::new();
+        for value in 0..READS {
+            let read = station.read_registers(register!("R1"), 1).await.unwrap();
+            if read != [value] {
+                wrong.push((value, read));
+            }
+        }
+        assert_eq!(wrong, [], "{} of {READS}, {framing}", wrong.len());
+        plc.await.unwrap();
     }
 }
 

@@ -1,11 +1,24 @@
-//! How a line treats replies.
+use std::fmt;
 use std::time::Duration;
 
-pub const DEFAULT_COPIES: u8 = 1;
-pub const DEFAULT_COPY_WINDOW: Duration = Duration::from_millis(100);
-pub const DEFAULT_QUIET: Duration = Duration::from_secs(1);
+use super::InvalidSettings;
 
-/// Stub.
+/// What a line is assumed to do with replies: how late a duplicate can come, and how a station is proven to be in step.
+///
+/// A reply is only matched to its request if nothing older can be mistaken for it. These settings say what can still
+/// come; the defaults suit Ethernet modules, serial device servers and serial ports.
+///
+/// ```
+/// use std::time::Duration;
+///
+/// use fatek::Endpoint;
+/// use fatek::endpoint::InStepSettings;
+///
+/// let settings = InStepSettings::new().with_copies(2)?.with_window(Duration::from_millis(250));
+/// let endpoint = Endpoint::tcp("192.168.2.3", 500).with_in_step(settings);
+/// assert_eq!(endpoint.to_string(), "tcp://192.168.2.3:500?copies=2&window=250ms");
+/// # Ok::<(), fatek::endpoint::InvalidSettings>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub struct InStepSettings {
@@ -15,27 +28,190 @@ pub struct InStepSettings {
     one_request: bool,
 }
 
-impl Default for InStepSettings {
-    fn default() -> Self {
+/// Default number of exchanges after which a duplicate of a reply can still come.
+pub const DEFAULT_COPIES: u8 = 1;
+
+/// Maximum number of exchanges after which a duplicate of a reply can still come.
+pub const MAX_COPIES: u8 = 8;
+
+/// Default of the copy window: duplicates of a reply come before the station has been silent this long.
+pub const DEFAULT_COPY_WINDOW: Duration = Duration::from_millis(100);
+
+/// Default of the quiet time: silence that proves a station in step if it refuses the loop-back.
+pub const DEFAULT_QUIET: Duration = Duration::from_secs(1);
+
+/// Maximum of the copy window and of the quiet time: a day.
+const MAX_TIME: Duration = Duration::from_secs(86_400);
+
+impl InStepSettings {
+    /// The default settings: 1 copy within 100 ms, a quiet time of 1 s, and connections that carry many requests.
+    #[must_use]
+    pub const fn new() -> Self {
         Self { copies: DEFAULT_COPIES, window: DEFAULT_COPY_WINDOW, quiet: DEFAULT_QUIET, one_request: false }
+    }
+
+    /// The same with another number of exchanges after which a duplicate of a reply can still come.
+    ///
+    /// 1: a duplicate comes before the reply to the next request. More is for lines that deliver it later, and costs more
+    /// checks. 0: the line never doubles a reply.
+    ///
+    /// # Errors
+    /// [`InvalidSettings::Copies`] if it is more than [`MAX_COPIES`].
+    pub const fn with_copies(mut self, copies: u8) -> Result<Self, InvalidSettings> {
+        if copies > MAX_COPIES {
+            return Err(InvalidSettings::Copies { copies });
+        }
+        self.copies = copies;
+        Ok(self)
+    }
+
+    /// The same with another copy window: after the station has been silent this long, no duplicate of a reply comes.
+    ///
+    /// If an exchange took longer than half of it, twice the duration of that exchange is used instead. Requests with a
+    /// longer pause between them cost no checks. At most a day; a longer time counts as a day.
+    #[must_use]
+    pub const fn with_window(mut self, window: Duration) -> Self {
+        self.window = bounded(window);
+        self
+    }
+
+    /// The same with another quiet time: how long a station that refuses the loop-back must be silent before it is
+    /// believed.
+    ///
+    /// It should be longer than the longest delay of a reply on the line. At most a day; a longer time counts as a day.
+    #[must_use]
+    pub const fn with_quiet(mut self, quiet: Duration) -> Self {
+        self.quiet = bounded(quiet);
+        self
+    }
+
+    /// The same for a device that closes the connection after each reply, or one that does not.
+    ///
+    /// On such a connection a loop-back leaves no room for the request, so the quiet time takes its place.
+    #[must_use]
+    pub const fn with_one_request(mut self, one_request: bool) -> Self {
+        self.one_request = one_request;
+        self
+    }
+
+    /// Number of exchanges after which a duplicate of a reply can still come; 0 if replies are never doubled.
+    #[must_use]
+    pub const fn copies(&self) -> u8 {
+        self.copies
+    }
+
+    /// The copy window: a reply can be doubled until the station has been silent this long.
+    #[must_use]
+    pub const fn window(&self) -> Duration {
+        self.window
+    }
+
+    /// The quiet time: how long a station that refuses the loop-back must be silent before it is believed.
+    #[must_use]
+    pub const fn quiet(&self) -> Duration {
+        self.quiet
+    }
+
+    /// Whether the device closes the connection after each reply.
+    #[must_use]
+    pub const fn one_request(&self) -> bool {
+        self.one_request
+    }
+
+    /// The options of a URL that differ from the defaults.
+    pub(super) fn options(self) -> impl Iterator<Item = String> {
+        let usual = Self::new();
+        let options = [
+            (self.copies != usual.copies).then(|| format!("copies={}", self.copies)),
+            (self.window != usual.window).then(|| format!("window={}", Time(self.window))),
+            (self.quiet != usual.quiet).then(|| format!("quiet={}", Time(self.quiet))),
+            (self.one_request != usual.one_request).then(|| format!("one_request={}", self.one_request)),
+        ];
+        options.into_iter().flatten()
     }
 }
 
-impl InStepSettings {
-    #[must_use]
-    pub fn new() -> Self { Self::default() }
-    #[must_use]
-    pub fn copies(&self) -> u8 { self.copies }
-    #[must_use]
-    pub fn window(&self) -> Duration { self.window }
-    #[must_use]
-    pub fn quiet(&self) -> Duration { self.quiet }
-    #[must_use]
-    pub fn one_request(&self) -> bool { self.one_request }
-    #[must_use]
-    pub fn with_window(self, window: Duration) -> Self { Self { window, ..self } }
-    #[must_use]
-    pub fn with_quiet(self, quiet: Duration) -> Self { Self { quiet, ..self } }
-    #[must_use]
-    pub fn with_one_request(self, one_request: bool) -> Self { Self { one_request, ..self } }
+impl Default for InStepSettings {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+const fn bounded(time: Duration) -> Duration {
+    if time.as_nanos() > MAX_TIME.as_nanos() { MAX_TIME } else { time }
+}
+
+/// The values of the options as they stand in a URL.
+#[derive(Default)]
+pub(super) struct InStepOptions<'a> {
+    pub(super) copies: Option<&'a str>,
+    pub(super) window: Option<&'a str>,
+    pub(super) quiet: Option<&'a str>,
+    pub(super) one_request: Option<&'a str>,
+}
+
+impl InStepOptions<'_> {
+    /// The settings, or the rule that an option breaks.
+    pub(super) fn parse(&self) -> Result<InStepSettings, String> {
+        let mut settings = InStepSettings::new();
+        if let Some(text) = self.copies {
+            let copies = text.parse().ok().filter(|_| text.bytes().all(|b| b.is_ascii_digit()));
+            settings = copies
+                .and_then(|copies| settings.with_copies(copies).ok())
+                .ok_or_else(|| format!("the option `copies={text}` must be a number from 0 to {MAX_COPIES}"))?;
+        }
+        if let Some(text) = self.window {
+            settings = settings.with_window(time("window", text)?);
+        }
+        if let Some(text) = self.quiet {
+            settings = settings.with_quiet(time("quiet", text)?);
+        }
+        if let Some(text) = self.one_request {
+            settings = settings.with_one_request(match text {
+                "true" => true,
+                "false" => false,
+                _ => return Err(format!("the option `one_request={text}` must be `true` or `false`")),
+            });
+        }
+        Ok(settings)
+    }
+}
+
+fn time(name: &str, text: &str) -> Result<Duration, String> {
+    parse_time(text).filter(|&time| time <= MAX_TIME).ok_or_else(|| {
+        format!("the option `{name}={text}` must be a time in `ms` or `s`, such as `100ms` or `1.5s`, at most a day")
+    })
+}
+
+/// A decimal number of milliseconds or seconds, to the nanosecond.
+fn parse_time(text: &str) -> Option<Duration> {
+    let (number, decimals) = match text.strip_suffix("ms") {
+        Some(number) => (number, 6),
+        None => (text.strip_suffix('s')?, 9),
+    };
+    let (whole, fraction) = match number.split_once('.') {
+        Some((_, "")) => return None,
+        Some((whole, fraction)) => (whole, fraction),
+        None => (number, ""),
+    };
+    let digits = |text: &str| text.bytes().all(|b| b.is_ascii_digit());
+    if whole.is_empty() || !digits(whole) || !digits(fraction) || fraction.len() > decimals {
+        return None;
+    }
+    // The number without its point, in nanoseconds.
+    format!("{whole}{fraction:0<decimals$}").parse().ok().map(Duration::from_nanos)
+}
+
+/// A time as it is parsed: in seconds from 1 s on, else in milliseconds, without trailing zeros.
+struct Time(Duration);
+
+impl fmt::Display for Time {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let nanos = self.0.subsec_nanos();
+        let (number, unit) = match self.0.as_secs() {
+            0 => (format!("{}.{:06}", nanos / 1_000_000, nanos % 1_000_000), "ms"),
+            seconds => (format!("{seconds}.{nanos:09}"), "s"),
+        };
+        write!(f, "{}{unit}", number.trim_end_matches('0').trim_end_matches('.'))
+    }
 }

@@ -1,4 +1,5 @@
 use super::*;
+use std::time::Duration;
 
 #[test]
 fn endpoints_round_trip() {
@@ -24,6 +25,17 @@ fn endpoints_round_trip() {
             "serial:/dev/ttyS1?framing=binary&frame=8O2&baud=115200",
             "serial:/dev/ttyS1?baud=115200&frame=8O2&framing=binary",
         ),
+        ("tcp://plc?copies=1&window=100ms&quiet=1s&one_request=false", "tcp://plc:500"),
+        ("udp://plc?window=0.1s&quiet=1000ms&copies=01", "udp://plc:500"),
+        (
+            "udp://plc?one_request=true&quiet=1.50s&window=0.250s&copies=0",
+            "udp://plc:500?copies=0&window=250ms&quiet=1.5s&one_request=true",
+        ),
+        (
+            "serial:COM3?copies=8&frame=8N1&framing=binary&baud=300&window=99.5ms",
+            "serial:COM3?baud=300&framing=binary&copies=8&window=99.5ms",
+        ),
+        ("tcp://plc/?framing=ascii&copies=2", "tcp://plc:500?copies=2"),
     ] {
         let endpoint: Endpoint = text.parse().unwrap();
         assert_eq!(endpoint.to_string(), canonical);
@@ -74,6 +86,22 @@ fn a_bad_endpoint_is_named_with_the_rule_it_breaks() {
         ("serial:COM3?frame=7E", "the frame `7E` must be"),
         ("serial:COM3?frame=7E15", "the frame `7E15` must be"),
         ("serial:COM3?parity=E", "the option `parity=E` is not known"),
+        ("tcp://plc?speed=9600", "only `framing`, `copies`, `window`, `quiet` and `one_request` are and, for a serial"),
+        ("tcp://plc?copies=9", "the option `copies=9` must be a number from 0 to 8"),
+        ("tcp://plc?copies=256", "the option `copies=256` must be a number from 0 to 8"),
+        ("tcp://plc?copies=+1", "the option `copies=+1` must be a number from 0 to 8"),
+        ("udp://plc?copies=-1", "the option `copies=-1` must be a number from 0 to 8"),
+        ("serial:COM3?copies", "the option `copies=` must be a number from 0 to 8"),
+        ("serial:COM3?copies=1&copies=1", "the option `copies` is given twice"),
+        ("tcp://plc?window=1s&window=1s", "the option `window` is given twice"),
+        ("tcp://plc?quiet=1s&quiet=2s", "the option `quiet` is given twice"),
+        ("tcp://plc?one_request=true&one_request=true", "the option `one_request` is given twice"),
+        ("tcp://plc?window=100", "the option `window=100` must be a time in `ms` or `s`, such as `100ms` or `1.5s`"),
+        ("tcp://plc?quiet=25h", "the option `quiet=25h` must be a time in `ms` or `s`"),
+        ("tcp://plc?quiet=86400.000000001s", "the option `quiet=86400.000000001s` must be a time"),
+        ("tcp://plc?window=86400001ms", "`100ms` or `1.5s`, at most a day"),
+        ("udp://plc?one_request=yes", "the option `one_request=yes` must be `true` or `false`"),
+        ("udp://plc?one_request", "the option `one_request=` must be `true` or `false`"),
         ("serial:COM3?framing=binary&frame=7E1", "the binary framing needs 8 data bits, and 9600 baud 7E1 has 7"),
     ] {
         let message = text.parse::<Endpoint>().unwrap_err().to_string();
@@ -95,6 +123,12 @@ fn what_is_built_is_what_is_parsed() {
             Endpoint::serial("COM3").with_serial(fast).unwrap().with_framing(Framing::Binary),
             "serial:COM3?baud=19200&framing=binary",
         ),
+        (
+            Endpoint::tcp("plc", 500)
+                .with_in_step(InStepSettings::new().with_quiet(Duration::from_millis(1500)).with_one_request(true)),
+            "tcp://plc?quiet=1.5s&one_request=true",
+        ),
+        (Endpoint::serial("COM3").with_in_step(InStepSettings::new().with_copies(3).unwrap()), "serial:COM3?copies=3"),
     ] {
         assert_eq!(text.parse(), Ok(built));
     }
@@ -119,10 +153,153 @@ fn only_a_serial_port_has_its_settings() {
     assert_eq!(error.to_string(), "the baud rate 0 is not within 300 to 921600");
 }
 
+#[test]
+fn in_step_settings_have_defaults_and_limits() {
+    let usual = InStepSettings::new();
+    assert_eq!(usual, InStepSettings::default());
+    assert_eq!((usual.copies(), usual.window(), usual.quiet()), (DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET));
+    assert!(!usual.one_request());
+    assert_eq!(Endpoint::udp("plc", 500).in_step(), usual);
+
+    for copies in 0..=u8::MAX {
+        match usual.with_copies(copies) {
+            Ok(settings) => assert!(copies <= MAX_COPIES && settings.copies() == copies),
+            Err(error) => {
+                assert!(copies > MAX_COPIES);
+                assert_eq!(error, InvalidSettings::Copies { copies });
+                assert_eq!(error.to_string(), format!("the number of copies {copies} is not within 0 to 8"));
+            }
+        }
+    }
+    const DAY: Duration = Duration::from_secs(86_400);
+    let nanosecond = Duration::from_nanos(1);
+    for (time, bounded) in [
+        (Duration::ZERO, Duration::ZERO),
+        (nanosecond, nanosecond),
+        (DAY, DAY),
+        (DAY + nanosecond, DAY),
+        (Duration::MAX, DAY),
+    ] {
+        assert_eq!((usual.with_window(time).window(), usual.with_window(time).quiet()), (bounded, DEFAULT_QUIET));
+        assert_eq!((usual.with_quiet(time).quiet(), usual.with_quiet(time).window()), (bounded, DEFAULT_COPY_WINDOW));
+    }
+    assert!(usual.with_one_request(true).one_request());
+    assert!(!usual.with_one_request(true).with_one_request(false).one_request());
+}
+
+#[test]
+fn settings_survive_another_framing_and_serial_settings() {
+    let settings = InStepSettings::new().with_copies(4).unwrap();
+    let serial = SerialSettings::new(Framing::Binary);
+    let endpoint = Endpoint::serial("COM3").with_in_step(settings).with_framing(Framing::Binary);
+    assert_eq!(endpoint.with_serial(serial).unwrap().in_step(), settings);
+}
+
+#[test]
+fn times_are_decimals_of_milliseconds_or_seconds() {
+    for (text, nanoseconds, shown) in [
+        ("0ms", 0, "0ms"),
+        ("0s", 0, "0ms"),
+        ("0.0s", 0, "0ms"),
+        ("0.000001ms", 1, "0.000001ms"),
+        ("0.000000001s", 1, "0.000001ms"),
+        ("1.5ms", 1_500_000, "1.5ms"),
+        ("10ms", 10_000_000, "10ms"),
+        ("0020.500ms", 20_500_000, "20.5ms"),
+        ("999.999999ms", 999_999_999, "999.999999ms"),
+        ("2000ms", 2_000_000_000, "2s"),
+        ("10s", 10_000_000_000, "10s"),
+        ("1.000000001s", 1_000_000_001, "1.000000001s"),
+        ("1001ms", 1_001_000_000, "1.001s"),
+        ("86400s", 86_400_000_000_000, "86400s"),
+        ("86400000.000000ms", 86_400_000_000_000, "86400s"),
+    ] {
+        let endpoint: Endpoint = format!("tcp://plc?window={text}&quiet={text}").parse().unwrap();
+        let settings = endpoint.in_step();
+        assert_eq!((settings.window().as_nanos(), settings.quiet().as_nanos()), (nanoseconds, nanoseconds), "{text}");
+        assert_eq!(endpoint.to_string(), format!("tcp://plc:500?window={shown}&quiet={shown}"));
+    }
+    for text in [
+        "",
+        "1",
+        "s",
+        "ms",
+        ".",
+        ".s",
+        ".5s",
+        "1.s",
+        "1..5s",
+        "1.5.5s",
+        "1,5s",
+        "-1s",
+        "+1s",
+        "1 s",
+        " 1s",
+        "1s ",
+        "1S",
+        "1Ms",
+        "1us",
+        "1m",
+        "1e3ms",
+        "0x1s",
+        "1ms1",
+        "1mss",
+        "1sms",
+        "\u{661}s",
+        "0.0000000001s",
+        "0.0000001ms",
+        "NaNs",
+        "infs",
+        "18446744073709551616s",
+        "18446744073.709551616s",
+        "99999999999999999999999ms",
+    ] {
+        for option in ["window", "quiet"] {
+            let error = format!("udp://plc?{option}={text}").parse::<Endpoint>().unwrap_err().to_string();
+            let rule = format!("the option `{option}={text}` must be a time in `ms` or `s`");
+            assert!(error.contains(&rule), "{error} should say: {rule}");
+        }
+    }
+}
+
 proptest::proptest! {
     #[test]
+    fn what_is_displayed_is_parsed_to_the_same(
+        transport in 0..3_u8,
+        binary in proptest::bool::ANY,
+        copies in 0..=MAX_COPIES,
+        // Seconds and milliseconds, and the rest of them mostly not 0.
+        window in (0..100_000_u64, 0..1_000_u64, 0..1_000_000_u64, 0..3_u8),
+        quiet in (0..100_000_u64, 0..1_000_u64, 0..1_000_000_u64, 0..3_u8),
+        one_request in proptest::bool::ANY,
+    ) {
+        let time = |(seconds, millis, nanos, parts): (u64, u64, u64, u8)| {
+            let millis = Duration::from_millis(millis);
+            match parts {
+                0 => millis,
+                1 => millis + Duration::from_nanos(nanos),
+                _ => millis + Duration::from_nanos(nanos) + Duration::from_secs(seconds),
+            }
+        };
+        let endpoint = match transport {
+            0 => Endpoint::tcp("plc", 500),
+            1 => Endpoint::udp("::1", 7),
+            _ => Endpoint::serial("/dev/ttyUSB0"),
+        };
+        let settings = InStepSettings::new()
+            .with_copies(copies)
+            .unwrap()
+            .with_window(time(window))
+            .with_quiet(time(quiet))
+            .with_one_request(one_request);
+        let framing = if binary { Framing::Binary } else { Framing::Ascii };
+        let endpoint = endpoint.with_framing(framing).with_in_step(settings);
+        proptest::prop_assert_eq!(endpoint.to_string().parse::<Endpoint>(), Ok(endpoint));
+    }
+
+    #[test]
     fn no_text_panics_and_every_accepted_text_round_trips(
-        text in "(tcp://|udp://|serial:)?[\\PC]{0,24}([?&](framing|baud|frame)=[a-z0-9NEO]{0,6}){0,3}"
+        text in "(tcp://|udp://|serial:)?[\\PC]{0,24}([?&](framing|baud|frame|copies|window|quiet|one_request)=[a-z0-9NEO.]{0,6}){0,3}"
     ) {
         if let Ok(endpoint) = text.parse::<Endpoint>() {
             proptest::prop_assert_eq!(endpoint.to_string().parse::<Endpoint>(), Ok(endpoint));

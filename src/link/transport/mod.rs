@@ -5,6 +5,7 @@ mod serial;
 mod tcp;
 mod udp;
 
+use std::any::Any;
 use std::fmt;
 use std::future::Future;
 use std::io;
@@ -16,8 +17,19 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use crate::endpoint::{Endpoint, Transport};
 
 /// A connection.
-pub(crate) trait Io: AsyncRead + AsyncWrite + Send + Unpin {}
-impl<T: AsyncRead + AsyncWrite + Send + Unpin> Io for T {}
+pub(crate) trait Io: AsyncRead + AsyncWrite + Send + Unpin + Any {}
+impl<T: AsyncRead + AsyncWrite + Send + Unpin + Any> Io for T {}
+
+impl dyn Io {
+    /// Returns the number of datagrams of earlier requests dropped since the last call; 0 for anything but UDP.
+    ///
+    /// A method of the trait would be found on the box, which is a connection itself, before the one within.
+    #[cfg_attr(not(test), expect(dead_code, reason = "for the statistics of the driver"))]
+    pub(crate) fn take_late(&mut self) -> u64 {
+        let io: &mut dyn Any = self;
+        io.downcast_mut().map_or(0, udp::Datagrams::take_late)
+    }
+}
 
 pub(crate) type BoxIo = Box<dyn Io>;
 
