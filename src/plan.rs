@@ -77,7 +77,7 @@ pub use readings::{Readings, Reply};
 pub use request::{PlannedRequest, ReadRequest};
 
 use crate::error::Error;
-use crate::station::Station;
+use crate::station::{JobReply, Outcome, Station, StationJob};
 use crate::tag::Tag;
 
 /// The most values in a plan.
@@ -157,13 +157,32 @@ impl Plan {
 
     /// Sends the requests one after the other, and gives what came back.
     ///
-    /// A request that fails does not end it: its tags have the error, the others their values.
+    /// A request that fails does not end it: its tags have the error, the others their values. Several requests are confirmed
+    /// by a check at their end, and read again if a duplicate of a reply came between them out of order.
     pub async fn read(&self, station: &Station) -> Readings<'_, Error> {
-        let mut replies = Vec::with_capacity(self.requests.len());
-        for planned in &self.requests {
-            replies.push(planned.request.call(station).await.map(readings::Words::from));
+        let mut job = StationJob::new(station);
+        let mut replies: Vec<Result<Words, Error>> = Vec::with_capacity(self.requests.len());
+        loop {
+            while let Some(planned) = self.requests.get(replies.len()) {
+                match planned.request.call_in_job(&mut job, replies.len()).await {
+                    Ok(Outcome::Reply(JobReply { reply, .. })) => replies.push(Ok(reply.into())),
+                    Ok(Outcome::Rewind(confirmed)) => replies.truncate(confirmed),
+                    Err(error @ Error::Duplicates { .. }) => {
+                        fail_from(&mut replies, job.first_held(), &error);
+                        replies.push(Err(error));
+                    }
+                    Err(error) => replies.push(Err(error)),
+                }
+            }
+            match job.confirm().await {
+                Ok(None) => return Readings::new(self, replies),
+                Ok(Some(confirmed)) => replies.truncate(confirmed),
+                Err(error) => {
+                    fail_from(&mut replies, job.first_held(), &error);
+                    return Readings::new(self, replies);
+                }
+            }
         }
-        Readings::new(self, replies)
     }
 
     /// Gives the replies of the requests, in their order, to the tags: for those who send the requests themselves.
@@ -194,6 +213,13 @@ impl Plan {
         let start = *self.first_slot.get(tag)?;
         let end = self.first_slot.get(tag + 1).copied().unwrap_or(self.slots.len());
         self.slots.get(start..end)
+    }
+}
+
+/// Drops the replies that are not confirmed.
+fn fail_from(replies: &mut [Result<Words, Error>], first: Option<usize>, error: &Error) {
+    for reply in replies.iter_mut().skip(first.unwrap_or(usize::MAX)) {
+        *reply = Err(error.clone());
     }
 }
 

@@ -39,7 +39,7 @@ pub struct Candidate {
 }
 
 /// The other spellings of a request.
-pub type Candidates = [Option<Candidate>; 3];
+pub(crate) type Candidates = [Option<Candidate>; 3];
 
 /// No other spelling.
 pub(crate) const NONE: Candidates = [None; 3];

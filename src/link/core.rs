@@ -195,6 +195,13 @@ impl Core {
         self.exchange.sent(at, deadline, patient);
     }
 
+    /// Datagrams of earlier requests came, and were dropped for the port they came to.
+    pub(crate) fn late_datagrams(&self, count: u64) {
+        if count > 0 {
+            self.board.count(|link| add(&mut link.late_datagrams, count));
+        }
+    }
+
     /// Where the driver puts the bytes it receives; then it says [`received`](Self::received). What is left in it then is
     /// the beginning of a frame.
     pub(crate) fn incoming(&mut self) -> &mut BytesMut {

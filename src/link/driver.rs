@@ -42,7 +42,7 @@ use super::core::{Core, Step};
 use super::gate::{Gate, Pass, Turn};
 use super::later;
 use super::line::Line;
-use super::transport::{BoxIo, Connector};
+use super::transport::{BoxIo, Connector, Io};
 
 /// Everything that is needed to run a link.
 pub(crate) struct Driver {
@@ -217,6 +217,8 @@ impl Driver {
                     Poll::Ready(Ok(())) => {
                         let at = self.transmitted_at(clock);
                         self.core.sent(at);
+                        let late = self.io.as_deref_mut().map_or(0, <dyn Io>::take_late);
+                        self.core.late_datagrams(late);
                         self.listens = self.listens && self.connector.tells();
                     }
                     Poll::Ready(Err(error)) => self.lose(error, clock.now()),

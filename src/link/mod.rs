@@ -152,9 +152,9 @@ impl Link {
     pub fn builder(endpoint: Endpoint) -> LinkBuilder {
         let framing = endpoint.framing();
         let name = endpoint.to_string();
-        let transport = endpoint.transport().clone();
+        let (transport, in_step) = (endpoint.transport().clone(), endpoint.in_step());
         let connector = Connector::Endpoint { endpoint, keep_alive: true };
-        let builder = LinkBuilder::with_connector(connector, framing, &name);
+        let builder = LinkBuilder::with_connector(connector, framing, &name).in_step(in_step);
         match transport {
             Transport::Tcp { .. } | Transport::Udp { .. } => builder,
             Transport::Serial { settings, .. } => builder.serial_line(settings),

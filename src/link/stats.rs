@@ -116,6 +116,8 @@ pub struct LinkStats {
     pub garbage_bytes: u64,
     /// Bytes that had come before a request was sent, and were forgotten then.
     pub stale_bytes: u64,
+    /// Datagrams that came to the local port of an earlier request: late replies and duplicates over UDP.
+    pub late_datagrams: u64,
     /// Requests that came back from the line: the echo of an RS-485 adapter.
     pub echoes: u64,
     /// Connections opened.
@@ -248,6 +250,7 @@ impl LinkStats {
             checksum_errors: self.checksum_errors.saturating_add(other.checksum_errors),
             garbage_bytes: self.garbage_bytes.saturating_add(other.garbage_bytes),
             stale_bytes: self.stale_bytes.saturating_add(other.stale_bytes),
+            late_datagrams: self.late_datagrams.saturating_add(other.late_datagrams),
             echoes: self.echoes.saturating_add(other.echoes),
             connects: self.connects.saturating_add(other.connects),
             disconnects: self.disconnects.saturating_add(other.disconnects),
@@ -416,6 +419,7 @@ mod tests {
             checksum_errors: 3,
             garbage_bytes: 4,
             stale_bytes: 5,
+            late_datagrams: 11,
             echoes: 6,
             connects: 7,
             disconnects: 8,
@@ -428,6 +432,7 @@ mod tests {
             [two.stations.requests, two.broadcasts, two.checksum_errors, two.garbage_bytes, two.stale_bytes],
             [2, 4, 6, 8, 10]
         );
+        assert_eq!((two.late_datagrams, two.one_request), (22, true));
         assert_eq!(
             [two.echoes, two.connects, two.disconnects, two.idle_closes, two.connect_failures],
             [12, 14, 16, 18, 20]

@@ -7,7 +7,7 @@ use super::Reply;
 use crate::command::{Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Element, Register, Register32};
 use crate::error::Error;
-use crate::station::Station;
+use crate::station::{Outcome, Station, StationJob};
 use crate::wire::Framing;
 
 /// One request of a [`Plan`](super::Plan), and what it costs.
@@ -85,6 +85,20 @@ impl ReadRequest {
             Self::Registers32(request) => call(station, *request, Reply::Doubles).await,
             Self::Mixed(request) => call(station, request.clone(), Reply::Mixed).await,
         }
+    }
+
+    /// Sends it as a part of a job, in which it stands at this mark.
+    pub(crate) async fn call_in_job<M: Copy>(
+        &self,
+        job: &mut StationJob<'_, M>,
+        mark: M,
+    ) -> Result<Outcome<M, Reply>, Error> {
+        Ok(match self {
+            Self::Discretes(request) => job.call(mark, *request, false).await?.map(Reply::Bits),
+            Self::Registers(request) => job.call(mark, *request, false).await?.map(Reply::Words),
+            Self::Registers32(request) => job.call(mark, *request, false).await?.map(Reply::Doubles),
+            Self::Mixed(request) => job.call(mark, request.clone(), false).await?.map(Reply::Mixed),
+        })
     }
 
     pub(super) fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {

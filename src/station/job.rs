@@ -1,7 +1,5 @@
 //! The requests of a job, sent one after the other: see [`Job`].
 
-use tokio::time::Instant;
-
 use super::Station;
 use crate::command::{Command, LoopBack};
 use crate::error::Error;
@@ -12,6 +10,8 @@ use crate::link::{Answered, Purpose};
 pub(crate) struct StationJob<'s, M> {
     station: &'s Station,
     job: Job<M>,
+    /// Where the results begin that were given up.
+    given_up: Option<M>,
 }
 
 /// What came of a request of a job.
@@ -27,26 +27,33 @@ pub(crate) enum Outcome<M, T> {
 #[derive(Debug)]
 pub(crate) struct JobReply<T> {
     pub(crate) reply: T,
-    /// When it came.
-    pub(crate) at: Instant,
     /// Elements that were named: fewer than the request has, if it was a part of a longer read or write.
     pub(crate) count: usize,
+}
+
+impl<M, T> Outcome<M, T> {
+    pub(crate) fn map<U>(self, into: impl FnOnce(T) -> U) -> Outcome<M, U> {
+        match self {
+            Self::Reply(JobReply { reply, count }) => Outcome::Reply(JobReply { reply: into(reply), count }),
+            Self::Rewind(mark) => Outcome::Rewind(mark),
+        }
+    }
 }
 
 impl<'s, M: Copy> StationJob<'s, M> {
     /// A job that asks again as often as a read of the station is retried.
     pub(crate) fn new(station: &'s Station) -> Self {
-        Self { station, job: Job::new(station.options.retries) }
+        Self { station, job: Job::new(station.options.retries), given_up: None }
     }
 
     /// A job of writes. They are not repeated, so the first rewind is the end.
     pub(crate) fn of_writes(station: &'s Station) -> Self {
-        Self { station, job: Job::new(1) }
+        Self { station, job: Job::new(1), given_up: None }
     }
 
     /// The first result that is not confirmed: those from there on are not to be used if the job ends now.
     pub(crate) fn first_held(&self) -> Option<M> {
-        self.job.first_held()
+        self.given_up.or(self.job.first_held())
     }
 
     /// Sends a request that stands at this mark. `longer`: it may leave elements to the next request.
@@ -61,14 +68,11 @@ impl<'s, M: Copy> StationJob<'s, M> {
         longer: bool,
     ) -> Result<Outcome<M, C::Reply>, Error> {
         let purpose = if longer { Purpose::Part } else { Purpose::InJob };
-        let Answered { result, at, spelling, shape, proof } = self.station.submit(request, purpose).await;
+        let Answered { result, spelling, shape, proof, .. } = self.station.submit(request, purpose).await;
         let refused = match result {
             Ok(reply) => {
                 return Ok(match self.job.answered(mark, shape, proof) {
-                    Progress::Go => {
-                        let at = at.unwrap_or_else(Instant::now);
-                        Outcome::Reply(JobReply { reply, at, count: spelling.count.into() })
-                    }
+                    Progress::Go => Outcome::Reply(JobReply { reply, count: spelling.count.into() }),
                     progress => Outcome::Rewind(self.rewound(progress, mark)?),
                 });
             }
@@ -104,7 +108,7 @@ impl<'s, M: Copy> StationJob<'s, M> {
         answered.result.map(|()| answered.proof)
     }
 
-    fn rewound(&self, progress: Progress<M>, mark: M) -> Result<M, Error> {
+    fn rewound(&mut self, progress: Progress<M>, mark: M) -> Result<M, Error> {
         let number = self.station.number;
         self.station.link.board().job_repeated(number);
         match progress {
@@ -113,7 +117,10 @@ impl<'s, M: Copy> StationJob<'s, M> {
                 tracing::debug!(station = number, "an unexpected frame came within a job: its results are asked for again");
                 Ok(first)
             }
-            Progress::Failed(_) => Err(Error::Duplicates { station: number, sent: true }),
+            Progress::Failed(first) => {
+                self.given_up = Some(first);
+                Err(Error::Duplicates { station: number, sent: true })
+            }
         }
     }
 }

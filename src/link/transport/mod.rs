@@ -24,7 +24,6 @@ impl dyn Io {
     /// Returns the number of datagrams of earlier requests dropped since the last call; 0 for anything but UDP.
     ///
     /// A method of the trait would be found on the box, which is a connection itself, before the one within.
-    #[cfg_attr(not(test), expect(dead_code, reason = "for the statistics of the driver"))]
     pub(crate) fn take_late(&mut self) -> u64 {
         let io: &mut dyn Any = self;
         io.downcast_mut().map_or(0, udp::Datagrams::take_late)
