@@ -100,7 +100,7 @@ pub enum Error {
         repeated: bool,
     },
     /// Nothing came back in time.
-    #[error("station {station} did not answer {code} within {after:?}")]
+    #[error("station {station} did not answer {code} within {after:?}{}", unsent(*sent))]
     #[non_exhaustive]
     Timeout {
         /// The station.
@@ -128,10 +128,9 @@ pub enum Error {
         /// Whether the request itself had been sent.
         sent: bool,
     },
-    /// Something came back that fits the request, and there is no proof that it is not the reply to an earlier one.
-    #[error(
-        "station {station} answered {code}, but that may be a late reply or a duplicate of a reply to an earlier request"
-    )]
+    /// Replies to earlier requests may still be under way: what came back may be one of them, or the station has not proven
+    /// the contrary in time.
+    #[error("station {station}, {code}: {}", out_of_step(*sent, *after))]
     #[non_exhaustive]
     OutOfStep {
         /// The station.
@@ -140,7 +139,8 @@ pub enum Error {
         code: Code,
         /// How long was waited.
         after: Duration,
-        /// Whether the request itself had been sent.
+        /// Whether the request itself had been sent; `false` when the station refuses the check (4E) and was not silent for the
+        /// quiet time, or that is longer than the call may take.
         sent: bool,
     },
     /// Replies came twice and out of order while several requests belonged together, each time that they were repeated.
@@ -213,6 +213,20 @@ pub enum Error {
         /// Whether the request had been sent before.
         sent: bool,
     },
+}
+
+fn unsent(sent: bool) -> &'static str {
+    if sent { "" } else { "; the request was not sent: other requests, or the check before it, had not been answered" }
+}
+
+fn out_of_step(sent: bool, after: Duration) -> String {
+    match sent {
+        true => "the reply may be a late one, or a duplicate of one, to an earlier request".to_owned(),
+        false => format!(
+            "not sent within {after:?}: replies to earlier requests may be under way, and the station refuses the check, so it \
+             must be silent for the quiet time first"
+        ),
+    }
 }
 
 impl Error {

@@ -50,9 +50,11 @@
 //!
 //! # What it promises
 //!
-//! 1. **No reply reaches the wrong request.** The protocol has no transaction id, so a reply must match station, command
-//!    and the exact shape that its request expects; and after any doubt (a timeout, a corrupt reply, a frame that nobody
-//!    asked for) the station must echo a loop-back with a nonce before anything else is asked of it.
+//! 1. **No reply reaches the wrong request**, also when replies come late, twice, from an earlier connection or to a broadcast.
+//!    The protocol has no transaction id. So a reply must match station, command and exact shape, and nothing that may still
+//!    come could answer the request: equal requests in turn are spelt differently, and a check (a loop-back with a new nonce)
+//!    goes between where that cannot be, on each new connection, and after any doubt. See
+//!    [`endpoint::InStepSettings`] for what is assumed of a line.
 //! 2. **No write is repeated behind the caller's back.** Reads are repeated, writes and control only by choice
 //!    ([`CallOptions::retry_writes`]); [`Error::may_have_executed`] tells what is known.
 //! 3. **Every call ends by its deadline**, queueing, connecting and retries included.

@@ -72,6 +72,12 @@ pub(crate) trait AnyCall: Send + Sync {
     /// The request that was sent last has been refused for its spelling alone, so it counts as not sent.
     fn respelled(&self);
 
+    /// The station must be silent before the request is sent.
+    fn doubt(&self);
+
+    /// Whether it waits for that.
+    fn is_in_doubt(&self) -> bool;
+
     /// Ends a call that has no reply to wait for: a broadcast.
     fn complete_unanswered(&self, proof: Proof);
 
@@ -154,8 +160,12 @@ impl Ticket {
 
     /// Ends a call that is not wanted any more.
     pub(crate) fn expire(&self) {
-        let after = self.options.call_timeout;
-        self.call.fail(Error::Timeout { station: self.station, code: self.code, after, sent: self.call.was_sent() });
+        let Terms { station, code, options, .. } = **self;
+        let (after, sent) = (options.call_timeout, self.call.was_sent());
+        self.call.fail(match self.call.is_in_doubt() {
+            true => Error::OutOfStep { station, code, after, sent },
+            false => Error::Timeout { station, code, after, sent },
+        });
     }
 
     pub(crate) fn is_broadcast(&self) -> bool {
@@ -244,6 +254,11 @@ impl<C: Command> Completion<C> {
         self.slot.state.fetch_or(ABANDONED, Ordering::AcqRel) & SENT != 0
     }
 
+    /// Whether the station had to be silent before the request could be sent.
+    pub(crate) fn is_in_doubt(&self) -> bool {
+        self.slot.is_in_doubt()
+    }
+
     /// When the reply came, once the result is there and if there was one.
     pub(crate) fn answered_at(&self) -> Option<Instant> {
         self.answered_at
@@ -330,6 +345,8 @@ const DONE: u8 = 1;
 const ABANDONED: u8 = 2;
 /// The request has been sent at least once; it stays so when it is queued again.
 const SENT: u8 = 4;
+/// The station must be silent before the request is sent.
+const DOUBT: u8 = 8;
 
 impl<C: Command> Slot<C> {
     fn new(request: C, unanswered: Option<C::Reply>, terms: Terms) -> Self {
@@ -470,13 +487,21 @@ impl<C: Command> AnyCall for Slot<C> {
 
     fn mark_sent(&self) -> bool {
         // One of the two is first: the caller, who gives up and is told that nothing was sent, or the link, which sends.
-        let wanted = |state| (state & ABANDONED == 0).then_some(state | SENT);
+        let wanted = |state| (state & ABANDONED == 0).then_some((state | SENT) & !DOUBT);
         let sends = self.state.fetch_update(Ordering::AcqRel, Ordering::Acquire, wanted).is_ok();
         if sends {
             let count = self.sends.load(Ordering::Acquire);
             self.sends.store(count.saturating_add(1), Ordering::Release);
         }
         sends
+    }
+
+    fn doubt(&self) {
+        self.state.fetch_or(DOUBT, Ordering::AcqRel);
+    }
+
+    fn is_in_doubt(&self) -> bool {
+        self.state.load(Ordering::Acquire) & DOUBT != 0
     }
 
     fn complete_unanswered(&self, proof: Proof) {

@@ -409,6 +409,7 @@ impl Core {
             }
             Ok(Choice::Check(check, why)) => Some(self.check(station, check, why, Some(ticket))),
             Ok(Choice::Silence(until)) => {
+                ticket.call.doubt();
                 self.board.count_for(station, |stats| add(&mut stats.silences, 1));
                 self.scheduler.push_front(ticket);
                 self.scheduler.block(station, until);

@@ -321,7 +321,11 @@ impl Link {
         drop(span);
         let result = answered.unwrap_or_else(|_| {
             let after = queued_at.elapsed();
-            Err(Error::Timeout { station, code: C::CODE, after, sent: completion.abandon() })
+            let (code, sent) = (C::CODE, completion.abandon());
+            Err(match completion.is_in_doubt() {
+                true => Error::OutOfStep { station, code, after, sent },
+                false => Error::Timeout { station, code, after, sent },
+            })
         });
         let mut answered = Answered::none(result.map_err(|error| self.explain(error, deadline)), completion.spelling());
         answered.at = completion.answered_at();

@@ -1,6 +1,7 @@
 //! The PLC's end of a line, for tests that decide every byte.
 #![allow(dead_code, reason = "each test program uses its own part of it")]
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
@@ -10,16 +11,19 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 use tokio::time::timeout;
 use tokio_util::codec::{Decoder, Encoder};
 
-/// The PLC's end of a line.
+/// The PLC's end of a line. It answers by itself the check that each station gets first, and loop-backs without data, which
+/// separate two requests; the test answers the rest.
 pub(crate) struct Peer {
     pub(crate) stream: DuplexStream,
     codec: Codec,
     pub(crate) received: BytesMut,
+    /// Stations whose first check has been answered.
+    checked: BTreeSet<u8>,
 }
 
 impl Peer {
     pub(crate) fn new(stream: DuplexStream) -> Self {
-        Self { stream, codec: Codec::new(Framing::Ascii, Side::Plc), received: BytesMut::new() }
+        Self { stream, codec: Codec::new(Framing::Ascii, Side::Plc), received: BytesMut::new(), checked: BTreeSet::new() }
     }
 
     /// The next request.
@@ -29,6 +33,22 @@ impl Peer {
 
     /// The next request, unless the client has hung up.
     pub(crate) async fn request_if_any(&mut self) -> Option<Frame> {
+        loop {
+            let request = self.any_request().await?;
+            let first = request.station != 0 && !self.checked.contains(&request.station);
+            if request.command == 0x4E && (first || request.data.is_empty()) {
+                self.checked.insert(request.station);
+                let mut bytes = BytesMut::new();
+                self.encode(request.station, 0x4E, request.data, &mut bytes);
+                self.raw(&bytes).await;
+                continue;
+            }
+            return Some(request);
+        }
+    }
+
+    /// The next request, be it a check, unless the client has hung up.
+    pub(crate) async fn any_request(&mut self) -> Option<Frame> {
         loop {
             if let Some(frame) = self.codec.decode(&mut self.received).unwrap().and_then(|item| item.frame()) {
                 return Some(frame);

@@ -119,7 +119,8 @@ fn of_call(error: &fatek::Error) -> u8 {
         fatek::Error::Plc { .. } => 3,
         fatek::Error::Timeout { .. } | fatek::Error::Offline { .. } => 4,
         fatek::Error::Connect { .. } | fatek::Error::Disconnected { .. } | fatek::Error::Closed { .. } => 5,
-        fatek::Error::BadReply { .. } => 6,
+        fatek::Error::OutOfStep { sent: false, .. } => 4,
+        fatek::Error::BadReply { .. } | fatek::Error::OutOfStep { .. } | fatek::Error::Duplicates { .. } => 6,
         _ => 1,
     }
 }
