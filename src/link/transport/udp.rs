@@ -290,6 +290,8 @@ mod tests {
     use super::*;
     use crate::link::transport::BoxIo;
     use futures::future::FutureExt as _;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::task::Wake;
     use std::time::Duration;
     use tokio::io::{AsyncReadExt, AsyncWriteExt, split};
     use tokio::time::timeout;
@@ -432,12 +434,15 @@ mod tests {
         for _ in 1..SOCKETS {
             request(&mut stream, &device, b"another");
         }
-        let many = MAX_DISCARDED + MAX_DISCARDED / 2;
+        let many = 2 * MAX_DISCARDED + MAX_DISCARDED / 2;
         for _ in 0..many {
             device.send(b"late", first);
         }
-        assert!(stream.write(b"fifth").now_or_never().is_none());
-        timeout(LONG, stream.write_all(b"fifth")).await.expect("it is woken").unwrap();
+        let woken = Arc::new(Woken::default());
+        let waker = Waker::from(woken.clone());
+        assert!(Pin::new(&mut stream).poll_write(&mut Context::from_waker(&waker), b"fifth").is_pending());
+        assert!(woken.0.load(Ordering::Relaxed));
+        stream.write_all(b"fifth").await.unwrap();
         assert_eq!(device.expect(b"fifth"), first);
         device.send(b"answer", first);
         assert_eq!(next(&mut stream).await, b"answer");
@@ -479,6 +484,33 @@ mod tests {
         let last = device.expect(b"last");
         device.send(b"answer", last);
         assert_eq!(timeout(LONG, read).await.expect("it is woken").unwrap(), b"answer");
+    }
+
+    #[derive(Default)]
+    struct Woken(AtomicBool);
+
+    impl Wake for Woken {
+        fn wake(self: Arc<Self>) {
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// On another thread, the runtime can see the reply before the write has returned.
+    #[tokio::test]
+    async fn a_pending_read_is_woken_if_the_next_socket_is_ready_already() {
+        let (device, mut stream) = pair("127.0.0.1").await;
+        let woken = Arc::new(Woken::default());
+        let waker = Waker::from(woken.clone());
+        let mut buffer = [0; 16];
+        let mut buffer = ReadBuf::new(&mut buffer);
+        assert!(Pin::new(&mut stream).poll_read(&mut Context::from_waker(&waker), &mut buffer).is_pending());
+        let port = stream.sockets[1].local_addr().unwrap().port();
+        device.send(b"answer", (Ipv4Addr::LOCALHOST, port).into());
+        stream.sockets[1].readable().await.unwrap();
+        assert!(!woken.0.load(Ordering::Relaxed));
+        stream.rotate();
+        assert!(woken.0.load(Ordering::Relaxed));
+        assert_eq!(next(&mut stream).await, b"answer");
     }
 
     /// A readiness left over from a datagram that was drained wakes the read, which finds nothing and waits on.
