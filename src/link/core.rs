@@ -435,6 +435,7 @@ impl Core {
         let station = active.goal.station();
         if stale > 0 {
             self.board.count(|link| add(&mut link.stale_bytes, u64::try_from(stale).unwrap_or(u64::MAX)));
+            self.stations.for_all(InStep::lost_beginning);
         }
         if let Goal::Call(ticket) = &active.goal {
             if ticket.is_broadcast() {

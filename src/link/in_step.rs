@@ -470,6 +470,11 @@ impl InStep {
         self.broadcasts.insert(code);
     }
 
+    /// The beginning of a frame was dropped, which may have been a stray of this station: results that are held are in doubt.
+    pub(crate) fn lost_beginning(&mut self) {
+        self.proof.doubts = self.proof.doubts.wrapping_add(1);
+    }
+
     /// A frame came from the station that no request takes.
     pub(crate) fn stray(&mut self, command: u8, fingerprint: u64, now: Instant) -> Stray {
         self.silent_since = None;
