@@ -78,6 +78,9 @@ fn assert_ended_well(total: &Tally) {
     assert!(total.ended_well * 100 >= total.runs * 99, "the last call of {} runs: {total}", total.ended_well);
 }
 
+// Before: reads over TCP: 415 wrong values of 753, in 66 of 100 runs; UDP: 430 of 753, in 66 of 100 runs.
+// Writes over TCP: of 1000 158 wrongly said to be done and 161 wrongly said to be refused, in 100 of 100 runs;
+// UDP: 154 and 160, in 100 of 100 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_fresh_link_takes_no_late_reply() {
     let (tcp, udp, tcp_writes, udp_writes) = tokio::join!(
@@ -160,6 +163,9 @@ mod command_line {
         total
     }
 
+    // Before: reads over TCP: 54 wrong values of 703, in 28 of 100 runs; UDP: 64 of 704, in 29 of 100 runs.
+    // Writes over TCP: of 800 52 wrongly said to be done and 56 wrongly said to be refused, in 74 of 100 runs;
+    // UDP: 50 and 62, in 76 of 100 runs.
     #[test]
     fn a_process_takes_no_late_reply() {
         let kinds = [

@@ -39,6 +39,7 @@ async fn reads(name: &str, wire: Wire, repeats: usize) -> Tally {
     total
 }
 
+// Before: 676480 wrong values of 3200000, in 2619 of 3200 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_doubled_reply_does_not_shift_a_long_read_over_tcp() {
     let total = reads("long read, TCP", Wire::Tcp, repeats()).await;
@@ -46,6 +47,7 @@ async fn a_doubled_reply_does_not_shift_a_long_read_over_tcp() {
     total.assert_nearly_all_correct();
 }
 
+// Before: 693184 wrong values of 3200000, in 2606 of 3200 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_doubled_reply_does_not_shift_a_long_read_over_udp() {
     let total = reads("long read, UDP", Wire::Udp, repeats()).await;
@@ -53,6 +55,7 @@ async fn a_doubled_reply_does_not_shift_a_long_read_over_udp() {
     total.assert_nearly_all_correct();
 }
 
+// Before: 56064 wrong values of 160000, in 126 of 160 runs.
 #[cfg(all(unix, feature = "serial"))]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_doubled_reply_does_not_shift_a_long_read_on_a_serial_line() {

@@ -61,6 +61,7 @@ async fn reads(name: &str, wire: Wire, repeats: usize) -> Tally {
     campaign(name, repeats, combinations).await
 }
 
+// Before: 301653 wrong values of 1049115, and 15095 of 364800 reads said to be refused, in 6961 of 7600 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn doubled_replies_do_not_shift_calls_of_four_tasks_over_tcp() {
     let total = reads("calls of four tasks, TCP", Wire::Tcp, repeats()).await;
@@ -68,6 +69,7 @@ async fn doubled_replies_do_not_shift_calls_of_four_tasks_over_tcp() {
     total.assert_nearly_all_correct();
 }
 
+// Before: 310212 wrong values of 1049079, and 15107 of 364800 reads said to be refused, in 7062 of 7600 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn doubled_replies_do_not_shift_calls_of_four_tasks_over_udp() {
     let total = reads("calls of four tasks, UDP", Wire::Udp, repeats()).await;

@@ -62,6 +62,7 @@ async fn writes(name: &str, wire: Wire, repeats: usize) -> Tally {
     campaign(name, repeats, combinations).await
 }
 
+// Before: of 182400 writes 29098 wrongly said to be done and 21369 wrongly said to be refused, in 6673 of 7600 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn doubled_replies_do_not_mix_up_writes_over_tcp() {
     let total = writes("mixed writes, TCP", Wire::Tcp, repeats()).await;
@@ -69,6 +70,7 @@ async fn doubled_replies_do_not_mix_up_writes_over_tcp() {
     total.assert_nearly_all_correct();
 }
 
+// Before: of 182400 writes 30864 wrongly said to be done and 22361 wrongly said to be refused, in 6824 of 7600 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn doubled_replies_do_not_mix_up_writes_over_udp() {
     let total = writes("mixed writes, UDP", Wire::Udp, repeats()).await;
