@@ -1,12 +1,15 @@
 use tokio_util::codec::Decoder;
 
 use super::*;
-use crate::command::Value;
-use crate::sim::{Plc, Rule};
+use crate::command::{Code, Value};
+use crate::sim::{Faults, LeftOver, Line, Plc, Rule, Timing};
 use crate::wire::{Codec, Side};
 use crate::{ErrorCode, element, register};
 
+mod broadcasts;
+mod copies;
 mod faults;
+mod left_overs;
 mod log;
 mod time;
 
