@@ -13,8 +13,8 @@ use bytes::{Bytes, BytesMut};
 use tokio::time::Instant;
 
 use self::answers::{Answer, Delivery, Event, FollowUp, Job};
-pub(crate) use self::conditions::{Conditions, LeftOvers};
 pub(super) use self::conditions::MAX_LEFT_OVER;
+pub(crate) use self::conditions::{Conditions, LeftOvers};
 use super::faults::BroadcastVerdict;
 use super::{Addressee, Fault, Heard, Moment};
 use crate::command::Request;
@@ -278,10 +278,7 @@ impl Conversation {
     /// Executes a request on a PLC under the station number of the frame, and returns its reply.
     fn respond(&self, station: u8, frame: &Frame, request: &Result<Request, FieldError>) -> (BytesMut, bool) {
         let mut reply = BytesMut::new();
-        let is_done = self
-            .bus
-            .plc(station)
-            .is_some_and(|plc| respond(plc, frame, request, self.framing, &mut reply));
+        let is_done = self.bus.plc(station).is_some_and(|plc| respond(plc, frame, request, self.framing, &mut reply));
         (reply, is_done)
     }
 
@@ -289,7 +286,6 @@ impl Conversation {
         self.events.insert((at, self.next), event);
         self.next += 1;
     }
-
 }
 
 /// How many requests and replies a connection may have under way before no more is read from it.

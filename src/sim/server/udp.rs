@@ -101,8 +101,7 @@ impl UdpServer {
 /// Never ends.
 async fn serve_datagrams(socket: UdpSocket, bus: Bus, framing: Framing, to_last_sender: Arc<AtomicBool>) {
     let conditions = bus.conditions().cloned();
-    let conditions =
-        conditions.unwrap_or_else(|| Conditions::new(Faults::new(0).log_capacity(0).journal_capacity(0)));
+    let conditions = conditions.unwrap_or_else(|| Conditions::new(Faults::new(0).log_capacity(0).journal_capacity(0)));
     let mut conversation = Conversation::of_datagrams(bus, conditions, framing);
     let mut last_sender = None;
     let mut buffer = vec![0; MAX_DATAGRAM_LEN];

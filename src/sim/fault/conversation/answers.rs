@@ -155,7 +155,10 @@ pub(super) struct FollowUp {
 pub(super) enum Content {
     Bytes(Bytes),
     /// A read that is executed when the answer is sent.
-    Read { frame: Frame, request: Arc<Result<Request, FieldError>> },
+    Read {
+        frame: Frame,
+        request: Arc<Result<Request, FieldError>>,
+    },
 }
 
 impl FollowUp {

@@ -169,7 +169,8 @@ impl Conversation {
     fn insert_follow_up(&mut self, due: Instant, follow_up: FollowUp) {
         if self.follow_ups.len() < MAX_FOLLOW_UPS {
             // At equal times those that yield are after all events.
-            let number = if follow_up.yields_to_reply() { self.next.saturating_add(AFTER_ALL_EVENTS) } else { self.next };
+            let number =
+                if follow_up.yields_to_reply() { self.next.saturating_add(AFTER_ALL_EVENTS) } else { self.next };
             self.follow_ups.insert((due, number), follow_up);
             self.next += 1;
         } else {
@@ -278,9 +279,8 @@ impl Conversation {
                     return;
                 }
                 let fault = Fault::LeftOver { min: reply.delay, max: reply.delay };
-                let number = faults
-                    .log()
-                    .arrived(now, &[fault], || Heard::Request { station, request: request.clone() });
+                let number =
+                    faults.log().arrived(now, &[fault], || Heard::Request { station, request: request.clone() });
                 let frame = Frame { station, command: request.code().into(), data: Bytes::new() };
                 let request: Arc<Result<Request, FieldError>> = Arc::new(Ok(request));
                 let job = Job { station, frame, request, number, answer: None };

@@ -64,6 +64,13 @@ impl Talk {
         Self { conversation, faults: self.faults.clone(), plcs: self.plcs.clone(), began: self.began, said: Vec::new() }
     }
 
+    /// The connection opens, or is to look for what other connections have left over.
+    fn open(&mut self, at_ms: u64) {
+        self.wait(at_ms);
+        self.conversation.adopt_left_overs(self.after(at_ms));
+        self.wait(at_ms);
+    }
+
     /// These bytes come this many milliseconds after the beginning; all that is due before them is done.
     fn hear(&mut self, at_ms: u64, bytes: &[u8]) {
         self.wait(at_ms);
@@ -117,6 +124,13 @@ fn under(fault: Fault, request: &[u8]) -> Vec<(u128, String)> {
 
 fn delay_ms(min: u64, max: u64) -> Fault {
     Fault::Delay { min: Duration::from_millis(min), max: Duration::from_millis(max) }
+}
+
+/// Every PLC takes 5 ms.
+fn after_5_ms(rules: impl IntoIterator<Item = Rule>) -> Talk {
+    let talk = Talk::of(rules);
+    talk.faults.set_line(Line::new(0).turnaround(Duration::from_millis(5), Duration::from_millis(5)));
+    talk
 }
 
 fn text(bytes: &[u8]) -> String {
