@@ -62,8 +62,9 @@
 //!   [`Fault::BadChecksum`], [`Fault::GarbageInside`], [`Fault::GarbageBefore`]; in the end it is [`Fault::Split`].
 //! - Copies and second answers ([`Fault::Duplicate`], [`Fault::SecondAnswer`]) keep the order: they are sent at their
 //!   time, but at the latest directly before the next reply of the same station on that connection. A copy has all
-//!   changes of the reply but [`Fault::GarbageBefore`], and is not split. There is none of a reply that is dropped or
-//!   that the end of the connection cuts. [`Fault::RoamingDuplicate`] alone is sent later than other replies.
+//!   changes of the reply but [`Fault::GarbageBefore`], and is not split. One [without a pause](Timing::AT_ONCE) is one
+//!   with its reply on a stream: it is split with it, and handed over with it. There is none of a reply that is dropped
+//!   or that the end of the connection cuts. [`Fault::RoamingDuplicate`] alone is sent later than other replies.
 //! - What is sent at the same time on a stream is written at once, for instance a copy and the reply that it comes
 //!   directly before. Over UDP each reply, each copy and each piece is a datagram.
 //! - A reply with [`Fault::LeftOver`] keeps its place in the order of its station, also on the next connection, and what
@@ -191,7 +192,7 @@ pub enum Fault {
     /// the right one.
     BadChecksum,
     /// The reply comes once more, in order: at its time, but directly before the next reply of the same station if that
-    /// is ready earlier. [`Fault::duplicate`] is the copy without a pause.
+    /// is ready earlier. [`Fault::duplicate`] is the copy without a pause, which is handed over together with the reply.
     ///
     /// ```
     /// use std::time::Duration;

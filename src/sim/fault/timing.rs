@@ -59,7 +59,8 @@ pub enum Timing {
 }
 
 impl Timing {
-    /// Directly behind the reply, without a pause.
+    /// Directly behind the reply, without a pause. On a stream both are handed over at once, when the last byte has come
+    /// over the line; a copy that is handed over by itself comes [after](Self::After) at least a nanosecond.
     pub const AT_ONCE: Self = Self::After { min: Duration::ZERO, max: Duration::ZERO };
 
     pub(super) fn draw(self, dice: &mut Dice) -> DrawnTiming {

@@ -86,18 +86,18 @@ impl Conversation {
                 }
             }
         }
-        self.transmit(&speech, at, &mut pieces);
-        let mut sent_at = pieces.back().map_or(at, |last: &Piece| last.at);
-        let mut later_on = Vec::new();
-        for follow_up in mem::take(&mut speech.follow_ups) {
-            if follow_up.is_at_once() {
-                let at_once = self.speech_of(follow_up);
-                self.transmit(&at_once, at, &mut pieces);
-                sent_at = pieces.back().map_or(at, |last| last.at);
-            } else {
-                later_on.push(follow_up);
-            }
+        let follow_ups = mem::take(&mut speech.follow_ups);
+        let (at_once, later_on): (Vec<_>, Vec<_>) = follow_ups.into_iter().partition(FollowUp::is_at_once);
+        let at_once: Vec<_> = at_once.into_iter().map(|follow_up| self.speech_of(follow_up)).collect();
+        if self.is_stream && !at_once.is_empty() {
+            let copies = at_once.iter().flat_map(|copy| &copy.bytes[..]);
+            speech.bytes = speech.bytes.iter().chain(copies).copied().collect();
         }
+        self.transmit(&speech, at, &mut pieces);
+        if !self.is_stream {
+            at_once.iter().for_each(|copy| self.transmit(copy, at, &mut pieces));
+        }
+        let sent_at = pieces.back().map_or(at, |last: &Piece| last.at);
         self.time_roaming(station, sent_at);
         for follow_up in later_on {
             self.add_follow_up(follow_up, sent_at);

@@ -207,6 +207,24 @@ fn a_copy_takes_its_time_on_the_line() {
 }
 
 #[test]
+fn a_copy_at_once_is_one_with_its_reply() {
+    let copy = |timing| {
+        let mut talk = Talk::of([Rule::new(Fault::Duplicate(timing))]);
+        talk.faults.set_line(Line::new(1000));
+        talk.hear(0, READ);
+        talk.all()
+    };
+    assert_eq!(copy(Timing::AT_ONCE), [at(420_000, &[READS_0, READS_0].concat())]);
+    let nanosecond = Duration::from_nanos(1);
+    let separate = copy(Timing::After { min: nanosecond, max: nanosecond });
+    assert_eq!(separate, [at(290_000, READS_0), at(420_000, READS_0)]);
+    let split = Fault::Split { pieces: 2, pause: Duration::from_millis(10) };
+    let mut talk = Talk::of([split, Fault::duplicate()].map(Rule::new));
+    talk.hear(0, READ);
+    assert_eq!(talk.all(), [at(0, READS_0), at(10_000, READS_0)]);
+}
+
+#[test]
 fn a_copy_is_not_split_and_has_no_garbage_before_it() {
     let split = Fault::Split { pieces: 2, pause: Duration::from_millis(10) };
     let rules = [split, Fault::Duplicate(after(20, 20)), Fault::BadChecksum].map(Rule::new);
