@@ -95,7 +95,7 @@ async fn each_way_to_answer_badly_is_told_and_the_status_is_6() {
         let rule = |station, fault| Rule::new(fault).station(station);
         faults.set_rules([
             rule(2, Fault::BadChecksum),
-            rule(3, Fault::Duplicate),
+            rule(3, Fault::duplicate()),
             rule(4, Fault::GarbageBefore { max_len: 5 }),
             rule(5, Fault::Error(ErrorCode::IllegalFormat)),
             rule(6, Fault::Delay { min: Duration::from_millis(450), max: Duration::from_millis(450) }),

@@ -29,11 +29,17 @@ const CLOSED_STRUCTS: &[(&str, &str)] = &[
 const CLOSED_VARIANTS: &[(&str, &str)] = &[
     ("Received::Discarded", "the bytes and why; both are what everybody takes out"),
     ("Fault::Delay", "tests write it down: a new field would be asked of all of them"),
+    ("Fault::AnswerBroadcast", "like `Fault::Delay`"),
     ("Fault::Extended", "like `Fault::Delay`"),
     ("Fault::GarbageBefore", "like `Fault::Delay`"),
     ("Fault::GarbageInside", "like `Fault::Delay`"),
+    ("Fault::LeftOver", "like `Fault::Delay`"),
+    ("Fault::SecondAnswer", "like `Fault::Delay`"),
     ("Fault::Split", "like `Fault::Delay`"),
     ("Fault::Truncated", "like `Fault::Delay`"),
+    ("Timing::After", "like `Fault::Delay`"),
+    ("Timing::AfterNextReply", "like `Fault::Delay`"),
+    ("Timing::WithNextRequest", "like `Fault::Delay`"),
 ];
 
 /// Traits that can be implemented elsewhere, so that a new method without a body would break a program.

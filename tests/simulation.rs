@@ -132,7 +132,7 @@ fn faults(seed: u64, framing: Framing, echo: bool) -> Faults {
         .rule(some(Fault::Truncated { by: 1 }, 5))
         .rule(some(Fault::Extended { by: 4 }, 5))
         .rule(some(Fault::BadChecksum, 10))
-        .rule(some(Fault::Duplicate, 10))
+        .rule(some(Fault::duplicate(), 10))
         .rule(some(Fault::Disconnect(Moment::BeforeExecution), 1))
         .rule(some(Fault::Disconnect(Moment::BeforeReply), 1))
         .rule(some(Fault::Disconnect(Moment::WithinReply), 1))

@@ -180,7 +180,7 @@ fn faults(stations: &[u8], over: Over, framing: Framing, seed: u64) -> Faults {
         .rule(some(Fault::Truncated { by: 2 }, 3))
         .rule(some(Fault::Extended { by: 4 }, 3))
         .rule(some(Fault::BadChecksum, 4))
-        .rule(some(Fault::Duplicate, 8))
+        .rule(some(Fault::duplicate(), 8))
         .rule(some(Fault::Disconnect(Moment::BeforeExecution), 1))
         .rule(some(Fault::Disconnect(Moment::BeforeReply), 1))
         .rule(some(Fault::Disconnect(Moment::WithinReply), 1))

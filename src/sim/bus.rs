@@ -57,8 +57,9 @@ impl Bus {
 
     /// Gives the line faults, a speed and a log; see [`fault`](super::fault). They take the place of those it had.
     ///
-    /// [`serve`](super::serve), [`Server`](super::Server) and [`connector`](super::connector) heed them, for a bus that
-    /// has them when it is given to these. [`answer`](Self::answer) does not, for it knows no time.
+    /// [`serve`](super::serve), [`Server`](super::Server), [`UdpServer`](super::UdpServer) and
+    /// [`connector`](super::connector) apply them, for a bus that has them when it is given to these.
+    /// [`answer`](Self::answer) does not, for it knows no time.
     ///
     /// The faults that are kept can be changed while the line is in use. Give every bus its own: clones share their
     /// counters and their log.

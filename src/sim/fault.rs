@@ -41,7 +41,8 @@
 //! fault cannot be: [`Fault::Echo`] and [`Fault::Disconnect`] befall every frame, [`Fault::Ignore`] those to a station
 //! that is there and broadcasts, all others only those to a station that is there. ([`Fault::Refuse`] befalls
 //! connections.) A broadcast is to station 0; but a rule that has one station ignore what it hears has it ignore
-//! broadcasts too.
+//! broadcasts too. [`Fault::AnswerBroadcast`] befalls each station that obeys a broadcast, so its rule is asked once a
+//! station.
 //!
 //! # Order
 //!
@@ -58,10 +59,20 @@
 //! - Execution comes before the delay: a late reply tells how things were.
 //! - The reply is changed from the inside out: its content ([`Fault::Error`], [`Fault::WrongStation`],
 //!   [`Fault::WrongCommand`], [`Fault::Truncated`], [`Fault::Extended`]), with a checksum to match; then
-//!   [`Fault::BadChecksum`], [`Fault::GarbageInside`], [`Fault::Duplicate`], [`Fault::GarbageBefore`]; in the end it is
-//!   [`Fault::Split`].
+//!   [`Fault::BadChecksum`], [`Fault::GarbageInside`], [`Fault::GarbageBefore`]; in the end it is [`Fault::Split`].
+//! - Copies and second answers ([`Fault::Duplicate`], [`Fault::SecondAnswer`]) keep the order: they are sent at their
+//!   time, but at the latest directly before the next reply of the same station on that connection. A copy has all
+//!   changes of the reply but [`Fault::GarbageBefore`], and is not split. One [without a pause](Timing::AT_ONCE) is one
+//!   with its reply on a stream: it is split with it, and handed over with it. There is none of a reply that is dropped
+//!   or that the end of the connection cuts. [`Fault::RoamingDuplicate`] alone is sent later than other replies.
+//! - What is sent at the same time on a stream is written at once, for instance a copy and the reply that it comes
+//!   directly before. Over UDP each reply, each copy and each piece is a datagram.
+//! - A reply with [`Fault::LeftOver`] keeps its place in the order of its station, also on the next connection, and what
+//!   follows it goes with it.
 //! - Requests that have arrived are executed in their turn even when the connection is closed before that, as behind a
-//!   gateway. A connection has at most 64 requests and replies under way; while it has more, nothing is read from it.
+//!   gateway. A connection has at most 64 requests and replies under way; while it has more, nothing is read from it. It
+//!   has at most 64 copies and second answers under way, and at most 64 replies wait for the next connection; further
+//!   ones are lost.
 //!
 //! # Time
 //!
@@ -86,18 +97,31 @@
 //!   stations;
 //! - a 53 may be of any length from 28 bytes on, and a 4F may lack its error digit;
 //! - in the ASCII framing the echo of a 4E or of a STOP is its reply;
-//! - a copy or a late reply looks like the reply to the next request of the same kind, and a late one with a wrong station
-//!   like the reply to the next such request to that other station. The first is what a loop-back settles; the second
-//!   nothing can tell. So give [`Fault::WrongStation`] and [`Fault::Delay`] to different stations, or a delay that is
-//!   shorter than the client's timeout.
+//! - a late reply looks like the reply to the next request of the same shape, and one with a wrong station like the reply
+//!   to such a request to that other station. The first is what a loop-back settles; the second nothing can tell. So give
+//!   [`Fault::WrongStation`] and [`Fault::Delay`] to different stations, or a delay that is shorter than the client's
+//!   timeout;
+//! - a copy ([`Fault::Duplicate`]) looks like the reply to the next request of the same shape, and the true reply then like
+//!   that to the one after: one copy can shift every later reply by one. As it comes before the true reply to any later
+//!   request, a reply of another shape proves that there is no copy of an earlier one left;
+//! - a [`Fault::SecondAnswer`] is like a copy, but may be a refusal after a value, or another value: comparing it with the
+//!   first answer does not find it;
+//! - a [`Fault::RoamingDuplicate`] may come after any number of later replies: no exchange proves that there is none left.
+//!   It breaks what is assumed of TCP and of serial lines, and happens over UDP;
+//! - a [`Fault::LeftOver`] reply looks like the reply to the first request of a new connection. Opening a connection
+//!   proves nothing about the line behind it;
+//! - an answered broadcast ([`Fault::AnswerBroadcast`]) looks like the reply to the next request of the same command to
+//!   that station, for instance "done" to a RUN that is refused.
 
 mod conversation;
 mod dice;
 mod faults;
+mod left_over;
 mod line;
 mod log;
 mod rule;
 mod spoil;
+mod timing;
 
 use std::time::Duration;
 
@@ -105,9 +129,11 @@ use crate::ErrorCode;
 
 pub(crate) use self::conversation::{Conditions, Conversation, Output};
 pub use self::faults::Faults;
+pub use self::left_over::LeftOver;
 pub use self::line::Line;
 pub use self::log::{Applied, Heard, Log, LogEntry};
 pub use self::rule::Rule;
+pub use self::timing::Timing;
 
 /// One thing that goes wrong.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -165,8 +191,190 @@ pub enum Fault {
     /// The last character or byte of the reply's data is another one that could stand there, and the checksum is that of
     /// the right one.
     BadChecksum,
-    /// The reply comes twice, without a pause.
-    Duplicate,
+    /// The reply comes once more, in order: at its time, but directly before the next reply of the same station if that
+    /// is ready earlier. [`Fault::duplicate`] is the copy without a pause, which is handed over together with the reply.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::register;
+    /// use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule, Timing};
+    /// use fatek::wire::Framing;
+    /// use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// // The copy of the first reply comes when the next request has arrived.
+    /// let timing =
+    ///     Timing::WithNextRequest { min_per_mille: 0, max_per_mille: 1000, at_latest: Duration::from_secs(9) };
+    /// let faults = Faults::new(1).rule(Rule::new(Fault::Duplicate(timing)).times(1));
+    /// let plc = Plc::new();
+    /// let bus = Bus::new().with_station(1, plc.clone())?.with_faults(faults);
+    /// let mut client = sim::connector(bus, Framing::Ascii)().await?;
+    ///
+    /// let mut reply = [0; 13];
+    /// client.write_all(b"\x02014601R0000070\x03").await?; // read R0
+    /// client.read_exact(&mut reply).await?;
+    /// plc.write(register!("R0"), 5_u16)?;
+    /// client.write_all(b"\x02014601R0000070\x03").await?; // again
+    /// client.read_exact(&mut reply).await?;
+    /// assert_eq!(&reply, b"\x02014600000BD\x03"); // the copy: 0
+    /// client.read_exact(&mut reply).await?;
+    /// assert_eq!(&reply, b"\x02014600005C2\x03"); // the reply: 5
+    /// # Ok(())
+    /// # }
+    /// ```
+    #[doc(alias = "copy")]
+    Duplicate(Timing),
+    /// The reply comes once more, and keeps no order: it is sent at its time even when later replies have been sent
+    /// before, as over a network with several ways.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule, Timing};
+    /// use fatek::wire::Framing;
+    /// use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// let after = Duration::from_millis(50);
+    /// let roaming = Fault::RoamingDuplicate(Timing::After { min: after, max: after });
+    /// let faults = Faults::new(1).rule(Rule::new(roaming).times(1));
+    /// let bus = Bus::new().with_station(1, Plc::new())?.with_faults(faults);
+    /// let mut client = sim::connector(bus, Framing::Ascii)().await?;
+    ///
+    /// let mut received = [0; 13];
+    /// client.write_all(b"\x02014601R0000070\x03").await?; // read R0
+    /// client.read_exact(&mut received).await?;
+    /// client.write_all(b"\x0201411F9\x03").await?; // RUN
+    /// client.read_exact(&mut received[..9]).await?;
+    /// assert_eq!(&received[..9], b"\x0201410F8\x03");
+    /// client.read_exact(&mut received).await?; // without a request
+    /// assert_eq!(&received, b"\x02014600000BD\x03");
+    /// # Ok(())
+    /// # }
+    /// ```
+    #[doc(alias("copy", "reorder"))]
+    RoamingDuplicate(Timing),
+    /// The request is answered a second time, in order like a [`Duplicate`](Self::Duplicate): a gateway has asked a busy
+    /// PLC again.
+    ///
+    /// Without an error a read is executed again when its second answer is sent, so that it has the values of that time.
+    /// Any other request is executed once, and its second answer is a copy of the first.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::{ErrorCode, register};
+    /// use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule, Timing};
+    /// use fatek::wire::Framing;
+    /// use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// // The second answer comes 20 ms after the first, and says what is true then.
+    /// let after = Duration::from_millis(20);
+    /// let timing = Timing::After { min: after, max: after };
+    /// let faults = Faults::new(1).rule(Rule::new(Fault::SecondAnswer { timing, error: None }));
+    /// let plc = Plc::new();
+    /// let bus = Bus::new().with_station(1, plc.clone())?.with_faults(faults.clone());
+    /// let mut client = sim::connector(bus, Framing::Ascii)().await?;
+    ///
+    /// let mut reply = [0; 13];
+    /// client.write_all(b"\x02014601R0000070\x03").await?; // read R0
+    /// client.read_exact(&mut reply).await?;
+    /// assert_eq!(&reply, b"\x02014600000BD\x03"); // 0
+    /// plc.write(register!("R0"), 5_u16)?;
+    /// client.read_exact(&mut reply).await?;
+    /// assert_eq!(&reply, b"\x02014600005C2\x03"); // 5
+    ///
+    /// // Now the second answer is a refusal.
+    /// let busy = Fault::SecondAnswer { timing, error: Some(ErrorCode::NotSupported) };
+    /// faults.set_rules([Rule::new(busy)]);
+    /// # Ok(())
+    /// # }
+    /// ```
+    #[doc(alias = "copy")]
+    SecondAnswer {
+        /// When it is sent.
+        timing: Timing,
+        /// The error that it is.
+        error: Option<ErrorCode>,
+    },
+    /// The reply comes this much later, like a [`Delay`](Self::Delay), and outlives its connection.
+    ///
+    /// If the client has closed the connection, or its half of it, by then, the reply is sent on the next connection to
+    /// the bus: when that opens, or at its time if that is later. So does a serial device server whose serial side goes
+    /// on when a client leaves. Of several connections the latest counts, if it was opened after the one that ended. Over
+    /// UDP the reply goes to the address of the latest request.
+    ///
+    /// [`Faults::left_over`] has a run begin with such replies.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
+    /// use fatek::wire::Framing;
+    /// use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// let late = Duration::from_millis(500);
+    /// let faults = Faults::new(1).rule(Rule::new(Fault::LeftOver { min: late, max: late }).times(1));
+    /// let bus = Bus::new().with_station(1, Plc::new())?.with_faults(faults);
+    /// let mut connect = sim::connector(bus, Framing::Ascii);
+    ///
+    /// let mut first = connect().await?;
+    /// first.write_all(b"\x02014601R0000070\x03").await?; // read R0
+    /// tokio::time::sleep(Duration::from_millis(100)).await;
+    /// drop(first); // a timeout
+    ///
+    /// let mut second = connect().await?;
+    /// let mut received = [0; 13];
+    /// second.read_exact(&mut received).await?; // without a request
+    /// assert_eq!(&received, b"\x02014600000BD\x03");
+    /// # Ok(())
+    /// # }
+    /// ```
+    #[doc(alias("late", "stale"))]
+    LeftOver {
+        /// The shortest delay.
+        min: Duration,
+        /// The longest delay.
+        max: Duration,
+    },
+    /// Each station that obeys a broadcast replies to it, between the two times after the execution, both included.
+    ///
+    /// [`Rule::station`] narrows it to one of them, and the chance of a rule is drawn for each.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
+    /// use fatek::wire::Framing;
+    /// use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// let (min, max) = (Duration::ZERO, Duration::from_millis(5));
+    /// let answer = Fault::AnswerBroadcast { station: None, min, max, error: None };
+    /// let faults = Faults::new(1).rule(Rule::new(answer).station(2)); // only station 2
+    /// let bus = Bus::new().with_station(1, Plc::new())?.with_station(2, Plc::new())?.with_faults(faults);
+    /// let mut client = sim::connector(bus, Framing::Ascii)().await?;
+    ///
+    /// let mut received = [0; 9];
+    /// client.write_all(b"\x0200411F8\x03").await?; // all stations, RUN
+    /// client.read_exact(&mut received).await?;
+    /// assert_eq!(&received, b"\x0202410F9\x03"); // station 2: done
+    /// # Ok(())
+    /// # }
+    /// ```
+    AnswerBroadcast {
+        /// The station number of the reply, such as 0; `None` is each station's own.
+        station: Option<u8>,
+        /// The shortest delay. The station is busy meanwhile.
+        min: Duration,
+        /// The longest delay.
+        max: Duration,
+        /// The refusal that it answers with instead of executing the broadcast.
+        error: Option<ErrorCode>,
+    },
     /// The bytes of the request come back when it has arrived, as from an adapter for RS-485 that hears itself. So do
     /// those of a broadcast and those for a station that is dead or not there.
     Echo,
@@ -207,18 +415,26 @@ enum Addressee {
     Nobody,
     /// All of them: a broadcast.
     Everybody,
+    /// One of the stations that obey a broadcast.
+    Listener,
     /// It is a connection.
     Server,
 }
 
 impl Fault {
+    /// A copy that follows the reply without a pause.
+    #[must_use]
+    pub const fn duplicate() -> Self {
+        Self::Duplicate(Timing::AT_ONCE)
+    }
+
     fn befalls(&self, addressee: Addressee) -> bool {
-        match (self, addressee) {
-            (Self::Refuse, addressee) => addressee == Addressee::Server,
-            (_, Addressee::Server) => false,
-            (_, Addressee::Plc) | (Self::Echo | Self::Disconnect(_), _) => true,
-            (_, Addressee::Everybody) => *self == Self::Ignore,
-            (_, Addressee::Nobody) => false,
+        match addressee {
+            Addressee::Server => *self == Self::Refuse,
+            Addressee::Listener => matches!(self, Self::AnswerBroadcast { .. }),
+            Addressee::Plc => !matches!(self, Self::Refuse | Self::AnswerBroadcast { .. }),
+            Addressee::Everybody => matches!(self, Self::Ignore | Self::Echo | Self::Disconnect(_)),
+            Addressee::Nobody => matches!(self, Self::Echo | Self::Disconnect(_)),
         }
     }
 

@@ -3,8 +3,8 @@
 //! - [`Plc`] is one PLC of some [`Model`]: memory, program, RUN/STOP. It is a cheap handle, so a test can keep one and
 //!   look at the PLC, or play the process, while a client talks to it.
 //! - [`Bus`] is a line with PLCs at their station numbers: frames in, replies out, no I/O.
-//! - [`serve`] puts a bus behind any stream, [`Server`] behind a TCP port; [`connector`] connects a
-//!   [`Link`](crate::Link) to it in memory.
+//! - [`serve`] puts a bus behind any stream, [`Server`] behind a TCP port, [`UdpServer`] behind a UDP port;
+//!   [`connector`] connects a [`Link`](crate::Link) to it in memory.
 //! - [`Faults`] make it go wrong: silence, delays, garbage, lost connections, line speed; and they keep a log of what
 //!   arrived. See [`fault`].
 //!
@@ -53,7 +53,7 @@ pub use error::Error;
 pub use execute::Execute;
 #[cfg(test)]
 pub(crate) use fault::{Conversation, Output};
-pub use fault::{Fault, Faults, Line, Log, LogEntry, Moment, Rule};
+pub use fault::{Fault, Faults, LeftOver, Line, Log, LogEntry, Moment, Rule, Timing};
 pub use model::{Model, PageReply};
 pub use plc::Plc;
-pub use server::{MAX_CONNECTIONS, Server, connector, serve};
+pub use server::{MAX_CONNECTIONS, Server, UdpServer, connector, serve};

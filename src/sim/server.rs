@@ -1,4 +1,5 @@
 mod converse;
+mod udp;
 
 use std::future::{Ready, ready};
 use std::io;
@@ -18,6 +19,7 @@ use tokio_util::codec::Decoder;
 use tracing::debug;
 
 use self::converse::converse;
+pub use self::udp::UdpServer;
 use super::Bus;
 use super::fault::{Conversation, Faults};
 use crate::wire::{Codec, Framing, MAX_FRAME_LEN, Side};

@@ -47,7 +47,7 @@ fn faults(seed: u64) -> Faults {
         .rule(some(Fault::Truncated { by: 1 }, 10))
         .rule(some(Fault::Extended { by: 4 }, 10))
         .rule(some(Fault::BadChecksum, 20))
-        .rule(some(Fault::Duplicate, 20))
+        .rule(some(Fault::duplicate(), 20))
         .rule(some(Fault::Disconnect(Moment::BeforeExecution), 10))
         .rule(some(Fault::Disconnect(Moment::BeforeReply), 10))
         .rule(some(Fault::Disconnect(Moment::WithinReply), 10))

@@ -135,9 +135,20 @@ impl Log {
         }
     }
 
+    /// A fault has befallen a request after its arrival.
+    pub(super) fn befell(&self, number: u64, fault: &Fault) {
+        if let Some(entry) = self.lock().entry(number).filter(|entry| !entry.faults.contains(fault)) {
+            entry.faults.push(fault.clone());
+        }
+    }
+
+    /// An answer has been sent, behind those that were sent before.
     pub(super) fn answered(&self, number: u64, answer: &Bytes) {
         if let Some(entry) = self.lock().entry(number) {
-            entry.answer = Some(answer.clone());
+            entry.answer = Some(match entry.answer.take() {
+                None => answer.clone(),
+                Some(earlier) => Bytes::from([earlier, answer.clone()].concat()),
+            });
         }
     }
 
@@ -168,9 +179,10 @@ pub struct LogEntry {
     /// Whether a PLC has done what it asks. `false` while it waits for its turn, and for ever when it was lost, or when
     /// the PLC refused it.
     pub executed: bool,
-    /// What was sent for an answer, all faults included. An echo is none.
+    /// What was sent for an answer, all faults included: the reply, and behind it copies and second answers that have
+    /// been sent by now. An echo is none.
     pub answer: Option<Bytes>,
-    /// The faults that befell it, in the order of their rules.
+    /// The faults that befell it, in the order of their rules; behind them those that had stations answer a broadcast.
     pub faults: Vec<Fault>,
 }
 

@@ -2,6 +2,7 @@ use super::dice::Dice;
 use super::{Addressee, Fault};
 use crate::command::{Code, Request};
 use crate::element::Element;
+use crate::sim::bus::BROADCAST;
 use crate::sim::memory::{Area, covered};
 
 /// A [`Fault`], and which requests it befalls: all of them, until something narrows it down.
@@ -54,6 +55,8 @@ impl Rule {
     }
 
     /// Only requests to this station. 0 is the broadcast.
+    ///
+    /// For [`Fault::AnswerBroadcast`] it is the station that answers, and with 0, as without this, each of them.
     #[must_use]
     pub fn station(mut self, station: u8) -> Self {
         self.station = Some(station);
@@ -147,7 +150,7 @@ impl Rule {
 
     fn covers(&self, subject: &Subject<'_>) -> bool {
         self.fault.befalls(subject.addressee)
-            && self.station.is_none_or(|station| subject.station == Some(station))
+            && self.station.is_none_or(|station| subject.concerns(station))
             && self.command.is_none_or(|code| subject.command == Some(code))
             && self.elements.is_none_or(|span| subject.request.is_some_and(|request| span.is_touched_by(request)))
     }
@@ -160,6 +163,12 @@ pub(super) struct Subject<'a> {
     pub(super) station: Option<u8>,
     pub(super) command: Option<Code>,
     pub(super) request: Option<&'a Request>,
+}
+
+impl Subject<'_> {
+    fn concerns(&self, station: u8) -> bool {
+        self.station == Some(station) || self.addressee == Addressee::Listener && station == BROADCAST
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,11 +8,19 @@ use super::{Fault, Moment};
 use crate::command::Code;
 use crate::wire::{Codec, FieldWriter, Frame, Framing, MAX_FRAME_LEN, Received, Side, ascii, binary};
 
-/// The bytes that go out in the place of a reply: from the frame outwards, whatever the order of the faults. Empty, if
-/// there is nothing to be heard.
-pub(super) fn spoil(mut reply: BytesMut, framing: Framing, faults: &[Fault], dice: &mut Dice) -> Bytes {
+/// What goes out in the place of a reply.
+#[derive(Debug, Default)]
+pub(super) struct Spoilt {
+    /// The bytes of the reply. Empty, if there is nothing to be heard.
+    pub(super) reply: Bytes,
+    /// What a copy of it has: all but the garbage before it.
+    pub(super) copy: Bytes,
+}
+
+/// Changes a reply from the frame outwards, whatever the order of the faults.
+pub(super) fn spoil(mut reply: BytesMut, framing: Framing, faults: &[Fault], dice: &mut Dice) -> Spoilt {
     if faults.contains(&Fault::DropReply) || faults.contains(&Fault::Disconnect(Moment::BeforeReply)) {
-        return Bytes::new();
+        return Spoilt::default();
     }
     if let Some(frame) = reframed(&reply, framing, faults) {
         reply.clear();
@@ -29,16 +37,15 @@ pub(super) fn spoil(mut reply: BytesMut, framing: Framing, faults: &[Fault], dic
     if let Some(max_len) = faults.iter().find_map(|fault| fault.garbage_inside()) {
         reply = garbled(&reply, framing, max_len, dice);
     }
-    if faults.contains(&Fault::Duplicate) {
-        reply.extend_from_slice(&reply.clone());
-    }
+    let copy = reply.freeze();
+    let mut reply = copy.clone();
     if let Some(max_len) = faults.iter().find_map(|fault| fault.garbage_before()) {
-        reply = after_garbage(&reply, framing, max_len, dice);
+        reply = after_garbage(&reply, framing, max_len, dice).freeze();
     }
     if faults.contains(&Fault::Disconnect(Moment::WithinReply)) {
         reply.truncate(reply.len() / 2);
     }
-    reply.freeze()
+    Spoilt { reply, copy }
 }
 
 /// The frame with another content, if a fault asks for it.

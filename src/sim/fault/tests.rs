@@ -90,7 +90,7 @@ async fn torture(seed: u64, framing: Framing) -> (u32, u32) {
             Fault::Truncated { by: 2 },
             Fault::Extended { by: 4 },
             Fault::BadChecksum,
-            Fault::Duplicate,
+            Fault::duplicate(),
             Fault::Disconnect(Moment::BeforeExecution),
             Fault::Disconnect(Moment::WithinReply),
         ]

@@ -2,6 +2,7 @@
 //! nothing.
 
 use std::io;
+use std::pin::pin;
 
 use bytes::{Bytes, BytesMut};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
@@ -32,7 +33,11 @@ where
     S: AsyncRead + AsyncWrite + Unpin,
 {
     let mut ear = Ear::new(framing);
+    let left_overs = conversation.left_overs();
     loop {
+        // Before the conversation is asked, so that no change is missed.
+        let mut changed = pin!(left_overs.changed().notified());
+        changed.as_mut().enable();
         let now = Instant::now();
         match conversation.next(now) {
             Some(Output::Bytes(bytes)) => {
@@ -59,7 +64,13 @@ where
             // In this order, so that a run can be repeated.
             biased;
             () = pause(wake) => {}
-            read = stream.read_buf(&mut ear.received), if has_room && !ear.has_ended => ear.hear(read?),
+            () = changed => {}
+            read = stream.read_buf(&mut ear.received), if has_room && !ear.has_ended => {
+                ear.hear(read?);
+                if ear.has_ended {
+                    conversation.end_input();
+                }
+            }
         }
     }
 }
@@ -109,7 +120,7 @@ impl Ear {
     }
 }
 
-async fn pause(until: Option<Instant>) {
+pub(super) async fn pause(until: Option<Instant>) {
     match until {
         Some(until) => sleep_until(until).await,
         None => std::future::pending().await,

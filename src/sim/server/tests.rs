@@ -7,6 +7,8 @@ use crate::register;
 use crate::sim::Plc;
 
 mod faults;
+mod left_overs;
+mod udp;
 
 const RUN: &[u8] = b"\x0201411F9\x03";
 const DONE: &[u8] = b"\x0201410F8\x03";

@@ -1,12 +1,15 @@
 use tokio_util::codec::Decoder;
 
 use super::*;
-use crate::command::Value;
-use crate::sim::{Plc, Rule};
+use crate::command::{Code, Value};
+use crate::sim::{Faults, LeftOver, Line, Plc, Rule, Timing};
 use crate::wire::{Codec, Side};
 use crate::{ErrorCode, element, register};
 
+mod broadcasts;
+mod copies;
 mod faults;
+mod left_overs;
 mod log;
 mod time;
 
@@ -59,6 +62,13 @@ impl Talk {
         let Conversation { bus, conditions, framing, .. } = &self.conversation;
         let conversation = Conversation::new(bus.clone(), conditions.clone(), *framing);
         Self { conversation, faults: self.faults.clone(), plcs: self.plcs.clone(), began: self.began, said: Vec::new() }
+    }
+
+    /// The connection opens, or is to look for what other connections have left over.
+    fn open(&mut self, at_ms: u64) {
+        self.wait(at_ms);
+        self.conversation.adopt_left_overs(self.after(at_ms));
+        self.wait(at_ms);
     }
 
     /// These bytes come this many milliseconds after the beginning; all that is due before them is done.
@@ -114,6 +124,13 @@ fn under(fault: Fault, request: &[u8]) -> Vec<(u128, String)> {
 
 fn delay_ms(min: u64, max: u64) -> Fault {
     Fault::Delay { min: Duration::from_millis(min), max: Duration::from_millis(max) }
+}
+
+/// Every PLC takes 5 ms.
+fn after_5_ms(rules: impl IntoIterator<Item = Rule>) -> Talk {
+    let talk = Talk::of(rules);
+    talk.faults.set_line(Line::new(0).turnaround(Duration::from_millis(5), Duration::from_millis(5)));
+    talk
 }
 
 fn text(bytes: &[u8]) -> String {

@@ -1,3 +1,5 @@
+use std::time::Duration;
+
 use super::*;
 use crate::command::{
     ControlDiscrete, ControlPlc, DiscreteControl, LoopBack, ReadDisabled, ReadDiscretes, ReadMixed, ReadProgramPage,
@@ -110,13 +112,20 @@ fn a_range_of_elements_may_be_empty_or_end_with_the_area() {
 #[test]
 fn a_fault_befalls_only_those_whom_it_can() {
     let befallen = |fault: Fault| {
-        [Addressee::Plc, Addressee::Nobody, Addressee::Everybody, Addressee::Server].map(|a| fault.befalls(a))
+        let addressees =
+            [Addressee::Plc, Addressee::Nobody, Addressee::Everybody, Addressee::Listener, Addressee::Server];
+        addressees.map(|addressee| fault.befalls(addressee))
     };
-    assert_eq!(befallen(Fault::Echo), [true, true, true, false]);
-    assert_eq!(befallen(Fault::Disconnect(crate::sim::Moment::BeforeReply)), [true, true, true, false]);
-    assert_eq!(befallen(Fault::Ignore), [true, false, true, false]);
-    assert_eq!(befallen(Fault::BadChecksum), [true, false, false, false]);
-    assert_eq!(befallen(Fault::Refuse), [false, false, false, true]);
+    let time = Duration::ZERO;
+    assert_eq!(befallen(Fault::Echo), [true, true, true, false, false]);
+    assert_eq!(befallen(Fault::Disconnect(crate::sim::Moment::BeforeReply)), [true, true, true, false, false]);
+    assert_eq!(befallen(Fault::Ignore), [true, false, true, false, false]);
+    assert_eq!(befallen(Fault::BadChecksum), [true, false, false, false, false]);
+    assert_eq!(befallen(Fault::duplicate()), [true, false, false, false, false]);
+    assert_eq!(befallen(Fault::LeftOver { min: time, max: time }), [true, false, false, false, false]);
+    let answer = Fault::AnswerBroadcast { station: None, min: time, max: time, error: None };
+    assert_eq!(befallen(answer), [false, false, false, true, false]);
+    assert_eq!(befallen(Fault::Refuse), [false, false, false, false, true]);
 }
 
 fn strikes(rule: &mut Rule, requests: u64) -> Vec<bool> {

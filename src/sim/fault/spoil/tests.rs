@@ -69,9 +69,11 @@ fn a_bad_checksum_is_that_of_another_value() {
 }
 
 #[test]
-fn a_duplicate_follows_at_once() {
-    assert_ascii(DONE, &[Fault::Duplicate], b"\x0201410F8\x03\x0201410F8\x03");
-    assert_binary(READ_BINARY, &[Fault::Duplicate], &[READ_BINARY, READ_BINARY].concat());
+fn a_copy_has_all_but_the_garbage_before_the_reply() {
+    let faults = [Fault::GarbageBefore { max_len: 4 }, Fault::BadChecksum];
+    let Spoilt { reply, copy } = spoil(DONE.into(), Framing::Ascii, &faults, &mut Dice::new(1, 2, 3));
+    assert_eq!(text(&copy), text(b"\x0201411F8\x03"));
+    assert!(reply.ends_with(&copy) && reply.len() > copy.len());
 }
 
 #[test]
@@ -87,7 +89,7 @@ fn garbage_inside_leaves_no_good_frame_and_all_of_the_reply() {
     for (reply, framing) in [(READ, Framing::Ascii), (READ_BINARY, Framing::Binary)] {
         for seed in 0..2000 {
             let garbled =
-                spoil(reply.into(), framing, &[Fault::GarbageInside { max_len: 8 }], &mut Dice::new(seed, 0, 0));
+                spoil(reply.into(), framing, &[Fault::GarbageInside { max_len: 8 }], &mut Dice::new(seed, 0, 0)).reply;
             assert_eq!(frames(&garbled, framing), [], "seed {seed}: {}", garbled.escape_ascii());
             let extra = garbled.len() - reply.len();
             assert!((1..=8).contains(&extra));
@@ -105,7 +107,7 @@ fn garbage_before_is_no_frame_and_the_reply_follows_it() {
         let said = frames(reply, framing);
         for seed in 0..2000 {
             let heard =
-                spoil(reply.into(), framing, &[Fault::GarbageBefore { max_len: 20 }], &mut Dice::new(seed, 0, 0));
+                spoil(reply.into(), framing, &[Fault::GarbageBefore { max_len: 20 }], &mut Dice::new(seed, 0, 0)).reply;
             assert!(heard.ends_with(reply));
             assert!((1..=20).contains(&(heard.len() - reply.len())));
             let found = frames(&heard, framing);
@@ -121,7 +123,7 @@ fn there_is_at_least_one_byte_of_garbage_and_at_most_a_kilobyte() {
     let longest = |max_len| {
         let lens = (0..200).map(|seed| {
             let fault = [Fault::GarbageBefore { max_len }];
-            spoil(DONE.into(), Framing::Ascii, &fault, &mut Dice::new(seed, 0, 0)).len() - DONE.len()
+            spoil(DONE.into(), Framing::Ascii, &fault, &mut Dice::new(seed, 0, 0)).reply.len() - DONE.len()
         });
         lens.fold((usize::MAX, 0), |(min, max), len| (min.min(len), max.max(len)))
     };
@@ -133,12 +135,11 @@ fn there_is_at_least_one_byte_of_garbage_and_at_most_a_kilobyte() {
 
 #[test]
 fn faults_work_from_the_inside_out_whatever_their_order() {
-    let faults =
-        [Fault::GarbageBefore { max_len: 1 }, Fault::Duplicate, Fault::Truncated { by: 8 }, Fault::WrongStation];
+    let faults = [Fault::GarbageBefore { max_len: 1 }, Fault::Truncated { by: 8 }, Fault::WrongStation];
     let mut reversed = faults.clone();
     reversed.reverse();
     let spoilt_reply = spoilt(READ, Framing::Ascii, &faults);
-    assert_eq!(text(&spoilt_reply[1..]), text(b"\x020246010A5D5\x03\x020246010A5D5\x03"));
+    assert_eq!(text(&spoilt_reply[1..]), text(b"\x020246010A5D5\x03"));
     assert_eq!(spoilt_reply, spoilt(READ, Framing::Ascii, &reversed));
 }
 
@@ -151,7 +152,7 @@ fn assert_binary(reply: &[u8], faults: &[Fault], expected: &[u8]) {
 }
 
 fn spoilt(reply: &[u8], framing: Framing, faults: &[Fault]) -> Bytes {
-    spoil(reply.into(), framing, faults, &mut Dice::new(1, 2, 3))
+    spoil(reply.into(), framing, faults, &mut Dice::new(1, 2, 3)).reply
 }
 
 fn text(bytes: &[u8]) -> String {

@@ -3,8 +3,8 @@
 use super::*;
 use crate::sim::{Fault, Faults, Line, Moment, Rule};
 
-const RUN_2: &[u8] = b"\x0202411FA\x03";
-const DONE_2: &[u8] = b"\x0202410F9\x03";
+pub(super) const RUN_2: &[u8] = b"\x0202411FA\x03";
+pub(super) const DONE_2: &[u8] = b"\x0202410F9\x03";
 
 #[tokio::test(start_paused = true)]
 async fn without_rules_and_line_it_takes_no_time() {
@@ -179,11 +179,11 @@ fn start_with(faults: &Faults, framing: Framing) -> (DuplexStream, JoinHandle<io
     (client, tokio::spawn(serve(line, bus_with(faults), framing)))
 }
 
-async fn listen_with(faults: &Faults) -> Server {
+pub(super) async fn listen_with(faults: &Faults) -> Server {
     Server::bind("127.0.0.1:0", bus_with(faults), Framing::Ascii).await.unwrap()
 }
 
-fn bus_with(faults: &Faults) -> Bus {
+pub(super) fn bus_with(faults: &Faults) -> Bus {
     let bus = Bus::new().with_station(1, Plc::new()).unwrap().with_station(2, Plc::new()).unwrap();
     bus.with_faults(faults.clone())
 }

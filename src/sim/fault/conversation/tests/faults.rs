@@ -37,7 +37,7 @@ fn the_reply_is_changed_as_the_fault_says() {
         (Fault::Truncated { by: 1 }, b"\x02014600008D\x03"),
         (Fault::Extended { by: 1 }, b"\x020146000000ED\x03"),
         (Fault::BadChecksum, b"\x02014600001BD\x03"),
-        (Fault::Duplicate, b"\x02014600000BD\x03\x02014600000BD\x03"),
+        (Fault::duplicate(), b"\x02014600000BD\x03\x02014600000BD\x03"),
         (Fault::Delay { min: Duration::ZERO, max: Duration::ZERO }, READS_0),
         (Fault::Refuse, READS_0),
     ] {
@@ -151,7 +151,7 @@ fn a_broadcast_is_obeyed_by_all_but_those_who_ignore_it() {
         (vec![Rule::new(Fault::Ignore)], [false, false]),
         (vec![Rule::new(Fault::Ignore).command(Code::ReadRegisters)], [true, true]),
         // What only a reply can suffer does not befall it, and is not used up by it.
-        (vec![Rule::new(Fault::Duplicate), Rule::new(Fault::Error(ErrorCode::Syntax))], [true, true]),
+        (vec![Rule::new(Fault::duplicate()), Rule::new(Fault::Error(ErrorCode::Syntax))], [true, true]),
     ] {
         let mut talk = Talk::of(rules.clone());
         talk.hear(0, BROADCAST_7);
