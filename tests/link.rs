@@ -100,6 +100,9 @@ async fn only_the_exact_reply_is_taken_and_the_deadline_keeps_running() {
     peer.reply(1, 0x46, "00001000G").await; // not hexadecimal
     peer.reply(1, 0x46, "A0001").await; // an error with data
     sleep(Duration::from_millis(500)).await;
+    peer.reply(1, 0x46, "000030004").await; // it fits, but the strays before it are a doubt
+    peer.echo().await;
+    peer.request().await;
     peer.reply(1, 0x46, "000030004").await;
     assert_eq!(call.await.unwrap().unwrap(), [3, 4]);
     assert!(began.elapsed() < Duration::from_millis(600));
@@ -181,7 +184,7 @@ async fn a_frame_that_nobody_asked_for_makes_the_station_prove_itself() {
         peer.request().await;
         peer.reply(1, 0x46, "00001").await;
         assert_eq!(call.await.unwrap().unwrap(), [1]);
-        peer.reply(1, 0x46, "00001").await; // once more than asked
+        peer.reply(1, 0x46, "00002").await; // it is no copy of the last reply
         sleep(Duration::from_millis(1)).await;
     }
 }

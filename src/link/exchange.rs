@@ -157,8 +157,6 @@ pub(crate) struct Active {
     pub(crate) refusal: Option<ErrorCode>,
     /// Behind the reply came another frame of the station in the same read, and no copy.
     pub(crate) followed: bool,
-    /// That frame fits the request, too.
-    pub(crate) ambiguous: bool,
     /// Whether the request itself has come back.
     echoed: bool,
     /// How many bytes came that were no frame.
@@ -261,7 +259,6 @@ impl Exchange {
             reply: None,
             refusal: None,
             followed: false,
-            ambiguous: false,
             goal,
             began: now,
             sent: None,
@@ -396,7 +393,6 @@ impl Exchange {
                 return Event::Copy { station: frame.station };
             }
             active.followed |= own;
-            active.ambiguous |= fits && active.goal.offer(framing, &frame.data, now).is_ok();
             return stray;
         }
         let copy = !active.echoed && is_copy(&active.goal, self.request_len, framing, frame);

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
+use fatek::endpoint::InStepSettings;
 use fatek::wire::{Codec, Frame, Framing, Side};
 use fatek::{CallOptions, Link, Station};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
@@ -105,8 +106,13 @@ impl Peer {
 
 pub(crate) fn line() -> (Link, Peer) {
     let (client, plc) = duplex(4096);
-    let link = Link::from_stream(client, Framing::Ascii);
+    let link = Link::stream_builder(client, Framing::Ascii).in_step(undoubled()).build();
     (link, Peer::new(plc))
+}
+
+/// A line that never doubles a reply, so that equal requests in turn are spelt alike: for tests of other matters.
+pub(crate) fn undoubled() -> InStepSettings {
+    InStepSettings::new().with_copies(0).unwrap()
 }
 
 pub(crate) fn station(link: &Link) -> Station {

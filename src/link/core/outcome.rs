@@ -77,7 +77,8 @@ impl Core {
                 }
                 let kind = ticket.call.kind();
                 let proven = self.stations.with_in_step(station, |known| known.proves(kind, &reply));
-                let contradicted = if kind == Kind::Once { active.ambiguous } else { active.followed };
+                // Of two answers to a write the first is its own, for nothing owed could have answered it.
+                let contradicted = kind != Kind::Once && active.followed;
                 if !proven || contradicted {
                     return self.unproven(ticket, &reply, now);
                 }
@@ -147,7 +148,7 @@ impl Core {
         self.stations.with_in_step(station, |known| known.unproven(reply.shape.code));
         self.board.count_for(station, |stats| add(&mut stats.unproven_replies, 1));
         tracing::debug!(station, "the reply may be one to an earlier request");
-        let again = ticket.call.kind() != Kind::Once && !ticket.asked_again && ticket.is_wanted(now) && !self.closing;
+        let again = !ticket.asked_again && ticket.is_wanted(now) && !self.closing;
         if again {
             ticket.asked_again = true;
             self.scheduler.push_front(ticket);
