@@ -414,7 +414,12 @@ impl InStep {
             return false;
         }
         if echo {
+            let (taken, older) = (self.taken, std::mem::take(&mut self.older));
             self.is_in_step();
+            if rule.settings.copies() > 1 {
+                // A copy that may come later than the next reply may come later than the echo.
+                (self.taken, self.older) = (taken, older);
+            }
         }
         self.refused = false;
         self.taken(Kind::Once, reply, took, rule, now);
@@ -460,9 +465,14 @@ impl InStep {
     }
 
     /// A reply came without proof, and its request is to be sent again.
-    pub(crate) fn unproven(&mut self, code: Code) {
+    ///
+    /// A refusal may be the true reply to a read that a roaming copy has answered, so it is a doubt for jobs. A frame that comes
+    /// afterwards may be one, too, so it is not expected.
+    pub(crate) fn unproven(&mut self, refused: bool) {
         self.suspect.get_or_insert(Why::Unproven);
-        self.timed_out.insert(code);
+        if refused {
+            self.proof.doubts = self.proof.doubts.wrapping_add(1);
+        }
     }
 
     /// A broadcast was sent: the station may answer it.

@@ -117,7 +117,7 @@ impl Core {
                     }
                     // The reply may be a late one: it shows nothing of the station.
                     Check::Echo => {
-                        self.stations.with_in_step(station, |known| known.unproven(reply.shape.code));
+                        self.stations.with_in_step(station, |known| known.unproven(reply.refused));
                         false
                     }
                 };
@@ -145,7 +145,7 @@ impl Core {
     fn unproven(&mut self, mut ticket: Ticket, reply: &Reply, now: Instant) {
         let station = ticket.station;
         ticket.call.retract();
-        self.stations.with_in_step(station, |known| known.unproven(reply.shape.code));
+        self.stations.with_in_step(station, |known| known.unproven(reply.refused));
         self.board.count_for(station, |stats| add(&mut stats.unproven_replies, 1));
         tracing::debug!(station, "the reply may be one to an earlier request");
         let again = !ticket.asked_again && ticket.is_wanted(now) && !self.closing;
