@@ -157,6 +157,8 @@ pub(crate) struct Active {
     pub(crate) refusal: Option<ErrorCode>,
     /// Behind the reply came another frame of the station in the same read, and no copy.
     pub(crate) followed: bool,
+    /// A copy of the reply came in the same read.
+    pub(crate) copied: bool,
     /// Whether the request itself has come back.
     echoed: bool,
     /// How many bytes came that were no frame.
@@ -259,6 +261,7 @@ impl Exchange {
             reply: None,
             refusal: None,
             followed: false,
+            copied: false,
             goal,
             began: now,
             sent: None,
@@ -380,7 +383,9 @@ impl Exchange {
         let fingerprint = in_step::fingerprint(frame.command, &frame.data);
         let stray = Event::Stray { station: frame.station, command: frame.command, fingerprint };
         if self.is_late_echo(frame) {
-            tracing::warn!("the line sends back what is sent on it: the reply that seemed to show the contrary was a late one");
+            tracing::warn!(
+                "the line sends back what is sent on it: the reply that seemed to show the contrary was a late one"
+            );
             self.echo = Echo::Present;
             self.learned_from = None;
             return Event::Echoed;
@@ -390,6 +395,7 @@ impl Exchange {
         let fits = own && frame.command == u8::from(active.shape.code);
         if let Some(reply) = &active.reply {
             if own && reply.fingerprint == fingerprint {
+                active.copied = true;
                 return Event::Copy { station: frame.station };
             }
             active.followed |= own;

@@ -27,6 +27,7 @@ mod answered;
 #[cfg(test)]
 mod checker;
 mod codes;
+mod terms;
 #[cfg(test)]
 mod tests;
 
@@ -36,131 +37,12 @@ use tokio::time::Instant;
 
 use self::answered::Answered;
 use self::codes::Codes;
+use self::terms::ANY_SIZE;
+pub(crate) use self::terms::{
+    Check, Choice, Kind, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why, fingerprint,
+};
 use super::later;
-use crate::command::{Candidate, Candidates, Code, Run, Spelling};
-use crate::endpoint::InStepSettings;
-
-/// The shape of a positive reply. A refusal fits every size of its command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Shape {
-    pub(crate) code: Code,
-    /// See [`Command::reply_size`](crate::command::Command).
-    pub(crate) size: u32,
-}
-
-/// What a request is to the rule.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Kind {
-    /// It can be asked again.
-    Read,
-    /// A read of a program page: a page that differs from the one before it is new.
-    Page,
-    /// It is sent only if no owed frame of any sort could answer it.
-    Once,
-}
-
-/// A request, as far as the rule must know it.
-pub(crate) trait Spelled {
-    fn kind(&self) -> Kind;
-    fn plain(&self) -> Spelling;
-    /// The other spellings.
-    fn candidates(&self) -> Candidates;
-    /// The shape of the positive reply to a spelling.
-    fn shape(&self, spelling: Spelling) -> Shape;
-}
-
-/// A reply that fits the request on the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Reply {
-    /// The shape that was asked for.
-    pub(crate) shape: Shape,
-    pub(crate) refused: bool,
-    /// Of the frame: see [`fingerprint`].
-    pub(crate) fingerprint: u64,
-}
-
-/// What goes out for a request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Choice {
-    /// The request, so spelt.
-    Send(Spelling),
-    /// A request of the link itself, before it.
-    Check(Check, Why),
-    /// Nothing before this time, nor ever if a frame comes from the station before.
-    Silence(Instant),
-}
-
-/// What the link itself sends to separate two requests.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Check {
-    /// 4E with a nonce. Its echo always proves.
-    Nonce,
-    /// 4E without data: in step, any distinct exchange separates.
-    Empty,
-    /// 40, where 4E was refused without proof.
-    Status,
-    /// 53, where 4E was refused without proof and 40 is owed.
-    Detail,
-}
-
-/// Why a check is sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Why {
-    /// The connection is new.
-    Connected,
-    /// A request was not answered in time.
-    TimedOut,
-    /// A frame came that no request takes.
-    Stray,
-    /// A reply came without proof.
-    Unproven,
-    /// No spelling of the request is distinct from what is owed.
-    Owed,
-    /// A job ends, or a station is probed.
-    Confirm,
-}
-
-/// What a frame is that no request takes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Stray {
-    /// A copy of the reply that was taken last.
-    Duplicate,
-    /// An answer to a request that had timed out.
-    Late,
-    /// An answer to a broadcast.
-    Broadcast,
-    /// None of these.
-    Unexpected,
-}
-
-/// A number for what was proven of a station so far: see [`Job`](super::job::Job).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub(crate) struct Proof {
-    /// The number of proofs: echoes of checks and silences.
-    pub(crate) proofs: u32,
-    /// The number of unexpected strays.
-    pub(crate) doubts: u32,
-}
-
-/// The rule as it holds on a link.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Rule {
-    pub(crate) settings: InStepSettings,
-    /// The silence that replaces a check.
-    pub(crate) quiet: Duration,
-    /// The connection is for one request alone, so silence replaces every check.
-    pub(crate) one_request: bool,
-    pub(crate) prices: Prices,
-}
-
-/// Prices of what separates two requests.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Prices {
-    /// Time on the line of a byte.
-    pub(crate) byte: Duration,
-    /// Time of an exchange without data.
-    pub(crate) exchange: Duration,
-}
+use crate::command::{Candidate, Code, Run, Spelling};
 
 /// What is known of one station.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -188,6 +70,8 @@ pub(crate) struct InStep {
     /// Commands that are used as spellings and that the station does not know.
     lacks: Codes,
     answered: Answered,
+    /// The time that recent exchanges took, the slowest of them.
+    slowest: Duration,
     proof: Proof,
 }
 
@@ -226,6 +110,7 @@ impl InStep {
             equal_pages: false,
             lacks: Codes::NONE,
             answered: Answered::new(),
+            slowest: Duration::ZERO,
             proof: Proof::default(),
         }
     }
@@ -272,8 +157,11 @@ impl InStep {
 
     /// Decides what goes out to confirm all that was taken so far; `None`: it is confirmed.
     pub(crate) fn confirm(&mut self, rule: &Rule, now: Instant) -> Option<Choice> {
+        let suspect = self.suspect.is_some();
         let choice = self.prove(rule, now);
-        if choice.is_some() || !self.owes_anything() {
+        // A suspect station that needs no check has been silent. That the window has passed is no proof: a copy may have been
+        // taken, and the true reply may be slower than the window.
+        if choice.is_some() || suspect || rule.settings.copies() == 0 {
             return choice;
         }
         if rule.one_request {
@@ -329,7 +217,7 @@ impl InStep {
 
     fn threat(&self, shape: Shape) -> Threat {
         let of_taken = self.owed().filter(|taken| taken.shape.code == shape.code).map(|taken| {
-            if taken.shape.size == shape.size { Threat::Reply } else { Threat::Refusal }
+            if [shape.size, ANY_SIZE].contains(&taken.shape.size) { Threat::Reply } else { Threat::Refusal }
         });
         // Commands that can be broadcast have positive replies of one size.
         let of_broadcasts = self.broadcasts.contains(shape.code).then_some(Threat::Reply);
@@ -338,10 +226,6 @@ impl InStep {
 
     fn owed(&self) -> impl Iterator<Item = &Taken> {
         self.taken.iter().chain(&self.older)
-    }
-
-    fn owes_anything(&self) -> bool {
-        self.owed().next().is_some() || !self.broadcasts.is_empty()
     }
 
     /// Whether a reply is proven to be that to the request on the wire.
@@ -361,26 +245,32 @@ impl InStep {
 
     /// A reply was taken, after this time on the wire: it may come again, and nothing older may.
     pub(crate) fn taken(&mut self, kind: Kind, reply: &Reply, took: Duration, rule: &Rule, now: Instant) {
+        // It decays slowly: a reply that comes at once may be a copy.
+        self.slowest = took.max(self.slowest.saturating_mul(7).checked_div(8).unwrap_or_default());
         if kind == Kind::Page {
             self.equal_pages = !reply.refused && self.last_page == Some(reply.fingerprint);
             self.last_page = Some(reply.fingerprint);
         }
         self.last = Some(reply.fingerprint);
         self.broadcasts = Codes::NONE;
-        let copies = usize::from(rule.settings.copies());
-        let taken = Taken {
-            shape: reply.shape,
-            fingerprint: (!reply.refused).then_some(reply.fingerprint),
-            window: rule.settings.window().max(took.saturating_mul(2)),
-            heard_at: now,
-        };
+        let fingerprint = (!reply.refused).then_some(reply.fingerprint);
         let before = self.taken.take();
-        if copies > 0 {
-            self.taken = Some(taken);
+        if rule.settings.copies() > 0 {
+            self.taken = Some(self.owed_frame(reply.shape, fingerprint, rule, now));
         }
-        if copies > 1 {
-            self.older.extend(before);
-            let most = copies.saturating_sub(1);
+        self.remember(before, rule);
+    }
+
+    fn owed_frame(&self, shape: Shape, fingerprint: Option<u64>, rule: &Rule, now: Instant) -> Taken {
+        let window = rule.settings.window().max(self.slowest.saturating_mul(2));
+        Taken { shape, fingerprint, window, heard_at: now }
+    }
+
+    /// Keeps a frame that may come again later than the next reply, if copies roam.
+    fn remember(&mut self, frame: Option<Taken>, rule: &Rule) {
+        let most = usize::from(rule.settings.copies()).saturating_sub(1);
+        if most > 0 {
+            self.older.extend(frame);
             let too_many = self.older.len().saturating_sub(most);
             self.older.drain(..too_many);
         }
@@ -389,7 +279,8 @@ impl InStep {
     /// A read of these elements was answered.
     pub(crate) fn answered(&mut self, run: Option<Run>, spelling: Spelling) {
         if let Some(run) = run {
-            self.answered.add(run.first, run.count.max(spelling.count.into()));
+            // A spelling of a mixed read has its first element twice.
+            self.answered.add(run.first, if run.count == 1 { 1 } else { spelling.count.into() });
         }
     }
 
@@ -444,9 +335,6 @@ impl InStep {
         if self.taken.is_some_and(|taken| ends(&taken)) {
             self.taken = None;
             self.older.retain(|taken| !ends(taken));
-            if self.older.is_empty() && self.suspect.is_none() {
-                self.proof.proofs = self.proof.proofs.wrapping_add(1);
-            }
         }
     }
 
@@ -464,15 +352,17 @@ impl InStep {
         self.silent_since = None;
     }
 
-    /// A reply came without proof, and its request is to be sent again.
+    /// A reply came without proof, and its request is to be sent again. `copied`: a copy of it came in the same read.
     ///
-    /// A refusal may be the true reply to a read that a roaming copy has answered, so it is a doubt for jobs. A frame that comes
-    /// afterwards may be one, too, so it is not expected.
-    pub(crate) fn unproven(&mut self, refused: bool) {
+    /// A refusal may be the true reply to a read that a roaming copy has answered, and so may the copy, so both are doubts for
+    /// jobs. A frame that comes afterwards may be one, too, so it is not expected.
+    pub(crate) fn unproven(&mut self, reply: &Reply, copied: bool, rule: &Rule, now: Instant) {
         self.suspect.get_or_insert(Why::Unproven);
-        if refused {
+        if reply.refused || copied {
             self.proof.doubts = self.proof.doubts.wrapping_add(1);
         }
+        let fingerprint = (!reply.refused).then_some(reply.fingerprint);
+        self.remember(Some(self.owed_frame(reply.shape, fingerprint, rule, now)), rule);
     }
 
     /// A broadcast was sent: the station may answer it.
@@ -486,11 +376,14 @@ impl InStep {
     }
 
     /// A frame came from the station that no request takes.
-    pub(crate) fn stray(&mut self, command: u8, fingerprint: u64, now: Instant) -> Stray {
+    pub(crate) fn stray(&mut self, command: u8, fingerprint: u64, rule: &Rule, now: Instant) -> Stray {
         self.silent_since = None;
         self.taken.iter_mut().chain(&mut self.older).for_each(|taken| taken.heard_at = now);
         if self.last == Some(fingerprint) {
             return Stray::Duplicate;
+        }
+        if let Some(code) = Code::from_u8(command) {
+            self.remember(Some(self.owed_frame(Shape { code, size: ANY_SIZE }, None, rule, now)), rule);
         }
         let is_in = |codes: Codes| Code::from_u8(command).is_some_and(|code| codes.contains(code));
         let stray = match (is_in(self.timed_out), is_in(self.broadcasts)) {
@@ -504,31 +397,4 @@ impl InStep {
         }
         stray
     }
-}
-
-impl Check {
-    pub(crate) const EMPTY: Shape = Shape { code: Code::LoopBack, size: 0 };
-    pub(crate) const STATUS: Shape = Shape { code: Code::ReadStatus, size: 0 };
-    pub(crate) const DETAIL: Shape = Shape { code: Code::ReadDetailedStatus, size: 0 };
-}
-
-impl Prices {
-    fn of(&self, candidate: &Candidate, plain: Spelling) -> Duration {
-        let bytes = self.byte.saturating_mul(u32::try_from(candidate.more_bytes).unwrap_or(u32::MAX));
-        // What is left takes its part of another exchange.
-        let rest = self.exchange.saturating_mul(candidate.left.into()).checked_div(u32::from(plain.count.max(1)));
-        bytes.saturating_add(rest.unwrap_or_default())
-    }
-}
-
-/// A number for the content of a frame: equal for equal frames, and for others hardly ever.
-pub(crate) fn fingerprint(command: u8, data: &[u8]) -> u64 {
-    const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
-    let (words, rest) = data.as_chunks::<8>();
-    let mut last = [0; 8];
-    last.iter_mut().zip(rest).for_each(|(place, &byte)| *place = byte);
-    let seed = u64::from(command) << 32 | u64::try_from(data.len()).unwrap_or(u64::MAX);
-    words.iter().chain([&last]).fold(seed.wrapping_mul(FACTOR), |hash, word| {
-        (hash.rotate_left(23) ^ u64::from_le_bytes(*word)).wrapping_mul(FACTOR)
-    })
 }

@@ -37,8 +37,9 @@ impl Core {
     /// A good frame that no request on the wire takes.
     fn stray(&mut self, station: u8, command: u8, fingerprint: u64, now: Instant) {
         // A station that has not been asked anything is suspect anyway; station 0 is no station.
+        let rule = self.rule(station);
         let stray = match self.stations.in_step(station) {
-            Some(known) => known.stray(command, fingerprint, now),
+            Some(known) => known.stray(command, fingerprint, &rule, now),
             None if station == BROADCAST => Stray::Broadcast,
             None => Stray::Unexpected,
         };
@@ -80,7 +81,7 @@ impl Core {
                 // Of two answers to a write the first is its own, for nothing owed could have answered it.
                 let contradicted = kind != Kind::Once && active.followed;
                 if !proven || contradicted {
-                    return self.unproven(ticket, &reply, now);
+                    return self.unproven(ticket, &reply, active.copied, now);
                 }
                 self.is_there(station, round_trip, now);
                 let rule = self.rule(station);
@@ -113,11 +114,12 @@ impl Core {
                         self.echo_was_last = !reply.refused;
                         let refused = reply.refused && reply.shape.code == Code::LoopBack;
                         self.board.count_for(station, |stats| add(&mut stats.refused_checks, u64::from(refused)));
-                        self.stations.with_in_step(station, |known| known.checked(check, &reply, round_trip, &rule, now))
+                        self.stations
+                            .with_in_step(station, |known| known.checked(check, &reply, round_trip, &rule, now))
                     }
                     // The reply may be a late one: it shows nothing of the station.
                     Check::Echo => {
-                        self.stations.with_in_step(station, |known| known.unproven(reply.refused));
+                        self.stations.with_in_step(station, |known| known.unproven(&reply, false, &rule, now));
                         false
                     }
                 };
@@ -142,10 +144,11 @@ impl Core {
     }
 
     /// A reply that may be another request's is given to no caller.
-    fn unproven(&mut self, mut ticket: Ticket, reply: &Reply, now: Instant) {
+    fn unproven(&mut self, mut ticket: Ticket, reply: &Reply, copied: bool, now: Instant) {
         let station = ticket.station;
+        let rule = self.rule(station);
         ticket.call.retract();
-        self.stations.with_in_step(station, |known| known.unproven(reply.refused));
+        self.stations.with_in_step(station, |known| known.unproven(reply, copied, &rule, now));
         self.board.count_for(station, |stats| add(&mut stats.unproven_replies, 1));
         tracing::debug!(station, "the reply may be one to an earlier request");
         let again = !ticket.asked_again && ticket.is_wanted(now) && !self.closing;

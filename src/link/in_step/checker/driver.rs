@@ -113,7 +113,7 @@ impl Driver {
 
     pub(super) fn stray(&self, known: &mut InStep, frame: &Frame) {
         if self.without != Without::Strays {
-            known.stray(frame.code.into(), frame.fingerprint(), self.now);
+            known.stray(frame.code.into(), frame.fingerprint(), &self.rule, self.now);
         }
     }
 
@@ -147,15 +147,14 @@ impl Driver {
             }
             return vec![("a stray", after, None)];
         };
-        let (mut held, mut followed, mut ambiguous) = (None::<Frame>, false, false);
+        let (mut held, mut followed, mut copied) = (None::<Frame>, false, false);
         for frame in frames {
             match held {
                 None if frame.fits(out.shape) => held = Some(*frame),
                 None => self.stray(&mut after.known, frame),
-                Some(reply) if reply.fingerprint() == frame.fingerprint() => {}
+                Some(reply) if reply.fingerprint() == frame.fingerprint() => copied = true,
                 Some(_) => {
                     followed = true;
-                    ambiguous |= frame.fits(out.shape);
                     self.stray(&mut after.known, frame);
                 }
             }
@@ -166,13 +165,13 @@ impl Driver {
                 let true_reply = |other: &&Frame| other.own && other.fingerprint() == frame.fingerprint();
                 frame.own |= self.by_content && s.on_its_way().chain(frames).any(|other| true_reply(&other));
                 after.ends();
-                self.replied(after, &out, frame, followed, ambiguous)
+                self.replied(after, &out, frame, followed, copied)
             }
         }
     }
 
     /// As `Core::replied`.
-    fn replied(&self, mut after: State, out: &Out, frame: Frame, followed: bool, ambiguous: bool) -> Vec<Outcome> {
+    fn replied(&self, mut after: State, out: &Out, frame: Frame, followed: bool, copied: bool) -> Vec<Outcome> {
         let reply = Reply { shape: out.shape, refused: frame.refused, fingerprint: frame.fingerprint() };
         let name = match out.asked {
             Asked::Call(name) => name,
@@ -180,9 +179,9 @@ impl Driver {
         };
         let request = self.request(name);
         let kind = request.kind();
-        let contradicted = if kind == Kind::Once { ambiguous } else { followed };
+        let contradicted = kind != Kind::Once && followed;
         if !self.proves(&after.known, kind, &reply) || contradicted && self.without != Without::Proof {
-            after.known.unproven(reply.refused);
+            after.known.unproven(&reply, copied, &self.rule, self.now);
             return self.repeated_or_failed("no proof", after, out);
         }
         let known = &mut after.known;

@@ -82,7 +82,7 @@ const JOB_ORDERED: Faults =
 pub(super) fn rule(serial: bool, copies: u8) -> Rule {
     let byte = if serial { Duration::from_micros(87) } else { Duration::ZERO };
     let exchange = byte * 16 + Duration::from_millis(5);
-    let settings = InStepSettings::default().with_copies(copies);
+    let settings = InStepSettings::default().with_copies(copies).unwrap();
     Rule { settings, quiet: settings.quiet(), one_request: false, prices: Prices { byte, exchange } }
 }
 
