@@ -163,7 +163,7 @@ impl Station {
     /// 44: reads the states of consecutive discretes, as many as `into` has places: as
     /// [`read_discretes`](Self::read_discretes), without a new `Vec` for each call.
     ///
-    /// Of `into`, it can be said after an error, or when the future was dropped, what can be said after an error of
+    /// After an error, or when the future was dropped, `into` is as after one of
     /// [`read_registers_into`](Self::read_registers_into); a request is 256 discretes.
     ///
     /// ```
@@ -214,9 +214,8 @@ impl Station {
     /// [`read_registers`](Self::read_registers), without a new `Vec` for each call. Once the link has made a few calls,
     /// such a call takes no memory from the heap, unless more than 16 calls are under way on the link.
     ///
-    /// All of `into` is filled when this succeeds. After an error, or when the future was dropped, the values of each
-    /// request that was answered before are in their places, 64 registers each, from the first on; everything behind them
-    /// is as it was. So up to 64 registers are all read, or none is.
+    /// All of `into` is filled when this succeeds. Up to 64 registers are all read, or none is. Of more, a part may have been
+    /// overwritten after an error, or when the future was dropped: the values of several requests are good only together.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {

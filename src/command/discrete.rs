@@ -84,7 +84,7 @@ impl Command for WriteDiscretes {
     }
 
     fn plain(&self) -> Spelling {
-        Spelling { code: Self::CODE, count: spelling::narrow(self.states.len()) }
+        Spelling::new(Self::CODE, self.states.len())
     }
 
     fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
@@ -172,7 +172,7 @@ macro_rules! read_states {
             }
 
             fn plain(&self) -> Spelling {
-                Spelling { code: Self::CODE, count: spelling::narrow(self.count) }
+                Spelling::new(Self::CODE, self.count)
             }
 
             fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
@@ -182,7 +182,10 @@ macro_rules! read_states {
             fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
                 match spelling.code {
                     Code::ReadMixed => spelling::write_mixed_read(self.first.into(), spelling.count.into(), fields),
-                    _ => Self { count: spelling.count.into(), ..*self }.write_request(fields),
+                    _ => {
+                        fields.count(spelling.count.into());
+                        fields.element(spelling.first(self.first.into()));
+                    }
                 }
             }
 
@@ -192,6 +195,9 @@ macro_rules! read_states {
                 fields: &mut R,
             ) -> Result<Self::Reply, FieldError> {
                 let mut states = Self { count: spelling.count.into(), ..*self }.read_reply(fields)?;
+                if spelling.before {
+                    states.remove(0);
+                }
                 states.truncate(self.count);
                 Ok(states)
             }

@@ -102,10 +102,11 @@ impl<C: Consecutive, const N: usize> Command for InPlace<C, N> {
     }
 
     fn read_spelled<R: FieldReader>(&self, spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
-        let count = usize::from(spelling.count);
-        let mut reply = Few { len: count.min(self.0.len()), values: [C::Value::default(); N] };
-        let values = reply.values.get_mut(..count).ok_or(FieldError::WrongLength)?;
+        let (named, asked) = (usize::from(spelling.count), spelling.count_behind());
+        let mut reply = Few { len: asked.min(self.0.len()), values: [C::Value::default(); N] };
+        let values = reply.values.get_mut(..named).ok_or(FieldError::WrongLength)?;
         C::take(values, fields)?;
+        values.rotate_left(named - asked);
         Ok(reply)
     }
 

@@ -127,7 +127,7 @@ impl Command for ReadMixed {
     }
 
     fn plain(&self) -> Spelling {
-        Spelling { code: Self::CODE, count: spelling::narrow(self.elements.len()) }
+        Spelling::new(Self::CODE, self.elements.len())
     }
 
     fn candidates(&self, _longer: bool, framing: Framing) -> Candidates {
@@ -230,7 +230,7 @@ impl Command for WriteMixed {
     }
 
     fn plain(&self) -> Spelling {
-        Spelling { code: Self::CODE, count: spelling::narrow(self.items.len()) }
+        Spelling::new(Self::CODE, self.items.len())
     }
 }
 

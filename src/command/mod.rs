@@ -40,7 +40,7 @@ pub use program::{PAGE_WORDS, ProgramPage, ReadProgramPage, WriteProgramPage};
 pub use register::{ReadRegisters, RegisterElement, WriteRegisters};
 pub use request::Request;
 pub(crate) use request::with_command;
-pub(crate) use spelling::{Candidate, Candidates, Run, Spelling};
+pub(crate) use spelling::{Candidate, Candidates, NONE as NO_CANDIDATES, Run, Spelling};
 pub use status::{
     BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, ReadDetailedStatus, ReadStatus, Series, StatusFlags,
 };
@@ -90,7 +90,7 @@ pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
     /// The spelling that is this request itself.
     #[doc(hidden)]
     fn plain(&self) -> Spelling {
-        Spelling { code: Self::CODE, count: 0 }
+        Spelling::new(Self::CODE, 0)
     }
 
     /// The other spellings; `longer`: the request is a part of a longer read or write, and may leave elements to the next one.

@@ -120,7 +120,7 @@ impl<E: RegisterElement> Command for ReadRegisters<E> {
     }
 
     fn plain(&self) -> Spelling {
-        Spelling { code: Self::CODE, count: spelling::narrow(self.count) }
+        Spelling::new(Self::CODE, self.count)
     }
 
     fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
@@ -130,12 +130,18 @@ impl<E: RegisterElement> Command for ReadRegisters<E> {
     fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
         match spelling.code {
             Code::ReadMixed => spelling::write_mixed_read(self.first.into(), spelling.count.into(), fields),
-            _ => Self { count: spelling.count.into(), ..*self }.write_request(fields),
+            _ => {
+                fields.count(spelling.count.into());
+                fields.element(spelling.first(self.first.into()));
+            }
         }
     }
 
     fn read_spelled<R: FieldReader>(&self, spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
         let mut values = Self { count: spelling.count.into(), ..*self }.read_reply(fields)?;
+        if spelling.before {
+            values.remove(0);
+        }
         values.truncate(self.count);
         Ok(values)
     }
@@ -211,7 +217,7 @@ impl<E: RegisterElement> Command for WriteRegisters<E> {
     }
 
     fn plain(&self) -> Spelling {
-        Spelling { code: Self::CODE, count: spelling::narrow(self.values.len()) }
+        Spelling::new(Self::CODE, self.values.len())
     }
 
     fn candidates(&self, longer: bool, framing: Framing) -> Candidates {

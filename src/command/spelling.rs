@@ -5,8 +5,8 @@
 //!
 //! | request | other spellings |
 //! |---|---|
-//! | 46 N, 44 N | one element more; 48 of the same elements; in a longer read one element less |
-//! | 43 N | one element more; in a longer read one element less |
+//! | 46 N, 44 N | one element more, behind or before; 48 of the same elements; in a longer read one element less |
+//! | 43 N | one element more, behind or before; in a longer read one element less |
 //! | 48 list | the first element once more, behind the list |
 //! | 47 N, 45 N | 49 of the same elements; in a longer write 49 of as many as it takes |
 //!
@@ -24,6 +24,24 @@ pub struct Spelling {
     pub(crate) code: Code,
     /// The number of elements that are named; 0 for a command that names none.
     pub(crate) count: u16,
+    /// The first of them is the one before those that are asked for.
+    pub(crate) before: bool,
+}
+
+impl Spelling {
+    pub(crate) fn new(code: Code, count: usize) -> Self {
+        Self { code, count: u16::try_from(count).unwrap_or(u16::MAX), before: false }
+    }
+
+    /// The number of elements from the first one on that is asked for.
+    pub(crate) fn count_behind(self) -> usize {
+        usize::from(self.count).saturating_sub(usize::from(self.before))
+    }
+
+    /// The first element that is named, of a request for these.
+    pub(super) fn first(self, first: Element) -> Element {
+        if self.before { previous(first).unwrap_or(first) } else { first }
+    }
 }
 
 /// A spelling that a request may take instead of the plain one, and its price.
@@ -39,10 +57,10 @@ pub struct Candidate {
 }
 
 /// The other spellings of a request.
-pub(crate) type Candidates = [Option<Candidate>; 3];
+pub(crate) type Candidates = [Option<Candidate>; 4];
 
 /// No other spelling.
-pub(crate) const NONE: Candidates = [None; 3];
+pub(crate) const NONE: Candidates = [None; 4];
 
 /// Consecutive elements that a request reads or writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,7 +74,7 @@ impl Run {
     pub(super) fn read_candidates(self, code: Code, longer: bool, framing: Framing) -> Candidates {
         let one_less = if longer { self.one_less(code) } else { None };
         let mixed = if code == Code::ReadDisabled { None } else { self.mixed_read(framing) };
-        [one_less, self.one_more(code, framing), mixed]
+        [one_less, self.one_more(code, framing, false), self.one_more(code, framing, true), mixed]
     }
 
     /// The other spellings of a write of these values; `longer`: they are a part of a longer write.
@@ -76,7 +94,7 @@ impl Run {
         if framing == Framing::Binary && is_one() != Some(true) {
             return NONE;
         }
-        [Some(self.mixed(Code::WriteMixed, count, framing)), None, None]
+        [Some(self.mixed(Code::WriteMixed, count, framing)), None, None, None]
     }
 
     fn mixed_read(self, framing: Framing) -> Option<Candidate> {
@@ -92,26 +110,26 @@ impl Run {
 
     fn mixed(self, code: Code, count: usize, framing: Framing) -> Candidate {
         Candidate {
-            spelling: Spelling { code, count: narrow(count) },
+            spelling: Spelling::new(code, count),
             extra: None,
             more_bytes: count.saturating_sub(1) * framing.element_len(self.first.symbol()),
-            left: narrow(self.count - count),
+            left: u16::try_from(self.count - count).unwrap_or(u16::MAX),
         }
     }
 
-    fn one_more(self, code: Code, framing: Framing) -> Option<Candidate> {
+    fn one_more(self, code: Code, framing: Framing, before: bool) -> Option<Candidate> {
         if self.count >= most_in_one_request(self.first) {
             return None;
         }
-        let extra = self.first.nth(self.count).ok()?;
+        let extra = if before { previous(self.first)? } else { self.first.nth(self.count).ok()? };
         let more_bytes = framing.value_len(self.first.width());
-        let spelling = Spelling { code, count: narrow(self.count + 1) };
+        let spelling = Spelling { before, ..Spelling::new(code, self.count + 1) };
         Some(Candidate { spelling, extra: Some(extra), more_bytes, left: 0 })
     }
 
     fn one_less(self, code: Code) -> Option<Candidate> {
         let count = self.count.checked_sub(1).filter(|&count| count > 0)?;
-        Some(Candidate { spelling: Spelling { code, count: narrow(count) }, extra: None, more_bytes: 0, left: 1 })
+        Some(Candidate { spelling: Spelling::new(code, count), extra: None, more_bytes: 0, left: 1 })
     }
 }
 
@@ -122,13 +140,13 @@ pub(super) fn mixed_read_candidates(elements: &[Element], framing: Framing) -> C
         let repeated: Vec<_> = elements.iter().copied().chain([first]).collect();
         ReadMixed::new(repeated).ok()?.check(framing).ok()?;
         Some(Candidate {
-            spelling: Spelling { code: Code::ReadMixed, count: narrow(elements.len() + 1) },
+            spelling: Spelling::new(Code::ReadMixed, elements.len() + 1),
             extra: Some(first),
             more_bytes: framing.element_len(first.symbol()) + framing.value_len(first.width()),
             left: 0,
         })
     };
-    [candidate(), None, None]
+    [candidate(), None, None, None]
 }
 
 /// The fields of 48 for consecutive elements.
@@ -153,6 +171,7 @@ pub(super) fn values_len(width: Width, count: usize, framing: Framing) -> u32 {
     u32::try_from(framing.value_len(width) * count).unwrap_or(u32::MAX)
 }
 
-pub(super) fn narrow(count: usize) -> u16 {
-    u16::try_from(count).unwrap_or(u16::MAX)
+/// The element before this one.
+fn previous(first: Element) -> Option<Element> {
+    Element::new(first.symbol(), first.address().checked_sub(first.symbol().step())?).ok()
 }

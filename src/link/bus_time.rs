@@ -4,6 +4,8 @@
 //! Tokio's timer counts whole milliseconds, which is too coarse for what is measured here.
 #![allow(clippy::print_stdout, reason = "the figures are what it is for")]
 
+mod costs;
+
 use std::collections::BTreeMap;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
@@ -15,12 +17,14 @@ use tokio::time::Instant;
 use tokio_util::codec::Decoder;
 
 use super::call::{self, Completion, Spares, Terms};
+use super::config::Config;
 use super::core::{Core, Step};
+use super::in_step::{Proof, Shape};
 use super::options::CallOptions;
 use super::stats::{Board, StationState};
 use super::transport::Connector;
 use super::{LinkBuilder, later};
-use crate::command::{Command, ReadRegisters};
+use crate::command::{Command, ReadRegisters, Spelling};
 use crate::element::Register;
 use crate::error::Error;
 use crate::sim::{Bus, Conversation, Fault, Faults, Line, Output, Plc, Rule};
@@ -56,6 +60,10 @@ impl World {
 
     /// A line with these stations on it.
     pub(crate) fn on(bus: Bus, framing: Framing, baud: u32, dead: &[u8]) -> Self {
+        Self::with(bus, framing, baud, dead, |_| ())
+    }
+
+    fn with(bus: Bus, framing: Framing, baud: u32, dead: &[u8], set: impl FnOnce(&mut Config)) -> Self {
         let line = Line::new(baud).turnaround(TURNAROUND, TURNAROUND);
         let mut faults = Faults::new(1).line(line);
         for &station in dead {
@@ -68,6 +76,10 @@ impl World {
         let mut config = LinkBuilder::with_connector(Connector::Once(None), framing, "a line").config;
         config.frame_time = line.transmission(1024);
         config.probe_timeout = RESPONSE_TIMEOUT;
+        if baud > 0 {
+            config.byte_time = line.transmission(1);
+        }
+        set(&mut config);
         let board = Arc::new(Board::default());
         let core = Core::new(config, board.clone(), 1);
         let codec = Codec::new(framing, Side::Plc);
@@ -110,17 +122,25 @@ impl World {
 
     /// Asks one thing, and turns the clock until the reply is there.
     pub(crate) fn call<C: Command>(&mut self, station: u8, request: C) -> Result<C::Reply, Error> {
-        let mut completion = pin!(self.push(station, request));
+        let completion = self.push(station, request);
+        self.finish(completion).0
+    }
+
+    /// The same for a call that is under way; with its result, what a job must know of it.
+    fn finish<C: Command>(&mut self, completion: Completion<C>) -> (Result<C::Reply, Error>, Spelling, Shape, Proof) {
+        let mut completion = pin!(completion);
         let mut context = Context::from_waker(Waker::noop());
         loop {
             if let Poll::Ready(result) = completion.as_mut().poll(&mut context) {
-                return result;
+                return (result, completion.spelling(), completion.shape(self.codec.framing()), completion.proof());
             }
             match self.core.step(self.now) {
                 Step::Connect => self.core.connected(self.now),
                 Step::Disconnect => unreachable!("there is no idle timeout"),
                 Step::Send(_) => self.send(),
-                Step::Wait(until) => self.wait(until.unwrap()),
+                // A confirmation may need nothing.
+                Step::Wait(None) => {}
+                Step::Wait(Some(until)) => self.wait(until),
             }
         }
     }
@@ -136,6 +156,16 @@ impl World {
     }
 
     fn push<C: Command>(&mut self, station: u8, request: C) -> Completion<C> {
+        self.push_as(station, request, None, false)
+    }
+
+    fn push_as<C: Command>(
+        &mut self,
+        station: u8,
+        request: C,
+        confirms: Option<C::Reply>,
+        longer: bool,
+    ) -> Completion<C> {
         let options = CallOptions::new().call_timeout(Duration::from_secs(3600)).retries(2);
         let terms = Terms {
             station,
@@ -145,10 +175,10 @@ impl World {
             queued_at: self.now,
             response_timeout: RESPONSE_TIMEOUT,
             options,
-            longer: false,
-            confirms: false,
+            longer,
+            confirms: confirms.is_some(),
         };
-        let (mut ticket, completion) = call::new(request, None, terms, &Spares::default());
+        let (mut ticket, completion) = call::new(request, confirms, terms, &Spares::default());
         ticket.retries_left = 2;
         self.core.push(ticket, self.now);
         completion

@@ -23,7 +23,9 @@ use tokio::time::Instant;
 
 use super::in_step::{Kind, Proof, Shape, Spelled};
 use super::options::{CallOptions, Lane};
-use crate::command::{self, Candidates, Class, Code, Command, InvalidRequest, ReplyError, Run, Spelling};
+use crate::command::{
+    self, Candidates, Class, Code, Command, InvalidRequest, NO_CANDIDATES, ReplyError, Run, Spelling,
+};
 use crate::error::{Error, ErrorCode};
 use crate::wire::{FieldError, Framing};
 
@@ -329,7 +331,7 @@ struct Slot<C: Command> {
     state: AtomicU8,
     /// How often the request has been sent, as far as 255.
     sends: AtomicU8,
-    /// The spelling: the code, then the number of elements.
+    /// The spelling: whether it begins before, the code, the number of elements.
     spelling: AtomicU32,
     /// The proofs, then the doubts.
     proof: AtomicU64,
@@ -413,11 +415,11 @@ impl<C: Command> AnyCall for Slot<C> {
     }
 
     fn plain(&self) -> Spelling {
-        self.request.as_ref().map_or(Spelling { code: C::CODE, count: 0 }, C::plain)
+        self.request.as_ref().map_or(Spelling::new(C::CODE, 0), C::plain)
     }
 
     fn candidates(&self, framing: Framing) -> Candidates {
-        self.request.as_ref().map_or([None; 3], |request| request.candidates(self.terms.longer, framing))
+        self.request.as_ref().map_or(NO_CANDIDATES, |request| request.candidates(self.terms.longer, framing))
     }
 
     fn shape(&self, spelling: Spelling, framing: Framing) -> Shape {
@@ -430,14 +432,15 @@ impl<C: Command> AnyCall for Slot<C> {
     }
 
     fn spell(&self, spelling: Spelling) {
-        let bits = u32::from(u8::from(spelling.code)) << 16 | u32::from(spelling.count);
+        let [high, low] = spelling.count.to_be_bytes();
+        let bits = u32::from_be_bytes([spelling.before.into(), spelling.code.into(), high, low]);
         self.spelling.store(bits, Ordering::Release);
     }
 
     fn spelling(&self) -> Spelling {
-        let [_, code, high, low] = self.spelling.load(Ordering::Acquire).to_be_bytes();
+        let [before, code, high, low] = self.spelling.load(Ordering::Acquire).to_be_bytes();
         match Code::from_u8(code) {
-            Some(code) => Spelling { code, count: u16::from_be_bytes([high, low]) },
+            Some(code) => Spelling { code, count: u16::from_be_bytes([high, low]), before: before != 0 },
             None => self.plain(),
         }
     }

@@ -42,7 +42,7 @@ pub(crate) use self::terms::{
     Check, Choice, Kind, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why, fingerprint,
 };
 use super::later;
-use crate::command::{Candidate, Code, Run, Spelling};
+use crate::command::{Candidate, Code, NO_CANDIDATES, Run, Spelling};
 
 /// What is known of one station.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -141,7 +141,7 @@ impl InStep {
         if self.allows(request, spelling) && !(doubtful && self.threat(request.shape(spelling)) == Threat::Reply) {
             return Choice::Send(spelling);
         }
-        let candidates = if plain { [None; 3] } else { request.candidates() };
+        let candidates = if plain { NO_CANDIDATES } else { request.candidates() };
         let price = |candidate: &Candidate| rule.prices.of(candidate, spelling);
         let possible = |candidate: &Candidate| {
             let known = candidate.extra.is_none_or(|extra| self.answered.contains(extra));
@@ -280,7 +280,7 @@ impl InStep {
     pub(crate) fn answered(&mut self, run: Option<Run>, spelling: Spelling) {
         if let Some(run) = run {
             // A spelling of a mixed read has its first element twice.
-            self.answered.add(run.first, if run.count == 1 { 1 } else { spelling.count.into() });
+            self.answered.add(run.first, if run.count == 1 { 1 } else { spelling.count_behind() });
         }
     }
 

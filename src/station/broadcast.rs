@@ -13,7 +13,9 @@ use crate::link::{CallOptions, Link, Purpose};
 /// All PLCs of a [`Link`] at once: station 0. Cheap to clone.
 ///
 /// Every PLC obeys and none answers, so there are only the commands that make sense without an answer, and their `Ok`
-/// says that the request was sent, not that anybody has executed it. They are never repeated.
+/// says that the request was sent, not that it was executed. They are never repeated. A PLC that answers all the same, under its
+/// number or under 0, is counted ([`StationStats::broadcast_answers`](crate::StationStats::broadcast_answers)); its answer is never
+/// the reply to what follows.
 #[derive(Clone)]
 pub struct Broadcast {
     link: Link,

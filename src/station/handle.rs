@@ -16,7 +16,7 @@ use crate::link::{Answered, CallOptions, Link, Purpose, StationState, StationSta
 ///
 /// - [`Error::Invalid`] when an argument breaks a rule of the protocol; nothing is sent;
 /// - [`Error::Plc`] when the PLC refuses the request;
-/// - [`Error::Timeout`], [`Error::BadReply`], [`Error::Disconnected`], [`Error::Connect`], [`Error::Offline`],
+/// - [`Error::Timeout`], [`Error::BadReply`], [`Error::OutOfStep`], [`Error::Disconnected`], [`Error::Connect`], [`Error::Offline`],
 ///   [`Error::QueueFull`] and [`Error::Closed`] when there is no usable answer. Reads have been repeated by then, as
 ///   [`CallOptions::retries`] says; writes and control have not, unless [`CallOptions::retry_writes`] says so.
 ///   [`Error::may_have_executed`] tells whether the PLC may have done what was asked.
@@ -28,10 +28,12 @@ use crate::link::{Answered, CallOptions, Link, Purpose, StationState, StationSta
 ///
 /// One request is answered from one scan of the PLC; two requests are not. One request takes 256 discretes, 64 registers
 /// of 16 bits or 32 of 32 bits. [`read_registers`](Self::read_registers) and the other methods for consecutive elements
-/// take any number and send full requests, one after the other, and a shorter one at the end. So:
+/// take any number and send several requests, one after the other. So:
 ///
 /// - Up to the limit of one request, all values are of one scan. Beyond it, **they are not**: what belongs together may
 ///   change between one request and the next. A value of 32 bits is never split.
+/// - Several requests are full ones and ones with an element less in turn, so that the replies to two in a row differ in size; on
+///   a network, writes are 47 of 64 registers and 49 of 32 in turn. A check confirms them at the end.
 /// - Other calls of the link come in between, as their priority says.
 /// - Nothing is sent unless all the elements exist.
 /// - Each request has its own time, [`CallOptions::call_timeout`], and its own retries. For a limit on the whole, put it
@@ -39,6 +41,8 @@ use crate::link::{Answered, CallOptions, Link, Purpose, StationState, StationSta
 /// - A read fails as a whole, with the error of the first request that fails, and no more are sent. A write ends there,
 ///   too; if it was not the first request, the error is [`Error::PartlyWritten`], which tells what has been written. So
 ///   it is when it is dropped: what was sent before is written.
+/// - If a duplicate of a reply comes out of order in between, a read asks again for the values since the last check, and
+///   a write ends with [`Error::Duplicates`]: its result is unknown.
 ///
 /// [`call`](Self::call) sends exactly one request, and a longer one is refused:
 ///
@@ -47,7 +51,7 @@ use crate::link::{Answered, CallOptions, Link, Purpose, StationState, StationSta
 /// use fatek::command::ReadRegisters;
 /// use fatek::register;
 ///
-/// assert_eq!(station.read_registers(register!("R0"), 1000).await?.len(), 1000); // 16 requests
+/// assert_eq!(station.read_registers(register!("R0"), 1000).await?.len(), 1000); // 16 requests and a check
 /// assert_eq!(station.call(ReadRegisters::new(register!("R0"), 64)?).await?.len(), 64); // one scan for certain
 /// assert!(ReadRegisters::new(register!("R0"), 65).is_err());
 /// # Ok(()) });

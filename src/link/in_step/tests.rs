@@ -61,7 +61,7 @@ impl Bench {
     #[track_caller]
     fn asks(&mut self, request: &Request) -> (Code, u16) {
         let (code, count) = self.sends(request);
-        let spelling = Spelling { code, count };
+        let spelling = Spelling { code, count, before: false };
         let reply = self.reply(request.shape(spelling), false);
         assert!(self.known.proves(request.kind(), &reply));
         self.known.taken(request.kind(), &reply, Duration::ZERO, &self.rule, self.now);
@@ -73,7 +73,7 @@ impl Bench {
     #[track_caller]
     fn is_refused(&mut self, request: &Request) -> bool {
         let (code, count) = self.sends(request);
-        let reply = self.reply(request.shape(Spelling { code, count }), true);
+        let reply = self.reply(request.shape(Spelling { code, count, before: false }), true);
         let proven = self.known.proves(request.kind(), &reply);
         match proven {
             true => self.known.taken(request.kind(), &reply, Duration::ZERO, &self.rule, self.now),
@@ -152,7 +152,7 @@ fn one_element_more_is_read_only_if_answered_before() {
     bench.asks(&read(0, 16, false));
     assert_eq!(bench.asks(&read(0, 16, false)), (Code::ReadRegisters, 17));
     // A refusal of it is remembered.
-    let plain = Spelling { code: Code::ReadRegisters, count: 16 };
+    let plain = Spelling::new(Code::ReadRegisters, 16);
     bench.known.spelling_refused(plain, Spelling { count: 17, ..plain }, read(0, 16, false).run, false);
     bench.known.is_in_step();
     bench.known.answered(read(0, 16, false).run, plain);
@@ -173,7 +173,7 @@ fn the_price_decides_between_48_and_an_empty_4e() {
         let mut bench = Bench::with(byte, 1);
         bench.asks(&read(0, count, false));
         let choice = bench.choose(&read(100, count, false));
-        let spelling = Spelling { code: Code::ReadMixed, count: count.try_into().unwrap() };
+        let spelling = Spelling::new(Code::ReadMixed, count);
         assert_eq!(choice, if mixed { Choice::Send(spelling) } else { empty_check() }, "{byte:?} {count}");
     }
 }
@@ -182,8 +182,8 @@ fn the_price_decides_between_48_and_an_empty_4e() {
 fn a_spelling_that_the_device_lacks_is_not_used() {
     let mut bench = Bench::new();
     bench.asks(&read(0, 1, false));
-    let plain = Spelling { code: Code::ReadRegisters, count: 1 };
-    bench.known.spelling_refused(plain, Spelling { code: Code::ReadMixed, count: 1 }, None, true);
+    let plain = Spelling::new(Code::ReadRegisters, 1);
+    bench.known.spelling_refused(plain, Spelling::new(Code::ReadMixed, 1), None, true);
     assert_eq!(bench.choose(&read(0, 1, false)), empty_check());
 }
 

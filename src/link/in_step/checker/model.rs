@@ -357,7 +357,7 @@ fn go_out(faults: &Faults, driver: &Driver, mut s: State, (name, choice, in_job,
                 Check::Status => Check::STATUS,
                 Check::Detail => Check::DETAIL,
             };
-            let spelling = Spelling { code: shape.code, count: 0 };
+            let spelling = Spelling::new(shape.code, 0);
             Out { asked: Asked::Check { check, confirms }, spelling, shape, in_job }
         }
     };
