@@ -293,8 +293,16 @@ impl InStep {
         }
     }
 
-    /// A check has been answered, after this time. Says whether it has proven anything.
-    pub(crate) fn checked(&mut self, check: Check, reply: &Reply, took: Duration, rule: &Rule, now: Instant) -> bool {
+    /// A check has been answered, after this time. Says whether it has proven anything. `followed`: a stray came behind the
+    /// answer, in the same read.
+    pub(crate) fn checked(
+        &mut self,
+        check: Check,
+        (reply, followed): (&Reply, bool),
+        took: Duration,
+        rule: &Rule,
+        now: Instant,
+    ) -> bool {
         let echo = check == Check::Nonce && !reply.refused;
         let proves = echo || self.suspect.is_none() && !(reply.refused && self.threat(reply.shape) > Threat::None);
         if !proves {
@@ -314,7 +322,11 @@ impl InStep {
         }
         self.refused = false;
         self.taken(Kind::Once, reply, took, rule, now);
-        true
+        if followed {
+            // What came behind the echo is none of those that the echo has outlived.
+            self.suspect = Some(Why::Stray);
+        }
+        !followed
     }
 
     /// All that was owed has come, or will never come.

@@ -601,3 +601,19 @@ fn the_echo_of_a_status_request_behind_a_late_reply_is_seen() {
     desk.hears_echo();
     assert!(!desk.core.is_idle(), "that was the line, and not the PLC");
 }
+
+#[test]
+fn a_stray_behind_the_echo_in_the_same_read_asks_for_another_echo() {
+    let mut desk = Desk::new(Framing::Ascii);
+    desk.core.connected(desk.now);
+    let mut call = desk.ask(1, read(1));
+    assert_eq!(desk.sends(), Code::LoopBack);
+    let mut bytes = BytesMut::from(&desk.sent[..]);
+    ascii::emit(&mut bytes, 1, 0x46, |fields| fields.raw(b"00009"));
+    desk.hears(&bytes);
+    assert_eq!(desk.sends(), Code::LoopBack);
+    desk.hears_echo();
+    assert_eq!(desk.sends(), Code::ReadRegisters);
+    desk.hears_frame(1, 0x46, b"00001");
+    assert_eq!(result(&mut call).unwrap().unwrap(), [1]);
+}

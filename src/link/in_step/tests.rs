@@ -90,7 +90,7 @@ impl Bench {
             Check::Detail => Check::DETAIL,
         };
         let reply = self.reply(shape, refused);
-        self.known.checked(check, &reply, Duration::ZERO, &self.rule, self.now)
+        self.known.checked(check, (&reply, false), Duration::ZERO, &self.rule, self.now)
     }
 
     fn stray(&mut self, code: Code) -> Stray {

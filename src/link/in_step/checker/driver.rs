@@ -175,7 +175,7 @@ impl Driver {
         let reply = Reply { shape: out.shape, refused: frame.refused, fingerprint: frame.fingerprint() };
         let name = match out.asked {
             Asked::Call(name) => name,
-            Asked::Check { check, confirms } => return self.checked(after, out, check, confirms, &reply),
+            Asked::Check { check, confirms } => return self.checked(after, out, check, confirms, (&reply, followed)),
         };
         let request = self.request(name);
         let kind = request.kind();
@@ -215,9 +215,16 @@ impl Driver {
         vec![(label, after, wrong)]
     }
 
-    fn checked(&self, mut after: State, out: &Out, check: Check, confirms: bool, reply: &Reply) -> Vec<Outcome> {
+    fn checked(
+        &self,
+        mut after: State,
+        out: &Out,
+        check: Check,
+        confirms: bool,
+        (reply, followed): (&Reply, bool),
+    ) -> Vec<Outcome> {
         let known = &mut after.known;
-        let mut passed = known.checked(check, reply, Duration::ZERO, &self.rule, self.now);
+        let mut passed = known.checked(check, (reply, followed), Duration::ZERO, &self.rule, self.now);
         let trusted = match self.without {
             Without::Echo => reply.refused,
             Without::Silence => check == Check::Status,
