@@ -165,7 +165,7 @@ async fn what_is_written_at_length_is_what_is_read_and_each_part_is_applied_once
 
         let log = bench.faults.log();
         // 64 and 32 registers in turn, 32 values of 32 bits and 16, 256 discretes and 32.
-        assert_eq!(log.writes(), 63 + 3 + 12);
+        assert_eq!(log.writes(), 63 + 3 + 11);
         assert!(log.repeated().is_empty());
         let part = WriteMixed::new(
             (64..96).map(|i| (Register::d(10 + i).into(), words[usize::from(i)].into())).collect::<Vec<_>>(),

@@ -189,6 +189,28 @@ async fn a_frame_that_nobody_asked_for_makes_the_station_prove_itself() {
     }
 }
 
+/// Of one character, it looks like a refusal of a loop-back, such as the check before it.
+#[tokio::test(start_paused = true)]
+async fn a_loop_back_of_one_character_is_sent_behind_a_check() {
+    let (client, plc) = duplex(4096);
+    let link = Link::from_stream(client, Framing::Ascii);
+    let mut peer = Peer::new(plc);
+    let station = station(&link);
+    let call = tokio::spawn(async move { station.loop_back("x").await });
+    let mut before = 0;
+    loop {
+        let request = peer.any_request().await.unwrap();
+        let data = String::from_utf8(request.data.to_vec()).unwrap();
+        peer.reply(1, request.command, if request.command == 0x40 { "0000000" } else { &data }).await;
+        if data == "x" {
+            break;
+        }
+        before += 1;
+        assert!(before <= 2, "{before} requests before it, the last one {:02X} {data}", request.command);
+    }
+    call.await.unwrap().unwrap();
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_device_without_loop_back_gets_a_quiet_period() {
     let (link, mut peer) = line();
