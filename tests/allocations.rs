@@ -41,11 +41,9 @@ async fn a_call_takes_one_block_besides_its_value_and_one_into_memory_of_the_cal
                 let words: Vec<u16> = (0..count).map(|n| n * 1001).collect();
                 let mut known = Known::new(framing);
                 known.add(&ReadRegisters::new(register!("R0"), words.len()).unwrap(), &words);
-                {
-                    let elements: Vec<Element> = (0..count).map(|n| Register::r(n).into()).collect();
-                    let values: Vec<Value> = words.iter().map(|&word| word.into()).collect();
-                    known.add(&ReadMixed::new(elements).unwrap(), &values);
-                }
+                let elements: Vec<Element> = (0..count).map(|n| Register::r(n).into()).collect();
+                let values: Vec<Value> = words.iter().map(|&word| word.into()).collect();
+                known.add(&ReadMixed::new(elements).unwrap(), &values);
                 let station = known.serve(in_step);
                 let plain = blocks(async || {
                     assert_eq!(station.read_registers(register!("R0"), words.len()).await.unwrap(), words);
