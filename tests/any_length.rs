@@ -76,7 +76,7 @@ async fn a_thousand_registers_are_read_64_and_63_in_turn() {
     }
 }
 
-/// Without a last request that has a shape of its own, a check with a nonce of its own ends it.
+/// Only a last request with a shape of its own replaces the check. No nonce is used twice.
 #[tokio::test(start_paused = true)]
 async fn a_long_read_or_write_of_two_shapes_ends_with_a_check() {
     for framing in FRAMINGS {
@@ -95,7 +95,7 @@ async fn a_long_read_or_write_of_two_shapes_ends_with_a_check() {
         station.read_registers(register!("R0"), 64 + 63).await.unwrap();
         assert_eq!(checks(), (vec![], 2), "each has its own shape");
         station.read_registers(register!("R0"), 2 * (64 + 63)).await.unwrap();
-        // What was read last before had 63, so it begins with 64.
+        // The read before ended with 63 registers, so this one begins with 64.
         assert_eq!(checks(), (vec![4], 5));
         station.read_discretes(discrete!("M0"), 2 * (256 + 255)).await.unwrap();
         assert_eq!(checks(), (vec![4], 5));
@@ -107,7 +107,7 @@ async fn a_long_read_or_write_of_two_shapes_ends_with_a_check() {
 #[tokio::test(start_paused = true)]
 async fn one_more_than_a_request_takes_is_two_requests_and_a_full_one_is_one() {
     for framing in FRAMINGS {
-        // Without what tells equal requests apart, only the requests are counted.
+        // On a line that never doubles a reply nothing separates equal requests, so only the requests are counted.
         let Bench { station, faults, .. } = bench_with(framing, InStepSettings::new().with_copies(0).unwrap());
         let log = faults.log();
         station.loop_back("").await.unwrap();
@@ -274,12 +274,12 @@ async fn each_request_of_a_long_read_has_the_time_of_a_call() {
     bench.faults.add_rule(Rule::new(Fault::Delay { min: slow, max: slow }));
     let station = bench.station.with_options(CallOptions::new().call_timeout(slow * 5 / 2));
     let states = station.read_discretes(Discrete::new(Symbol::S, 0).unwrap(), 1000).await.unwrap();
-    // The check of a new connection counts against the time of the call that waits for it, the rest against none.
+    // The check of the new connection is a part of the first call; each request has a deadline of its own.
     assert_eq!((states.len(), bench.faults.log().arrivals()), (1000, 5));
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_read_into_memory_of_the_caller_fills_it_and_puts_no_value_into_another_place() {
+async fn a_read_into_a_buffer_puts_each_value_into_its_own_place() {
     for framing in FRAMINGS {
         let Bench { plc, faults, station } = bench(framing);
         for address in 0..300 {
@@ -295,7 +295,7 @@ async fn a_read_into_memory_of_the_caller_fills_it_and_puts_no_value_into_anothe
         station.read_discretes_into(discrete!("M0"), &mut states).await.unwrap();
         assert!(states.into_iter().eq((0..300).map(|n| n % 3 == 0)), "{framing}");
 
-        // The third request is refused: what the others have brought is in its place, if it is there.
+        // The third request is refused. The buffer is unspecified then, but holds no value of another register.
         let in_place = |values: &[u16]| (1..).zip(values).all(|(own, &value)| value == own || value == 0xAAAA);
         faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalAddress)).element(register!("R128"))]);
         let mut values = [0xAAAA; 200];

@@ -189,7 +189,7 @@ async fn a_frame_that_nobody_asked_for_makes_the_station_prove_itself() {
     }
 }
 
-/// Of one character, it looks like a refusal of a loop-back, such as the check before it.
+/// The echo of one character has the form of a refusal, such as one of the check before it.
 #[tokio::test(start_paused = true)]
 async fn a_loop_back_of_one_character_is_sent_behind_a_check() {
     let (client, plc) = duplex(4096);
@@ -337,7 +337,7 @@ async fn a_write_to_a_station_that_answers_no_check_is_not_sent() {
     assert!(peer.hears_nothing().await);
 }
 
-/// A copy is dropped and counted, and no check is due to it: it cannot answer the next request, which is spelt differently.
+/// A duplicate is dropped and counted, and no check follows: the next request is spelt differently, so it cannot answer that.
 #[tokio::test(start_paused = true)]
 async fn a_copy_before_or_behind_the_next_request_is_not_its_reply() {
     let (client, plc) = duplex(4096);

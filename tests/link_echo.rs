@@ -28,7 +28,7 @@ fn none(_: u32, _: BytesMut) -> Option<BytesMut> {
 /// Whether a PLC answers the n-th request, counted from 1, of this command.
 type Answers = fn(u32, u8) -> bool;
 
-/// A PLC on such a line; the requests that it hears come out of the channel. It answers no check but as the test says.
+/// A PLC on such a line; the channel yields the requests that it receives. It answers checks only as the test says.
 fn on_line(mode: EchoMode, echo: Echo, answers: Answers) -> (Station, UnboundedReceiver<String>) {
     let (client, plc) = duplex(4096);
     let (heard, requests) = unbounded_channel();
@@ -94,7 +94,7 @@ async fn an_echo_is_never_taken_for_the_reply() {
 
 #[tokio::test(start_paused = true)]
 async fn on_a_line_that_echoes_a_dead_plc_is_dead() {
-    // From the beginning, and from the first request behind the check on.
+    // Dead from the start, or from the first request behind the check.
     let dead: [(EchoMode, Answers, bool); 4] = [
         (EchoMode::Auto, |_, _| false, false),
         (EchoMode::On, |_, _| false, false),

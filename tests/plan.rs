@@ -71,7 +71,7 @@ fn values(readings: &Readings<'_, Error>, number: usize) -> Vec<TagValue> {
 async fn tags_of_every_kind_are_read_by_runs_and_by_mixed_reads() {
     for framing in FRAMINGS {
         for limits in [Limits::new(), Limits::new().no_mixed_reads(), Limits::new().max_registers(4).unwrap()] {
-            // Without what tells equal requests apart, only the requests are counted.
+            // On a line that never doubles a reply nothing separates equal requests, so only the requests are counted.
             let bench = bench_with(framing, InStepSettings::new().with_copies(0).unwrap());
             let plan = Plan::builder(model(framing)).limits(limits).tags(bench.tags.clone()).build().unwrap();
             let readings = plan.read(&bench.station).await;

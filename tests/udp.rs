@@ -121,7 +121,7 @@ async fn a_value_written_is_read_back_in_both_framings() {
 }
 
 #[tokio::test]
-async fn a_lost_datagram_costs_a_timeout_and_the_read_is_repeated_behind_a_check() {
+async fn a_read_after_a_lost_datagram_is_repeated_behind_a_check() {
     for framing in FRAMINGS {
         let peer = Peer::bind(framing).await;
         let link = peer.builder().response_timeout(Duration::from_millis(100)).retries(2).build();
@@ -200,11 +200,12 @@ async fn a_copy_of_a_reply_is_not_read_by_later_requests() {
     }
 }
 
-/// A copy is no doubt, for it can answer neither port nor spelling of the next request; so that comes without a check.
+/// Before each request had a port and a shape of its own, a duplicate made the station suspect and led to a fresh socket. Now it
+/// can be taken for no later reply, so it is counted and no check is sent.
 #[tokio::test]
-async fn a_doubled_reply_is_counted_and_the_next_request_has_another_port_and_shape() {
+async fn after_a_doubled_reply_the_next_request_has_another_port() {
     let peer = Peer::bind(Framing::Ascii).await;
-    // A copy may come that long after the reply, however busy the machine is.
+    // Duplicates are expected for longer than the test takes on a busy machine.
     let link = peer.builder().in_step(InStepSettings::new().with_window(LONG)).build();
     let station = link.station(1).unwrap();
     let call = read(&station);
@@ -219,7 +220,7 @@ async fn a_doubled_reply_is_counted_and_the_next_request_has_another_port_and_sh
     let second = peer.request().await;
     assert_ne!(first.from.port(), second.from.port());
     assert_eq!((first.frame.command, second.frame.command), (0x46, 0x48));
-    // One that comes now is read by nobody but to be counted.
+    // A duplicate to the port of the earlier request is counted and dropped.
     peer.reply(&first, 1).await;
     peer.reply(&second, 2).await;
     assert_eq!(call.await.unwrap().unwrap(), [2]);
@@ -232,17 +233,17 @@ async fn a_doubled_reply_is_counted_and_the_next_request_has_another_port_and_sh
     assert_eq!((stats.duplicates, stats.stray_frames, stats.checks), (1, 0, 1), "the check of a new connection");
 }
 
-/// Waits until this is so.
-async fn until(so: impl Fn() -> bool) {
+/// Waits until the condition is true.
+async fn until(condition: impl Fn() -> bool) {
     let wait = async {
-        while !so() {
+        while !condition() {
             tokio::task::yield_now().await;
         }
     };
-    timeout(LONG, wait).await.expect("it is never so");
+    timeout(LONG, wait).await.expect("the condition stays false");
 }
 
-/// What may be a reply to an earlier request is none, and the read is asked again behind a check.
+/// An unexpected frame makes the station suspect: the reply behind it has no proof, and the read is sent again behind a check.
 #[tokio::test]
 async fn a_reply_behind_a_stray_is_not_taken() {
     for framing in FRAMINGS {
@@ -326,7 +327,7 @@ async fn the_longest_datagram_is_taken_whole() {
 
 #[tokio::test]
 async fn a_port_where_nobody_listens_is_a_lost_connection_and_not_a_timeout() {
-    // From the beginning, when only the check is sent, and after a first read.
+    // Without a first read only the check is sent.
     for once_heard in [false, true] {
         let peer = Peer::bind(Framing::Ascii).await;
         let link = peer.builder().build();
