@@ -97,7 +97,7 @@ async fn dropping_the_last_handle_closes_the_connection() {
     let link = Link::new(listener.local_addr().unwrap().into());
     let station = link.station(1).unwrap().with_options(CallOptions::new().call_timeout(Duration::from_millis(50)));
     drop(link);
-    let call = tokio::spawn(async move { station.loop_back("x").await });
+    let call = tokio::spawn(async move { station.loop_back("xy").await });
     let (mut stream, _) = listener.accept().await.unwrap();
     let mut check = [0; CHECK];
     stream.read_exact(&mut check).await.unwrap();
@@ -105,5 +105,5 @@ async fn dropping_the_last_handle_closes_the_connection() {
     let mut received = Vec::new();
     stream.read_to_end(&mut received).await.unwrap();
     assert!(call.await.unwrap().is_err());
-    assert_eq!(received, b"\x02014Ex54\x03");
+    assert_eq!(received, b"\x02014ExyCD\x03");
 }
