@@ -250,7 +250,13 @@ fn no_answer_is_status_4() {
     assert!(absent.stderr.starts_with("error: R0: station 9 did not answer read registers (46)"), "{absent:?}");
     let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "write", "R0=1"]);
     assert_eq!(absent.status, 4, "{absent:?}");
-    assert!(absent.stderr.contains("R0 (it may have been written): "), "{absent:?}");
+    // Not even the check before it was answered.
+    assert!(absent.stderr.starts_with("error: R0: station 9 did not answer write registers (47)"), "{absent:?}");
+    assert!(absent.stderr.contains("the request was not sent"), "{absent:?}");
+    let silent = Fake::start(|_| Vec::new());
+    let unanswered = silent.fatek(&["--timeout", "100ms", "write", "R0=1"]);
+    assert_eq!(unanswered.status, 4, "{unanswered:?}");
+    assert!(unanswered.stderr.contains("R0 (it may have been written): "), "{unanswered:?}");
 }
 
 #[test]
@@ -330,7 +336,10 @@ fn nothing_is_sent_on_bad_input() {
 fn a_value_of_two_registers_is_written_in_one_request() {
     let plc = Fake::start(|_| ascii("01470"));
     plc.fatek(&["write", "R100:f32=-500.125"]).ok();
-    assert_eq!(plc.received(), ascii("014702R001001000C3FA"));
+    let received = plc.received();
+    let (check, write) = received.split_at(16);
+    assert!(check.starts_with(b"\x02014E") && check.ends_with(b"\x03"), "{check:?}");
+    assert_eq!(write, ascii("014702R001001000C3FA"));
 }
 
 #[test]

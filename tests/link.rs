@@ -10,7 +10,7 @@ use tokio::time::{Instant, sleep, timeout};
 
 mod peer;
 
-use peer::{line, once, station};
+use peer::{Peer, line, once, station};
 
 #[tokio::test(start_paused = true)]
 async fn a_read_is_one_request_and_one_reply() {
@@ -189,6 +189,28 @@ async fn a_frame_that_nobody_asked_for_makes_the_station_prove_itself() {
     }
 }
 
+/// The echo of one character has the form of a refusal, such as one of the check before it.
+#[tokio::test(start_paused = true)]
+async fn a_loop_back_of_one_character_is_sent_behind_a_check() {
+    let (client, plc) = duplex(4096);
+    let link = Link::from_stream(client, Framing::Ascii);
+    let mut peer = Peer::new(plc);
+    let station = station(&link);
+    let call = tokio::spawn(async move { station.loop_back("x").await });
+    let mut before = 0;
+    loop {
+        let request = peer.any_request().await.unwrap();
+        let data = String::from_utf8(request.data.to_vec()).unwrap();
+        peer.reply(1, request.command, if request.command == 0x40 { "0000000" } else { &data }).await;
+        if data == "x" {
+            break;
+        }
+        before += 1;
+        assert!(before <= 2, "{before} requests before it, the last one {:02X} {data}", request.command);
+    }
+    call.await.unwrap().unwrap();
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_device_without_loop_back_gets_a_quiet_period() {
     let (link, mut peer) = line();
@@ -283,18 +305,21 @@ async fn a_broadcast_does_not_wait_for_an_answer() {
 async fn a_silent_station_goes_offline_fails_fast_and_comes_back() {
     let (link, mut peer) = line();
     let station = station(&link);
-    let error = station.read_status().await.unwrap_err();
-    assert!(matches!(error, Error::Timeout { .. }), "{error:?}");
+    let call = {
+        let station = station.clone();
+        tokio::spawn(async move { station.read_status().await })
+    };
+    let mut heard = vec![peer.request().await.command];
+    let error = call.await.unwrap().unwrap_err();
+    assert!(matches!(error, Error::Timeout { sent: true, .. }), "{error:?}");
     let began = Instant::now();
     let error = station.read_status().await.unwrap_err();
     assert!(matches!(error, Error::Offline { station: 1, sent: false, .. }), "{error:?}");
     assert!(began.elapsed() < Duration::from_millis(1));
-    peer.received.clear();
-    let mut heard = Vec::new();
     while heard.len() < 4 {
         heard.push(peer.request().await.command);
     }
-    assert_eq!(heard, [0x40, 0x4E, 0x4E, 0x4E], "one request, two barriers, and then the probe");
+    assert_eq!(heard, [0x40, 0x4E, 0x4E, 0x4E], "one request, two checks, and then the probe");
     peer.echo().await;
     sleep(Duration::from_millis(1)).await;
     let call = tokio::spawn(async move { station.set(discrete!("Y0")).await });
@@ -304,8 +329,20 @@ async fn a_silent_station_goes_offline_fails_fast_and_comes_back() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_copy_that_came_before_the_next_request_is_not_its_reply() {
+async fn a_write_to_a_station_that_answers_no_check_is_not_sent() {
     let (link, mut peer) = line();
+    let error = station(&link).write_registers(register!("R0"), &[1]).await.unwrap_err();
+    assert!(matches!(error, Error::Timeout { sent: false, .. }) && !error.may_have_executed(), "{error:?}");
+    assert_eq!(peer.any_request().await.unwrap().command, 0x4E);
+    assert!(peer.hears_nothing().await);
+}
+
+/// A duplicate is dropped and counted, and no check follows: the next request is spelt differently, so it cannot answer that.
+#[tokio::test(start_paused = true)]
+async fn a_copy_before_or_behind_the_next_request_is_not_its_reply() {
+    let (client, plc) = duplex(4096);
+    let link = Link::from_stream(client, Framing::Ascii);
+    let mut peer = Peer::new(plc);
     let plc = station(&link);
     let first = {
         let plc = plc.clone();
@@ -320,18 +357,25 @@ async fn a_copy_that_came_before_the_next_request_is_not_its_reply() {
     peer.raw(&[0; 1010]).await;
     peer.reply(1, 0x46, "01111").await;
     assert_eq!(first.await.unwrap().unwrap(), [0x1111]);
-    peer.echo().await;
-    assert_eq!(&peer.request().await.data[..], b"01R00002");
-    peer.reply(1, 0x46, "02222").await;
+    let request = peer.request().await;
+    assert_eq!((request.command, &request.data[..]), (0x48, &b"01R00002"[..]));
+    peer.reply(1, 0x46, "01111").await;
+    peer.reply(1, 0x48, "02222").await;
     assert_eq!(second.await.unwrap().unwrap(), [0x2222]);
+    let stats = link.stats().stations;
+    assert_eq!((stats.duplicates, stats.stray_frames, stats.checks), (2, 0, 1), "the check of a new connection");
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_doubt_right_behind_the_echo_asks_for_another_echo() {
     let (link, mut peer) = line();
     let plc = once(&station(&link));
-    assert!(plc.read_registers(register!("R1"), 1).await.is_err());
+    let unanswered = {
+        let plc = plc.clone();
+        tokio::spawn(async move { plc.read_registers(register!("R1"), 1).await })
+    };
     peer.request().await;
+    assert!(unanswered.await.unwrap().is_err());
     let call = tokio::spawn(async move { plc.read_registers(register!("R2"), 1).await });
     let barrier = peer.request().await;
     let mut bytes = bytes::BytesMut::new();

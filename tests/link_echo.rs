@@ -12,7 +12,7 @@ use tokio::time::sleep;
 
 mod peer;
 
-use peer::{Peer, once, station};
+use peer::{Peer, once, station, undoubled};
 
 /// What a line does with the n-th request, counted from 1: the echo it sends back, if any.
 type Echo = fn(u32, BytesMut) -> Option<BytesMut>;
@@ -25,14 +25,17 @@ fn none(_: u32, _: BytesMut) -> Option<BytesMut> {
     None
 }
 
-/// A PLC that answers only these commands, on such a line; the requests that it hears come out of the channel.
-fn on_line(mode: EchoMode, echo: Echo, answers: &'static [u8]) -> (Station, UnboundedReceiver<String>) {
+/// Whether a PLC answers the n-th request, counted from 1, of this command.
+type Answers = fn(u32, u8) -> bool;
+
+/// A PLC on such a line; the channel yields the requests that it receives. It answers checks only as the test says.
+fn on_line(mode: EchoMode, echo: Echo, answers: Answers) -> (Station, UnboundedReceiver<String>) {
     let (client, plc) = duplex(4096);
     let (heard, requests) = unbounded_channel();
     let mut peer = Peer::new(plc);
     tokio::spawn(async move {
         let mut number = 0;
-        while let Some(request) = peer.request_if_any().await {
+        while let Some(request) = peer.any_request().await {
             number += 1;
             let data = String::from_utf8(request.data.to_vec()).unwrap();
             let _ = heard.send(format!("{:02X}{data}", request.command));
@@ -42,12 +45,14 @@ fn on_line(mode: EchoMode, echo: Echo, answers: &'static [u8]) -> (Station, Unbo
                 peer.raw(&echo).await;
                 sleep(Duration::from_millis(10)).await;
             }
-            if answers.contains(&request.command) {
+            if answers(number, request.command) {
                 answer(&mut peer, &request, &data).await;
             }
         }
     });
-    (station(&Link::stream_builder(client, Framing::Ascii).echo(mode).build()), requests)
+    // Requests are spelt plainly, so that they can be counted.
+    let link = Link::stream_builder(client, Framing::Ascii).echo(mode).in_step(undoubled()).build();
+    (station(&link), requests)
 }
 
 async fn answer(peer: &mut Peer, request: &Frame, data: &str) {
@@ -59,7 +64,9 @@ async fn answer(peer: &mut Peer, request: &Frame, data: &str) {
     }
 }
 
-const ALL: &[u8] = &[0x40, 0x41, 0x46, 0x4E];
+fn all(_: u32, _: u8) -> bool {
+    true
+}
 
 fn all_of(mut requests: UnboundedReceiver<String>) -> Vec<String> {
     std::iter::from_fn(|| requests.try_recv().ok()).collect()
@@ -70,12 +77,14 @@ async fn an_echo_is_never_taken_for_the_reply() {
     let lines: [(EchoMode, Echo); 4] =
         [(EchoMode::Auto, faithful), (EchoMode::Auto, none), (EchoMode::On, faithful), (EchoMode::Off, none)];
     for (mode, echo) in lines {
-        let (plc, requests) = on_line(mode, echo, ALL);
+        let (plc, requests) = on_line(mode, echo, all);
         plc.stop().await.unwrap();
         plc.loop_back("ABC").await.unwrap();
         assert_eq!(plc.read_registers(register!("R0"), 1).await.unwrap(), [7]);
-        let requests = all_of(requests);
-        let expected = ["40", "410", "4EABC", "4601R00000"];
+        let mut requests = all_of(requests);
+        let check = requests.iter_mut().find(|request| request.starts_with("4E")).unwrap();
+        assert_eq!(check.split_off(2).len(), 8, "a nonce");
+        let expected = ["40", "4E", "410", "4EABC", "4601R00000"];
         let expected = if mode == EchoMode::Auto { &expected[..] } else { &expected[1..] };
         assert_eq!(requests, expected, "{mode:?}: learned once, with a status request");
         let echoes = if echo(1, BytesMut::new()).is_some() { requests.len() as u64 } else { 0 };
@@ -85,11 +94,19 @@ async fn an_echo_is_never_taken_for_the_reply() {
 
 #[tokio::test(start_paused = true)]
 async fn on_a_line_that_echoes_a_dead_plc_is_dead() {
-    for mode in [EchoMode::Auto, EchoMode::On] {
-        let (plc, _requests) = on_line(mode, faithful, &[]);
-        for result in [plc.stop().await, plc.loop_back("ABC").await] {
-            assert!(matches!(result, Err(Error::Timeout { .. } | Error::Offline { .. })), "{mode:?}: {result:?}");
-        }
+    // Dead from the start, or from the first request behind the check.
+    let dead: [(EchoMode, Answers, bool); 4] = [
+        (EchoMode::Auto, |_, _| false, false),
+        (EchoMode::On, |_, _| false, false),
+        (EchoMode::Auto, |number, _| number <= 2, true),
+        (EchoMode::On, |number, _| number <= 1, true),
+    ];
+    for (mode, answers, checked) in dead {
+        let (plc, _requests) = on_line(mode, faithful, answers);
+        let result = plc.stop().await;
+        assert!(matches!(result, Err(Error::Timeout { sent, .. }) if sent == checked), "{mode:?}: {result:?}");
+        let result = plc.loop_back("ABC").await;
+        assert!(matches!(result, Err(Error::Timeout { .. } | Error::Offline { .. })), "{mode:?}: {result:?}");
         assert_eq!(plc.stats().replies, 0, "{mode:?}");
     }
 }
@@ -106,7 +123,7 @@ async fn an_echo_that_is_garbled_while_it_is_learned_teaches_nothing() {
         |number, request| Some(if number == 1 { BytesMut::from(&request[1..]) } else { request });
     for echo in [spoil_one, lose_the_start] {
         // STOP and 4E are answered by nothing but their own echo.
-        let (plc, _requests) = on_line(EchoMode::Auto, echo, &[0x40, 0x46]);
+        let (plc, _requests) = on_line(EchoMode::Auto, echo, |_, command| [0x40, 0x46].contains(&command));
         let error = plc.stop().await.unwrap_err();
         assert!(matches!(error, Error::Timeout { .. }), "{error:?}");
     }
@@ -114,21 +131,21 @@ async fn an_echo_that_is_garbled_while_it_is_learned_teaches_nothing() {
 
 #[tokio::test(start_paused = true)]
 async fn a_line_that_begins_to_echo_is_found_out_by_the_next_read() {
-    let later: Echo = |number, request| (number > 2).then_some(request);
+    let later: Echo = |number, request| (number > 3).then_some(request);
     for mode in [EchoMode::Auto, EchoMode::Off] {
-        let (plc, _requests) = on_line(mode, later, &[0x40, 0x46]);
+        let (plc, _requests) = on_line(mode, later, |_, command| command != 0x41);
         for _ in 0..3 {
             assert_eq!(plc.read_registers(register!("R0"), 1).await.unwrap(), [7]);
         }
         let error = plc.stop().await.unwrap_err();
-        assert!(matches!(error, Error::Timeout { .. }), "{mode:?}: {error:?}");
+        assert!(matches!(error, Error::Timeout { sent: true, .. }), "{mode:?}: {error:?}");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_line_that_ceases_to_echo_is_found_out_by_the_next_barrier() {
-    let at_first: Echo = |number, request| (number <= 3).then_some(request);
-    let (plc, _requests) = on_line(EchoMode::Auto, at_first, ALL);
+async fn a_line_that_ceases_to_echo_is_found_out_by_the_next_check() {
+    let at_first: Echo = |number, request| (number <= 4).then_some(request);
+    let (plc, _requests) = on_line(EchoMode::Auto, at_first, all);
     assert_eq!(plc.read_registers(register!("R0"), 1).await.unwrap(), [7]);
     // Its reply is taken for its echo, once; then it is learned that there is none.
     let result = plc.stop().await;

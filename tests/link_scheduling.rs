@@ -122,9 +122,10 @@ async fn a_dead_station_costs_the_others_one_timeout_at_a_time() {
 }
 
 async fn answer_only(mut peer: Peer, station: u8) {
-    while let Some(request) = peer.request_if_any().await {
+    while let Some(request) = peer.any_request().await {
         if request.station == station {
-            peer.reply(station, request.command, "0000000").await;
+            let data = String::from_utf8(request.data.to_vec()).unwrap();
+            peer.reply(station, request.command, if request.command == 0x4E { &data } else { "0000000" }).await;
         }
     }
 }
@@ -186,7 +187,7 @@ async fn a_full_queue_is_an_error_that_names_its_length() {
 fn serve_when(mut peer: Peer, takes: Duration, alive: impl Fn(u8, Duration) -> bool + Send + 'static) {
     let began = Instant::now();
     tokio::spawn(async move {
-        while let Some(request) = peer.request_if_any().await {
+        while let Some(request) = peer.any_request().await {
             if !alive(request.station, began.elapsed()) {
                 continue;
             }
@@ -268,13 +269,25 @@ async fn when_one_station_is_back_the_others_are_asked_as_soon_as_the_line_allow
 
 #[tokio::test(start_paused = true)]
 async fn a_hurried_caller_does_not_cost_the_connection() {
-    let (client, plc) = duplex(8); // the request does not fit at once
-    let link = Link::from_stream(client, Framing::Ascii);
-    let mut plc_side = Peer::new(plc);
-    let hurried = station(&link).with_options(CallOptions::new().call_timeout(Duration::from_millis(5)));
-    let error = hurried.read_registers(register!("R1"), 1).await.unwrap_err();
-    assert!(matches!(error, Error::Timeout { .. }), "{error:?}");
-    plc_side.request().await;
-    serve_when(plc_side, Duration::ZERO, |_, _| true);
-    station(&link).read_status().await.unwrap();
+    // It gives up while the check is being written, or while its request is.
+    for checked in [false, true] {
+        let (client, plc) = duplex(8); // neither fits at once
+        let link = Link::from_stream(client, Framing::Ascii);
+        let mut plc_side = Peer::new(plc);
+        if checked {
+            let (plc, first) = (station(&link), async {
+                assert_eq!(plc_side.request().await.command, 0x40);
+                plc_side.reply(1, 0x40, "0000000").await;
+            });
+            tokio::join!(plc.read_status(), first).0.unwrap();
+        }
+        let hurried = station(&link).with_options(CallOptions::new().call_timeout(Duration::from_millis(5)));
+        let error = hurried.read_registers(register!("R1"), 1).await.unwrap_err();
+        assert!(matches!(error, Error::Timeout { sent, .. } if sent == checked), "{error:?}");
+        let cut = plc_side.any_request().await.unwrap();
+        assert_eq!(cut.command, if checked { 0x46 } else { 0x4E }, "it is written to its end");
+        serve_when(plc_side, Duration::ZERO, |_, _| true);
+        station(&link).read_status().await.unwrap();
+        assert_eq!(link.stats().disconnects, 0);
+    }
 }

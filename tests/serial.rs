@@ -42,7 +42,7 @@ impl Peer {
         self.stream.write_all(&bytes).await.unwrap();
     }
 
-    /// Echoes the loop-back with which a serial link begins.
+    /// Echoes the loop-back with which a connection begins.
     async fn echo(&mut self) {
         let (request, ..) = self.request().await;
         assert_eq!(request.command, 0x4E);
@@ -163,6 +163,7 @@ async fn a_stream_that_is_no_serial_line_is_flushed() {
     let station = link.station(1).unwrap().with_options(CallOptions::new().retries(0));
     let call = tokio::spawn(async move { station.read_registers(register!("R0"), 1).await });
     let mut peer = Peer { stream: plc, received: BytesMut::new() };
+    peer.echo().await;
     let (request, ..) = peer.request().await;
     peer.reply(&request, "00007").await;
     assert_eq!(call.await.unwrap().unwrap(), [7]);

@@ -48,8 +48,8 @@ async fn what_happens_on_a_link_is_told_in_its_own_span_and_a_call_has_one_of_it
 
     let text = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
     let told = |what: &str| text.lines().filter(|line| line.contains(what)).collect::<Vec<_>>();
-    // The first is sent by the task, which has the connection opened; the others by their caller.
-    for (what, count) in [("connected", 1), ("sending", 3), ("received", 3)] {
+    // The check and the first request are sent by the task, which has the connection opened; the others by their caller.
+    for (what, count) in [("connected", 1), ("sending", 4), ("received", 4)] {
         let lines = told(&format!(" {what}"));
         let of_the_link = lines.iter().filter(|line| line.contains("link{name=") && line.contains("fatek::link"));
         assert_eq!(of_the_link.clone().count(), count, "{what}: {text}");

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use fatek::sim::{Bus, Plc, Server};
 use fatek::wire::Framing;
 use fatek::{CallOptions, Endpoint, Error, Link, LinkState, register};
-use tokio::io::AsyncReadExt;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;
 
 async fn serve(address: &str, plc: &Plc, framing: Framing) -> Server {
@@ -67,19 +67,28 @@ async fn a_call_waits_for_a_server_that_comes_up_in_time() {
     assert_eq!(call.await.unwrap().unwrap(), [0]);
 }
 
+/// The length of the loop-back that a connection begins with. The reply to it is equal to it.
+const CHECK: usize = 16;
+
 #[tokio::test]
 async fn a_connection_that_closes_without_an_answer_fails_a_write_at_once_and_says_that_it_was_sent() {
-    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let link = Link::new(listener.local_addr().unwrap().into());
-    let station = link.station(1).unwrap();
-    let call = tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await });
-    let (mut stream, _) = listener.accept().await.unwrap();
-    let mut request = [0; 64];
-    assert_ne!(stream.read(&mut request).await.unwrap(), 0);
-    drop(stream);
-    let error = call.await.unwrap().unwrap_err();
-    assert!(matches!(error, Error::Disconnected { sent: true, .. }), "{error:?}");
-    assert!(error.may_have_executed());
+    for checked in [true, false] {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let link = Link::new(listener.local_addr().unwrap().into());
+        let station = link.station(1).unwrap();
+        let call = tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await });
+        let (mut stream, _) = listener.accept().await.unwrap();
+        let mut check = [0; CHECK];
+        stream.read_exact(&mut check).await.unwrap();
+        if checked {
+            stream.write_all(&check).await.unwrap();
+            assert_ne!(stream.read(&mut [0; 64]).await.unwrap(), 0);
+        }
+        drop(stream);
+        let error = call.await.unwrap().unwrap_err();
+        assert!(matches!(error, Error::Disconnected { sent, .. } if sent == checked), "{error:?}");
+        assert_eq!(error.may_have_executed(), checked);
+    }
 }
 
 #[tokio::test]
@@ -88,10 +97,13 @@ async fn dropping_the_last_handle_closes_the_connection() {
     let link = Link::new(listener.local_addr().unwrap().into());
     let station = link.station(1).unwrap().with_options(CallOptions::new().call_timeout(Duration::from_millis(50)));
     drop(link);
-    let call = tokio::spawn(async move { station.loop_back("x").await });
+    let call = tokio::spawn(async move { station.loop_back("xy").await });
     let (mut stream, _) = listener.accept().await.unwrap();
+    let mut check = [0; CHECK];
+    stream.read_exact(&mut check).await.unwrap();
+    stream.write_all(&check).await.unwrap();
     let mut received = Vec::new();
     stream.read_to_end(&mut received).await.unwrap();
     assert!(call.await.unwrap().is_err());
-    assert_eq!(received, b"\x02014Ex54\x03");
+    assert_eq!(received, b"\x02014ExyCD\x03");
 }

@@ -194,7 +194,12 @@ async fn in_read_only_mode_nothing_that_writes_or_controls_reaches_the_bus() {
         assert_eq!((counts.held_back, counts.done + counts.refused), (held_back, done));
         let log = bench.faults.log();
         assert!(log.entries().iter().all(|entry| entry.request().unwrap().code().class() == Class::Read));
-        assert_eq!((log.arrivals(), log.writes(), log.forgotten()), (done, 0, 0));
+        // Besides: the check of the station, and a page whose refusal may be that of the page before: asked for again, behind
+        // another check. Equal requests in turn are spelt differently.
+        let stats = bench.proxy.link().stats().stations;
+        let pages = u64::from(framing == Framing::Ascii);
+        assert_eq!((stats.checks, stats.unproven_replies), (1 + pages, pages), "{framing}");
+        assert_eq!((log.arrivals(), log.writes(), log.forgotten()), (done + 1 + 2 * pages, 0, 0));
     }
 }
 
@@ -212,7 +217,8 @@ async fn a_broadcast_is_obeyed_by_all_and_answered_by_nobody() {
         assert_eq!(client.ask(8, &ReadRegisters::new(register!("R5"), 1).unwrap()).await.unwrap(), [0xAAAA]);
         assert!(bench.plcs.iter().all(|plc| plc.read(register!("R5")) == Value::Word(0xAAAA)));
         assert_eq!(bench.proxy.counts(), Counts { broadcast: 1, ignored: 2, done: 1, ..Counts::default() });
-        assert_eq!(bench.faults.log().arrivals(), 2);
+        // And the check of the station that is asked.
+        assert_eq!(bench.faults.log().arrivals(), 3);
     }
 }
 

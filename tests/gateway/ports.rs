@@ -109,7 +109,14 @@ async fn a_gateway_that_stops_answers_what_is_on_the_wire_and_closes_all_connect
     let asking = tokio::spawn(async move { station.read_registers(register!("R0"), 1).await });
     let (mut line, _) = module.accept().await.unwrap();
     let mut request = [0; 16];
+    // The check of the gateway's connection to the bus, and that of its client.
+    for _ in 0..2 {
+        line.read_exact(&mut request).await.unwrap();
+        assert!(request.starts_with(b"\x02014E"), "{request:?}");
+        line.write_all(&request).await.unwrap();
+    }
     line.read_exact(&mut request).await.unwrap();
+    assert!(request.starts_with(b"\x020146"), "{request:?}");
     let mut idle = TcpStream::connect(gateway.address).await.unwrap();
 
     let stopping = tokio::spawn(gateway.stop());
