@@ -10,13 +10,16 @@ mod book;
 mod ear;
 mod fit;
 mod op;
+mod plc;
 mod rest;
 mod spec;
 mod state;
+mod wanted;
+mod witness;
 mod world;
 
 use fatek::wire::Framing;
-use op::{Connecting, Kind, Op, Spoilt};
+use op::{Connecting, Kind, Op, Spoilt, Together};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::test_runner::{FileFailurePersistence, TestRunner};
@@ -52,7 +55,11 @@ fn op() -> impl Strategy<Value = Op> {
         1 => Just(Kind::Run),
         1 => Just(Kind::Stop),
         1 => Just(Kind::Broadcast),
+        1 => Just(Kind::BroadcastRun),
+        1 => (0..4_u8).prop_map(Kind::Mixed),
+        1 => (0..8_u8).prop_map(Kind::Page),
     ];
+    let together = prop::sample::select(vec![Together::CopyFirst, Together::SecondBehind, Together::CopyBehind]);
     let spoilt = prop_oneof![
         (1..4_u8).prop_map(Spoilt::Station),
         any::<u8>().prop_map(Spoilt::Command),
@@ -67,9 +74,16 @@ fn op() -> impl Strategy<Value = Op> {
     prop_oneof![
         8 => (1..4_u8, kind, 0..32_u8).prop_map(|(station, kind, patience)| Op::Call { station, kind, patience }),
         1 => any::<u8>().prop_map(Op::Cancel),
-        8 => Just(Op::Answer { late: 0, refusal: 0 }),
+        12 => Just(Op::Answer { late: 0, refusal: 0 }),
         2 => (0..4_u8, 0..16_u8).prop_map(|(late, refusal)| Op::Answer { late, refusal }),
-        4 => spoilt.prop_map(Op::Spoilt),
+        2 => spoilt.prop_map(Op::Spoilt),
+        4 => (0..2_u8).prop_map(Op::Copy),
+        2 => (0..16_u8).prop_map(Op::Second),
+        1 => (1..4_u8, 0..3_u8).prop_map(|(station, refusal)| Op::LeftOver { station, refusal }),
+        1 => (0..4_u8, 0..3_u8).prop_map(|(station, refusal)| Op::Broadcasted { station, refusal }),
+        1 => (0..16_u8).prop_map(Op::Lacks),
+        2 => together.prop_map(Op::Together),
+        1 => Just(Op::AnswerAndLose),
         1 => vec(byte, 1..24).prop_map(Op::Noise),
         1 => Just(Op::Rest),
         1 => Just(Op::Echo),
