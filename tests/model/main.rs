@@ -56,7 +56,7 @@ fn op() -> impl Strategy<Value = Op> {
         1 => Just(Kind::Stop),
         1 => Just(Kind::Broadcast),
         1 => Just(Kind::BroadcastRun),
-        1 => (0..4_u8).prop_map(Kind::Mixed),
+        2 => (0..4_u8).prop_map(Kind::Mixed),
         1 => (0..8_u8).prop_map(Kind::Page),
     ];
     let together = prop::sample::select(vec![Together::CopyFirst, Together::SecondBehind, Together::CopyBehind]);

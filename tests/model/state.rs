@@ -61,7 +61,7 @@ pub(crate) struct Spelling {
     /// A register that the call does not ask for.
     pub(crate) extra: Option<u16>,
     /// Registers of which a reply shows that the station has them.
-    pub(crate) shows: (u16, u16),
+    pub(crate) shows: Vec<u16>,
 }
 
 /// Result of a call.

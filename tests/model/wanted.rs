@@ -32,7 +32,7 @@ impl Wanted {
                 (2, Sort::Page, Request::ReadProgramPage(ReadProgramPage::new(number.into())))
             }
             Kind::Read(_) | Kind::Page(_) => (2, Sort::Read, Request::ReadRegisters(read(first, count))),
-            Kind::Mixed(_) => (2, Sort::Read, mixed((first..).take(count.into()))),
+            Kind::Mixed(_) => (2, Sort::Read, mixed(scattered(first, count))),
             Kind::Write | Kind::Broadcast => {
                 let write = WriteRegisters::new(register(first), [first]).expect("one register");
                 (1, Sort::Once, Request::WriteRegisters(write))
@@ -47,26 +47,29 @@ impl Wanted {
     /// The table of docs/DESIGN.md, "In step"; the first is the request itself.
     pub(crate) fn spellings(&self, framing: Framing, station: u8) -> Vec<Spelling> {
         let (first, count) = (self.first, self.count);
-        let all = || (first..).take(count.into());
-        let others: Vec<(Request, Option<u16>, u16)> = match &self.request {
-            Request::ReadRegisters(_) => vec![
-                (Request::ReadRegisters(read(first, count + 1)), Some(first + count), count + 1),
-                (mixed(all()), None, count),
-            ],
-            Request::ReadMixed(_) => vec![(mixed(all().chain([first])), Some(first), 0)],
+        let others: Vec<(Request, Option<u16>)> = match &self.request {
+            Request::ReadRegisters(_) => {
+                let (all, extra) = (first..first + count, first + count);
+                vec![(Request::ReadRegisters(read(first, count + 1)), Some(extra)), (mixed(all), None)]
+            }
+            Request::ReadMixed(_) => vec![(mixed(scattered(first, count).chain([first])), Some(first))],
             Request::WriteRegisters(_) if !self.broadcast => {
                 let items = vec![(Element::from(register(first)), Value::Word(first))];
-                vec![(Request::WriteMixed(WriteMixed::new(items).expect("one register")), None, 0)]
+                vec![(Request::WriteMixed(WriteMixed::new(items).expect("one register")), None)]
             }
             _ => Vec::new(),
         };
-        // Only a read of consecutive registers shows that the station has them.
-        let shown = if matches!(self.request, Request::ReadRegisters(_)) { count } else { 0 };
-        let plain = [(self.request.clone(), None, shown)];
-        let spellings = plain.into_iter().chain(others).filter_map(|(request, extra, shown)| {
+        let shown: Vec<u16> = match &self.request {
+            Request::ReadRegisters(_) => (first..first + count).collect(),
+            Request::ReadMixed(_) => scattered(first, count).collect(),
+            _ => Vec::new(),
+        };
+        let plain = [(self.request.clone(), None)];
+        let spellings = plain.into_iter().chain(others).filter_map(|(request, extra)| {
             let mut bytes = BytesMut::new();
             request.encode(framing, station, &mut bytes).ok()?;
-            Some(Spelling { request: bytes.to_vec(), extra, shows: (first, shown) })
+            let shows = shown.iter().copied().chain(extra).collect();
+            Some(Spelling { request: bytes.to_vec(), extra, shows })
         });
         spellings.collect()
     }
@@ -83,6 +86,11 @@ fn register(address: u16) -> Register {
 
 fn read(first: u16, count: u16) -> ReadRegisters<Register> {
     ReadRegisters::new(register(first), count.into()).expect("a few registers")
+}
+
+/// The addresses of a list: every other one.
+fn scattered(first: u16, count: u16) -> impl Iterator<Item = u16> {
+    (first..).step_by(2).take(count.into())
 }
 
 fn mixed(addresses: impl Iterator<Item = u16>) -> Request {

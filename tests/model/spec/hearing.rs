@@ -129,9 +129,8 @@ impl Spec {
             state.sends -= 1;
             return self.put_back(id);
         }
-        let (first, count) = state.call.spellings[wire.spelling].shows;
         if held.answer.is_ok() {
-            known.answered.extend(first..first + count);
+            known.answered.extend(&state.call.spellings[wire.spelling].shows);
         }
         let words = state.call.words;
         self.end(id, |_| match held.answer.clone() {

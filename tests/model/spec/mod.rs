@@ -204,6 +204,7 @@ impl Spec {
         self.wait_for_silence(at);
         while let Some(when) = self.wire.as_ref().map(|wire| whole_ms(wire.give_up)).filter(|&when| when <= at) {
             self.give_up(when);
+            self.wait_for_silence(when);
         }
     }
 
