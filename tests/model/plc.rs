@@ -10,6 +10,9 @@ use crate::book::{carried, framed};
 /// Bytes that come together, and the mark of the frame that they are, or are a part of.
 pub(crate) type Said = (Vec<u8>, Option<Mark>);
 
+/// Where the tags of pages begin, which no other reply has.
+const PAGES: u16 = 0xF00;
+
 pub(crate) struct Plc {
     framing: Framing,
     /// Commands that it does not know, by the bits of [`LACKS`].
@@ -69,8 +72,12 @@ impl Plc {
         let lacks = (0..).zip(LACKS).any(|(bit, command)| self.lacks >> bit & 1 == 1 && command == frame.command);
         let refusal = if lacks { refusal.max(4) } else { refusal };
         self.tag += 1;
-        let common = frame.command == 0x4F && frame.data.last().is_some_and(|digit| digit & 1 == 1);
-        let tag = if common { COMMON } else { self.tag };
+        let tag = match frame.data[..] {
+            // Nobody edits the program meanwhile, so each page has its own content, but for those that are equal.
+            [.., last] if frame.command == 0x4F && last & 1 == 1 => COMMON,
+            [.., last] if frame.command == 0x4F => PAGES | u16::from(last),
+            _ => self.tag,
+        };
         let data = self.data(&frame, refusal, tag);
         // In the ASCII framing, a code is one digit.
         let code = if self.framing == Framing::Binary { refusal } else { refusal & 15 };
