@@ -6,9 +6,7 @@ use super::super::ear::Heard;
 use super::super::fit::{Fit, fit, shape};
 use super::super::state::{Echo, End, Goal, Held, Id, Micros, Sort, Wire};
 use super::super::witness::Mark;
-use super::Spec;
-
-const STRICT: bool = false;
+use super::{STRAY_BEHIND_ECHO_COUNTS, Spec};
 
 impl Spec {
     pub(super) fn read(&mut self, bytes: &[u8], marks: &[Option<Mark>], at: Micros) {
@@ -170,7 +168,7 @@ impl Spec {
                 self.echo_was_last = held.answer.is_ok();
                 let passed = known.checked(wire, shape, held, &rules, at);
                 // A stray behind the echo is none of those that the echo has outlived.
-                known.suspect |= STRICT && passed && wire.followed;
+                known.suspect |= STRAY_BEHIND_ECHO_COUNTS && passed && wire.followed;
                 passed
             }
         };

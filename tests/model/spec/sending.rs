@@ -5,7 +5,7 @@ use fatek::wire::Side;
 use super::super::fit::shape;
 use super::super::state::{Echo, End, Goal, Id, Micros, Sort, Wire};
 use super::station::{Shape, Threat};
-use super::{Spec, Verdict};
+use super::{ONLY_READ_ELEMENTS_ARE_KNOWN, Spec, Verdict};
 use crate::book::{carried, framed};
 
 /// A frame that the link writes.
@@ -204,7 +204,7 @@ impl Spec {
             return Err(format!("what is owed could answer call {id}: {known:?}"));
         }
         match call.spellings[spelling].extra {
-            Some(extra) if !known.answered.contains(&extra) => {
+            Some(extra) if ONLY_READ_ELEMENTS_ARE_KNOWN && !known.answered.contains(&extra) => {
                 Err(format!("call {id} is sent with R{extra}, which station {station} has not answered"))
             }
             _ => Ok(()),
