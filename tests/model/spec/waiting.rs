@@ -55,6 +55,7 @@ impl Spec {
 
     /// Time has passed while calls wait for silence.
     pub(super) fn wait_for_silence(&mut self, at: Micros) {
+        self.silent_since.retain(|station, _| self.waiting.contains_key(station));
         for station in self.waiting.keys().copied().collect::<Vec<_>>() {
             let Some(_) = self.front(station, at).filter(|_| self.needs_silence(station)) else {
                 self.silent_since.remove(&station);
