@@ -145,7 +145,8 @@ impl Station {
     pub(crate) fn checked(&mut self, wire: &Wire, shape: Shape, held: &Held, rules: &Rules, at: Micros) -> bool {
         let refused = held.answer.is_err();
         let echo = shape.command == 0x4E && shape.size > 0 && !refused;
-        let proof = echo || !self.suspect && !(refused && self.threat(shape) > Threat::None);
+        let unproven = self.suspect || refused && self.threat(shape) > Threat::None;
+        let proof = echo || !unproven;
         self.heard = at;
         if !proof {
             self.refused |= shape.command == 0x4E && refused;
