@@ -1,5 +1,5 @@
-//! A link, its callers and the other end of its line, driven by the input in paused time: what the link does is held
-//! against the model of `tests/model`.
+//! Drives a link, its callers and the other end of its line by the input, in paused time, and compares the link with the
+//! model of `tests/model`.
 
 use fatek::wire::Framing;
 
@@ -9,12 +9,18 @@ mod ear;
 mod fit;
 #[path = "../../tests/model/op.rs"]
 mod op;
+#[path = "../../tests/model/plc.rs"]
+mod plc;
 #[path = "../../tests/model/rest.rs"]
 mod rest;
 #[path = "../../tests/model/spec/mod.rs"]
 mod spec;
 #[path = "../../tests/model/state.rs"]
 mod state;
+#[path = "../../tests/model/wanted.rs"]
+mod wanted;
+#[path = "../../tests/model/witness.rs"]
+mod witness;
 #[path = "../../tests/model/world.rs"]
 mod world;
 

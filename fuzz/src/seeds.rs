@@ -110,9 +110,9 @@ pub fn link() -> Vec<Vec<u8>> {
         // Nobody answers, then somebody does.
         &[0, 1, 3, 12, 50, 4, 4, 4],
         // Late, doubled, begun and ended, spoilt.
-        &[0, 1, 0, 12, 26, 6, 1, 4, 0x57, 1, 0x67, 5, 9, 0x47, 1],
+        &[0, 1, 0, 12, 26, 6, 1, 4, 0xA7, 1, 0xC7, 5, 9, 0x87, 1],
         &[0, 1, 2, 13, 4, 1, 2, 14, 4],
-        &[0, 15, 1, 0, 12, 40, 0x2F, 12, 40, 4],
+        &[0, 15, 1, 0, 12, 40, 0x4F, 12, 40, 4],
         // Until the station is offline, and back.
         &[0, 1, 3, 12, 100, 1, 1, 12, 20, 4, 1, 0, 4],
         // An echo that was not expected, and then is.

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use fatek::wire::Framing;
 
+use super::witness::Mark;
 use crate::book::{carried, places_by_the_book};
 use fatek::wire::Side;
 
@@ -14,6 +15,8 @@ const LONGEST: usize = 1024;
 pub(crate) struct Ear {
     framing: Framing,
     heard: Vec<u8>,
+    /// Of each byte, the frame that it is a part of.
+    marks: Vec<Option<Mark>>,
 }
 
 #[derive(Debug)]
@@ -23,25 +26,26 @@ pub(crate) enum Heard {
         command: u8,
         data: Vec<u8>,
         bytes: Vec<u8>,
+        /// If all of its bytes are of one frame of the PLC.
+        mark: Option<Mark>,
     },
     /// Whether a frame may have been lost with it, and how long it is.
-    Noise {
-        spoils: bool,
-        len: usize,
-    },
+    Noise { spoils: bool, len: usize },
 }
 
 impl Ear {
     pub(crate) fn new(framing: Framing) -> Self {
-        Self { framing, heard: Vec::new() }
+        Self { framing, heard: Vec::new(), marks: Vec::new() }
     }
 
-    pub(crate) fn hear(&mut self, bytes: &[u8]) {
+    pub(crate) fn hear(&mut self, bytes: &[u8], marks: &[Option<Mark>]) {
         self.heard.extend(bytes);
+        self.marks.extend(marks);
     }
 
     pub(crate) fn forget(&mut self) {
         self.heard.clear();
+        self.marks.clear();
     }
 
     /// Whether a frame has begun and not ended.
@@ -120,13 +124,16 @@ impl Ear {
         if !self.is_frame(place.clone()) {
             return self.noise(true, place.end);
         }
+        let marks: Vec<_> = self.marks.drain(place.clone()).collect();
+        let mark = marks[0].filter(|first| marks.iter().all(|mark| mark.as_ref() == Some(first)));
         let bytes: Vec<u8> = self.heard.drain(place).collect();
         let frame = carried(self.framing, &bytes);
-        Heard::Frame { station: frame.station, command: frame.command, data: frame.data.to_vec(), bytes }
+        Heard::Frame { station: frame.station, command: frame.command, data: frame.data.to_vec(), bytes, mark }
     }
 
     fn noise(&mut self, spoils: bool, len: usize) -> Heard {
         self.heard.drain(..len);
+        self.marks.drain(..len);
         Heard::Noise { spoils, len }
     }
 }

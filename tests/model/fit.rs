@@ -1,6 +1,9 @@
 //! What a reply must look like, by the protocol reference, for the requests that the model's callers and the link make.
 
+use fatek::command::PAGE_WORDS;
 use fatek::wire::Framing;
+
+use super::spec::station::Shape;
 
 /// What the data of a frame is to a request.
 pub(crate) enum Fit {
@@ -20,6 +23,10 @@ pub(crate) fn fit(framing: Framing, command: u8, request: &[u8], data: &[u8]) ->
             _ => Fit::None,
         };
     }
+    if command == 0x4F && data.len() == 4 * PAGE_WORDS {
+        // The manual has both: with an error code before the words, and without.
+        return bytes(framing, data).map_or(Fit::None, |bytes| Fit::Reply(words(&bytes)));
+    }
     let (Some(code), Some((_, rest))) = (code(framing, data), data.split_first()) else { return Fit::None };
     match code {
         0 => bytes(framing, rest)
@@ -30,16 +37,39 @@ pub(crate) fn fit(framing: Framing, command: u8, request: &[u8], data: &[u8]) ->
     }
 }
 
-/// The registers that a reply must hold.
-fn values(framing: Framing, command: u8, request: &[u8], reply: &[u8]) -> Option<Vec<u16>> {
-    let expected = match command {
-        0x40 => 3,
-        0x46 if framing == Framing::Ascii => 2 * usize::from(bytes(framing, request.get(..2)?)?[0]),
-        0x46 => 2 * usize::from(request[0]),
+/// The size of the positive reply to a request.
+pub(crate) fn shape(framing: Framing, command: u8, request: &[u8]) -> Shape {
+    let size = match command {
+        0x46 | 0x48 => count(framing, request).unwrap_or_default(),
+        0x4E => request.len(),
         _ => 0,
     };
-    let words = reply.chunks(2).filter_map(|pair| Some(u16::from_be_bytes(pair.try_into().ok()?)));
-    (reply.len() == expected).then(|| if command == 0x46 { words.collect() } else { Vec::new() })
+    Shape { command, size }
+}
+
+/// The number of elements that a request names, which stands at its beginning.
+fn count(framing: Framing, request: &[u8]) -> Option<usize> {
+    match framing {
+        Framing::Binary => request.first().copied().map(usize::from),
+        _ => Some(usize::from(*bytes(framing, request.get(..2)?)?.first()?)),
+    }
+}
+
+/// The registers that a reply must hold.
+fn values(framing: Framing, command: u8, request: &[u8], reply: &[u8]) -> Option<Vec<u16>> {
+    let fits = match command {
+        0x40 => reply.len() == 3,
+        0x46 | 0x48 => reply.len() == 2 * count(framing, request)?,
+        0x4F => reply.len() == 2 * PAGE_WORDS,
+        0x53 => (28..=249).contains(&reply.len()),
+        _ => reply.is_empty(),
+    };
+    let holds_values = matches!(command, 0x46 | 0x48 | 0x4F);
+    fits.then(|| if holds_values { words(reply) } else { Vec::new() })
+}
+
+fn words(bytes: &[u8]) -> Vec<u16> {
+    bytes.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect()
 }
 
 fn code(framing: Framing, data: &[u8]) -> Option<u8> {

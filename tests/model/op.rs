@@ -1,4 +1,4 @@
-//! What a run is made of.
+//! Steps of a run.
 
 /// A step of a run. Small numbers choose among what there is.
 #[derive(Clone, Debug)]
@@ -31,6 +31,41 @@ pub(crate) enum Op {
     LoseOnWrite,
     /// What becomes of the next attempts to connect.
     Connecting(Connecting),
+    /// The last answer, or one before it, comes once more.
+    Copy(u8),
+    /// A second answer to the request that was answered last: a refusal after a value, and the other way round.
+    Second(u8),
+    /// The reply to a request that an earlier process made before this connection was opened: one that fits the newest call
+    /// of this station.
+    LeftOver {
+        station: u8,
+        refusal: u8,
+    },
+    /// A station answers the last broadcast, under its own number or as station 0.
+    Broadcasted {
+        station: u8,
+        refusal: u8,
+    },
+    /// Commands that the PLC does not know from now on: see [`LACKS`].
+    Lacks(u8),
+    /// Several frames in one read.
+    Together(Together),
+    /// The PLC answers, and the connection is closed.
+    AnswerAndLose,
+}
+
+/// Commands that a PLC may lack, by the bits of [`Op::Lacks`].
+pub(crate) const LACKS: [u8; 4] = [0x4E, 0x48, 0x49, 0x40];
+
+/// Frames of one read.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Together {
+    /// A copy of the last answer, then the next answer.
+    CopyFirst,
+    /// An answer, then a second one that differs.
+    SecondBehind,
+    /// An answer, then a copy of the one before it.
+    CopyBehind,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -41,6 +76,12 @@ pub(crate) enum Kind {
     Run,
     Stop,
     Broadcast,
+    /// RUN to all stations.
+    BroadcastRun,
+    /// A list of so many registers, at least one.
+    Mixed(u8),
+    /// A page of the program; all odd ones have the same content. In the binary framing, which has none, a read.
+    Page(u8),
 }
 
 /// How an answer is wrong.
@@ -70,7 +111,7 @@ impl Op {
     pub(crate) fn from_bytes(bytes: &mut impl Iterator<Item = u8>) -> Option<Self> {
         let choice = bytes.next()?;
         let mut next = || bytes.next().unwrap_or_default();
-        Some(match choice % 16 {
+        Some(match choice % 32 {
             0..=2 => {
                 let (shape, patience) = (next(), next());
                 let kind = match shape >> 2 & 7 {
@@ -78,6 +119,7 @@ impl Op {
                     3 | 4 => Kind::Write,
                     5 => Kind::Run,
                     6 => Kind::Stop,
+                    _ if shape >> 7 == 1 => Kind::BroadcastRun,
                     _ => Kind::Broadcast,
                 };
                 Self::Call { station: shape & 3, kind, patience }
@@ -88,7 +130,7 @@ impl Op {
                 let shape = next();
                 Self::Answer { late: shape & 7, refusal: shape >> 4 }
             }
-            7 => Self::Spoilt(match choice >> 4 & 7 {
+            7 => Self::Spoilt(match choice >> 5 & 7 {
                 0 => Spoilt::Station(next()),
                 1 => Spoilt::Command(next()),
                 2 => Spoilt::Shorter,
@@ -107,11 +149,36 @@ impl Op {
             12 => Self::Wait(u16::from(next()) * 4),
             13 => Self::Lose,
             14 => Self::LoseOnWrite,
-            _ => Self::Connecting(match choice >> 4 & 3 {
+            15 => Self::Connecting(match choice >> 5 & 3 {
                 0 => Connecting::Refused,
                 1 => Connecting::Unanswered,
                 _ => Connecting::Accepted,
             }),
+            16..=18 => Self::Copy(choice >> 5 & 1),
+            19 | 20 => Self::Second(next()),
+            21 | 22 => {
+                let shape = next();
+                let (station, refusal) = (shape & 3, shape >> 4);
+                if choice % 32 == 21 {
+                    Self::LeftOver { station, refusal }
+                } else {
+                    Self::Broadcasted { station, refusal }
+                }
+            }
+            23 => Self::Lacks(next() & 15),
+            24 | 25 => Self::Together(match choice >> 5 & 3 {
+                0 | 1 => Together::CopyFirst,
+                2 => Together::SecondBehind,
+                _ => Together::CopyBehind,
+            }),
+            26 => Self::AnswerAndLose,
+            27 | 28 => {
+                let (shape, patience) = (next(), next());
+                let number = shape >> 3;
+                let kind = if shape >> 2 & 1 == 0 { Kind::Mixed(number) } else { Kind::Page(number) };
+                Self::Call { station: shape & 3, kind, patience }
+            }
+            _ => Self::Answer { late: 0, refusal: 0 },
         })
     }
 }

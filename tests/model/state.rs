@@ -1,6 +1,9 @@
-//! What the model is told, and what it keeps of it.
+//! Events that the model is told, and the state that it keeps.
 
 use fatek::wire::Framing;
+
+pub(crate) use super::spec::station::Station;
+use super::witness::Mark;
 
 pub(crate) type Micros = u64;
 pub(crate) type Id = usize;
@@ -20,6 +23,10 @@ pub(crate) struct Rules {
     pub(crate) queue: usize,
     /// The longest pause before connecting again.
     pub(crate) backoff: Micros,
+    /// The shortest silence after which no duplicate of a taken reply comes.
+    pub(crate) window: Micros,
+    /// The shortest silence that replaces a check.
+    pub(crate) quiet: Micros,
 }
 
 #[derive(Clone, Debug)]
@@ -27,13 +34,37 @@ pub(crate) struct Call {
     pub(crate) station: u8,
     /// 0 control, 1 write, 2 read: that is the order, and calls of one keep theirs.
     pub(crate) lane: usize,
-    pub(crate) request: Vec<u8>,
+    pub(crate) sort: Sort,
+    /// Requests that ask for the same; the first is the plain one.
+    pub(crate) spellings: Vec<Spelling>,
+    /// The number of registers that it gets.
+    pub(crate) words: usize,
     pub(crate) retries: u32,
     pub(crate) timeout: Micros,
     pub(crate) deadline: Micros,
 }
 
-/// What a call ends with.
+/// What the rule of "in step" makes of a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sort {
+    /// Writes and control commands: sent only if nothing owed could answer.
+    Once,
+    /// A read of live data.
+    Read,
+    /// A page of a program.
+    Page,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Spelling {
+    pub(crate) request: Vec<u8>,
+    /// A register that the call does not ask for.
+    pub(crate) extra: Option<u16>,
+    /// Registers of which a reply shows that the station has them.
+    pub(crate) shows: Vec<u16>,
+}
+
+/// Result of a call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum End {
     /// With these registers; none for a write or a control command.
@@ -54,6 +85,9 @@ pub(crate) enum End {
     Disconnected {
         sent: bool,
     },
+    OutOfStep {
+        sent: bool,
+    },
     NotConnected,
     QueueFull,
 }
@@ -71,15 +105,23 @@ pub(crate) enum Event {
     Wrote(Vec<u8>),
     /// The link was writing this when the connection was lost.
     WroteInVain(Vec<u8>),
-    /// The link was to read this.
-    Read(Vec<u8>),
+    /// The link was to read this; each byte has the mark of its frame.
+    Read(Vec<u8>, Vec<Option<Mark>>),
 }
 
 #[derive(Debug)]
 pub(crate) struct State {
     pub(crate) call: Call,
     pub(crate) retries_left: u32,
+    /// Sendings that count for the PLC: one whose spelling alone was refused does not.
     pub(crate) sends: u32,
+    pub(crate) was_sent: bool,
+    /// A reply without proof was followed by another attempt that is no retry.
+    pub(crate) asked_again: bool,
+    /// Another spelling was refused.
+    pub(crate) plain: bool,
+    /// Its station had to be silent since it was sent last.
+    pub(crate) doubted: bool,
     /// What it must end with, and has not yet.
     pub(crate) due: Option<End>,
     pub(crate) over: bool,
@@ -91,6 +133,8 @@ pub(crate) struct Wire {
     pub(crate) station: u8,
     /// The call that is on the wire or waits for what is.
     pub(crate) call: Option<Id>,
+    /// Its spelling.
+    pub(crate) spelling: usize,
     pub(crate) request: Vec<u8>,
     pub(crate) command: u8,
     pub(crate) data: Vec<u8>,
@@ -101,15 +145,27 @@ pub(crate) struct Wire {
     /// Whether the station has its whole response timeout.
     pub(crate) whole: bool,
     pub(crate) fault: bool,
-    pub(crate) doubtful: bool,
     pub(crate) echoed: bool,
     pub(crate) noise: usize,
+    /// The reply, until the whole read that it came in is understood.
+    pub(crate) held: Option<Held>,
+    /// Behind the reply stood another frame of the station that is no copy of it.
+    pub(crate) followed: bool,
+    /// That frame fits the request, too.
+    pub(crate) ambiguous: bool,
+}
+
+/// A frame that fits the request on the wire.
+#[derive(Clone, Debug)]
+pub(crate) struct Held {
+    pub(crate) data: Vec<u8>,
+    pub(crate) answer: Result<Vec<u16>, u8>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Goal {
     Call,
-    Barrier,
+    Check,
     /// A status request, to learn whether the line echoes.
     Learn,
 }
@@ -119,17 +175,6 @@ pub(crate) enum Echo {
     Absent,
     Present,
     Unknown,
-}
-
-#[derive(Debug, Default)]
-pub(crate) struct Station {
-    pub(crate) dirty: bool,
-    /// When it refused the barrier, or sent anything after that.
-    pub(crate) refused: Option<Micros>,
-    pub(crate) timeouts: u32,
-    pub(crate) offline: Option<Probe>,
-    /// The longest response timeout that it was ever given.
-    pub(crate) allowed: Micros,
 }
 
 #[derive(Clone, Copy, Debug)]

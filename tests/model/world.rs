@@ -4,6 +4,7 @@
 //! those before it: so no step falls between a deadline that an earlier one has set and its timer, and it is never a matter
 //! of chance whether an answer comes in time.
 
+use std::collections::BTreeMap;
 use std::future::{Future, pending, poll_fn};
 use std::io;
 use std::pin::{Pin, pin};
@@ -11,18 +12,22 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
-use fatek::command::{ControlPlc, ReadRegisters, Request, WriteRegisters};
-use fatek::wire::{Framing, Side};
-use fatek::{CallOptions, Error, Link, Register, Symbol};
+use fatek::command::{Request, Value};
+use fatek::endpoint::InStepSettings;
+use fatek::wire::Framing;
+use fatek::{CallOptions, Error, Link};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::task::AbortHandle;
 use tokio::time::{Instant, advance, sleep};
 
-use super::op::{Connecting, Kind, Op, Spoilt};
+use super::op::{Connecting, Kind, Op, Together};
+use super::plc::{Plc, Said};
 use super::rest::{next_rest, rest, runtime};
 use super::spec::Spec;
 use super::state::{Call, End, Event, Id, Micros, Rules};
-use crate::book::{carried, framed};
+use super::wanted::Wanted;
+use super::witness::Mark;
+use crate::book::carried;
 
 const MS: Micros = 1000;
 /// At 1 s without service a call rises among the lanes; no call lasts so long.
@@ -39,6 +44,8 @@ fn rules(framing: Framing) -> Rules {
         probe_pause: 19,
         queue: 3,
         backoff: 40 * MS,
+        window: 100 * MS,
+        quiet: 150 * MS,
     }
 }
 
@@ -65,9 +72,11 @@ struct World {
     line: Arc<Mutex<Line>>,
     spec: Spec,
     calls: Vec<AbortHandle>,
-    /// Each reply has other registers, and each call another address.
+    /// Each call has another address.
     serial: u16,
-    held_back: Vec<u8>,
+    plc: Plc,
+    /// The newest call to each station.
+    newest: BTreeMap<u8, Vec<u8>>,
     started: Instant,
     told: Vec<(Micros, Event)>,
 }
@@ -79,9 +88,13 @@ struct Line {
     lost: bool,
     fails_on_write: bool,
     incoming: Vec<u8>,
+    /// Of each byte of it, the frame that it is a part of.
+    marks: Vec<Option<Mark>>,
     reader: Option<Waker>,
-    /// What the link has asked, last of all first.
+    /// What the link has asked.
     asked: Vec<Vec<u8>>,
+    /// The number of requests that were asked over earlier connections.
+    opened_at: usize,
     events: Vec<(Micros, Event)>,
 }
 
@@ -107,8 +120,10 @@ impl World {
             lost: false,
             fails_on_write: false,
             incoming: Vec::new(),
+            marks: Vec::new(),
             reader: None,
             asked: Vec::new(),
+            opened_at: 0,
             events: Vec::new(),
         }));
         let micros = Duration::from_micros;
@@ -121,10 +136,22 @@ impl World {
             .probe_interval(micros(rules.probe_interval.0), micros(rules.probe_interval.1))
             .offline_after(rules.offline_after)
             .queue_capacity(rules.queue)
+            .in_step(InStepSettings::new().with_window(micros(rules.window)).with_quiet(micros(rules.quiet)))
             .seed(seed)
             .build();
-        let (spec, held_back) = (Spec::new(rules), Vec::new());
-        Self { framing, rules, link, line, spec, calls: Vec::new(), serial: 0, held_back, started, told: Vec::new() }
+        Self {
+            framing,
+            rules,
+            link,
+            line,
+            spec: Spec::new(rules),
+            calls: Vec::new(),
+            serial: 0,
+            plc: Plc::new(framing),
+            newest: BTreeMap::new(),
+            started,
+            told: Vec::new(),
+        }
     }
 
     /// Takes a step, so many microseconds past a whole millisecond.
@@ -186,22 +213,57 @@ impl World {
                     self.line().tell(Event::Cancelled(id));
                 }
             }
-            Op::Answer { late, refusal } => {
-                let answer = self.answer(usize::from(*late), *refusal);
-                self.deliver(&answer);
-            }
+            Op::Answer { late, refusal } => self.answer(usize::from(*late), *refusal),
             Op::Spoilt(how) => {
-                let spoilt = self.spoilt(*how);
+                let spoilt = self.plc.spoilt(self.asked(0), *how);
                 self.deliver(&spoilt);
             }
-            Op::Noise(bytes) => self.deliver(bytes),
+            Op::Noise(bytes) => self.deliver(&[(bytes.clone(), None)]),
             Op::Rest => {
-                let rest = std::mem::take(&mut self.held_back);
+                let rest = std::mem::take(&mut self.plc.held_back);
                 self.deliver(&rest);
             }
             Op::Echo => {
                 let echo = self.line().asked.last().cloned().unwrap_or_default();
-                self.deliver(&echo);
+                self.deliver(&[(echo, None)]);
+            }
+            Op::Copy(back) => {
+                let copy = self.plc.copy(usize::from(*back));
+                self.deliver(&copy);
+            }
+            Op::Second(refusal) => {
+                let second = self.plc.second(*refusal);
+                self.deliver(&second);
+            }
+            Op::LeftOver { station, refusal } => {
+                let call = self.newest.get(station).cloned().unwrap_or_default();
+                let opened = self.line().opened_at;
+                let left = self.plc.left_over(&call, opened, *refusal);
+                self.deliver(&left);
+            }
+            Op::Broadcasted { station, refusal } => {
+                let is_broadcast = |asked: &Vec<u8>| carried(self.framing, asked).station == 0;
+                let last = {
+                    let line = self.line();
+                    line.asked.iter().rposition(is_broadcast).map(|number| (number, line.asked[number].clone()))
+                };
+                let answer = self.plc.answer(last, *station, *refusal);
+                self.deliver(&answer);
+            }
+            Op::Lacks(which) => self.plc.lacks = *which,
+            Op::Together(how) => {
+                let (copy, asked) = (self.plc.copy(0), self.asked(0));
+                let answer = self.plc.answer_own(asked);
+                let frames = match how {
+                    Together::CopyFirst => [copy, answer],
+                    Together::SecondBehind => [answer, self.plc.second(0)],
+                    Together::CopyBehind => [answer, copy],
+                };
+                self.deliver(&frames.concat());
+            }
+            Op::AnswerAndLose => {
+                self.answer(0, 0);
+                self.line().lost = true;
             }
             Op::Wait(_) => {}
             Op::Lose => {
@@ -214,17 +276,26 @@ impl World {
         }
     }
 
+    /// The PLC answers what was asked so many requests ago; or refuses it with this code.
+    fn answer(&mut self, late: usize, refusal: u8) {
+        let asked = self.asked(late);
+        let station = asked.as_ref().map_or(0, |(_, asked)| carried(self.framing, asked).station);
+        let answer = self.plc.answer(asked, station, refusal);
+        self.deliver(&answer);
+    }
+
+    /// What was asked so many requests ago, with its number.
+    fn asked(&self, late: usize) -> Option<(usize, Vec<u8>)> {
+        let line = self.line();
+        let number = line.asked.len().checked_sub(late + 1)?;
+        Some((number, line.asked[number].clone()))
+    }
+
     fn call(&mut self, station: u8, kind: Kind, patience: u8) {
         let station = station.max(1);
         self.serial += 1;
-        let first = Register::new(Symbol::R, self.serial).expect("there are 65536");
-        let (broadcast, lane, request) = match kind {
-            Kind::Read(count) => (false, 2, Request::ReadRegisters(read(first, count))),
-            Kind::Write => (false, 1, Request::WriteRegisters(write(first, self.serial))),
-            Kind::Run => (false, 0, Request::ControlPlc(ControlPlc::Run)),
-            Kind::Stop => (false, 0, Request::ControlPlc(ControlPlc::Stop)),
-            Kind::Broadcast => (true, 1, Request::WriteRegisters(write(first, self.serial))),
-        };
+        let wanted = Wanted::new(self.framing, kind, self.serial);
+        let Wanted { broadcast, lane, sort, .. } = wanted;
         let (retries, again) = (u32::from(patience & 3), patience & 4 != 0);
         let timeout = self.rules.timeout << u32::from(patience >> 3 & 1);
         let allowed = if patience & 16 == 0 { CALL_TIMEOUT } else { 150 * MS };
@@ -233,13 +304,17 @@ impl World {
             .retry_writes(again)
             .response_timeout(Duration::from_micros(timeout))
             .call_timeout(Duration::from_micros(allowed));
-        let mut bytes = bytes::BytesMut::new();
         let number = if broadcast { 0 } else { station };
-        request.encode(self.framing, number, &mut bytes).expect("all of these can be sent");
+        let spellings = wanted.spellings(self.framing, number);
+        if !broadcast {
+            self.newest.insert(station, spellings[0].request.clone());
+        }
         let call = Call {
             station: number,
             lane,
-            request: bytes.to_vec(),
+            sort,
+            spellings,
+            words: wanted.words(),
             retries: if lane == 2 || again { retries } else { 0 },
             timeout,
             deadline: self.now() + allowed,
@@ -248,73 +323,19 @@ impl World {
         self.line().tell(Event::Called(id, call));
         let (link, line) = (self.link.clone(), self.line.clone());
         let task = tokio::spawn(async move {
-            let end = make(&link, station, kind, request, options).await;
+            let end = make(&link, station, wanted, options).await;
             lock(&line).tell(Event::Ended(id, end));
         });
         self.calls.push(task.abort_handle());
     }
 
-    /// The right answer to what was asked so many requests ago; or a refusal with this code.
-    fn answer(&mut self, late: usize, refusal: u8) -> Vec<u8> {
-        let asked = self.line().asked.iter().rev().nth(late).cloned();
-        let Some(asked) = asked else { return Vec::new() };
-        let frame = carried(self.framing, &asked);
-        self.serial += 1;
-        let number = |n: u8| match self.framing {
-            Framing::Binary => vec![n],
-            _ => format!("{:X}", n & 15).into_bytes(),
-        };
-        let word = |word: u16| match self.framing {
-            Framing::Binary => word.to_be_bytes().to_vec(),
-            _ => format!("{word:04X}").into_bytes(),
-        };
-        let data = match (refusal, frame.command) {
-            (1.., _) => number(refusal),
-            (_, 0x4E) => frame.data.to_vec(),
-            (_, 0x46) => {
-                let count = match self.framing {
-                    Framing::Binary => u16::from(frame.data[0]),
-                    _ => u16::from(frame.data[1] & 15),
-                };
-                (0..count).fold(number(0), |data, n| [data, word(self.serial ^ n << 12)].concat())
-            }
-            (_, 0x40) => [number(0), word(1), word(2)[..word(2).len() / 2].to_vec()].concat(),
-            _ => number(0),
-        };
-        framed(self.framing, Side::Plc, frame.station, frame.command, &data)
-    }
-
-    fn spoilt(&mut self, how: Spoilt) -> Vec<u8> {
-        let answer = self.answer(0, 0);
-        if answer.is_empty() {
-            return answer;
-        }
-        let frame = carried(self.framing, &answer);
-        let (mut station, mut command, mut data) = (frame.station, frame.command, frame.data.to_vec());
-        match how {
-            Spoilt::Station(by) => station = station.wrapping_add(by) % 4,
-            Spoilt::Command(other) => command = 0x40 | other & 15,
-            Spoilt::Shorter => data.truncate(data.len().saturating_sub(1)),
-            Spoilt::Longer => data.push(b'0'),
-            Spoilt::Doubled => return answer.repeat(2),
-            Spoilt::Begun(len) => {
-                let (begun, rest) = answer.split_at(usize::from(len) % answer.len());
-                self.held_back = rest.to_vec();
-                return begun.to_vec();
-            }
-            Spoilt::Checksum => {
-                let mut answer = answer;
-                let at = answer.len() - 3;
-                answer[at] ^= 1;
-                return answer;
-            }
-        }
-        framed(self.framing, Side::Plc, station, command, &data)
-    }
-
-    fn deliver(&mut self, bytes: &[u8]) {
+    /// Frames of the PLC come, or other bytes, which have no mark.
+    fn deliver(&mut self, frames: &[Said]) {
         let mut line = self.line();
-        line.incoming.extend(bytes);
+        for (bytes, mark) in frames {
+            line.incoming.extend(bytes);
+            line.marks.extend(std::iter::repeat_n(*mark, bytes.len()));
+        }
         line.wake();
     }
 
@@ -334,9 +355,13 @@ impl World {
         };
         let line = |(at, event): &(Micros, Event)| match event {
             Event::Wrote(asked) | Event::WroteInVain(asked) => format!("{at:>9} Wrote {}\n", bytes(asked)),
-            Event::Read(came) => format!("{at:>9} Read {}\n", bytes(came)),
+            Event::Read(came, _) => format!("{at:>9} Read {}\n", bytes(came)),
             Event::Called(id, call) => {
-                format!("{at:>9} Called {id}: {}, until {}, {call:?}\n", bytes(&call.request), call.deadline)
+                format!(
+                    "{at:>9} Called {id}: {}, until {}, {call:?}\n",
+                    bytes(&call.spellings[0].request),
+                    call.deadline
+                )
             }
             event => format!("{at:>9} {event:?}\n"),
         };
@@ -344,25 +369,16 @@ impl World {
     }
 }
 
-fn read(first: Register, count: u8) -> ReadRegisters<Register> {
-    ReadRegisters::new(first, usize::from(count % 8) + 1).expect("a few registers")
-}
-
-fn write(first: Register, value: u16) -> WriteRegisters<Register> {
-    WriteRegisters::new(first, [value]).expect("one register")
-}
-
-async fn make(link: &Link, station: u8, kind: Kind, request: Request, options: CallOptions) -> End {
-    let result = match (kind, request) {
-        (Kind::Broadcast, request) => {
-            link.broadcast().with_options(options).forward(request).await.map(|()| Vec::new())
-        }
-        (_, request) => {
-            let station = link.station(station).expect("a station").with_options(options);
-            match request {
-                Request::ReadRegisters(request) => station.call(request).await,
-                request => station.forward(request).await.map(|_| Vec::new()),
-            }
+async fn make(link: &Link, station: u8, wanted: Wanted, options: CallOptions) -> End {
+    let result = if wanted.broadcast {
+        link.broadcast().with_options(options).forward(wanted.request).await.map(|()| Vec::new())
+    } else {
+        let station = link.station(station).expect("a station").with_options(options);
+        match wanted.request {
+            Request::ReadRegisters(request) => station.call(request).await,
+            Request::ReadProgramPage(request) => station.call(request).await.map(|page| page.words().to_vec()),
+            Request::ReadMixed(request) => station.call(request).await.map(words),
+            request => station.forward(request).await.map(|_| Vec::new()),
         }
     };
     match result {
@@ -372,10 +388,16 @@ async fn make(link: &Link, station: u8, kind: Kind, request: Request, options: C
         Err(Error::BadReply { sent, .. }) => End::BadReply { sent },
         Err(Error::Offline { sent, .. }) => End::Offline { sent },
         Err(Error::Disconnected { sent, .. }) => End::Disconnected { sent },
+        Err(Error::OutOfStep { sent, .. }) => End::OutOfStep { sent },
         Err(Error::Connect { sent: false, .. }) => End::NotConnected,
         Err(Error::QueueFull { .. }) => End::QueueFull,
         Err(error) => panic!("no call of the model can end with {error:?}"),
     }
+}
+
+fn words(values: Vec<Value>) -> Vec<u16> {
+    let word = |value| if let Value::Word(word) = value { Some(word) } else { None };
+    values.into_iter().filter_map(word).collect()
 }
 
 /// The link wants a connection.
@@ -390,6 +412,8 @@ async fn open(line: Arc<Mutex<Line>>) -> io::Result<Wire> {
             let mut opened = lock(&line);
             (opened.lost, opened.fails_on_write) = (false, false);
             opened.incoming.clear();
+            opened.marks.clear();
+            opened.opened_at = opened.asked.len();
             opened.tell(Event::Connected);
             drop(opened);
             Ok(Wire { line })
@@ -422,18 +446,19 @@ struct Wire {
 impl AsyncRead for Wire {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let mut line = lock(&self.line);
-        if line.lost {
-            line.tell(Event::Lost);
-            return Poll::Ready(Ok(()));
-        }
         if line.incoming.is_empty() {
+            if line.lost {
+                line.tell(Event::Lost);
+                return Poll::Ready(Ok(()));
+            }
             line.reader = Some(cx.waker().clone());
             return Poll::Pending;
         }
         let len = line.incoming.len().min(buf.remaining());
         let read: Vec<u8> = line.incoming.drain(..len).collect();
         buf.put_slice(&read);
-        line.tell(Event::Read(read));
+        let marks = line.marks.drain(..len).collect();
+        line.tell(Event::Read(read, marks));
         Poll::Ready(Ok(()))
     }
 }

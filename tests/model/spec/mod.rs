@@ -1,31 +1,61 @@
-//! What a link may do, said as simply as it can be: the rules of docs/DESIGN.md ("The link"), docs/GUARANTEES.md and the
-//! protocol reference, and nothing of how the link does it.
+//! The rules of a link: those of docs/DESIGN.md ("The link"), docs/GUARANTEES.md and the protocol reference, and nothing of
+//! how the link keeps them. `station` has the rule of "in step", `sending` and `hearing` apply it, `waiting` has what must
+//! happen in time.
 //!
-//! It is told what happens, in order: what callers want, what is on the wire, how calls end. Each event is allowed or an
-//! error that names the rule. Times are in microseconds; the link's timers fire at whole milliseconds.
+//! The model is told all events in order: calls, bytes on the wire, results. Each event is allowed or an error that names the
+//! rule. Times are in microseconds; the link's timers fire at whole milliseconds.
+//!
+//! Where the link has a choice, the model allows every legal one: any distinct spelling, and a nonce or an empty loop-back
+//! where a check is due in step.
 
 mod hearing;
 mod sending;
+pub(crate) mod station;
+mod waiting;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use super::ear::Ear;
 use super::state::{Call, Echo, End, Event, Goal, Id, Micros, Probe, Rules, State, Station, Wire};
+use super::witness::Witness;
+
+/// A stray behind the echo of a check makes the station suspect. The link forgets it if both come in one read, which costs no
+/// result: set this to `true` when it does not any more.
+const STRAY_BEHIND_ECHO_COUNTS: bool = false;
+
+/// A read takes one element more only if that element has been answered. The link takes a list of scattered elements for one
+/// of consecutive elements, which costs an exchange that is refused: set this to `true` when it does not any more.
+const ONLY_READ_ELEMENTS_ARE_KNOWN: bool = false;
 
 #[derive(Debug)]
 pub(crate) struct Spec {
     rules: Rules,
     calls: BTreeMap<Id, State>,
     waiting: BTreeMap<u8, [VecDeque<Id>; 3]>,
-    /// The call whose barrier has just been passed: it goes before all others.
+    /// The call whose check has just been answered: it goes before all others.
     cleared: Option<Id>,
     wire: Option<Wire>,
     stations: BTreeMap<u8, Station>,
     nonces: BTreeSet<Vec<u8>>,
     ear: Ear,
     echo: Echo,
+    /// The station whose status reply has shown that the line does not echo.
+    learned_from: Option<u8>,
     up: bool,
     connecting: bool,
+    /// Over this connection nothing was taken since the echo of a check.
+    echo_was_last: bool,
+    /// Connections in a row that were closed then.
+    closed_behind_echo: u32,
+    /// Each connection carries one request.
+    one_request: bool,
+    /// That request has been answered.
+    spent: bool,
+    /// Stations that may be waited for in silence until then.
+    silences: BTreeMap<u8, Micros>,
+    /// Since when a call has been waiting for silence that nothing has broken.
+    silent_since: BTreeMap<u8, Micros>,
+    witness: Witness,
     /// Since when a call has been waiting for an attempt to connect.
     unconnected_since: Option<Micros>,
     no_probe_before: Micros,
@@ -45,8 +75,16 @@ impl Spec {
             nonces: BTreeSet::new(),
             ear: Ear::new(rules.framing),
             echo: Echo::Absent,
+            learned_from: None,
             up: false,
             connecting: false,
+            echo_was_last: false,
+            closed_behind_echo: 0,
+            one_request: false,
+            spent: false,
+            silences: BTreeMap::new(),
+            silent_since: BTreeMap::new(),
+            witness: Witness::new(rules.window),
             unconnected_since: None,
             no_probe_before: 0,
         }
@@ -68,31 +106,7 @@ impl Spec {
                 self.wrote(bytes, false, at)?;
                 self.lost(at);
             }
-            Event::Read(bytes) => self.read(&bytes, at),
-        }
-        Ok(())
-    }
-
-    /// All that had to happen by now has.
-    pub(crate) fn settled(&mut self, at: Micros) -> Verdict {
-        self.pass(at);
-        for (id, state) in &self.calls {
-            match &state.due {
-                _ if state.over => {}
-                Some(due) => return Err(format!("call {id} has not ended, and must with {due:?}")),
-                None if at >= whole_ms(state.call.deadline) => return Err(format!("call {id} is past its deadline")),
-                None => {}
-            }
-        }
-        let ready = |station: &u8| self.stations.get(station).is_none_or(|s| s.refused.is_none());
-        let waits = self.waiting.keys().filter(|&station| ready(station)).find_map(|&station| self.front(station, at));
-        if let (Some(id), true, None) = (waits, self.up, &self.wire) {
-            return Err(format!("call {id} waits, and nothing is on the wire"));
-        }
-        if waits.is_none() || self.up || self.connecting {
-            self.unconnected_since = None;
-        } else if at > *self.unconnected_since.get_or_insert(at) + self.rules.backoff + 1000 {
-            return Err("a call waits, and no connection is opened".to_owned());
+            Event::Read(bytes, marks) => self.read(&bytes, &marks, at),
         }
         Ok(())
     }
@@ -114,7 +128,18 @@ impl Spec {
         if due.is_none() {
             self.waiting.entry(station).or_default()[lane].push_back(id);
         }
-        self.calls.insert(id, State { call, retries_left, sends: 0, due, over: false });
+        let state = State {
+            call,
+            retries_left,
+            sends: 0,
+            was_sent: false,
+            asked_again: false,
+            plain: false,
+            doubted: false,
+            due,
+            over: false,
+        };
+        self.calls.insert(id, state);
     }
 
     fn ended(&mut self, id: Id, end: End, at: Micros) -> Verdict {
@@ -123,10 +148,12 @@ impl Spec {
             return Err(format!("call {id} has ended twice, or after it was cancelled"));
         }
         state.over = true;
-        let sent = state.sends > 0;
+        self.witness.ended(id, &end)?;
+        let sent = state.was_sent;
         let late = at >= whole_ms(state.call.deadline);
         let allowed = match &end {
             End::Timeout { sent: said } if late && *said == sent => true,
+            End::OutOfStep { sent: said } if late && *said == sent && state.doubted => true,
             End::NotConnected if late && !sent && !up => true,
             end => state.due.as_ref() == Some(end),
         };
@@ -137,10 +164,10 @@ impl Spec {
     }
 
     fn connecting(&mut self, at: Micros) -> Verdict {
-        if self.up || self.connecting {
+        if self.connecting || self.up && !self.spent {
             return Err("there is a connection already".to_owned());
         }
-        (self.connecting, self.unconnected_since) = (true, None);
+        (self.up, self.connecting, self.unconnected_since) = (false, true, None);
         let waits = self.waiting.keys().any(|&station| self.front(station, at).is_some());
         let probes = self.stations.values().any(|station| station.offline.is_some());
         if waits || probes { Ok(()) } else { Err("nobody wants a connection".to_owned()) }
@@ -152,19 +179,26 @@ impl Spec {
         if self.echo != Echo::Absent {
             self.echo = Echo::Unknown;
         }
-        self.hurry(at);
+        self.learned_from = None;
+        self.echo_was_last = false;
+        // Replies to what was asked over earlier connections, or by others, may still be on their way.
+        self.stations.values_mut().for_each(|known| known.reconnected(at));
+        if !std::mem::take(&mut self.spent) {
+            self.hurry(at);
+        }
     }
 
     fn lost(&mut self, at: Micros) {
         self.up = false;
         self.ear.forget();
+        if self.echo_was_last && !self.one_request {
+            self.closed_behind_echo += 1;
+            self.one_request = self.closed_behind_echo >= 2;
+        }
         if let Some(id) = self.cleared.take() {
             self.put_back(id);
         }
         if let Some(wire) = self.wire.take() {
-            if wire.station != 0 {
-                self.doubt(wire.station, at);
-            }
             match wire.call {
                 Some(id) => self.again_or(id, at, |sent| End::Disconnected { sent }),
                 None => self.probe_failed(wire.station, at),
@@ -175,8 +209,10 @@ impl Spec {
 
     /// Time passes: an answer that has not come is given up.
     fn pass(&mut self, at: Micros) {
+        self.wait_for_silence(at);
         while let Some(when) = self.wire.as_ref().map(|wire| whole_ms(wire.give_up)).filter(|&when| when <= at) {
             self.give_up(when);
+            self.wait_for_silence(when);
         }
     }
 
@@ -184,12 +220,14 @@ impl Spec {
         while let Some(heard) = self.ear.next(true) {
             self.heard(heard, at);
         }
+        self.conclude(at);
         let Some(mut wire) = self.wire.take() else { return };
         wire.fault |= self.ear.is_amid_a_frame();
-        if wire.goal == Goal::Barrier && wire.echoed {
+        if wire.goal == Goal::Check && wire.echoed {
             self.echo = Echo::Unknown;
         }
-        self.doubt(wire.station, at);
+        self.echo_was_last = false;
+        self.stations.entry(wire.station).or_default().doubt(at);
         match wire.call {
             Some(id) if wire.fault => self.again_or(id, at, |sent| End::BadReply { sent }),
             Some(id) => self.again_or(id, at, |sent| End::Timeout { sent }),
@@ -232,19 +270,7 @@ impl Spec {
         if let Some(state) = self.calls.get_mut(&id)
             && state.due.is_none()
         {
-            state.due = Some(with(state.sends > 0));
-        }
-    }
-
-    fn doubt(&mut self, station: u8, at: Micros) {
-        let known = self.stations.entry(station).or_default();
-        known.dirty = true;
-        if known.refused.is_some() {
-            known.refused = Some(at);
-        }
-        // What came behind the echo counts.
-        if let Some(id) = self.cleared.take_if(|id| self.calls[id].call.station == station) {
-            self.put_back(id);
+            state.due = Some(with(state.was_sent));
         }
     }
 
@@ -261,7 +287,7 @@ impl Spec {
         }
     }
 
-    fn is_wanted(&self, id: Id, at: Micros) -> bool {
+    pub(super) fn is_wanted(&self, id: Id, at: Micros) -> bool {
         self.calls.get(&id).is_some_and(|state| !state.over && state.due.is_none() && at < state.call.deadline)
     }
 
