@@ -144,7 +144,9 @@ pub enum Error {
         sent: bool,
     },
     /// Replies came twice and out of order while several requests belonged together, each time that they were repeated.
-    #[error("station {station} sends duplicates of replies out of order: the results of several requests cannot be trusted")]
+    #[error(
+        "station {station} sends duplicates of replies out of order: the results of several requests cannot be trusted"
+    )]
     #[non_exhaustive]
     Duplicates {
         /// The station.

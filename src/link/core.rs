@@ -347,7 +347,10 @@ impl Core {
             self.one_request = true;
             self.board.count(|link| link.one_request = true);
             let quiet = self.config.in_step.quiet();
-            tracing::warn!(?quiet, "the device closes its connection after each reply: silence replaces the check from now on");
+            tracing::warn!(
+                ?quiet,
+                "the device closes its connection after each reply: silence replaces the check from now on"
+            );
         }
     }
 

@@ -383,7 +383,9 @@ impl Exchange {
         let fingerprint = in_step::fingerprint(frame.command, &frame.data);
         let stray = Event::Stray { station: frame.station, command: frame.command, fingerprint };
         if self.is_late_echo(frame) {
-            tracing::warn!("the line sends back what is sent on it: the reply that seemed to show the contrary was a late one");
+            tracing::warn!(
+                "the line sends back what is sent on it: the reply that seemed to show the contrary was a late one"
+            );
             self.echo = Echo::Present;
             self.learned_from = None;
             return Event::Echoed;

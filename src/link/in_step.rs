@@ -328,9 +328,10 @@ impl InStep {
     }
 
     fn threat(&self, shape: Shape) -> Threat {
-        let of_taken = self.owed().filter(|taken| taken.shape.code == shape.code).map(|taken| {
-            if taken.shape.size == shape.size { Threat::Reply } else { Threat::Refusal }
-        });
+        let of_taken = self
+            .owed()
+            .filter(|taken| taken.shape.code == shape.code)
+            .map(|taken| if taken.shape.size == shape.size { Threat::Reply } else { Threat::Refusal });
         // Commands that can be broadcast have positive replies of one size.
         let of_broadcasts = self.broadcasts.contains(shape.code).then_some(Threat::Reply);
         of_taken.chain(of_broadcasts).max().unwrap_or(Threat::None)

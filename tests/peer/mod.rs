@@ -23,7 +23,12 @@ pub(crate) struct Peer {
 
 impl Peer {
     pub(crate) fn new(stream: DuplexStream) -> Self {
-        Self { stream, codec: Codec::new(Framing::Ascii, Side::Plc), received: BytesMut::new(), checked: BTreeSet::new() }
+        Self {
+            stream,
+            codec: Codec::new(Framing::Ascii, Side::Plc),
+            received: BytesMut::new(),
+            checked: BTreeSet::new(),
+        }
     }
 
     /// The next request.

@@ -112,7 +112,8 @@ impl Core {
                         self.echo_was_last = !reply.refused;
                         let refused = reply.refused && reply.shape.code == Code::LoopBack;
                         self.board.count_for(station, |stats| add(&mut stats.refused_checks, u64::from(refused)));
-                        self.stations.with_in_step(station, |known| known.checked(check, &reply, round_trip, &rule, now))
+                        self.stations
+                            .with_in_step(station, |known| known.checked(check, &reply, round_trip, &rule, now))
                     }
                     // The reply may be a late one: it shows nothing of the station.
                     Check::Echo => {
