@@ -8,12 +8,14 @@ use tokio::time::Instant;
 
 use crate::plant::{DISCRETES, Dice, READABLE, REFUSED, UNWRITABLE, WRITABLE, bit, d, dword, m, r, word};
 use crate::tally::Tally;
+use crate::users::broadcast;
 use crate::world::World;
 
 /// Reads of 1 to 2000 elements, of 16 and of 32 bits, and of discretes.
 pub(crate) async fn long_reads(world: &World, dice: &mut Dice, requests: u64, tally: &mut Tally) {
     let link = world.link();
     while link.stats().stations.requests < requests {
+        broadcast(world, &link, dice, tally).await;
         let station = link.station(world.any_station(dice)).unwrap();
         long_read(world, &station, dice, tally).await;
     }
@@ -67,6 +69,7 @@ async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mu
 pub(crate) async fn long_writes(world: &World, dice: &mut Dice, requests: u64, tally: &mut Tally) {
     let link = world.link();
     while link.stats().stations.requests < requests {
+        broadcast(world, &link, dice, tally).await;
         let station = link.station(world.any_station(dice)).unwrap();
         let number = station.number();
         let began = Instant::now();
@@ -102,6 +105,7 @@ pub(crate) async fn long_writes(world: &World, dice: &mut Dice, requests: u64, t
 pub(crate) async fn plans(world: &World, dice: &mut Dice, requests: u64, tally: &mut Tally) {
     let link = world.link();
     while link.stats().stations.requests < requests {
+        broadcast(world, &link, dice, tally).await;
         let station = link.station(world.any_station(dice)).unwrap();
         let number = station.number();
         let tags: Vec<(Tag, Option<Vec<TagValue>>)> = (0..dice.between(2, 40)).map(|_| tag(number, dice)).collect();

@@ -2,7 +2,7 @@
 
 use fatek::command::{PAGE_WORDS, ProgramPage};
 use fatek::program::Program;
-use fatek::sim::Plc;
+use fatek::sim::{Model, Plc};
 use fatek::{Discrete, Error, ErrorCode, Register, Symbol};
 
 /// The refusal of addresses that are always refused.
@@ -26,7 +26,7 @@ pub(crate) const WRITABLE: u16 = 2000;
 pub(crate) const UNWRITABLE: u16 = 200;
 pub(crate) const RESTORED: (u16, u16) = (2500, 400);
 /// The size of the program's ladder.
-pub(crate) const LADDER_WORDS: u16 = 8192;
+pub(crate) const LADDER_WORDS: u16 = 1024;
 /// The station that refuses RUN.
 pub(crate) const NO_RUN: u8 = 2;
 
@@ -84,7 +84,7 @@ pub(crate) fn m(address: u16) -> Discrete {
 }
 
 pub(crate) fn plc(station: u8) -> Plc {
-    let plc = Plc::new();
+    let plc = Plc::with_model(Model::default().ladder_words(LADDER_WORDS));
     // One more than is read, for the upper word of the last pair.
     for address in 0..=READABLE {
         plc.write(r(address), word(station, address)).unwrap();

@@ -16,6 +16,7 @@ use tokio::time::timeout;
 use crate::jobs::tag;
 use crate::plant::{self, Dice, LADDER_WORDS, REFUSED, RESTORED, bit, d, dword, word};
 use crate::tally::Tally;
+use crate::users::broadcast;
 use crate::world::World;
 
 pub(crate) async fn poll(world: &World, dice: &mut Dice, requests: u64, tally: &mut Tally) {
@@ -63,12 +64,13 @@ pub(crate) async fn poll(world: &World, dice: &mut Dice, requests: u64, tally: &
 pub(crate) async fn back_up(world: &World, dice: &mut Dice, requests: u64, tally: &mut Tally) {
     let link = world.link();
     while link.stats().stations.requests < requests {
+        broadcast(world, &link, dice, tally).await;
         let number = world.any_station(dice);
-        let first = dice.between(0, 2000);
+        let first = dice.between(0, 1500);
         let ranges = [
             format!("R{first}-R{}", first + dice.between(1, 900)),
             format!("M0-M{}", dice.between(100, 1500)),
-            format!("DR{}-DR{}", first / 2 * 2, first / 2 * 2 + 2 * dice.between(1, 200)),
+            format!("DR2500-DR{}", 2500 + 2 * dice.between(1, 200)),
             "R2950-R3050".to_owned(),
         ];
         let ranges = ranges.iter().take(dice.between(1, 4).into()).map(|range| range.parse::<Tag>().unwrap());
@@ -113,6 +115,7 @@ fn check_backup(world: &World, station: u8, backup: &Backup, tally: &mut Tally) 
 pub(crate) async fn restore(world: &World, dice: &mut Dice, requests: u64, tally: &mut Tally) {
     let link = world.link();
     while link.stats().stations.requests < requests {
+        broadcast(world, &link, dice, tally).await;
         let number = world.any_station(dice);
         let plc = world.plc(number);
         plc.stop();
@@ -153,7 +156,7 @@ pub(crate) async fn restore(world: &World, dice: &mut Dice, requests: u64, tally
                 }
                 Err(error) => match error.source {
                     RestoreFailure::Call { source, .. } => Err(source),
-                    RestoreFailure::NotThere { .. } if !world.injected().is_empty() => Ok(()),
+                    _ if !world.injected().is_empty() => Ok(()),
                     failure => {
                         tally.wrong.push(format!("{failure}"));
                         Ok(())
@@ -175,6 +178,7 @@ pub(crate) async fn read_program(world: &World, dice: &mut Dice, requests: u64, 
     let program = plant::program(dice);
     world.plcs.iter().for_each(|plc| plant::load(plc, &program));
     while link.stats().stations.requests < requests {
+        broadcast(world, &link, dice, tally).await;
         let number = world.any_station(dice);
         let result = call_error(link.station(number).unwrap().read_program().await, tally);
         let Some(result) = result else { continue };
@@ -188,6 +192,7 @@ pub(crate) async fn write_program(world: &World, dice: &mut Dice, requests: u64,
     let link = world.link();
     world.plcs.iter().for_each(|plc| plant::load(plc, &plant::program(dice)));
     while link.stats().stations.requests < requests {
+        broadcast(world, &link, dice, tally).await;
         let number = world.any_station(dice);
         // Mostly pages that are there: they are read and not written.
         let held: Vec<_> = (0..=LADDER_WORDS.div_ceil(64)).map(|page| world.plc(number).page(page).unwrap()).collect();

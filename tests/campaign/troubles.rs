@@ -136,7 +136,7 @@ pub(crate) fn rules(trouble: Trouble, times: &Times, alone: bool) -> Vec<Rule> {
         ],
         Roaming => {
             let timing = Timing::AfterNextReply { min: Duration::ZERO, max: times.copies / 4, at_latest: times.copies };
-            vec![Rule::new(Fault::RoamingDuplicate(timing)).times(1)]
+            vec![Rule::new(Fault::RoamingDuplicate(timing)).one_in(30).times(1)]
         }
     }
 }

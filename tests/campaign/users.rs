@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fatek::{CallOptions, Element, Pool, Register32, Station, Symbol, Value};
+use fatek::{CallOptions, Element, Link, Pool, Register32, Station, Symbol, Value};
 use futures::future::join_all;
 use tokio::time::{Instant, sleep};
 
@@ -20,6 +20,8 @@ pub(crate) enum Calls {
     All,
     /// Reads and writes of one kind each in turn: mixed ones, and registers.
     ReadsAndWrites,
+    /// One register: read or written, and both refused now and then.
+    OneShape,
 }
 
 /// One call after the other over one link.
@@ -113,17 +115,44 @@ async fn pause(world: &World, dice: &mut Dice) {
     }
 }
 
+/// Sends a broadcast now and then, if broadcasts are answered.
+pub(crate) async fn broadcast(world: &World, link: &Link, dice: &mut Dice, tally: &mut Tally) {
+    if !world.has(Trouble::AnsweredBroadcast) || dice.in_hundred(75) {
+        return;
+    }
+    let everyone = link.broadcast();
+    if dice.in_hundred(50) {
+        let run = dice.in_hundred(50);
+        let result = if run { everyone.run().await } else { everyone.stop().await };
+        let _ = tally.call("broadcast", (false, &[]), result, |()| true);
+    } else {
+        // As one of the single calls that may follow.
+        let serial = world.serial();
+        let result = everyone.write_registers(fatek::register!("F0"), &[serial]).await;
+        if tally.call("broadcast", (false, &[]), result, |()| true).is_ok() {
+            world.broadcast(serial);
+        }
+    }
+}
+
 /// Does something at random, and checks what it gets.
 pub(crate) async fn call(world: &World, station: &Station, dice: &mut Dice, of: Calls, tally: &mut Tally) {
     let shortest = world.times.response_timeout;
     let retries = dice.below(3) as u32;
     let options = CallOptions::new().response_timeout(shortest).call_timeout(world.times.call_timeout).retries(retries);
     let station = station.with_options(options.background(dice.in_hundred(20)));
+    broadcast(world, station.link(), dice, tally).await;
     let began = Instant::now();
     match of {
         Calls::All => any(world, &station, dice, tally).await,
         Calls::ReadsAndWrites if dice.in_hundred(50) => mixed(world, &station, dice, tally).await,
         Calls::ReadsAndWrites => registers(world, &station, dice, tally).await,
+        Calls::OneShape => match dice.below(10) {
+            0..5 => read(world, &station, dice, 1, tally).await,
+            5 => read_refused(&station, dice, tally).await,
+            6..9 => write(world, &station, dice, 1, tally).await,
+            _ => write_refused(world, &station, dice, tally).await,
+        },
     }
     world.in_time(began, 1, tally);
 }
@@ -149,18 +178,8 @@ async fn any(world: &World, station: &Station, dice: &mut Dice, tally: &mut Tall
             let _ = tally.call(what, (false, &[]), result, |got| got.iter().copied().eq(expected));
         }
         11 | 12 => mixed(world, station, dice, tally).await,
-        13 => {
-            let first = READABLE + dice.between(0, UNREADABLE - 1);
-            let result = station.read_registers(r(first), 1).await;
-            let _ = tally.call(format!("station {number}, R{first}"), (true, &[REFUSED]), result, |_| false);
-        }
-        14 => {
-            let first = WRITABLE + dice.between(0, UNWRITABLE - 1);
-            let serial = world.serial();
-            let result = station.write_registers(d(first), &[serial]).await;
-            world.wrote(number, first, 1, serial, &result);
-            let _ = tally.call(format!("station {number}, write to D{first}"), (true, &[REFUSED]), result, |()| false);
-        }
+        13 => read_refused(station, dice, tally).await,
+        14 => write_refused(world, station, dice, tally).await,
         15 | 16 => {
             let run = dice.in_hundred(50);
             let refused = run && number == NO_RUN;
@@ -168,20 +187,6 @@ async fn any(world: &World, station: &Station, dice: &mut Dice, tally: &mut Tall
             world.controlled(number, run, result.is_ok());
             let right: &[_] = if refused { &[RUN_REFUSED] } else { &[] };
             let _ = tally.call(format!("station {number}, run {run}"), (refused, right), result, |()| true);
-        }
-        17 if world.has(Trouble::AnsweredBroadcast) => {
-            let everyone = station.link().broadcast();
-            if dice.in_hundred(30) {
-                let run = dice.in_hundred(50);
-                let result = if run { everyone.run().await } else { everyone.stop().await };
-                let _ = tally.call("broadcast", (false, &[]), result, |()| true);
-            } else {
-                let serial = world.serial();
-                let result = everyone.write_registers(fatek::register!("F0"), &[serial]).await;
-                if let Ok(()) = tally.call("broadcast", (false, &[]), result, |()| true) {
-                    world.broadcast(serial);
-                }
-            }
         }
         17 | 18 => {
             let result = station.loop_back(format!("{:04X}", dice.below(0x10000))).await;
@@ -196,22 +201,46 @@ async fn any(world: &World, station: &Station, dice: &mut Dice, tally: &mut Tall
 
 /// A read or a write of registers.
 async fn registers(world: &World, station: &Station, dice: &mut Dice, tally: &mut Tally) {
-    let number = station.number();
     let count = small(dice);
-    if dice.in_hundred(60) {
-        let first = dice.between(0, READABLE - count);
-        let result = station.read_registers(r(first), count.into()).await;
-        let expected = (first..first + count).map(|address| word(number, address));
-        let what = format!("station {number}, R{first}, {count} of them");
-        let _ = tally.call(what, (false, world.injected()), result, |got| got.iter().copied().eq(expected));
-    } else {
-        let first = dice.between(0, WRITABLE - count);
-        let serial = world.serial();
-        let result = station.write_registers(d(first), &vec![serial; count.into()]).await;
-        world.wrote(number, first, count, serial, &result);
-        let what = format!("station {number}, write to D{first}, {count} of them");
-        let _ = tally.call(what, (false, world.injected()), result, |()| true);
+    match dice.in_hundred(60) {
+        true => read(world, station, dice, count, tally).await,
+        false => write(world, station, dice, count, tally).await,
     }
+}
+
+async fn read(world: &World, station: &Station, dice: &mut Dice, count: u16, tally: &mut Tally) {
+    let number = station.number();
+    let first = dice.between(0, READABLE - count);
+    let result = station.read_registers(r(first), count.into()).await;
+    let expected = (first..first + count).map(|address| word(number, address));
+    let what = format!("station {number}, R{first}, {count} of them");
+    let _ = tally.call(what, (false, world.injected()), result, |got| got.iter().copied().eq(expected));
+}
+
+async fn write(world: &World, station: &Station, dice: &mut Dice, count: u16, tally: &mut Tally) {
+    let number = station.number();
+    let first = dice.between(0, WRITABLE - count);
+    let serial = world.serial();
+    let result = station.write_registers(d(first), &vec![serial; count.into()]).await;
+    world.wrote(number, first, count, serial, &result);
+    let what = format!("station {number}, write to D{first}, {count} of them");
+    let _ = tally.call(what, (false, world.injected()), result, |()| true);
+}
+
+async fn read_refused(station: &Station, dice: &mut Dice, tally: &mut Tally) {
+    let number = station.number();
+    let first = READABLE + dice.between(0, UNREADABLE - 1);
+    let result = station.read_registers(r(first), 1).await;
+    let _ = tally.call(format!("station {number}, R{first}"), (true, &[REFUSED]), result, |_| false);
+}
+
+async fn write_refused(world: &World, station: &Station, dice: &mut Dice, tally: &mut Tally) {
+    let number = station.number();
+    let first = WRITABLE + dice.between(0, UNWRITABLE - 1);
+    let serial = world.serial();
+    let result = station.write_registers(d(first), &[serial]).await;
+    world.wrote(number, first, 1, serial, &result);
+    let _ = tally.call(format!("station {number}, write to D{first}"), (true, &[REFUSED]), result, |()| false);
 }
 
 /// A mixed read or write.

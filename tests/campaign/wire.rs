@@ -70,7 +70,7 @@ impl Wire {
             Self::Serial { baud, .. } => baud,
         };
         let line = Line::new(baud).turnaround(ms(min), ms(max));
-        if dice.in_hundred(10) { line.byte_by_byte() } else { line }
+        if baud > 9600 && dice.in_hundred(5) { line.byte_by_byte() } else { line }
     }
 
     pub(crate) fn echoes(self) -> bool {

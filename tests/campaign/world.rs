@@ -13,7 +13,7 @@ use fatek::wire::Framing;
 use fatek::{Element, Error, Link, Symbol};
 use tokio::time::Instant;
 
-use crate::plant::{self, Dice, INJECTED, UNKNOWN_COMMAND};
+use crate::plant::{self, Dice, INJECTED, REFUSED, UNKNOWN_COMMAND, WRITABLE};
 use crate::tally::Tally;
 use crate::troubles::{self, Trouble, label, left_over, refused_addresses};
 use crate::wire::{Times, Wire};
@@ -176,9 +176,16 @@ impl World {
         result: &Result<(), Error>,
     ) {
         let said = match result {
+            // This, too, is counted where it was returned.
+            Ok(()) if first + count > WRITABLE => Said::Written(0),
             Ok(()) => Said::Done,
             Err(Error::PartlyWritten { written, .. }) => Said::Written(words * written),
-            // Neither if the PLC has refused it.
+            // A refusal that was never given to a write of these addresses is counted where it was returned.
+            Err(Error::Plc { error, .. }) if !matches!(*error, REFUSED | INJECTED | UNKNOWN_COMMAND) => {
+                Said::Written(0)
+            }
+            Err(Error::Plc { error: REFUSED, .. }) if first + count <= WRITABLE => Said::Written(0),
+            // It was not sent, or the PLC has refused it.
             Err(error) if !error.may_have_executed() => Said::NotDone,
             Err(_) => Said::Written(0),
         };
