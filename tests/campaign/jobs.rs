@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use fatek::tag::{Tag, TagValue};
-use fatek::{CostModel, Plan, Register32, Station, Symbol};
+use fatek::{CostModel, Link, Plan, Register32, Station, Symbol};
 use tokio::time::Instant;
 
 use crate::plant::{DISCRETES, Dice, READABLE, REFUSED, UNWRITABLE, WRITABLE, bit, d, dword, m, r, word};
@@ -12,15 +12,13 @@ use crate::users::broadcast;
 use crate::world::World;
 
 /// Reads of 1 to 2000 elements, of 16 and of 32 bits, and of discretes.
-pub(crate) async fn long_reads(world: &World, dice: &mut Dice, requests: u64, tally: &mut Tally) {
-    let link = world.link();
+pub(crate) async fn long_reads(world: &World, link: &Link, dice: &mut Dice, requests: u64, tally: &mut Tally) {
+    let requests = link.stats().stations.requests + requests;
     while link.stats().stations.requests < requests {
-        broadcast(world, &link, dice, tally).await;
+        broadcast(world, link, dice, tally).await;
         let station = link.station(world.any_station(dice)).unwrap();
         long_read(world, &station, dice, tally).await;
     }
-    tally.links(&link.stats());
-    link.close().await;
 }
 
 async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mut Tally) {
@@ -66,10 +64,10 @@ async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mu
 }
 
 /// Writes of 1 to 1000 registers, of 16 and of 32 bits.
-pub(crate) async fn long_writes(world: &World, dice: &mut Dice, requests: u64, tally: &mut Tally) {
-    let link = world.link();
+pub(crate) async fn long_writes(world: &World, link: &Link, dice: &mut Dice, requests: u64, tally: &mut Tally) {
+    let requests = link.stats().stations.requests + requests;
     while link.stats().stations.requests < requests {
-        broadcast(world, &link, dice, tally).await;
+        broadcast(world, link, dice, tally).await;
         let station = link.station(world.any_station(dice)).unwrap();
         let number = station.number();
         let began = Instant::now();
@@ -97,8 +95,6 @@ pub(crate) async fn long_writes(world: &World, dice: &mut Dice, requests: u64, t
         let _ = tally.call(what, (refused, &right), result, |()| true);
         world.in_time(began, usize::from(count) / 31 + 2, tally);
     }
-    tally.links(&link.stats());
-    link.close().await;
 }
 
 /// Plans of tags of several kinds.

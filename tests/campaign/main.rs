@@ -91,8 +91,15 @@ async fn calls(user: User, world: &World, dice: &mut Dice, calls: u64, tally: &m
         Fresh => users::fresh(world, dice, calls, tally).await,
         Idle => users::idle(world, dice, calls, tally).await,
         Pooled => users::pooled(world, dice, calls, tally).await,
-        LongReads => jobs::long_reads(world, dice, calls, tally).await,
-        LongWrites => jobs::long_writes(world, dice, calls, tally).await,
+        LongReads | LongWrites => {
+            let link = world.link();
+            match user {
+                LongReads => jobs::long_reads(world, &link, dice, calls, tally).await,
+                _ => jobs::long_writes(world, &link, dice, calls, tally).await,
+            }
+            tally.links(&link.stats());
+            link.close().await;
+        }
         Plans => jobs::plans(world, dice, calls, tally).await,
         Poller => transfers::poll(world, dice, calls, tally).await,
         Backup => transfers::back_up(world, dice, calls, tally).await,

@@ -42,8 +42,10 @@ pub(crate) enum Trouble {
     Closes,
     /// A refusal at random.
     Injected,
-    /// The one copy that keeps no order.
+    /// One copy that keeps no order.
     Roaming,
+    /// Copies that keep no order.
+    Roams,
 }
 
 use Trouble::*;
@@ -104,6 +106,7 @@ pub(crate) fn rules(trouble: Trouble, times: &Times, alone: bool) -> Vec<Rule> {
     let with_next =
         |min_per_mille| Timing::WithNextRequest { min_per_mille, max_per_mille: 1000, at_latest: times.copies };
     let any_time = [Timing::AT_ONCE, after, with_next(0), with_next(1000)];
+    let roaming = Timing::AfterNextReply { min: Duration::ZERO, max: times.copies / 4, at_latest: times.copies };
     let (min, max) = times.late;
     match trouble {
         CopyAtOnce => vec![some(Fault::duplicate(), 100)],
@@ -134,10 +137,8 @@ pub(crate) fn rules(trouble: Trouble, times: &Times, alone: bool) -> Vec<Rule> {
             some(Fault::Error(INJECTED), 20).command(Code::ReadRegisters),
             some(Fault::Error(INJECTED), 20).command(Code::WriteRegisters),
         ],
-        Roaming => {
-            let timing = Timing::AfterNextReply { min: Duration::ZERO, max: times.copies / 4, at_latest: times.copies };
-            vec![Rule::new(Fault::RoamingDuplicate(timing)).one_in(30).times(1)]
-        }
+        Roaming => vec![Rule::new(Fault::RoamingDuplicate(roaming)).one_in(30).times(1)],
+        Roams => vec![some(Fault::RoamingDuplicate(roaming), 100)],
     }
 }
 

@@ -132,6 +132,11 @@ impl World {
         self.in_step
     }
 
+    /// The settings of a link to the line.
+    pub(crate) fn settings(&self, builder: LinkBuilder) -> LinkBuilder {
+        self.wire.settings(builder, self.framing, self.in_step)
+    }
+
     pub(crate) fn plc(&self, station: u8) -> &Plc {
         &self.plcs[usize::from(station) - 1]
     }
