@@ -44,7 +44,8 @@ pub(crate) enum Trouble {
     Injected,
     /// One copy that keeps no order.
     Roaming,
-    /// Copies that keep no order.
+    /// Copies that come behind the next reply, as over UDP. A port is used again after four requests, and a copy that lives
+    /// longer than that is beyond what is promised.
     Roams,
 }
 
@@ -138,7 +139,11 @@ pub(crate) fn rules(trouble: Trouble, times: &Times, alone: bool) -> Vec<Rule> {
             some(Fault::Error(INJECTED), 20).command(Code::WriteRegisters),
         ],
         Roaming => vec![Rule::new(Fault::RoamingDuplicate(roaming)).one_in(30).times(1)],
-        Roams => vec![some(Fault::RoamingDuplicate(roaming), 100)],
+        Roams => {
+            let (min, max) = (Duration::ZERO, Duration::ZERO);
+            let timing = Timing::AfterNextReply { min, max, at_latest: times.copies };
+            vec![some(Fault::RoamingDuplicate(timing), 100)]
+        }
     }
 }
 

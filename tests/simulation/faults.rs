@@ -112,7 +112,7 @@ fn of_station(station: u8) -> Vec<Rule> {
             some(Fault::LeftOver { min: ms(65), max: ms(200) }, 10),
         ]),
     }
-    if station % 4 != 0 {
+    if !station.is_multiple_of(4) {
         rules.extend(timings().map(|timing| some(Fault::Duplicate(timing), 10)));
     }
     // A second answer that is a refusal comes only where the first one is not garbled.
