@@ -8,6 +8,7 @@ use tokio::time::Instant;
 
 use crate::plant::{DISCRETES, Dice, READABLE, REFUSED, UNWRITABLE, WRITABLE, bit, d, dword, m, r, word};
 use crate::tally::Tally;
+use crate::troubles::Trouble;
 use crate::users::broadcast;
 use crate::world::World;
 
@@ -25,9 +26,11 @@ async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mu
     let number = station.number();
     let began = Instant::now();
     let most = dice.of(&[130, 2000]);
+    // More than one request, where only jobs are safe.
+    let least = |in_one_request| if world.has(Trouble::Roaming) { in_one_request + 1 } else { 1 };
     match dice.below(10) {
         0..=4 => {
-            let count = dice.between(1, most);
+            let count = dice.between(least(64), most);
             let first = dice.between(0, READABLE - count);
             let result = station.read_registers(r(first), count.into()).await;
             let expected = (first..first + count).map(|address| word(number, address));
@@ -35,7 +38,7 @@ async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mu
             let _ = tally.call(what, (false, world.injected()), result, |got| got.iter().copied().eq(expected));
         }
         5 | 6 => {
-            let count = dice.between(1, most / 2);
+            let count = dice.between(least(32), most / 2);
             let first = dice.between(0, READABLE - 2 * count);
             let result = station.read_registers32(Register32::new(Symbol::DR, first).unwrap(), count.into()).await;
             let expected = (0..count).map(|n| dword(number, first + 2 * n));
@@ -43,7 +46,7 @@ async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mu
             let _ = tally.call(what, (false, world.injected()), result, |got| got.iter().copied().eq(expected));
         }
         7 | 8 => {
-            let count = dice.between(1, DISCRETES);
+            let count = dice.between(least(256), DISCRETES);
             let first = dice.between(0, DISCRETES - count);
             let result = station.read_discretes(m(first), count.into()).await;
             let expected = (first..first + count).map(|address| bit(number, address));
@@ -52,7 +55,7 @@ async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mu
         }
         _ => {
             // It runs into what cannot be read.
-            let before = dice.between(0, most / 2);
+            let before = dice.between(least(64), most / 2);
             let first = READABLE - before;
             let result = station.read_registers(r(first), usize::from(before) + 20).await;
             let what = format!("station {number}, R{first} and beyond R2999");
@@ -71,8 +74,9 @@ pub(crate) async fn long_writes(world: &World, link: &Link, dice: &mut Dice, req
         let station = link.station(world.any_station(dice)).unwrap();
         let number = station.number();
         let began = Instant::now();
-        let most = dice.of(&[130, 1000]);
-        let count = dice.between(1, most / 2) * 2;
+        let most = dice.of(&[140, 1000]);
+        let least = if world.has(Trouble::Roaming) { 33 } else { 1 };
+        let count = dice.between(least, most / 2) * 2;
         let serial = world.serial();
         let refused = dice.in_hundred(15);
         let (first, count) = match refused {

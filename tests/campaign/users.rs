@@ -162,7 +162,8 @@ async fn any(world: &World, station: &Station, dice: &mut Dice, tally: &mut Tall
     match dice.below(20) {
         0..=7 => registers(world, station, dice, tally).await,
         8 => {
-            let count = small(dice);
+            // One request has 32 at most.
+            let count = small(dice).min(32);
             let first = dice.between(0, READABLE - 2 * count);
             let result = station.read_registers32(Register32::new(Symbol::DR, first).unwrap(), count.into()).await;
             let expected = (0..count).map(|n| dword(number, first + 2 * n));
