@@ -27,7 +27,7 @@ async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mu
     let began = Instant::now();
     let most = dice.of(&[130, 2000]);
     // More than one request, where only jobs are safe.
-    let least = |in_one_request| if world.has(Trouble::Roaming) { in_one_request + 1 } else { 1 };
+    let least = |in_one_request: u16| if world.has(Trouble::Roaming) { in_one_request + 1 } else { 1 };
     match dice.below(10) {
         0..=4 => {
             let count = dice.between(least(64), most);

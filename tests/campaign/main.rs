@@ -185,7 +185,7 @@ fn nothing_is_ever_one_behind() {
         in_step: InStepSettings::new(),
     };
     let wanted = setting("FATEK_CAMPAIGN");
-    let size = setting("FATEK_CALLS").unwrap_or(if wanted.is_some() { 400 } else { 40 });
+    let size = setting("FATEK_CALLS").unwrap_or(if wanted.is_some() { 400 } else { 20 });
     if let Some(seed) = setting("FATEK_SEED") {
         if std::env::var_os("FATEK_TRACE").is_some() {
             tracing_subscriber::fmt().with_max_level(tracing_subscriber::filter::LevelFilter::TRACE).init();
@@ -251,7 +251,7 @@ fn over_a_network(
 }
 
 fn roaming_runs() -> u64 {
-    setting("FATEK_CAMPAIGN").map_or(60, |requests| (requests / 200).clamp(60, 3000))
+    setting("FATEK_CAMPAIGN").map_or(24, |requests| (requests / 200).clamp(24, 3000))
 }
 
 #[test]
