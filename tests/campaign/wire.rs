@@ -18,6 +18,8 @@ fn ms(milliseconds: u64) -> Duration {
 pub(crate) enum Wire {
     /// Bytes take no time.
     Network,
+    /// The same in real time, on a machine that may be busy.
+    Sockets,
     Serial {
         baud: u32,
         echoes: bool,
@@ -50,6 +52,7 @@ impl Wire {
     pub(crate) fn times(self) -> Times {
         let (response_timeout, late, copies, quiet) = match self {
             Self::Network => (60, (65, 200), 95, 1000),
+            Self::Sockets => (250, (255, 400), 40, 1000),
             Self::Serial { baud: 9600, .. } => (800, (805, 1200), 40, 4000),
             Self::Serial { .. } => (120, (125, 300), 50, 1000),
         };
@@ -66,7 +69,7 @@ impl Wire {
     pub(crate) fn line(self, dice: &mut Dice) -> Line {
         let (min, max) = dice.of(&[(0, 0), (1, 5), (5, 5), (0, 20)]);
         let baud = match self {
-            Self::Network => 0,
+            Self::Network | Self::Sockets => 0,
             Self::Serial { baud, .. } => baud,
         };
         let line = Line::new(baud).turnaround(ms(min), ms(max));
@@ -85,7 +88,7 @@ impl Wire {
     pub(crate) fn settings(self, builder: LinkBuilder, framing: Framing, in_step: InStepSettings) -> LinkBuilder {
         let times = self.times();
         let builder = match self {
-            Self::Network => builder,
+            Self::Network | Self::Sockets => builder,
             Self::Serial { baud, .. } => {
                 builder.serial_line(SerialSettings::new(framing).with_baud(baud).unwrap()).echo(EchoMode::Auto)
             }
