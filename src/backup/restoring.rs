@@ -395,11 +395,6 @@ impl Restoring {
                 (found != Some(expected)).then_some(Difference { element, expected, found })
             });
         self.remaining.extend(differences);
-        for (slot, &found) in self.slots(chunk).iter_mut().zip(values) {
-            if slot.mark == Mark::Doubt && found == slot.wanted {
-                slot.mark = Mark::Written;
-            }
-        }
     }
 
     /// The request for these was refused: its halves come next, and a single element is marked.

@@ -95,7 +95,7 @@ impl ReadProgram {
                     rewound
                 }
                 Step::Confirm => {
-                    let rewound = job.confirm().await.map_err(failed(ProgramAction::ReadStatus))?;
+                    let rewound = job.confirm().await.map_err(failed(ProgramAction::Confirm))?;
                     if rewound.is_none() {
                         self.reading.confirmed()?;
                     }

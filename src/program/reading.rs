@@ -55,7 +55,9 @@ pub(super) struct Reading {
     state: State,
     /// The pages that are confirmed.
     confirmed: usize,
-    /// The program cannot be taken for this reason, once what was read is confirmed.
+    /// The status is confirmed.
+    status_confirmed: bool,
+    /// All that was read is to be confirmed, and this follows.
     verdict: Option<Verdict>,
     /// Whether all pages are read once more, and compared.
     pub(super) twice: bool,
@@ -67,12 +69,13 @@ pub(super) struct Reading {
     again: u16,
 }
 
-/// Why a program cannot be taken.
+/// What follows when all that was read is confirmed.
 #[derive(Debug)]
 enum Verdict {
+    /// The program cannot be taken.
     Changed(Option<u16>),
     Invalid(InvalidProgram),
-    /// It can.
+    /// It can be taken.
     Good,
 }
 
@@ -83,7 +86,7 @@ impl Reading {
         self.again = 0;
         self.verdict = None;
         self.pages.truncate(self.confirmed);
-        if self.pages.is_empty() {
+        if !self.status_confirmed {
             self.status = None;
         }
     }
@@ -99,7 +102,6 @@ impl Reading {
             State::Header | State::LastHeader => Step::Page(0),
             State::Pages => Step::Page(self.first_missing()),
             State::Again(page) => Step::Page(page),
-            // The verdict comes first.
             State::Done => Step::Done,
         }
     }
@@ -113,6 +115,7 @@ impl Reading {
     /// All before this mark is confirmed; `None`: all.
     pub(super) fn confirmed_before(&mut self, first_held: Option<Mark>) {
         self.confirmed = first_held.map_or(self.pages.len(), |mark| mark.pages.max(self.confirmed));
+        self.status_confirmed |= self.status.is_some() && first_held.is_none_or(|mark| mark.status_known);
     }
 
     /// Results from this mark on are not good: goes back to it.
@@ -122,7 +125,7 @@ impl Reading {
         self.pages.truncate(pages);
         self.confirmed = self.confirmed.min(pages);
         if !status_known {
-            self.status = None;
+            (self.status, self.status_confirmed) = (None, false);
         }
     }
 
@@ -131,7 +134,7 @@ impl Reading {
     /// # Errors
     /// Why the program cannot be taken. Nothing is kept then.
     pub(super) fn confirmed(&mut self) -> Result<(), ProgramError> {
-        self.confirmed = self.pages.len();
+        self.confirmed_before(None);
         match self.verdict.take() {
             Some(Verdict::Changed(page)) => {
                 self.forget();

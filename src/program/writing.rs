@@ -113,10 +113,10 @@ impl Writing {
             return;
         }
         let unwritten = last.unwritten().first().copied();
-        self.telling = if last.compared { unwritten.or(last.in_doubt()).unwrap_or(0) } else { last.telling };
+        self.telling = if last.compared { unwritten.or(last.in_doubt().first().copied()).unwrap_or(0) } else { last.telling };
         (self.ran_before, self.told_to_stop) = (last.ran_before, last.told_to_stop);
         self.has_stopped = last.has_stopped;
-        self.touched = last.touched || last.in_doubt().is_some();
+        self.touched = last.touched || !last.in_doubt().is_empty();
         self.doubted.extend(last.in_doubt());
         self.doubted.extend(last.doubted);
         self.written_before = last.written_before;
@@ -127,7 +127,7 @@ impl Writing {
     pub(super) fn is_bound(&self) -> bool {
         let over = self.goal == Goal::Write && self.state == State::Done;
         let written = !self.written.is_empty() || !self.written_before.is_empty();
-        !over && (self.told_to_stop || self.touched || self.in_doubt().is_some() || written)
+        !over && (self.told_to_stop || self.touched || !self.in_doubt().is_empty() || written)
     }
 
     pub(super) fn program(&self) -> &Program {
@@ -274,11 +274,14 @@ impl Writing {
         }
     }
 
+    fn is_to_be_written(&self, (page, differs): (u16, bool)) -> bool {
+        differs || self.writes_all() && !self.written_before.contains(&page)
+    }
+
     /// What was compared is confirmed.
     fn sort_out(&mut self) {
         for (page, differs) in std::mem::take(&mut self.looked_at) {
-            let unwritten = self.writes_all() && !self.written_before.contains(&page);
-            if unwritten || differs {
+            if self.is_to_be_written((page, differs)) {
                 self.pending.push(page);
             } else if self.doubted.remove(&page) {
                 self.written_before.insert(page);
@@ -438,7 +441,7 @@ impl Writing {
     fn read_back(&mut self, left: u32, content: &ProgramPage) {
         let Some(&page) = self.pending.last() else { return };
         if self.program.page(page) == Some(content) {
-            self.in_doubt = None;
+            self.in_doubt = self.in_doubt.filter(|&in_doubt| in_doubt != page);
             self.pending.pop();
             self.to_read_back.remove(&page);
             self.written.push(page);
@@ -499,7 +502,6 @@ impl Writing {
     /// A request brought no answer of use. It may be the only one that fails: before a half-written PLC is left alone, it is
     /// looked at once more.
     fn lost(&mut self, source: Error) {
-        self.confirms = None;
         let action = match self.next() {
             Step::Read(page) => ProgramAction::ReadPage(page),
             Step::Write(page) => ProgramAction::WritePage(page),
@@ -507,6 +509,10 @@ impl Writing {
             Step::Run => ProgramAction::Run,
             _ => ProgramAction::ReadStatus,
         };
+        self.lost_at(action, source);
+    }
+
+    fn lost_at(&mut self, action: ProgramAction, source: Error) {
         // Of two failures the first one counts.
         let excuse = self.excuse.take();
         self.failure.get_or_insert_with(|| excuse.unwrap_or(ProgramError::Call { action, source }));

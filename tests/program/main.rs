@@ -4,6 +4,9 @@
 
 mod bench;
 mod crash;
+mod duplicates;
 mod others;
 mod regressions;
 mod round_trip;
+#[path = "../roaming/mod.rs"]
+mod roaming;

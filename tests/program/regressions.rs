@@ -345,7 +345,7 @@ async fn a_half_that_somebody_runs_is_found_out_by_the_page_in_doubt_if_no_other
     let mut write = WriteProgram::new(&new, WriteOptions::new());
     bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(9));
     let state = write.run(&station).await.unwrap_err().state;
-    assert_eq!((state.unwritten, state.in_doubt), (vec![], Some(10)));
+    assert_eq!((state.unwritten, state.in_doubt), (vec![], vec![10]));
     bench.faults.set_rules([]);
     bench.plc.run();
     let before = bench.faults.log().entries().len();

@@ -177,7 +177,7 @@ async fn in_the_binary_framing_nothing_is_sent_and_the_error_says_why() {
     );
     let new = program(640, 1);
     let error = station.write_program(&new, WriteOptions::new().stop_first()).await.unwrap_err();
-    assert!(error.state.written.is_empty() && error.state.in_doubt.is_none());
+    assert!(error.state.written.is_empty() && error.state.in_doubt.is_empty());
     assert!(error.to_string().contains("does not exist in the binary framing; nothing was written"), "{error}");
     let error = WriteProgram::new(&new, WriteOptions::new()).compare(&station).await.unwrap_err();
     assert!(matches!(error.source.call_error(), Some(Error::Invalid(_))), "{error}");

@@ -36,7 +36,10 @@ impl Restoring {
     pub(in crate::backup) fn confirmed(&mut self, result: Result<Option<State>, Error>) -> Result<(), RestoreFailure> {
         let then = self.confirms.take();
         match (result, then) {
-            (Ok(None), Some(Then::Leave)) => self.leave(),
+            (Ok(None), Some(Then::Leave)) => {
+                self.settle_doubts();
+                self.leave()
+            }
             (Ok(None), Some(Then::Look(reply))) => self.look(Ok(reply)),
             (Ok(None), Some(Then::Checked(values))) => {
                 if let Some(chunk) = self.chunks.next() {
@@ -49,7 +52,10 @@ impl Restoring {
                 self.rewind(mark);
                 Ok(())
             }
-            (Err(error), Some(Then::Look(_))) => self.look(Err(error)),
+            (Err(error), Some(Then::Look(_))) => {
+                self.plc = PlcState::Unknown;
+                self.look(Err(error))
+            }
             (Err(source), _) => Err(RestoreFailure::Call { doing: "confirming what was read".to_owned(), source }),
         }
     }
@@ -168,6 +174,21 @@ impl Restoring {
     fn doubt(&mut self) {
         let slots = self.targets.iter_mut().flat_map(|target| &mut target.slots);
         slots.filter(|slot| slot.mark == Mark::Written).for_each(|slot| slot.mark = Mark::Doubt);
+    }
+
+    /// All has been read back, which tells what has become of the writes that are in doubt.
+    fn settle_doubts(&mut self) {
+        if self.state != State::Verify {
+            return;
+        }
+        for target in &mut self.targets {
+            for (element, slot) in target.range.elements().zip(&mut target.slots) {
+                let differs = || self.remaining.iter().any(|difference| difference.element == element);
+                if slot.mark == Mark::Doubt && !differs() {
+                    slot.mark = Mark::Written;
+                }
+            }
+        }
     }
 
     fn verify_again(&mut self) {

@@ -128,7 +128,7 @@ fn a_tag_removed_while_its_request_is_on_its_way_has_no_sample() {
     let mut samples = Vec::new();
     assert!(matches!(lab.device.next(lab.stamp(), &mut samples), Step::Read(_)));
     lab.device.remove(ids[0], lab.now);
-    lab.device.done(Ok(Reply::Words(vec![7, 8])), lab.stamp(), None, &mut samples);
+    lab.answer(Ok(Reply::Words(vec![7, 8])), None, &mut samples);
     let ids_seen: Vec<_> = samples.iter().map(|sample| sample.id).collect();
     assert_eq!(ids_seen, [ids[1]]);
 }

@@ -39,6 +39,9 @@ pub(super) struct Lab {
     /// Where in `samples` those begin that have not been looked at.
     seen: usize,
     next_id: u64,
+    answers: u32,
+    /// Cycles that dropped results.
+    pub(super) repeated: u32,
 }
 
 /// Its memory is another one for each request that it is asked, so that a value tells when it was read.
@@ -65,7 +68,7 @@ pub(super) struct FakePlc {
     pub(super) roams_at: Option<usize>,
     /// Such copies that were taken.
     pub(super) roamed: usize,
-    left_over: bool,
+    pub(super) left_over: bool,
     last: Vec<(ReadRequest, Reply)>,
     pub(super) checks: u32,
     proof: Proof,
@@ -228,6 +231,8 @@ impl Lab {
             samples: Vec::new(),
             seen: 0,
             next_id: 1,
+            answers: 0,
+            repeated: 0,
         }
     }
 
@@ -262,20 +267,14 @@ impl Lab {
         match step {
             Step::Read(request) => {
                 self.plc.stray();
-                let proof = self.plc.proof;
                 let (result, takes) = self.plc.answer(self.now, &request);
                 self.wait(takes, &mut samples);
-                let size = if self.plc.one_shape { 0 } else { u32::try_from(self.plc.asked.len()).unwrap() };
-                let shape = Shape { code: Code::ReadRegisters, size };
-                let answer = Answer { result, at: self.stamp(), trip: Some(takes), shape, proof };
-                self.device.done(answer, &mut samples);
+                self.answer(result, Some(takes), &mut samples);
                 self.samples.append(&mut samples);
                 true
             }
             Step::Confirm => {
-                let (result, takes) = self.plc.check();
-                self.wait(takes, &mut samples);
-                self.device.confirmed(result, self.stamp(), &mut samples);
+                self.confirm(&mut samples);
                 self.samples.append(&mut samples);
                 true
             }
@@ -284,6 +283,39 @@ impl Lab {
                 assert!(until.is_none_or(|until| until > self.now), "it waits for what has been: {until:?}");
                 self.now = until.unwrap_or(end.max(self.now));
                 until.is_some()
+            }
+        }
+    }
+
+    /// Gives this answer to the request that is on its way.
+    pub(super) fn answer(
+        &mut self,
+        result: Result<Reply, Error>,
+        trip: Option<Duration>,
+        samples: &mut Vec<Sample>,
+    ) {
+        self.answers += 1;
+        let size = if self.plc.one_shape { 0 } else { self.answers };
+        let shape = Shape { code: Code::ReadRegisters, size };
+        let answer = Answer { result, at: self.stamp(), trip, shape, proof: self.plc.proof };
+        self.repeated += u32::from(self.device.done(answer, samples));
+    }
+
+    /// Answers the check that is on its way.
+    pub(super) fn confirm(&mut self, samples: &mut Vec<Sample>) {
+        let (result, takes) = self.plc.check();
+        self.wait(takes, samples);
+        let now = self.stamp();
+        self.repeated += u32::from(self.device.confirmed(result, now, samples));
+    }
+
+    /// The next request, if there is one now. Checks before it are answered.
+    pub(super) fn request(&mut self, samples: &mut Vec<Sample>) -> Option<ReadRequest> {
+        loop {
+            match self.device.next(self.stamp(), samples) {
+                Step::Read(request) => return Some(*request),
+                Step::Confirm => self.confirm(samples),
+                Step::Wait(_) => return None,
             }
         }
     }

@@ -3,7 +3,7 @@
 //! Only what reads belongs to the job: what has become of a write, the page that is read back tells.
 
 use super::states::State;
-use super::{Goal, Writing};
+use super::{Goal, ProgramAction, Writing};
 use crate::error::Error;
 
 /// Where a request stands: a writing can go back there.
@@ -51,7 +51,7 @@ impl Writing {
                 }
             }
             (Ok(Some(mark)), _) => self.rewind(mark),
-            (Err(error), _) => self.lost(error),
+            (Err(error), _) => self.lost_at(ProgramAction::Confirm, error),
         }
     }
 
@@ -66,20 +66,17 @@ impl Writing {
                 {
                     self.uncompared.push(page);
                 }
-                match mark.state {
-                    State::Compare(_) => {
-                        let again = self.looked_at.drain(mark.looked_at.min(self.looked_at.len())..).rev();
-                        self.uncompared.extend(again.map(|(page, _)| page));
-                        if let Some(page) = self.uncompared.pop() {
-                            self.state = State::Compare(page);
-                        }
+                if matches!(mark.state, State::Compare(_)) {
+                    let again = self.looked_at.drain(mark.looked_at.min(self.looked_at.len())..).rev();
+                    self.uncompared.extend(again.map(|(page, _)| page));
+                    if let Some(page) = self.uncompared.pop() {
+                        self.state = State::Compare(page);
                     }
+                } else {
                     // The status and the header come first.
-                    _ => {
-                        self.looked_at.clear();
-                        self.pending.clear();
-                        self.state = State::Fit;
-                    }
+                    self.looked_at.clear();
+                    self.pending.clear();
+                    self.state = State::Fit;
                 }
             }
             State::Look
@@ -129,12 +126,12 @@ impl Writing {
     fn read_back_from(&mut self, written: usize) {
         self.to_read_back.extend(self.in_doubt);
         let any = self.take_back(written) || self.in_doubt.is_some();
-        match self.state {
-            State::Look | State::Stopped { .. } | State::Refused if !any => {}
-            State::Stop { .. } | State::StopPause { .. } if !any => self.state = State::Look,
-            _ if self.pending.is_empty() => self.state = State::Final,
-            _ => self.state = State::Check,
+        if any {
+            self.state = if self.pending.is_empty() { State::Final } else { State::Check };
+        } else if matches!(self.state, State::Write { .. } | State::ReadBack { .. }) {
+            self.state = State::Check;
         }
+        // Else the status is asked for again.
     }
 
     /// These pages are no longer said to be written; says whether there are any.
