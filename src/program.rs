@@ -46,7 +46,7 @@
 //! ```
 //!
 //! What must always hold:
-//! - Nothing is kept of a page but what a reply to the request for this very page has brought. A check (4E) every 32 pages and in
+//! - Nothing is kept of a page but what a reply to the request for this very page has brought. A check (4E) every 64 pages and in
 //!   the end confirms that: if a duplicate of a reply came out of order, what was read since the last check is read again, as often
 //!   as reads are retried. Pages that are not confirmed are dropped when a run ends.
 //! - The header fits the ladder size of 53; so the number of pages is known before the second is asked for.

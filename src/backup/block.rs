@@ -128,7 +128,7 @@ impl Chunks {
         let run = |(block, range, places): (usize, Tag, Range<usize>)| {
             Chunk { block, range, start: places.start, count: places.len() }
         };
-        let mut waiting: Vec<Chunk> = runs.into_iter().map(run).collect();
+        let mut waiting: Vec<Chunk> = runs.into_iter().map(run).filter(|run| run.count > 0).collect();
         waiting.reverse();
         Self { waiting }
     }

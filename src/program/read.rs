@@ -43,7 +43,7 @@ impl ReadProgram {
         self
     }
 
-    /// How many pages have been read and confirmed. They are kept when a run fails or is dropped; up to 32 pages that were read
+    /// How many pages have been read and confirmed. They are kept when a run fails or is dropped; up to 64 pages that were read
     /// after the last check are not.
     #[must_use]
     pub fn pages_done(&self) -> usize {
@@ -54,7 +54,7 @@ impl ReadProgram {
     ///
     /// Each request is a read of its own, with the timeouts and retries of the station's
     /// [options](Station::options); [`CallOptions::background`](crate::CallOptions::background) lets all others of the link go
-    /// first. A check (4E) after every 32 pages and in the end confirms that no reply was a duplicate out of order; if one was, what
+    /// first. A check (4E) after every 64 pages and in the end confirms that no reply was a duplicate out of order; if one was, what
     /// was read since the last check is read again, as often as reads are retried. The future can be dropped at any time.
     ///
     /// # Errors

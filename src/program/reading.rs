@@ -47,7 +47,7 @@ pub(super) struct Mark {
 }
 
 /// The most pages that are held: then they are confirmed.
-const MOST_HELD: usize = 32;
+const MOST_HELD: usize = 64;
 
 /// A program that is being read. What has been read and confirmed stays when a request fails; [`begin`](Self::begin) then goes on.
 #[derive(Debug, Default)]

@@ -96,7 +96,8 @@ fn a_cycle_is_abandoned_when_duplicates_do_not_end() {
 #[test]
 fn values_before_a_request_without_an_answer_are_given() {
     let mut lab = lab();
-    lab.plc.silent_about = Some((crate::element::Symbol::R, 900));
+    // The last request.
+    lab.plc.silent_about = Some((crate::element::Symbol::R, 0));
     lab.run(ms(900));
     let (good, other): (Vec<_>, Vec<_>) = lab.news().into_iter().partition(crate::poll::Sample::is_good);
     assert_eq!((good.len(), other.len(), lab.plc.checks), (9, 1, 1));
@@ -132,5 +133,7 @@ fn a_tag_removed_while_its_value_is_held_has_no_sample() {
     assert!(lab.request(&mut samples).is_some());
     lab.answer(Ok(crate::plan::Reply::Words(vec![7])), None, &mut samples);
     assert!(lab.request(&mut samples).is_none());
-    assert_eq!(samples.iter().map(|sample| sample.id).collect::<Vec<_>>(), ids[1..]);
+    let mut seen: Vec<_> = samples.iter().map(|sample| sample.id).collect();
+    seen.sort_unstable();
+    assert_eq!(seen, ids[1..]);
 }

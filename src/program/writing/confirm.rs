@@ -3,7 +3,7 @@
 //! Only what reads belongs to the job: what has become of a write, the page that is read back tells.
 
 use super::states::State;
-use super::{Goal, ProgramAction, Writing};
+use super::{Goal, PlcState, ProgramAction, Writing};
 use crate::error::Error;
 
 /// Where a request stands: a writing can go back there.
@@ -36,6 +36,9 @@ impl Writing {
     /// Takes the result of [`Step::Confirm`](super::Step::Confirm): `Some` is the mark of the first result that is not good.
     pub(in crate::program) fn confirmed(&mut self, result: Result<Option<Mark>, Error>) {
         let then = self.confirms.take();
+        if !matches!(result, Ok(None)) && matches!(then, Some(Then::Flags(_))) {
+            self.plc = PlcState::Unknown;
+        }
         match (result, then) {
             (Ok(None), then) => {
                 self.all_good();
