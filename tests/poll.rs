@@ -89,7 +89,8 @@ async fn the_stamp_is_that_of_the_reply() {
     sleep(ms(500)).await;
     let sample = next(&mut poller).await;
     let after = sample.at.instant - begin;
-    assert!(after >= ms(40) && after < ms(50), "{after:?}");
+    // The check of a new connection takes as long.
+    assert!(after >= ms(80) && after < ms(90), "{after:?}");
 }
 
 #[tokio::test(start_paused = true)]

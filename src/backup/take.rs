@@ -39,6 +39,7 @@ pub(super) type OnProgress = Box<dyn FnMut(&Progress) + Send>;
 #[must_use]
 pub struct TakeBackup {
     backup: Backup,
+    held: Held,
     on_progress: Option<OnProgress>,
 }
 
@@ -53,7 +54,7 @@ impl TakeBackup {
 
     /// Goes on with a backup: what is [`Missing::NotRead`] in it is to be read, from the station that the rest has come from.
     pub fn resume(partial: Backup) -> Self {
-        Self { backup: partial, on_progress: None }
+        Self { backup: partial, held: Held::default(), on_progress: None }
     }
 
     /// Called after each request; the steps are elements. It must not take long: the PLC waits meanwhile.
@@ -91,36 +92,39 @@ impl TakeBackup {
         }));
         let (total, mut done) = (self.backup.element_count(), self.done());
         let mut meter = Meter::new(Phase::Reading, total, done, Instant::now());
-        let (mut job, mut held) = (StationJob::new(station), Held::default());
+        let mut job = StationJob::new(station);
+        self.held.begin();
         loop {
-            let Some(chunk) = chunks.next().filter(|_| !held.is_full()) else {
+            let Some(chunk) = chunks.next().filter(|_| !self.held.is_full()) else {
                 match job.confirm().await {
-                    Ok(None) if chunks.next().is_none() => {
-                        self.keep(held.confirmed(None));
-                        return Ok(self.backup.clone());
+                    Ok(None) => {
+                        self.keep(None);
+                        self.held.checked();
+                        if chunks.next().is_none() {
+                            return Ok(self.backup.clone());
+                        }
                     }
-                    Ok(None) => self.keep(held.confirmed(None)),
-                    Ok(Some(mark)) => done = done.saturating_sub(again(&mut chunks, held.rewind(mark))),
+                    Ok(Some(mark)) => done = done.saturating_sub(again(&mut chunks, self.held.rewind(mark))),
                     Err(error) => return Err(self.failed(error)),
                 }
                 continue;
             };
-            let bytes = match fetch(&mut job, held.mark(), chunk, true).await {
+            let bytes = match fetch(&mut job, self.held.mark(), chunk, true).await {
                 Ok(Outcome::Reply(JobReply { reply: values, .. })) => {
                     let count = values.len().min(chunk.count);
-                    held.hold(Chunk { count, ..chunk }, values);
-                    self.keep(held.confirmed(job.first_held()));
+                    self.held.hold(Chunk { count, ..chunk }, values);
+                    self.keep(job.first_held());
                     chunks.done_first(count);
                     done = done.saturating_add(count);
                     content_len(chunk.range, count)
                 }
                 Ok(Outcome::Rewind(mark)) => {
-                    done = done.saturating_sub(again(&mut chunks, held.rewind(mark)));
+                    done = done.saturating_sub(again(&mut chunks, self.held.rewind(mark)));
                     0
                 }
                 // With the refusal all before it is confirmed.
                 Err(Error::Plc { error, .. }) => {
-                    self.keep(held.confirmed(None));
+                    self.keep(None);
                     if let Some(single) = chunks.refused() {
                         if let Some(block) = self.backup.blocks.get_mut(single.block) {
                             block.refuse(single, error);
@@ -130,7 +134,12 @@ impl TakeBackup {
                     0
                 }
                 Err(error) => {
-                    self.keep(held.confirmed(job.first_held()));
+                    self.keep(job.first_held());
+                    // What was read before is kept if the PLC still confirms it.
+                    let duplicates = matches!(error, Error::Duplicates { .. });
+                    if !duplicates && matches!(job.confirm().await, Ok(None)) {
+                        self.keep(None);
+                    }
                     return Err(self.failed(error));
                 }
             };
@@ -141,9 +150,9 @@ impl TakeBackup {
         }
     }
 
-    /// Keeps values that are confirmed.
-    fn keep(&mut self, confirmed: Vec<(Chunk, Vec<Value>)>) {
-        for (chunk, values) in confirmed {
+    /// Keeps the values that are confirmed: those before this mark; `None`: all.
+    fn keep(&mut self, first_held: Option<usize>) {
+        for (chunk, values) in self.held.confirmed(first_held) {
             if let Some(block) = self.backup.blocks.get_mut(chunk.block) {
                 block.fill(chunk, &values);
             }

@@ -84,8 +84,13 @@ impl ReadProgram {
                 Step::Page(page) => {
                     let began = Instant::now();
                     let content = job.call(mark, ReadProgramPage::new(page), false).await;
-                    if content.is_err() {
+                    if let Err(error) = &content {
                         self.reading.confirmed_before(job.first_held());
+                        // What was read before is kept if the PLC still confirms it.
+                        let duplicates = matches!(error, Error::Duplicates { .. });
+                        if !duplicates && matches!(job.confirm().await, Ok(None)) {
+                            self.reading.confirmed_before(None);
+                        }
                     }
                     let content = content.map_err(failed(ProgramAction::ReadPage(page)))?;
                     let rewound = take(content, |content| self.reading.page(content));

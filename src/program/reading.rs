@@ -22,9 +22,8 @@ pub(super) enum Step {
     Done,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    #[default]
     Brief,
     Status,
     Header,
@@ -46,13 +45,15 @@ pub(super) struct Mark {
     status_known: bool,
 }
 
-/// The most pages that are held: then they are confirmed.
+/// The most pages that are held: then a check confirms them. A run that is broken off loses no more than these.
 const MOST_HELD: usize = 64;
 
 /// A program that is being read. What has been read and confirmed stays when a request fails; [`begin`](Self::begin) then goes on.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Reading {
     state: State,
+    /// The most pages that are held now.
+    most_held: usize,
     /// The pages that are confirmed.
     confirmed: usize,
     /// The status is confirmed.
@@ -79,9 +80,30 @@ enum Verdict {
     Good,
 }
 
+impl Default for Reading {
+    fn default() -> Self {
+        Self {
+            state: State::Brief,
+            most_held: MOST_HELD,
+            confirmed: 0,
+            status_confirmed: false,
+            verdict: None,
+            twice: false,
+            brief: None,
+            status: None,
+            pages: Vec::new(),
+            again: 0,
+        }
+    }
+}
+
 impl Reading {
-    /// A run begins: the first, or another after a failure. Pages that were not confirmed are dropped.
+    /// A run begins: the first, or another after a failure. Pages that were not confirmed are dropped; after that, fewer are held
+    /// at a time, so that short runs keep something, too.
     pub(super) fn begin(&mut self) {
+        if self.pages.len() > self.confirmed {
+            self.most_held = self.most_held.checked_div(4).unwrap_or(1).max(1);
+        }
         self.state = State::Brief;
         self.again = 0;
         self.verdict = None;
@@ -92,7 +114,7 @@ impl Reading {
     }
 
     pub(super) fn next(&self) -> Step {
-        let full = self.pages.len().saturating_sub(self.confirmed) >= MOST_HELD;
+        let full = self.pages.len().saturating_sub(self.confirmed) >= self.most_held;
         if self.verdict.is_some() || full {
             return Step::Confirm;
         }
@@ -135,6 +157,7 @@ impl Reading {
     /// Why the program cannot be taken. Nothing is kept then.
     pub(super) fn confirmed(&mut self) -> Result<(), ProgramError> {
         self.confirmed_before(None);
+        self.most_held = self.most_held.saturating_mul(2).min(MOST_HELD);
         match self.verdict.take() {
             Some(Verdict::Changed(page)) => {
                 self.forget();
@@ -258,7 +281,7 @@ impl Reading {
 
     /// What has been read belongs to nothing that there is now.
     fn forget(&mut self) {
-        *self = Self { twice: self.twice, ..Self::default() };
+        *self = Self { twice: self.twice, most_held: self.most_held, ..Self::default() };
     }
 
     fn first_missing(&self) -> u16 {

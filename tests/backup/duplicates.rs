@@ -34,7 +34,8 @@ async fn no_value_of_a_backup_is_a_roaming_duplicate() {
         wrong += backup.elements().filter(is_wrong).count();
         copies += line.copies();
     }
-    assert_eq!((copies, wrong), (10, 0));
+    assert_eq!(wrong, 0, "with {copies} copies");
+    assert!(copies >= 10, "{copies}");
 }
 
 /// Without the checks this gave WRONG_RESTORE of the restorings that failed, or ended with other values.
