@@ -371,8 +371,8 @@ async fn good_samples_are_true_whatever_happens_on_the_bus() {
     }
 }
 
-/// One duplicate of a reply comes out of order, two or three exchanges later, in turn at each request of four cycles. Without the
-/// check at the end of a cycle this gave WRONG_POLL wrong samples.
+/// One duplicate of a reply comes out of order, two or three exchanges later, in turn at each request of four cycles. Without jobs
+/// this gave 40 wrong samples, one of each copy; without the check at the end of a cycle alone (`Job::must_confirm`), 4.
 #[tokio::test(start_paused = true)]
 async fn no_sample_is_a_roaming_duplicate() {
     let (mut copies, mut wrong, mut good) = (0, 0, 0);

@@ -193,7 +193,8 @@ impl Writing {
 
     /// Whether all pages have been found to be the program's, in this run.
     fn whole(&self) -> bool {
-        self.compared && self.pending.is_empty() && self.differing.is_empty() && !self.unconfirmed
+        let good = self.pending.is_empty() && self.looked_at.is_empty() && self.differing.is_empty();
+        self.compared && good && !self.unconfirmed
     }
 
     /// Whether the PLC may hold a part of the new program and a part of the old one, by this writing.
@@ -269,13 +270,23 @@ impl Writing {
             return;
         }
         match self.uncompared.pop() {
-            Some(next) => self.state = State::Compare(next),
+            Some(next) => {
+                self.state = State::Compare(next);
+                self.confirm_between(page, next);
+            }
             None => self.confirms = Some(Then::Compared),
         }
     }
 
     fn is_to_be_written(&self, (page, differs): (u16, bool)) -> bool {
         differs || self.writes_all() && !self.written_before.contains(&page)
+    }
+
+    /// Two pages in a row that should be equal are read with a check between them.
+    fn confirm_between(&mut self, page: u16, next: u16) {
+        if self.program.page(page) == self.program.page(next) {
+            self.confirms = Some(Then::NextPage);
+        }
     }
 
     /// What was compared is confirmed.
@@ -462,6 +473,7 @@ impl Writing {
         self.progress = (Phase::Verifying, next.into(), count.into());
         if next < count {
             self.state = State::Verify(next);
+            self.confirm_between(page, next);
         } else {
             self.confirms = Some(Then::Verified);
         }

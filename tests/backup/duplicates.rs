@@ -20,13 +20,14 @@ fn line(plc: &Plc, from: usize) -> Roaming {
     Roaming::new(Bus::new().with_station(1, plc.clone()).unwrap(), from)
 }
 
-/// Without the check at the end this gave WRONG_BACKUP wrong values.
+/// Without jobs this gave 764 wrong values of 8255.
 #[tokio::test(start_paused = true)]
 async fn no_value_of_a_backup_is_a_roaming_duplicate() {
     let (mut copies, mut wrong) = (0, 0);
     for from in 1..=13 {
         let line = line(&plc(), from);
-        let backup = line.station.back_up(tags(["R0-R639"])).await.unwrap();
+        // The last request has 63 registers, as others have.
+        let backup = line.station.back_up(tags(["R0-R634"])).await.unwrap();
         assert!(backup.is_complete());
         let is_wrong = |&(element, value): &(fatek::Element, Result<Value, _>)| {
             value != Ok(Value::Word(element.address() ^ 0x5A5A))
@@ -38,7 +39,7 @@ async fn no_value_of_a_backup_is_a_roaming_duplicate() {
     assert!(copies >= 10, "{copies}");
 }
 
-/// Without the checks this gave WRONG_RESTORE of the restorings that failed, or ended with other values.
+/// Without jobs 16 of the 40 restorings failed.
 #[tokio::test(start_paused = true)]
 async fn a_restoring_ends_well_in_spite_of_a_roaming_duplicate() {
     let backup = line(&plc(), usize::MAX).station.back_up(tags(["R0-R639"])).await.unwrap();

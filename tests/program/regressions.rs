@@ -227,9 +227,10 @@ async fn a_whole_old_program_that_somebody_runs_before_the_first_page_is_not_sto
     let (old, new) = (program(640, 1), program(640, 2));
     let station = bench.station();
     let writing = station.write_program(&new, WriteOptions::new());
-    // 53, page 0, ten pages and 40 have been answered, and the first page is on its way.
+    // 53, page 0, ten pages and 40 have been answered, and two checks: of the new connection, and of what was compared. The first
+    // page is on its way.
     let starting = async {
-        while bench.faults.log().entries().len() < 14 {
+        while bench.faults.log().entries().len() < 16 {
             sleep(Duration::from_millis(1)).await;
         }
         bench.plc.run();

@@ -40,7 +40,8 @@ fn word(sample: &crate::poll::Sample) -> u16 {
     }
 }
 
-/// Without the check at the end of a cycle this gave WRONG_LAB wrong samples.
+/// Without the check at the end of a cycle no copy at its last request was noticed: see the figures of the test of this name in
+/// `tests/poll.rs`.
 #[test]
 fn no_sample_is_a_roaming_duplicate() {
     let mut sum = 0;

@@ -25,6 +25,8 @@ pub(super) enum Then {
     Flags(bool),
     /// All pages have been read once more.
     Verified,
+    /// The next page is read. It should be equal to the one before, so its reply is told from a duplicate only behind a check.
+    NextPage,
 }
 
 impl Writing {
@@ -50,7 +52,7 @@ impl Writing {
                     }
                     Some(Then::Flags(running)) => self.flags(running),
                     Some(Then::Verified) => self.verified(),
-                    None => {}
+                    Some(Then::NextPage) | None => {}
                 }
             }
             (Ok(Some(mark)), _) => self.rewind(mark),
@@ -118,10 +120,8 @@ impl Writing {
 
     fn all_good(&mut self) {
         self.unconfirmed = false;
-        if self.compared {
-            // Written and read back, or the same before.
-            self.touched &= !self.pending.is_empty();
-        }
+        // Written and read back, or the same before.
+        self.touched &= !self.whole();
     }
 
     /// Pages that were written are to be read back again, from this one on. Before that it is looked at whether the PLC is still
