@@ -125,8 +125,11 @@ pub(super) struct Chunks {
 impl Chunks {
     /// As few requests as name all of these, in this order; no value of two registers is split.
     pub(super) fn new(runs: impl IntoIterator<Item = (usize, Tag, Range<usize>)>) -> Self {
-        let run = |(block, range, places): (usize, Tag, Range<usize>)| {
-            Chunk { block, range, start: places.start, count: places.len() }
+        let run = |(block, range, places): (usize, Tag, Range<usize>)| Chunk {
+            block,
+            range,
+            start: places.start,
+            count: places.len(),
         };
         let mut waiting: Vec<Chunk> = runs.into_iter().map(run).filter(|run| run.count > 0).collect();
         waiting.reverse();

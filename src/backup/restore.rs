@@ -239,9 +239,7 @@ async fn ask(
 ) -> Asked<Reply> {
     let done = |reply| Outcome::Reply(JobReply { reply, count: 0 });
     Ok(match step {
-        Step::Status => {
-            job.call(mark, ReadStatus, false).await?.map(|status| Reply::Running(status.flags().running()))
-        }
+        Step::Status => job.call(mark, ReadStatus, false).await?.map(|status| Reply::Running(status.flags().running())),
         Step::Stop => {
             station.stop().await?;
             done(Reply::Done)

@@ -50,7 +50,10 @@ pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>) {
 
 fn count_repeated(unit: &Unit, repeated: Option<bool>) {
     if repeated == Some(true) {
-        tracing::debug!(station = unit.station.number(), "an unexpected frame came within a cycle: its values are dropped");
+        tracing::debug!(
+            station = unit.station.number(),
+            "an unexpected frame came within a cycle: its values are dropped"
+        );
         unit.station.link().board().job_repeated(unit.station.number());
     }
 }

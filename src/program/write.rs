@@ -5,8 +5,8 @@ use tokio::time::{Instant, sleep};
 
 use super::read::{OnProgress, in_framing, report};
 use super::writing::{Goal, Mark, Step, Told, Writing};
-use crate::command::{Command, ReadDetailedStatus, ReadProgramPage, ReadStatus};
 use super::{PAGE_BYTES, Program, ProgramError, WriteProgramError, WriteState};
+use crate::command::{Command, ReadDetailedStatus, ReadProgramPage, ReadStatus};
 use crate::error::Error;
 use crate::progress::Progress;
 use crate::station::{BegunWith, JobReply, OtherStation, Outcome, Station, StationJob};

@@ -1,6 +1,7 @@
 //! The states of writing a program, as the [module](super) draws them. No I/O, and no clock.
 
 mod confirm;
+mod failing;
 mod outcome;
 mod states;
 
@@ -113,7 +114,8 @@ impl Writing {
             return;
         }
         let unwritten = last.unwritten().first().copied();
-        self.telling = if last.compared { unwritten.or(last.in_doubt().first().copied()).unwrap_or(0) } else { last.telling };
+        self.telling =
+            if last.compared { unwritten.or(last.in_doubt().first().copied()).unwrap_or(0) } else { last.telling };
         (self.ran_before, self.told_to_stop) = (last.ran_before, last.told_to_stop);
         self.has_stopped = last.has_stopped;
         self.touched = last.touched || !last.in_doubt().is_empty();
@@ -507,53 +509,6 @@ impl Writing {
                 self.state = State::Running { left };
             }
         }
-    }
-
-    // What goes wrong.
-
-    /// A request brought no answer of use. It may be the only one that fails: before a half-written PLC is left alone, it is
-    /// looked at once more.
-    fn lost(&mut self, source: Error) {
-        let action = match self.next() {
-            Step::Read(page) => ProgramAction::ReadPage(page),
-            Step::Write(page) => ProgramAction::WritePage(page),
-            Step::Stop => ProgramAction::Stop,
-            Step::Run => ProgramAction::Run,
-            _ => ProgramAction::ReadStatus,
-        };
-        self.lost_at(action, source);
-    }
-
-    fn lost_at(&mut self, action: ProgramAction, source: Error) {
-        // Of two failures the first one counts.
-        let excuse = self.excuse.take();
-        self.failure.get_or_insert_with(|| excuse.unwrap_or(ProgramError::Call { action, source }));
-        let ending = matches!(self.state, State::LastLook | State::StoppedAgain { .. });
-        let look = !ending && self.goal == Goal::Write && self.half_written();
-        if self.state == State::LastLook {
-            self.plc = PlcState::Unknown;
-        }
-        self.state = if look { State::LastLook } else { State::Failed };
-    }
-
-    /// It cannot go on, though the PLC answers: if anything has been done to it, it must not be running.
-    fn fail(&mut self, error: ProgramError) {
-        self.failure = Some(error);
-        // What does not fit is not the PLC that was written.
-        let fits = !matches!(self.state, State::Fit | State::Kind);
-        let look = fits && self.goal == Goal::Write && self.half_written();
-        self.state = if look { State::LastLook } else { State::Failed };
-    }
-
-    /// No attempt has done it: for the reason that the last one gave, or for this one.
-    fn give_up(&mut self, error: ProgramError) {
-        let excuse = self.excuse.take();
-        self.fail(excuse.unwrap_or(error));
-    }
-
-    fn stop_again(&mut self) {
-        self.failure = Some(ProgramError::SetRunning);
-        self.state = if self.goal == Goal::Write { State::StopAgain { left: CONTROL_TRIES } } else { State::Failed };
     }
 }
 

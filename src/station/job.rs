@@ -114,7 +114,10 @@ impl<'s, M: Copy> StationJob<'s, M> {
         match progress {
             Progress::Go => Ok(mark),
             Progress::Rewind(first) => {
-                tracing::debug!(station = number, "an unexpected frame came within a job: its results are asked for again");
+                tracing::debug!(
+                    station = number,
+                    "an unexpected frame came within a job: its results are asked for again"
+                );
                 Ok(first)
             }
             Progress::Failed(first) => {

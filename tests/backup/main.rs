@@ -7,7 +7,7 @@ mod duplicates;
 mod options;
 mod refused;
 mod resume;
-mod round_trip;
-mod running;
 #[path = "../roaming/mod.rs"]
 mod roaming;
+mod round_trip;
+mod running;

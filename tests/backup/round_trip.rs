@@ -6,9 +6,9 @@ use std::collections::HashSet;
 use std::time::Duration;
 
 use fatek::backup::{Backup, BackupError, Missing, Restore, RestoreOptions, TakeBackup};
+use fatek::command::Code;
 use fatek::sim::{Fault, Faults, Line, Moment, Rule};
 use fatek::tag::Tag;
-use fatek::command::Code;
 use fatek::wire::Framing;
 use fatek::{Element, Error, Value};
 
@@ -263,7 +263,11 @@ async fn a_backup_that_was_broken_off_goes_on_where_it_was() {
         let error = bench.station().back_up(tags(["R0-R299", "M0-M9"])).await.unwrap_err();
         let BackupError::Call { partial, source, .. } = error else { panic!("{error}") };
         assert!(matches!(source, Error::Timeout { .. }), "{source}");
-        assert_eq!((partial.value_count(), partial.element_count()), (191, 310), "64, 63 and 64: replies to equal requests would be of one shape");
+        assert_eq!(
+            (partial.value_count(), partial.element_count()),
+            (191, 310),
+            "64, 63 and 64: replies to equal requests would be of one shape"
+        );
         let missing: Vec<_> = partial.missing().iter().map(|missing| (missing.range, missing.reason)).collect();
         assert_eq!(missing, tags(["R191-R299", "M0-M9"]).map(|range| (range, Missing::NotRead)));
         // In another process, perhaps.

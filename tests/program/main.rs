@@ -7,6 +7,6 @@ mod crash;
 mod duplicates;
 mod others;
 mod regressions;
-mod round_trip;
 #[path = "../roaming/mod.rs"]
 mod roaming;
+mod round_trip;

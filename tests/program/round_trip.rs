@@ -102,7 +102,11 @@ async fn a_reading_that_loses_its_connection_at_every_page_goes_on_there() {
     for page in 0..11 {
         bench.faults.set_rules([]);
         // What has an answer is 40, 53, the header and one page more; and the checks, which confirm these.
-        bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ReadProgramPage).skip(if page == 0 { 1 } else { 2 }));
+        bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ReadProgramPage).skip(if page == 0 {
+            1
+        } else {
+            2
+        }));
         let error = read.run(&station).await.unwrap_err();
         assert!(matches!(error.call_error(), Some(Error::Timeout { .. })), "{error}");
         assert_eq!(read.pages_done(), page + 1, "{error}");

@@ -3,9 +3,9 @@
 //! Marks are states. A state begins again as a whole if a duplicate came among its replies.
 
 use super::{Goal, Mark, Reply, Restoring, State};
+use crate::backup::RestoreFailure;
 use crate::backup::restore::IfRunning;
 use crate::backup::target::{Slot, Target};
-use crate::backup::RestoreFailure;
 use crate::command::Value;
 use crate::error::Error;
 use crate::program::PlcState;

@@ -9,8 +9,8 @@ use tokio::time::Instant;
 use crate::command::{Code, Value};
 use crate::element::{Element, Symbol, Width};
 use crate::error::{Error, ErrorCode};
-use crate::plan::{CostModel, Limits, ReadRequest, Reply};
 use crate::link::{Proof, Shape};
+use crate::plan::{CostModel, Limits, ReadRequest, Reply};
 use crate::poll::device::{Answer, Device, Step};
 use crate::poll::known::Polled;
 use crate::poll::{PollError, PollTag, Sample, ScanClass, Stamp, TagId};
@@ -288,12 +288,7 @@ impl Lab {
     }
 
     /// Gives this answer to the request that is on its way.
-    pub(super) fn answer(
-        &mut self,
-        result: Result<Reply, Error>,
-        trip: Option<Duration>,
-        samples: &mut Vec<Sample>,
-    ) {
+    pub(super) fn answer(&mut self, result: Result<Reply, Error>, trip: Option<Duration>, samples: &mut Vec<Sample>) {
         self.answers += 1;
         let size = if self.plc.one_shape { 0 } else { self.answers };
         let shape = Shape { code: Code::ReadRegisters, size };

@@ -48,7 +48,8 @@ impl Writing {
     /// The pages that are to be written, without those in doubt. Before all have been compared, those that were found by then.
     pub(super) fn unwritten(&self) -> Vec<u16> {
         let in_doubt = self.in_doubt();
-        let found = self.looked_at.iter().filter(|_| !self.compared).filter(|&&looked_at| self.is_to_be_written(looked_at));
+        let found =
+            self.looked_at.iter().filter(|_| !self.compared).filter(|&&looked_at| self.is_to_be_written(looked_at));
         let pending = self.pending.iter().chain(found.map(|(page, _)| page)).copied();
         let pending = pending.filter(|page| !in_doubt.contains(page));
         let mut pages: Vec<u16> = pending.chain(self.differing.iter().copied()).collect();

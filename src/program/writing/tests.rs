@@ -282,17 +282,16 @@ fn a_writing_without_faults_writes_what_differs_and_nothing_else() {
 fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the_next_run_ends_it() {
     let mut failures = 0;
     for seed in seeds(4000) {
-        let chances =
-            Chances {
-                lost: 40,
-                unanswered: 40,
-                spoilt: 20,
-                refused: 10,
-                repeated: 30,
-                disobeyed: 30,
-                started: 0,
-                doubted: if seed % 2 == 0 { 30 } else { 0 },
-            };
+        let chances = Chances {
+            lost: 40,
+            unanswered: 40,
+            spoilt: 20,
+            refused: 10,
+            repeated: 30,
+            disobeyed: 30,
+            started: 0,
+            doubted: if seed % 2 == 0 { 30 } else { 0 },
+        };
         let mut world = World::new(seed, chances);
         let mut random = Random::new(!seed);
         let options = options(&mut random);
@@ -467,7 +466,10 @@ fn what_does_not_fit_is_refused_before_anything_is_changed() {
     let error = |world: &mut World, program: &Program, options: WriteOptions| {
         let mut writing = Writing::new(program.clone(), options);
         let error = world.run(&mut writing, MANY).unwrap().unwrap_err();
-        assert_eq!((&error.state.written, &error.state.in_doubt, error.state.plc), (&vec![], &vec![], PlcState::Running));
+        assert_eq!(
+            (&error.state.written, &error.state.in_doubt, error.state.plc),
+            (&vec![], &vec![], PlcState::Running)
+        );
         assert!(world.plc.is_running() && world.holds() == world.old.pages());
         error.to_string()
     };

@@ -82,7 +82,11 @@ fn a_dry_run_tells_what_a_run_writes_and_fails_where_it_is_refused() {
         let mut dry = Writing::new(program.clone(), options);
         dry.begin(Goal::DryRun);
         while !matches!(dry.next(), Step::Done | Step::Failed) {
-            assert!(matches!(dry.next(), Step::Status | Step::Read(_) | Step::Confirm), "seed {seed}: {:?}", dry.next());
+            assert!(
+                matches!(dry.next(), Step::Status | Step::Read(_) | Step::Confirm),
+                "seed {seed}: {:?}",
+                dry.next()
+            );
             world.go(&mut dry, &program);
         }
         let mut real = Writing::new(program, options);
