@@ -32,7 +32,8 @@
 //!
 //! [`Station::back_up`](crate::Station::back_up) reads it in one go. [`TakeBackup`] does the same, tells how far it has come, and
 //! goes on after a failure or when its future has been dropped. Its states are the cells of the backup: what is
-//! [`NotRead`](Missing::NotRead) is still to be read.
+//! [`NotRead`](Missing::NotRead) is still to be read. A cell has a value only when a check has confirmed that the reply was no
+//! duplicate out of order.
 //!
 //! # What is restored
 //!
@@ -54,6 +55,9 @@
 //!   the backup are neither read nor written; [`RestoreReport::missing`] names them. By choice ([`RestoreOptions::bridge`]) equal elements of the backup between two
 //!   that differ are written, too, where that saves a request.
 //! - Nothing is written before all has been compared, and unless the PLC gives all elements.
+//! - Compare, Forced, Check and Verify are left only when a check (4E) has confirmed that no reply was a duplicate out of order;
+//!   if one was, they begin again, as often as reads are retried. Writes among which such a duplicate came are in doubt until
+//!   Verify has read them back.
 //! - A write that had no answer is not repeated before a read has shown that it still differs. Until it is settled, its elements
 //!   are [`in_doubt`](RestoreReport::in_doubt), and not among those that were never sent.
 //! - An element counts as written when the PLC has confirmed that, or a read has shown it.
@@ -92,6 +96,7 @@
 mod block;
 mod error;
 mod format;
+mod held;
 mod report;
 mod restore;
 mod restoring;

@@ -26,6 +26,9 @@
 //!   once a period, at a random time of it unless the class says which. A request at a time is on its way to a station;
 //!   calls of others go first ([`CallOptions::background`](crate::CallOptions::background)).
 //! - When a cycle is due and the one before is not over, it is skipped and counted ([`Counters::overruns`]).
+//! - The values of a cycle of several requests are given out together, when a check (4E) has confirmed that no reply among
+//!   them was a duplicate out of order. If one was, they are dropped and read again, as often as reads are retried; then the
+//!   cycle is abandoned with [`Error::Duplicates`](crate::Error::Duplicates).
 //! - A sample has values, the time of the reply they came in, and a [`Quality`]. What fails is never a zero: a value is
 //!   *stale*, the last one that was read, or *bad*, and then it is not there. The quality changes with time, too, when
 //!   no answer comes.
@@ -85,6 +88,7 @@ pub use self::sample::{Quality, Reason, Sample, Stamp, TagId};
 pub use self::stats::{ClassStats, Counters, PollerStats};
 
 use self::device::Device;
+use self::known::Polled;
 use self::plans::Plans;
 use self::queue::Queue;
 use crate::plan::{CostModel, Limits};
@@ -282,9 +286,11 @@ impl PollerHandle {
         let limits = limits.unwrap_or_else(|| shared.limits.clone());
         let cost = cost.unwrap_or_else(|| CostModel::of_link(station.link()));
         let seed = lock(&shared.random).next();
+        let polled = Polled { station: station.number(), retries: station.options().retries };
+        let device = Device::new(polled, (limits, cost), shared.epoch, seed, shared.plans.clone());
         let unit = Arc::new(Unit {
             station: station.with_options(station.options().background(true)),
-            device: Mutex::new(Some(Device::new(limits, cost, shared.epoch, seed, shared.plans.clone()))),
+            device: Mutex::new(Some(device)),
             changed: Notify::new(),
         });
         {

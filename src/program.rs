@@ -46,7 +46,9 @@
 //! ```
 //!
 //! What must always hold:
-//! - Nothing is kept of a page but what a reply to the request for this very page has brought.
+//! - Nothing is kept of a page but what a reply to the request for this very page has brought. A check (4E) every 64 pages and in
+//!   the end confirms that: if a duplicate of a reply came out of order, what was read since the last check is read again, as often
+//!   as reads are retried. Pages that are not confirmed are dropped when a run ends.
 //! - The header fits the ladder size of 53; so the number of pages is known before the second is asked for.
 //! - Pages of two runs come together only if both are with the same station, by number and endpoint, and the PLC's type, version and ladder size and its page 0 are still the same; and
 //!   they are compared once more when all pages are there. A change of one of these is
@@ -78,6 +80,9 @@
 //! - Nothing is written, and nothing is stopped, unless the program fits the PLC: size, kind, no ROM pack. The one exception is a
 //!   PLC that an earlier run of the same [`WriteProgram`] has left half-written, as below.
 //! - Nothing is written before the PLC's status has said that it is stopped.
+//! - What was read is acted upon only when a check (4E) has confirmed it: the comparison before the first page is written, each
+//!   status, and all pages that were read back before the program is said to be written, and before RUN. If a duplicate of a reply
+//!   came out of order, the pages since the last check are compared or read back again, as often as reads are retried.
 //! - A page counts as written when it has been read back and is what it should be. A page whose write had no answer, or that
 //!   reads back as something else, is written again, a bounded number of times. That is harmless: it is the same page.
 //! - RUN is sent only if it was asked for, the PLC ran before and has obeyed a STOP from here, and every page has been found to

@@ -118,31 +118,49 @@ pub(super) fn runs_of_values<T>(
 /// Requests that are still to be made, one after the other; what a request was refused for is found by halving it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Chunks {
-    /// The next one is the last.
+    /// Runs of elements, of any length; the next one is the last.
     waiting: Vec<Chunk>,
 }
 
 impl Chunks {
     /// As few requests as name all of these, in this order; no value of two registers is split.
     pub(super) fn new(runs: impl IntoIterator<Item = (usize, Tag, Range<usize>)>) -> Self {
-        let mut waiting: Vec<Chunk> =
-            runs.into_iter().flat_map(|(block, range, places)| cut(block, range, places)).collect();
+        let run = |(block, range, places): (usize, Tag, Range<usize>)| Chunk {
+            block,
+            range,
+            start: places.start,
+            count: places.len(),
+        };
+        let mut waiting: Vec<Chunk> = runs.into_iter().map(run).filter(|run| run.count > 0).collect();
         waiting.reverse();
         Self { waiting }
     }
 
+    /// The next request: as many elements as one holds.
     pub(super) fn next(&self) -> Option<Chunk> {
-        self.waiting.last().copied()
+        self.waiting.last().map(|run| Chunk { count: most_at_once(*run), ..*run })
     }
 
     /// The next one is settled.
     pub(super) fn done(&mut self) {
-        self.waiting.pop();
+        self.done_first(usize::MAX);
+    }
+
+    /// The first elements of the next one are settled. The others of it come with the next request.
+    pub(super) fn done_first(&mut self, count: usize) {
+        let Some(run) = self.waiting.last_mut() else { return };
+        let count = count.min(most_at_once(*run));
+        run.start = run.start.saturating_add(count);
+        run.count = run.count.saturating_sub(count);
+        if run.count == 0 {
+            self.waiting.pop();
+        }
     }
 
     /// The next one was refused: its halves come in its place. A single value, or what there is of it, is given back.
     pub(super) fn refused(&mut self) -> Option<Chunk> {
-        let chunk = self.waiting.pop()?;
+        let chunk = self.next()?;
+        self.done();
         let Some(half) = half(chunk) else { return Some(chunk) };
         let rest = chunk.count.saturating_sub(half);
         self.waiting.push(Chunk { start: chunk.start.saturating_add(half), count: rest, ..chunk });
@@ -154,21 +172,31 @@ impl Chunks {
     pub(super) fn prepend(&mut self, other: Self) {
         self.waiting.extend(other.waiting);
     }
+
+    /// These are asked for again, before the others.
+    pub(super) fn again(&mut self, chunks: impl IntoIterator<Item = Chunk>) {
+        let mut runs: Vec<Chunk> = Vec::new();
+        for chunk in chunks {
+            match runs.last_mut() {
+                Some(run) if run.block == chunk.block && run.places().end == chunk.start => {
+                    run.count = run.count.saturating_add(chunk.count);
+                }
+                Some(_) | None => runs.push(chunk),
+            }
+        }
+        self.waiting.extend(runs.into_iter().rev());
+    }
 }
 
-fn cut(block: usize, range: Tag, places: Range<usize>) -> Vec<Chunk> {
-    let (most, per_value) = (most_in_one_request(range.first()), range.elements_per_value());
-    let mut chunks = Vec::new();
-    let mut start = places.start;
-    while start < places.end {
-        let mut end = places.end.min(start.saturating_add(most));
-        if end < places.end {
-            end = end.saturating_sub(end.checked_rem(per_value).unwrap_or(0));
-        }
-        chunks.push(Chunk { block, range, start, count: end.saturating_sub(start) });
-        start = end;
+/// How many elements of a run the next request names: values stay whole.
+fn most_at_once(run: Chunk) -> usize {
+    let most = most_in_one_request(run.range.first());
+    if run.count <= most {
+        return run.count;
     }
-    chunks
+    let end = run.start.saturating_add(most);
+    let past = end.checked_rem(run.range.elements_per_value()).unwrap_or(0);
+    most.saturating_sub(past)
 }
 
 /// How many elements the first half has; values stay whole, and a value alone has no halves.

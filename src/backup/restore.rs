@@ -4,14 +4,14 @@ use std::fmt;
 
 use tokio::time::{Duration, Instant, sleep};
 
-use super::restoring::{Goal, Reply, Restoring, Step};
+use super::restoring::{Goal, Reply, Restoring, State, Step};
 use super::take::{OnProgress, content_len, fetch};
 use super::{Backup, RestoreError, RestoreFailure, RestoreReport};
-use crate::command::{Value, WriteDiscretes, WriteRegisters};
+use crate::command::{MAX_POINTS, ReadDisabled, ReadStatus, Value, WriteDiscretes, WriteRegisters};
 use crate::element::Element;
 use crate::error::Error;
 use crate::progress::{Meter, Progress};
-use crate::station::{BegunWith, OtherStation, Station};
+use crate::station::{BegunWith, JobReply, OtherStation, Outcome, Station, StationJob};
 use crate::tag::Tag;
 
 /// How a backup is restored.
@@ -170,20 +170,39 @@ impl Restore {
         let same = self.begun_with.go_on(station, self.restoring.is_bound());
         same.map_err(|OtherStation { begun, station }| self.failed(RestoreFailure::OtherStation { begun, station }))?;
         self.restoring.begin(goal);
+        let mut job = StationJob::new(station);
         let mut meter: Option<Meter> = None;
         loop {
             let began = Instant::now();
             let step = self.restoring.next();
             let step = step.map_err(|source| self.failed(source))?;
-            let bytes = match &step {
+            let (mark, shorter) = (self.restoring.mark(), self.restoring.takes_shorter());
+            let (bytes, handled) = match step {
                 Step::Done => return Ok(self.restoring.report()),
-                Step::Read(chunk) => content_len(chunk.range, chunk.count),
-                Step::Write(range, values) => content_len(*range, values.len()),
-                _ => 0,
+                Step::Confirm => {
+                    let confirmed = job.confirm().await;
+                    (0, self.restoring.confirmed(confirmed))
+                }
+                step => {
+                    let range = match &step {
+                        Step::Read(chunk) => Some(chunk.range),
+                        Step::Write(range, _) => Some(*range),
+                        _ => None,
+                    };
+                    match ask(station, &mut job, mark, shorter, step).await {
+                        Ok(Outcome::Reply(JobReply { reply, count })) => {
+                            let bytes = range.map_or(0, |range| content_len(range, count));
+                            (bytes, self.restoring.handle(Ok(reply)))
+                        }
+                        Ok(Outcome::Rewind(mark)) => {
+                            self.restoring.rewind(mark);
+                            (0, Ok(()))
+                        }
+                        Err(error) => (0, self.restoring.handle(Err(error))),
+                    }
+                }
             };
-            let reply = ask(station, step).await;
-            let bytes = if reply.is_ok() { bytes } else { 0 };
-            self.restoring.handle(reply).map_err(|source| self.failed(source))?;
+            handled.map_err(|source| self.failed(source))?;
             if let Some(tell) = self.on_progress.as_mut().filter(|_| bytes > 0) {
                 let (phase, done, total) = self.restoring.progress();
                 // The request that begins a phase belongs to it, and so does its time.
@@ -209,47 +228,57 @@ impl fmt::Debug for Restore {
     }
 }
 
-async fn ask(station: &Station, step: Step) -> Result<Reply, Error> {
+type Asked<T> = Result<Outcome<State, T>, Error>;
+
+async fn ask(
+    station: &Station,
+    job: &mut StationJob<'_, State>,
+    mark: State,
+    shorter: bool,
+    step: Step,
+) -> Asked<Reply> {
+    let done = |reply| Outcome::Reply(JobReply { reply, count: 0 });
     Ok(match step {
-        Step::Status => Reply::Running(station.read_status().await?.flags().running()),
+        Step::Status => job.call(mark, ReadStatus, false).await?.map(|status| Reply::Running(status.flags().running())),
         Step::Stop => {
             station.stop().await?;
-            Reply::Done
+            done(Reply::Done)
         }
         Step::Run => {
             station.run().await?;
-            Reply::Done
+            done(Reply::Done)
         }
         Step::Pause => {
             sleep(PAUSE).await;
-            Reply::Done
+            done(Reply::Done)
         }
-        Step::Read(chunk) => Reply::Values(fetch(station, chunk).await?),
-        Step::ReadForced(first, count) => Reply::Forced(station.read_disabled(first, count).await?),
-        Step::Write(range, values) => {
-            store(station, range, &values).await?;
-            Reply::Done
+        Step::Read(chunk) => fetch(job, mark, chunk, shorter).await?.map(Reply::Values),
+        Step::ReadForced(first, count) if count <= MAX_POINTS => {
+            job.call(mark, ReadDisabled::new(first, count)?, false).await?.map(Reply::Forced)
         }
-        Step::Done => Reply::Done,
+        // A job of its own.
+        Step::ReadForced(first, count) => done(Reply::Forced(station.read_disabled(first, count).await?)),
+        Step::Write(range, values) => store(job, mark, range, &values).await?.map(|()| Reply::Done),
+        Step::Confirm | Step::Done => done(Reply::Done),
     })
 }
 
 /// Writes these elements in one request.
-async fn store(station: &Station, range: Tag, values: &[Value]) -> Result<(), Error> {
+async fn store(job: &mut StationJob<'_, State>, mark: State, range: Tag, values: &[Value]) -> Asked<()> {
     match range.first() {
         Element::Discrete(first) => {
             let bits = values.iter().filter_map(|value| if let Value::Bit(on) = *value { Some(on) } else { None });
-            station.call(WriteDiscretes::new(first, bits.collect::<Vec<_>>())?).await
+            job.call(mark, WriteDiscretes::new(first, bits.collect::<Vec<_>>())?, false).await
         }
         Element::Register(first) => {
             let words =
                 values.iter().filter_map(|value| if let Value::Word(word) = *value { Some(word) } else { None });
-            station.call(WriteRegisters::new(first, words.collect::<Vec<_>>())?).await
+            job.call(mark, WriteRegisters::new(first, words.collect::<Vec<_>>())?, false).await
         }
         Element::Register32(first) => {
             let doubles =
                 values.iter().filter_map(|value| if let Value::Double(double) = *value { Some(double) } else { None });
-            station.call(WriteRegisters::new(first, doubles.collect::<Vec<_>>())?).await
+            job.call(mark, WriteRegisters::new(first, doubles.collect::<Vec<_>>())?, false).await
         }
     }
 }

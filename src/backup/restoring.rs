@@ -1,9 +1,10 @@
 //! The states of restoring, as the [module](super) draws them. No I/O, and no clock.
 
+mod confirm;
 mod states;
 
-use self::states::State;
-pub(super) use self::states::{Goal, Reply, Step};
+use self::confirm::Then;
+pub(super) use self::states::{Goal, Reply, State, Step};
 use super::block::{Chunk, Chunks, discretes, is_not_for_restoring, runs, runs_of_values};
 use super::restore::{IfRunning, RestoreOptions};
 use super::target::{Mark, Slot, Target};
@@ -32,6 +33,8 @@ pub(super) struct Restoring {
     before: Vec<Mark>,
     /// How often in a row the same was tried without an answer, or without effect.
     tries: u32,
+    /// All that was read is to be confirmed, and this follows.
+    confirms: Option<Then>,
     /// Whether the PLC was running before it was stopped, and whether it was: also by earlier runs.
     ran: bool,
     was_stopped: bool,
@@ -55,6 +58,7 @@ impl Restoring {
             total: 0,
             before: Vec::new(),
             tries: 0,
+            confirms: None,
             ran: false,
             was_stopped: false,
             plc: PlcState::Unknown,
@@ -70,6 +74,7 @@ impl Restoring {
         }
         self.targets.iter_mut().chain(&mut self.left_out).for_each(Target::forget);
         self.remaining.clear();
+        self.confirms = None;
         self.plc = PlcState::Unknown;
         self.goal = goal;
         match goal {
@@ -86,8 +91,15 @@ impl Restoring {
 
     pub(super) fn next(&mut self) -> Result<Step, RestoreFailure> {
         loop {
+            if self.confirms.is_some() {
+                return Ok(Step::Confirm);
+            }
             let Some(step) = self.step() else {
-                self.leave()?;
+                if self.state.reads() && self.total > 0 {
+                    self.confirms = Some(Then::Leave);
+                } else {
+                    self.leave()?;
+                }
                 continue;
             };
             // What is sent may be done, whether anybody waits for the answer or not.
@@ -158,7 +170,7 @@ impl Restoring {
 
     /// Whether anything was sent that is settled.
     fn has_sent(&self) -> bool {
-        self.count(|mark| matches!(mark, Mark::Written | Mark::NotTaken(_))) > 0
+        self.count(|mark| matches!(mark, Mark::Written | Mark::Doubt | Mark::NotTaken(_))) > 0
     }
 
     /// All is read back, and what is known of the PLC is so.
@@ -233,23 +245,13 @@ impl Restoring {
                 }
             },
             State::PauseToStop => self.state = State::Stop,
-            State::Ready => match (self.running(reply)?, self.options.if_running) {
-                (false, _) => self.enter(State::Write),
-                (true, IfRunning::Stop) if self.was_stopped => return Err(self.set_running()),
-                (true, IfRunning::Stop) => {
-                    self.ran = true;
-                    self.enter(State::Stop);
-                }
-                (true, _) => return Err(RestoreFailure::Running),
+            State::Ready | State::LastLook | State::Running => match reply {
+                Ok(reply) => self.confirms = Some(Then::Look(reply)),
+                Err(error) => self.look(Err(error))?,
             },
-            State::LastLook => self.looked(reply)?,
             State::Run => {
                 self.told("running the PLC, which is still stopped", reply, PlcState::Stopped, State::Running)?;
             }
-            State::Running => match self.running(reply)? {
-                true => self.enter(State::Done),
-                false => self.again(State::PauseToRun, RestoreFailure::NotRunning)?,
-            },
             State::PauseToRun => self.state = State::Run,
             State::Compare | State::Forced | State::Write | State::Check | State::Verify => {
                 if let Some(chunk) = self.chunks.next() {
@@ -259,23 +261,6 @@ impl Restoring {
             State::Done => {}
         }
         Ok(())
-    }
-
-    /// It has been written, and should have stood still.
-    fn looked(&mut self, reply: Result<Reply, Error>) -> Result<(), RestoreFailure> {
-        match self.running(reply) {
-            Ok(false) => self.end(),
-            Ok(true) if self.has_sent() => Err(self.set_running()),
-            Ok(true) if self.options.if_running == IfRunning::Refuse => Err(RestoreFailure::Running),
-            // It holds all, and this run has sent nothing.
-            Ok(true) => self.end(),
-            Err(failure) => {
-                self.plc = PlcState::Unknown;
-                // Of two failures the first one counts.
-                let differing = self.remaining.len();
-                Err(if differing > 0 { RestoreFailure::Differs { count: differing } } else { failure })
-            }
-        }
     }
 
     /// 41 was sent: whatever came of it, the status tells; unless nothing can have, and it is as it was.
@@ -315,6 +300,7 @@ impl Restoring {
     fn handle_chunk(&mut self, chunk: Chunk, reply: Result<Reply, Error>) -> Result<(), RestoreFailure> {
         match (self.state, reply) {
             (State::Compare, Ok(Reply::Values(values))) => {
+                let chunk = first(chunk, &values);
                 for (slot, value) in self.slots(chunk).iter_mut().zip(values) {
                     slot.found = Some(value);
                     slot.mark = if slot.wanted == Some(value) { Mark::Same } else { Mark::Differs };
@@ -339,8 +325,9 @@ impl Restoring {
                 self.settled(chunk);
             }
             (State::Write, Err(error)) => return self.not_written(chunk, error),
-            (State::Check, Ok(Reply::Values(values))) => self.checked(chunk, &values),
+            (State::Check, Ok(Reply::Values(values))) => self.confirms = Some(Then::Checked(values)),
             (State::Verify, Ok(Reply::Values(values))) => {
+                let chunk = first(chunk, &values);
                 self.verified(chunk, &values.into_iter().map(Some).collect::<Vec<_>>());
                 self.settled(chunk);
             }
@@ -425,7 +412,7 @@ impl Restoring {
     }
 
     fn settled(&mut self, chunk: Chunk) {
-        self.chunks.done();
+        self.chunks.done_first(chunk.count);
         self.done = self.done.saturating_add(chunk.count);
     }
 
@@ -473,6 +460,11 @@ impl Restoring {
         let slots = target.and_then(|target| target.slots.get_mut(chunk.places()));
         slots.unwrap_or_default()
     }
+}
+
+/// The part of a chunk that a reply has values of.
+fn first(chunk: Chunk, values: &[Value]) -> Chunk {
+    Chunk { count: chunk.count.min(values.len()), ..chunk }
 }
 
 #[cfg(test)]

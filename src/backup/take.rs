@@ -6,12 +6,13 @@ use std::time::{Duration, SystemTime};
 use tokio::time::Instant;
 
 use super::block::{Chunk, Chunks, runs};
+use super::held::Held;
 use super::{Backup, BackupError, InvalidBackup, Missing, Origin};
 use crate::command::{DetailedStatus, ReadDiscretes, ReadRegisters, Value};
 use crate::element::{Element, Width};
 use crate::error::Error;
 use crate::progress::{Meter, Phase, Progress};
-use crate::station::Station;
+use crate::station::{JobReply, Outcome, Station, StationJob};
 use crate::tag::Tag;
 
 pub(super) type OnProgress = Box<dyn FnMut(&Progress) + Send>;
@@ -38,6 +39,7 @@ pub(super) type OnProgress = Box<dyn FnMut(&Progress) + Send>;
 #[must_use]
 pub struct TakeBackup {
     backup: Backup,
+    held: Held,
     on_progress: Option<OnProgress>,
 }
 
@@ -52,7 +54,7 @@ impl TakeBackup {
 
     /// Goes on with a backup: what is [`Missing::NotRead`] in it is to be read, from the station that the rest has come from.
     pub fn resume(partial: Backup) -> Self {
-        Self { backup: partial, on_progress: None }
+        Self { backup: partial, held: Held::default(), on_progress: None }
     }
 
     /// Called after each request; the steps are elements. It must not take long: the PLC waits meanwhile.
@@ -61,7 +63,8 @@ impl TakeBackup {
         self
     }
 
-    /// What has been read so far. The rest is [`Missing::NotRead`].
+    /// What has been read and confirmed so far. The rest is [`Missing::NotRead`]; of a run that was broken off, that may be the
+    /// values of its last 32 requests.
     #[must_use]
     pub fn partial(&self) -> &Backup {
         &self.backup
@@ -69,8 +72,9 @@ impl TakeBackup {
 
     /// Reads what has not been read, and gives the backup. What the PLC refuses to give is missing in it, and no failure.
     ///
-    /// Each request is a read of its own, with the timeouts and retries of the station's [options](Station::options). The
-    /// future can be dropped at any time.
+    /// Each request is a read of its own, with the timeouts and retries of the station's [options](Station::options). A check
+    /// (4E) after every 32 requests and in the end confirms that no reply was a duplicate out of order; if one was, those since
+    /// the last check are read again, as often as reads are retried. The future can be dropped at any time.
     ///
     /// # Errors
     /// [`BackupError::Call`] when a request fails and it is no refusal: no answer, no connection. Run it again to go on.
@@ -88,31 +92,71 @@ impl TakeBackup {
         }));
         let (total, mut done) = (self.backup.element_count(), self.done());
         let mut meter = Meter::new(Phase::Reading, total, done, Instant::now());
-        while let Some(chunk) = chunks.next() {
-            let values = fetch(station, chunk).await;
-            let Some(block) = self.backup.blocks.get_mut(chunk.block) else { break };
-            let bytes = match values {
-                Ok(values) => {
-                    block.fill(chunk, &values);
-                    chunks.done();
-                    done = done.saturating_add(chunk.count);
-                    content_len(chunk.range, chunk.count)
+        let mut job = StationJob::new(station);
+        self.held.begin();
+        loop {
+            let Some(chunk) = chunks.next().filter(|_| !self.held.is_full()) else {
+                match job.confirm().await {
+                    Ok(None) => {
+                        self.keep(None);
+                        self.held.checked();
+                        if chunks.next().is_none() {
+                            return Ok(self.backup.clone());
+                        }
+                    }
+                    Ok(Some(mark)) => done = done.saturating_sub(again(&mut chunks, self.held.rewind(mark))),
+                    Err(error) => return Err(self.failed(error)),
                 }
+                continue;
+            };
+            let bytes = match fetch(&mut job, self.held.mark(), chunk, true).await {
+                Ok(Outcome::Reply(JobReply { reply: values, .. })) => {
+                    let count = values.len().min(chunk.count);
+                    self.held.hold(Chunk { count, ..chunk }, values);
+                    self.keep(job.first_held());
+                    chunks.done_first(count);
+                    done = done.saturating_add(count);
+                    content_len(chunk.range, count)
+                }
+                Ok(Outcome::Rewind(mark)) => {
+                    done = done.saturating_sub(again(&mut chunks, self.held.rewind(mark)));
+                    0
+                }
+                // With the refusal all before it is confirmed.
                 Err(Error::Plc { error, .. }) => {
+                    self.keep(None);
                     if let Some(single) = chunks.refused() {
-                        block.refuse(single, error);
+                        if let Some(block) = self.backup.blocks.get_mut(single.block) {
+                            block.refuse(single, error);
+                        }
                         done = done.saturating_add(single.count);
                     }
                     0
                 }
-                Err(error) => return Err(self.failed(error)),
+                Err(error) => {
+                    self.keep(job.first_held());
+                    // What was read before is kept if the PLC still confirms it.
+                    let duplicates = matches!(error, Error::Duplicates { .. });
+                    if !duplicates && matches!(job.confirm().await, Ok(None)) {
+                        self.keep(None);
+                    }
+                    return Err(self.failed(error));
+                }
             };
             if let Some(tell) = &mut self.on_progress {
                 meter.advance(done, total, bytes);
                 tell(&meter.progress(Instant::now()));
             }
         }
-        Ok(self.backup.clone())
+    }
+
+    /// Keeps the values that are confirmed: those before this mark; `None`: all.
+    fn keep(&mut self, first_held: Option<usize>) {
+        for (chunk, values) in self.held.confirmed(first_held) {
+            if let Some(block) = self.backup.blocks.get_mut(chunk.block) {
+                block.fill(chunk, &values);
+            }
+        }
     }
 
     /// Asks the PLC what it is.
@@ -170,13 +214,27 @@ fn whole_seconds(time: SystemTime) -> SystemTime {
     SystemTime::UNIX_EPOCH.checked_add(Duration::from_secs(seconds)).unwrap_or(SystemTime::UNIX_EPOCH)
 }
 
-/// Reads a part of a range in one request.
-pub(super) async fn fetch(station: &Station, chunk: Chunk) -> Result<Vec<Value>, Error> {
+/// Has these asked for again, and gives the number of their elements.
+fn again(chunks: &mut Chunks, dropped: Vec<Chunk>) -> usize {
+    let elements = dropped.iter().map(|chunk| chunk.count).sum();
+    chunks.again(dropped);
+    elements
+}
+
+/// Reads a part of a range in one request of a job. `shorter`: the last element may be left to the next request.
+pub(super) async fn fetch<M: Copy>(
+    job: &mut StationJob<'_, M>,
+    mark: M,
+    chunk: Chunk,
+    shorter: bool,
+) -> Result<Outcome<M, Vec<Value>>, Error> {
     let (first, count) = (chunk.names().first(), chunk.count);
+    // A value of two registers is never split.
+    let longer = shorter && chunk.range.elements_per_value() == 1;
     Ok(match first {
-        Element::Discrete(first) => values(station.call(ReadDiscretes::new(first, count)?).await?),
-        Element::Register(first) => values(station.call(ReadRegisters::new(first, count)?).await?),
-        Element::Register32(first) => values(station.call(ReadRegisters::new(first, count)?).await?),
+        Element::Discrete(first) => job.call(mark, ReadDiscretes::new(first, count)?, longer).await?.map(values),
+        Element::Register(first) => job.call(mark, ReadRegisters::new(first, count)?, longer).await?.map(values),
+        Element::Register32(first) => job.call(mark, ReadRegisters::new(first, count)?, longer).await?.map(values),
     })
 }
 

@@ -1,12 +1,11 @@
 use std::fmt;
 use std::time::Duration;
 
-use tokio::time::Instant;
-
 use super::Reply;
 use crate::command::{Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Element, Register, Register32};
 use crate::error::Error;
+use crate::link::{Answered, Purpose};
 use crate::station::{Outcome, Station, StationJob};
 use crate::wire::Framing;
 
@@ -66,18 +65,23 @@ impl ReadRequest {
     /// # Errors
     /// As for every method of [`Station`].
     pub async fn call(&self, station: &Station) -> Result<Reply, Error> {
-        self.timed_call(station).await.0
+        Ok(match self {
+            Self::Discretes(request) => Reply::Bits(station.call(*request).await?),
+            Self::Registers(request) => Reply::Words(station.call(*request).await?),
+            Self::Registers32(request) => Reply::Doubles(station.call(*request).await?),
+            Self::Mixed(request) => Reply::Mixed(station.call(request.clone()).await?),
+        })
     }
 
-    /// Sends it, and tells when the reply came; if none did, when that was known.
-    pub(crate) async fn timed_call(&self, station: &Station) -> (Result<Reply, Error>, Instant) {
+    /// Sends it as a part of a job that the caller keeps.
+    pub(crate) async fn call_in_cycle(&self, station: &Station) -> Answered<Reply> {
         async fn call<C: Command>(
             station: &Station,
             request: C,
             reply: impl FnOnce(C::Reply) -> Reply,
-        ) -> (Result<Reply, Error>, Instant) {
-            let (result, at) = station.timed_call(request).await;
-            (result.map(reply), at)
+        ) -> Answered<Reply> {
+            let Answered { result, at, spelling, shape, proof } = station.submit(request, Purpose::InJob).await;
+            Answered { result: result.map(reply), at, spelling, shape, proof }
         }
         match self {
             Self::Discretes(request) => call(station, *request, Reply::Bits).await,

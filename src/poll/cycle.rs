@@ -20,16 +20,21 @@
 //! - No answer *abandons* the cycle: a station that does not answer one request will not answer the others. The next
 //!   cycle begins behind the request that failed, so that one which never gets an answer does not keep the others from
 //!   theirs.
+//! - A cycle is a [job](crate::link::job): its values are held until a check has confirmed them. `confirm` has this part.
 //!
 //! What must always hold:
 //! - a tag's values are those of replies to requests of this cycle, one plan's, and its stamp is that of the first;
-//! - a tag is at fault only if it was refused by itself;
+//! - a value is given out only once, and only if it is confirmed;
+//! - a tag is at fault only if it was refused by itself, and the refusal is confirmed;
 //! - the cycle ends: each half is smaller than what it is a half of, and each phase comes once.
+
+mod confirm;
 
 use std::sync::Arc;
 
 use tokio::time::Instant;
 
+use self::confirm::Held;
 use super::batch::Batch;
 use super::class::ScanClass;
 use super::known::Known;
@@ -48,14 +53,24 @@ pub(super) struct Cycle {
     pub(super) due: Instant,
     pub(super) started: Instant,
     start: Start,
-    /// How many plans the class has.
-    works: usize,
+    /// The plans of the class.
+    works: Vec<Arc<Work>>,
     phase: Phase,
     stack: Vec<Frame>,
     /// What the probe phase tries.
     probe: Vec<TagId>,
+    held: Held,
     /// Why it was given up, and where the next one begins.
     pub(super) abandoned: Option<(Reason, Start)>,
+}
+
+/// A step of a cycle.
+#[derive(Debug)]
+pub(super) enum Ask<'c> {
+    /// This is to be sent.
+    Read(&'c ReadRequest),
+    /// The results so far are to be confirmed by a check.
+    Confirm,
 }
 
 /// Where a cycle begins: with this plan of the class, the others after it, and the last one with this request. So what had
@@ -102,6 +117,10 @@ pub(super) struct Bench<'d> {
     /// The tags of the class; those of a group stand together.
     pub(super) members: &'d [TagId],
     pub(super) samples: &'d mut Vec<Sample>,
+    /// The oldest stamp of the values that were given out.
+    pub(super) oldest: Option<Instant>,
+    /// Whether results were dropped because duplicates came out of order.
+    pub(super) repeated: bool,
 }
 
 impl Cycle {
@@ -113,28 +132,39 @@ impl Cycle {
         now: Stamp,
         bench: &mut Bench<'_>,
     ) -> (Self, Vec<Arc<Work>>) {
-        let (stack, probe) = (Vec::new(), Vec::new());
-        let phase = Phase::Members;
+        let (stack, probe, held) = (Vec::new(), Vec::new(), Held::new(bench.known.polled.retries));
+        let (phase, plans) = (Phase::Members, Vec::new());
         let mut cycle =
-            Self { number, due, started: now.instant, start, works: 0, phase, stack, probe, abandoned: None };
+            Self { number, due, started: now.instant, start, works: plans, phase, stack, probe, held, abandoned: None };
         let works = works.unwrap_or_else(|| {
             let refused = |id: &&TagId| bench.known.points.get(**id).is_some_and(|point| point.is_refused());
             let members: Vec<Piece> = bench.members.iter().filter(|id| !refused(id)).map(Piece::whole).collect();
             cycle.plan(&members, now, bench)
         });
-        cycle.works = works.len();
+        cycle.works.clone_from(&works);
+        cycle.begin(now, bench);
+        (cycle, works)
+    }
+
+    /// Begins with the plans of the class.
+    fn begin(&mut self, now: Stamp, bench: &mut Bench<'_>) {
+        let (works, start) = (&self.works, self.start);
         // The last one lies lowest.
         for place in (0..works.len()).rev() {
             let last = place.saturating_add(1) == works.len();
             let request = if last { start.request } else { 0 };
             let work = start.work.saturating_add(place).checked_rem(works.len()).and_then(|at| works.get(at));
-            cycle.stack.extend(work.map(|work| Frame::Batch(Batch::new(work.clone(), request))));
+            self.stack.extend(work.map(|work| Frame::Batch(Batch::new(work.clone(), request))));
         }
-        cycle.settle(now, bench);
-        (cycle, works)
+        self.settle(now, bench);
     }
 
-    /// What is to be sent next; `None`: the cycle is over.
+    /// The next step; `None`: the cycle is over.
+    pub(super) fn ask(&self) -> Option<Ask<'_>> {
+        if self.held.is_to_be_confirmed() { Some(Ask::Confirm) } else { self.request().map(Ask::Read) }
+    }
+
+    /// The request that is to be sent next.
     pub(super) fn request(&self) -> Option<&ReadRequest> {
         match self.stack.last()? {
             Frame::Batch(batch) => batch.request(),
@@ -150,25 +180,14 @@ impl Cycle {
         }
     }
 
-    /// The reply to what was sent. Gives the oldest stamp of the values that are complete with it.
-    pub(super) fn replied(&mut self, words: Words, at: Stamp, bench: &mut Bench<'_>) -> Option<Instant> {
-        let mut oldest: Option<Instant> = None;
+    /// The reply to what was sent.
+    fn replied(&mut self, words: Words, at: Stamp, bench: &mut Bench<'_>) {
         if let Some(request) = self.request() {
             bench.known.lessons.answered(request);
         }
         match self.stack.last_mut() {
-            Some(Frame::Batch(batch)) => batch.replied(words, at, |id, values, at| {
-                if let Some(point) = bench.known.points.get_mut(id) {
-                    let was_refused = point.is_refused();
-                    point.cycle = self.number;
-                    point.read(values, at, bench.samples);
-                    oldest = Some(oldest.map_or(at.instant, |oldest| oldest.min(at.instant)));
-                    if was_refused {
-                        bench.known.changed();
-                    }
-                }
-            }),
-            // Whatever it was has passed.
+            Some(Frame::Batch(batch)) => batch.replied(words, at, |id, values, at| self.held.hold(id, values, at)),
+            // The reason of the refusal has passed.
             Some(Frame::Suspect(_)) => {
                 self.stack.pop();
                 self.explain();
@@ -176,11 +195,10 @@ impl Cycle {
             None => {}
         }
         self.settle(at, bench);
-        oldest
     }
 
     /// The PLC refused what was sent.
-    pub(super) fn refused(&mut self, code: ErrorCode, now: Stamp, bench: &mut Bench<'_>) {
+    fn refused(&mut self, code: ErrorCode, now: Stamp, bench: &mut Bench<'_>) {
         match self.stack.last_mut() {
             Some(Frame::Batch(batch)) => {
                 let at = batch.at();
@@ -203,23 +221,20 @@ impl Cycle {
         self.settle(now, bench);
     }
 
-    /// No answer came to what was sent.
-    pub(super) fn failed(&mut self, reason: Reason) {
+    /// Where the next cycle begins if this one is given up now.
+    fn next_start(&self) -> Start {
         let works = self.stack.iter().map_while(|frame| match frame {
             Frame::Batch(batch) => Some(batch),
             Frame::Suspect(_) => None,
         });
-        let start = match (self.phase, works.enumerate().last()) {
+        match (self.phase, works.enumerate().last()) {
             // So many are left that lie below it, and it comes to lie lowest.
             (Phase::Members, Some((left, batch))) => Start {
-                work: self.start.work.saturating_add(self.works).saturating_sub(left),
+                work: self.start.work.saturating_add(self.works.len()).saturating_sub(left),
                 request: batch.next_start(self.stack.len() > left.saturating_add(1)),
             },
-            _ => Start::default(),
-        };
-        self.stack.clear();
-        self.phase = Phase::Over;
-        self.abandoned = Some((reason, start));
+            (Phase::Members | Phase::Probe | Phase::Others | Phase::Over, _) => Start::default(),
+        }
     }
 
     fn take_apart(&mut self, work: &Work, at: usize, code: ErrorCode, now: Stamp, bench: &mut Bench<'_>) {
@@ -291,13 +306,19 @@ impl Cycle {
                         return;
                     }
                 }
-                None => match self.next_phase(now, bench) {
-                    Some(pieces) => self.push(&pieces, now, bench),
-                    None => {
-                        self.phase = Phase::Over;
+                None => {
+                    // The next phase depends on the results of this one.
+                    if self.phase != Phase::Over && self.confirm_phase(bench) {
                         return;
                     }
-                },
+                    match self.next_phase(now, bench) {
+                        Some(pieces) => self.push(&pieces, now, bench),
+                        None => {
+                            self.phase = Phase::Over;
+                            return;
+                        }
+                    }
+                }
             }
         }
     }
@@ -403,9 +424,10 @@ impl Cycle {
     }
 }
 
-/// Whether there is still something to be found out about a piece: it has not been removed, nor refused in this cycle.
+/// Whether there is still something to be found out about a piece: it has not been removed, and this cycle has given out
+/// neither values nor a refusal of it.
 fn is_wanted(piece: Piece, number: u64, points: &Points) -> bool {
-    points.get(piece.id).is_some_and(|point| !point.is_refused() || point.cycle != number)
+    points.get(piece.id).is_some_and(|point| point.cycle != number)
 }
 
 impl Suspect {

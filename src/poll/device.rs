@@ -10,6 +10,7 @@
 //! What must always hold:
 //! - a cycle begins at a time of its class's grid, or later if that cannot be; the times of the grid at which one is still
 //!   running are counted as overruns and skipped: there is never more than one cycle of a class;
+//! - values are given out only when their cycle has confirmed them;
 //! - a removed tag has no samples after its removal;
 //! - the quality of every tag is true now, after [`next`](Device::next) or [`age`](Device::age) has been called with now.
 
@@ -19,8 +20,8 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::class::{PollTag, ScanClass};
-use super::cycle::{Bench, Cycle, Start};
-use super::known::Known;
+use super::cycle::{Ask, Bench, Cycle, Start};
+use super::known::{Known, Polled};
 use super::plans::Plans;
 use super::point::Point;
 use super::points::Points;
@@ -29,6 +30,7 @@ use super::trip::Trip;
 use super::work::Work;
 use super::{PollError, Reason, Sample, Stamp, TagId};
 use crate::error::{Error, ErrorCode};
+use crate::link::{Proof, Shape};
 use crate::plan::{CostModel, Limits, PlanError, ReadRequest, Reply, Words};
 use crate::random::Random;
 
@@ -80,14 +82,34 @@ const KEPT: Duration = Duration::from_secs(60);
 pub(super) enum Step {
     /// This is to be sent. Apart, because the task waits for its next cycle nearly always.
     Read(Box<ReadRequest>),
+    /// The results of a cycle are to be confirmed by a check: see [`Device::confirmed`].
+    Confirm,
     /// Nothing, until then, or until tags come.
     Wait(Option<Instant>),
 }
 
+/// The answer to a request.
+#[derive(Debug)]
+pub(super) struct Answer {
+    pub(super) result: Result<Reply, Error>,
+    /// When it came, or when it was known that there is none.
+    pub(super) at: Stamp,
+    /// The time on the wire, as far as it is known.
+    pub(super) trip: Option<Duration>,
+    pub(super) shape: Shape,
+    pub(super) proof: Proof,
+}
+
 impl Device {
-    pub(super) fn new(limits: Arc<Limits>, cost: CostModel, epoch: Instant, seed: u64, plans: Arc<Plans>) -> Self {
+    pub(super) fn new(
+        polled: Polled,
+        (limits, cost): (Arc<Limits>, CostModel),
+        epoch: Instant,
+        seed: u64,
+        plans: Arc<Plans>,
+    ) -> Self {
         Self {
-            known: Known::new(limits, Trip::new(cost), plans),
+            known: Known::new(limits, Trip::new(cost), plans, polled),
             classes: Vec::new(),
             retired: None,
             asking: None,
@@ -217,53 +239,76 @@ impl Device {
         }
         let running = self.classes.iter().enumerate().filter_map(|(at, class)| {
             let cycle = class.cycle.as_ref()?;
-            Some((cycle.due.checked_add(class.scan.period)?, at, cycle.request()?))
+            Some((cycle.due.checked_add(class.scan.period)?, at, cycle.ask()?))
         });
-        if let Some((_, at, request)) = running.min_by_key(|(deadline, at, _)| (*deadline, *at)) {
+        if let Some((_, at, ask)) = running.min_by_key(|(deadline, at, _)| (*deadline, *at)) {
             self.asking = Some(at);
-            return Step::Read(Box::new(request.clone()));
+            return match ask {
+                Ask::Read(request) => Step::Read(Box::new(request.clone())),
+                Ask::Confirm => Step::Confirm,
+            };
         }
         Step::Wait(self.classes.iter().map(|class| class.due).chain(self.ages_at()).min())
     }
 
-    /// What came of the request that [`next`](Self::next) gave: at `now`, after `trip` on the wire, as far as that is known.
-    pub(super) fn done(
-        &mut self,
-        result: Result<Reply, Error>,
-        now: Stamp,
-        trip: Option<Duration>,
-        samples: &mut Vec<Sample>,
-    ) {
-        let Some(at) = self.asking.take() else { return };
-        let Some(class) = self.classes.get_mut(at) else { return };
-        let Some(cycle) = &mut class.cycle else { return };
-        let mut bench = Bench { known: &mut self.known, scan: &class.scan, members: &class.members, samples };
-        class.stats.requests = class.stats.requests.saturating_add(1);
-        match result {
-            // The link gives no reply that is none to its request.
-            Ok(reply) => match cycle.request().and_then(|request| Words::of(reply, request)) {
-                Some(words) => {
-                    if let (Some(trip), Some(bytes)) = (trip, cycle.reply_bytes()) {
-                        bench.known.trip.measured(trip, bytes);
+    /// Takes the answer to the request that [`next`](Self::next) gave. Says whether results were dropped because duplicates came
+    /// out of order.
+    pub(super) fn done(&mut self, answer: Answer, samples: &mut Vec<Sample>) -> bool {
+        let Answer { result, at: now, trip, shape, proof } = answer;
+        self.act(now, samples, |cycle, stats, bench| {
+            stats.requests = stats.requests.saturating_add(1);
+            match result {
+                // The link gives no reply that is none to its request.
+                Ok(reply) => match cycle.request().and_then(|request| Words::of(reply, request)) {
+                    Some(words) => {
+                        if let (Some(trip), Some(bytes)) = (trip, cycle.reply_bytes()) {
+                            bench.known.trip.measured(trip, bytes);
+                        }
+                        cycle.answered(Ok(words), (shape, proof), now, bench);
                     }
-                    let oldest = cycle.replied(words, now, &mut bench);
-                    let ages_at = oldest.and_then(|at| at.checked_add(class.scan.stale_age()));
-                    class.ages_at = class.ages_at.into_iter().chain(ages_at).min();
-                }
-                None => cycle.failed(Reason::Overdue),
-            },
-            Err(error) => match error.error_code().filter(|code| is_about_the_request(*code)) {
-                Some(code) => {
-                    class.stats.refusals = class.stats.refusals.saturating_add(1);
-                    cycle.refused(code, now, &mut bench);
-                }
-                None => {
-                    class.stats.failures = class.stats.failures.saturating_add(1);
-                    cycle.failed(Reason::Failed(Arc::new(error)));
-                }
-            },
-        }
+                    None => cycle.failed(Reason::Overdue, bench),
+                },
+                Err(error) => match error.error_code().filter(|code| is_about_the_request(*code)) {
+                    Some(code) => {
+                        stats.refusals = stats.refusals.saturating_add(1);
+                        cycle.answered(Err(code), (shape, proof), now, bench);
+                    }
+                    None => {
+                        stats.failures = stats.failures.saturating_add(1);
+                        cycle.failed(Reason::Failed(Arc::new(error)), bench);
+                    }
+                },
+            }
+        })
+    }
+
+    /// Takes the result of the check that [`next`](Self::next) asked for. Says whether results were dropped because duplicates
+    /// came out of order.
+    pub(super) fn confirmed(&mut self, result: Result<Proof, Error>, now: Stamp, samples: &mut Vec<Sample>) -> bool {
+        self.act(now, samples, |cycle, stats, bench| {
+            stats.failures = stats.failures.saturating_add(u64::from(result.is_err()));
+            cycle.confirmed(result.map_err(|error| Reason::Failed(Arc::new(error))), now, bench);
+        })
+    }
+
+    /// Lets the cycle act that was asking.
+    fn act(
+        &mut self,
+        now: Stamp,
+        samples: &mut Vec<Sample>,
+        act: impl FnOnce(&mut Cycle, &mut Counters, &mut Bench<'_>),
+    ) -> bool {
+        let Some(at) = self.asking.take() else { return false };
+        let Some(class) = self.classes.get_mut(at) else { return false };
+        let Some(cycle) = &mut class.cycle else { return false };
+        let (scan, members) = (&class.scan, &class.members);
+        let mut bench = Bench { known: &mut self.known, scan, members, samples, oldest: None, repeated: false };
+        act(cycle, &mut class.stats, &mut bench);
+        let Bench { oldest, repeated, .. } = bench;
+        let ages_at = oldest.and_then(|at| at.checked_add(class.scan.stale_age()));
+        class.ages_at = class.ages_at.into_iter().chain(ages_at).min();
         self.end(at, now, samples);
+        repeated
     }
 
     /// Lets age change qualities: also to be called while a request is on its way, at [`ages_at`](Self::ages_at).
@@ -321,7 +366,8 @@ impl Device {
         }
         class.stats.cycles = class.stats.cycles.saturating_add(1);
         let latency = self.known.trip.latency();
-        let mut bench = Bench { known: &mut self.known, scan: &class.scan, members: &class.members, samples };
+        let (scan, members) = (&class.scan, &class.members);
+        let mut bench = Bench { known: &mut self.known, scan, members, samples, oldest: None, repeated: false };
         let planned = class.plan.as_ref().map(|plan| plan.works.clone());
         let (cycle, works) = Cycle::new((class.stats.cycles, due), (planned, class.start), now, &mut bench);
         if class.plan.is_none() {
@@ -335,7 +381,7 @@ impl Device {
     fn end(&mut self, at: usize, now: Stamp, samples: &mut Vec<Sample>) {
         self.drop_stale_plans();
         let Some(class) = self.classes.get_mut(at) else { return };
-        let Some(cycle) = class.cycle.take_if(|cycle| cycle.request().is_none()) else { return };
+        let Some(cycle) = class.cycle.take_if(|cycle| cycle.ask().is_none()) else { return };
         let bad_age = class.scan.bad_age();
         for id in &class.members {
             let Some(point) = self.known.points.get_mut(*id).filter(|point| point.cycle != cycle.number) else {

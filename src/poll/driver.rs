@@ -5,10 +5,10 @@ use std::sync::Arc;
 use tokio::sync::Notify;
 use tokio::time::{Instant, timeout_at};
 
-use super::device::{Device, Step};
+use super::device::{Answer, Device, Step};
 use super::{Sample, Shared, Stamp, Unit};
-use crate::error::Error;
-use crate::plan::{ReadRequest, Reply};
+use crate::command::LoopBack;
+use crate::link::{Answered, Purpose};
 
 /// Ends the unit with the task, whatever ends it: what is not polled any more must not pass for being so.
 struct Ending(Arc<Shared>, Arc<Unit>);
@@ -29,23 +29,44 @@ pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>) {
             None => return,
             Some(Step::Wait(until)) => changed_or_at(&unit.changed, until).await,
             Some(Step::Read(request)) => {
-                let Some((result, at)) = answer(shared, unit, &request).await else { return };
+                let Some(answered) = answer(shared, unit, request.call_in_cycle(&unit.station)).await else { return };
+                let Answered { result, at, shape, proof, .. } = answered;
                 let trip = unit.station.stats().round_trip.map(|trip| trip.last);
-                advance(shared, unit, |device, _, samples| device.done(result, at, trip, samples));
+                let at = Stamp::of(at.unwrap_or_else(Instant::now));
+                let answer = Answer { result, at, trip, shape, proof };
+                let repeated = advance(shared, unit, |device, _, samples| device.done(answer, samples));
+                count_repeated(unit, repeated);
+            }
+            Some(Step::Confirm) => {
+                let check = unit.station.submit(LoopBack::empty(), Purpose::Confirm(()));
+                let Some(Answered { result, proof, .. }) = answer(shared, unit, check).await else { return };
+                let result = result.map(|()| proof);
+                let repeated = advance(shared, unit, |device, now, samples| device.confirmed(result, now, samples));
+                count_repeated(unit, repeated);
             }
         }
     }
 }
 
-/// Sends a request, and lets values get old while it is on its way. `None`: the unit was stopped meanwhile.
-async fn answer(shared: &Shared, unit: &Unit, request: &ReadRequest) -> Option<(Result<Reply, Error>, Stamp)> {
+fn count_repeated(unit: &Unit, repeated: Option<bool>) {
+    if repeated == Some(true) {
+        tracing::debug!(
+            station = unit.station.number(),
+            "an unexpected frame came within a cycle: its values are dropped"
+        );
+        unit.station.link().board().job_repeated(unit.station.number());
+    }
+}
+
+/// Waits for an answer, and lets values get old meanwhile. `None`: the unit was stopped.
+async fn answer<T>(shared: &Shared, unit: &Unit, call: impl Future<Output = T>) -> Option<T> {
     // By itself, so that a task that waits for its next cycle, as it does nearly always, has no room for it.
-    let mut call = Box::pin(request.timed_call(&unit.station));
+    let mut call = Box::pin(call);
     loop {
         let ages_at = unit.with(|device| device.ages_at())?;
         tokio::select! {
             biased;
-            (result, at) = &mut call => return Some((result, Stamp::of(at))),
+            answered = &mut call => return Some(answered),
             () = changed_or_at(&unit.changed, ages_at) => advance(shared, unit, Device::age)?,
         }
     }

@@ -17,6 +17,7 @@ pub(super) struct Known {
     /// What the device takes, without the lessons.
     pub(super) limits: Arc<Limits>,
     pub(super) trip: Trip,
+    pub(super) polled: Polled,
     /// Whether the plans were made with something else.
     pub(super) plans_stale: bool,
     /// How many tags have been removed.
@@ -26,10 +27,18 @@ pub(super) struct Known {
     plans: Arc<Plans>,
 }
 
+/// The station that is polled.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Polled {
+    pub(super) station: u8,
+    /// How often a cycle begins again after duplicates out of order.
+    pub(super) retries: u32,
+}
+
 impl Known {
-    pub(super) fn new(limits: Arc<Limits>, trip: Trip, plans: Arc<Plans>) -> Self {
+    pub(super) fn new(limits: Arc<Limits>, trip: Trip, plans: Arc<Plans>, polled: Polled) -> Self {
         let (points, lessons) = (Points::default(), Lessons::default());
-        Self { points, lessons, limits, trip, plans_stale: false, removals: 0, limits_now: None, plans }
+        Self { points, lessons, limits, trip, polled, plans_stale: false, removals: 0, limits_now: None, plans }
     }
 
     /// Something was found out: plans are to be made anew.

@@ -68,6 +68,8 @@ pub enum ProgramAction {
     Stop,
     /// 41, run.
     Run,
+    /// 4E: confirm that no reply was a duplicate out of order.
+    Confirm,
 }
 
 impl fmt::Display for ProgramAction {
@@ -78,6 +80,7 @@ impl fmt::Display for ProgramAction {
             Self::WritePage(page) => write!(f, "write page {page}"),
             Self::Stop => f.write_str("stop the PLC"),
             Self::Run => f.write_str("run the PLC"),
+            Self::Confirm => f.write_str("confirm what was read"),
         }
     }
 }

@@ -5,10 +5,10 @@ use tokio::time::Instant;
 
 use super::reading::{Reading, Step};
 use super::{PAGE_BYTES, Program, ProgramAction, ProgramError};
-use crate::command::{Command, ReadProgramPage};
+use crate::command::{Command, ReadDetailedStatus, ReadProgramPage, ReadStatus};
 use crate::error::Error;
 use crate::progress::{Meter, Progress};
-use crate::station::{BegunWith, OtherStation, Station};
+use crate::station::{BegunWith, JobReply, OtherStation, Outcome, Station, StationJob};
 
 /// What is told of the progress of a transfer.
 pub(super) type OnProgress = Box<dyn FnMut(&Progress) + Send>;
@@ -43,7 +43,8 @@ impl ReadProgram {
         self
     }
 
-    /// How many pages have been read and are kept.
+    /// How many pages have been read and confirmed. They are kept when a run fails or is dropped; up to 64 pages that were read
+    /// after the last check are not.
     #[must_use]
     pub fn pages_done(&self) -> usize {
         self.reading.pages_done()
@@ -53,7 +54,8 @@ impl ReadProgram {
     ///
     /// Each request is a read of its own, with the timeouts and retries of the station's
     /// [options](Station::options); [`CallOptions::background`](crate::CallOptions::background) lets all others of the link go
-    /// first. The future can be dropped at any time.
+    /// first. A check (4E) after every 64 pages and in the end confirms that no reply was a duplicate out of order; if one was, what
+    /// was read since the last check is read again, as often as reads are retried. The future can be dropped at any time.
     ///
     /// # Errors
     /// - [`ProgramError::Call`] when a request fails: run it again to go on;
@@ -66,29 +68,63 @@ impl ReadProgram {
         let same = self.begun_with.go_on(station, self.pages_done() > 0);
         same.map_err(|OtherStation { begun, station }| ProgramError::OtherStation { begun, station })?;
         self.reading.begin();
+        let mut job = StationJob::new(station);
         let mut meter: Option<Meter> = None;
         loop {
-            let step = self.reading.next();
-            match step {
+            let (step, mark) = (self.reading.next(), self.reading.mark());
+            let rewound = match step {
                 Step::Brief => {
-                    let brief = station.read_status().await;
-                    self.reading.brief(brief.map_err(failed(ProgramAction::ReadStatus))?);
+                    let brief = job.call(mark, ReadStatus, false).await;
+                    take(brief.map_err(failed(ProgramAction::ReadStatus))?, |brief| self.reading.brief(brief))
                 }
                 Step::Status => {
-                    let status = station.read_detailed_status().await;
-                    self.reading.status(status.map_err(failed(ProgramAction::ReadStatus))?)?;
+                    let status = job.call(mark, ReadDetailedStatus, false).await;
+                    take(status.map_err(failed(ProgramAction::ReadStatus))?, |status| self.reading.status(status))
                 }
                 Step::Page(page) => {
                     let began = Instant::now();
-                    let content = station.read_program_page(page).await;
-                    self.reading.page(content.map_err(failed(ProgramAction::ReadPage(page)))?)?;
-                    if let Some(tell) = &mut self.on_progress {
+                    let content = job.call(mark, ReadProgramPage::new(page), false).await;
+                    if let Err(error) = &content {
+                        self.reading.confirmed_before(job.first_held());
+                        // What was read before is kept if the PLC still confirms it.
+                        let duplicates = matches!(error, Error::Duplicates { .. });
+                        if !duplicates && matches!(job.confirm().await, Ok(None)) {
+                            self.reading.confirmed_before(None);
+                        }
+                    }
+                    let content = content.map_err(failed(ProgramAction::ReadPage(page)))?;
+                    let rewound = take(content, |content| self.reading.page(content));
+                    if let (None, Some(tell)) = (&rewound, &mut self.on_progress) {
                         report(&mut meter, self.reading.progress(), PAGE_BYTES, began, tell);
                     }
+                    rewound
+                }
+                Step::Confirm => {
+                    let rewound = job.confirm().await.map_err(failed(ProgramAction::Confirm))?;
+                    if rewound.is_none() {
+                        self.reading.confirmed()?;
+                    }
+                    rewound
                 }
                 Step::Done => return self.reading.finish(SystemTime::now()),
+            };
+            match rewound {
+                Some(mark) => self.reading.rewind(mark),
+                None if step == Step::Confirm => {}
+                None => self.reading.confirmed_before(job.first_held()),
             }
         }
+    }
+}
+
+/// Has a reply taken, or gives the mark to go back to.
+fn take<M, T>(outcome: Outcome<M, T>, take: impl FnOnce(T)) -> Option<M> {
+    match outcome {
+        Outcome::Reply(JobReply { reply, .. }) => {
+            take(reply);
+            None
+        }
+        Outcome::Rewind(mark) => Some(mark),
     }
 }
 

@@ -16,13 +16,14 @@ pub(super) enum Step {
     Status,
     /// Ask for this page, and say [`Reading::page`].
     Page(u16),
+    /// Confirm all that was read, and say [`Reading::confirmed`].
+    Confirm,
     /// Take the program.
     Done,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    #[default]
     Brief,
     Status,
     Header,
@@ -35,10 +36,30 @@ enum State {
     Done,
 }
 
-/// A program that is being read. What has been read stays when a request fails; [`begin`](Self::begin) then goes on.
-#[derive(Debug, Default)]
+/// Where a request stands: a reading can go back there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Mark {
+    state: State,
+    pages: usize,
+    again: u16,
+    status_known: bool,
+}
+
+/// The most pages that are held: then a check confirms them. A run that is broken off loses no more than these.
+const MOST_HELD: usize = 64;
+
+/// A program that is being read. What has been read and confirmed stays when a request fails; [`begin`](Self::begin) then goes on.
+#[derive(Debug)]
 pub(super) struct Reading {
     state: State,
+    /// The most pages that are held now.
+    most_held: usize,
+    /// The pages that are confirmed.
+    confirmed: usize,
+    /// The status is confirmed.
+    status_confirmed: bool,
+    /// All that was read is to be confirmed, and this follows.
+    verdict: Option<Verdict>,
     /// Whether all pages are read once more, and compared.
     pub(super) twice: bool,
     brief: Option<BriefStatus>,
@@ -49,14 +70,54 @@ pub(super) struct Reading {
     again: u16,
 }
 
+/// What follows when all that was read is confirmed.
+#[derive(Debug)]
+enum Verdict {
+    /// The program cannot be taken.
+    Changed(Option<u16>),
+    Invalid(InvalidProgram),
+    /// It can be taken.
+    Good,
+}
+
+impl Default for Reading {
+    fn default() -> Self {
+        Self {
+            state: State::Brief,
+            most_held: MOST_HELD,
+            confirmed: 0,
+            status_confirmed: false,
+            verdict: None,
+            twice: false,
+            brief: None,
+            status: None,
+            pages: Vec::new(),
+            again: 0,
+        }
+    }
+}
+
 impl Reading {
-    /// A run begins: the first, or another after a failure.
+    /// A run begins: the first, or another after a failure. Pages that were not confirmed are dropped; after that, fewer are held
+    /// at a time, so that short runs keep something, too.
     pub(super) fn begin(&mut self) {
+        if self.pages.len() > self.confirmed {
+            self.most_held = self.most_held.checked_div(4).unwrap_or(1).max(1);
+        }
         self.state = State::Brief;
         self.again = 0;
+        self.verdict = None;
+        self.pages.truncate(self.confirmed);
+        if !self.status_confirmed {
+            self.status = None;
+        }
     }
 
     pub(super) fn next(&self) -> Step {
+        let full = self.pages.len().saturating_sub(self.confirmed) >= self.most_held;
+        if self.verdict.is_some() || full {
+            return Step::Confirm;
+        }
         match self.state {
             State::Brief => Step::Brief,
             State::Status | State::LastStatus => Step::Status,
@@ -67,43 +128,93 @@ impl Reading {
         }
     }
 
+    /// The mark of what is asked for now.
+    pub(super) fn mark(&self) -> Mark {
+        let (pages, status_known) = (self.pages.len(), self.status.is_some());
+        Mark { state: self.state, pages, again: self.again, status_known }
+    }
+
+    /// All before this mark is confirmed; `None`: all.
+    pub(super) fn confirmed_before(&mut self, first_held: Option<Mark>) {
+        self.confirmed = first_held.map_or(self.pages.len(), |mark| mark.pages.max(self.confirmed));
+        self.status_confirmed |= self.status.is_some() && first_held.is_none_or(|mark| mark.status_known);
+    }
+
+    /// Results from this mark on are not good: goes back to it.
+    pub(super) fn rewind(&mut self, mark: Mark) {
+        let Mark { state, pages, again, status_known } = mark;
+        (self.state, self.again, self.verdict) = (state, again, None);
+        self.pages.truncate(pages);
+        self.confirmed = self.confirmed.min(pages);
+        if !status_known {
+            (self.status, self.status_confirmed) = (None, false);
+        }
+    }
+
+    /// All that was read is confirmed.
+    ///
+    /// # Errors
+    /// Why the program cannot be taken. Nothing is kept then.
+    pub(super) fn confirmed(&mut self) -> Result<(), ProgramError> {
+        self.confirmed_before(None);
+        self.most_held = self.most_held.saturating_mul(2).min(MOST_HELD);
+        match self.verdict.take() {
+            Some(Verdict::Changed(page)) => {
+                self.forget();
+                Err(ProgramError::Changed { page })
+            }
+            Some(Verdict::Invalid(error)) => {
+                self.forget();
+                Err(error.into())
+            }
+            Some(Verdict::Good) => {
+                self.state = State::Done;
+                Ok(())
+            }
+            None => Ok(()),
+        }
+    }
+
     pub(super) fn brief(&mut self, brief: BriefStatus) {
         self.brief = Some(brief);
         self.state = State::Status;
     }
 
-    pub(super) fn status(&mut self, status: DetailedStatus) -> Result<(), ProgramError> {
+    pub(super) fn status(&mut self, status: DetailedStatus) {
         if self.status.as_ref().is_some_and(|known| identity(known) != identity(&status)) {
-            return self.changed(None);
+            self.verdict = Some(Verdict::Changed(None));
+            return;
         }
-        self.state = if self.state == State::LastStatus { State::Done } else { State::Header };
+        if self.state == State::LastStatus {
+            self.verdict = Some(Verdict::Good);
+        } else {
+            self.state = State::Header;
+        }
         // The first one is kept: it tells whether the PLC ran when the reading began.
         self.status.get_or_insert(status);
-        Ok(())
     }
 
-    pub(super) fn page(&mut self, content: ProgramPage) -> Result<(), ProgramError> {
+    pub(super) fn page(&mut self, content: ProgramPage) {
         match self.state {
             State::Header => self.header(content),
             State::Pages => {
                 self.pages.push(content);
                 self.state = self.behind_pages();
-                Ok(())
             }
             State::Again(page) => {
-                self.compare(page, &content)?;
-                self.again = page;
-                let next = page.saturating_add(1);
-                self.state = if next < self.total() { State::Again(next) } else { State::LastHeader };
-                Ok(())
+                if self.is_same(page, &content) {
+                    self.again = page;
+                    let next = page.saturating_add(1);
+                    self.state = if next < self.total() { State::Again(next) } else { State::LastHeader };
+                }
             }
             State::LastHeader => {
-                self.compare(0, &content)?;
-                self.again = self.total();
-                self.state = State::LastStatus;
-                Ok(())
+                if self.is_same(0, &content) {
+                    self.again = self.total();
+                    self.state = State::LastStatus;
+                }
             }
-            State::Brief | State::Status | State::LastStatus | State::Done => Ok(()),
+            State::Brief | State::Status | State::LastStatus | State::Done => {}
         }
     }
 
@@ -125,23 +236,22 @@ impl Reading {
         (phase, done.into(), total.into())
     }
 
-    /// Pages that have been read.
+    /// Pages that have been read and confirmed: they are kept if the run ends now.
     pub(super) fn pages_done(&self) -> usize {
-        self.pages.len()
+        self.confirmed
     }
 
-    fn header(&mut self, content: ProgramPage) -> Result<(), ProgramError> {
-        if !self.pages.is_empty() {
-            self.compare(0, &content)?;
-        } else {
+    fn header(&mut self, content: ProgramPage) {
+        if self.pages.is_empty() {
             if let Err(error) = self.check_header(&content) {
-                self.forget();
-                return Err(error.into());
+                self.verdict = Some(Verdict::Invalid(error));
+                return;
             }
             self.pages.push(content);
+        } else if !self.is_same(0, &content) {
+            return;
         }
         self.state = self.behind_pages();
-        Ok(())
     }
 
     fn check_header(&self, content: &ProgramPage) -> Result<(), InvalidProgram> {
@@ -160,18 +270,18 @@ impl Reading {
         }
     }
 
-    fn compare(&mut self, page: u16, content: &ProgramPage) -> Result<(), ProgramError> {
-        if self.pages.get(usize::from(page)) == Some(content) { Ok(()) } else { self.changed(Some(page)) }
-    }
-
-    fn changed(&mut self, page: Option<u16>) -> Result<(), ProgramError> {
-        self.forget();
-        Err(ProgramError::Changed { page })
+    /// Whether a page is still the same; if not, that is the verdict.
+    fn is_same(&mut self, page: u16, content: &ProgramPage) -> bool {
+        let same = self.pages.get(usize::from(page)) == Some(content);
+        if !same {
+            self.verdict = Some(Verdict::Changed(Some(page)));
+        }
+        same
     }
 
     /// What has been read belongs to nothing that there is now.
     fn forget(&mut self) {
-        *self = Self { twice: self.twice, ..Self::default() };
+        *self = Self { twice: self.twice, most_held: self.most_held, ..Self::default() };
     }
 
     fn first_missing(&self) -> u16 {

@@ -39,8 +39,9 @@ pub struct WriteState {
     /// write was not sent; and those that were found to be others in the end. If it ended while pages were compared, only
     /// those found by then.
     pub unwritten: Vec<u16>,
-    /// The page that may have been written, or in part: its write was sent, and that it is as it should be was not seen.
-    pub in_doubt: Option<u16>,
+    /// The pages that may have been written, or in part: their write was sent, and that they are as they should be was not seen, or
+    /// only in a reply that may have been a duplicate of another one.
+    pub in_doubt: Vec<u16>,
     /// Whether this run, or an earlier one of the same [`WriteProgram`](super::WriteProgram), has written a page, or perhaps,
     /// since all pages were last found to be the program's.
     pub touched: bool,
@@ -61,10 +62,10 @@ impl WriteState {
         self.touched && !self.whole
     }
 
-    /// How many pages are still to be written, the one in doubt included.
+    /// How many pages are still to be written, those in doubt included.
     #[must_use]
     pub fn left(&self) -> usize {
-        self.unwritten.len().saturating_add(usize::from(self.in_doubt.is_some()))
+        self.unwritten.len().saturating_add(self.in_doubt.len())
     }
 }
 
@@ -95,8 +96,13 @@ impl fmt::Display for WriteState {
         if !written.is_empty() {
             write!(f, " ({})", Pages(written))?;
         }
-        if let Some(page) = in_doubt {
-            write!(f, ", page {page} perhaps")?;
+        match in_doubt.as_slice() {
+            [] => {}
+            [page] => write!(f, ", page {page} perhaps")?,
+            pages => write!(f, ", pages {} perhaps", Pages(pages))?,
+        }
+        if self.left() == 0 {
+            return write!(f, ", which is not confirmed, and {plc}: compare them before it runs");
         }
         write!(f, ", and {plc}: write the rest before it runs")
     }

@@ -4,11 +4,12 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep};
 
 use super::read::{OnProgress, in_framing, report};
-use super::writing::{Goal, Step, Told, Writing};
+use super::writing::{Goal, Mark, Step, Told, Writing};
 use super::{PAGE_BYTES, Program, ProgramError, WriteProgramError, WriteState};
+use crate::command::{Command, ReadDetailedStatus, ReadProgramPage, ReadStatus};
 use crate::error::Error;
 use crate::progress::Progress;
-use crate::station::{BegunWith, OtherStation, Station};
+use crate::station::{BegunWith, JobReply, OtherStation, Outcome, Station, StationJob};
 
 /// How a program is written.
 ///
@@ -201,20 +202,35 @@ impl WriteProgram {
             self.writing.told(Err(error));
         }
         let patient = self.patient(station);
+        let mut job = StationJob::new(station);
         let mut meter = None;
         loop {
             let began = Instant::now();
-            let step = self.writing.next();
+            let (step, mark) = (self.writing.next(), self.writing.mark());
             let told = match step {
                 Step::Done => return Ok(()),
                 Step::Failed => return Err(self.writing.failure()),
+                Step::Confirm => {
+                    let confirmed = job.confirm().await;
+                    self.distrust(confirmed.as_ref().err(), job.first_held());
+                    self.writing.confirmed(confirmed);
+                    continue;
+                }
                 Step::Write(page) => match self.writing.program().page(page) {
                     Some(content) => patient.write_program_page(page, content).await.map(|()| Told::Done),
                     None => Ok(Told::Done),
                 },
-                step => ask(station, step).await,
+                step => match ask(station, &mut job, mark, step).await {
+                    Ok(Outcome::Reply(JobReply { reply, .. })) => Ok(reply),
+                    Ok(Outcome::Rewind(mark)) => {
+                        self.writing.rewind(mark);
+                        continue;
+                    }
+                    Err(error) => Err(error),
+                },
             };
             let moved = told.is_ok() && matches!(step, Step::Read(_) | Step::Write(_));
+            self.distrust(told.as_ref().err(), job.first_held());
             self.writing.told(told);
             let progress = self.writing.progress();
             // Where all pages are written there is nothing to compare: the header alone is read.
@@ -222,6 +238,13 @@ impl WriteProgram {
             if let Some(tell) = self.on_progress.as_mut().filter(|_| counts) {
                 report(&mut meter, progress, PAGE_BYTES, began, tell);
             }
+        }
+    }
+
+    /// After too many duplicates what is held is not good.
+    fn distrust(&mut self, error: Option<&Error>, first_held: Option<Mark>) {
+        if matches!(error, Some(Error::Duplicates { .. })) {
+            self.writing.distrust(first_held);
         }
     }
 
@@ -235,25 +258,40 @@ impl WriteProgram {
     }
 }
 
-async fn ask(station: &Station, step: Step) -> Result<Told, Error> {
+async fn ask(
+    station: &Station,
+    job: &mut StationJob<'_, Mark>,
+    mark: Mark,
+    step: Step,
+) -> Result<Outcome<Mark, Told>, Error> {
+    let done = Outcome::Reply(JobReply { reply: Told::Done, count: 0 });
     Ok(match step {
-        Step::Status => Told::Status(station.read_detailed_status().await?),
-        Step::Flags => Told::Flags(station.read_status().await?.flags()),
-        Step::Read(page) => Told::Page(station.read_program_page(page).await?),
+        Step::Status => read(job, mark, ReadDetailedStatus, Told::Status).await?,
+        Step::Flags => read(job, mark, ReadStatus, |status| Told::Flags(status.flags())).await?,
+        Step::Read(page) => read(job, mark, ReadProgramPage::new(page), Told::Page).await?,
         Step::Stop => {
             station.stop().await?;
-            Told::Done
+            done
         }
         Step::Run => {
             station.run().await?;
-            Told::Done
+            done
         }
         Step::Pause => {
             sleep(PAUSE).await;
-            Told::Done
+            done
         }
-        Step::Write(_) | Step::Done | Step::Failed => Told::Done,
+        Step::Write(_) | Step::Confirm | Step::Done | Step::Failed => done,
     })
+}
+
+async fn read<C: Command>(
+    job: &mut StationJob<'_, Mark>,
+    mark: Mark,
+    request: C,
+    told: impl FnOnce(C::Reply) -> Told,
+) -> Result<Outcome<Mark, Told>, Error> {
+    Ok(job.call(mark, request, false).await?.map(told))
 }
 
 impl fmt::Debug for WriteProgram {

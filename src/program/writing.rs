@@ -1,10 +1,14 @@
 //! The states of writing a program, as the [module](super) draws them. No I/O, and no clock.
 
+mod confirm;
+mod failing;
 mod outcome;
 mod states;
 
 use std::collections::BTreeSet;
 
+pub(super) use self::confirm::Mark;
+use self::confirm::Then;
 use self::states::State;
 pub(super) use self::states::{Goal, Step, Told};
 use super::{PlcState, Program, ProgramAction, ProgramError, ProgramHeader, WriteOptions};
@@ -48,8 +52,17 @@ pub(super) struct Writing {
     compared: bool,
     /// The pages that are still to be written, the next one last.
     pending: Vec<u16>,
+    /// The pages that have been compared in this run, and whether they differ. What follows from it waits until all are confirmed.
+    looked_at: Vec<(u16, bool)>,
+    /// All that was read is to be confirmed, and this follows.
+    confirms: Option<Then>,
     /// The pages that have been written and read back in this run.
     written: Vec<u16>,
+    /// Pages that were read back since the last check.
+    unconfirmed: bool,
+    /// Pages that have been written, and whose reading back may have brought another page: they are read back again before they are
+    /// written again.
+    to_read_back: BTreeSet<u16>,
     in_doubt: Option<u16>,
     /// Pages that were found to be others in the end.
     differing: Vec<u16>,
@@ -78,7 +91,11 @@ impl Writing {
             uncompared: Vec::new(),
             compared: false,
             pending: Vec::new(),
+            looked_at: Vec::new(),
+            confirms: None,
             written: Vec::new(),
+            unconfirmed: false,
+            to_read_back: BTreeSet::new(),
             in_doubt: None,
             differing: Vec::new(),
             excuse: None,
@@ -97,10 +114,11 @@ impl Writing {
             return;
         }
         let unwritten = last.unwritten().first().copied();
-        self.telling = if last.compared { unwritten.or(last.in_doubt()).unwrap_or(0) } else { last.telling };
+        self.telling =
+            if last.compared { unwritten.or(last.in_doubt().first().copied()).unwrap_or(0) } else { last.telling };
         (self.ran_before, self.told_to_stop) = (last.ran_before, last.told_to_stop);
         self.has_stopped = last.has_stopped;
-        self.touched = last.touched || last.in_doubt().is_some();
+        self.touched = last.touched || !last.in_doubt().is_empty();
         self.doubted.extend(last.in_doubt());
         self.doubted.extend(last.doubted);
         self.written_before = last.written_before;
@@ -111,7 +129,7 @@ impl Writing {
     pub(super) fn is_bound(&self) -> bool {
         let over = self.goal == Goal::Write && self.state == State::Done;
         let written = !self.written.is_empty() || !self.written_before.is_empty();
-        !over && (self.told_to_stop || self.touched || self.in_doubt().is_some() || written)
+        !over && (self.told_to_stop || self.touched || !self.in_doubt().is_empty() || written)
     }
 
     pub(super) fn program(&self) -> &Program {
@@ -128,6 +146,9 @@ impl Writing {
     }
 
     pub(super) fn next(&self) -> Step {
+        if self.confirms.is_some() {
+            return Step::Confirm;
+        }
         match self.state {
             State::Fit => Step::Status,
             State::Kind => Step::Read(0),
@@ -165,7 +186,7 @@ impl Writing {
             (State::RunPause { left }, _) => self.state = State::Run { left },
             (State::StopAgainPause { left }, _) => self.state = State::StopAgain { left },
             (_, Ok(Told::Status(status))) => self.fits(&status),
-            (_, Ok(Told::Flags(flags))) => self.flags(flags.running()),
+            (_, Ok(Told::Flags(flags))) => self.confirms = Some(Then::Flags(flags.running())),
             (_, Ok(Told::Page(page))) => self.read(&page),
             (_, Ok(Told::Done)) => {}
             (_, Err(error)) => self.lost(error),
@@ -174,7 +195,8 @@ impl Writing {
 
     /// Whether all pages have been found to be the program's, in this run.
     fn whole(&self) -> bool {
-        self.compared && self.pending.is_empty() && self.differing.is_empty()
+        let good = self.pending.is_empty() && self.looked_at.is_empty() && self.differing.is_empty();
+        self.compared && good && !self.unconfirmed
     }
 
     /// Whether the PLC may hold a part of the new program and a part of the old one, by this writing.
@@ -226,7 +248,7 @@ impl Writing {
             // What an earlier run has written may be another since: that is compared.
             _ if self.writes_all() && self.written_before.is_empty() => {
                 self.pending = (0..self.program.header().page_count()).collect();
-                self.all_compared();
+                self.confirms = Some(Then::Compared);
             }
             _ => {
                 self.uncompared = (1..self.program.header().page_count()).rev().collect();
@@ -241,25 +263,47 @@ impl Writing {
     }
 
     fn compare(&mut self, page: u16, content: &ProgramPage) {
-        let unwritten = self.writes_all() && !self.written_before.contains(&page);
         let differs = self.program.page(page) != Some(content);
-        if unwritten || differs {
-            self.pending.push(page);
-        } else if self.doubted.remove(&page) {
-            self.written_before.insert(page);
-        }
+        self.looked_at.push((page, differs));
         let count = usize::from(self.program.header().page_count());
         self.progress = (Phase::Comparing, count.saturating_sub(self.uncompared.len()), count);
         if differs && self.suspect && self.goal != Goal::Compare {
-            return self.stop_again();
+            self.confirms = Some(Then::SetRunning);
+            return;
         }
         match self.uncompared.pop() {
-            Some(next) => self.state = State::Compare(next),
-            None => self.all_compared(),
+            Some(next) => {
+                self.state = State::Compare(next);
+                self.confirm_between(page, next);
+            }
+            None => self.confirms = Some(Then::Compared),
+        }
+    }
+
+    fn is_to_be_written(&self, (page, differs): (u16, bool)) -> bool {
+        differs || self.writes_all() && !self.written_before.contains(&page)
+    }
+
+    /// Two pages in a row that should be equal are read with a check between them.
+    fn confirm_between(&mut self, page: u16, next: u16) {
+        if self.program.page(page) == self.program.page(next) {
+            self.confirms = Some(Then::NextPage);
+        }
+    }
+
+    /// What was compared is confirmed.
+    fn sort_out(&mut self) {
+        for (page, differs) in std::mem::take(&mut self.looked_at) {
+            if self.is_to_be_written((page, differs)) {
+                self.pending.push(page);
+            } else if self.doubted.remove(&page) {
+                self.written_before.insert(page);
+            }
         }
     }
 
     fn all_compared(&mut self) {
+        self.sort_out();
         self.compared = true;
         // Found whole, by whomever.
         self.touched &= !self.pending.is_empty();
@@ -298,11 +342,13 @@ impl Writing {
                 self.failure = self.excuse.take();
                 self.state = State::Failed;
             }
-            State::Check if !running => self.state = State::Write { left: self.options.attempts },
+            State::Check if !running => self.state = self.write_or_read_back(),
             State::Check => self.stop_again(),
             // Nothing was written in this run: somebody has set the whole program running.
             State::Final if running && self.written.is_empty() => self.state = State::Done,
             State::Final if running => self.stop_again(),
+            // After a duplicate some are read back again.
+            State::Final if !self.pending.is_empty() => self.write_next(),
             State::Final if self.options.run_again && self.ran_before => {
                 self.state = State::Run { left: CONTROL_TRIES };
             }
@@ -361,15 +407,22 @@ impl Writing {
     fn write_next(&mut self) {
         self.excuse = None;
         let all = self.written.len().saturating_add(self.pending.len());
-        // Written and read back, or the same before.
-        self.touched &= !self.pending.is_empty();
         self.state = match self.pending.last() {
             None if self.options.verify_all => State::Verify(0),
             None => State::Final,
             Some(_) if !self.written.is_empty() && self.written.len().is_multiple_of(CHECK_EVERY) => State::Check,
-            Some(_) => State::Write { left: self.options.attempts },
+            Some(_) => self.write_or_read_back(),
         };
         self.progress = (Phase::Writing, self.written.len(), all);
+    }
+
+    /// The next page is written, unless it has been and only its reading back was not good.
+    fn write_or_read_back(&self) -> State {
+        let left = self.options.attempts;
+        match self.pending.last() {
+            Some(page) if self.to_read_back.contains(page) => State::ReadBack { left },
+            Some(_) | None => State::Write { left },
+        }
     }
 
     fn wrote(&mut self, left: u32, result: Result<(), Error>) {
@@ -401,9 +454,11 @@ impl Writing {
     fn read_back(&mut self, left: u32, content: &ProgramPage) {
         let Some(&page) = self.pending.last() else { return };
         if self.program.page(page) == Some(content) {
-            self.in_doubt = None;
+            self.in_doubt = self.in_doubt.filter(|&in_doubt| in_doubt != page);
             self.pending.pop();
+            self.to_read_back.remove(&page);
             self.written.push(page);
+            self.unconfirmed = true;
             return self.write_next();
         }
         match left.checked_sub(1) {
@@ -414,15 +469,26 @@ impl Writing {
 
     fn verify(&mut self, page: u16, content: &ProgramPage) {
         if self.program.page(page) != Some(content) {
-            self.differing.push(page);
-            self.written.retain(|&written| written != page);
-            self.touched = true;
+            self.looked_at.push((page, true));
         }
         let (next, count) = (page.saturating_add(1), self.program.header().page_count());
         self.progress = (Phase::Verifying, next.into(), count.into());
         if next < count {
             self.state = State::Verify(next);
-        } else if self.differing.is_empty() {
+            self.confirm_between(page, next);
+        } else {
+            self.confirms = Some(Then::Verified);
+        }
+    }
+
+    /// All have been read once more, and that is confirmed.
+    fn verified(&mut self) {
+        for (page, _) in std::mem::take(&mut self.looked_at) {
+            self.differing.push(page);
+            self.written.retain(|&written| written != page);
+            self.touched = true;
+        }
+        if self.differing.is_empty() {
             self.state = State::Final;
         } else {
             let pages = self.differing.clone();
@@ -443,49 +509,6 @@ impl Writing {
                 self.state = State::Running { left };
             }
         }
-    }
-
-    // What goes wrong.
-
-    /// A request brought no answer of use. It may be the only one that fails: before a half-written PLC is left alone, it is
-    /// looked at once more.
-    fn lost(&mut self, source: Error) {
-        let action = match self.next() {
-            Step::Read(page) => ProgramAction::ReadPage(page),
-            Step::Write(page) => ProgramAction::WritePage(page),
-            Step::Stop => ProgramAction::Stop,
-            Step::Run => ProgramAction::Run,
-            _ => ProgramAction::ReadStatus,
-        };
-        // Of two failures the first one counts.
-        let excuse = self.excuse.take();
-        self.failure.get_or_insert_with(|| excuse.unwrap_or(ProgramError::Call { action, source }));
-        let ending = matches!(self.state, State::LastLook | State::StoppedAgain { .. });
-        let look = !ending && self.goal == Goal::Write && self.half_written();
-        if self.state == State::LastLook {
-            self.plc = PlcState::Unknown;
-        }
-        self.state = if look { State::LastLook } else { State::Failed };
-    }
-
-    /// It cannot go on, though the PLC answers: if anything has been done to it, it must not be running.
-    fn fail(&mut self, error: ProgramError) {
-        self.failure = Some(error);
-        // What does not fit is not the PLC that was written.
-        let fits = !matches!(self.state, State::Fit | State::Kind);
-        let look = fits && self.goal == Goal::Write && self.half_written();
-        self.state = if look { State::LastLook } else { State::Failed };
-    }
-
-    /// No attempt has done it: for the reason that the last one gave, or for this one.
-    fn give_up(&mut self, error: ProgramError) {
-        let excuse = self.excuse.take();
-        self.fail(excuse.unwrap_or(error));
-    }
-
-    fn stop_again(&mut self) {
-        self.failure = Some(ProgramError::SetRunning);
-        self.state = if self.goal == Goal::Write { State::StopAgain { left: CONTROL_TRIES } } else { State::Failed };
     }
 }
 

@@ -3,7 +3,6 @@
 use std::fmt;
 
 use tokio::sync::watch;
-use tokio::time::Instant;
 
 use crate::command::{Answer, Command, InvalidRequest, Request, with_command};
 use crate::error::Error;
@@ -146,13 +145,8 @@ impl Station {
         self.submit(request, Purpose::Whole).await.result
     }
 
-    /// As [`call`](Self::call), and tells when the reply came; if none did, when that was known.
-    pub(crate) async fn timed_call<C: Command>(&self, request: C) -> (Result<C::Reply, Error>, Instant) {
-        let answered = self.submit(request, Purpose::Whole).await;
-        (answered.result, answered.at.unwrap_or_else(Instant::now))
-    }
-
-    pub(super) async fn submit<C: Command>(&self, request: C, purpose: Purpose<C>) -> Answered<C::Reply> {
+    /// Sends a request for this purpose, and tells what its answer proves.
+    pub(crate) async fn submit<C: Command>(&self, request: C, purpose: Purpose<C>) -> Answered<C::Reply> {
         self.link.submit(self.number, request, purpose, self.options).await
     }
 

@@ -104,6 +104,8 @@ pub(crate) fn written(entry: &LogEntry) -> Option<(Element, usize)> {
         Request::WriteDiscretes(write) => (write.first().into(), write.states().len()),
         Request::WriteRegisters(write) => (write.first().into(), write.values().len()),
         Request::WriteRegisters32(write) => (write.first().into(), write.values().len()),
+        // Another spelling of the same: see `in_step`.
+        Request::WriteMixed(write) => (write.items().first()?.0, write.items().len()),
         _ => return None,
     })
 }

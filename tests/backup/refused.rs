@@ -100,7 +100,9 @@ async fn what_cannot_be_written_is_found_and_told_and_the_rest_is_written() {
         bench.fill(&mut Dice(2));
         bench.plc.write(element!("R50"), 5_u16).unwrap();
         let rule = Rule::new(Fault::Error(ErrorCode::IllegalValue)).command(Code::WriteRegisters);
-        bench.faults.set_rules([rule.elements(element!("R49"), 2)]);
+        // A write of up to 32 registers may be 49, too.
+        let mixed = Rule::new(Fault::Error(ErrorCode::IllegalValue)).command(Code::WriteMixed);
+        bench.faults.set_rules([rule.elements(element!("R49"), 2), mixed.elements(element!("R49"), 2)]);
         let error = bench.station().restore(&backup, RestoreOptions::new()).await.unwrap_err();
         assert!(matches!(error.source, RestoreFailure::Differs { count: 2, .. }), "{error}");
         let report = error.report;
@@ -123,7 +125,8 @@ async fn a_value_of_two_registers_of_which_one_cannot_be_written_stays_as_it_is(
         bench.fill(&mut Dice(2));
         let before = bench.plc.read(element!("R202"));
         let rule = Rule::new(Fault::Error(ErrorCode::IllegalValue)).command(Code::WriteRegisters);
-        bench.faults.set_rules([rule.element(element!("R203"))]);
+        let mixed = Rule::new(Fault::Error(ErrorCode::IllegalValue)).command(Code::WriteMixed);
+        bench.faults.set_rules([rule.element(element!("R203")), mixed.element(element!("R203"))]);
         let error = bench.station().restore(&backup, RestoreOptions::new()).await.unwrap_err();
         let refused: Vec<_> = error.report.refused.iter().map(|refused| refused.range).collect();
         assert_eq!(

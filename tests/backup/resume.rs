@@ -10,8 +10,8 @@ use crate::bench::{Bench, FRAMINGS, model, tags};
 /// Half a backup of a PLC of this model, from a file.
 async fn partial(framing: Framing, model: Model) -> Backup {
     let bench = Bench::with_model(framing, Faults::new(1), model);
-    // The PLC is gone behind the status and a request.
-    bench.faults.set_rules([Rule::new(Fault::Ignore).skip(3)]);
+    // The PLC is gone behind the check of the new connection, the status and a request.
+    bench.faults.set_rules([Rule::new(Fault::Ignore).skip(4)]);
     let error = bench.station().back_up(tags(["R0-R99"])).await.unwrap_err();
     let BackupError::Call { partial, .. } = error else { panic!("{error}") };
     assert_eq!(partial.value_count(), 64);
@@ -52,7 +52,8 @@ async fn a_backup_does_not_go_on_with_a_plc_of_another_model() {
             let begun =
                 "the backup was begun with another PLC (main unit MC, I/O points code 3), and cannot go on with";
             assert_eq!(error.to_string(), format!("{begun} this one ({message})"));
-            assert_eq!((bench.faults.log().arrivals(), taking.partial()), (1, &partial));
+            // The check of the new connection, and 53.
+            assert_eq!((bench.faults.log().arrivals(), taking.partial()), (2, &partial));
         }
         // One that does not tell, where the other one did.
         let bench = Bench::new(framing, Faults::new(1));

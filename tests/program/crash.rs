@@ -110,7 +110,7 @@ fn check(error: &WriteProgramError, nth: u16, new: &Program, context: &str) {
     let mut written = order(new);
     let mut rest = written.split_off(usize::from(nth - 1));
     let in_doubt = rest.remove(0);
-    assert_eq!((&error.state.written, error.state.in_doubt), (&written, Some(in_doubt)), "{context}");
+    assert_eq!((&error.state.written, &error.state.in_doubt), (&written, &vec![in_doubt]), "{context}");
     rest.sort_unstable();
     assert_eq!(error.state.unwritten, rest, "{context}");
     assert!(error.state.is_half_written() && error.state.plc == PlcState::Unknown, "{context}: {error:?}");

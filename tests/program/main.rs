@@ -4,6 +4,9 @@
 
 mod bench;
 mod crash;
+mod duplicates;
 mod others;
 mod regressions;
+#[path = "../roaming/mod.rs"]
+mod roaming;
 mod round_trip;

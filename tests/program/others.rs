@@ -64,8 +64,9 @@ async fn a_plc_that_runs_is_refused_unless_it_may_be_stopped() {
 #[tokio::test(start_paused = true)]
 async fn a_plc_that_somebody_starts_in_the_middle_is_stopped_again_and_the_writing_fails() {
     let new = program(2560, 2);
-    // 40 pages are compared, and then each is written and read back.
-    for at in [45, 60, 77, 100] {
+    // A check of the new connection, 53, 41 pages that are compared, a check that confirms them, and 40; then each page is written
+    // and read back.
+    for at in [48, 63, 80, 103] {
         let bench = bench(2560);
         let station = bench.station();
         let writing = station.write_program(&new, WriteOptions::new().run_again());
@@ -90,7 +91,8 @@ async fn a_plc_that_somebody_starts_in_the_middle_is_stopped_again_and_the_writi
 #[tokio::test(start_paused = true)]
 async fn a_plc_that_takes_pages_while_it_runs_is_found_to_run_within_16_pages() {
     let (old, new) = (program(2560, 1), program(2560, 2));
-    for at in [46, 60, 77, 100, 122] {
+    // As above.
+    for at in [49, 63, 80, 103, 125] {
         let bench = Bench::with_model(Model::default().ladder_words(2560).pages_while_running(true), 1);
         bench.load(&old);
         bench.faults.set_line(Line::default().turnaround(REQUEST, REQUEST));

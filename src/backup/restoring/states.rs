@@ -27,6 +27,8 @@ pub(in crate::backup) enum Step {
     ReadForced(Discrete, usize),
     /// Write these elements.
     Write(Tag, Vec<Value>),
+    /// Confirm all that was read: see [`Restoring::confirmed`](super::Restoring::confirmed).
+    Confirm,
     Done,
 }
 
@@ -41,7 +43,7 @@ pub(in crate::backup) enum Reply {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum State {
+pub(in crate::backup) enum State {
     Look,
     Stop,
     Stopped,
@@ -64,6 +66,25 @@ pub(super) enum State {
 }
 
 impl State {
+    /// Whether it reads elements, all of which are confirmed before it is left.
+    pub(super) fn reads(self) -> bool {
+        match self {
+            Self::Compare | Self::Forced | Self::Verify => true,
+            Self::Look
+            | Self::Stop
+            | Self::Stopped
+            | Self::PauseToStop
+            | Self::Ready
+            | Self::Write
+            | Self::Check
+            | Self::LastLook
+            | Self::Run
+            | Self::Running
+            | Self::PauseToRun
+            | Self::Done => false,
+        }
+    }
+
     /// What it asks for with this, for an error.
     pub(super) fn doing(self, chunk: Chunk) -> String {
         let names = chunk.names();

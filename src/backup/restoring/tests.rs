@@ -52,9 +52,19 @@ fn until_write(range: &str, held: &[u16]) -> Restoring {
     restoring
 }
 
+/// What is asked for next. What was read is confirmed.
+fn next(restoring: &mut Restoring) -> Step {
+    loop {
+        match restoring.next().unwrap() {
+            Step::Confirm => restoring.confirmed(Ok(None)).unwrap(),
+            step => return step,
+        }
+    }
+}
+
 /// What is to be written next.
 fn write(restoring: &mut Restoring) -> String {
-    match restoring.next().unwrap() {
+    match next(restoring) {
         Step::Write(range, _) => range.to_string(),
         step => panic!("{step:?}"),
     }
@@ -156,12 +166,35 @@ fn model(seed: u64) -> usize {
         restoring.begin(Goal::Restore);
         // What the PLC was last seen to be, since it was last told something.
         let mut seen: Option<bool> = None;
+        // What reads have shown that are not confirmed yet, and the first of these.
+        let (mut read, mut held) = (Vec::new(), None);
         let ended = loop {
             let step = match restoring.next() {
                 Ok(Step::Done) => break Ok(()),
                 Ok(step) => step,
                 Err(failure) => break Err(failure),
             };
+            let mark = restoring.mark();
+            // A check finds that a duplicate came out of order.
+            if let Some(mark) = held.filter(|_| matches!(step, Step::Read(_) | Step::Confirm) && dice.below(40) == 0) {
+                if mark == State::Write || matches!(restoring.state, State::Verify | State::LastLook) {
+                    fates.iter_mut().for_each(|fate| fate.shown = false);
+                }
+                (read, held) = (Vec::new(), None);
+                restoring.rewind(mark);
+                continue;
+            }
+            if step == Step::Confirm {
+                let good = dice.below(20) > 0;
+                if good {
+                    read.drain(..).for_each(|at: usize| fates[at].shown = true);
+                    held = None;
+                }
+                if let Err(failure) = restoring.confirmed(if good { Ok(None) } else { Err(lost()) }) {
+                    break Err(failure);
+                }
+                continue;
+            }
             // The future is dropped, and nobody knows whether that was sent.
             if dice.below(400) == 0 {
                 if let Step::Write(range, _) = &step {
@@ -196,13 +229,15 @@ fn model(seed: u64) -> usize {
                 Step::Read(chunk) => {
                     let elements: Vec<_> = chunk.names().elements().map(place).collect();
                     if is_lost.is_none() {
-                        elements.iter().for_each(|&at| fates[at].shown |= fates[at].sent && memory[at] == 0);
+                        held.get_or_insert(mark);
+                        read.extend(elements.iter().filter(|&&at| fates[at].sent && memory[at] == 0));
                     }
                     Reply::Values(elements.iter().map(|&at| Value::Word(memory[at])).collect())
                 }
                 Step::Write(range, values) => {
                     assert!(values.iter().all(|&value| value == Value::Word(0)), "seed {seed}");
                     for at in range.elements().map(place) {
+                        held.get_or_insert(mark);
                         if sent {
                             fates[at] = Fate { sent, shown: is_lost.is_none() };
                         }

@@ -4,6 +4,7 @@ use std::time::Duration;
 use super::lab::{Lab, ms, tags};
 use crate::plan::{CostModel, Limits};
 use crate::poll::device::Device;
+use crate::poll::known::Polled;
 use crate::poll::{PollError, PollTag, ScanClass};
 use crate::wire::Framing;
 
@@ -127,7 +128,7 @@ fn a_tag_removed_while_its_request_is_on_its_way_has_no_sample() {
     let mut samples = Vec::new();
     assert!(matches!(lab.device.next(lab.stamp(), &mut samples), Step::Read(_)));
     lab.device.remove(ids[0], lab.now);
-    lab.device.done(Ok(Reply::Words(vec![7, 8])), lab.stamp(), None, &mut samples);
+    lab.answer(Ok(Reply::Words(vec![7, 8])), None, &mut samples);
     let ids_seen: Vec<_> = samples.iter().map(|sample| sample.id).collect();
     assert_eq!(ids_seen, [ids[1]]);
 }
@@ -170,7 +171,9 @@ fn tags_of_one_scan_are_read_in_one_request() {
 fn a_longer_round_trip_makes_fewer_requests() {
     let mut lab = Lab::new(1);
     let cost = CostModel::network(Framing::Ascii, ms(5)).with_byte_time(ms(1));
-    lab.device = Device::new(Arc::new(Limits::new().no_mixed_reads()), cost, lab.start, 1, Arc::default());
+    let polled = Polled { station: 1, retries: 2 };
+    let limits = Arc::new(Limits::new().no_mixed_reads());
+    lab.device = Device::new(polled, (limits, cost), lab.start, 1, Arc::default());
     let requests = |lab: &Lab| lab.device.classes().next().unwrap().requests_per_cycle;
     // The bytes of the reply are no latency.
     lab.plc.latency = ms(20);

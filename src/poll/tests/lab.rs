@@ -9,8 +9,10 @@ use tokio::time::Instant;
 use crate::command::{Code, Value};
 use crate::element::{Element, Symbol, Width};
 use crate::error::{Error, ErrorCode};
+use crate::link::{Proof, Shape};
 use crate::plan::{CostModel, Limits, ReadRequest, Reply};
-use crate::poll::device::{Device, Step};
+use crate::poll::device::{Answer, Device, Step};
+use crate::poll::known::Polled;
 use crate::poll::{PollError, PollTag, Sample, ScanClass, Stamp, TagId};
 use crate::random::Random;
 use crate::tag::Tag;
@@ -37,6 +39,9 @@ pub(super) struct Lab {
     /// Where in `samples` those begin that have not been looked at.
     seen: usize,
     next_id: u64,
+    answers: u32,
+    /// Cycles that dropped results.
+    pub(super) repeated: u32,
 }
 
 /// Its memory is another one for each request that it is asked, so that a value tells when it was read.
@@ -56,6 +61,17 @@ pub(super) struct FakePlc {
     pub(super) asked: Vec<(Instant, ReadRequest)>,
     /// When each memory was read.
     pub(super) epochs: BTreeMap<Instant, u64>,
+    /// All replies have the same shape; else each has one of its own.
+    pub(super) one_shape: bool,
+    /// The answer to this request, counted from 1, is a copy of the reply two requests before if that has its shape. The true
+    /// reply comes as an unexpected stray before the next answer.
+    pub(super) roams_at: Option<usize>,
+    /// Such copies that were taken.
+    pub(super) roamed: usize,
+    pub(super) left_over: bool,
+    last: Vec<(ReadRequest, Reply)>,
+    pub(super) checks: u32,
+    proof: Proof,
 }
 
 impl Default for FakePlc {
@@ -73,6 +89,13 @@ impl Default for FakePlc {
             frozen: false,
             asked: Vec::new(),
             epochs: BTreeMap::new(),
+            one_shape: false,
+            roams_at: None,
+            roamed: 0,
+            left_over: false,
+            last: Vec::new(),
+            checks: 0,
+            proof: Proof::default(),
         }
     }
 }
@@ -151,7 +174,34 @@ impl FakePlc {
             ReadRequest::Registers32(_) => Reply::Doubles(values.iter().map(doubles).collect()),
             ReadRequest::Mixed(_) => Reply::Mixed(values),
         };
+        self.last.push((request.clone(), reply.clone()));
+        let fits = |copied: &ReadRequest| {
+            std::mem::discriminant(copied) == std::mem::discriminant(request)
+                && elements(copied).len() == elements(request).len()
+        };
+        let copy = self.last.iter().rev().nth(2).filter(|(copied, _)| fits(copied));
+        if let (Some((_, copy)), true) = (copy, self.roams_at.is_some_and(|at| self.asked.len() >= at)) {
+            (self.roams_at, self.left_over) = (None, true);
+            self.roamed += 1;
+            return (Ok(copy.clone()), self.latency);
+        }
         (Ok(reply), self.latency)
+    }
+
+    /// The answer to a check, which takes no time.
+    fn check(&mut self) -> (Result<Proof, Error>, Duration) {
+        self.checks += 1;
+        if self.silent {
+            let code = Code::LoopBack;
+            return (Err(Error::Timeout { station: 1, code, after: self.timeout, sent: true }), self.timeout);
+        }
+        self.stray();
+        self.proof.proofs += 1;
+        (Ok(self.proof), Duration::ZERO)
+    }
+
+    fn stray(&mut self) {
+        self.proof.doubts += u32::from(std::mem::take(&mut self.left_over));
     }
 
     /// Whether it answers a request for this tag alone.
@@ -169,8 +219,8 @@ impl Lab {
         let start = Instant::now();
         Self {
             device: Device::new(
-                Arc::new(limits),
-                CostModel::network(Framing::Ascii, ms(5)),
+                Polled { station: 1, retries: 2 },
+                (Arc::new(limits), CostModel::network(Framing::Ascii, ms(5))),
                 start,
                 seed,
                 Arc::default(),
@@ -181,6 +231,8 @@ impl Lab {
             samples: Vec::new(),
             seen: 0,
             next_id: 1,
+            answers: 0,
+            repeated: 0,
         }
     }
 
@@ -214,15 +266,15 @@ impl Lab {
         self.samples.append(&mut samples);
         match step {
             Step::Read(request) => {
+                self.plc.stray();
                 let (result, takes) = self.plc.answer(self.now, &request);
-                let done = self.now + takes;
-                // The driver wakes up for ages while it waits for the reply.
-                while let Some(at) = self.device.ages_at().filter(|at| *at < done) {
-                    self.now = self.now.max(at);
-                    self.device.age(self.stamp(), &mut samples);
-                }
-                self.now = done;
-                self.device.done(result, self.stamp(), Some(takes), &mut samples);
+                self.wait(takes, &mut samples);
+                self.answer(result, Some(takes), &mut samples);
+                self.samples.append(&mut samples);
+                true
+            }
+            Step::Confirm => {
+                self.confirm(&mut samples);
                 self.samples.append(&mut samples);
                 true
             }
@@ -233,6 +285,44 @@ impl Lab {
                 until.is_some()
             }
         }
+    }
+
+    /// Gives this answer to the request that is on its way.
+    pub(super) fn answer(&mut self, result: Result<Reply, Error>, trip: Option<Duration>, samples: &mut Vec<Sample>) {
+        self.answers += 1;
+        let size = if self.plc.one_shape { 0 } else { self.answers };
+        let shape = Shape { code: Code::ReadRegisters, size };
+        let answer = Answer { result, at: self.stamp(), trip, shape, proof: self.plc.proof };
+        self.repeated += u32::from(self.device.done(answer, samples));
+    }
+
+    /// Answers the check that is on its way.
+    pub(super) fn confirm(&mut self, samples: &mut Vec<Sample>) {
+        let (result, takes) = self.plc.check();
+        self.wait(takes, samples);
+        let now = self.stamp();
+        self.repeated += u32::from(self.device.confirmed(result, now, samples));
+    }
+
+    /// The next request, if there is one now. Checks before it are answered.
+    pub(super) fn request(&mut self, samples: &mut Vec<Sample>) -> Option<ReadRequest> {
+        loop {
+            match self.device.next(self.stamp(), samples) {
+                Step::Read(request) => return Some(*request),
+                Step::Confirm => self.confirm(samples),
+                Step::Wait(_) => return None,
+            }
+        }
+    }
+
+    /// Waits for an answer. The driver wakes up for ages meanwhile.
+    fn wait(&mut self, takes: Duration, samples: &mut Vec<Sample>) {
+        let done = self.now + takes;
+        while let Some(at) = self.device.ages_at().filter(|at| *at < done) {
+            self.now = self.now.max(at);
+            self.device.age(self.stamp(), samples);
+        }
+        self.now = done;
     }
 
     pub(super) fn run_until(&mut self, end: Instant) {

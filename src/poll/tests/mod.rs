@@ -1,4 +1,5 @@
 mod cycles;
+mod duplicates;
 mod lab;
 mod quality;
 mod refusals;

@@ -19,7 +19,7 @@ fn add(lab: &mut Lab, class: ScanClass, texts: &[String]) -> Vec<TagId> {
     lab.add(class, &texts)
 }
 
-fn refusal() -> Error {
+pub(super) fn refusal() -> Error {
     Error::Plc { station: 1, code: Code::ReadRegisters, error: ErrorCode::IllegalAddress, repeated: false }
 }
 
@@ -90,7 +90,7 @@ fn a_value_goes_stale_when_the_plc_falls_silent_in_the_first_cycle() {
     // First request R0 answered, then the second is on its way.
     let Step::Read(_) = lab.device.next(lab.stamp(), &mut samples) else { panic!() };
     lab.now += ms(5);
-    lab.device.done(Ok(Reply::Words(vec![7])), lab.stamp(), None, &mut samples);
+    lab.answer(Ok(Reply::Words(vec![7])), None, &mut samples);
     let Step::Read(_) = lab.device.next(lab.stamp(), &mut samples) else { panic!() };
     lab.now += ms(20_000);
     lab.device.age(lab.stamp(), &mut samples);
@@ -113,6 +113,7 @@ fn one_transient_refusal_does_not_make_a_group_bad() {
     loop {
         match lab.device.next(lab.stamp(), &mut samples) {
             Step::Wait(until) => lab.now = until.unwrap(),
+            Step::Confirm => lab.confirm(&mut samples),
             Step::Read(request) => {
                 let is = matches!(&*request, ReadRequest::Registers(r) if r.count() == 64);
                 let result = if is {
@@ -130,7 +131,7 @@ fn one_transient_refusal_does_not_make_a_group_bad() {
                     Ok(Reply::Words(vec![1; n]))
                 };
                 lab.now += ms(5);
-                lab.device.done(result, lab.stamp(), None, &mut samples);
+                lab.answer(result, None, &mut samples);
                 if is {
                     break;
                 }
@@ -196,17 +197,12 @@ fn a_group_stays_one_scan_when_a_tag_of_it_is_removed_in_the_middle() {
     let Step::Read(_) = lab.device.next(lab.stamp(), &mut samples) else { panic!() };
     lab.device.remove(group[1], lab.now);
     lab.now += ms(5);
-    lab.device.done(Err(refusal()), lab.stamp(), None, &mut samples);
+    lab.answer(Err(refusal()), None, &mut samples);
     let mut n = 0;
-    while let Step::Read(request) = lab.device.next(lab.stamp(), &mut samples) {
+    while let Some(request) = lab.request(&mut samples) {
         lab.now += ms(5);
         n += 1;
-        lab.device.done(
-            Ok(Reply::Words(vec![n; super::lab::elements(&request).len()])),
-            lab.stamp(),
-            None,
-            &mut samples,
-        );
+        lab.answer(Ok(Reply::Words(vec![n; super::lab::elements(&request).len()])), None, &mut samples);
     }
     assert_eq!(lab.latest(group[0]).at, lab.latest(group[2]).at);
 }
@@ -237,6 +233,7 @@ fn a_silent_half_does_not_starve_the_other() {
     while lab.now < end {
         match lab.device.next(lab.stamp(), &mut samples) {
             Step::Wait(until) => lab.now = until.unwrap(),
+            Step::Confirm => lab.confirm(&mut samples),
             Step::Read(request) => {
                 let cells: Vec<u16> = super::lab::elements(&request).iter().map(|e| e.address()).collect();
                 let result = if cells.contains(&3) {
@@ -248,7 +245,7 @@ fn a_silent_half_does_not_starve_the_other() {
                     Ok(Reply::Words(vec![1; cells.len()]))
                 };
                 lab.now += ms(5);
-                lab.device.done(result, lab.stamp(), None, &mut samples);
+                lab.answer(result, None, &mut samples);
             }
         }
     }
@@ -287,6 +284,7 @@ fn a_boundary_is_not_a_length() {
     while lab.now < end {
         match lab.device.next(lab.stamp(), &mut samples) {
             Step::Wait(until) => lab.now = until.unwrap(),
+            Step::Confirm => lab.confirm(&mut samples),
             Step::Read(request) => {
                 let cells: Vec<u16> = super::lab::elements(&request).iter().map(|e| e.address()).collect();
                 let result = if cells.contains(&49) && cells.contains(&50) {
@@ -296,7 +294,7 @@ fn a_boundary_is_not_a_length() {
                     Ok(Reply::Words(vec![1; cells.len()]))
                 };
                 lab.now += ms(1);
-                lab.device.done(result, lab.stamp(), None, &mut samples);
+                lab.answer(result, None, &mut samples);
             }
         }
     }

@@ -70,6 +70,7 @@ impl Trial {
         for _ in 0..dice.below(6) {
             lab.plc.refused.insert(dice.cell());
         }
+        lab.plc.one_shape = dice.below(2) == 0;
         lab.plc.mixed = dice.below(3) > 0;
         lab.plc.max_registers = dice.one(&[64, 64, 32, 10]);
         lab.plc.max_points = dice.one(&[256, 256, 16]);
@@ -100,9 +101,11 @@ impl Trial {
     }
 
     fn trouble(&mut self) {
-        match self.dice.below(8) {
+        match self.dice.below(9) {
             0 => self.lab.plc.silent = true,
             1 => self.lab.plc.refuses_all = true,
+            // A frame comes that no request takes.
+            8 => self.lab.plc.left_over = true,
             2 => self.lab.plc.latency = ms(self.dice.one(&[1, 5, 40, 400])),
             3 => {
                 let cell = self.dice.cell();

@@ -22,10 +22,13 @@ fn run(reading: &mut Reading, plc: &Plc, requests: usize) -> Result<Option<Progr
     for _ in 0..requests {
         match reading.next() {
             Step::Brief => reading.brief(plc.execute(&ReadStatus).unwrap()),
-            Step::Status => reading.status(plc.execute(&ReadDetailedStatus).unwrap())?,
-            Step::Page(page) => reading.page(plc.execute(&ReadProgramPage::new(page)).unwrap())?,
+            Step::Status => reading.status(plc.execute(&ReadDetailedStatus).unwrap()),
+            Step::Page(page) => reading.page(plc.execute(&ReadProgramPage::new(page)).unwrap()),
+            Step::Confirm => {}
             Step::Done => return reading.finish(SystemTime::UNIX_EPOCH).map(Some),
         }
+        // Every reply is confirmed at once.
+        reading.confirmed()?;
     }
     Ok(None)
 }
@@ -36,7 +39,7 @@ fn a_program_of_any_size_is_read_whole_and_asks_for_each_page_once() {
         let plc = plc(words, &mut Random::new(words.into()));
         let mut reading = Reading::default();
         reading.begin();
-        // 40, 53, the pages, the header and 53 once more.
+        // 40, 53, the pages, the header and 53 once more. Each is confirmed, so no request is one for that.
         assert_eq!(run(&mut reading, &plc, count + 4).unwrap(), None);
         let program = run(&mut reading, &plc, 1).unwrap().unwrap();
         assert_eq!((program.pages(), program.ladder_words()), (&pages(&plc)[..], words));

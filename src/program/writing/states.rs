@@ -19,6 +19,8 @@ pub(in crate::program) enum Step {
     Run,
     /// Nothing, for a moment.
     Pause,
+    /// Confirm all that was read: see [`Writing::confirmed`](super::Writing::confirmed).
+    Confirm,
     /// All is done: see [`Writing::report`](super::Writing::report).
     Done,
     /// It cannot go on: take [`Writing::failure`](super::Writing::failure).
@@ -46,7 +48,7 @@ pub(in crate::program) enum Goal {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum State {
+pub(in crate::program) enum State {
     Fit,
     Kind,
     Compare(u16),

@@ -9,8 +9,7 @@ fn at(world: &mut World, options: WriteOptions, step: Step) -> Writing {
     let program = world.new.clone();
     while writing.next() != step {
         assert!(!matches!(writing.next(), Step::Done | Step::Failed), "{step:?} never comes");
-        let told = world.ask(writing.next(), &program);
-        writing.told(told);
+        world.go(&mut writing, &program);
     }
     writing
 }
@@ -59,13 +58,14 @@ fn a_stop_that_is_refused_leaves_a_half_that_somebody_runs_running_and_the_error
     // The page is lost, and so is the question for it: whether the PLC runs is asked, and that is answered.
     writing.told(Err(timeout(Code::WriteProgramPage)));
     writing.told(Err(timeout(Code::ReadProgramPage)));
-    let told = world.ask(writing.next(), &program);
-    writing.told(told);
+    world.go(&mut writing, &program);
+    assert_eq!(writing.next(), Step::Confirm);
+    world.go(&mut writing, &program);
     assert_eq!(writing.next(), Step::Stop);
     writing.told(Err(refusal(Code::ControlPlc, ErrorCode::IllegalFormat)));
     writing.told(Err(timeout(Code::ReadStatus)));
     let error = writing.failure();
-    assert_eq!((error.state.plc, error.state.in_doubt), (PlcState::Running, Some(3)), "{error}");
+    assert_eq!((error.state.plc, &error.state.in_doubt), (PlcState::Running, &vec![3]), "{error}");
     assert!(error.to_string().contains(", page 3 perhaps, and the PLC runs: write the rest before it runs"), "{error}");
 }
 
@@ -82,9 +82,12 @@ fn a_dry_run_tells_what_a_run_writes_and_fails_where_it_is_refused() {
         let mut dry = Writing::new(program.clone(), options);
         dry.begin(Goal::DryRun);
         while !matches!(dry.next(), Step::Done | Step::Failed) {
-            assert!(matches!(dry.next(), Step::Status | Step::Read(_)), "seed {seed}: {:?}", dry.next());
-            let told = world.ask(dry.next(), &program);
-            dry.told(told);
+            assert!(
+                matches!(dry.next(), Step::Status | Step::Read(_) | Step::Confirm),
+                "seed {seed}: {:?}",
+                dry.next()
+            );
+            world.go(&mut dry, &program);
         }
         let mut real = Writing::new(program, options);
         match world.run(&mut real, MANY).unwrap() {
