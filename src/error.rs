@@ -196,7 +196,8 @@ pub enum Error {
         /// Whether the request, or a part of it, had been sent.
         sent: bool,
     },
-    /// A write that takes several requests failed after the first of them: the values before `written` are in the PLC.
+    /// A write that takes several requests failed after the first of them, or was not confirmed in the end: the values before
+    /// `written` are in the PLC.
     #[error("{written} of {count} values were written, and then: {source}")]
     #[non_exhaustive]
     PartlyWritten {

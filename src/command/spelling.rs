@@ -89,9 +89,12 @@ impl Run {
             return NONE;
         }
         let count = self.count.min(most);
+        if self.has_one_reading(count, framing) {
+            return [Some(self.mixed(Code::WriteMixed, count, framing)), None, None, None];
+        }
         // Whether a list of the binary framing has two readings depends on the values, too.
-        let is_one = || Some(WriteMixed::new(items.take(count).collect::<Vec<_>>()).ok()?.check(framing).is_ok());
-        if framing == Framing::Binary && is_one() != Some(true) {
+        let request = WriteMixed::new(items.take(count).collect::<Vec<_>>());
+        if !request.is_ok_and(|request| request.check(framing).is_ok()) {
             return NONE;
         }
         [Some(self.mixed(Code::WriteMixed, count, framing)), None, None, None]
@@ -101,11 +104,22 @@ impl Run {
         if self.count * self.first.width().units() > MAX_MIXED_READ_UNITS {
             return None;
         }
-        if framing == Framing::Binary {
+        if !self.has_one_reading(self.count, framing) {
             let elements = (0..self.count).map(|n| self.first.nth(n)).collect::<Result<Vec<_>, _>>().ok()?;
             ReadMixed::new(elements).ok()?.check(framing).ok()?;
         }
         Some(self.mixed(Code::ReadMixed, self.count, framing))
+    }
+
+    /// Whether a list of the first elements has one reading for certain; if not, it must be looked at. In the binary framing a
+    /// symbol of one letter can be taken for a longer one only if a letter follows: the high byte of its address.
+    fn has_one_reading(self, count: usize, framing: Framing) -> bool {
+        let symbol = self.first.symbol().as_str();
+        let last = self.first.nth(count.saturating_sub(1)).unwrap_or(self.first);
+        let high = self.first.address().to_be_bytes()[0]..=last.address().to_be_bytes()[0];
+        let letters = b'A'..=b'Z';
+        let apart = high.end() < letters.start() || letters.end() < high.start();
+        framing == Framing::Ascii || symbol.len() == 1 && apart
     }
 
     fn mixed(self, code: Code, count: usize, framing: Framing) -> Candidate {

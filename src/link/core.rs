@@ -34,6 +34,7 @@ use super::later;
 use super::scheduler::Scheduler;
 use super::stations::Stations;
 use super::stats::{Board, StationState, add};
+use super::transport::Late;
 use crate::command::LoopBack;
 use crate::error::Error;
 use crate::random::Random;
@@ -195,10 +196,15 @@ impl Core {
         self.exchange.sent(at, deadline, patient);
     }
 
-    /// Datagrams of earlier requests came, and were dropped for the port they came to.
-    pub(crate) fn late_datagrams(&self, count: u64) {
-        if count > 0 {
+    /// Datagrams came to the ports of earlier requests, and were dropped.
+    pub(crate) fn late_datagrams(&mut self, late: Late) {
+        if late.copies > 0 || late.others > 0 {
+            let count = late.copies.saturating_add(late.others);
             self.board.count(|link| add(&mut link.late_datagrams, count));
+        }
+        if late.others > 0 {
+            // One of them may be the true reply to a request that a copy has answered, on a port that is used again.
+            self.stations.for_all(InStep::lost_beginning);
         }
     }
 
@@ -358,7 +364,8 @@ impl Core {
     fn rule(&self, station: u8) -> Rule {
         let settings = self.config.in_step;
         let quiet = settings.quiet().max(self.stations.allowed(station));
-        Rule { settings, quiet, one_request: self.one_request, prices: self.prices }
+        let busy = self.prices.byte.saturating_mul(self.exchange.line_bytes());
+        Rule { settings, quiet, one_request: self.one_request, prices: self.prices, busy }
     }
 
     fn has_work(&mut self, now: Instant) -> bool {

@@ -217,7 +217,7 @@ impl Driver {
                     Poll::Ready(Ok(())) => {
                         let at = self.transmitted_at(clock);
                         self.core.sent(at);
-                        let late = self.io.as_deref_mut().map_or(0, <dyn Io>::take_late);
+                        let late = self.io.as_deref_mut().map(<dyn Io>::take_late).unwrap_or_default();
                         self.core.late_datagrams(late);
                         self.listens = self.listens && self.connector.tells();
                     }

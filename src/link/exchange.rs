@@ -24,7 +24,7 @@
 
 use bytes::BytesMut;
 use tokio::time::Instant;
-use tokio_util::codec::{Decoder, Encoder};
+use tokio_util::codec::Decoder;
 
 use super::buffer;
 use super::call::Ticket;
@@ -32,7 +32,7 @@ use super::in_step::{self, Reply, Shape};
 use super::options::EchoMode;
 use crate::command::{self, Command, LoopBack, ReadDetailedStatus, ReadStatus, ReplyError};
 use crate::error::ErrorCode;
-use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side, ascii};
+use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side};
 
 /// What is on the wire.
 #[derive(Debug)]
@@ -203,6 +203,10 @@ pub(crate) struct Exchange {
     /// The station whose reply to a status request has shown that the line does not echo. If its request comes back after all,
     /// the reply was a late one.
     learned_from: Option<u8>,
+    /// Bytes of frames on the line so far.
+    line_bytes: u32,
+    /// The content of the request, as a frame would have it that is its echo.
+    request_print: u64,
 }
 
 impl Exchange {
@@ -217,6 +221,8 @@ impl Exchange {
             mode,
             echo: Echo::Absent,
             learned_from: None,
+            line_bytes: 0,
+            request_print: 0,
         };
         exchange.reconnected();
         exchange
@@ -229,6 +235,11 @@ impl Exchange {
     /// Whether it must be learned first whether the line echoes.
     pub(crate) fn must_learn_echo(&self) -> bool {
         self.echo == Echo::Unknown
+    }
+
+    /// Bytes of frames on the line so far, in both directions.
+    pub(crate) fn line_bytes(&self) -> u32 {
+        self.line_bytes
     }
 
     pub(crate) fn active(&self) -> Option<&Active> {
@@ -253,7 +264,9 @@ impl Exchange {
             return None;
         }
         self.request_len = request.len();
+        self.request_print = print_of_echo(self.framing(), &request);
         self.request = request;
+        self.on_the_line(self.request_len);
         let stale = self.forget();
         let shape = goal.shape(self.framing());
         self.active = Some(Active {
@@ -377,9 +390,14 @@ impl Exchange {
         None
     }
 
+    fn on_the_line(&mut self, bytes: usize) {
+        self.line_bytes = self.line_bytes.saturating_add(u32::try_from(bytes).unwrap_or(u32::MAX));
+    }
+
     fn classify(&mut self, frame: &Frame, now: Instant) -> Event {
         tracing::trace!(station = frame.station, command = frame.command, data = %frame.data.escape_ascii(), "received");
         let framing = self.framing();
+        self.on_the_line(frame.data.len().saturating_add(framing.overhead()));
         let fingerprint = in_step::fingerprint(frame.command, &frame.data);
         let stray = Event::Stray { station: frame.station, command: frame.command, fingerprint };
         if self.is_late_echo(frame) {
@@ -401,7 +419,8 @@ impl Exchange {
             active.followed |= own;
             return stray;
         }
-        let copy = !active.echoed && is_copy(&active.goal, self.request_len, framing, frame);
+        // In the binary framing an echo is not even a frame.
+        let copy = framing == Framing::Ascii && own && !active.echoed && fingerprint == self.request_print;
         let learning = matches!(active.goal, Goal::Check { check: Check::Echo, .. });
         if copy && (self.echo == Echo::Present || learning) {
             return self.echoed();
@@ -455,14 +474,12 @@ pub(crate) fn spoils(reason: Discard) -> bool {
     matches!(reason, Discard::BadChecksum | Discard::Malformed | Discard::Truncated | Discard::TooLong)
 }
 
-/// Whether a frame is the request that was sent, come back. In the binary framing it would not even be a frame.
-fn is_copy(goal: &Goal, request_len: usize, framing: Framing, frame: &Frame) -> bool {
-    // Most replies are of another length: those need no closer look.
-    if framing != Framing::Ascii || request_len != frame.data.len().saturating_add(ascii::OVERHEAD) {
-        return false;
-    }
-    let (mut request, mut copy) = (BytesMut::with_capacity(request_len), BytesMut::with_capacity(request_len));
-    goal.encode(framing, &mut request).is_ok()
-        && Codec::new(framing, Side::Client).encode(frame, &mut copy).is_ok()
-        && copy == request
+/// The fingerprint of the frame that the echo of a request is.
+fn print_of_echo(framing: Framing, request: &[u8]) -> u64 {
+    // Only in the ASCII framing a request looks like a reply: STX, station, command, data, LRC, ETX.
+    let content = request.get(3..request.len().saturating_sub(3)).filter(|_| framing == Framing::Ascii);
+    let Some(([high, low], data)) = content.and_then(<[u8]>::split_first_chunk) else { return 0 };
+    let digit =
+        |digit: u8| char::from(digit).to_digit(16).and_then(|digit| u8::try_from(digit).ok()).unwrap_or_default();
+    in_step::fingerprint(digit(*high).wrapping_shl(4) | digit(*low), data)
 }

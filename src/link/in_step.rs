@@ -84,6 +84,8 @@ struct Taken {
     /// The silence of the station after which no copy comes any more.
     window: Duration,
     heard_at: Instant,
+    /// The time that the line had been busy by then.
+    busy_at: Duration,
 }
 
 /// What of the owed frames could answer a request.
@@ -151,6 +153,10 @@ impl InStep {
         let best = candidates.iter().flatten().filter(|candidate| possible(candidate)).min_by_key(|&c| price(c));
         match best {
             Some(candidate) => Choice::Send(candidate.spelling),
+            // Where the refusal of an earlier 4E could pass for the echo, another 4E would separate nothing.
+            None if spelling.code == Code::LoopBack && request.kind() == Kind::Once => {
+                self.separate(Why::Owed, Check::Status, rule, now)
+            }
             None => self.separate(Why::Owed, Check::Empty, rule, now),
         }
     }
@@ -173,7 +179,7 @@ impl InStep {
 
     /// What a suspect station needs; `None`: it is in step.
     fn prove(&mut self, rule: &Rule, now: Instant) -> Option<Choice> {
-        self.lapse(now);
+        self.lapse(rule, now);
         let why = self.suspect?;
         if !rule.one_request && !self.refused {
             return Some(Choice::Check(Check::Nonce, why));
@@ -186,10 +192,10 @@ impl InStep {
         None
     }
 
-    /// What goes between two requests: this check, if 4E can.
+    /// What goes between two requests: this check, if it can.
     fn separate(&mut self, why: Why, check: Check, rule: &Rule, now: Instant) -> Choice {
         let free = |shape: Shape| self.threat(shape) == Threat::None;
-        if !self.refused {
+        if !self.refused && matches!(check, Check::Empty | Check::Nonce) {
             // A nonce may always go out: its echo cannot be another's.
             let empty = check == Check::Empty && free(Check::EMPTY);
             return Choice::Check(if empty { Check::Empty } else { Check::Nonce }, why);
@@ -263,7 +269,7 @@ impl InStep {
 
     fn owed_frame(&self, shape: Shape, fingerprint: Option<u64>, rule: &Rule, now: Instant) -> Taken {
         let window = rule.settings.window().max(self.slowest.saturating_mul(2));
-        Taken { shape, fingerprint, window, heard_at: now }
+        Taken { shape, fingerprint, window, heard_at: now, busy_at: rule.busy }
     }
 
     /// Keeps a frame that may come again later than the next reply, if copies roam.
@@ -341,9 +347,12 @@ impl InStep {
         self.proof.proofs = self.proof.proofs.wrapping_add(1);
     }
 
-    /// What a taken reply owes lapses in a silence.
-    fn lapse(&mut self, now: Instant) {
-        let ends = |taken: &Taken| now.saturating_duration_since(taken.heard_at) >= taken.window;
+    /// What a taken reply owes lapses in a silence: not of this station alone, for a copy waits while others use the line.
+    fn lapse(&mut self, rule: &Rule, now: Instant) {
+        let ends = |taken: &Taken| {
+            let busy = rule.busy.saturating_sub(taken.busy_at);
+            now.saturating_duration_since(taken.heard_at).saturating_sub(busy) >= taken.window
+        };
         if self.taken.is_some_and(|taken| ends(&taken)) {
             self.taken = None;
             self.older.retain(|taken| !ends(taken));
@@ -366,11 +375,11 @@ impl InStep {
 
     /// A reply came without proof, and its request is to be sent again. `copied`: a copy of it came in the same read.
     ///
-    /// A refusal may be the true reply to a read that a roaming copy has answered, and so may the copy, so both are doubts for
-    /// jobs. A frame that comes afterwards may be one, too, so it is not expected.
+    /// The reply to that request may still come, and so may the true reply to a read that a roaming copy has answered. So a frame that
+    /// comes afterwards is not expected, and a copy that came with the reply may be one: both are doubts for jobs.
     pub(crate) fn unproven(&mut self, reply: &Reply, copied: bool, rule: &Rule, now: Instant) {
         self.suspect.get_or_insert(Why::Unproven);
-        if reply.refused || copied {
+        if copied {
             self.proof.doubts = self.proof.doubts.wrapping_add(1);
         }
         let fingerprint = (!reply.refused).then_some(reply.fingerprint);
@@ -382,7 +391,8 @@ impl InStep {
         self.broadcasts.insert(code);
     }
 
-    /// The beginning of a frame was dropped, which may have been a stray of this station: results that are held are in doubt.
+    /// A part of a frame, or a late datagram, was dropped, which may have been a stray of this station: results that are held are in
+    /// doubt.
     pub(crate) fn lost_beginning(&mut self) {
         self.proof.doubts = self.proof.doubts.wrapping_add(1);
     }
@@ -390,7 +400,9 @@ impl InStep {
     /// A frame came from the station that no request takes.
     pub(crate) fn stray(&mut self, command: u8, fingerprint: u64, rule: &Rule, now: Instant) -> Stray {
         self.silent_since = None;
-        self.taken.iter_mut().chain(&mut self.older).for_each(|taken| taken.heard_at = now);
+        self.taken.iter_mut().chain(&mut self.older).for_each(|taken| {
+            (taken.heard_at, taken.busy_at) = (now, rule.busy);
+        });
         if self.last == Some(fingerprint) {
             return Stray::Duplicate;
         }

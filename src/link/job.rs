@@ -16,7 +16,7 @@
 //! Invariants:
 //! - a result is confirmed only if no unexpected stray came between it and a later proof (the echo of a check, or silence);
 //! - a job ends with a check, unless its last exchange has a shape that no other exchange of the job had;
-//! - a job rewinds as often as a read is retried, and then it fails.
+//! - a job rewinds as often as a read is retried, and then it fails; once a proof confirms something, it may as often again.
 
 use super::in_step::{Proof, Shape};
 
@@ -44,6 +44,8 @@ pub(crate) struct Job<M> {
     /// The last exchange has a shape that no other has.
     last_is_distinct: bool,
     exchanges: usize,
+    /// How often it rewinds before a proof confirms something.
+    rewinds: u32,
     rewinds_left: u32,
 }
 
@@ -56,6 +58,7 @@ impl<M: Copy> Job<M> {
             shapes: Vec::new(),
             last_is_distinct: false,
             exchanges: 0,
+            rewinds,
             rewinds_left: rewinds,
         }
     }
@@ -72,6 +75,7 @@ impl<M: Copy> Job<M> {
         }
         if self.last.is_some_and(|last| last.proofs != proof.proofs) {
             self.first_held = None;
+            self.rewinds_left = self.rewinds;
         }
         self.last = Some(proof);
         self.first_held.get_or_insert(mark);

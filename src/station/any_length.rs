@@ -109,23 +109,24 @@ where
         0 => error,
         written => Error::PartlyWritten { written, count, source: Box::new(error) },
     };
-    // Writes are not repeated: those since the last proof have an unknown result.
-    let unknown = |written| partly(written, Error::Duplicates { station: station.number, sent: true });
+    // Writes are not repeated: those since the last proof have an unknown result, also if none was confirmed.
+    let unknown = |written, source: Error| Error::PartlyWritten { written, count, source: Box::new(source) };
+    let duplicates = || Error::Duplicates { station: station.number, sent: true };
     let mut job = StationJob::of_writes(station);
     let mut written = 0;
     while let Some(rest) = values.get(written..).filter(|rest| !rest.is_empty()) {
         let part = request(nth(first, written)?, rest.get(..most).unwrap_or(rest))?;
         match job.call(written, part, true).await {
             Ok(Outcome::Reply(JobReply { count, .. })) => written += count,
-            Ok(Outcome::Rewind(confirmed)) => return Err(unknown(confirmed)),
+            Ok(Outcome::Rewind(confirmed)) => return Err(unknown(confirmed, duplicates())),
             Err(error) => return Err(partly(written, error)),
         }
     }
     match job.confirm().await {
         Ok(None) => Ok(()),
-        Ok(Some(confirmed)) => Err(unknown(confirmed)),
+        Ok(Some(confirmed)) => Err(unknown(confirmed, duplicates())),
         // All was acknowledged, and is not confirmed.
-        Err(error) => Err(partly(job.first_held().unwrap_or(count), error)),
+        Err(error) => Err(unknown(job.first_held().unwrap_or(count), error)),
     }
 }
 

@@ -28,7 +28,7 @@ impl Framing {
             Self::Ascii => symbol.digits(),
             Self::Binary => 2,
         };
-        symbol.as_str().len() + address
+        symbol.as_str().len().saturating_add(address)
     }
 
     /// The length of a value of this width in a request or a reply.

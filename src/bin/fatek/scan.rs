@@ -115,7 +115,7 @@ async fn ask(link: &Link, station: &Station) -> Result<Option<Found>, Failure> {
     }
     let detailed = match brief {
         // Where everything is answered twice, no loop-back would be believed before the next request.
-        Some(_) if station.stats().stray_frames > 0 => None,
+        Some(_) if unasked(station) > 0 => None,
         // Not every model has it, so a refusal says nothing.
         Some(_) => match station.read_detailed_status().await {
             Err(Error::Plc { .. }) => None,
@@ -160,10 +160,15 @@ fn garbage(stats: &LinkStats) -> u64 {
     stats.garbage_bytes + stats.stale_bytes
 }
 
-/// Good frames with a station's number that were no reply to what was asked then: late ones, or those of a second
-/// station with that number.
+/// Good frames of a station that were no reply to what was asked then.
+fn unasked(station: &Station) -> u64 {
+    let stats = station.stats();
+    stats.stray_frames + stats.duplicates + stats.late_replies
+}
+
+/// Notes frames that were not asked for: late ones, or those of a second station with that number.
 fn note_strays(station: &Station, found: &mut Vec<Found>) {
-    let strays = station.stats().stray_frames;
+    let strays = unasked(station);
     if strays == 0 {
         return;
     }

@@ -36,6 +36,7 @@ impl Core {
 
     /// A good frame that no request on the wire takes.
     fn stray(&mut self, station: u8, command: u8, fingerprint: u64, now: Instant) {
+        self.echo_was_last = false;
         // A station that has not been asked anything is suspect anyway; station 0 is no station.
         let rule = self.rule(station);
         let stray = match self.stations.in_step(station) {

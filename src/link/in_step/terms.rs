@@ -121,6 +121,8 @@ pub(crate) struct Rule {
     /// The connection is for one request alone, so silence replaces every check.
     pub(crate) one_request: bool,
     pub(crate) prices: Prices,
+    /// The time that the line has been busy so far.
+    pub(crate) busy: Duration,
 }
 
 /// Prices of what separates two requests.

@@ -29,7 +29,7 @@ impl Bench {
     fn with(byte: Duration, copies: u8) -> Self {
         let settings = InStepSettings::default().with_copies(copies).unwrap();
         let prices = Prices { byte, exchange: byte * 16 + Duration::from_millis(5) };
-        let rule = Rule { settings, quiet: QUIET, one_request: false, prices };
+        let rule = Rule { settings, quiet: QUIET, one_request: false, prices, busy: Duration::ZERO };
         let mut known = InStep::new();
         known.is_in_step();
         Self { known, rule, now: Instant::now(), body: 0 }

@@ -20,13 +20,22 @@ use crate::endpoint::{Endpoint, Transport};
 pub(crate) trait Io: AsyncRead + AsyncWrite + Send + Unpin + Any {}
 impl<T: AsyncRead + AsyncWrite + Send + Unpin + Any> Io for T {}
 
+/// Datagrams that came to the ports of earlier requests.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Late {
+    /// Copies of the datagram that was read from that port last.
+    pub(crate) copies: u64,
+    /// Any others.
+    pub(crate) others: u64,
+}
+
 impl dyn Io {
-    /// Returns the number of datagrams of earlier requests dropped since the last call; 0 for anything but UDP.
+    /// Returns the datagrams of earlier requests dropped since the last call; none for anything but UDP.
     ///
     /// A method of the trait would be found on the box, which is a connection itself, before the one within.
-    pub(crate) fn take_late(&mut self) -> u64 {
+    pub(crate) fn take_late(&mut self) -> Late {
         let io: &mut dyn Any = self;
-        io.downcast_mut().map_or(0, udp::Datagrams::take_late)
+        io.downcast_mut().map(udp::Datagrams::take_late).unwrap_or_default()
     }
 }
 

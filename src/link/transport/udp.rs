@@ -23,6 +23,8 @@ use tokio::task::consume_budget;
 use tokio_util::codec::Decoder;
 use tokio_util::sync::ReusableBoxFuture;
 
+use super::Late;
+use crate::link::in_step::fingerprint;
 use crate::wire::{Codec, Framing, MAX_FRAME_LEN, Side};
 
 /// Number of sockets of a connection: a local port is used again after as many requests.
@@ -80,6 +82,8 @@ async fn socket(address: SocketAddr) -> io::Result<Arc<UdpSocket>> {
 pub(super) struct Datagrams {
     /// In the order of use: the first is the socket of the last write, the second is used by the next one.
     sockets: [Arc<UdpSocket>; SOCKETS],
+    /// The fingerprints of the datagrams that were read from them last.
+    read: [Option<u64>; SOCKETS],
     framing: Framing,
     /// Completes when the current socket has a datagram or an error.
     readiness: ReusableBoxFuture<'static, io::Result<()>>,
@@ -92,7 +96,7 @@ pub(super) struct Datagrams {
     /// The part of the buffer that has not been read yet.
     unread: Range<usize>,
     /// Dropped datagrams of earlier requests.
-    late: u64,
+    late: Late,
 }
 
 impl Datagrams {
@@ -102,23 +106,24 @@ impl Datagrams {
         let buffer = Box::new([0; MAX_FRAME_LEN + 1]);
         Self {
             sockets,
+            read: [None; SOCKETS],
             framing,
             readiness,
             waiting: false,
             reader: Waker::noop().clone(),
             buffer,
             unread: 0..0,
-            late: 0,
+            late: Late::default(),
         }
     }
 
-    /// Returns the number of datagrams of earlier requests dropped since the last call.
+    /// Returns the datagrams of earlier requests dropped since the last call.
     ///
     /// Counts what the runtime has seen on the other sockets; the rest is counted when their turn comes. Costs no system
     /// call unless there is something to drop.
-    pub(super) fn take_late(&mut self) -> u64 {
-        for socket in self.sockets.iter().skip(1) {
-            discard(socket, receive, &mut self.late);
+    pub(super) fn take_late(&mut self) -> Late {
+        for (socket, read) in self.sockets.iter().zip(self.read).skip(1) {
+            discard(socket, read, receive, &mut self.late);
         }
         std::mem::take(&mut self.late)
     }
@@ -146,6 +151,8 @@ impl Datagrams {
             }
             // To a reader of a stream, nothing would be its end.
             if ended > 0 {
+                let [read, ..] = &mut self.read;
+                *read = Some(fingerprint(0, datagram));
                 self.unread = 0..ended;
                 return Poll::Ready(Ok(()));
             }
@@ -156,9 +163,12 @@ impl Datagrams {
     fn rotate(&mut self) {
         if !self.unread.is_empty() {
             self.unread = 0..0;
-            self.late = self.late.saturating_add(1);
+            self.late.others = self.late.others.saturating_add(1);
         }
         self.sockets.rotate_left(1);
+        self.read.rotate_left(1);
+        let [read, ..] = &mut self.read;
+        *read = None;
         if self.waiting {
             let [current, ..] = &self.sockets;
             self.readiness.set(wait(current.clone()));
@@ -225,13 +235,22 @@ fn cut(received: io::Result<usize>, buffer: &[u8]) -> io::Result<usize> {
 
 const WSAEMSGSIZE: i32 = 10_040;
 
-/// Drops and counts all datagrams of a socket, and ignores its errors. Returns `false` if there may be more.
-fn discard(socket: &UdpSocket, receive: fn(&UdpSocket, &mut [u8]) -> io::Result<usize>, late: &mut u64) -> bool {
+/// Drops and counts all datagrams of a socket, from which this one was read last, and ignores its errors. Returns `false` if
+/// there may be more.
+fn discard(
+    socket: &UdpSocket,
+    read: Option<u64>,
+    receive: fn(&UdpSocket, &mut [u8]) -> io::Result<usize>,
+    late: &mut Late,
+) -> bool {
+    let mut buffer = [0; MAX_FRAME_LEN + 1];
     for _ in 0..MAX_DISCARDED {
-        match receive(socket, &mut [0]) {
-            Ok(_) => {
+        match receive(socket, &mut buffer) {
+            Ok(len) => {
                 tracing::debug!("datagram of an earlier request dropped");
-                *late = late.saturating_add(1);
+                let print = buffer.get(..len).map(|datagram| fingerprint(0, datagram));
+                let counter = if read.is_some() && print == read { &mut late.copies } else { &mut late.others };
+                *counter = counter.saturating_add(1);
             }
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => return true,
             Err(_) => {}
@@ -263,11 +282,11 @@ impl AsyncWrite for Datagrams {
     /// Sends a datagram from the next socket, whose queue is emptied first. What was not read of earlier ones is dropped.
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
         let this = &mut *self;
-        let [current, next, ..] = &this.sockets;
+        let ([current, next, ..], [_, read, ..]) = (&this.sockets, this.read);
         if let Some(error) = current.take_error()? {
             return Poll::Ready(Err(error));
         }
-        if !discard(next, receive_unseen, &mut this.late) {
+        if !discard(next, read, receive_unseen, &mut this.late) {
             cx.waker().wake_by_ref();
             return Poll::Pending;
         }
@@ -295,6 +314,10 @@ mod tests {
     use std::time::Duration;
     use tokio::io::{AsyncReadExt, AsyncWriteExt, split};
     use tokio::time::timeout;
+
+    fn all(late: Late) -> u64 {
+        late.copies + late.others
+    }
 
     /// Longer than anything here takes, even on a busy machine.
     const LONG: Duration = Duration::from_secs(10);
@@ -351,12 +374,12 @@ mod tests {
         let all = async {
             while late < expected {
                 tokio::task::yield_now().await;
-                late += stream.take_late();
+                late += all(stream.take_late());
             }
         };
         timeout(LONG, all).await.expect("they are counted");
         assert_eq!(late, expected);
-        assert_eq!(stream.take_late(), 0, "each is counted once");
+        assert_eq!(all(stream.take_late()), 0, "each is counted once");
     }
 
     #[tokio::test]
@@ -423,7 +446,7 @@ mod tests {
             assert_eq!(request(&mut stream, &device, b"fifth"), first);
             device.send(b"answer", first);
             assert_eq!(next(&mut stream).await, b"answer", "seen by the runtime: {seen}");
-            assert_eq!(stream.take_late(), 4);
+            assert_eq!(all(stream.take_late()), 4);
         }
     }
 
@@ -446,7 +469,7 @@ mod tests {
         assert_eq!(device.expect(b"fifth"), first);
         device.send(b"answer", first);
         assert_eq!(next(&mut stream).await, b"answer");
-        assert_eq!(stream.take_late(), u64::try_from(many).unwrap());
+        assert_eq!(all(stream.take_late()), u64::try_from(many).unwrap());
     }
 
     #[tokio::test]
@@ -458,7 +481,7 @@ mod tests {
         let second = request(&mut stream, &device, b"second");
         device.send(b"answer", second);
         assert_eq!(next(&mut stream).await, b"answer");
-        assert_eq!(stream.take_late(), 1);
+        assert_eq!(all(stream.take_late()), 1);
     }
 
     #[tokio::test]
@@ -540,9 +563,9 @@ mod tests {
         stream.sockets[0].readable().await.unwrap();
         request(&mut stream, &device, b"second");
         let mut boxed: BoxIo = Box::new(stream);
-        assert_eq!((boxed.take_late(), boxed.take_late()), (1, 0));
+        assert_eq!((all(boxed.take_late()), all(boxed.take_late())), (1, 0));
         let mut other: BoxIo = Box::new(tokio::io::empty());
-        assert_eq!(other.take_late(), 0);
+        assert_eq!(all(other.take_late()), 0);
     }
 
     #[tokio::test]
@@ -554,7 +577,7 @@ mod tests {
         }
         assert_eq!(next(&mut stream).await, [4; MAX_FRAME_LEN]);
         assert_eq!(next(&mut stream).await, b"end");
-        assert_eq!(stream.take_late(), 0);
+        assert_eq!(all(stream.take_late()), 0);
     }
 
     #[test]
@@ -631,7 +654,7 @@ mod tests {
                 device.send(b"answer", from);
                 assert_eq!(next(&mut stream).await, b"answer", "seen by the runtime: {seen}");
             }
-            assert_eq!(stream.take_late(), 0);
+            assert_eq!(all(stream.take_late()), 0);
         }
     }
 

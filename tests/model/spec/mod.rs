@@ -21,11 +21,11 @@ use super::witness::Witness;
 
 /// A stray behind the echo of a check makes the station suspect. The link forgets it if both come in one read, which costs no
 /// result: set this to `true` when it does not any more.
-const STRAY_BEHIND_ECHO_COUNTS: bool = false;
+const STRAY_BEHIND_ECHO_COUNTS: bool = true;
 
 /// A read takes one element more only if that element has been answered. The link takes a list of scattered elements for one
 /// of consecutive elements, which costs an exchange that is refused: set this to `true` when it does not any more.
-const ONLY_READ_ELEMENTS_ARE_KNOWN: bool = false;
+const ONLY_READ_ELEMENTS_ARE_KNOWN: bool = true;
 
 #[derive(Debug)]
 pub(crate) struct Spec {

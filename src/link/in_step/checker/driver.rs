@@ -102,7 +102,7 @@ impl Driver {
 
     /// The copy window passes, and no copy can come any more.
     pub(super) fn window_passes(&self, known: &mut InStep) {
-        known.lapse(self.now + self.rule.settings.window());
+        known.lapse(&self.rule, self.now + self.rule.settings.window());
     }
 
     pub(super) fn broadcast(&self, known: &mut InStep, code: Code) {

@@ -83,7 +83,13 @@ pub(super) fn rule(serial: bool, copies: u8) -> Rule {
     let byte = if serial { Duration::from_micros(87) } else { Duration::ZERO };
     let exchange = byte * 16 + Duration::from_millis(5);
     let settings = InStepSettings::default().with_copies(copies).unwrap();
-    Rule { settings, quiet: settings.quiet(), one_request: false, prices: Prices { byte, exchange } }
+    Rule {
+        settings,
+        quiet: settings.quiet(),
+        one_request: false,
+        prices: Prices { byte, exchange },
+        busy: Duration::ZERO,
+    }
 }
 
 fn is_sound(name: &str, faults: &Faults, rule: Rule) {
