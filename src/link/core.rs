@@ -71,7 +71,7 @@ pub(crate) struct Core {
     prices: Prices,
     /// The device closes its connection after each reply: set, or learned.
     one_request: bool,
-    /// Nothing has come over the connection since the echo of a check.
+    /// The echo of a check was the last answer over the connection, strays apart.
     echo_was_last: bool,
     /// Connections in a row that were closed right behind the echo of a check.
     closed_behind_echo: u32,

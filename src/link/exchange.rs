@@ -159,6 +159,8 @@ pub(crate) struct Active {
     pub(crate) followed: bool,
     /// A copy of the reply came in the same read.
     pub(crate) copied: bool,
+    /// Bytes on the line before the reply.
+    pub(crate) bytes_before: u32,
     /// Whether the request itself has come back.
     echoed: bool,
     /// How many bytes came that were no frame.
@@ -275,6 +277,7 @@ impl Exchange {
             refusal: None,
             followed: false,
             copied: false,
+            bytes_before: self.line_bytes,
             goal,
             began: now,
             sent: None,

@@ -70,7 +70,7 @@ pub(crate) struct InStep {
     /// Commands that are used as spellings and that the station does not know.
     lacks: Codes,
     answered: Answered,
-    /// The time that recent exchanges took, the slowest of them.
+    /// The silence before the reply, in the slowest of recent exchanges.
     slowest: Duration,
     proof: Proof,
 }
@@ -249,7 +249,7 @@ impl InStep {
         }
     }
 
-    /// A reply was taken, after this time on the wire: it may come again, and nothing older may.
+    /// A reply was taken, for which the line was silent this long: it may come again, and nothing older may.
     pub(crate) fn taken(&mut self, kind: Kind, reply: &Reply, took: Duration, rule: &Rule, now: Instant) {
         // It decays slowly: a reply that comes at once may be a copy.
         self.slowest = took.max(self.slowest.saturating_mul(7).checked_div(8).unwrap_or_default());

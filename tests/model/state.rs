@@ -60,6 +60,8 @@ pub(crate) struct Spelling {
     pub(crate) request: Vec<u8>,
     /// A register that the call does not ask for.
     pub(crate) extra: Option<u16>,
+    /// That one is the first of those that are named.
+    pub(crate) before: bool,
     /// Registers of which a reply shows that the station has them.
     pub(crate) shows: Vec<u16>,
 }
@@ -151,8 +153,6 @@ pub(crate) struct Wire {
     pub(crate) held: Option<Held>,
     /// Behind the reply stood another frame of the station that is no copy of it.
     pub(crate) followed: bool,
-    /// That frame fits the request, too.
-    pub(crate) ambiguous: bool,
 }
 
 /// A frame that fits the request on the wire.

@@ -50,7 +50,12 @@ impl Wanted {
         let others: Vec<(Request, Option<u16>)> = match &self.request {
             Request::ReadRegisters(_) => {
                 let (all, extra) = (first..first + count, first + count);
-                vec![(Request::ReadRegisters(read(first, count + 1)), Some(extra)), (mixed(all), None)]
+                let mut others =
+                    vec![(Request::ReadRegisters(read(first, count + 1)), Some(extra)), (mixed(all), None)];
+                if let Some(before) = first.checked_sub(1) {
+                    others.push((Request::ReadRegisters(read(before, count + 1)), Some(before)));
+                }
+                others
             }
             Request::ReadMixed(_) => vec![(mixed(scattered(first, count).chain([first])), Some(first))],
             Request::WriteRegisters(_) if !self.broadcast => {
@@ -69,7 +74,8 @@ impl Wanted {
             let mut bytes = BytesMut::new();
             request.encode(framing, station, &mut bytes).ok()?;
             let shows = shown.iter().copied().chain(extra).collect();
-            Some(Spelling { request: bytes.to_vec(), extra, shows })
+            let before = matches!(self.request, Request::ReadRegisters(_)) && extra.is_some_and(|extra| extra < first);
+            Some(Spelling { request: bytes.to_vec(), extra, before, shows })
         });
         spellings.collect()
     }

@@ -118,7 +118,8 @@ impl Witness {
                 None => self.heard.iter().filter(of_own).any(|mark| mark.refusal.is_none()),
                 Some(word) if word & 0xFFF == COMMON => true,
                 Some(first) => {
-                    let in_order = words.iter().zip(0_u16..).all(|(&word, n)| word == first & 0xFFF | n << 12);
+                    // The first may be the second of the reply, where the request began before.
+                    let in_order = words.iter().zip(first >> 12..).all(|(&word, n)| word == first & 0xFFF | n << 12);
                     in_order && self.heard.iter().filter(of_own).any(|mark| mark.tag == first & 0xFFF)
                 }
             },

@@ -36,7 +36,6 @@ impl Core {
 
     /// A good frame that no request on the wire takes.
     fn stray(&mut self, station: u8, command: u8, fingerprint: u64, now: Instant) {
-        self.echo_was_last = false;
         // A station that has not been asked anything is suspect anyway; station 0 is no station.
         let rule = self.rule(station);
         let stray = match self.stations.in_step(station) {
@@ -69,6 +68,9 @@ impl Core {
         let took = now.saturating_duration_since(active.began);
         self.scheduler.charge(station, took);
         let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
+        // Of that the line was silent for this long.
+        let reply_bytes = self.exchange.line_bytes().saturating_sub(active.bytes_before);
+        let silent = round_trip.saturating_sub(self.prices.byte.saturating_mul(reply_bytes));
         match active.goal {
             Goal::Call(ticket) => {
                 self.used_at = Some(now);
@@ -91,14 +93,14 @@ impl Core {
                     // It may be the spelling that is refused.
                     let lacks = active.refusal.is_some_and(is_about_the_command);
                     self.stations.with_in_step(station, |known| {
-                        known.taken(kind, &reply, round_trip, &rule, now);
+                        known.taken(kind, &reply, silent, &rule, now);
                         known.spelling_refused(plain, spelling, run, lacks);
                     });
                     self.board.count_for(station, |stats| add(&mut stats.refused_spellings, 1));
                     return self.respell(ticket);
                 }
                 let proof = self.stations.with_in_step(station, |known| {
-                    known.taken(kind, &reply, round_trip, &rule, now);
+                    known.taken(kind, &reply, silent, &rule, now);
                     if !reply.refused {
                         known.answered(run, spelling);
                     }
@@ -116,7 +118,7 @@ impl Core {
                         let refused = reply.refused && reply.shape.code == Code::LoopBack;
                         self.board.count_for(station, |stats| add(&mut stats.refused_checks, u64::from(refused)));
                         self.stations.with_in_step(station, |known| {
-                            known.checked(check, (&reply, active.followed), round_trip, &rule, now)
+                            known.checked(check, (&reply, active.followed), silent, &rule, now)
                         })
                     }
                     // The reply may be a late one: it shows nothing of the station.

@@ -7,6 +7,7 @@
 //!
 //! `FATEK_CHECKER=full` sets larger bounds. With `--nocapture`, the tests print a table, and the shortest trace of each wrong
 //! result.
+#![allow(clippy::print_stdout, reason = "the verdicts are what it is for")]
 
 mod driver;
 mod faults;

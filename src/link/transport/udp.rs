@@ -315,7 +315,7 @@ mod tests {
     use tokio::io::{AsyncReadExt, AsyncWriteExt, split};
     use tokio::time::timeout;
 
-    fn all(late: Late) -> u64 {
+    fn sum(late: Late) -> u64 {
         late.copies + late.others
     }
 
@@ -374,12 +374,12 @@ mod tests {
         let all = async {
             while late < expected {
                 tokio::task::yield_now().await;
-                late += all(stream.take_late());
+                late += sum(stream.take_late());
             }
         };
         timeout(LONG, all).await.expect("they are counted");
         assert_eq!(late, expected);
-        assert_eq!(all(stream.take_late()), 0, "each is counted once");
+        assert_eq!(sum(stream.take_late()), 0, "each is counted once");
     }
 
     #[tokio::test]
@@ -446,7 +446,7 @@ mod tests {
             assert_eq!(request(&mut stream, &device, b"fifth"), first);
             device.send(b"answer", first);
             assert_eq!(next(&mut stream).await, b"answer", "seen by the runtime: {seen}");
-            assert_eq!(all(stream.take_late()), 4);
+            assert_eq!(sum(stream.take_late()), 4);
         }
     }
 
@@ -469,7 +469,7 @@ mod tests {
         assert_eq!(device.expect(b"fifth"), first);
         device.send(b"answer", first);
         assert_eq!(next(&mut stream).await, b"answer");
-        assert_eq!(all(stream.take_late()), u64::try_from(many).unwrap());
+        assert_eq!(sum(stream.take_late()), u64::try_from(many).unwrap());
     }
 
     #[tokio::test]
@@ -481,7 +481,7 @@ mod tests {
         let second = request(&mut stream, &device, b"second");
         device.send(b"answer", second);
         assert_eq!(next(&mut stream).await, b"answer");
-        assert_eq!(all(stream.take_late()), 1);
+        assert_eq!(sum(stream.take_late()), 1);
     }
 
     #[tokio::test]
@@ -563,9 +563,9 @@ mod tests {
         stream.sockets[0].readable().await.unwrap();
         request(&mut stream, &device, b"second");
         let mut boxed: BoxIo = Box::new(stream);
-        assert_eq!((all(boxed.take_late()), all(boxed.take_late())), (1, 0));
+        assert_eq!((sum(boxed.take_late()), sum(boxed.take_late())), (1, 0));
         let mut other: BoxIo = Box::new(tokio::io::empty());
-        assert_eq!(all(other.take_late()), 0);
+        assert_eq!(sum(other.take_late()), 0);
     }
 
     #[tokio::test]
@@ -577,7 +577,7 @@ mod tests {
         }
         assert_eq!(next(&mut stream).await, [4; MAX_FRAME_LEN]);
         assert_eq!(next(&mut stream).await, b"end");
-        assert_eq!(all(stream.take_late()), 0);
+        assert_eq!(sum(stream.take_late()), 0);
     }
 
     #[test]
@@ -654,7 +654,7 @@ mod tests {
                 device.send(b"answer", from);
                 assert_eq!(next(&mut stream).await, b"answer", "seen by the runtime: {seen}");
             }
-            assert_eq!(all(stream.take_late()), 0);
+            assert_eq!(sum(stream.take_late()), 0);
         }
     }
 

@@ -73,7 +73,6 @@ impl Spec {
             (Some(held), _) if own && command == wire.command && held.data == data => return,
             (Some(_), answer) => {
                 wire.followed |= own;
-                wire.ambiguous |= answer.is_some();
             }
             (None, Some(answer)) => {
                 wire.held = Some(Held { data: data.to_vec(), answer });
@@ -111,7 +110,8 @@ impl Spec {
         self.spent |= self.one_request;
         let (sort, shape) = (self.calls[&id].call.sort, shape(self.rules.framing, wire.command, &wire.data));
         let known = self.stations.entry(wire.station).or_default();
-        let contradicted = if sort == Sort::Once { wire.ambiguous } else { wire.followed };
+        // Of two answers to a write the first is its own.
+        let contradicted = sort != Sort::Once && wire.followed;
         if contradicted || !known.proves(sort, shape, held) {
             known.doubt(at);
             return self.without_proof(id, sort, at);
@@ -130,10 +130,13 @@ impl Spec {
         if held.answer.is_ok() {
             known.answered.extend(&state.call.spellings[wire.spelling].shows);
         }
-        let words = state.call.words;
+        let (words, before) = (state.call.words, state.call.spellings[wire.spelling].before);
         self.end(id, |_| match held.answer.clone() {
             Ok(mut values) => {
                 if sort == Sort::Read {
+                    if before && !values.is_empty() {
+                        values.remove(0);
+                    }
                     values.truncate(words);
                 }
                 End::Done(values)

@@ -71,7 +71,6 @@ impl Spec {
             noise: 0,
             held: None,
             followed: false,
-            ambiguous: false,
         });
         Ok(())
     }
