@@ -71,9 +71,7 @@ impl Spec {
         };
         match (&wire.held, answer) {
             (Some(held), _) if own && command == wire.command && held.data == data => return,
-            (Some(_), answer) => {
-                wire.followed |= own;
-            }
+            (Some(_), _) => wire.followed |= own,
             (None, Some(answer)) => {
                 wire.held = Some(Held { data: data.to_vec(), answer });
                 if wire.goal == Goal::Learn && self.echo == Echo::Unknown && wire.noise * 2 < wire.request.len() {
@@ -171,8 +169,9 @@ impl Spec {
                 self.echo_was_last = held.answer.is_ok();
                 let passed = known.checked(wire, shape, held, &rules, at);
                 // A stray behind the echo is none of those that the echo has outlived.
-                known.suspect |= STRAY_BEHIND_ECHO_COUNTS && passed && wire.followed;
-                passed
+                let followed = STRAY_BEHIND_ECHO_COUNTS && wire.followed;
+                known.suspect |= passed && followed;
+                passed && !followed
             }
         };
         match wire.call {
