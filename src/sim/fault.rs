@@ -259,7 +259,8 @@ pub enum Fault {
     /// PLC again.
     ///
     /// Without an error a read is executed again when its second answer is sent, so that it has the values of that time.
-    /// Any other request is executed once, and its second answer is a copy of the first.
+    /// Any other request is executed once, and its second answer is a copy of the first; so it is if [`Error`](Self::Error)
+    /// refuses the request.
     ///
     /// ```
     /// use std::time::Duration;

@@ -42,7 +42,9 @@ impl Conversation {
         if !then_close && reply.is_empty() {
             return;
         }
-        let follow_ups = again.into_iter().map(|again| self.follow_up(&job, again, &copy, delivery, at)).collect();
+        let refused = verdict.error().is_some();
+        let follow_up = |again| self.follow_up((&job, refused), again, &copy, delivery, at);
+        let follow_ups = again.into_iter().map(follow_up).collect();
         let speech = Box::new(Speech { bytes: reply, split: verdict.split(), then_close, delivery, follow_ups });
         let ready_at = ready_at.max(at);
         if self.client == Client::Gone && delivery.outlives {
@@ -58,8 +60,18 @@ impl Conversation {
         reply
     }
 
-    fn follow_up(&self, job: &Job, again: Again, copy: &Bytes, delivery: Delivery, at: Instant) -> FollowUp {
+    /// What follows the answer to a request, which may have been refused by [`Fault::Error`].
+    fn follow_up(
+        &self,
+        (job, refused): (&Job, bool),
+        again: Again,
+        copy: &Bytes,
+        delivery: Delivery,
+        at: Instant,
+    ) -> FollowUp {
         let (timing, is_roaming, content) = match again {
+            // A request that is not to be executed is not executed later either.
+            Again::SecondAnswer(timing, None) if refused => (timing, false, Content::Bytes(copy.clone())),
             Again::Copy(timing) => (timing, false, Content::Bytes(copy.clone())),
             Again::RoamingCopy(timing) => (timing, true, Content::Bytes(copy.clone())),
             Again::SecondAnswer(timing, None) => (timing, false, job.again(copy)),
