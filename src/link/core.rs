@@ -364,7 +364,7 @@ impl Core {
     fn rule(&self, station: u8) -> Rule {
         let settings = self.config.in_step;
         let quiet = settings.quiet().max(self.stations.allowed(station));
-        let busy = self.prices.byte.saturating_mul(self.exchange.line_bytes());
+        let busy = self.prices.line_time(self.exchange.line_bytes());
         Rule { settings, quiet, one_request: self.one_request, prices: self.prices, busy }
     }
 

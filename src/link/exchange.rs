@@ -160,7 +160,7 @@ pub(crate) struct Active {
     /// A copy of the reply came in the same read.
     pub(crate) copied: bool,
     /// Bytes on the line before the reply.
-    pub(crate) bytes_before: u32,
+    pub(crate) bytes_before: u64,
     /// Whether the request itself has come back.
     echoed: bool,
     /// How many bytes came that were no frame.
@@ -206,7 +206,7 @@ pub(crate) struct Exchange {
     /// the reply was a late one.
     learned_from: Option<u8>,
     /// Bytes of frames on the line so far.
-    line_bytes: u32,
+    line_bytes: u64,
     /// The content of the request, as a frame would have it that is its echo.
     request_print: u64,
 }
@@ -240,7 +240,7 @@ impl Exchange {
     }
 
     /// Bytes of frames on the line so far, in both directions.
-    pub(crate) fn line_bytes(&self) -> u32 {
+    pub(crate) fn line_bytes(&self) -> u64 {
         self.line_bytes
     }
 
@@ -394,7 +394,7 @@ impl Exchange {
     }
 
     fn on_the_line(&mut self, bytes: usize) {
-        self.line_bytes = self.line_bytes.saturating_add(u32::try_from(bytes).unwrap_or(u32::MAX));
+        self.line_bytes = self.line_bytes.saturating_add(u64::try_from(bytes).unwrap_or(u64::MAX));
     }
 
     fn classify(&mut self, frame: &Frame, now: Instant) -> Event {

@@ -70,7 +70,7 @@ impl Core {
         let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
         // Of that the line was silent for this long.
         let reply_bytes = self.exchange.line_bytes().saturating_sub(active.bytes_before);
-        let silent = round_trip.saturating_sub(self.prices.byte.saturating_mul(reply_bytes));
+        let silent = round_trip.saturating_sub(self.prices.line_time(reply_bytes));
         match active.goal {
             Goal::Call(ticket) => {
                 self.used_at = Some(now);

@@ -141,6 +141,12 @@ impl Check {
 }
 
 impl Prices {
+    /// Time on the line of this many bytes; a count of 32 bits would end within days.
+    pub(crate) fn line_time(&self, bytes: u64) -> Duration {
+        let byte = u64::try_from(self.byte.as_nanos()).unwrap_or(u64::MAX);
+        Duration::from_nanos(byte.saturating_mul(bytes))
+    }
+
     pub(super) fn of(&self, candidate: &Candidate, plain: Spelling) -> Duration {
         let bytes = self.byte.saturating_mul(u32::try_from(candidate.more_bytes).unwrap_or(u32::MAX));
         // What is left takes its part of another exchange.
