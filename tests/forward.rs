@@ -144,7 +144,14 @@ async fn forward(framing: Framing, exchange: &AnyExchange, reply: BytesMut) -> (
     let station = link.station(7).unwrap();
     let plc = async move {
         echo(&mut line, framing).await;
-        let heard = hear(&mut line).await;
+        let mut heard = hear(&mut line).await;
+        if exchange.code() == Code::LoopBack && carried(framing, &heard).command == 0x40 {
+            // The echo of one character has the shape of a refusal of the check: a read of the status goes between them.
+            let mut status = BytesMut::new();
+            encode_reply(&ReadStatus, Ok(&BriefStatus::from_raw([1, 0, 0])), framing, 7, &mut status);
+            line.write_all(&status).await.unwrap();
+            heard = hear(&mut line).await;
+        }
         line.write_all(&reply).await.unwrap();
         heard
     };
