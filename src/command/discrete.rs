@@ -89,18 +89,11 @@ impl Command for WriteDiscretes {
 
     fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
         let run = Run { first: self.first.into(), count: self.states.len() };
-        let elements = (0..run.count).map_while(|n| run.first.nth(n).ok());
-        run.write_candidates(longer, framing, elements.zip(self.states.iter().map(|&state| state.into())))
+        run.write_candidates(longer, framing, &self.states)
     }
 
     fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
-        match spelling.code {
-            Code::WriteMixed => {
-                let states = self.states.get(..spelling.count.into()).unwrap_or(&self.states);
-                spelling::write_mixed_write(self.first.into(), states, fields);
-            }
-            _ => self.write_request(fields),
-        }
+        spelling::write_fields(self, self.first.into(), &self.states, spelling, fields);
     }
 
     fn run(&self) -> Option<Run> {
@@ -180,13 +173,7 @@ macro_rules! read_states {
             }
 
             fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
-                match spelling.code {
-                    Code::ReadMixed => spelling::write_mixed_read(self.first.into(), spelling.count.into(), fields),
-                    _ => {
-                        fields.count(spelling.count.into());
-                        fields.element(spelling.first(self.first.into()));
-                    }
-                }
+                spelling::read_fields(self.first.into(), spelling, fields);
             }
 
             fn read_spelled<R: FieldReader>(
@@ -195,10 +182,7 @@ macro_rules! read_states {
                 fields: &mut R,
             ) -> Result<Self::Reply, FieldError> {
                 let mut states = Self { count: spelling.count.into(), ..*self }.read_reply(fields)?;
-                if spelling.before {
-                    states.remove(0);
-                }
-                states.truncate(self.count);
+                spelling::keep_asked(&mut states, spelling, self.count);
                 Ok(states)
             }
 

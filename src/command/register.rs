@@ -128,21 +128,12 @@ impl<E: RegisterElement> Command for ReadRegisters<E> {
     }
 
     fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
-        match spelling.code {
-            Code::ReadMixed => spelling::write_mixed_read(self.first.into(), spelling.count.into(), fields),
-            _ => {
-                fields.count(spelling.count.into());
-                fields.element(spelling.first(self.first.into()));
-            }
-        }
+        spelling::read_fields(self.first.into(), spelling, fields);
     }
 
     fn read_spelled<R: FieldReader>(&self, spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
         let mut values = Self { count: spelling.count.into(), ..*self }.read_reply(fields)?;
-        if spelling.before {
-            values.remove(0);
-        }
-        values.truncate(self.count);
+        spelling::keep_asked(&mut values, spelling, self.count);
         Ok(values)
     }
 
@@ -222,18 +213,11 @@ impl<E: RegisterElement> Command for WriteRegisters<E> {
 
     fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
         let run = Run { first: self.first.into(), count: self.values.len() };
-        let elements = (0..run.count).map_while(|n| run.first.nth(n).ok());
-        run.write_candidates(longer, framing, elements.zip(self.values.iter().map(|&value| value.into())))
+        run.write_candidates(longer, framing, &self.values)
     }
 
     fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
-        match spelling.code {
-            Code::WriteMixed => {
-                let values = self.values.get(..spelling.count.into()).unwrap_or(&self.values);
-                spelling::write_mixed_write(self.first.into(), values, fields);
-            }
-            _ => self.write_request(fields),
-        }
+        spelling::write_fields(self, self.first.into(), &self.values, spelling, fields);
     }
 
     fn run(&self) -> Option<Run> {

@@ -82,7 +82,7 @@ impl Run {
         self,
         longer: bool,
         framing: Framing,
-        items: impl Iterator<Item = (Element, Value)>,
+        values: &[impl Into<Value> + Copy],
     ) -> Candidates {
         let most = MAX_MIXED_WRITE_UNITS / self.first.width().units();
         if self.count > most && !longer {
@@ -93,7 +93,9 @@ impl Run {
             return [Some(self.mixed(Code::WriteMixed, count, framing)), None, None, None];
         }
         // Whether a list of the binary framing has two readings depends on the values, too.
-        let request = WriteMixed::new(items.take(count).collect::<Vec<_>>());
+        let elements = (0..count).map_while(|n| self.first.nth(n).ok());
+        let items = elements.zip(values.iter().map(|&value| value.into()));
+        let request = WriteMixed::new(items.collect::<Vec<_>>());
         if !request.is_ok_and(|request| request.check(framing).is_ok()) {
             return NONE;
         }
@@ -163,14 +165,37 @@ pub(super) fn mixed_read_candidates(elements: &[Element], framing: Framing) -> C
     [candidate(), None, None, None]
 }
 
-/// The fields of 48 for consecutive elements.
-pub(super) fn write_mixed_read<W: FieldWriter>(first: Element, count: usize, fields: &mut W) {
+/// The fields of a read of consecutive elements, from this one on, with this spelling.
+pub(super) fn read_fields<W: FieldWriter>(first: Element, spelling: Spelling, fields: &mut W) {
+    let count = usize::from(spelling.count);
     fields.count(count);
-    (0..count).filter_map(|n| first.nth(n).ok()).for_each(|element| fields.element(element));
+    if spelling.code == Code::ReadMixed {
+        (0..count).filter_map(|n| first.nth(n).ok()).for_each(|element| fields.element(element));
+    } else {
+        fields.element(spelling.first(first));
+    }
 }
 
-/// The fields of 49 for values of consecutive elements.
-pub(super) fn write_mixed_write<W: FieldWriter>(first: Element, values: &[impl Into<Value> + Copy], fields: &mut W) {
+/// Leaves of the values that such a read gave those that were asked for: this many.
+pub(super) fn keep_asked<V>(values: &mut Vec<V>, spelling: Spelling, count: usize) {
+    if spelling.before {
+        values.remove(0);
+    }
+    values.truncate(count);
+}
+
+/// The fields of a write to consecutive elements, from this one on, with this spelling.
+pub(super) fn write_fields<W: FieldWriter, C: Command>(
+    plain: &C,
+    first: Element,
+    values: &[impl Into<Value> + Copy],
+    spelling: Spelling,
+    fields: &mut W,
+) {
+    if spelling.code != Code::WriteMixed {
+        return plain.write_request(fields);
+    }
+    let values = values.get(..spelling.count.into()).unwrap_or(values);
     fields.count(values.len());
     for (n, &value) in values.iter().enumerate() {
         if let Ok(element) = first.nth(n) {

@@ -188,7 +188,7 @@ impl Core {
             let code = ticket.code;
             ticket.call.complete_unanswered(Proof::default());
             self.exchange.end();
-            self.stations.for_all(|station| station.broadcast(code));
+            self.stations.for_all(|station| station.broadcast(code, at));
             self.hold_until = Some(later(at, self.config.broadcast_gap));
             return;
         }

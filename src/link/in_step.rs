@@ -387,8 +387,15 @@ impl InStep {
     }
 
     /// A broadcast was sent: the station may answer it.
-    pub(crate) fn broadcast(&mut self, code: Code) {
+    pub(crate) fn broadcast(&mut self, code: Code, now: Instant) {
         self.broadcasts.insert(code);
+        self.restart_silence(now);
+    }
+
+    fn restart_silence(&mut self, now: Instant) {
+        if let Some(since) = &mut self.silent_since {
+            *since = now;
+        }
     }
 
     /// A part of a frame, or a late datagram, was dropped, which may have been a stray of this station: results that are held are in
@@ -399,7 +406,7 @@ impl InStep {
 
     /// A frame came from the station that no request takes.
     pub(crate) fn stray(&mut self, command: u8, fingerprint: u64, rule: &Rule, now: Instant) -> Stray {
-        self.silent_since = None;
+        self.restart_silence(now);
         self.taken.iter_mut().chain(&mut self.older).for_each(|taken| {
             (taken.heard_at, taken.busy_at) = (now, rule.busy);
         });

@@ -80,7 +80,7 @@ const USERS: [User; 15] = [
 ];
 
 /// Users whose results are held until they are proven, so that they are right even where one copy keeps no order.
-const JOBS: &[User] = &[LongReads, LongWrites, Plans];
+const JOBS: &[User] = &[LongReads, LongWrites, Plans, Poller, Backup, Restore, ReadProgram, WriteProgram];
 
 async fn calls(user: User, world: &World, dice: &mut Dice, calls: u64, tally: &mut Tally) {
     match user {
@@ -91,12 +91,15 @@ async fn calls(user: User, world: &World, dice: &mut Dice, calls: u64, tally: &m
         Fresh => users::fresh(world, dice, calls, tally).await,
         Idle => users::idle(world, dice, calls, tally).await,
         Pooled => users::pooled(world, dice, calls, tally).await,
-        LongReads | LongWrites => {
+        LongReads => {
             let link = world.link();
-            match user {
-                LongReads => jobs::long_reads(world, &link, dice, calls, tally).await,
-                _ => jobs::long_writes(world, &link, dice, calls, tally).await,
-            }
+            jobs::long_reads(world, &link, dice, calls, tally).await;
+            tally.links(&link.stats());
+            link.close().await;
+        }
+        LongWrites => {
+            let link = world.link();
+            jobs::long_writes(world, &link, dice, calls, tally).await;
             tally.links(&link.stats());
             link.close().await;
         }

@@ -304,7 +304,7 @@ fn three_copies_keep_three_replies_owed() {
 #[test]
 fn a_broadcast_is_owed_until_the_next_reply() {
     let mut bench = Bench::new();
-    bench.known.broadcast(Code::ControlPlc);
+    bench.known.broadcast(Code::ControlPlc, bench.now);
     assert_eq!(bench.choose(&run()), empty_check());
     bench.now += 2 * WINDOW;
     assert_eq!(bench.choose(&run()), empty_check(), "it does not lapse");
@@ -319,7 +319,7 @@ fn strays_are_told_apart_and_the_unexpected_are_doubts() {
     let before = bench.known.proof();
     assert_eq!(bench.known.stray(0x41, bench.body, &bench.rule, bench.now), Stray::Duplicate);
     assert!(!bench.known.is_suspect());
-    bench.known.broadcast(Code::WriteRegisters);
+    bench.known.broadcast(Code::WriteRegisters, bench.now);
     assert_eq!(bench.stray(Code::WriteRegisters), Stray::Broadcast);
     assert!(bench.known.is_suspect());
     bench.known.timed_out(Code::ReadRegisters);
@@ -342,8 +342,26 @@ fn a_refused_4e_of_a_suspect_station_needs_silence() {
     bench.now += QUIET / 2;
     bench.stray(Code::ReadStatus);
     bench.now += QUIET / 2;
-    assert_eq!(bench.choose(&run()), Choice::Silence(bench.now + QUIET), "a frame restarts it");
-    bench.now += QUIET;
+    assert_eq!(bench.choose(&run()), Choice::Silence(bench.now + QUIET / 2), "a frame restarts it");
+    bench.now += QUIET / 2;
+    bench.sends(&run());
+}
+
+/// Before, the silence ended at its time, and the answer to the broadcast was the reply to the STOP that followed.
+#[test]
+fn a_broadcast_restarts_the_silence() {
+    let mut bench = Bench::new();
+    bench.known.connected();
+    assert_eq!(bench.choose(&run()), Choice::Check(Check::Nonce, Why::Connected));
+    assert!(!bench.check(Check::Nonce, true));
+    let until = bench.now + QUIET;
+    assert_eq!(bench.choose(&run()), Choice::Silence(until));
+    bench.now = until - QUIET / 100;
+    bench.known.broadcast(Code::ControlPlc, bench.now);
+    let restarted = bench.now + QUIET;
+    bench.now = until;
+    assert_eq!(bench.choose(&run()), Choice::Silence(restarted));
+    bench.now = restarted;
     bench.sends(&run());
 }
 

@@ -107,7 +107,7 @@ impl Driver {
 
     pub(super) fn broadcast(&self, known: &mut InStep, code: Code) {
         if self.without != Without::Broadcast {
-            known.broadcast(code);
+            known.broadcast(code, self.now);
         }
     }
 
