@@ -1,7 +1,7 @@
 //! How long planning takes, for the second table of docs/PLAN.md.
 //!
 //! ```text
-//! cargo bench --bench plan
+//! cargo bench -p fatek-benches --bench plan
 //! ```
 
 #[path = "../examples/plan_table/tags.rs"]

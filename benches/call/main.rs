@@ -1,9 +1,9 @@
 //! How fast calls are, end to end over loopback TCP, beside the least that they can cost and beside a peer.
 //!
 //! ```text
-//! cargo bench --bench call                      # a table
-//! cargo bench --bench call -- --csv             # and docs/performance/call.csv
-//! cargo bench --bench call -- --test            # a few requests of each, to see that it works
+//! cargo bench -p fatek-benches --bench call                      # a table
+//! cargo bench -p fatek-benches --bench call -- --csv             # and docs/performance/call.csv
+//! cargo bench -p fatek-benches --bench call -- --test            # a few requests of each, to see that it works
 //! ```
 //!
 //! In each setting the ways of reading 64 registers take turns, round by round, so that whatever else the machine does hits

@@ -104,8 +104,8 @@ impl Table {
             let [limit, peer, timed] = [limit, peer, timed].map(|of| of.map_or(",,".to_owned(), Ratio::csv));
             writeln!(text, "{runtime},{links},{callers},{name},{rate:.0},{limit},{peer},{timed}")?;
         }
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/performance/call.csv");
-        fs::create_dir_all(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/performance"))?;
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/performance/call.csv");
+        fs::create_dir_all(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/performance"))?;
         fs::write(path, text)?;
         println!("written to {path}");
         Ok(())

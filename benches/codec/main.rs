@@ -2,8 +2,8 @@
 //! bytes: the figures of docs/PERFORMANCE.md.
 //!
 //! ```text
-//! cargo bench --bench codec
-//! FATEK_CODEC_CASE=ascii/64-registers-reply/decode FATEK_CODEC_TIMES=1000 cargo bench --bench codec
+//! cargo bench -p fatek-benches --bench codec
+//! FATEK_CODEC_CASE=ascii/64-registers-reply/decode FATEK_CODEC_TIMES=1000 cargo bench -p fatek-benches --bench codec
 //! ```
 //!
 //! The second does one thing so many times and nothing else, for tools that count instructions. `docs/performance/codec.py`

@@ -40,7 +40,7 @@ def main():
 
 
 def build():
-    bench = ["cargo", "bench", "--bench", "call", "--no-run", "--message-format=json"]
+    bench = ["cargo", "bench", "-p", "fatek-benches", "--bench", "call", "--no-run", "--message-format=json"]
     built = subprocess.run(bench, check=True, text=True, stdout=subprocess.PIPE).stdout
     messages = [json.loads(line) for line in built.splitlines() if line.startswith("{")]
     return [m["executable"] for m in messages if m.get("executable") and m["target"]["name"] == "call"][-1]

@@ -59,7 +59,7 @@ def limit_of(framing, frame, job):
 
 
 def measure():
-    bench = ["cargo", "bench", "--bench", "codec"]
+    bench = ["cargo", "bench", "-p", "fatek-benches", "--bench", "codec"]
     built = run([*bench, "--no-run", "--message-format=json"]).stdout
     messages = [json.loads(line) for line in built.splitlines() if line.startswith("{")]
     program = [m["executable"] for m in messages if m.get("executable") and m["target"]["name"] == "codec"][-1]

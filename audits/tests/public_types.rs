@@ -140,7 +140,7 @@ fn sources(folder: &Path, files: &mut Vec<PathBuf>) {
 
 fn found() -> Found {
     let mut files = Vec::new();
-    sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut files);
+    sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../src"), &mut files);
     let mut found = Found::default();
     for path in files {
         let text = std::fs::read_to_string(&path).expect("it can be read");

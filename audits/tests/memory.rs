@@ -2,9 +2,9 @@
 //! future of a caller. A byte too much here is ten thousand of them in a service that polls as many PLCs.
 //!
 //! Sockets are not in it: the connections here answer by themselves. `examples/poll_many` measures all together.
-#![cfg(feature = "sim")]
 #![allow(clippy::print_stdout, reason = "the figures are what it is for")]
 
+#[path = "../../tests/plant/mod.rs"]
 mod plant;
 
 use std::time::Duration;

@@ -1,0 +1,1 @@
+//! Audits of the crate `fatek`; all of them are in `tests/`.

@@ -1,0 +1,1 @@
+//! Benchmarks of the crate `fatek`: `cargo bench -p fatek-benches`.
