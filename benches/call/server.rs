@@ -1,15 +1,16 @@
-//! The other end: answers every request with the same prepared bytes, and does nothing else. It does not even look at a
-//! request, for all that come are equally long.
+//! The other end: answers each request with prepared bytes. It compares a request with those that it knows, and decodes only
+//! the checks of a link.
 
 use std::io;
 use std::net::SocketAddr;
 
 use bytes::BytesMut;
-use fatek::command::{ReadRegisters, encode_reply, encode_request};
-use fatek::register;
-use fatek::wire::Framing;
+use fatek::command::{ReadMixed, ReadRegisters, encode_reply, encode_request};
+use fatek::wire::{Codec, Framing, Side};
+use fatek::{Element, register};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
+use tokio_util::codec::{Decoder, Encoder};
 
 use crate::Result;
 
@@ -21,8 +22,10 @@ pub(crate) const REGISTERS: usize = 64;
 pub(crate) struct Script {
     pub(crate) request: Vec<u8>,
     pub(crate) reply: Vec<u8>,
-    /// Whether the reply begins with the first two bytes of its request: the transaction id of Modbus.
-    echoes_id: bool,
+    /// The same elements in the other spelling that a link uses in turn (48), and its reply.
+    other: Option<(Vec<u8>, Vec<u8>)>,
+    /// `None`: Modbus, whose reply begins with the transaction id of its request.
+    framing: Option<Framing>,
 }
 
 /// Where they are, and what they say.
@@ -70,7 +73,7 @@ async fn accept(listener: TcpListener, script: Script) -> io::Result<()> {
 }
 
 async fn answer(mut stream: TcpStream, mut script: Script) -> io::Result<()> {
-    let mut buffer = [0; 1024];
+    let mut buffer = [0; 2048];
     let mut filled = 0;
     loop {
         let read = stream.read(buffer.get_mut(filled..).unwrap_or_default()).await?;
@@ -78,17 +81,48 @@ async fn answer(mut stream: TcpStream, mut script: Script) -> io::Result<()> {
             return Ok(());
         }
         filled += read;
-        while let Some((request, rest)) =
-            buffer.get(..filled).and_then(|all| all.split_at_checked(script.request.len()))
-        {
-            if let (true, Some(id), Some(place)) = (script.echoes_id, request.get(..2), script.reply.get_mut(..2)) {
+        while let Some(taken) = script.answer(buffer.get(..filled).unwrap_or_default(), &mut stream).await? {
+            buffer.copy_within(taken..filled, 0);
+            filled -= taken;
+        }
+    }
+}
+
+impl Script {
+    /// Answers the first request of these bytes; returns its length, if it is whole.
+    async fn answer(&mut self, bytes: &[u8], stream: &mut TcpStream) -> io::Result<Option<usize>> {
+        let Some(framing) = self.framing else {
+            let Some(request) = bytes.get(..self.request.len()) else { return Ok(None) };
+            if let (Some(id), Some(place)) = (request.get(..2), self.reply.get_mut(..2)) {
                 place.copy_from_slice(id);
             }
-            stream.write_all(&script.reply).await?;
-            let left = filled - rest.len();
-            buffer.copy_within(left..filled, 0);
-            filled -= left;
+            stream.write_all(&self.reply).await?;
+            return Ok(Some(self.request.len()));
+        };
+        let plain = (&self.request, &self.reply);
+        for (request, reply) in [plain].into_iter().chain(self.other.as_ref().map(|(request, reply)| (request, reply)))
+        {
+            if bytes.starts_with(request) {
+                stream.write_all(reply).await?;
+                return Ok(Some(request.len()));
+            }
+            if request.starts_with(bytes) {
+                return Ok(None);
+            }
         }
+        self.check(framing, bytes, stream).await
+    }
+
+    /// The same for the checks of a link: loop-backs (4E), whose reply is their data.
+    async fn check(&self, framing: Framing, bytes: &[u8], stream: &mut TcpStream) -> io::Result<Option<usize>> {
+        let mut left = BytesMut::from(bytes);
+        let mut codec = Codec::new(framing, Side::Plc);
+        let Some(frame) = codec.decode(&mut left)?.and_then(|item| item.frame()) else { return Ok(None) };
+        assert_eq!(frame.command, 0x4E, "a request that this server does not know");
+        let mut echo = BytesMut::new();
+        codec.encode(&frame, &mut echo).map_err(io::Error::other)?;
+        stream.write_all(&echo).await?;
+        Ok(Some(bytes.len() - left.len()))
     }
 }
 
@@ -101,7 +135,14 @@ fn fatek(framing: Framing) -> Result<Script> {
     let (mut request, mut reply) = (BytesMut::new(), BytesMut::new());
     encode_request(&asked, framing, 1, &mut request)?;
     encode_reply(&asked, Ok(&values()), framing, 1, &mut reply);
-    Ok(Script { request: request.to_vec(), reply: reply.to_vec(), echoes_id: false })
+    let first = Element::from(register!("R0"));
+    let elements = (0..REGISTERS).map(|n| first.nth(n)).collect::<std::result::Result<Vec<_>, _>>()?;
+    let asked = ReadMixed::new(elements)?;
+    let (mut mixed, mut mixed_reply) = (BytesMut::new(), BytesMut::new());
+    encode_request(&asked, framing, 1, &mut mixed)?;
+    encode_reply(&asked, Ok(&values().into_iter().map(Into::into).collect()), framing, 1, &mut mixed_reply);
+    let other = Some((mixed.to_vec(), mixed_reply.to_vec()));
+    Ok(Script { request: request.to_vec(), reply: reply.to_vec(), other, framing: Some(framing) })
 }
 
 /// 03, read holding registers: id, protocol 0, length, unit, function, then address and count, or bytes and values.
@@ -109,5 +150,5 @@ fn modbus() -> Script {
     let request = vec![0, 0, 0, 0, 0, 6, 1, 3, 0, 0, 0, REGISTERS as u8];
     let mut reply = vec![0, 0, 0, 0, 0, 3 + 2 * REGISTERS as u8, 1, 3, 2 * REGISTERS as u8];
     reply.extend(values().into_iter().flat_map(u16::to_be_bytes));
-    Script { request, reply, echoes_id: true }
+    Script { request, reply, other: None, framing: None }
 }
