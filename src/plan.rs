@@ -174,7 +174,7 @@ impl Plan {
                     Err(error) => replies.push(Err(error)),
                 }
             }
-            match job.confirm().await {
+            match job.end().await {
                 Ok(None) => return Readings::new(self, replies),
                 Ok(Some(confirmed)) => replies.truncate(confirmed),
                 Err(error) => {

@@ -123,6 +123,9 @@ pub(crate) struct Ticket {
     pub(crate) asked_again: bool,
     /// Another spelling was refused.
     pub(crate) plain: bool,
+    /// A write was refused in another spelling when the station had this many doubts. With one more, the refusal may have been
+    /// another request's, and the write executed.
+    pub(crate) refused_at: Option<u32>,
 }
 
 /// A call to the rule of `in_step`.
@@ -212,7 +215,7 @@ pub(crate) fn new<C: Command>(
             }
         },
     };
-    let ticket = Ticket { call: slot.clone(), retries_left, asked_again: false, plain: false };
+    let ticket = Ticket { call: slot.clone(), retries_left, asked_again: false, plain: false, refused_at: None };
     (ticket, Completion { slot, answered_at: None })
 }
 

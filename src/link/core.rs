@@ -399,7 +399,7 @@ impl Core {
     }
 
     /// What is sent for a call: its request, or a check before it. `None`: the station must be silent first, or the call has ended.
-    fn goal_of(&mut self, ticket: Ticket, now: Instant) -> Option<Goal> {
+    fn goal_of(&mut self, mut ticket: Ticket, now: Instant) -> Option<Goal> {
         let station = ticket.station;
         if ticket.is_broadcast() {
             return Some(Goal::Call(ticket));
@@ -413,7 +413,13 @@ impl Core {
             false => Ok(known.choose(&InFraming(&ticket, framing), ticket.plain, &rule, now)),
         });
         match choice {
+            Ok(Choice::Send(_)) if self.may_be_executed(&ticket) => {
+                let (code, after) = (ticket.code, now.saturating_duration_since(ticket.queued_at));
+                ticket.call.fail(Error::OutOfStep { station, code, after, sent: true });
+                None
+            }
             Ok(Choice::Send(spelling)) => {
+                ticket.refused_at = None;
                 ticket.call.spell(spelling);
                 Some(Goal::Call(ticket))
             }
@@ -430,6 +436,13 @@ impl Core {
                 None
             }
         }
+    }
+
+    /// Whether a write that was refused in another spelling may have been executed: an unexpected frame came since.
+    fn may_be_executed(&mut self, ticket: &Ticket) -> bool {
+        ticket
+            .refused_at
+            .is_some_and(|doubts| self.stations.with_in_step(ticket.station, |known| known.proof().doubts != doubts))
     }
 
     fn begin(&mut self, goal: Goal, now: Instant) -> Option<Step> {

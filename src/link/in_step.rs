@@ -67,6 +67,11 @@ pub(crate) struct InStep {
     last_page: Option<u64>,
     /// That page was equal to the one before it.
     equal_pages: bool,
+    /// A stray equal to the reply taken last need not be its copy: a reply without proof came since, or it is a page that came
+    /// while another page was owed. If a roaming copy was taken before, that stray is the true reply.
+    ambiguous: bool,
+    /// Such a stray came over this connection: pages are asked for behind a check.
+    careful: bool,
     /// Commands that are used as spellings and that the station does not know.
     lacks: Codes,
     answered: Answered,
@@ -110,6 +115,8 @@ impl InStep {
             last: None,
             last_page: None,
             equal_pages: false,
+            ambiguous: false,
+            careful: false,
             lacks: Codes::NONE,
             answered: Answered::new(),
             slowest: Duration::ZERO,
@@ -139,7 +146,7 @@ impl InStep {
         }
         let spelling = request.plain();
         // A page after two equal ones is probably equal, too, and would be asked for twice.
-        let doubtful = self.equal_pages && request.kind() == Kind::Page;
+        let doubtful = (self.equal_pages || self.careful) && request.kind() == Kind::Page;
         if self.allows(request, spelling) && !(doubtful && self.threat(request.shape(spelling)) == Threat::Reply) {
             return Choice::Send(spelling);
         }
@@ -257,6 +264,7 @@ impl InStep {
             self.equal_pages = !reply.refused && self.last_page == Some(reply.fingerprint);
             self.last_page = Some(reply.fingerprint);
         }
+        self.ambiguous = kind == Kind::Page && self.owed().any(|taken| taken.shape == reply.shape);
         self.last = Some(reply.fingerprint);
         self.broadcasts = Codes::NONE;
         let fingerprint = (!reply.refused).then_some(reply.fingerprint);
@@ -299,6 +307,12 @@ impl InStep {
         }
     }
 
+    /// A write was refused in another spelling, and is to be sent as itself: not before a check has shown that the refusal was its
+    /// own.
+    pub(crate) fn write_refused(&mut self) {
+        self.suspect.get_or_insert(Why::Confirm);
+    }
+
     /// A check has been answered, after this time. Says whether it has proven anything. `followed`: a stray came behind the
     /// answer, in the same read.
     pub(crate) fn checked(
@@ -329,6 +343,7 @@ impl InStep {
         self.refused = false;
         self.taken(Kind::Once, reply, took, rule, now);
         if followed {
+            self.followed();
             // What came behind the echo is none of those that the echo has outlived.
             self.suspect = Some(Why::Stray);
         }
@@ -359,8 +374,27 @@ impl InStep {
         }
     }
 
+    /// A copy of the reply taken last came, or what is equal to it.
+    pub(crate) fn copied(&mut self) {
+        if self.ambiguous {
+            self.careful = true;
+            self.doubt();
+        }
+    }
+
+    /// A frame of the station came behind a reply, in the same read, that is no copy of that reply. A copy of anything older would
+    /// have come before it.
+    pub(crate) fn followed(&mut self) {
+        self.doubt();
+    }
+
+    fn doubt(&mut self) {
+        self.proof.doubts = self.proof.doubts.wrapping_add(1);
+    }
+
     /// The connection is new, and may be to what was asked over another one.
     pub(crate) fn connected(&mut self) {
+        self.careful = false;
         self.suspect = Some(Why::Connected);
         self.refused = false;
         self.silent_since = None;
@@ -379,8 +413,9 @@ impl InStep {
     /// comes afterwards is not expected, and a copy that came with the reply may be one: both are doubts for jobs.
     pub(crate) fn unproven(&mut self, reply: &Reply, copied: bool, rule: &Rule, now: Instant) {
         self.suspect.get_or_insert(Why::Unproven);
+        self.ambiguous = true;
         if copied {
-            self.proof.doubts = self.proof.doubts.wrapping_add(1);
+            self.doubt();
         }
         let fingerprint = (!reply.refused).then_some(reply.fingerprint);
         self.remember(Some(self.owed_frame(reply.shape, fingerprint, rule, now)), rule);
@@ -401,7 +436,7 @@ impl InStep {
     /// A part of a frame, or a late datagram, was dropped, which may have been a stray of this station: results that are held are in
     /// doubt.
     pub(crate) fn lost_beginning(&mut self) {
-        self.proof.doubts = self.proof.doubts.wrapping_add(1);
+        self.doubt();
     }
 
     /// A frame came from the station that no request takes.
@@ -411,6 +446,7 @@ impl InStep {
             (taken.heard_at, taken.busy_at) = (now, rule.busy);
         });
         if self.last == Some(fingerprint) {
+            self.copied();
             return Stray::Duplicate;
         }
         if let Some(code) = Code::from_u8(command) {
@@ -424,7 +460,7 @@ impl InStep {
         };
         self.suspect.get_or_insert(Why::Stray);
         if stray == Stray::Unexpected {
-            self.proof.doubts = self.proof.doubts.wrapping_add(1);
+            self.doubt();
         }
         stray
     }

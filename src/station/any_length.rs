@@ -39,7 +39,7 @@ where
                 Outcome::Rewind(confirmed) => values.truncate(confirmed),
             }
         }
-        match job.confirm().await? {
+        match job.end().await? {
             None => return Ok(values),
             Some(confirmed) => values.truncate(confirmed),
         }
@@ -82,7 +82,7 @@ where
                 Outcome::Rewind(confirmed) => read = confirmed,
             }
         }
-        match job.confirm().await? {
+        match job.end().await? {
             None => return Ok(()),
             Some(confirmed) => read = confirmed,
         }
@@ -122,7 +122,7 @@ where
             Err(error) => return Err(partly(written, error)),
         }
     }
-    match job.confirm().await {
+    match job.end().await {
         Ok(None) => Ok(()),
         Ok(Some(confirmed)) => Err(unknown(confirmed, duplicates())),
         // All was acknowledged, and is not confirmed.

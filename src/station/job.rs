@@ -89,13 +89,19 @@ impl<'s, M: Copy> StationJob<'s, M> {
         }
     }
 
-    /// Confirms all results, if that is needed; `Some`: those from this mark on are to be asked for again.
+    /// Ends a job of requests of one user: as [`confirm`](Self::confirm), but not if the last exchange has shown that no copy is
+    /// left over within the job.
+    pub(crate) async fn end(&mut self) -> Result<Option<M>, Error> {
+        if self.job.must_confirm() { self.confirm().await } else { Ok(None) }
+    }
+
+    /// Confirms all results that are held; `Some`: those from this mark on are to be asked for again.
     ///
     /// # Errors
     /// As for every method of [`Station`]; [`Error::OutOfStep`] when the job has been rewound too often. Then the results that
     /// are [held](Self::first_held) are not good.
     pub(crate) async fn confirm(&mut self) -> Result<Option<M>, Error> {
-        let Some(first) = self.job.first_held().filter(|_| self.job.must_confirm()) else { return Ok(None) };
+        let Some(first) = self.job.first_held() else { return Ok(None) };
         let proof = self.check().await?;
         match self.job.confirmed(proof) {
             Progress::Go => Ok(None),

@@ -154,6 +154,15 @@ fn setting(name: &str) -> Option<u64> {
     std::env::var(name).ok().map(|text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
 }
 
+/// The only seed to run, with its frames printed if `FATEK_TRACE` is set.
+fn one_seed() -> Option<u64> {
+    let seed = setting("FATEK_SEED")?;
+    if std::env::var_os("FATEK_TRACE").is_some() {
+        let _ = tracing_subscriber::fmt().with_max_level(tracing_subscriber::filter::LevelFilter::TRACE).try_init();
+    }
+    Some(seed)
+}
+
 /// Seeds from 0 on, on all processors, while `goes_on`.
 fn in_threads(
     goes_on: impl Fn(u64) -> bool + Sync,
@@ -189,10 +198,7 @@ fn nothing_is_ever_one_behind() {
     };
     let wanted = setting("FATEK_CAMPAIGN");
     let size = setting("FATEK_CALLS").unwrap_or(if wanted.is_some() { 400 } else { 20 });
-    if let Some(seed) = setting("FATEK_SEED") {
-        if std::env::var_os("FATEK_TRACE").is_some() {
-            tracing_subscriber::fmt().with_max_level(tracing_subscriber::filter::LevelFilter::TRACE).init();
-        }
+    if let Some(seed) = one_seed() {
         let tally = run(seed, scenario(seed), size);
         println!("{tally}\n{:#?}", tally.struck);
         assert!(tally.is_sound(), "{:#?}", tally.wrong);
@@ -248,7 +254,10 @@ fn over_a_network(
         let user = users[(seed % users.len() as u64) as usize];
         Scenario { user, troubles: Some(troubles), wire: Some(Wire::Network), in_step }
     };
-    let total = in_threads(|seed| seed < runs, |seed| run(seed, scenario(seed), size), |_, tally| each(tally));
+    let total = match one_seed() {
+        Some(seed) => run(seed, scenario(seed), size),
+        None => in_threads(|seed| seed < runs, |seed| run(seed, scenario(seed), size), |_, tally| each(tally)),
+    };
     println!("{users:?} with {troubles:?} and {} copies: {total}", in_step.copies());
     total
 }
@@ -257,8 +266,18 @@ fn roaming_runs() -> u64 {
     setting("FATEK_CAMPAIGN").map_or(24, |requests| (requests / 200).clamp(24, 3000))
 }
 
+/// Runs of [`one_copy_that_roams_is_found_by_jobs`] that have failed: a shift among equal pages ended unseen, page 0 was a page
+/// of the transfer before, and a write was executed twice, because a refusal of its first spelling was another request's.
+const KEPT: [u64; 4] = [582, 617, 686, 2334];
+
 #[test]
 fn one_copy_that_roams_is_found_by_jobs() {
+    for seed in KEPT {
+        let user = JOBS[(seed % JOBS.len() as u64) as usize];
+        let (troubles, wire) = (Some(&[Trouble::Roaming][..]), Some(Wire::Network));
+        let tally = run(seed, Scenario { user, troubles, wire, in_step: InStepSettings::new() }, 80);
+        assert!(tally.is_sound(), "{:#?}", tally.wrong);
+    }
     let total = over_a_network(JOBS, &[Trouble::Roaming], InStepSettings::new(), roaming_runs(), 80, |_| ());
     assert!(total.is_sound(), "{:#?}", total.wrong);
     assert!(total.struck.values().all(|&count| count > 0) && total.repeated_jobs > 0, "{total}: {:?}", total.struck);

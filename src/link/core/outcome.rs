@@ -9,7 +9,7 @@ use crate::command::Code;
 use crate::error::{Error, ErrorCode};
 use crate::link::call::Ticket;
 use crate::link::exchange::{Active, Check, Event, Goal, spoils};
-use crate::link::in_step::{Kind, Reply, Stray};
+use crate::link::in_step::{InStep, Kind, Reply, Stray};
 use crate::link::later;
 use crate::link::stats::{StationState, add};
 
@@ -80,6 +80,9 @@ impl Core {
                     self.connection.spend();
                 }
                 let kind = ticket.call.kind();
+                if active.followed {
+                    self.stations.with_in_step(station, InStep::followed);
+                }
                 let proven = self.stations.with_in_step(station, |known| known.proves(kind, &reply));
                 // Of two answers to a write the first is its own, for nothing owed could have answered it.
                 let contradicted = kind != Kind::Once && active.followed;
@@ -92,17 +95,24 @@ impl Core {
                 if reply.refused && spelling != plain {
                     // It may be the spelling that is refused.
                     let lacks = active.refusal.is_some_and(is_about_the_command);
-                    self.stations.with_in_step(station, |known| {
+                    let doubts = self.stations.with_in_step(station, |known| {
                         known.taken(kind, &reply, silent, &rule, now);
                         known.spelling_refused(plain, spelling, run, lacks);
+                        if kind == Kind::Once {
+                            known.write_refused();
+                        }
+                        known.proof().doubts
                     });
                     self.board.count_for(station, |stats| add(&mut stats.refused_spellings, 1));
-                    return self.respell(ticket);
+                    return self.respell(ticket, (kind == Kind::Once).then_some(doubts));
                 }
                 let proof = self.stations.with_in_step(station, |known| {
                     known.taken(kind, &reply, silent, &rule, now);
                     if !reply.refused {
                         known.answered(run, spelling);
+                    }
+                    if active.copied {
+                        known.copied();
                     }
                     known.proof()
                 });
@@ -166,7 +176,8 @@ impl Core {
     }
 
     /// Sends a request as itself that was refused in another spelling.
-    fn respell(&mut self, mut ticket: Ticket) {
+    fn respell(&mut self, mut ticket: Ticket, refused_at: Option<u32>) {
+        ticket.refused_at = refused_at;
         ticket.call.retract();
         ticket.call.respelled();
         ticket.plain = true;

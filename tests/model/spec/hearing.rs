@@ -120,9 +120,12 @@ impl Spec {
         let Some(state) = self.calls.get_mut(&id) else { return };
         let repeated = state.sends > 1;
         if held.answer.is_err() && wire.spelling > 0 {
-            // It may be the spelling that is refused.
+            // It may be the spelling that is refused. A write is sent as itself only if a check shows the refusal to be its own.
             state.plain = true;
             state.sends -= 1;
+            if sort == Sort::Once {
+                known.doubt(at);
+            }
             return self.put_back(id);
         }
         if held.answer.is_ok() {

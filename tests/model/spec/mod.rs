@@ -154,6 +154,8 @@ impl Spec {
         let allowed = match &end {
             End::Timeout { sent: said } if late && *said == sent => true,
             End::OutOfStep { sent: said } if late && *said == sent && state.doubted => true,
+            // The refusal of another spelling may have been another request's.
+            End::OutOfStep { sent: true } if state.plain && state.call.sort == super::state::Sort::Once => true,
             End::NotConnected if late && !sent && !up => true,
             end => state.due.as_ref() == Some(end),
         };

@@ -42,7 +42,7 @@ impl Spec {
             let end = |sent| if whole { End::Done(Vec::new()) } else { End::Disconnected { sent } };
             call.into_iter().for_each(|id| self.end(id, end));
             if whole {
-                self.stations.values_mut().for_each(|known| known.broadcast(command));
+                self.stations.values_mut().for_each(|known| known.broadcast(command, at));
             }
             return Ok(());
         }

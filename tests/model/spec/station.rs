@@ -21,6 +21,8 @@ pub(crate) struct Station {
     pub(crate) answered: BTreeSet<u16>,
     /// The latest event that restarts the silence: a frame, a timeout, a new connection.
     pub(crate) heard: Micros,
+    /// The slowest of recent exchanges.
+    slowest: Micros,
     pub(crate) timeouts: u32,
     pub(crate) offline: Option<Probe>,
     /// The longest response timeout that it was ever given.
@@ -61,6 +63,7 @@ impl Default for Station {
             last: None,
             answered: BTreeSet::new(),
             heard: 0,
+            slowest: 0,
             timeouts: 0,
             offline: None,
             allowed: 0,
@@ -90,8 +93,9 @@ impl Station {
         self.suspect |= !is_copy;
     }
 
-    pub(crate) fn broadcast(&mut self, command: u8) {
+    pub(crate) fn broadcast(&mut self, command: u8, at: Micros) {
         self.broadcasts.insert(command);
+        self.heard = at;
     }
 
     /// What a taken reply owes lapses in a silence.
@@ -133,7 +137,8 @@ impl Station {
 
     /// The reply to what was on the wire was taken: it may come again, and nothing older may.
     pub(crate) fn taken(&mut self, wire: &Wire, shape: Shape, held: &Held, rules: &Rules, at: Micros) {
-        let window = rules.window.max(2 * (at - wire.sent));
+        self.slowest = (at - wire.sent).max(self.slowest * 7 / 8);
+        let window = rules.window.max(2 * self.slowest);
         let refused = held.answer.is_err();
         self.owed = Some(Owed { shape, refused, data: held.data.clone(), heard: at, window });
         self.broadcasts.clear();

@@ -132,7 +132,7 @@ impl Driver {
         if let (Some(job), true) = (&after.job, out.in_job) {
             let mut failed = after.clone();
             let wrong = job.fails();
-            failed.job = Some(Held::new());
+            failed.job = Some(Held::new(job.name));
             outcomes.push(("fails, and the job with it", failed, wrong.then_some(Wrong::InJob)));
         }
         outcomes
@@ -179,6 +179,9 @@ impl Driver {
         };
         let request = self.request(name);
         let kind = request.kind();
+        if followed {
+            after.known.followed();
+        }
         let contradicted = kind != Kind::Once && followed;
         if !self.proves(&after.known, kind, &reply) || contradicted && self.without != Without::Proof {
             after.known.unproven(&reply, copied, &self.rule, self.now);
@@ -190,6 +193,9 @@ impl Driver {
             let mut lacking = after.clone();
             for (state, lacks) in [(&mut after, false), (&mut lacking, true)] {
                 state.known.spelling_refused(request.plain(), out.spelling, request.run, lacks);
+                if kind == Kind::Once {
+                    state.known.write_refused();
+                }
             }
             let mut outcomes = vec![("a spelling is refused", after, None), ("a command is lacking", lacking, None)];
             outcomes.truncate(1 + usize::from(self.lacks));
@@ -197,6 +203,9 @@ impl Driver {
         }
         if !reply.refused {
             known.answered(request.run, out.spelling);
+        }
+        if copied {
+            known.copied();
         }
         let wrong = match (frame.own, frame.refused, kind) {
             (true, ..) => None,

@@ -4,15 +4,15 @@ use std::hash::{Hash, Hasher};
 use std::rc::Rc;
 
 use super::model::Frame;
+use super::requests::Name;
 use crate::link::in_step::{InStep, Proof, Shape};
 use crate::link::job::{Job, Progress};
-
-/// Reads of a job.
-const READS: u8 = 3;
 
 #[derive(Clone, Debug)]
 pub(super) struct Held {
     job: Job<u8>,
+    /// What it asks for.
+    pub(super) name: Name,
     /// The job as text, for it has no equality.
     key: Rc<str>,
     /// The mark of the next read.
@@ -26,15 +26,20 @@ pub(super) struct Held {
 }
 
 impl Held {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(name: Name) -> Self {
         let job = Job::new(1);
         let key = format!("{job:?}").into();
-        Self { job, key, at: 0, wrong: 0, told: Proof::default(), refusal: None }
+        Self { job, name, key, at: 0, wrong: 0, told: Proof::default(), refusal: None }
+    }
+
+    /// The number of its requests. Equal pages need one more: a shift of them begins behind two that differ.
+    fn requests(&self) -> u8 {
+        if self.name == Name::Page { 4 } else { 3 }
     }
 
     /// Whether a check is the next that the job asks for.
     pub(super) fn must_confirm(&self) -> bool {
-        self.refusal.is_some() || self.at == READS
+        self.refusal.is_some() || self.at == self.requests()
     }
 
     /// The job ends here; says whether a wrong result is given out: one that is not held.
@@ -83,7 +88,7 @@ impl Held {
             }
             Progress::Failed(first) => {
                 let wrong = self.has_wrong_before(first);
-                *self = Self::new();
+                *self = Self::new(self.name);
                 return wrong;
             }
         }
@@ -92,7 +97,7 @@ impl Held {
 
     fn ends(&mut self) -> bool {
         let wrong = self.wrong != 0 || self.refusal == Some(false);
-        *self = Self::new();
+        *self = Self::new(self.name);
         wrong
     }
 
@@ -115,8 +120,8 @@ impl Held {
 
 impl PartialEq for Held {
     fn eq(&self, other: &Self) -> bool {
-        (&self.key, self.at, self.wrong, self.told, self.refusal)
-            == (&other.key, other.at, other.wrong, other.told, other.refusal)
+        (&self.key, self.name, self.at, self.wrong, self.told, self.refusal)
+            == (&other.key, other.name, other.at, other.wrong, other.told, other.refusal)
     }
 }
 
@@ -124,6 +129,6 @@ impl Eq for Held {}
 
 impl Hash for Held {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        (&self.key, self.at, self.wrong, self.told, self.refusal).hash(state);
+        (&self.key, self.name, self.at, self.wrong, self.told, self.refusal).hash(state);
     }
 }

@@ -31,8 +31,8 @@ pub(super) struct Faults {
     pub(super) calls: &'static [Name],
     /// A refused spelling may be a command that the device lacks.
     pub(super) lacks: bool,
-    /// Three reads are a job.
-    pub(super) job: bool,
+    /// Several of these are a job.
+    pub(super) job: Option<Name>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -226,7 +226,7 @@ pub(super) fn starts(faults: &Faults, driver: &Driver) -> Vec<State> {
         bag: Vec::new(),
         budget,
         wrong: 0,
-        job: faults.job.then(Held::new),
+        job: faults.job.map(Held::new),
     };
     queues.into_iter().map(start).collect()
 }
@@ -300,8 +300,8 @@ fn idle(faults: &Faults, driver: &Driver, s: &State, sink: &mut Sink<'_>) {
         let mut after = s.clone();
         if !job.must_confirm() {
             for plain in [false, true] {
-                let choice = driver.choose(&mut after.known, Name::Read, plain);
-                go_out(faults, driver, after.clone(), (Some(Name::Read), choice, true, false), sink);
+                let choice = driver.choose(&mut after.known, job.name, plain);
+                go_out(faults, driver, after.clone(), (Some(job.name), choice, true, false), sink);
             }
         } else if let Some(choice) = driver.confirm(&mut after.known) {
             go_out(faults, driver, after, (None, choice, true, true), sink);
