@@ -1,61 +1,66 @@
-//! The elements of a PLC: what a request can name.
+//! The elements of a PLC, such as `X0`, `R12` and `DR100`, and their values.
 //!
-//! An element is a [`Symbol`] (`X`, `WM`, `DR` …) and a decimal address. Its [`Width`] decides which
-//! commands can name it, so the three widths are three types: [`Discrete`] (one bit), [`Register`]
-//! (16 bits) and [`Register32`] (32 bits); [`Element`] is any of them.
+//! An element is a [`Symbol`] (`X`, `WM`, `DR` …) and a decimal address. The three widths are three
+//! types, because a command takes elements of one width: [`Discrete`] (1 bit), [`Register`] (16
+//! bits) and [`Register32`] (32 bits). [`Element`] is any of them.
 //!
 //! ```
 //! use fatek::{Element, Register, register};
 //!
 //! const LEVEL: Register = register!("R12"); // checked by the compiler
 //! assert_eq!("r00012".parse::<Register>()?, LEVEL);
-//! assert_eq!(LEVEL.to_string(), "R12"); // as people write it
+//! assert_eq!(LEVEL.to_string(), "R12");
 //! assert_eq!(format!("{LEVEL:#}"), "R00012"); // as the ASCII framing sends it
 //! assert!("WM4".parse::<Element>().is_err()); // words of discretes start at multiples of 8
 //! # Ok::<(), fatek::element::ParseElementError>(())
 //! ```
 //!
-//! Nothing in this module panics, whatever the input. Source: protocol reference, section 3 (manuals 000 and
-//! 002 section 4.1, 001 section 2.4).
+//! No input can cause a panic in this module. Source: protocol reference, section 3 (manuals 000
+//! and 002 section 4.1, 001 section 2.4).
 
 mod error;
-mod known;
+mod macros;
 mod symbol;
+mod value;
 
 use std::fmt;
 use std::str::FromStr;
 
 pub use error::{ElementError, ParseElementError};
-pub(crate) use symbol::LONGEST_SYMBOL;
+pub(crate) use symbol::{LONGEST_SYMBOL, MemoryArea};
 pub use symbol::{Symbol, Width};
+pub use value::Value;
 
-/// One bit: an input `X`, an output `Y`, a relay `M`, a step `S`, a timer's or counter's contact `T` or `C`.
+/// An element of 1 bit: an input `X`, an output `Y`, a relay `M`, a step `S`, the contact of a
+/// timer `T` or counter `C`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Discrete {
     symbol: Symbol,
     address: u16,
 }
 
-/// 16 bits: `R`, `D`, `F`, a timer's or counter's value `RT` or `RC`, or 16 discretes together (`WX` …).
+/// An element of 16 bits: `R`, `D`, `F`, the value of a timer `RT` or counter `RC`, or 16 discretes
+/// together (`WX` …).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Register {
     symbol: Symbol,
     address: u16,
 }
 
-/// 32 bits: a pair of registers (`DR0` is `R0`, the low word, and `R1`), or 32 discretes together (`DWM0` …).
+/// An element of 32 bits: two registers (`DR0` is `R0`, the low word, and `R1`), or 32 discretes
+/// together (`DWM0` …).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Register32 {
     symbol: Symbol,
     address: u16,
 }
 
-/// Any element.
+/// An element of any width.
 ///
-/// The widths are the protocol's own three, so this enum is complete.
+/// The protocol has these three widths and no others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Element {
-    /// One bit.
+    /// 1 bit.
     Discrete(Discrete),
     /// 16 bits.
     Register(Register),
@@ -65,7 +70,7 @@ pub enum Element {
 
 one_width!(Discrete, Width::Bit, "X0");
 one_width!(Register, Width::Word, "R0");
-one_width!(Register32, Width::Double, "DR0");
+one_width!(Register32, Width::DWord, "DR0");
 
 impl Register {
     /// The data register `R address`: every address is legal.
@@ -86,46 +91,20 @@ impl Register {
         Self { symbol: Symbol::F, address }
     }
 
-    /// The 32-bit element whose low word is this one: `R0` gives `DR0`, `WM8` gives `DWM8`.
+    /// The 32-bit element whose low word is this one: `DR0` for `R0`, `DWM8` for `WM8`.
     ///
     /// # Errors
     /// [`ElementError::OutOfRange`] when the high word would lie past the last address.
     pub const fn widened(self) -> Result<Register32, ElementError> {
-        let symbol = match self.symbol {
-            Symbol::WX => Symbol::DWX,
-            Symbol::WY => Symbol::DWY,
-            Symbol::WM => Symbol::DWM,
-            Symbol::WS => Symbol::DWS,
-            Symbol::WT => Symbol::DWT,
-            Symbol::WC => Symbol::DWC,
-            Symbol::RT => Symbol::DRT,
-            Symbol::RC => Symbol::DRC,
-            Symbol::D => Symbol::DD,
-            Symbol::F => Symbol::DF,
-            _ => Symbol::DR,
-        };
-        Register32::new(symbol, self.address)
+        Register32::new(self.symbol.area().dword(), self.address)
     }
 }
 
 impl Register32 {
-    /// The 16-bit element that is the low word of this one: `DR0` gives `R0`, `DWM8` gives `WM8`.
+    /// The 16-bit element that is the low word of this one: `R0` for `DR0`, `WM8` for `DWM8`.
     #[must_use]
     pub const fn low(self) -> Register {
-        let symbol = match self.symbol {
-            Symbol::DWX => Symbol::WX,
-            Symbol::DWY => Symbol::WY,
-            Symbol::DWM => Symbol::WM,
-            Symbol::DWS => Symbol::WS,
-            Symbol::DWT => Symbol::WT,
-            Symbol::DWC => Symbol::WC,
-            Symbol::DRT => Symbol::RT,
-            Symbol::DRC => Symbol::RC,
-            Symbol::DD => Symbol::D,
-            Symbol::DF => Symbol::F,
-            _ => Symbol::R,
-        };
-        Register { symbol, address: self.address }
+        Register { symbol: self.symbol.area().word(), address: self.address }
     }
 }
 
@@ -141,9 +120,10 @@ impl Element {
         }
     }
 
-    /// Reads an element as people write it: letters in either case, then decimal digits (`R12`, `R00012`, `dwm0`).
+    /// Parses an element: letters in either case, then decimal digits, such as `R12`, `R00012` or
+    /// `dwm0`.
     ///
-    /// The same as [`FromStr`], but usable in constants, and its error does not hold the input.
+    /// Unlike [`FromStr`] it can be used in constants, and its error does not hold the input.
     ///
     /// # Errors
     /// Every [`ElementError`] but [`ElementError::WrongWidth`].
@@ -166,7 +146,7 @@ impl Element {
             if !digits[i].is_ascii_digit() {
                 return Err(ElementError::BadAddress { symbol });
             }
-            // Saturation keeps a number of any length above every limit.
+            // A number of any length stays above every limit.
             address = address.saturating_mul(10).saturating_add((digits[i] - b'0') as u32);
             i += 1;
         }
@@ -196,21 +176,21 @@ impl Element {
         }
     }
 
-    /// How many bits it holds.
+    /// Its width.
     #[must_use]
     pub const fn width(self) -> Width {
         self.symbol().width()
     }
 
-    /// The `n`-th consecutive element after this one; the 0th is itself.
+    /// The `n`-th element after this one; the 0th is itself.
     ///
-    /// Words of discretes step by 16, double words by 32, pairs of registers by 2, all others by 1.
+    /// Its address is `n` times [`Symbol::step`] further on.
     ///
     /// # Errors
     /// [`ElementError::OutOfRange`] when there is none.
     pub const fn nth(self, n: usize) -> Result<Self, ElementError> {
         let symbol = self.symbol();
-        // Past u32 is past every limit: saturation cannot turn a bad address into a good one.
+        // An address beyond u32 stays above every limit.
         let n = if n > u32::MAX as usize { u32::MAX } else { n as u32 };
         let address = (self.address() as u32).saturating_add(n.saturating_mul(symbol.step() as u32));
         match symbol.check(address) {
@@ -223,7 +203,7 @@ impl Element {
         match symbol.width() {
             Width::Bit => Self::Discrete(Discrete { symbol, address }),
             Width::Word => Self::Register(Register { symbol, address }),
-            Width::Double => Self::Register32(Register32 { symbol, address }),
+            Width::DWord => Self::Register32(Register32 { symbol, address }),
         }
     }
 }
@@ -252,7 +232,8 @@ macro_rules! one_width {
             /// The element with this symbol and address.
             ///
             /// # Errors
-            /// [`ElementError::WrongWidth`], [`ElementError::OutOfRange`] or [`ElementError::Misaligned`].
+            /// [`ElementError::WrongWidth`], [`ElementError::OutOfRange`] or
+            /// [`ElementError::Misaligned`].
             pub const fn new(symbol: Symbol, address: u16) -> Result<Self, ElementError> {
                 match Element::new(symbol, address) {
                     Ok(element) => Self::narrow(element),
@@ -260,7 +241,7 @@ macro_rules! one_width {
                 }
             }
 
-            /// Reads an element as people write it: letters in either case, then decimal digits.
+            /// Parses an element: letters in either case, then decimal digits.
             ///
             #[doc = concat!("```\nuse fatek::", stringify!($type), ";\n\nconst FIRST: bool = ")]
             #[doc = concat!(stringify!($type), "::parse(\"", $example, "\").is_ok();\nassert!(FIRST);\n```")]
@@ -286,7 +267,7 @@ macro_rules! one_width {
                 self.address
             }
 
-            /// The `n`-th consecutive element after this one; the 0th is itself.
+            /// The `n`-th element after this one; the 0th is itself.
             ///
             /// # Errors
             /// [`ElementError::OutOfRange`] when there is none.

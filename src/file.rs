@@ -30,7 +30,7 @@ mod utc;
 
 pub use self::error::{FileError, FormatError};
 pub(crate) use self::frame::{Kind, frame, unframe};
-pub(crate) use self::lines::{Lines, hex, in_form};
+pub(crate) use self::lines::{Lines, in_form};
 pub use self::save::can_save;
 pub(crate) use self::save::{load, load_as, save};
 pub(crate) use self::utc::parse_utc;

@@ -77,6 +77,7 @@ pub mod element;
 pub mod endpoint;
 mod error;
 pub mod file;
+mod hex;
 pub mod link;
 pub mod plan;
 pub mod poll;
@@ -91,8 +92,7 @@ pub mod tag;
 pub mod wire;
 
 pub use backup::Backup;
-pub use command::Value;
-pub use element::{Discrete, Element, Register, Register32, Symbol, Width};
+pub use element::{Discrete, Element, Register, Register32, Symbol, Value, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode};
 pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};

@@ -285,7 +285,7 @@ impl Station {
     /// use fatek::{Value, element};
     ///
     /// let values = station.read_mixed(&[element!("R1"), element!("Y9"), element!("DWM0")]).await?;
-    /// assert_eq!(values, [Value::Word(0), Value::Bit(false), Value::Double(0)]);
+    /// assert_eq!(values, [Value::Word(0), Value::Bit(false), Value::DWord(0)]);
     /// # Ok(()) });
     /// ```
     ///

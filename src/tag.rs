@@ -314,7 +314,7 @@ impl Tag {
             (Width::Bit, _) => raw.push(Value::Bit(bits != 0)),
             (Width::Word, 1) => raw.push(Value::Word(low(bits))),
             (Width::Word, _) => raw.extend([Value::Word(low(bits)), Value::Word(high(bits))]),
-            (Width::Double, _) => raw.push(Value::Double(bits)),
+            (Width::DWord, _) => raw.push(Value::DWord(bits)),
         }
         Ok(())
     }
@@ -326,7 +326,7 @@ impl From<Element> for Tag {
         let (tag_type, shape) = match first.width() {
             Width::Bit => (TagType::Bool, Shape::Bool),
             Width::Word => (TagType::U16, Shape::U16),
-            Width::Double => (TagType::U32, Shape::U32),
+            Width::DWord => (TagType::U32, Shape::U32),
         };
         Self { first, count: 1, tag_type, kind: Kind::Plain(shape) }
     }

@@ -7,7 +7,7 @@ use std::fmt::Debug;
 use bytes::{Bytes, BytesMut};
 use common::{FRAMINGS, carried, framed};
 use fatek::command::*;
-use fatek::wire::{AsciiCodec, BinaryCodec, Codec, EncodeError, FieldError, Frame, Framing, MAX_FRAME_LEN, Side};
+use fatek::wire::{AsciiCodec, BinaryCodec, Codec, EncodeError, Frame, Framing, MAX_FRAME_LEN, Side};
 use fatek::{
     Discrete, Element, ErrorCode, Register, Register32, Symbol, Width, discrete, element, register, register32,
 };
@@ -24,7 +24,7 @@ fn consecutive_elements_are_taken_up_to_the_limit_and_the_last_address_and_no_fu
                 let (code, max) = match symbol.width() {
                     Width::Bit => (Code::ReadDiscretes, 256),
                     Width::Word => (Code::ReadRegisters, 64),
-                    Width::Double => (Code::ReadRegisters, 32),
+                    Width::DWord => (Code::ReadRegisters, 32),
                 };
                 let expected = match count {
                     _ if !(1..=max).contains(&count) => Err(InvalidRequest::Count { code, count, min: 1, max }),
@@ -125,7 +125,7 @@ fn what_breaks_a_limit_is_told_with_the_input_and_the_rule() {
         "mixed write (49): the elements count 34 units (a 32-bit register counts 2), and it takes at most 32",
     );
     says(
-        WriteMixed::new([(element!("R5"), Value::Double(70_000))]),
+        WriteMixed::new([(element!("R5"), Value::DWord(70_000))]),
         "R5 is a 16-bit register, and the value 70000 is for a 32-bit register",
     );
     says(
@@ -200,7 +200,7 @@ fn n_of_256_is_sent_as_00_and_00_is_read_as_256_where_256_is_legal() {
     assert_eq!(&send(&ReadDiscretes::new(first, 255).unwrap(), Framing::Ascii).unwrap()[5..7], b"FF");
     for (code, data) in [(0x46, &b"00R00000"[..]), (0x46, b"00DR00000"), (0x48, b"00"), (0x49, b"00")] {
         let error = read(Framing::Ascii, code, data).unwrap_err();
-        assert!(matches!(error, FieldError::Invalid(InvalidRequest::Count { count: 256, .. })), "{error}");
+        assert!(matches!(error, RequestError::Invalid(InvalidRequest::Count { count: 256, .. })), "{error}");
     }
 }
 
@@ -334,7 +334,7 @@ fn send<C: Command>(request: &C, framing: Framing) -> Result<BytesMut, InvalidRe
     result.map(|()| frame)
 }
 
-fn read(framing: Framing, command: u8, data: &[u8]) -> Result<Request, FieldError> {
+fn read(framing: Framing, command: u8, data: &[u8]) -> Result<Request, RequestError> {
     Request::decode(&Frame { station: 1, command, data: Bytes::copy_from_slice(data) }, framing)
 }
 

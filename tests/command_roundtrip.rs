@@ -238,8 +238,7 @@ fn a_list_that_the_binary_framing_cannot_tell_from_another_is_never_sent() {
         assert!(frame_of(&read(list), Framing::Ascii).is_ok(), "{list:?}: the ASCII framing has no such doubt");
     }
     // What a list is read as may hang on the values: `DWX` at 0 and `X` at 0, or `D` at 5758h and `DR` at 0.
-    let write =
-        |value| WriteMixed::new([(element!("DWX0"), Value::Double(value)), (element!("X0"), Value::Bit(false))]);
+    let write = |value| WriteMixed::new([(element!("DWX0"), Value::DWord(value)), (element!("X0"), Value::Bit(false))]);
     let elements = vec![element!("DWX0"), element!("X0")];
     let ambiguous = InvalidRequest::Ambiguous { code: Code::WriteMixed, elements };
     assert_eq!(frame_of(&write(0x4452_0000).unwrap(), Framing::Binary), Err(ambiguous));
@@ -464,7 +463,7 @@ fn value_bytes(value: Value) -> Vec<u8> {
     match value {
         Value::Bit(on) => vec![u8::from(on)],
         Value::Word(word) => word.to_be_bytes().to_vec(),
-        Value::Double(double) => double.to_be_bytes().to_vec(),
+        Value::DWord(double) => double.to_be_bytes().to_vec(),
     }
 }
 

@@ -82,7 +82,7 @@ async fn mixed_requests_keep_their_order() {
             (element!("Y0"), Value::Bit(true)),
             (element!("Y1"), Value::Bit(false)),
             (element!("WM8"), Value::Word(0x5555)),
-            (element!("DR2"), Value::Double(0xFF)),
+            (element!("DR2"), Value::DWord(0xFF)),
             (element!("RT7"), Value::Word(7)),
         ];
         station.write_mixed(&items).await.unwrap();
@@ -194,7 +194,7 @@ async fn broadcasts_reach_every_station_and_several_stations_share_a_link() {
             let station = link.station(number).unwrap();
             station.write_registers(register!("R2"), &[u16::from(number)]).await.unwrap();
             assert_eq!(station.read_registers(register!("R0"), 3).await.unwrap(), [9, 8, u16::from(number)]);
-            assert_eq!(plc.read(register32!("DD0")), Value::Double(90_000));
+            assert_eq!(plc.read(register32!("DD0")), Value::DWord(90_000));
             assert_eq!(station.read_discretes(discrete!("M0"), 3).await.unwrap(), [true, true, false]);
             assert!(plc.is_running());
         }
@@ -229,7 +229,7 @@ async fn both_framings_give_equal_results_from_equal_memory() {
         let value = match symbol.width() {
             fatek::Width::Bit => Value::Bit(n % 2 == 0),
             fatek::Width::Word => Value::Word(0x0111 * n as u16),
-            fatek::Width::Double => Value::Double(0x0101_0101 * n as u32),
+            fatek::Width::DWord => Value::DWord(0x0101_0101 * n as u32),
         };
         plc.write(Element::new(symbol, 0x48 + 8 * n as u16).unwrap(), value).unwrap();
     }

@@ -139,7 +139,11 @@ fn line(framing: Framing) -> (Link, DuplexStream) {
 }
 
 /// Forwards a request to station 7, which gives this reply; returns what came of it, and what the station has heard.
-async fn forward(framing: Framing, exchange: &AnyExchange, reply: BytesMut) -> (Result<Answer, Error>, BytesMut) {
+async fn forward(
+    framing: Framing,
+    exchange: &AnyExchange,
+    reply: BytesMut,
+) -> (Result<ForwardedReply, Error>, BytesMut) {
     let (link, mut line) = line(framing);
     let station = link.station(7).unwrap();
     let plc = async move {

@@ -27,15 +27,15 @@ proptest! {
     fn what_is_written_at_once_is_what_is_written_by_the_book(
         bits in vec(any::<bool>(), 0..300),
         words in vec(any::<u16>(), 0..200),
-        doubles in vec(any::<u32>(), 0..200),
+        dwords in vec(any::<u32>(), 0..200),
     ) {
         for framing in [Framing::Ascii, Framing::Binary] {
             let (mut at_once, mut by_the_book) = (BytesMut::from("before"), BytesMut::from("before"));
             match framing {
-                Framing::Ascii => write(&mut AsciiWriter::new(&mut at_once), &bits, &words, &doubles),
-                _ => write(&mut BinaryWriter::new(&mut at_once), &bits, &words, &doubles),
+                Framing::Ascii => write(&mut AsciiWriter::new(&mut at_once), &bits, &words, &dwords),
+                _ => write(&mut BinaryWriter::new(&mut at_once), &bits, &words, &dwords),
             }
-            write(&mut Scribe { framing, dst: &mut by_the_book }, &bits, &words, &doubles);
+            write(&mut Scribe { framing, dst: &mut by_the_book }, &bits, &words, &dwords);
             prop_assert_eq!(&at_once, &by_the_book, "{}", framing);
         }
     }
@@ -75,11 +75,11 @@ fn compare<R: FieldReader + Clone>(reader: R, book: &mut Book<'_>, count: usize)
     one(&reader, book, |r| r.code(), |r| r.code())?;
     one(&reader, book, |r| r.byte(), |r| r.byte())?;
     one(&reader, book, |r| r.word(), |r| r.word())?;
-    one(&reader, book, |r| r.double(), |r| r.double())?;
+    one(&reader, book, |r| r.dword(), |r| r.dword())?;
     one(&reader, book, |r| r.bit(), |r| r.bit())?;
     one(&reader, book, |r| many(count, |into| r.bits(into)), |r| many(count, |into| r.bits(into)))?;
     one(&reader, book, |r| many(count, |into| r.words(into)), |r| many(count, |into| r.words(into)))?;
-    one(&reader, book, |r| many(count, |into| r.doubles(into)), |r| many(count, |into| r.doubles(into)))
+    one(&reader, book, |r| many(count, |into| r.dwords(into)), |r| many(count, |into| r.dwords(into)))
 }
 
 fn one<'a, R: FieldReader + Clone, T: PartialEq + std::fmt::Debug>(
@@ -105,13 +105,13 @@ fn many<T: Clone + Default>(
     read(&mut values).map(|()| values)
 }
 
-fn write(fields: &mut impl FieldWriter, bits: &[bool], words: &[u16], doubles: &[u32]) {
+fn write(fields: &mut impl FieldWriter, bits: &[bool], words: &[u16], dwords: &[u32]) {
     fields.words(words);
     fields.bits(bits);
-    fields.doubles(doubles);
+    fields.dwords(dwords);
     bits.iter().for_each(|&bit| fields.bit(bit));
     words.iter().for_each(|&word| fields.word(word));
-    doubles.iter().for_each(|&double| fields.double(double));
+    dwords.iter().for_each(|&dword| fields.dword(dword));
     words.iter().for_each(|&word| fields.byte(word.to_be_bytes()[0]));
 }
 
@@ -158,7 +158,7 @@ impl FieldReader for Book<'_> {
         self.number(2).map(|word| word as u16)
     }
 
-    fn double(&mut self) -> Result<u32, FieldError> {
+    fn dword(&mut self) -> Result<u32, FieldError> {
         self.number(4)
     }
 
@@ -208,8 +208,8 @@ impl FieldWriter for Scribe<'_> {
         self.put(format!("{word:04X}"), &word.to_be_bytes());
     }
 
-    fn double(&mut self, double: u32) {
-        self.put(format!("{double:08X}"), &double.to_be_bytes());
+    fn dword(&mut self, dword: u32) {
+        self.put(format!("{dword:08X}"), &dword.to_be_bytes());
     }
 
     fn element(&mut self, _element: Element) {

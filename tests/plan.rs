@@ -152,7 +152,7 @@ async fn a_text_is_never_made_of_two_replies() {
         let answer = |n: u16, request: &ReadRequest| {
             let word = 0x4141 + n * 0x0101;
             let value = |element: &Element| match element {
-                Element::Register32(_) => Value::Double(u32::from(word) << 16 | u32::from(word)),
+                Element::Register32(_) => Value::DWord(u32::from(word) << 16 | u32::from(word)),
                 _ => Value::Word(word),
             };
             match request {

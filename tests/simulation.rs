@@ -253,7 +253,7 @@ async fn call(
             held.push(serial);
             let written = match dice.in_thousand(500) {
                 true => station.write_registers32(own, &[serial]).await,
-                false => station.write_mixed(&[(own.into(), Value::Double(serial))]).await,
+                false => station.write_mixed(&[(own.into(), Value::DWord(serial))]).await,
             };
             match written {
                 Ok(()) => {

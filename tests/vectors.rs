@@ -17,7 +17,7 @@ const ROWS: usize = 45;
 /// What the manuals' example of a command means: its request and its reply.
 fn meaning(framing: Framing, command: u8) -> Option<AnyExchange> {
     use DiscreteControl::{Disable, Set};
-    use Value::{Bit, Double, Word};
+    use Value::{Bit, DWord, Word};
 
     let off_on = |states: &str| states.bytes().map(|b| b == b'1').collect::<Vec<_>>();
     Some(match (framing, command) {
@@ -48,14 +48,14 @@ fn meaning(framing: Framing, command: u8) -> Option<AnyExchange> {
         }
         (Framing::Ascii, 0x48) => {
             let request = ReadMixed::new([element!("R1"), element!("Y9"), element!("DWM0")]).unwrap();
-            exchange(request, vec![Word(0x5C34), Bit(true), Double(0x0035_47BA)], Request::ReadMixed)
+            exchange(request, vec![Word(0x5C34), Bit(true), DWord(0x0035_47BA)], Request::ReadMixed)
         }
         (Framing::Ascii, 0x49) => {
             let request = WriteMixed::new([
                 (element!("Y0"), Bit(true)),
                 (element!("Y1"), Bit(false)),
                 (element!("WM8"), Word(0x5555)),
-                (element!("DR2"), Double(0xFF)),
+                (element!("DR2"), DWord(0xFF)),
             ]);
             exchange(request.unwrap(), (), Request::WriteMixed)
         }
@@ -89,10 +89,10 @@ fn meaning(framing: Framing, command: u8) -> Option<AnyExchange> {
         }
         (Framing::Binary, 0x48) => {
             let request = ReadMixed::new([element!("DR15"), element!("D1")]).unwrap();
-            exchange(request, vec![Double(0x9999_0000), Word(0)], Request::ReadMixed)
+            exchange(request, vec![DWord(0x9999_0000), Word(0)], Request::ReadMixed)
         }
         (Framing::Binary, 0x49) => {
-            let items = [(register32!("DR0").into(), Double(0)), (Register::r(15).into(), Word(0xFF))];
+            let items = [(register32!("DR0").into(), DWord(0)), (Register::r(15).into(), Word(0xFF))];
             exchange(WriteMixed::new(items).unwrap(), (), Request::WriteMixed)
         }
         (Framing::Binary, 0x4E) => exchange(LoopBack::new(&[0xFF, 0xFF][..]).unwrap(), (), Request::LoopBack),

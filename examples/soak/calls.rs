@@ -297,7 +297,7 @@ impl Call<'_> {
 
 fn double_of(value: Value) -> u32 {
     match value {
-        Value::Double(double) => double,
+        Value::DWord(double) => double,
         Value::Word(word) => word.into(),
         Value::Bit(on) => on.into(),
     }

@@ -99,7 +99,7 @@ impl Place {
         let word = |value: Value| match value {
             Value::Bit(on) => u32::from(on),
             Value::Word(word) => u32::from(word),
-            Value::Double(double) => double,
+            Value::DWord(double) => double,
         };
         Ok(match self.kind {
             Kind::Double(n) => word(plc.read(double(self.owner, n)?)),

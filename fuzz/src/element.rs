@@ -17,7 +17,7 @@ pub fn run(input: &[u8]) {
         round_trip::<Register32>(&text).map(Element::from),
     ];
     let width = element.map(|element| element.width());
-    for (narrow, of) in narrow.into_iter().zip([Width::Bit, Width::Word, Width::Double]) {
+    for (narrow, of) in narrow.into_iter().zip([Width::Bit, Width::Word, Width::DWord]) {
         assert_eq!(narrow, element.filter(|_| width == Some(of)));
     }
     let Some(element) = element else { return };

@@ -37,7 +37,7 @@ fn any_memory_is_a_value(tag: Tag, bytes: &[u8]) {
     let raw: Vec<Value> = tag
         .elements()
         .map(|element| match element.width().units() {
-            2 => Value::Double(u32::from_be_bytes([next(), next(), next(), next()])),
+            2 => Value::DWord(u32::from_be_bytes([next(), next(), next(), next()])),
             _ if element.width() == fatek::Width::Bit => Value::Bit(next() & 1 == 1),
             _ => Value::Word(u16::from_be_bytes([next(), next()])),
         })

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::{InvalidBackup, Missing};
 use crate::command::{Value, most_in_one_request};
-use crate::element::{Element, Symbol};
+use crate::element::{Element, MemoryArea};
 use crate::error::ErrorCode;
 use crate::tag::{Tag, TagType};
 
@@ -56,25 +56,25 @@ pub(super) fn part(range: Tag, places: &Range<usize>) -> Tag {
 
 /// Where an element, or a range, lies in the memory of a PLC: the symbol of its smallest parts, and their first and last
 /// addresses.
-fn memory(range: Tag) -> (Symbol, u16, u16) {
+fn memory(range: Tag) -> (MemoryArea, u16, u16) {
     let first = range.first();
     let last = first.nth(range.element_count().saturating_sub(1)).unwrap_or(first);
     // Consecutive elements touch, so the step from one to the next is what each of them covers.
     let end = last.address().saturating_add(last.symbol().step().saturating_sub(1));
-    (first.symbol().memory(), first.address(), end)
+    (first.symbol().area(), first.address(), end)
 }
 
 /// The discretes that these elements are: their first, and how many they are.
 pub(super) fn discretes(range: Tag) -> Option<(crate::Discrete, usize)> {
-    let (symbol, first, last) = memory(range);
-    let discrete = crate::Discrete::new(symbol, first).ok()?;
+    let (area, first, last) = memory(range);
+    let discrete = crate::Discrete::new(area.smallest(), first).ok()?;
     Some((discrete, usize::from(last.saturating_sub(first)).saturating_add(1)))
 }
 
 /// Whether the PLC itself says what these are, again and again: inputs follow what is wired to them, the contacts of timers
 /// and counters their values.
 pub(super) fn is_not_for_restoring(range: Tag) -> bool {
-    matches!(range.first().symbol().memory(), Symbol::X | Symbol::T | Symbol::C)
+    range.first().symbol().area().is_derived()
 }
 
 /// That no two of these share memory, by whatever names.

@@ -10,7 +10,8 @@ use super::{Backup, Missing, Origin};
 use crate::command::{BriefStatus, DetailedStatus, Value};
 use crate::element::{Element, Width};
 use crate::error::ErrorCode;
-use crate::file::{FormatError, Kind, Lines, frame, hex, in_form, parse_utc, unframe, utc};
+use crate::file::{FormatError, Kind, Lines, frame, in_form, parse_utc, unframe, utc};
+use crate::hex;
 use crate::tag::Tag;
 
 const BACKUP: Kind = Kind("backup");
@@ -41,8 +42,8 @@ fn content(backup: &Backup) -> String {
         field(origin.station.map(|station| station.to_string())),
         field(origin.read_at.map(utc)),
         field(about(origin)),
-        field(origin.brief.map(|status| digits(&status.raw()))),
-        field(origin.detailed.as_ref().map(|status| digits(status.raw()))),
+        field(origin.brief.map(|status| hex::encode(&status.raw()))),
+        field(origin.detailed.as_ref().map(|status| hex::encode(status.raw()))),
     );
     for block in blocks {
         lines += &format!("{RANGE} {}\n", block.range);
@@ -93,7 +94,7 @@ fn value_line(first: Element, cells: &[Result<Value, Missing>]) -> String {
             Value::Bit(on) if place.is_multiple_of(8) => write!(line, " {}", u8::from(*on)),
             Value::Bit(on) => write!(line, "{}", u8::from(*on)),
             Value::Word(word) => write!(line, " {word:04X}"),
-            Value::Double(double) => write!(line, " {double:08X}"),
+            Value::DWord(double) => write!(line, " {double:08X}"),
         };
     }
     line + "\n"
@@ -101,10 +102,6 @@ fn value_line(first: Element, cells: &[Result<Value, Missing>]) -> String {
 
 fn per_line(width: Width) -> usize {
     if width == Width::Bit { 64 } else { 8 }
-}
-
-fn digits(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }
 
 fn parse(content: &str) -> Result<Backup, FormatError> {
@@ -116,10 +113,10 @@ fn parse(content: &str) -> Result<Backup, FormatError> {
     // It follows from the others, so it is compared in the end.
     lines.field("about")?;
     let brief = field(&mut lines, "brief", "three bytes in hexadecimal digits", |text| {
-        Some(BriefStatus::from_raw(hex(text)?.try_into().ok()?))
+        Some(BriefStatus::from_raw(hex::decode(text)?.try_into().ok()?))
     })?;
     let detailed = field(&mut lines, "status", "28 to 249 bytes in hexadecimal digits", |text| {
-        DetailedStatus::from_raw(hex(text)?)
+        DetailedStatus::from_raw(hex::decode(text)?)
     })?;
     let origin = Origin { station, read_at, brief, detailed };
     let mut backup = Backup { blocks: empty(content)?.blocks, origin };
@@ -207,9 +204,9 @@ fn values(text: &str, width: Width) -> Option<Vec<Result<Value, Missing>>> {
         return bits.collect::<Option<Vec<_>>>().filter(|bits| !bits.is_empty());
     }
     let value = |digits: &str| {
-        let bytes = hex(digits)?;
+        let bytes = hex::decode(digits)?;
         Some(Ok(match width {
-            Width::Double => Value::Double(u32::from_be_bytes(bytes.try_into().ok()?)),
+            Width::DWord => Value::DWord(u32::from_be_bytes(bytes.try_into().ok()?)),
             _ => Value::Word(u16::from_be_bytes(bytes.try_into().ok()?)),
         }))
     };

@@ -277,7 +277,7 @@ async fn store(job: &mut StationJob<'_, State>, mark: State, range: Tag, values:
         }
         Element::Register32(first) => {
             let doubles =
-                values.iter().filter_map(|value| if let Value::Double(double) = *value { Some(double) } else { None });
+                values.iter().filter_map(|value| if let Value::DWord(double) = *value { Some(double) } else { None });
             job.call(mark, WriteRegisters::new(first, doubles.collect::<Vec<_>>())?, false).await
         }
     }

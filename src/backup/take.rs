@@ -247,6 +247,6 @@ pub(super) fn content_len(range: Tag, count: usize) -> usize {
     match range.first().width() {
         Width::Bit => count.div_ceil(8),
         Width::Word => count.saturating_mul(2),
-        Width::Double => count.saturating_mul(4),
+        Width::DWord => count.saturating_mul(4),
     }
 }

@@ -22,7 +22,7 @@ fn value(element: Element, bits: u32) -> Value {
     match element.width() {
         Width::Bit => Value::Bit(bits & 1 == 1),
         Width::Word => Value::Word(bits as u16),
-        Width::Double => Value::Double(bits),
+        Width::DWord => Value::DWord(bits),
     }
 }
 

@@ -1,4 +1,4 @@
-use super::{Code, Command};
+use super::{Code, Command, RequestError, Run, sealed};
 use crate::element::Discrete;
 use crate::wire::{FieldError, FieldReader, FieldWriter};
 
@@ -10,11 +10,13 @@ use crate::wire::{FieldError, FieldReader, FieldWriter};
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ControlPlc {
-    /// The ladder program stops.
+    /// Stops the ladder program.
     Stop,
-    /// The ladder program runs.
+    /// Starts the ladder program.
     Run,
 }
+
+impl sealed::Sealed for ControlPlc {}
 
 impl Command for ControlPlc {
     type Reply = ();
@@ -24,11 +26,11 @@ impl Command for ControlPlc {
         fields.bit(*self == Self::Run);
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         match fields.code()? {
             0 => Ok(Self::Stop),
             1 => Ok(Self::Run),
-            other => Err(FieldError::UnknownCode(other)),
+            other => Err(FieldError::UnknownCode(other).into()),
         }
     }
 
@@ -37,15 +39,17 @@ impl Command for ControlPlc {
     fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
         Ok(())
     }
+
+    fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
 }
 
-/// What 42 does to a discrete.
+/// The effect of 42 on a discrete.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum DiscreteControl {
-    /// Its state no longer follows the program or the input: it is forced.
+    /// Forced: the state no longer follows the program or the input.
     Disable = 1,
-    /// Its state follows the program or the input again.
+    /// Not forced: the state follows the program or the input.
     Enable = 2,
     /// On.
     Set = 3,
@@ -61,19 +65,21 @@ pub enum DiscreteControl {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ControlDiscrete {
-    /// What is done.
+    /// The effect.
     pub control: DiscreteControl,
-    /// To which discrete.
+    /// The discrete.
     pub discrete: Discrete,
 }
 
 impl ControlDiscrete {
-    /// Does this to that.
+    /// A request with this effect on a discrete.
     #[must_use]
     pub fn new(control: DiscreteControl, discrete: Discrete) -> Self {
         Self { control, discrete }
     }
 }
+
+impl sealed::Sealed for ControlDiscrete {}
 
 impl Command for ControlDiscrete {
     type Reply = ();
@@ -84,13 +90,13 @@ impl Command for ControlDiscrete {
         fields.element(self.discrete.into());
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         let control = match fields.code()? {
             1 => DiscreteControl::Disable,
             2 => DiscreteControl::Enable,
             3 => DiscreteControl::Set,
             4 => DiscreteControl::Reset,
-            other => return Err(FieldError::UnknownCode(other)),
+            other => return Err(FieldError::UnknownCode(other).into()),
         };
         fields.layout(1, 0)?;
         Ok(Self { control, discrete: fields.element()?.try_into()? })
@@ -100,5 +106,9 @@ impl Command for ControlDiscrete {
 
     fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
         Ok(())
+    }
+
+    fn for_each_run(&self, each: &mut dyn FnMut(Run)) {
+        each(Run { first: self.discrete.into(), count: 1 });
     }
 }

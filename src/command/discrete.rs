@@ -1,4 +1,4 @@
-use super::{Candidates, Code, Command, InvalidRequest, Run, Spelling, blank, limits, spelling};
+use super::{Candidates, Code, Command, InvalidRequest, RequestError, Run, Spelling, blank, limits, sealed, spelling};
 use crate::element::Discrete;
 use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 
@@ -35,7 +35,7 @@ pub struct WriteDiscretes {
 }
 
 impl WriteDiscretes {
-    /// Writes these states to `first` and those after it.
+    /// A write of these states to `first` and the discretes after it.
     ///
     /// # Errors
     /// [`InvalidRequest::Count`] unless there are 1 to 256; [`InvalidRequest::PastTheEnd`].
@@ -56,7 +56,13 @@ impl WriteDiscretes {
     pub fn states(&self) -> &[bool] {
         &self.states
     }
+
+    fn elements(&self) -> Run {
+        Run { first: self.first.into(), count: self.states.len() }
+    }
 }
+
+impl sealed::Sealed for WriteDiscretes {}
 
 impl Command for WriteDiscretes {
     type Reply = ();
@@ -68,7 +74,7 @@ impl Command for WriteDiscretes {
         fields.bits(&self.states);
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         let count = fields.count()?;
         fields.layout(1, count)?;
         let first = fields.element()?.try_into()?;
@@ -83,13 +89,16 @@ impl Command for WriteDiscretes {
         Ok(())
     }
 
+    fn for_each_run(&self, each: &mut dyn FnMut(Run)) {
+        each(self.elements());
+    }
+
     fn plain(&self) -> Spelling {
         Spelling::new(Self::CODE, self.states.len())
     }
 
     fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
-        let run = Run { first: self.first.into(), count: self.states.len() };
-        run.write_candidates(longer, framing, &self.states)
+        self.elements().write_candidates(longer, framing, &self.states)
     }
 
     fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
@@ -97,11 +106,11 @@ impl Command for WriteDiscretes {
     }
 
     fn run(&self) -> Option<Run> {
-        Some(Run { first: self.first.into(), count: self.states.len() })
+        Some(self.elements())
     }
 }
 
-/// 43 and 44 differ in their code and in what the states mean.
+/// 43 and 44, which differ in code and meaning of the states.
 macro_rules! read_states {
     ($(#[$doc:meta])* $name:ident) => {
         $(#[$doc])*
@@ -112,10 +121,11 @@ macro_rules! read_states {
         }
 
         impl $name {
-            /// Reads `count` discretes from `first` on.
+            /// A read of `count` discretes from `first` on.
             ///
             /// # Errors
-            /// [`InvalidRequest::Count`] unless `count` is 1 to 256; [`InvalidRequest::PastTheEnd`].
+            /// [`InvalidRequest::Count`] unless `count` is 1 to 256;
+            /// [`InvalidRequest::PastTheEnd`].
             pub fn new(first: Discrete, count: usize) -> Result<Self, InvalidRequest> {
                 limits::consecutive(Self::CODE, first.into(), count)?;
                 Ok(Self { first, count })
@@ -127,7 +137,7 @@ macro_rules! read_states {
                 self.first
             }
 
-            /// How many are read.
+            /// The number of discretes.
             #[must_use]
             pub fn count(&self) -> usize {
                 self.count
@@ -138,6 +148,8 @@ macro_rules! read_states {
             }
         }
 
+        impl sealed::Sealed for $name {}
+
         impl Command for $name {
             type Reply = Vec<bool>;
             const CODE: Code = Code::$name;
@@ -147,7 +159,7 @@ macro_rules! read_states {
                 fields.element(self.first.into());
             }
 
-            fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+            fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
                 let count = fields.count()?;
                 fields.layout(1, 0)?;
                 let first = fields.element()?.try_into()?;
@@ -162,6 +174,10 @@ macro_rules! read_states {
                 let mut states = blank(self.count);
                 fields.bits(&mut states)?;
                 Ok(states)
+            }
+
+            fn for_each_run(&self, each: &mut dyn FnMut(Run)) {
+                each(self.elements());
             }
 
             fn plain(&self) -> Spelling {

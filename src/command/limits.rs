@@ -1,60 +1,60 @@
-//! The limits of the commands, each in one place, and the error that names the one that is broken.
+//! The limits of the commands, and the error that names the limit that a request breaks.
 
 use std::fmt;
 
-use super::{Code, Value};
-use crate::element::{Element, ElementError, Width};
+use super::Code;
+use crate::element::{Element, ElementError, Value, Width};
 use crate::wire::Framing;
 
 /// 43, 44 and 45: the most discretes in one request.
 pub const MAX_POINTS: usize = 256;
-/// 46 and 47: the most units in one request; a 32-bit register counts two.
+/// 46 and 47: the most units in one request. A 32-bit register counts two.
 pub const MAX_UNITS: usize = 64;
-/// 48: the most units in one request; a 32-bit register counts two.
+/// 48: the most units in one request. A 32-bit register counts two.
 pub const MAX_MIXED_READ_UNITS: usize = 64;
-/// 49: the most units in one request; a 32-bit register counts two.
+/// 49: the most units in one request. A 32-bit register counts two.
 pub const MAX_MIXED_WRITE_UNITS: usize = 32;
-/// 4E: the most data, in characters or bytes.
+/// 4E: the most data: characters in the ASCII framing, bytes in the binary one.
 pub const MAX_LOOP_BACK: usize = 256;
 
-/// A request that was not sent, because it breaks a rule: what was asked, and the rule.
+/// A request that breaks a rule of the protocol, and was not sent.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidRequest {
-    /// No such element.
+    /// The symbol or the address of an element is wrong.
     #[error(transparent)]
     Element(#[from] ElementError),
-    /// Too few or too many items.
+    /// Too few or too many elements or bytes.
     #[error("{code}: {count} items were asked for, and it takes {min} to {max}")]
     Count {
         /// The command.
         code: Code,
-        /// How many items were asked for.
+        /// The number of items.
         count: usize,
-        /// The fewest it takes.
+        /// The smallest number.
         min: usize,
-        /// The most it takes.
+        /// The largest number.
         max: usize,
     },
-    /// Too many units, where 32-bit registers count two.
+    /// Too many units; a 32-bit register counts two.
     #[error("{code}: the elements count {units} units (a 32-bit register counts 2), and it takes at most {max}")]
     Units {
         /// The command.
         code: Code,
-        /// How many units were asked for.
+        /// The number of units.
         units: usize,
-        /// The most it takes.
+        /// The largest number.
         max: usize,
     },
-    /// Consecutive elements that reach past the last address.
-    #[error("{count} elements from {first} on reach past the last address, {}{}", first.symbol(), first.symbol().last_address())]
+    /// Consecutive elements beyond the last address.
+    #[error("{count} elements from {first} on reach past the last address, {}", last(*first))]
     PastTheEnd {
         /// The first element.
         first: Element,
-        /// How many were asked for.
+        /// The number of elements.
         count: usize,
     },
-    /// A value that is not as wide as its element.
+    /// A value of another width than its element.
     #[error("{element} is {}, and the value {value} is for {}", element.width(), value.width())]
     WrongWidth {
         /// The element.
@@ -70,12 +70,12 @@ pub enum InvalidRequest {
         /// The framing of the link.
         framing: Framing,
     },
-    /// The binary framing would send these elements as bytes that can also be read as other elements.
+    /// A list of elements that the PLC can decode in two ways. Binary framing only.
     ///
-    /// It does not say how long a symbol is: `R` at address 5400h begins as `RT` does, so `RT87 X0` is also `R21504 WX0`.
-    /// Ask for fewer of them at once: one alone always has one reading.
+    /// The length of a symbol is not sent. `R` at address 5400h begins like `RT`, so `RT87 X0` has
+    /// the bytes of `R21504 WX0`. A shorter list may be unambiguous; a single element always is.
     #[error(
-        "{code}: as bytes of the binary framing, {} can also be read as other elements; ask for them one by one",
+        "{code}: in the binary framing {} can also be read as other elements; ask for them one by one",
         List(elements)
     )]
     Ambiguous {
@@ -91,24 +91,24 @@ pub enum InvalidRequest {
         code: Code,
         /// The byte.
         byte: u8,
-        /// Where it stands, from 0.
+        /// Its position, from 0.
         position: usize,
     },
-    /// A broadcast of a command that only reads: nobody would answer.
-    #[error("{code} cannot be broadcast: all that it would bring is an answer, and nobody answers a broadcast")]
+    /// A broadcast of a command that reads. PLCs do not answer broadcasts.
+    #[error("{code} cannot be broadcast: it reads, and PLCs do not answer broadcasts")]
     NoBroadcast {
         /// The command.
         code: Code,
     },
-    /// Not a station number.
+    /// Not the number of a station.
     #[error("{station} is not a station: PLCs are 1 to 254 (0 is the broadcast, which `Link::broadcast` is for)")]
     Station {
-        /// The number given.
+        /// The number.
         station: u8,
     },
 }
 
-/// Elements as people write them.
+/// Elements, separated by blanks.
 struct List<'a>(&'a [Element]);
 
 impl fmt::Display for List<'_> {
@@ -123,6 +123,11 @@ impl fmt::Display for List<'_> {
     }
 }
 
+/// The last element with the symbol of this one.
+fn last(element: Element) -> String {
+    format!("{0}{1}", element.symbol(), element.symbol().last_address())
+}
+
 pub(super) fn in_framing(code: Code, framing: Framing) -> Result<(), InvalidRequest> {
     if code.is_in(framing) { Ok(()) } else { Err(InvalidRequest::NotInFraming { code, framing }) }
 }
@@ -135,21 +140,21 @@ pub(super) fn units(code: Code, units: usize, max: usize) -> Result<(), InvalidR
     if units <= max { Ok(()) } else { Err(InvalidRequest::Units { code, units, max }) }
 }
 
-/// How many consecutive elements like this one a request takes.
+/// The most consecutive elements of this width in one request.
 pub(crate) fn most_in_one_request(first: Element) -> usize {
     match first.width() {
         Width::Bit => MAX_POINTS,
-        width => MAX_UNITS / width.units(),
+        width @ (Width::Word | Width::DWord) => MAX_UNITS / width.units(),
     }
 }
 
-/// Consecutive elements in one request: how many of this width it takes, and that all of them exist.
+/// Checks consecutive elements of one request: their number, and that all exist.
 pub(super) fn consecutive(code: Code, first: Element, n: usize) -> Result<(), InvalidRequest> {
     count(code, n, 1, most_in_one_request(first))?;
     exist(first, n)
 }
 
-/// Consecutive elements in as many requests as they take: that there are some, and that all of them exist.
+/// Checks consecutive elements of several requests: that there is at least one, and that all exist.
 pub(crate) fn check_range(code: Code, first: Element, n: usize) -> Result<(), InvalidRequest> {
     let last = usize::from(first.symbol().last_address() - first.address());
     count(code, n, 1, (last / usize::from(first.symbol().step()) + 1).max(n))?;

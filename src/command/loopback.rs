@@ -1,13 +1,13 @@
 use bytes::Bytes;
 
-use super::{Code, Command, InvalidRequest, Spelling, limits};
-use crate::wire::{EncodeError, FieldError, FieldReader, FieldWriter, Framing, ascii};
+use super::{Code, Command, InvalidRequest, RequestError, Run, Spelling, limits, sealed};
+use crate::wire::{FieldError, FieldReader, FieldWriter, Framing, ascii};
 
-/// 4E: sends data that the PLC returns as it is.
+/// 4E: sends data that the PLC returns unchanged.
 ///
 /// ```text
 /// request  0 to 256 characters (ASCII, printable) or bytes (binary)
-/// reply    the same, with no error code before it
+/// reply    the same, without an error code
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct LoopBack {
@@ -15,27 +15,28 @@ pub struct LoopBack {
 }
 
 impl LoopBack {
-    /// Sends this data.
+    /// A loop-back of this data.
     ///
     /// # Errors
-    /// [`InvalidRequest::Count`] when it is longer than 256. That it is printable is checked when it is sent in
-    /// the ASCII framing.
+    /// [`InvalidRequest::Count`] for more than 256 bytes. In the ASCII framing, sending fails with
+    /// [`InvalidRequest::NotPrintable`] unless all bytes are printable.
     pub fn new(data: impl Into<Bytes>) -> Result<Self, InvalidRequest> {
         let data = data.into();
         limits::count(Self::CODE, data.len(), 0, limits::MAX_LOOP_BACK)?;
         Ok(Self { data })
     }
 
-    /// A loop-back with 8 characters of a nonce, digits and upper-case letters: 40 bits, the low ones of `nonce`.
+    /// A loop-back of the low 40 bits of a nonce, as 8 digits and upper-case letters.
     pub(crate) fn nonce(nonce: u64) -> Self {
         let digit = |place: u64| {
-            let bits = u8::try_from(nonce >> (5 * place) & 0x1F).unwrap_or_default();
+            let [low, ..] = (nonce >> (5 * place)).to_le_bytes();
+            let bits = low & 0x1F;
             if bits < 10 { b'0' + bits } else { b'A' + bits - 10 }
         };
         Self { data: (0..8).rev().map(digit).collect() }
     }
 
-    /// A loop-back without data: the shortest exchange there is.
+    /// A loop-back without data: the shortest exchange of the protocol.
     pub(crate) fn empty() -> Self {
         Self { data: Bytes::new() }
     }
@@ -47,6 +48,8 @@ impl LoopBack {
     }
 }
 
+impl sealed::Sealed for LoopBack {}
+
 impl Command for LoopBack {
     type Reply = ();
     const CODE: Code = Code::LoopBack;
@@ -55,7 +58,7 @@ impl Command for LoopBack {
         fields.raw(&self.data);
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         Ok(Self::new(Bytes::copy_from_slice(fields.rest()))?)
     }
 
@@ -67,13 +70,15 @@ impl Command for LoopBack {
         if fields.rest() == self.data { Ok(()) } else { Err(FieldError::NotTheEcho) }
     }
 
+    fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
+
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)?;
-        match ascii::check_printable(&self.data) {
-            Err(EncodeError::NotPrintable { byte, position }) if framing == Framing::Ascii => {
+        match framing {
+            Framing::Ascii => ascii::find_unprintable(&self.data).map_or(Ok(()), |(position, byte)| {
                 Err(InvalidRequest::NotPrintable { code: Self::CODE, byte, position })
-            }
-            _ => Ok(()),
+            }),
+            Framing::Binary => Ok(()),
         }
     }
 
@@ -81,7 +86,7 @@ impl Command for LoopBack {
         self.data.len() == 1
     }
 
-    /// A fingerprint of the data: an echo fits a loop-back of the same data only.
+    /// A hash of the data: an echo fits only a loop-back of the same data.
     fn reply_size(&self, _spelling: Spelling, _framing: Framing) -> u32 {
         self.data.iter().fold(u32::try_from(self.data.len()).unwrap_or(u32::MAX), |hash, &byte| {
             (hash.rotate_left(5) ^ u32::from(byte)).wrapping_mul(0x9E37_79B1)

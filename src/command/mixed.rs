@@ -1,67 +1,14 @@
-use std::fmt;
-
 use bytes::BytesMut;
 
-use super::{Candidates, Code, Command, InvalidRequest, Run, Spelling, limits, spelling};
-use crate::element::{Element, Width};
+use super::{Candidates, Code, Command, InvalidRequest, RequestError, Run, Spelling, limits, sealed, spelling};
+use crate::element::{Element, Value};
 use crate::wire::{BinaryReader, BinaryWriter, FieldError, FieldReader, FieldWriter, Framing};
-
-/// What an element of any width holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Value {
-    /// The state of a discrete: `true` is on.
-    Bit(bool),
-    /// 16 bits.
-    Word(u16),
-    /// 32 bits.
-    Double(u32),
-}
-
-impl Value {
-    /// How wide it is.
-    #[must_use]
-    pub fn width(self) -> Width {
-        match self {
-            Self::Bit(_) => Width::Bit,
-            Self::Word(_) => Width::Word,
-            Self::Double(_) => Width::Double,
-        }
-    }
-}
-
-impl fmt::Display for Value {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Bit(on) => u8::from(*on).fmt(f),
-            Self::Word(word) => word.fmt(f),
-            Self::Double(double) => double.fmt(f),
-        }
-    }
-}
-
-impl From<bool> for Value {
-    fn from(on: bool) -> Self {
-        Self::Bit(on)
-    }
-}
-
-impl From<u16> for Value {
-    fn from(word: u16) -> Self {
-        Self::Word(word)
-    }
-}
-
-impl From<u32> for Value {
-    fn from(double: u32) -> Self {
-        Self::Double(double)
-    }
-}
 
 /// 48: reads any elements, in any order.
 ///
 /// ```text
 /// request  N · N elements
-/// reply    N values, in the same order, each as wide as its element
+/// reply    N values in the same order, each of the width of its element
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct ReadMixed {
@@ -69,10 +16,11 @@ pub struct ReadMixed {
 }
 
 impl ReadMixed {
-    /// Reads these elements.
+    /// A read of these elements.
     ///
     /// # Errors
-    /// [`InvalidRequest::Count`] when there are none; [`InvalidRequest::Units`] when they count more than 64.
+    /// [`InvalidRequest::Count`] without an element; [`InvalidRequest::Units`] for more than 64
+    /// units.
     pub fn new(elements: impl Into<Vec<Element>>) -> Result<Self, InvalidRequest> {
         let elements = elements.into();
         limits::count(Self::CODE, elements.len(), 1, limits::MAX_MIXED_READ_UNITS)?;
@@ -86,11 +34,13 @@ impl ReadMixed {
         &self.elements
     }
 
-    /// The elements of a spelling: the list, and from its beginning as many more as the spelling has.
+    /// The elements of a spelling: the list, repeated up to the number of elements of the spelling.
     fn spelled(&self, spelling: Spelling) -> impl Iterator<Item = Element> {
         self.elements.iter().copied().cycle().take(spelling.count.into())
     }
 }
+
+impl sealed::Sealed for ReadMixed {}
 
 impl Command for ReadMixed {
     type Reply = Vec<Value>;
@@ -101,11 +51,11 @@ impl Command for ReadMixed {
         self.elements.iter().for_each(|&element| fields.element(element));
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         let count = fields.count()?;
         limits::count(Self::CODE, count, 1, limits::MAX_MIXED_READ_UNITS)?;
         fields.layout(count, 0)?;
-        let elements = (0..count).map(|_| fields.element()).collect::<Result<Vec<_>, _>>()?;
+        let elements = (0..count).map(|_| fields.element()).collect::<Result<Vec<_>, FieldError>>()?;
         Ok(Self::new(elements)?)
     }
 
@@ -121,9 +71,13 @@ impl Command for ReadMixed {
         Ok(values)
     }
 
+    fn for_each_run(&self, each: &mut dyn FnMut(Run)) {
+        self.elements.iter().for_each(|&first| each(Run { first, count: 1 }));
+    }
+
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)?;
-        one_reading(self, framing, || self.elements.clone())
+        unambiguous(self, framing, || self.elements.clone())
     }
 
     fn plain(&self) -> Spelling {
@@ -154,7 +108,7 @@ impl Command for ReadMixed {
         self.spelled(spelling).map(|element| spelling::values_len(element.width(), 1, framing)).sum()
     }
 
-    /// Its first element: the one that may be read twice.
+    /// The first element, which a spelling reads twice.
     fn run(&self) -> Option<Run> {
         self.elements.first().map(|&first| Run { first, count: 1 })
     }
@@ -163,7 +117,7 @@ impl Command for ReadMixed {
 /// 49: writes any elements, in the order given.
 ///
 /// ```text
-/// request  N · N times: element · value, as wide as the element
+/// request  N · N times: element · value of its width
 /// reply    -
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -172,11 +126,11 @@ pub struct WriteMixed {
 }
 
 impl WriteMixed {
-    /// Writes these values to these elements.
+    /// A write of these values to these elements.
     ///
     /// # Errors
-    /// [`InvalidRequest::Count`] when there are none; [`InvalidRequest::Units`] when they count more than 32;
-    /// [`InvalidRequest::WrongWidth`] for a value that is not as wide as its element.
+    /// [`InvalidRequest::Count`] without an element; [`InvalidRequest::Units`] for more than 32
+    /// units; [`InvalidRequest::WrongWidth`] for a value of another width than its element.
     pub fn new(items: impl Into<Vec<(Element, Value)>>) -> Result<Self, InvalidRequest> {
         let items = items.into();
         limits::count(Self::CODE, items.len(), 1, limits::MAX_MIXED_WRITE_UNITS)?;
@@ -194,6 +148,8 @@ impl WriteMixed {
     }
 }
 
+impl sealed::Sealed for WriteMixed {}
+
 impl Command for WriteMixed {
     type Reply = ();
     const CODE: Code = Code::WriteMixed;
@@ -206,7 +162,7 @@ impl Command for WriteMixed {
         }
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         let count = fields.count()?;
         limits::count(Self::CODE, count, 1, limits::MAX_MIXED_WRITE_UNITS)?;
         fields.layout(count, 1)?;
@@ -224,9 +180,13 @@ impl Command for WriteMixed {
         Ok(())
     }
 
+    fn for_each_run(&self, each: &mut dyn FnMut(Run)) {
+        self.items.iter().for_each(|&(first, _)| each(Run { first, count: 1 }));
+    }
+
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)?;
-        one_reading(self, framing, || self.items.iter().map(|&(element, _)| element).collect())
+        unambiguous(self, framing, || self.items.iter().map(|&(element, _)| element).collect())
     }
 
     fn plain(&self) -> Spelling {
@@ -234,9 +194,10 @@ impl Command for WriteMixed {
     }
 }
 
-/// What the PLC reads must be what was written. In the binary framing a list of elements may have two readings, and
-/// then a wrong register could be read, or written.
-fn one_reading<C: Command>(
+/// Checks that the PLC can decode the list of elements in one way only.
+///
+/// In the binary framing some lists are ambiguous. The PLC could read or write a wrong register.
+fn unambiguous<C: Command>(
     request: &C,
     framing: Framing,
     elements: impl Fn() -> Vec<Element>,

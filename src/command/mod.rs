@@ -1,19 +1,21 @@
-//! The commands: what can be asked of a PLC.
+//! The commands of the protocol: one type each, with request and reply.
 //!
-//! Each command is one type. It knows its code and limits, is checked when it is made, and writes and reads both its
-//! request and its reply through [`FieldWriter`] and [`FieldReader`], so that it does not know the framing. Client and
-//! simulator share these types, and nothing else.
+//! A value of such a type has passed the limits of its command. It writes and reads the fields of
+//! its request and of its reply through [`FieldWriter`] and [`FieldReader`], in either framing.
+//! Client and simulator share these types.
 //!
-//! Most programs never name them: [`Station`](crate::Station) has a method for each.
+//! Most programs use the methods of [`Station`](crate::Station) instead.
 //!
 //! Source: protocol reference, section 5 (manuals 000 and 002 section 4.2, 001 section 2.5).
 
-mod answer;
+#[macro_use]
+mod table;
+
 mod code;
 mod control;
 mod discrete;
-mod envelope;
-mod in_place;
+mod forwarded_reply;
+mod framing;
 mod limits;
 mod loopback;
 mod mixed;
@@ -21,117 +23,147 @@ mod program;
 mod register;
 mod request;
 mod spelling;
+mod stack_reply;
 mod status;
 
 use std::fmt;
 
-pub use answer::Answer;
-pub use code::{Class, Code, ErrorField};
-pub use control::{ControlDiscrete, ControlPlc, DiscreteControl};
-pub use discrete::{ReadDisabled, ReadDiscretes, WriteDiscretes};
-pub use envelope::{ReplyError, decode_reply, encode_refusal, encode_reply, encode_request};
-pub(crate) use envelope::{decode_spelled, encode_spelled};
-pub(crate) use in_place::{Consecutive, InPlace};
+pub use code::{Class, ErrorField};
+pub use control::DiscreteControl;
+pub use forwarded_reply::ForwardedReply;
+pub use framing::{ReplyError, decode_reply, encode_refusal, encode_reply, encode_request};
+pub(crate) use framing::{decode_spelled, encode_spelled};
 pub use limits::{InvalidRequest, MAX_LOOP_BACK, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, MAX_POINTS, MAX_UNITS};
 pub(crate) use limits::{check_range, most_in_one_request};
-pub use loopback::LoopBack;
-pub use mixed::{ReadMixed, Value, WriteMixed};
-pub use program::{PAGE_WORDS, ProgramPage, ReadProgramPage, WriteProgramPage};
-pub use register::{ReadRegisters, RegisterElement, WriteRegisters};
-pub use request::Request;
-pub(crate) use request::with_command;
+pub use program::{PAGE_WORDS, ProgramPage};
+pub use register::RegisterElement;
+pub use request::RequestError;
 pub(crate) use spelling::{Candidate, Candidates, NONE as NO_CANDIDATES, Run, Spelling};
-pub use status::{
-    BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, ReadDetailedStatus, ReadStatus, Series, StatusFlags,
-};
+pub(crate) use stack_reply::{Consecutive, StackReply};
+pub use status::{BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, Series, StatusFlags};
 
+pub use crate::element::Value;
+use crate::element::{Register, Register32};
 use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 
-/// A command: one request, and the reply that belongs to it.
+// The command table, as in the manuals. It makes `Code`, `Request` and `with_command!`.
+//
+// - file:    the module with the type of the command
+// - class:   the effect on the PLC
+// - framing: the framings that have the command
+// - error:   the place of the error code in the reply
+commands! {
+    // code  file      command            name                    class    framing    error
+    0x40  status    ReadStatus          "read brief status"     Read     Both       Leading;
+    0x41  control   ControlPlc          "control RUN/STOP"      Control  Both       Leading;
+    0x42  control   ControlDiscrete     "control one discrete"  Control  Both       Leading;
+    0x43  discrete  ReadDisabled        "read enable/disable"   Read     Both       Leading;
+    0x44  discrete  ReadDiscretes       "read discretes"        Read     Both       Leading;
+    0x45  discrete  WriteDiscretes      "write discretes"       Write    Both       Leading;
+    0x46  register  ReadRegisters<Register> or ReadRegisters32<Register32>
+                                        "read registers"        Read     Both       Leading;
+    0x47  register  WriteRegisters<Register> or WriteRegisters32<Register32>
+                                        "write registers"       Write    Both       Leading;
+    0x48  mixed     ReadMixed           "mixed read"            Read     Both       Leading;
+    0x49  mixed     WriteMixed          "mixed write"           Write    Both       Leading;
+    0x4E  loopback  LoopBack            "loop back"             Read     Both       Absent;
+    0x4F  program   ReadProgramPage     "read program page"     Read     AsciiOnly  ByLength;
+    0x50  program   WriteProgramPage    "write program page"    Write    AsciiOnly  Leading;
+    0x53  status    ReadDetailedStatus  "read detailed status"  Read     Both       Leading;
+}
+
+/// A command: a request, and the reply to it.
 ///
-/// A value of such a type has passed the command's limits. The four methods are the two directions of request and
-/// reply; the error digit that most replies begin with is not theirs (see [`ErrorField`]).
+/// The error code before most replies is not part of `Reply` (see [`ErrorField`]).
 ///
-/// The protocol has these fourteen and no others, so the trait cannot be implemented elsewhere.
+/// The protocol has no other commands, so the trait cannot be implemented outside of this crate.
 pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
-    /// What the PLC answers, once the error code has said that all went well.
+    /// The data of a reply that is not a refusal.
     type Reply: Clone + fmt::Debug + PartialEq + Send + Sync + 'static;
 
-    /// Which command it is.
+    /// The code of the command.
     const CODE: Code;
 
-    /// Puts the request's fields behind the command code.
+    /// Writes the fields of the request, which follow the command code.
     fn write_request<W: FieldWriter>(&self, fields: &mut W);
 
-    /// Takes the request's fields; the caller checks that nothing follows.
+    /// Reads the fields of a request. The caller checks that no bytes follow.
     ///
     /// # Errors
-    /// [`FieldError`] for anything that no such request would hold.
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError>;
+    /// [`RequestError`] for fields that no such request has.
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError>;
 
-    /// Puts the reply's fields behind the error code.
+    /// Writes the fields of the reply, which follow the error code.
     fn write_reply<W: FieldWriter>(&self, reply: &Self::Reply, fields: &mut W);
 
-    /// Takes the reply's fields, which must be those that this very request asks for; the caller checks that nothing
-    /// follows.
+    /// Reads the fields of the reply to this request. The caller checks that no bytes follow.
     ///
     /// # Errors
-    /// [`FieldError`] for anything that is no reply to this request.
+    /// [`FieldError`] for fields that no reply to this request has.
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Self::Reply, FieldError>;
 
-    /// Checks what depends on the framing. Encoding a request does it first.
+    /// Checks the rules that depend on the framing. [`encode_request`] calls it.
     ///
     /// # Errors
-    /// [`InvalidRequest::NotInFraming`], and what the command itself adds.
+    /// [`InvalidRequest::NotInFraming`], and errors of the command itself.
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(Self::CODE, framing)
     }
 
-    /// The spelling that is this request itself.
+    /// Calls `each` with all elements that the request names, as runs of consecutive ones.
+    #[doc(hidden)]
+    fn for_each_run(&self, each: &mut dyn FnMut(Run));
+
+    /// The spelling of the request itself.
     #[doc(hidden)]
     fn plain(&self) -> Spelling {
         Spelling::new(Self::CODE, 0)
     }
 
-    /// The other spellings; `longer`: the request is a part of a longer read or write, and may leave elements to the next one.
+    /// The other spellings of the request.
+    ///
+    /// `longer`: the request is a part of a longer read or write, so a spelling may leave elements
+    /// to the next request.
     #[doc(hidden)]
     fn candidates(&self, _longer: bool, _framing: Framing) -> Candidates {
         spelling::NONE
     }
 
-    /// Puts the request's fields behind the code of a spelling.
+    /// Writes the fields of a spelling, which follow the code of the spelling.
     #[doc(hidden)]
     fn write_spelled<W: FieldWriter>(&self, _spelling: Spelling, fields: &mut W) {
         self.write_request(fields);
     }
 
-    /// Takes the fields of a reply to a spelling: the values that the request asks for, or the first of them.
+    /// Reads the fields of the reply to a spelling: the values that the request asks for, or the
+    /// first of them.
     #[doc(hidden)]
     fn read_spelled<R: FieldReader>(&self, _spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
         self.read_reply(fields)
     }
 
-    /// What the size of a positive reply is, as far as it decides whether the reply fits another request of its command: equal
-    /// numbers for replies that fit each other's requests.
+    /// A number for the shape of the positive reply: equal for requests of one command that take
+    /// each other's replies.
     #[doc(hidden)]
     fn reply_size(&self, _spelling: Spelling, _framing: Framing) -> u32 {
         0
     }
 
-    /// Whether a refusal of an earlier request of this command could pass for its positive reply.
+    /// Whether a refusal of an earlier request of this command fits as its positive reply.
     #[doc(hidden)]
     fn is_like_a_refusal(&self) -> bool {
         false
     }
 
-    /// The consecutive elements that are read or written.
+    /// The consecutive elements that are read or written, for spellings with one element more.
     #[doc(hidden)]
     fn run(&self) -> Option<Run> {
         None
     }
 }
 
-/// So many values, for others to be read into. Not with `vec!`, for memory that comes zeroed takes allocators longer.
+/// Default values to read into. Not made with `vec!`, because allocators take longer for zeroed
+/// memory.
 fn blank<T: Clone + Default>(count: usize) -> Vec<T> {
     let mut values = Vec::with_capacity(count);
     values.resize(count, T::default());
@@ -139,22 +171,6 @@ fn blank<T: Clone + Default>(count: usize) -> Vec<T> {
 }
 
 mod sealed {
-    use super::*;
-
+    /// Implemented beside each command.
     pub trait Sealed {}
-
-    impl Sealed for ReadStatus {}
-    impl Sealed for ControlPlc {}
-    impl Sealed for ControlDiscrete {}
-    impl Sealed for ReadDisabled {}
-    impl Sealed for ReadDiscretes {}
-    impl Sealed for WriteDiscretes {}
-    impl<E: RegisterElement> Sealed for ReadRegisters<E> {}
-    impl<E: RegisterElement> Sealed for WriteRegisters<E> {}
-    impl Sealed for ReadMixed {}
-    impl Sealed for WriteMixed {}
-    impl Sealed for LoopBack {}
-    impl Sealed for ReadProgramPage {}
-    impl Sealed for WriteProgramPage {}
-    impl Sealed for ReadDetailedStatus {}
 }

@@ -1,12 +1,12 @@
 use std::fmt;
 
-use super::{Code, Command};
+use super::{Code, Command, RequestError, Run, sealed};
 use crate::wire::{FieldError, FieldReader, FieldWriter};
 
-/// How many words a program page has.
+/// The words of a program page.
 pub const PAGE_WORDS: usize = 64;
 
-/// One page of a program: 64 words. Page 0 is the header, pages 1 and up are the ladder.
+/// A page of a program: 64 words. Page 0 is the header, the other pages are the ladder.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub struct ProgramPage {
     words: [u16; PAGE_WORDS],
@@ -25,7 +25,7 @@ impl ProgramPage {
         &self.words
     }
 
-    /// The same as 128 bytes, the high byte of each word first.
+    /// The words as 128 bytes, the high byte of each word first.
     #[must_use]
     pub fn to_bytes(&self) -> [u8; 2 * PAGE_WORDS] {
         let mut bytes = [0; 2 * PAGE_WORDS];
@@ -61,20 +61,22 @@ impl fmt::Debug for ProgramPage {
 /// reply    64 words
 /// ```
 ///
-/// The manual's figure has no error digit before the words, its text has one; both are accepted.
+/// The reply may have an error digit before the words or not: text and figure of the manual differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ReadProgramPage {
-    /// 0 is the header.
+    /// The number of the page; 0 is the header.
     pub page: u16,
 }
 
 impl ReadProgramPage {
-    /// Reads this page.
+    /// A read of this page.
     #[must_use]
     pub fn new(page: u16) -> Self {
         Self { page }
     }
 }
+
+impl sealed::Sealed for ReadProgramPage {}
 
 impl Command for ReadProgramPage {
     type Reply = ProgramPage;
@@ -84,7 +86,7 @@ impl Command for ReadProgramPage {
         fields.word(self.page);
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         Ok(Self { page: fields.word()? })
     }
 
@@ -95,6 +97,8 @@ impl Command for ReadProgramPage {
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<ProgramPage, FieldError> {
         read_page(fields)
     }
+
+    fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
 }
 
 /// 50: writes one page of the program. ASCII framing only.
@@ -105,19 +109,21 @@ impl Command for ReadProgramPage {
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct WriteProgramPage {
-    /// 0 is the header.
+    /// The number of the page; 0 is the header.
     pub page: u16,
-    /// What is written.
+    /// The new content.
     pub content: ProgramPage,
 }
 
 impl WriteProgramPage {
-    /// Writes this page.
+    /// A write of this page.
     #[must_use]
     pub fn new(page: u16, content: ProgramPage) -> Self {
         Self { page, content }
     }
 }
+
+impl sealed::Sealed for WriteProgramPage {}
 
 impl Command for WriteProgramPage {
     type Reply = ();
@@ -128,7 +134,7 @@ impl Command for WriteProgramPage {
         write_page(&self.content, fields);
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         Ok(Self { page: fields.word()?, content: read_page(fields)? })
     }
 
@@ -137,6 +143,8 @@ impl Command for WriteProgramPage {
     fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
         Ok(())
     }
+
+    fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
 }
 
 fn write_page(page: &ProgramPage, fields: &mut impl FieldWriter) {

@@ -1,10 +1,10 @@
 use std::fmt;
 
-use super::{Candidates, Code, Command, InvalidRequest, Run, Spelling, Value, blank, limits, spelling};
-use crate::element::{Element, ElementError, Register, Register32};
+use super::{Candidates, Code, Command, InvalidRequest, RequestError, Run, Spelling, blank, limits, sealed, spelling};
+use crate::element::{Element, ElementError, Register, Register32, Value};
 use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 
-/// An element that 46 and 47 take: [`Register`], whose value is a `u16`, or [`Register32`], whose value is a `u32`.
+/// An element of 46 and 47: [`Register`] with a `u16` value, or [`Register32`] with a `u32` value.
 pub trait RegisterElement:
     Copy
     + fmt::Debug
@@ -17,18 +17,20 @@ pub trait RegisterElement:
     + sealed::Sealed
     + 'static
 {
-    /// What it holds.
+    /// The type of its value.
     type Value: Copy + Default + fmt::Debug + PartialEq + Eq + std::hash::Hash + Into<Value> + Send + Sync + 'static;
 
-    /// Puts values behind the fields.
+    /// Writes values.
     fn write<W: FieldWriter>(values: &[Self::Value], fields: &mut W);
 
-    /// Takes as many values as there is room for.
+    /// Reads one value for each place of the slice.
     ///
     /// # Errors
     /// [`FieldError::Truncated`], [`FieldError::NotHex`].
     fn read<R: FieldReader>(fields: &mut R, into: &mut [Self::Value]) -> Result<(), FieldError>;
 }
+
+impl sealed::Sealed for Register {}
 
 impl RegisterElement for Register {
     type Value = u16;
@@ -42,15 +44,17 @@ impl RegisterElement for Register {
     }
 }
 
+impl sealed::Sealed for Register32 {}
+
 impl RegisterElement for Register32 {
     type Value = u32;
 
     fn write<W: FieldWriter>(values: &[u32], fields: &mut W) {
-        fields.doubles(values);
+        fields.dwords(values);
     }
 
     fn read<R: FieldReader>(fields: &mut R, into: &mut [u32]) -> Result<(), FieldError> {
-        fields.doubles(into)
+        fields.dwords(into)
     }
 }
 
@@ -67,10 +71,11 @@ pub struct ReadRegisters<E> {
 }
 
 impl<E: RegisterElement> ReadRegisters<E> {
-    /// Reads `count` registers from `first` on.
+    /// A read of `count` registers from `first` on.
     ///
     /// # Errors
-    /// [`InvalidRequest::Count`] unless `count` is 1 to 64, or 1 to 32 of 32 bits; [`InvalidRequest::PastTheEnd`].
+    /// [`InvalidRequest::Count`] unless `count` is 1 to 64, or 1 to 32 of 32 bits;
+    /// [`InvalidRequest::PastTheEnd`].
     pub fn new(first: E, count: usize) -> Result<Self, InvalidRequest> {
         limits::consecutive(Self::CODE, first.into(), count)?;
         Ok(Self { first, count })
@@ -82,7 +87,7 @@ impl<E: RegisterElement> ReadRegisters<E> {
         self.first
     }
 
-    /// How many are read.
+    /// The number of registers.
     #[must_use]
     pub fn count(&self) -> usize {
         self.count
@@ -93,6 +98,8 @@ impl<E: RegisterElement> ReadRegisters<E> {
     }
 }
 
+impl<E: RegisterElement> sealed::Sealed for ReadRegisters<E> {}
+
 impl<E: RegisterElement> Command for ReadRegisters<E> {
     type Reply = Vec<E::Value>;
     const CODE: Code = Code::ReadRegisters;
@@ -102,7 +109,7 @@ impl<E: RegisterElement> Command for ReadRegisters<E> {
         fields.element(self.first.into());
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         let count = fields.count()?;
         fields.layout(1, 0)?;
         let first = fields.element()?.try_into()?;
@@ -117,6 +124,10 @@ impl<E: RegisterElement> Command for ReadRegisters<E> {
         let mut values = blank(self.count);
         E::read(fields, &mut values)?;
         Ok(values)
+    }
+
+    fn for_each_run(&self, each: &mut dyn FnMut(Run)) {
+        each(self.elements());
     }
 
     fn plain(&self) -> Spelling {
@@ -159,10 +170,11 @@ pub struct WriteRegisters<E: RegisterElement> {
 }
 
 impl<E: RegisterElement> WriteRegisters<E> {
-    /// Writes these values to `first` and those after it.
+    /// A write of these values to `first` and the registers after it.
     ///
     /// # Errors
-    /// [`InvalidRequest::Count`] unless there are 1 to 64, or 1 to 32 of 32 bits; [`InvalidRequest::PastTheEnd`].
+    /// [`InvalidRequest::Count`] unless there are 1 to 64, or 1 to 32 of 32 bits;
+    /// [`InvalidRequest::PastTheEnd`].
     pub fn new(first: E, values: impl Into<Vec<E::Value>>) -> Result<Self, InvalidRequest> {
         let values = values.into();
         limits::consecutive(Self::CODE, first.into(), values.len())?;
@@ -180,7 +192,13 @@ impl<E: RegisterElement> WriteRegisters<E> {
     pub fn values(&self) -> &[E::Value] {
         &self.values
     }
+
+    fn elements(&self) -> Run {
+        Run { first: self.first.into(), count: self.values.len() }
+    }
 }
+
+impl<E: RegisterElement> sealed::Sealed for WriteRegisters<E> {}
 
 impl<E: RegisterElement> Command for WriteRegisters<E> {
     type Reply = ();
@@ -192,7 +210,7 @@ impl<E: RegisterElement> Command for WriteRegisters<E> {
         E::write(&self.values, fields);
     }
 
-    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(fields: &mut R) -> Result<Self, RequestError> {
         let count = fields.count()?;
         fields.layout(1, count)?;
         let first = fields.element()?.try_into()?;
@@ -207,13 +225,16 @@ impl<E: RegisterElement> Command for WriteRegisters<E> {
         Ok(())
     }
 
+    fn for_each_run(&self, each: &mut dyn FnMut(Run)) {
+        each(self.elements());
+    }
+
     fn plain(&self) -> Spelling {
         Spelling::new(Self::CODE, self.values.len())
     }
 
     fn candidates(&self, longer: bool, framing: Framing) -> Candidates {
-        let run = Run { first: self.first.into(), count: self.values.len() };
-        run.write_candidates(longer, framing, &self.values)
+        self.elements().write_candidates(longer, framing, &self.values)
     }
 
     fn write_spelled<W: FieldWriter>(&self, spelling: Spelling, fields: &mut W) {
@@ -221,12 +242,6 @@ impl<E: RegisterElement> Command for WriteRegisters<E> {
     }
 
     fn run(&self) -> Option<Run> {
-        Some(Run { first: self.first.into(), count: self.values.len() })
+        Some(self.elements())
     }
-}
-
-mod sealed {
-    pub trait Sealed {}
-    impl Sealed for crate::element::Register {}
-    impl Sealed for crate::element::Register32 {}
 }

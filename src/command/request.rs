@@ -1,67 +1,26 @@
 use bytes::BytesMut;
 
-use super::{
-    Code, Command, ControlDiscrete, ControlPlc, InvalidRequest, LoopBack, ReadDetailedStatus, ReadDisabled,
-    ReadDiscretes, ReadMixed, ReadProgramPage, ReadRegisters, ReadStatus, WriteDiscretes, WriteMixed, WriteProgramPage,
-    WriteRegisters, encode_request,
-};
-use crate::element::{ElementError, Register, Register32, Width};
+use super::{Code, Command, InvalidRequest, Request, encode_request, with_command};
+use crate::ErrorCode;
+use crate::element::{ElementError, Width};
 use crate::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, Frame, Framing};
 
-/// Any request, as a PLC receives it, or a gateway that [passes it on](crate::Station::forward).
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Request {
-    /// 40.
-    ReadStatus(ReadStatus),
-    /// 41.
-    ControlPlc(ControlPlc),
-    /// 42.
-    ControlDiscrete(ControlDiscrete),
-    /// 43.
-    ReadDisabled(ReadDisabled),
-    /// 44.
-    ReadDiscretes(ReadDiscretes),
-    /// 45.
-    WriteDiscretes(WriteDiscretes),
-    /// 46, of 16 bits.
-    ReadRegisters(ReadRegisters<Register>),
-    /// 46, of 32 bits.
-    ReadRegisters32(ReadRegisters<Register32>),
-    /// 47, of 16 bits.
-    WriteRegisters(WriteRegisters<Register>),
-    /// 47, of 32 bits.
-    WriteRegisters32(WriteRegisters<Register32>),
-    /// 48.
-    ReadMixed(ReadMixed),
-    /// 49.
-    WriteMixed(WriteMixed),
-    /// 4E.
-    LoopBack(LoopBack),
-    /// 4F.
-    ReadProgramPage(ReadProgramPage),
-    /// 50.
-    WriteProgramPage(WriteProgramPage),
-    /// 53.
-    ReadDetailedStatus(ReadDetailedStatus),
-}
-
 impl Request {
-    /// Reads a request from a frame.
+    /// Decodes the request in a frame.
     ///
     /// # Errors
-    /// [`FieldError`]: the first rule that the frame breaks. A code that the framing does not have is
-    /// [`FieldError::UnknownCommand`].
-    pub fn decode(frame: &Frame, framing: Framing) -> Result<Self, FieldError> {
+    /// [`RequestError`]: the first rule that the frame breaks. A command that the framing does not
+    /// have is [`RequestError::UnknownCommand`].
+    pub fn decode(frame: &Frame, framing: Framing) -> Result<Self, RequestError> {
         let code = Code::from_u8(frame.command).filter(|code| code.is_in(framing));
-        let code = code.ok_or(FieldError::UnknownCommand(frame.command))?;
+        let code = code.ok_or(RequestError::UnknownCommand(frame.command))?;
         match framing {
-            Framing::Ascii => Self::read(code, || AsciiReader::new(&frame.data)),
-            Framing::Binary => Self::read(code, || BinaryReader::new(&frame.data)),
+            Framing::Ascii => Self::read(code, &mut AsciiReader::new(&frame.data)),
+            Framing::Binary => Self::read(code, &mut BinaryReader::new(&frame.data)),
         }
     }
 
-    /// Appends it as a whole frame, as [`encode_request`] does: the counterpart of [`decode`](Self::decode).
+    /// Appends the request as a complete frame, as [`encode_request`] does.
     ///
     /// ```
     /// use bytes::BytesMut;
@@ -77,40 +36,79 @@ impl Request {
     /// ```
     ///
     /// # Errors
-    /// Those of [`encode_request`]: not every request can be sent in both framings.
+    /// Those of [`encode_request`]: some requests cannot be sent in both framings.
     pub fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
         with_command!(self, command => encode_request(command, framing, station, dst))
     }
 
-    /// Which command it is.
+    /// The code of the command.
     #[must_use]
     pub fn code(&self) -> Code {
         with_command!(self, command => code_of(command))
     }
+}
 
-    fn read<R: FieldReader>(code: Code, fields: impl Fn() -> R) -> Result<Self, FieldError> {
-        Ok(match code {
-            Code::ReadStatus => Self::ReadStatus(whole(fields())?),
-            Code::ControlPlc => Self::ControlPlc(whole(fields())?),
-            Code::ControlDiscrete => Self::ControlDiscrete(whole(fields())?),
-            Code::ReadDisabled => Self::ReadDisabled(whole(fields())?),
-            Code::ReadDiscretes => Self::ReadDiscretes(whole(fields())?),
-            Code::WriteDiscretes => Self::WriteDiscretes(whole(fields())?),
-            Code::ReadRegisters => match whole(fields()) {
-                Err(error) if is_double(&error) => Self::ReadRegisters32(whole(fields())?),
-                request => Self::ReadRegisters(request?),
+/// The error of decoding a request.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RequestError {
+    /// A command that the protocol, or the framing, does not have.
+    #[error("there is no command {0:02X}")]
+    UnknownCommand(u8),
+    /// The data does not consist of the fields of this command.
+    #[error(transparent)]
+    Field(#[from] FieldError),
+    /// The fields break a limit of the command.
+    #[error(transparent)]
+    Invalid(#[from] InvalidRequest),
+}
+
+impl RequestError {
+    /// The error code with which a PLC refuses such a request: 2 for a value, A for an address, 4
+    /// for the rest (protocol reference, section 4).
+    #[must_use]
+    pub fn error_code(&self) -> ErrorCode {
+        match self {
+            Self::UnknownCommand(_) => ErrorCode::IllegalFormat,
+            Self::Field(error) => match error {
+                FieldError::NotHex(_)
+                | FieldError::NotDecimal(_)
+                | FieldError::NotABit(_)
+                | FieldError::UnknownCode(_) => ErrorCode::IllegalValue,
+                FieldError::Element(ElementError::OutOfRange { .. } | ElementError::Misaligned { .. }) => {
+                    ErrorCode::IllegalAddress
+                }
+                FieldError::Element(
+                    ElementError::UnknownSymbol
+                    | ElementError::MissingAddress { .. }
+                    | ElementError::BadAddress { .. }
+                    | ElementError::WrongWidth { .. },
+                )
+                | FieldError::Truncated
+                | FieldError::Trailing
+                | FieldError::WrongLength
+                | FieldError::Unreadable
+                | FieldError::Ambiguous
+                | FieldError::NotTheEcho => ErrorCode::IllegalFormat,
             },
-            Code::WriteRegisters => match whole(fields()) {
-                Err(error) if is_double(&error) => Self::WriteRegisters32(whole(fields())?),
-                request => Self::WriteRegisters(request?),
+            Self::Invalid(error) => match error {
+                InvalidRequest::PastTheEnd { .. } | InvalidRequest::Element(_) => ErrorCode::IllegalAddress,
+                InvalidRequest::Count { .. }
+                | InvalidRequest::Units { .. }
+                | InvalidRequest::WrongWidth { .. }
+                | InvalidRequest::NotInFraming { .. }
+                | InvalidRequest::Ambiguous { .. }
+                | InvalidRequest::NotPrintable { .. }
+                | InvalidRequest::NoBroadcast { .. }
+                | InvalidRequest::Station { .. } => ErrorCode::IllegalValue,
             },
-            Code::ReadMixed => Self::ReadMixed(whole(fields())?),
-            Code::WriteMixed => Self::WriteMixed(whole(fields())?),
-            Code::LoopBack => Self::LoopBack(whole(fields())?),
-            Code::ReadProgramPage => Self::ReadProgramPage(whole(fields())?),
-            Code::WriteProgramPage => Self::WriteProgramPage(whole(fields())?),
-            Code::ReadDetailedStatus => Self::ReadDetailedStatus(whole(fields())?),
-        })
+        }
+    }
+}
+
+impl From<ElementError> for RequestError {
+    fn from(error: ElementError) -> Self {
+        Self::Field(error.into())
     }
 }
 
@@ -118,37 +116,30 @@ fn code_of<C: Command>(_: &C) -> Code {
     C::CODE
 }
 
-fn whole<C: Command>(mut fields: impl FieldReader) -> Result<C, FieldError> {
-    let request = C::read_request(&mut fields)?;
+/// Reads a request that takes all of the data.
+pub(super) fn read_whole<C: Command>(fields: &mut impl FieldReader) -> Result<C, RequestError> {
+    let request = C::read_request(fields)?;
     fields.finish()?;
     Ok(request)
 }
 
-fn is_double(error: &FieldError) -> bool {
-    matches!(error, FieldError::Element(ElementError::WrongWidth { symbol, .. }) if symbol.width() == Width::Double)
+/// Reads a request for elements of 16 bits, or of 32 bits if its first element is one.
+pub(super) fn read_either<N: Command, W: Command, R: FieldReader + Clone>(
+    fields: &mut R,
+    narrow: impl Fn(N) -> Request,
+    wide: impl Fn(W) -> Request,
+) -> Result<Request, RequestError> {
+    let start = fields.clone();
+    match read_whole(fields) {
+        Err(error) if is_of_a_dword(&error) => {
+            *fields = start;
+            read_whole(fields).map(wide)
+        }
+        request => request.map(narrow),
+    }
 }
 
-/// Does the same with the command of a [`Request`], whichever it is.
-macro_rules! with_command {
-    ($request:expr, $command:ident => $do:expr) => {
-        match $request {
-            $crate::command::Request::ReadStatus($command) => $do,
-            $crate::command::Request::ControlPlc($command) => $do,
-            $crate::command::Request::ControlDiscrete($command) => $do,
-            $crate::command::Request::ReadDisabled($command) => $do,
-            $crate::command::Request::ReadDiscretes($command) => $do,
-            $crate::command::Request::WriteDiscretes($command) => $do,
-            $crate::command::Request::ReadRegisters($command) => $do,
-            $crate::command::Request::ReadRegisters32($command) => $do,
-            $crate::command::Request::WriteRegisters($command) => $do,
-            $crate::command::Request::WriteRegisters32($command) => $do,
-            $crate::command::Request::ReadMixed($command) => $do,
-            $crate::command::Request::WriteMixed($command) => $do,
-            $crate::command::Request::LoopBack($command) => $do,
-            $crate::command::Request::ReadProgramPage($command) => $do,
-            $crate::command::Request::WriteProgramPage($command) => $do,
-            $crate::command::Request::ReadDetailedStatus($command) => $do,
-        }
-    };
+fn is_of_a_dword(error: &RequestError) -> bool {
+    let RequestError::Field(FieldError::Element(ElementError::WrongWidth { symbol, .. })) = error else { return false };
+    symbol.width() == Width::DWord
 }
-pub(crate) use with_command;

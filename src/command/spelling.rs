@@ -1,7 +1,8 @@
 //! Spellings: requests for the same elements whose replies differ in shape.
 //!
-//! The protocol has no transaction id. The link tells the reply to a request from a duplicate of the reply before it by its
-//! shape, so it needs a second way to ask for the same elements:
+//! The protocol has no transaction id. The link distinguishes the reply to a request from a
+//! duplicate of the previous reply by its shape, so it needs a second way to ask for the same
+//! elements:
 //!
 //! | request | other spellings |
 //! |---|---|
@@ -10,21 +11,21 @@
 //! | 48 list | the first element once more, behind the list |
 //! | 47 N, 45 N | 49 of the same elements; in a longer write 49 of as many as it takes |
 //!
-//! All other requests have one spelling. The data of a reply to 48 is that of a reply to 46 or 44, behind another command.
+//! All other requests have one spelling. A reply to 48 has the data of a reply to 46 or 44 after
+//! another command code.
 
 use super::{Code, Command, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, ReadMixed, WriteMixed, most_in_one_request};
-use crate::command::Value;
-use crate::element::{Element, Width};
+use crate::element::{Element, Value, Width};
 use crate::wire::{FieldWriter, Framing};
 
-/// One way to put a request on the wire.
+/// A way to encode a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Spelling {
     /// The command that is sent.
     pub(crate) code: Code,
-    /// The number of elements that are named; 0 for a command that names none.
+    /// The number of elements in the request; 0 for commands without elements.
     pub(crate) count: u16,
-    /// The first of them is the one before those that are asked for.
+    /// The request begins one element earlier than asked for.
     pub(crate) before: bool,
 }
 
@@ -33,26 +34,28 @@ impl Spelling {
         Self { code, count: u16::try_from(count).unwrap_or(u16::MAX), before: false }
     }
 
-    /// The number of elements from the first one on that is asked for.
+    /// The number of elements in the request from the first one asked for.
     pub(crate) fn count_behind(self) -> usize {
-        usize::from(self.count).saturating_sub(usize::from(self.before))
+        let before = usize::from(self.before);
+        debug_assert!(usize::from(self.count) >= before, "the element before is counted");
+        usize::from(self.count).saturating_sub(before)
     }
 
-    /// The first element that is named, of a request for these.
+    /// The first element in the request for elements from this one on.
     pub(super) fn first(self, first: Element) -> Element {
         if self.before { previous(first).unwrap_or(first) } else { first }
     }
 }
 
-/// A spelling that a request may take instead of the plain one, and its price.
+/// A spelling that can replace the plain one, and its cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Candidate {
     pub(crate) spelling: Spelling,
-    /// An element that the request does not ask for: the device must have answered it before.
+    /// An element that is not asked for. It may be read only if the PLC has answered it before.
     pub(crate) extra: Option<Element>,
-    /// Bytes of request and reply beyond those of the plain spelling.
+    /// The bytes that request and reply have more than in the plain spelling.
     pub(crate) more_bytes: usize,
-    /// Elements that are left to another request.
+    /// The number of elements left to the next request.
     pub(crate) left: u16,
 }
 
@@ -70,14 +73,14 @@ pub struct Run {
 }
 
 impl Run {
-    /// The other spellings of a read with this command; `longer`: the run is a part of a longer read.
+    /// The other spellings of a read with this command; `longer`: it is a part of a longer read.
     pub(super) fn read_candidates(self, code: Code, longer: bool, framing: Framing) -> Candidates {
         let one_less = if longer { self.one_less(code) } else { None };
         let mixed = if code == Code::ReadDisabled { None } else { self.mixed_read(framing) };
         [one_less, self.one_more(code, framing, false), self.one_more(code, framing, true), mixed]
     }
 
-    /// The other spellings of a write of these values; `longer`: they are a part of a longer write.
+    /// The other spellings of a write of these values; `longer`: it is a part of a longer write.
     pub(super) fn write_candidates(
         self,
         longer: bool,
@@ -89,10 +92,10 @@ impl Run {
             return NONE;
         }
         let count = self.count.min(most);
-        if self.has_one_reading(count, framing) {
+        if self.is_surely_unambiguous(count, framing) {
             return [Some(self.mixed(Code::WriteMixed, count, framing)), None, None, None];
         }
-        // Whether a list of the binary framing has two readings depends on the values, too.
+        // Whether a list is ambiguous in the binary framing depends on the values as well.
         let elements = (0..count).map_while(|n| self.first.nth(n).ok());
         let items = elements.zip(values.iter().map(|&value| value.into()));
         let request = WriteMixed::new(items.collect::<Vec<_>>());
@@ -106,16 +109,18 @@ impl Run {
         if self.count * self.first.width().units() > MAX_MIXED_READ_UNITS {
             return None;
         }
-        if !self.has_one_reading(self.count, framing) {
+        if !self.is_surely_unambiguous(self.count, framing) {
             let elements = (0..self.count).map(|n| self.first.nth(n)).collect::<Result<Vec<_>, _>>().ok()?;
             ReadMixed::new(elements).ok()?.check(framing).ok()?;
         }
         Some(self.mixed(Code::ReadMixed, self.count, framing))
     }
 
-    /// Whether a list of the first elements has one reading for certain; if not, it must be looked at. In the binary framing a
-    /// symbol of one letter can be taken for a longer one only if a letter follows: the high byte of its address.
-    fn has_one_reading(self, count: usize, framing: Framing) -> bool {
+    /// Whether a list of the first `count` elements is known to be unambiguous without parsing it.
+    ///
+    /// In the binary framing a symbol of one letter can be taken for a longer one only if a letter
+    /// follows: the high byte of the address.
+    fn is_surely_unambiguous(self, count: usize, framing: Framing) -> bool {
         let symbol = self.first.symbol().as_str();
         let last = self.first.nth(count.saturating_sub(1)).unwrap_or(self.first);
         let high = self.first.address().to_be_bytes()[0]..=last.address().to_be_bytes()[0];
@@ -149,7 +154,7 @@ impl Run {
     }
 }
 
-/// The other spelling of a mixed read: its first element once more.
+/// The other spelling of a mixed read: its first element once more at the end.
 pub(super) fn mixed_read_candidates(elements: &[Element], framing: Framing) -> Candidates {
     let candidate = || {
         let &first = elements.first()?;
@@ -165,7 +170,7 @@ pub(super) fn mixed_read_candidates(elements: &[Element], framing: Framing) -> C
     [candidate(), None, None, None]
 }
 
-/// The fields of a read of consecutive elements, from this one on, with this spelling.
+/// Writes the fields of a read of consecutive elements in a spelling.
 pub(super) fn read_fields<W: FieldWriter>(first: Element, spelling: Spelling, fields: &mut W) {
     let count = usize::from(spelling.count);
     fields.count(count);
@@ -176,7 +181,7 @@ pub(super) fn read_fields<W: FieldWriter>(first: Element, spelling: Spelling, fi
     }
 }
 
-/// Leaves of the values that such a read gave those that were asked for: this many.
+/// Removes the values that were not asked for, and leaves at most `count`.
 pub(super) fn keep_asked<V>(values: &mut Vec<V>, spelling: Spelling, count: usize) {
     if spelling.before {
         values.remove(0);
@@ -184,7 +189,7 @@ pub(super) fn keep_asked<V>(values: &mut Vec<V>, spelling: Spelling, count: usiz
     values.truncate(count);
 }
 
-/// The fields of a write to consecutive elements, from this one on, with this spelling.
+/// Writes the fields of a write to consecutive elements in a spelling.
 pub(super) fn write_fields<W: FieldWriter, C: Command>(
     plain: &C,
     first: Element,
@@ -205,7 +210,7 @@ pub(super) fn write_fields<W: FieldWriter, C: Command>(
     }
 }
 
-/// The length of this many values in a reply.
+/// The length of values in a reply, in bytes.
 pub(super) fn values_len(width: Width, count: usize, framing: Framing) -> u32 {
     u32::try_from(framing.value_len(width) * count).unwrap_or(u32::MAX)
 }

@@ -2,7 +2,7 @@ use std::fmt;
 
 use bytes::Bytes;
 
-use super::{Code, Command};
+use super::{Code, Command, RequestError, Run, sealed};
 use crate::wire::{FieldError, FieldReader, FieldWriter};
 
 /// 40: reads the brief status.
@@ -14,13 +14,15 @@ use crate::wire::{FieldError, FieldReader, FieldWriter};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ReadStatus;
 
+impl sealed::Sealed for ReadStatus {}
+
 impl Command for ReadStatus {
     type Reply = BriefStatus;
     const CODE: Code = Code::ReadStatus;
 
     fn write_request<W: FieldWriter>(&self, _fields: &mut W) {}
 
-    fn read_request<R: FieldReader>(_fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(_fields: &mut R) -> Result<Self, RequestError> {
         Ok(Self)
     }
 
@@ -31,22 +33,24 @@ impl Command for ReadStatus {
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<BriefStatus, FieldError> {
         Ok(BriefStatus { raw: [fields.byte()?, fields.byte()?, fields.byte()?] })
     }
+
+    fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
 }
 
-/// The reply to 40: what state the PLC is in.
+/// The reply to 40: the state of the PLC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct BriefStatus {
     raw: [u8; 3],
 }
 
 impl BriefStatus {
-    /// A status of these bytes, STATUS1 first.
+    /// A status of these bytes, beginning with STATUS1.
     #[must_use]
     pub fn from_raw(raw: [u8; 3]) -> Self {
         Self { raw }
     }
 
-    /// The bytes as the PLC sent them, STATUS1 first.
+    /// The bytes from the PLC, beginning with STATUS1.
     #[must_use]
     pub fn raw(&self) -> [u8; 3] {
         self.raw
@@ -58,14 +62,15 @@ impl BriefStatus {
         StatusFlags(self.raw[0])
     }
 
-    /// STATUS2: the program capacity, on older ASCII models. FBs and M-series units answer values of their own.
+    /// STATUS2: the program capacity of older ASCII models. FBs and M-series units send other
+    /// values.
     #[must_use]
     pub fn capacity(&self) -> ProgramCapacity {
         ProgramCapacity::from(self.raw[1])
     }
 }
 
-/// STATUS1, of 40 and of 53: one bit a state.
+/// STATUS1 of 40 and 53: a bit for each state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct StatusFlags(pub u8);
 
@@ -100,7 +105,7 @@ impl StatusFlags {
         self.bit(4)
     }
 
-    /// B5: an id is set.
+    /// B5: an ID is set.
     #[must_use]
     pub fn id_set(self) -> bool {
         self.bit(5)
@@ -118,7 +123,7 @@ impl StatusFlags {
 }
 
 impl fmt::Display for StatusFlags {
-    /// The states by name: `RUN, id set`.
+    /// The names of the states: `RUN, id set`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(if self.running() { "RUN" } else { "STOP" })?;
         let others = [
@@ -133,11 +138,11 @@ impl fmt::Display for StatusFlags {
     }
 }
 
-/// STATUS2 of 40: how large a program the PLC holds.
+/// STATUS2 of 40: the program capacity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ProgramCapacity {
-    /// 00: reserved; what the M series answers.
+    /// 00: reserved. The M series sends it.
     Reserved,
     /// FF: FB, 8K steps.
     Fb8K,
@@ -149,7 +154,7 @@ pub enum ProgramCapacity {
     Fbn8K,
     /// 56: FBN, 13K steps.
     Fbn13K,
-    /// A value that no manual names, such as the 40h of real FBs units.
+    /// A value that is in no manual, such as 40h from real FBs units.
     Unknown(u8),
 }
 
@@ -188,9 +193,11 @@ impl fmt::Display for ProgramCapacity {
 /// reply    STATUS1..64, one byte each
 /// ```
 ///
-/// Any number of bytes from 28 on is accepted, because models differ.
+/// Replies of 28 and more bytes are accepted, because models differ.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ReadDetailedStatus;
+
+impl sealed::Sealed for ReadDetailedStatus {}
 
 impl Command for ReadDetailedStatus {
     type Reply = DetailedStatus;
@@ -198,7 +205,7 @@ impl Command for ReadDetailedStatus {
 
     fn write_request<W: FieldWriter>(&self, _fields: &mut W) {}
 
-    fn read_request<R: FieldReader>(_fields: &mut R) -> Result<Self, FieldError> {
+    fn read_request<R: FieldReader>(_fields: &mut R) -> Result<Self, RequestError> {
         Ok(Self)
     }
 
@@ -213,23 +220,26 @@ impl Command for ReadDetailedStatus {
         }
         DetailedStatus::from_raw(raw).ok_or(FieldError::WrongLength)
     }
+
+    fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
 }
 
-/// The reply to 53: what the PLC is, and how large its memory is.
+/// The reply to 53: the type of the PLC and the size of its memory.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct DetailedStatus {
     raw: Bytes,
 }
 
 impl DetailedStatus {
-    /// A status of these bytes, STATUS1 first; `None` for fewer than 28, and for more than fit into an ASCII frame (249).
+    /// A status of these bytes, beginning with STATUS1; `None` unless there are 28 to 249, the most
+    /// in an ASCII frame.
     #[must_use]
     pub fn from_raw(raw: impl Into<Bytes>) -> Option<Self> {
         let raw = raw.into();
         (Self::MIN_LEN..=Self::MAX_LEN).contains(&raw.len()).then_some(Self { raw })
     }
 
-    /// The bytes as the PLC sent them, STATUS1 first: 28 or more, 64 by the manual.
+    /// The bytes from the PLC, beginning with STATUS1: 28 or more, 64 in the manual.
     #[must_use]
     pub fn raw(&self) -> &[u8] {
         &self.raw
@@ -247,13 +257,13 @@ impl DetailedStatus {
         MainUnit::from(self.status(2))
     }
 
-    /// STATUS3: a code for the number of I/O points of the main unit, which each series assigns anew.
+    /// STATUS3: a code for the number of I/O points of the main unit, different in each series.
     #[must_use]
     pub fn io_points_code(&self) -> u8 {
         self.status(3)
     }
 
-    /// The number of I/O points of the main unit, if it is of this series and its code is known.
+    /// The number of I/O points of the main unit in this series; `None` for an unknown code.
     #[must_use]
     pub fn io_points(&self, series: Series) -> Option<u16> {
         match (series, self.io_points_code()) {
@@ -271,102 +281,102 @@ impl DetailedStatus {
         }
     }
 
-    /// STATUS4: the version of the operating system, major and minor, as two nibbles: 31h is (3, 1).
+    /// STATUS4: the version of the operating system, major and minor: (3, 1) for 31h.
     #[must_use]
     pub fn os_version(&self) -> (u8, u8) {
         (self.status(4) >> 4, self.status(4) & 0x0F)
     }
 
-    /// STATUS5 and 6: the size of the ladder, in words.
+    /// STATUS5 and 6: the size of the ladder in words.
     #[must_use]
     pub fn ladder_words(&self) -> u16 {
         self.word(5)
     }
 
-    /// STATUS7 and 8: how many discrete inputs there are.
+    /// STATUS7 and 8: the number of discrete inputs.
     #[must_use]
     pub fn discrete_inputs(&self) -> u16 {
         self.word(7)
     }
 
-    /// STATUS9 and 10: how many discrete outputs there are.
+    /// STATUS9 and 10: the number of discrete outputs.
     #[must_use]
     pub fn discrete_outputs(&self) -> u16 {
         self.word(9)
     }
 
-    /// STATUS11 and 12: how many analog inputs there are.
+    /// STATUS11 and 12: the number of analog inputs.
     #[must_use]
     pub fn analog_inputs(&self) -> u16 {
         self.word(11)
     }
 
-    /// STATUS13 and 14: how many analog outputs there are.
+    /// STATUS13 and 14: the number of analog outputs.
     #[must_use]
     pub fn analog_outputs(&self) -> u16 {
         self.word(13)
     }
 
-    /// STATUS15 and 16: how many relays `M` there are.
+    /// STATUS15 and 16: the number of relays `M`.
     #[must_use]
     pub fn m_relays(&self) -> u16 {
         self.word(15)
     }
 
-    /// STATUS17 and 18: how many step relays `S` there are.
+    /// STATUS17 and 18: the number of step relays `S`.
     #[must_use]
     pub fn s_relays(&self) -> u16 {
         self.word(17)
     }
 
-    /// STATUS19 and 20: how many relays `L` there are.
+    /// STATUS19 and 20: the number of relays `L`.
     #[must_use]
     pub fn l_relays(&self) -> u16 {
         self.word(19)
     }
 
-    /// STATUS21 and 22: how many registers `R` there are.
+    /// STATUS21 and 22: the number of registers `R`.
     #[must_use]
     pub fn r_registers(&self) -> u16 {
         self.word(21)
     }
 
-    /// STATUS23 and 24: how many registers `D` there are.
+    /// STATUS23 and 24: the number of registers `D`.
     #[must_use]
     pub fn d_registers(&self) -> u16 {
         self.word(23)
     }
 
-    /// STATUS25 and 26: how many timers there are.
+    /// STATUS25 and 26: the number of timers.
     #[must_use]
     pub fn timers(&self) -> u16 {
         self.word(25)
     }
 
-    /// STATUS27 and 28: how many counters there are.
+    /// STATUS27 and 28: the number of counters.
     #[must_use]
     pub fn counters(&self) -> u16 {
         self.word(27)
     }
 
-    /// The fewest bytes that hold every field.
+    /// The bytes of all fields.
     const MIN_LEN: usize = 28;
-    /// The most that 500 characters hold, two each, behind the error digit.
+    /// The most bytes in 500 characters: an error digit, and two characters a byte.
     const MAX_LEN: usize = 249;
 
-    /// The byte that the manual numbers from 1.
+    /// The byte with this number, from 1 as in the manual.
     fn status(&self, number: usize) -> u8 {
         self.raw[number - 1]
     }
 
-    /// The big-endian word whose high byte the manual numbers so.
+    /// The big-endian word whose high byte has this number.
     fn word(&self, high: usize) -> u16 {
         u16::from_be_bytes([self.status(high), self.status(high + 1)])
     }
 }
 
 impl From<[u8; 64]> for DetailedStatus {
-    /// A status of the length that the manual gives.
+    /// A status of the length in the manual.
     fn from(raw: [u8; 64]) -> Self {
         Self { raw: Bytes::copy_from_slice(&raw) }
     }
@@ -380,7 +390,7 @@ pub enum MainUnit {
     MaMu,
     /// 01: MC.
     Mc,
-    /// A value that no manual names.
+    /// A value that is in no manual.
     Unknown(u8),
 }
 
@@ -404,7 +414,7 @@ impl fmt::Display for MainUnit {
     }
 }
 
-/// The series of a PLC, which it does not tell itself.
+/// The series of a PLC, which is not in its status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Series {

@@ -2,20 +2,20 @@ use std::fmt;
 
 use super::{Symbol, Width};
 
-/// The rule that a symbol and an address break.
+/// The rule of the protocol that a symbol or an address breaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ElementError {
-    /// The letters are no element's.
-    #[error("no element has these letters (known: {})", Known)]
+    /// The letters are not a symbol.
+    #[error("no element has these letters (known: {})", AllSymbols)]
     UnknownSymbol,
-    /// There are letters but no digits.
+    /// No digits follow the letters.
     #[error("{symbol} needs a decimal address, such as {symbol}0")]
     MissingAddress {
         /// The letters.
         symbol: Symbol,
     },
-    /// What follows the letters is not decimal digits alone.
+    /// Something other than decimal digits follows the letters.
     #[error("the address of {symbol} must be decimal digits and nothing else")]
     BadAddress {
         /// The letters.
@@ -26,28 +26,28 @@ pub enum ElementError {
     OutOfRange {
         /// The symbol.
         symbol: Symbol,
-        /// The address asked for; `u32::MAX` for anything larger.
+        /// The address; `u32::MAX` for larger ones.
         address: u32,
     },
-    /// The address is not a multiple of 8 where it must be.
+    /// The address of a word of discretes is not a multiple of 8.
     #[error("{symbol}{address}: the address of {symbol} must be a multiple of {}", symbol.alignment())]
     Misaligned {
         /// The symbol.
         symbol: Symbol,
-        /// The address asked for.
+        /// The address.
         address: u16,
     },
-    /// The element has another width than is needed here.
+    /// The element has the wrong width.
     #[error("{symbol} is {}, not {expected}", symbol.width())]
     WrongWidth {
         /// The symbol.
         symbol: Symbol,
-        /// The width that is needed.
+        /// The right width.
         expected: Width,
     },
 }
 
-/// A text that is not an element: the text, and the rule it breaks.
+/// A text that is not an element, and the rule that it breaks.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{input}` is not an element: {reason}")]
 pub struct ParseElementError {
@@ -56,13 +56,13 @@ pub struct ParseElementError {
 }
 
 impl ParseElementError {
-    /// The text as given.
+    /// The text.
     #[must_use]
     pub fn input(&self) -> &str {
         &self.input
     }
 
-    /// The rule it breaks.
+    /// The rule that it breaks.
     #[must_use]
     pub fn reason(&self) -> ElementError {
         self.reason
@@ -70,9 +70,9 @@ impl ParseElementError {
 }
 
 /// All symbols, for the message of [`ElementError::UnknownSymbol`].
-struct Known;
+struct AllSymbols;
 
-impl fmt::Display for Known {
+impl fmt::Display for AllSymbols {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (i, symbol) in Symbol::ALL.iter().enumerate() {
             if i > 0 {

@@ -1,49 +1,46 @@
 use std::fmt;
 
 use super::ElementError;
+use crate::wire::Framing;
 
-// One row an element, as in the manuals' table: the check against the standard is to read this.
+// The element table: one row a memory area. Symbols, widths, steps, alignments, limits and the
+// partners of other widths follow from it, here, in the planner, in backups and in the simulator.
 //
-// - digits: decimal digits of the address in the ASCII framing
-// - last:   the largest address
-// - step:   the distance to the next consecutive element
-// - align:  addresses must be a multiple of it
-symbols! {
-    // width  symbol  digits  last  step  align
-    Bit     X    4   9999   1  1;
-    Bit     Y    4   9999   1  1;
-    Bit     M    4   9999   1  1;
-    Bit     S    4   9999   1  1;
-    Bit     T    4   9999   1  1;
-    Bit     C    4   9999   1  1;
-
-    Word    WX   4   9984  16  8;
-    Word    WY   4   9984  16  8;
-    Word    WM   4   9984  16  8;
-    Word    WS   4   9984  16  8;
-    Word    WT   4   9984  16  8;
-    Word    WC   4   9984  16  8;
-    Word    RT   4   9999   1  1;
-    Word    RC   4   9999   1  1;
-    Word    R    5  65535   1  1;
-    Word    D    5  65535   1  1;
-    Word    F    5  65535   1  1;
-
-    Double  DWX  4   9968  32  8;
-    Double  DWY  4   9968  32  8;
-    Double  DWM  4   9968  32  8;
-    Double  DWS  4   9968  32  8;
-    Double  DWT  4   9968  32  8;
-    Double  DWC  4   9968  32  8;
-    Double  DRT  4   9998   2  1;
-    Double  DRC  4   9998   2  1;
-    Double  DR   5  65534   2  1;
-    Double  DD   5  65534   2  1;
-    Double  DF   5  65534   2  1;
+// - 1, 16, 32 bits: the symbols of its elements; the area is named by its smallest one
+// - digits:         decimal digits of an address in the ASCII framing
+// - ASCII, binary:  the last address of the smallest element in this framing
+// - content:        `Derived` if the PLC itself sets the elements in each scan: inputs from their
+//                   wiring, contacts of timers and counters from their values. Else `Stored`
+// - pairs:          `Pairs` if a 32-bit element is always two of 16 bits; `Apart` if it may be an
+//                   element of its own, as some counters have 32 bits
+//
+// An address of a discrete stands for 1 bit and one of a register for 16 bits, so consecutive
+// elements of 32 bits are 32 or 2 addresses apart.
+memory_areas! {
+    discretes {
+        // 1 bit  16 bits  32 bits  digits  ASCII  binary  content
+        X         WX       DWX      4        9999    9999  Derived;
+        Y         WY       DWY      4        9999    9999  Stored;
+        M         WM       DWM      4        9999    9999  Stored;
+        S         WS       DWS      4        9999    9999  Stored;
+        T         WT       DWT      4        9999    9999  Derived;
+        C         WC       DWC      4        9999    9999  Derived;
+    }
+    registers {
+        //        16 bits  32 bits  digits  ASCII  binary  content  pairs
+                  RT       DRT      4        9999    9999  Stored   Pairs;
+                  RC       DRC      4        9999    9999  Stored   Apart;
+                  R        DR       5       65535   65535  Stored   Pairs;
+                  D        DD       5       65535   65535  Stored   Pairs;
+                  F        DF       5       65535   65535  Stored   Pairs;
+    }
 }
 
 /// The length of the longest symbol, in letters.
 pub(crate) const LONGEST_SYMBOL: usize = 3;
+
+/// Words of discretes begin at addresses that are a multiple of this.
+const WORD_ALIGNMENT: u16 = 8;
 
 impl Symbol {
     /// The letters, upper case: one to three of them.
@@ -52,53 +49,44 @@ impl Symbol {
         self.row().letters
     }
 
-    /// How many bits an element of this symbol holds.
+    /// The width of its elements.
     #[must_use]
     pub const fn width(self) -> Width {
         self.row().width
     }
 
-    /// How many decimal digits its address has in the ASCII framing: 4 or 5.
+    /// The memory that its elements lie in. Elements of two areas never overlap.
+    pub(crate) const fn area(self) -> MemoryArea {
+        self.row().area
+    }
+
+    /// The number of decimal digits of its addresses in the ASCII framing: 4 or 5.
     #[must_use]
     pub const fn digits(self) -> usize {
         self.row().digits
     }
 
-    /// The largest address the protocol has for it. A PLC's own limit is usually smaller: it answers
-    /// [`IllegalAddress`](crate::ErrorCode::IllegalAddress) beyond that.
+    /// The largest address that the protocol has for it.
+    ///
+    /// The limit of a PLC is usually smaller: beyond it the PLC refuses a request with
+    /// [`IllegalAddress`](crate::ErrorCode::IllegalAddress).
     #[must_use]
     pub const fn last_address(self) -> u16 {
         self.row().last
     }
 
-    /// The distance between the addresses of consecutive elements: 16 for `WX`, 2 for `DR`, 1 for `R`.
+    /// The distance between the addresses of consecutive elements: 16 for `WX`, 2 for `DR`, 1 for
+    /// `R`.
     #[must_use]
     pub const fn step(self) -> u16 {
         self.row().step
     }
 
-    /// What its addresses must be a multiple of: 8 for words and double words of discretes, else 1.
+    /// The number that its addresses are a multiple of: 8 for words and double words of discretes,
+    /// else 1.
     #[must_use]
     pub const fn alignment(self) -> u16 {
-        self.row().align
-    }
-
-    /// The symbol of the smallest elements in the same memory: `M` for `WM` and `DWM`, `R` for `DR`. Elements of two such
-    /// memories never overlap.
-    pub(crate) const fn memory(self) -> Self {
-        match self {
-            Self::X | Self::WX | Self::DWX => Self::X,
-            Self::Y | Self::WY | Self::DWY => Self::Y,
-            Self::M | Self::WM | Self::DWM => Self::M,
-            Self::S | Self::WS | Self::DWS => Self::S,
-            Self::T | Self::WT | Self::DWT => Self::T,
-            Self::C | Self::WC | Self::DWC => Self::C,
-            Self::RT | Self::DRT => Self::RT,
-            Self::RC | Self::DRC => Self::RC,
-            Self::R | Self::DR => Self::R,
-            Self::D | Self::DD => Self::D,
-            Self::F | Self::DF => Self::F,
-        }
+        self.row().alignment
     }
 
     /// The symbol with these letters, in either case.
@@ -120,7 +108,7 @@ impl Symbol {
             return Err(ElementError::OutOfRange { symbol: self, address });
         }
         let address = address as u16;
-        if !address.is_multiple_of(row.align) {
+        if !address.is_multiple_of(row.alignment) {
             return Err(ElementError::Misaligned { symbol: self, address });
         }
         Ok(address)
@@ -133,7 +121,50 @@ impl fmt::Display for Symbol {
     }
 }
 
-/// How many bits an element holds.
+impl MemoryArea {
+    /// The symbol of its elements of 16 bits.
+    pub(crate) const fn word(self) -> Symbol {
+        self.row().word
+    }
+
+    /// The symbol of its elements of 32 bits.
+    pub(crate) const fn dword(self) -> Symbol {
+        self.row().dword
+    }
+
+    /// The bits that an address stands for: 1 in an area of discretes, 16 in one of registers.
+    pub(crate) const fn bits_per_address(self) -> u32 {
+        match self.row().smallest {
+            Width::Bit => 1,
+            Width::Word | Width::DWord => 16,
+        }
+    }
+
+    /// The symbol of its smallest elements.
+    pub(crate) const fn smallest(self) -> Symbol {
+        self.row().symbol
+    }
+
+    /// Whether an element of 32 bits is always two of 16 bits.
+    pub(crate) const fn has_pairs(self) -> bool {
+        matches!(self.row().pairs, Pairing::Pairs)
+    }
+
+    /// Whether the PLC itself sets its elements in each scan.
+    pub(crate) const fn is_derived(self) -> bool {
+        matches!(self.row().content, Content::Derived)
+    }
+
+    /// The last address of its smallest elements in a framing.
+    pub(crate) const fn last_address_in(self, framing: Framing) -> u16 {
+        match framing {
+            Framing::Ascii => self.row().last_in_ascii,
+            Framing::Binary => self.row().last_in_binary,
+        }
+    }
+}
+
+/// The width of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Width {
     /// One bit: a discrete.
@@ -141,26 +172,27 @@ pub enum Width {
     /// 16 bits: a register, or 16 discretes together.
     Word,
     /// 32 bits: two consecutive registers, or 32 discretes together.
-    Double,
+    DWord,
 }
 
 impl Width {
-    /// What an element of this width counts against a command's limit: 1, or 2 for 32 bits.
+    /// The units that an element of this width counts against a command's limit: 1, or 2 for 32
+    /// bits.
     #[must_use]
     pub const fn units(self) -> usize {
         match self {
             Self::Bit | Self::Word => 1,
-            Self::Double => 2,
+            Self::DWord => 2,
         }
     }
 
-    /// 1, 16 or 32.
+    /// The number of bits: 1, 16 or 32.
     #[must_use]
     pub const fn bits(self) -> u32 {
         match self {
             Self::Bit => 1,
             Self::Word => 16,
-            Self::Double => 32,
+            Self::DWord => 32,
         }
     }
 }
@@ -170,45 +202,132 @@ impl fmt::Display for Width {
         f.write_str(match self {
             Self::Bit => "a discrete",
             Self::Word => "a 16-bit register",
-            Self::Double => "a 32-bit register",
+            Self::DWord => "a 32-bit register",
         })
     }
 }
 
-struct Row {
+/// Everything that the table says of a symbol.
+struct SymbolRow {
     letters: &'static str,
+    area: MemoryArea,
     width: Width,
     digits: usize,
     last: u16,
     step: u16,
-    align: u16,
+    alignment: u16,
 }
 
-macro_rules! symbols {
-    ($($width:ident $symbol:ident $digits:literal $last:literal $step:literal $align:literal;)*) => {
-        /// The letters that say what kind of element it is.
+impl SymbolRow {
+    const fn new(letters: &'static str, area: MemoryArea, width: Width) -> Self {
+        let row = area.row();
+        // The limit is not checked for the framing of a link, so it must be the same in both. Where
+        // they are to differ, `Command::check` has to compare the addresses of a request.
+        assert!(row.last_in_ascii == row.last_in_binary);
+        let step = (width.bits() / area.bits_per_address()) as u16;
+        let alignment =
+            if matches!(row.smallest, Width::Bit) && !matches!(width, Width::Bit) { WORD_ALIGNMENT } else { 1 };
+        // The last element ends with the last address of the area.
+        let last = area.last_address_in(Framing::Ascii) - (step - 1);
+        Self { letters, area, width, digits: row.digits, last: last - last % alignment, step, alignment }
+    }
+}
+
+/// A row of the table.
+struct AreaRow {
+    smallest: Width,
+    symbol: Symbol,
+    word: Symbol,
+    dword: Symbol,
+    digits: usize,
+    last_in_ascii: u16,
+    last_in_binary: u16,
+    content: Content,
+    pairs: Pairing,
+}
+
+enum Content {
+    Stored,
+    Derived,
+}
+
+enum Pairing {
+    Pairs,
+    Apart,
+}
+
+macro_rules! memory_areas {
+    (
+        discretes { $($bit:ident $word:ident $dword:ident
+            $digits:literal $ascii:literal $binary:literal $content:ident;)* }
+        registers { $($register:ident $pair:ident
+            $digits_:literal $ascii_:literal $binary_:literal $content_:ident $pairing:ident;)* }
+    ) => {
+        /// The letters of an element, which name its memory and its width.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         #[non_exhaustive]
         #[allow(missing_docs, reason = "the letters are the names; the table above is their description")]
-        pub enum Symbol { $($symbol),* }
+        pub enum Symbol { $($bit,)* $($word,)* $($register,)* $($dword,)* $($pair,)* }
 
         impl Symbol {
-            /// Every symbol, in the table's order.
-            pub const ALL: &'static [Self] = &[$(Self::$symbol),*];
+            /// All symbols: of 1 bit, of 16 bits, of 32 bits.
+            pub const ALL: &'static [Self] = &[
+                $(Self::$bit,)* $(Self::$word,)* $(Self::$register,)* $(Self::$dword,)* $(Self::$pair,)*
+            ];
 
-            const fn row(self) -> Row {
+            const fn row(self) -> SymbolRow {
                 match self {
-                    $(Self::$symbol => Row {
-                        letters: stringify!($symbol),
-                        width: Width::$width,
+                    $(
+                        Self::$bit => const { SymbolRow::new(stringify!($bit), MemoryArea::$bit, Width::Bit) },
+                        Self::$word => const { SymbolRow::new(stringify!($word), MemoryArea::$bit, Width::Word) },
+                        Self::$dword => const { SymbolRow::new(stringify!($dword), MemoryArea::$bit, Width::DWord) },
+                    )*
+                    $(
+                        Self::$register => const {
+                            SymbolRow::new(stringify!($register), MemoryArea::$register, Width::Word)
+                        },
+                        Self::$pair => const { SymbolRow::new(stringify!($pair), MemoryArea::$register, Width::DWord) },
+                    )*
+                }
+            }
+        }
+
+        /// A memory of its own: elements of one area can overlap, elements of two never do.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub(crate) enum MemoryArea { $($bit,)* $($register,)* }
+
+        impl MemoryArea {
+            /// All areas.
+            #[cfg(any(test, feature = "sim"))]
+            pub(crate) const ALL: &'static [Self] = &[$(Self::$bit,)* $(Self::$register,)*];
+
+            const fn row(self) -> AreaRow {
+                match self {
+                    $(Self::$bit => AreaRow {
+                        smallest: Width::Bit,
+                        symbol: Symbol::$bit,
+                        word: Symbol::$word,
+                        dword: Symbol::$dword,
                         digits: $digits,
-                        last: $last,
-                        step: $step,
-                        align: $align,
-                    }),*
+                        last_in_ascii: $ascii,
+                        last_in_binary: $binary,
+                        content: Content::$content,
+                        pairs: Pairing::Pairs,
+                    },)*
+                    $(Self::$register => AreaRow {
+                        smallest: Width::Word,
+                        symbol: Symbol::$register,
+                        word: Symbol::$register,
+                        dword: Symbol::$pair,
+                        digits: $digits_,
+                        last_in_ascii: $ascii_,
+                        last_in_binary: $binary_,
+                        content: Content::$content_,
+                        pairs: Pairing::$pairing,
+                    },)*
                 }
             }
         }
     };
 }
-use symbols;
+use memory_areas;

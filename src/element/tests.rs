@@ -18,6 +18,51 @@ fn every_symbol_round_trips_at_its_first_and_last_address() {
     }
 }
 
+/// The manuals' own table.
+#[test]
+fn symbols_have_the_digits_limits_and_steps_of_the_manual() {
+    // symbols, width, digits, last address, step, alignment
+    let rows = [
+        ("X Y M S T C", Width::Bit, 4, 9999, 1, 1),
+        ("WX WY WM WS WT WC", Width::Word, 4, 9984, 16, 8),
+        ("RT RC", Width::Word, 4, 9999, 1, 1),
+        ("R D F", Width::Word, 5, 65535, 1, 1),
+        ("DWX DWY DWM DWS DWT DWC", Width::DWord, 4, 9968, 32, 8),
+        ("DRT DRC", Width::DWord, 4, 9998, 2, 1),
+        ("DR DD DF", Width::DWord, 5, 65534, 2, 1),
+    ];
+    let mut symbols = Symbol::ALL.iter();
+    for (names, width, digits, last, step, alignment) in rows {
+        for name in names.split(' ') {
+            let symbol = *symbols.next().unwrap();
+            assert_eq!(symbol.as_str(), name);
+            assert_eq!((symbol.width(), symbol.digits()), (width, digits), "{symbol}");
+            assert_eq!((symbol.last_address(), symbol.step(), symbol.alignment()), (last, step, alignment), "{symbol}");
+            assert!(name.len() <= LONGEST_SYMBOL, "{symbol}");
+        }
+    }
+    assert_eq!(symbols.next(), None);
+}
+
+#[test]
+fn every_symbol_is_one_of_its_area_and_has_letters_of_its_own() {
+    for &area in MemoryArea::ALL {
+        let symbols: Vec<_> = Symbol::ALL.iter().filter(|symbol| symbol.area() == area).collect();
+        let (smallest, word, dword) = (area.smallest(), area.word(), area.dword());
+        if smallest == word {
+            assert_eq!(symbols, [&word, &dword]);
+        } else {
+            assert_eq!(symbols, [&smallest, &word, &dword]);
+        }
+        assert_eq!((word.width(), dword.width()), (Width::Word, Width::DWord));
+        assert_eq!(smallest.last_address(), area.last_address_in(crate::wire::Framing::Ascii));
+        assert!(u32::from(smallest.last_address()) < 10_u32.pow(u32::try_from(smallest.digits()).unwrap()));
+    }
+    for symbol in Symbol::ALL {
+        assert_eq!(Symbol::from_letters(symbol.as_str().as_bytes()), Some(*symbol));
+    }
+}
+
 #[test]
 fn the_ascii_form_of_the_manual_is_five_six_or_seven_characters() {
     for &symbol in Symbol::ALL {
@@ -25,14 +70,14 @@ fn the_ascii_form_of_the_manual_is_five_six_or_seven_characters() {
         let expected = match symbol.width() {
             Width::Bit => 5,
             Width::Word => 6,
-            Width::Double => 7,
+            Width::DWord => 7,
         };
         assert_eq!(len, expected, "{symbol}");
     }
 }
 
 #[test]
-fn canonical_forms() {
+fn an_element_is_printed_in_its_canonical_form() {
     for (input, canonical) in
         [("R12", "R12"), ("R00012", "R12"), ("dwm0", "DWM0"), ("X0007", "X7"), ("drt9998", "DRT9998")]
     {
@@ -68,8 +113,8 @@ fn errors_name_the_input_and_the_rule() {
 }
 
 #[test]
-fn a_wide_element_and_its_low_word_are_each_others() {
-    for &symbol in Symbol::ALL.iter().filter(|s| s.width() == Width::Double) {
+fn low_word_and_widened_are_inverse() {
+    for &symbol in Symbol::ALL.iter().filter(|s| s.width() == Width::DWord) {
         let wide = Register32::new(symbol, 8).unwrap();
         assert_eq!(wide.low().widened(), Ok(wide));
         assert_eq!(format!("D{}", wide.low().symbol()), symbol.as_str());

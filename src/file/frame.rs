@@ -1,6 +1,7 @@
 use crc::{CRC_32_ISO_HDLC, Crc};
 
 use super::FormatError;
+use crate::hex;
 
 /// What a file holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,8 +88,8 @@ fn decimal(text: &str) -> Option<usize> {
 fn checksum(seal: &[u8]) -> Option<u32> {
     let digits = seal.strip_prefix(CHECKSUM.as_bytes())?.strip_prefix(b" ")?.strip_suffix(b"\n")?;
     // Upper case only: one checksum has one form.
-    let plain = digits.len() == 8 && digits.iter().all(|byte| matches!(byte, b'0'..=b'9' | b'A'..=b'F'));
-    plain.then(|| u32::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()).flatten()
+    let bytes = hex::decode(std::str::from_utf8(digits).ok()?)?;
+    Some(u32::from_be_bytes(bytes.try_into().ok()?))
 }
 
 fn crc32(bytes: &[u8]) -> u32 {

@@ -67,19 +67,6 @@ pub(crate) fn in_form(content: &str, form: &str) -> Result<(), FormatError> {
     if content == form { Ok(()) } else { Err(lines.error("the last line should end with a line feed")) }
 }
 
-/// The bytes that these upper-case hexadecimal digits stand for.
-pub(crate) fn hex(digits: &str) -> Option<Vec<u8>> {
-    let value = |digit: u8| match digit {
-        b'0'..=b'9' | b'A'..=b'F' => char::from(digit).to_digit(16).and_then(|value| u8::try_from(value).ok()),
-        _ => None,
-    };
-    let pairs = digits.as_bytes().chunks(2).map(|pair| match pair {
-        &[high, low] => Some(value(high)? << 4 | value(low)?),
-        _ => None,
-    });
-    pairs.collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -110,15 +97,6 @@ mod tests {
             ("a 1\nb two words", "line 5: the last line should end with a line feed"),
         ] {
             assert_eq!(in_form(content, form).unwrap_err().to_string(), message);
-        }
-    }
-
-    #[test]
-    fn hexadecimal_digits_come_in_pairs_and_in_upper_case() {
-        assert_eq!(hex("00FFA5"), Some(vec![0, 0xFF, 0xA5]));
-        assert_eq!(hex(""), Some(vec![]));
-        for bad in ["0", "0G", "ff", "+1", " 1", "é"] {
-            assert_eq!(hex(bad), None, "{bad}");
         }
     }
 }

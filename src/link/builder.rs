@@ -17,7 +17,7 @@ use super::transport::Connector;
 use super::{Link, LinkState, Shared};
 use crate::endpoint::{InStepSettings, SerialSettings};
 use crate::random::Random;
-use crate::wire::Framing;
+use crate::wire::{Framing, LONGEST_FRAME};
 
 /// Settings of a link. Each has a default that suits one PLC on an Ethernet module.
 #[derive(Debug)]
@@ -276,9 +276,6 @@ impl LinkBuilder {
 
 /// The time of a byte on a network of 10 Mbit/s.
 pub(crate) const NETWORK_BYTE: Duration = Duration::from_nanos(800);
-
-/// The longest frame that the protocol has, in bytes.
-const LONGEST_FRAME: usize = 508;
 
 #[cfg(test)]
 mod tests {

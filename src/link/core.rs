@@ -526,7 +526,8 @@ impl Core {
 
 fn prices(config: &Config) -> Prices {
     let byte = config.byte_time;
-    let frames = byte.saturating_mul(2).saturating_mul(u32::try_from(config.framing.overhead()).unwrap_or(u32::MAX));
+    let frames =
+        byte.saturating_mul(2).saturating_mul(u32::try_from(config.framing.frame_overhead()).unwrap_or(u32::MAX));
     Prices { byte, exchange: frames.saturating_add(LATENCY).saturating_add(config.gap) }
 }
 

@@ -32,6 +32,7 @@ use super::in_step::{self, Reply, Shape};
 use super::options::EchoMode;
 use crate::command::{self, Command, LoopBack, ReadDetailedStatus, ReadStatus, ReplyError};
 use crate::error::ErrorCode;
+use crate::hex;
 use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side};
 
 /// What is on the wire.
@@ -400,7 +401,7 @@ impl Exchange {
     fn classify(&mut self, frame: &Frame, now: Instant) -> Event {
         tracing::trace!(station = frame.station, command = frame.command, data = %frame.data.escape_ascii(), "received");
         let framing = self.framing();
-        self.on_the_line(frame.data.len().saturating_add(framing.overhead()));
+        self.on_the_line(frame.data.len().saturating_add(framing.frame_overhead()));
         let fingerprint = in_step::fingerprint(frame.command, &frame.data);
         let stray = Event::Stray { station: frame.station, command: frame.command, fingerprint };
         if self.is_late_echo(frame) {
@@ -482,7 +483,5 @@ fn print_of_echo(framing: Framing, request: &[u8]) -> u64 {
     // Only in the ASCII framing a request looks like a reply: STX, station, command, data, LRC, ETX.
     let content = request.get(3..request.len().saturating_sub(3)).filter(|_| framing == Framing::Ascii);
     let Some(([high, low], data)) = content.and_then(<[u8]>::split_first_chunk) else { return 0 };
-    let digit =
-        |digit: u8| char::from(digit).to_digit(16).and_then(|digit| u8::try_from(digit).ok()).unwrap_or_default();
-    in_step::fingerprint(digit(*high).wrapping_shl(4) | digit(*low), data)
+    in_step::fingerprint(hex::byte([*high, *low]), data)
 }

@@ -134,16 +134,12 @@ impl CostModel {
 
     /// The bytes of a request without its elements: the frame and N.
     pub(super) fn request_bytes(&self) -> usize {
-        self.framing.overhead()
-            + match self.framing {
-                Framing::Ascii => 2,
-                Framing::Binary => 1,
-            }
+        self.framing.request_overhead()
     }
 
     /// The bytes of a reply without its values: the frame and the error code.
     pub(super) fn reply_bytes(&self) -> usize {
-        self.framing.overhead() + 1
+        self.framing.reply_overhead()
     }
 
     pub(super) fn element_bytes(&self, symbol: Symbol) -> usize {

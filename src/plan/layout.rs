@@ -35,7 +35,7 @@ impl Area {
 
     /// What one cell counts against a limit.
     pub(super) fn units(self) -> u32 {
-        if self.width() == Width::Double { 2 } else { 1 }
+        if self.width() == Width::DWord { 2 } else { 1 }
     }
 
     /// How many 16-bit words a cell is kept in.
@@ -44,20 +44,9 @@ impl Area {
     }
 
     /// The symbol that reads two cells as one element, in a mixed request.
-    pub(super) fn double(self) -> Option<Symbol> {
-        match self.symbol {
-            Symbol::WX => Some(Symbol::DWX),
-            Symbol::WY => Some(Symbol::DWY),
-            Symbol::WM => Some(Symbol::DWM),
-            Symbol::WS => Some(Symbol::DWS),
-            Symbol::WT => Some(Symbol::DWT),
-            Symbol::WC => Some(Symbol::DWC),
-            Symbol::RT => Some(Symbol::DRT),
-            Symbol::R => Some(Symbol::DR),
-            Symbol::D => Some(Symbol::DD),
-            Symbol::F => Some(Symbol::DF),
-            _ => None,
-        }
+    pub(super) fn dword(self) -> Option<Symbol> {
+        let area = self.symbol.area();
+        (self.width() == Width::Word && area.has_pairs()).then(|| area.dword())
     }
 
     /// The most cells in a run.
@@ -76,7 +65,7 @@ impl Area {
 
     /// The symbol that the ranges of [`Limits`] name it by: a range of `RC` is one of `DRC` too.
     fn listed(self) -> Symbol {
-        if self.symbol == Symbol::DRC { Symbol::RC } else { self.symbol }
+        if self.width() == Width::DWord { self.symbol.area().word() } else { self.symbol }
     }
 }
 
@@ -95,7 +84,7 @@ impl Cells {
             len: u32::try_from(elements).ok()? * per_element,
         };
         let last = cells.area.element(symbol, cells.end() - 1).ok()?;
-        let last = if symbol == Symbol::DRC { last.address() + 1 } else { last.address() };
+        let last = if symbol.width() == Width::DWord { last.address() + 1 } else { last.address() };
         (limits.segment(listed, last) == Some(segment)).then_some(cells)
     }
 
@@ -139,7 +128,7 @@ fn is_barred(cells: &[Cells], limits: &Limits) -> bool {
 /// The symbol of the cells of an element, and how many of them it has.
 fn cell_symbol(element: Element) -> (Symbol, u8) {
     match element {
-        Element::Register32(e) if e.symbol() != Symbol::DRC => (e.low().symbol(), 2),
+        Element::Register32(e) if e.symbol().area().has_pairs() => (e.low().symbol(), 2),
         other => (other.symbol(), 1),
     }
 }
@@ -197,7 +186,7 @@ impl Draft {
         }
         let mut items = Vec::with_capacity(cells.len());
         for stretch in stretches(cells) {
-            let pair = if stretch.area.double().is_some() { 2 } else { 1 };
+            let pair = if stretch.area.dword().is_some() { 2 } else { 1 };
             let mut first = stretch.first;
             while first < stretch.end() {
                 let len = pair.min(stretch.end() - first);
@@ -250,7 +239,7 @@ impl Draft {
                 Ok(match run.area.width() {
                     Width::Bit => ReadRequest::Discretes(ReadDiscretes::new(Discrete::try_from(first)?, count)?),
                     Width::Word => ReadRequest::Registers(ReadRegisters::new(Register::try_from(first)?, count)?),
-                    Width::Double => ReadRequest::Registers32(ReadRegisters::new(Register32::try_from(first)?, count)?),
+                    Width::DWord => ReadRequest::Registers32(ReadRegisters::new(Register32::try_from(first)?, count)?),
                 })
             }
             Self::Mixed(items) => {
@@ -298,7 +287,7 @@ impl ItemCost {
     pub(super) fn new(area: Area, cost: &CostModel) -> Self {
         let item = |symbol: Symbol| cost.bytes_cost(cost.element_bytes(symbol) + cost.value_bytes(symbol.width()));
         let single = item(area.symbol);
-        Self { single, double: area.double().map_or(2 * single, item) }
+        Self { single, double: area.dword().map_or(2 * single, item) }
     }
 
     /// What so many cells more cost, at the end of a stretch that has an odd number of them, or an even one.
@@ -311,8 +300,8 @@ impl ItemCost {
 }
 
 fn item_symbol(item: Cells) -> Symbol {
-    match (item.len, item.area.double()) {
-        (2, Some(double)) => double,
+    match (item.len, item.area.dword()) {
+        (2, Some(dword)) => dword,
         _ => item.area.symbol,
     }
 }

@@ -205,7 +205,7 @@ impl Limits {
 impl Range {
     fn new(first: Element, last: Element) -> Result<Self, PlanError> {
         let symbol = first.symbol();
-        if last.symbol() != symbol || first.address() > last.address() || symbol.width() == Width::Double {
+        if last.symbol() != symbol || first.address() > last.address() || symbol.width() == Width::DWord {
             return Err(PlanError::Range { first, last });
         }
         Ok(Self { symbol, first: first.address(), last: last.address() })

@@ -12,7 +12,7 @@ pub enum Reply {
     /// To [`ReadRequest::Registers`].
     Words(Vec<u16>),
     /// To [`ReadRequest::Registers32`].
-    Doubles(Vec<u32>),
+    DWords(Vec<u32>),
     /// To [`ReadRequest::Mixed`].
     Mixed(Vec<Value>),
 }
@@ -22,7 +22,7 @@ impl Reply {
         match (self, request) {
             (Self::Bits(bits), ReadRequest::Discretes(request)) => bits.len() == request.count(),
             (Self::Words(words), ReadRequest::Registers(request)) => words.len() == request.count(),
-            (Self::Doubles(doubles), ReadRequest::Registers32(request)) => doubles.len() == request.count(),
+            (Self::DWords(doubles), ReadRequest::Registers32(request)) => doubles.len() == request.count(),
             (Self::Mixed(values), ReadRequest::Mixed(request)) => {
                 let widths = request.elements().iter().map(|element| element.width());
                 values.iter().map(|value| value.width()).eq(widths)
@@ -53,14 +53,14 @@ impl From<Reply> for Words {
         match reply {
             Reply::Bits(bits) => Self::Bits(bits),
             Reply::Words(words) => Self::Words(words),
-            Reply::Doubles(doubles) => Self::Words(doubles.into_iter().flat_map(halves).collect()),
+            Reply::DWords(doubles) => Self::Words(doubles.into_iter().flat_map(halves).collect()),
             Reply::Mixed(values) => {
                 let mut words = Vec::with_capacity(values.len() * 2);
                 for value in values {
                     match value {
                         Value::Bit(on) => words.push(on.into()),
                         Value::Word(word) => words.push(word),
-                        Value::Double(double) => words.extend(halves(double)),
+                        Value::DWord(double) => words.extend(halves(double)),
                     }
                 }
                 Self::Words(words)
@@ -142,7 +142,7 @@ impl Tag {
         match self.first().width() {
             Width::Bit => 1,
             Width::Word => self.elements_per_value(),
-            Width::Double => 2,
+            Width::DWord => 2,
         }
     }
 
@@ -156,7 +156,7 @@ impl Tag {
                     raw.push(Value::Word(word(n)?));
                 }
             }
-            Width::Double => raw.push(Value::Double(u32::from(word(1)?) << 16 | u32::from(word(0)?))),
+            Width::DWord => raw.push(Value::DWord(u32::from(word(1)?) << 16 | u32::from(word(0)?))),
         }
         Some(())
     }

@@ -68,7 +68,7 @@ impl ReadRequest {
         Ok(match self {
             Self::Discretes(request) => Reply::Bits(station.call(*request).await?),
             Self::Registers(request) => Reply::Words(station.call(*request).await?),
-            Self::Registers32(request) => Reply::Doubles(station.call(*request).await?),
+            Self::Registers32(request) => Reply::DWords(station.call(*request).await?),
             Self::Mixed(request) => Reply::Mixed(station.call(request.clone()).await?),
         })
     }
@@ -86,7 +86,7 @@ impl ReadRequest {
         match self {
             Self::Discretes(request) => call(station, *request, Reply::Bits).await,
             Self::Registers(request) => call(station, *request, Reply::Words).await,
-            Self::Registers32(request) => call(station, *request, Reply::Doubles).await,
+            Self::Registers32(request) => call(station, *request, Reply::DWords).await,
             Self::Mixed(request) => call(station, request.clone(), Reply::Mixed).await,
         }
     }
@@ -100,7 +100,7 @@ impl ReadRequest {
         Ok(match self {
             Self::Discretes(request) => job.call(mark, *request, false).await?.map(Reply::Bits),
             Self::Registers(request) => job.call(mark, *request, false).await?.map(Reply::Words),
-            Self::Registers32(request) => job.call(mark, *request, false).await?.map(Reply::Doubles),
+            Self::Registers32(request) => job.call(mark, *request, false).await?.map(Reply::DWords),
             Self::Mixed(request) => job.call(mark, request.clone(), false).await?.map(Reply::Mixed),
         })
     }

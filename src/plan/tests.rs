@@ -115,7 +115,7 @@ fn value(element: Element) -> Value {
         Element::Register32(e) => {
             let (low, step) = (e.low(), e.symbol().step() / 2);
             let high = word(low.symbol(), e.address() + step);
-            Value::Double(u32::from(high) << 16 | u32::from(word(low.symbol(), low.address())))
+            Value::DWord(u32::from(high) << 16 | u32::from(word(low.symbol(), low.address())))
         }
     }
 }
@@ -134,11 +134,11 @@ fn answer(request: &ReadRequest) -> Reply {
     let values: Vec<Value> = elements(request).into_iter().map(value).collect();
     let bits = |value: &Value| if let Value::Bit(on) = value { *on } else { panic!("{value:?}") };
     let words = |value: &Value| if let Value::Word(word) = value { *word } else { panic!("{value:?}") };
-    let doubles = |value: &Value| if let Value::Double(double) = value { *double } else { panic!("{value:?}") };
+    let doubles = |value: &Value| if let Value::DWord(double) = value { *double } else { panic!("{value:?}") };
     match request {
         ReadRequest::Discretes(_) => Reply::Bits(values.iter().map(bits).collect()),
         ReadRequest::Registers(_) => Reply::Words(values.iter().map(words).collect()),
-        ReadRequest::Registers32(_) => Reply::Doubles(values.iter().map(doubles).collect()),
+        ReadRequest::Registers32(_) => Reply::DWords(values.iter().map(doubles).collect()),
         ReadRequest::Mixed(_) => Reply::Mixed(values),
     }
 }
@@ -154,7 +154,7 @@ fn frames(request: &ReadRequest, framing: Framing) -> usize {
     match (request, answer(request)) {
         (ReadRequest::Discretes(r), Reply::Bits(reply)) => both(r, reply, framing),
         (ReadRequest::Registers(r), Reply::Words(reply)) => both(r, reply, framing),
-        (ReadRequest::Registers32(r), Reply::Doubles(reply)) => both(r, reply, framing),
+        (ReadRequest::Registers32(r), Reply::DWords(reply)) => both(r, reply, framing),
         (ReadRequest::Mixed(r), Reply::Mixed(reply)) => both(r, reply, framing),
         other => panic!("{other:?}"),
     }

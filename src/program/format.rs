@@ -16,7 +16,8 @@ use std::fmt::Write;
 
 use super::{Origin, PAGE_BYTES, Program};
 use crate::command::{BriefStatus, DetailedStatus, ProgramPage};
-use crate::file::{FormatError, Kind, Lines, frame, hex, in_form, parse_utc, unframe, utc};
+use crate::file::{FormatError, Kind, Lines, frame, in_form, parse_utc, unframe, utc};
+use crate::hex;
 
 const PROGRAM: Kind = Kind("program");
 /// What stands for a value that is not known.
@@ -39,11 +40,11 @@ fn content(program: &Program) -> String {
     let mut content = String::new();
     push(&mut content, "read", &field(origin.map(|origin| utc(origin.read_at))));
     push(&mut content, "about", &about(program));
-    push(&mut content, "brief", &field(origin.map(|origin| digits(&origin.brief.raw()))));
-    push(&mut content, "status", &field(origin.map(|origin| digits(origin.status.raw()))));
+    push(&mut content, "brief", &field(origin.map(|origin| hex::encode(&origin.brief.raw()))));
+    push(&mut content, "status", &field(origin.map(|origin| hex::encode(origin.status.raw()))));
     push(&mut content, "pages", &program.pages.len().to_string());
     for (number, page) in program.pages.iter().enumerate() {
-        push(&mut content, "page", &format!("{number} {}", digits(&page.to_bytes())));
+        push(&mut content, "page", &format!("{number} {}", hex::encode(&page.to_bytes())));
     }
     content
 }
@@ -58,7 +59,7 @@ fn parse(content: &str) -> Result<Program, FormatError> {
         if number != expected.to_string() {
             return Err(lines.error(format!("page {expected} was expected")));
         }
-        let bytes: Option<[u8; PAGE_BYTES]> = hex(digits).and_then(|bytes| bytes.try_into().ok());
+        let bytes: Option<[u8; PAGE_BYTES]> = hex::decode(digits).and_then(|bytes| bytes.try_into().ok());
         let bytes = bytes.ok_or_else(|| lines.error(format!("{} hexadecimal digits were expected", 2 * PAGE_BYTES)))?;
         pages.push(ProgramPage::from_bytes(&bytes));
     }
@@ -77,7 +78,7 @@ fn read_origin(lines: &mut Lines<'_>) -> Result<Option<Origin>, FormatError> {
     let brief =
         brief.map(|text| parse_brief(text).ok_or_else(|| lines.error("three bytes were expected"))).transpose()?;
     let status = known(lines.field("status")?);
-    let parse = |text| hex(text).and_then(DetailedStatus::from_raw);
+    let parse = |text| hex::decode(text).and_then(DetailedStatus::from_raw);
     let status =
         status.map(|text| parse(text).ok_or_else(|| lines.error("28 to 249 bytes were expected"))).transpose()?;
     match (read_at, brief, status) {
@@ -88,7 +89,7 @@ fn read_origin(lines: &mut Lines<'_>) -> Result<Option<Origin>, FormatError> {
 }
 
 fn parse_brief(text: &str) -> Option<BriefStatus> {
-    hex(text)?.try_into().ok().map(BriefStatus::from_raw)
+    hex::decode(text)?.try_into().ok().map(BriefStatus::from_raw)
 }
 
 fn known(value: &str) -> Option<&str> {
@@ -98,13 +99,6 @@ fn known(value: &str) -> Option<&str> {
 fn push(content: &mut String, name: &str, value: &str) {
     // Writing to a string does not fail.
     let _ = writeln!(content, "{name} {value}");
-}
-
-fn digits(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::new(), |mut digits, byte| {
-        let _ = write!(digits, "{byte:02X}");
-        digits
-    })
 }
 
 /// What a person wants to know: the program, and the model of the PLC.

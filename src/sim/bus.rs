@@ -6,8 +6,10 @@ use tracing::debug;
 use super::fault::{Conditions, Faults};
 use super::{Error, Execute, PageReply, Plc};
 use crate::ErrorCode;
-use crate::command::{Code, Command, ReadProgramPage, Request, encode_refusal, encode_reply, with_command};
-use crate::wire::{FieldError, Frame, Framing, Received, ascii};
+use crate::command::{
+    Code, Command, ReadProgramPage, Request, RequestError, encode_refusal, encode_reply, with_command,
+};
+use crate::wire::{Frame, Framing, Received, ascii};
 
 /// A line with PLCs on it, each at its station number.
 ///
@@ -86,7 +88,7 @@ impl Bus {
     /// Nothing is appended for a frame to a station that is not here, and for one with a bad checksum or other noise:
     /// those are ignored. A broadcast is obeyed by all, and answered by none.
     ///
-    /// The reply to a request that cannot be read is the error that [`FieldError::error_code`] says.
+    /// The reply to a request that cannot be read is the error that [`RequestError::error_code`] says.
     pub fn answer(&self, received: &Received, framing: Framing, replies: &mut BytesMut) {
         let Received::Frame(frame) = received else {
             return;
@@ -120,7 +122,7 @@ pub(super) const BROADCAST: u8 = 0;
 pub(super) fn respond(
     plc: &Plc,
     frame: &Frame,
-    request: &Result<Request, FieldError>,
+    request: &Result<Request, RequestError>,
     framing: Framing,
     replies: &mut BytesMut,
 ) -> bool {
@@ -163,7 +165,7 @@ impl Responder<'_> {
         reply.is_ok()
     }
 
-    fn refuse(&mut self, command: u8, fault: &FieldError) -> bool {
+    fn refuse(&mut self, command: u8, fault: &RequestError) -> bool {
         encode_refusal(command, fault.error_code(), self.framing, self.station, self.replies);
         false
     }

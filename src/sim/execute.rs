@@ -69,7 +69,7 @@ impl Execute for WriteDiscretes {
 }
 
 registers!(Register, word, set_word);
-registers!(Register32, double, set_double);
+registers!(Register32, dword, set_dword);
 
 impl Execute for ReadMixed {
     fn execute(&self, plc: &mut State) -> Result<Vec<Value>, ErrorCode> {

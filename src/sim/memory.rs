@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 
 use super::Error;
 use crate::command::Value;
-use crate::element::{Discrete, Element, Register, Register32, Symbol};
+use crate::element::{Discrete, Element, MemoryArea, Register, Register32};
 
 /// The memory behind all elements. Nothing is allocated before it is written; what was never written is 0.
 ///
@@ -11,7 +11,7 @@ use crate::element::{Discrete, Element, Register, Register32, Symbol};
 /// is two bytes and a double word four, wherever it begins, and elements that overlap need no care.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Memory {
-    pages: BTreeMap<(Area, usize), Box<[u8; PAGE_LEN]>>,
+    pages: BTreeMap<(MemoryArea, usize), Box<[u8; PAGE_LEN]>>,
 }
 
 impl Memory {
@@ -19,7 +19,7 @@ impl Memory {
         match element {
             Element::Discrete(discrete) => self.bit(discrete).into(),
             Element::Register(register) => self.word(register).into(),
-            Element::Register32(register) => self.double(register).into(),
+            Element::Register32(register) => self.dword(register).into(),
         }
     }
 
@@ -28,7 +28,7 @@ impl Memory {
         match (element, value) {
             (Element::Discrete(discrete), Value::Bit(on)) => self.set_bit(discrete, on),
             (Element::Register(register), Value::Word(word)) => self.set_word(register, word),
-            (Element::Register32(register), Value::Double(double)) => self.set_double(register, double),
+            (Element::Register32(register), Value::DWord(dword)) => self.set_dword(register, dword),
             _ => return Err(Error::WrongWidth { element, value }),
         }
         Ok(())
@@ -53,12 +53,12 @@ impl Memory {
         self.set_bytes(register.into(), word.to_le_bytes());
     }
 
-    pub(super) fn double(&self, register: Register32) -> u32 {
+    pub(super) fn dword(&self, register: Register32) -> u32 {
         u32::from_le_bytes(self.bytes(register.into()))
     }
 
-    pub(super) fn set_double(&mut self, register: Register32, double: u32) {
-        self.set_bytes(register.into(), double.to_le_bytes());
+    pub(super) fn set_dword(&mut self, register: Register32, dword: u32) {
+        self.set_bytes(register.into(), dword.to_le_bytes());
     }
 
     fn bytes<const N: usize>(&self, element: Element) -> [u8; N] {
@@ -85,55 +85,13 @@ impl Memory {
 const PAGE_LEN: usize = 64;
 
 /// The area that an element lies in, and its first byte there.
-fn place(element: Element) -> (Area, usize) {
-    let area = Area::of(element.symbol());
-    let address = usize::from(element.address());
-    (area, if area.is_of_discretes() { address / 8 } else { address * 2 })
+fn place(element: Element) -> (MemoryArea, usize) {
+    let area = element.symbol().area();
+    (area, usize::from(element.address()) * area.bits_per_address() as usize / 8)
 }
 
 fn mask(discrete: Discrete) -> u8 {
     1 << (discrete.address() % 8)
-}
-
-/// Memory of its own: elements of one area can overlap, elements of two never do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Area {
-    X,
-    Y,
-    M,
-    S,
-    T,
-    C,
-    Rt,
-    Rc,
-    R,
-    D,
-    F,
-}
-
-impl Area {
-    /// How many there are.
-    pub(super) const COUNT: usize = Self::F as usize + 1;
-
-    pub(super) fn of(symbol: Symbol) -> Self {
-        match symbol.memory() {
-            Symbol::X => Self::X,
-            Symbol::Y => Self::Y,
-            Symbol::M => Self::M,
-            Symbol::S => Self::S,
-            Symbol::T => Self::T,
-            Symbol::C => Self::C,
-            Symbol::RT => Self::Rt,
-            Symbol::RC => Self::Rc,
-            Symbol::R => Self::R,
-            Symbol::D => Self::D,
-            _ => Self::F,
-        }
-    }
-
-    fn is_of_discretes(self) -> bool {
-        self <= Self::C
-    }
 }
 
 /// The addresses that an element covers: of discretes, or of 16-bit registers. From the first to the last, both

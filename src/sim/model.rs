@@ -1,6 +1,7 @@
-use super::memory::{Area, covered};
+use super::memory::covered;
 use crate::command::{BriefStatus, DetailedStatus, PAGE_WORDS, ProgramPage, StatusFlags};
-use crate::element::{Element, Symbol};
+use crate::element::{Element, MemoryArea};
+use crate::wire::Framing;
 
 /// What kind of PLC a [`Plc`](super::Plc) is: what it says of itself, and where its memory ends.
 ///
@@ -31,7 +32,7 @@ pub struct Model {
     /// STATUS1..64 of 53, where STATUS1 is not the model's to say.
     detailed: [u8; 64],
     /// The last address of each area.
-    last: [u16; Area::COUNT],
+    last: [u16; MemoryArea::ALL.len()],
     /// The first bytes of page 0.
     program_mark: [u8; 4],
     page_reply: PageReply,
@@ -76,7 +77,7 @@ impl Model {
     pub fn last(mut self, element: impl Into<Element>) -> Self {
         let element = element.into();
         let (_, last) = covered(element);
-        self.last[Area::of(element.symbol()) as usize] = last;
+        self.last[element.symbol().area() as usize] = last;
         self
     }
 
@@ -108,7 +109,7 @@ impl Model {
 
     pub(super) fn has(&self, element: Element) -> bool {
         let (_, last) = covered(element);
-        last <= self.last[Area::of(element.symbol()) as usize]
+        last <= self.last[element.symbol().area() as usize]
     }
 
     pub(super) fn brief_status(&self, flags: StatusFlags) -> BriefStatus {
@@ -184,13 +185,11 @@ says! {
 }
 
 /// The last address of each area, as far as the protocol goes.
-fn furthest() -> [u16; Area::COUNT] {
-    let mut last = [0; Area::COUNT];
-    for &symbol in Symbol::ALL {
-        let end = symbol.last_address().saturating_add(symbol.step() - 1);
-        last[Area::of(symbol) as usize] = end;
-    }
-    last
+fn furthest() -> [u16; MemoryArea::ALL.len()] {
+    std::array::from_fn(|n| {
+        let last = |framing| MemoryArea::ALL[n].last_address_in(framing);
+        last(Framing::Ascii).max(last(Framing::Binary))
+    })
 }
 
 macro_rules! says {

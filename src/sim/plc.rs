@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::memory::{Area, Memory, covered};
+use super::memory::{Memory, covered};
 use super::{Error, Execute, Model, PageReply};
 use crate::ErrorCode;
 use crate::command::{ProgramPage, StatusFlags, Value};
@@ -228,7 +228,7 @@ impl State {
         self.memory.write(element, value)?;
         let (first, last) = covered(element);
         for (&discrete, meant) in &mut self.disabled {
-            let same_area = Area::of(discrete.symbol()) == Area::of(element.symbol());
+            let same_area = discrete.symbol().area() == element.symbol().area();
             if same_area && (first..=last).contains(&discrete.address()) {
                 *meant = Some(self.memory.bit(discrete));
                 self.memory.set_bit(discrete, bit(before, discrete.address() - first));
@@ -251,7 +251,7 @@ fn bit(value: Value, n: u16) -> bool {
     match value {
         Value::Bit(on) => on,
         Value::Word(word) => word >> n & 1 == 1,
-        Value::Double(double) => double >> n & 1 == 1,
+        Value::DWord(double) => double >> n & 1 == 1,
     }
 }
 

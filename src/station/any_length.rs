@@ -8,7 +8,7 @@
 //! - the first failure is the end; a write tells how much is confirmed to have been written before it.
 
 use super::{JobReply, Outcome, Station, StationJob};
-use crate::command::{Command, Consecutive, InPlace, InvalidRequest, check_range, most_in_one_request};
+use crate::command::{Command, Consecutive, InvalidRequest, StackReply, check_range, most_in_one_request};
 use crate::element::{Element, ElementError};
 use crate::error::Error;
 
@@ -64,7 +64,7 @@ where
         into.iter_mut().skip(from).zip(values).for_each(|(place, &value)| *place = value);
     };
     if (1..=most).contains(&count) {
-        let reply = station.call(InPlace::<C, N>(request(first, count)?)).await?;
+        let reply = station.call(StackReply::<C, N>(request(first, count)?)).await?;
         copy(0, reply.as_slice());
         return Ok(());
     }
@@ -73,7 +73,7 @@ where
     let mut read = 0;
     loop {
         while read < count {
-            let part = InPlace::<C, N>(request(nth(first, read)?, most.min(count - read))?);
+            let part = StackReply::<C, N>(request(nth(first, read)?, most.min(count - read))?);
             match job.call(read, part, true).await? {
                 Outcome::Reply(JobReply { reply, .. }) => {
                     copy(read, reply.as_slice());

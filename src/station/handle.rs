@@ -4,7 +4,7 @@ use std::fmt;
 
 use tokio::sync::watch;
 
-use crate::command::{Answer, Command, InvalidRequest, Request, with_command};
+use crate::command::{Command, ForwardedReply, InvalidRequest, Request, with_command};
 use crate::error::Error;
 use crate::link::{Answered, CallOptions, Link, Purpose, StationState, StationStats};
 
@@ -173,13 +173,13 @@ impl Station {
     /// # Errors
     /// As for every method of this type. What the PLC refuses is [`Error::Plc`]:
     /// [`encode_refusal`](crate::command::encode_refusal) makes a frame of its error code.
-    pub async fn forward(&self, request: Request) -> Result<Answer, Error> {
+    pub async fn forward(&self, request: Request) -> Result<ForwardedReply, Error> {
         with_command!(request, request => self.answer(request).await)
     }
 
-    async fn answer<C: Command>(&self, request: C) -> Result<Answer, Error> {
+    async fn answer<C: Command>(&self, request: C) -> Result<ForwardedReply, Error> {
         let reply = self.call(request.clone()).await?;
-        Ok(Answer::new(request, reply))
+        Ok(ForwardedReply::new(request, reply))
     }
 }
 

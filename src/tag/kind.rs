@@ -212,6 +212,6 @@ fn bits(element: Value) -> u32 {
     match element {
         Value::Bit(on) => on.into(),
         Value::Word(word) => word.into(),
-        Value::Double(double) => double,
+        Value::DWord(double) => double,
     }
 }

@@ -61,9 +61,9 @@ fn ten_registers_are_five_floats() {
 fn thirty_two_bits_on_16_bit_registers_have_the_low_word_first() {
     // 10,000,000, and the float of the manual's example.
     assert_eq!(decode("R100:u32", &[Value::Word(0x9680), Value::Word(0x0098)]), [TagValue::U32(10_000_000)]);
-    assert_eq!(decode("DR100", &[Value::Double(0x0098_9680)]), [TagValue::U32(10_000_000)]);
+    assert_eq!(decode("DR100", &[Value::DWord(0x0098_9680)]), [TagValue::U32(10_000_000)]);
     assert_eq!(decode("R2:f32", &[Value::Word(0x1000), Value::Word(0xC3FA)]), [TagValue::F32(-500.125)]);
-    assert_eq!(decode("DR2:f32", &[Value::Double(0xC3FA_1000)]), [TagValue::F32(-500.125)]);
+    assert_eq!(decode("DR2:f32", &[Value::DWord(0xC3FA_1000)]), [TagValue::F32(-500.125)]);
     assert_eq!(encode("R2:f32=-500.125"), [Value::Word(0x1000), Value::Word(0xC3FA)]);
     assert_eq!(encode("R0-R3:i32=-2,3"), [0xFFFE, 0xFFFF, 3, 0].map(Value::Word));
 }
@@ -74,8 +74,8 @@ fn bits_are_read_as_the_type_says() {
     assert_eq!(decode("R0", &word), [TagValue::U16(65534)]);
     assert_eq!(decode("R0:i16", &word), [TagValue::I16(-2)]);
     assert_eq!(decode("R0:hex", &word), [TagValue::Hex16(0xFFFE)]);
-    assert_eq!(decode("DR0:hex", &[Value::Double(0xFE)]), [TagValue::Hex32(0xFE)]);
-    assert_eq!(decode("DR0:i32", &[Value::Double(u32::MAX)]), [TagValue::I32(-1)]);
+    assert_eq!(decode("DR0:hex", &[Value::DWord(0xFE)]), [TagValue::Hex32(0xFE)]);
+    assert_eq!(decode("DR0:i32", &[Value::DWord(u32::MAX)]), [TagValue::I32(-1)]);
     assert_eq!(decode("X0-X1", &[Value::Bit(true), Value::Bit(false)]), [TagValue::Bool(true), TagValue::Bool(false)]);
 }
 
@@ -196,7 +196,7 @@ fn raw_values_and_typed_values_must_be_the_tags_own() {
     let pair = tag("R0-R1");
     let message = |result: Result<Vec<TagValue>, ValueError>| result.unwrap_err().to_string();
     assert_eq!(message(pair.decode(&[Value::Word(1)])), "R0-R1 takes 2 of them, not 1");
-    let wide = [Value::Word(1), Value::Double(7)];
+    let wide = [Value::Word(1), Value::DWord(7)];
     assert_eq!(message(pair.decode(&wide)), "R0-R1 has elements of 16 bits, and 7 has 32");
     let message = |result: Result<Vec<Value>, ValueError>| result.unwrap_err().to_string();
     assert_eq!(message(pair.encode(&[])), "R0-R1 takes 2 of them, not 0");
@@ -252,7 +252,7 @@ fn raw(tag: Tag) -> impl Strategy<Value = Vec<Value>> {
         let value = |bits: u32| match tag.first().width() {
             Width::Bit => Value::Bit(bits & 1 == 1),
             Width::Word => Value::Word(low(bits)),
-            Width::Double => Value::Double(bits),
+            Width::DWord => Value::DWord(bits),
         };
         bits.into_iter().map(value).collect()
     })

@@ -31,7 +31,7 @@ impl TagType {
         match width {
             Width::Bit => Self::Bool,
             Width::Word => Self::U16,
-            Width::Double => Self::U32,
+            Width::DWord => Self::U32,
         }
     }
 
@@ -110,7 +110,7 @@ macro_rules! types {
                     $(
                         (Self::$variant, Width::Bit) => types!(@kind $discrete),
                         (Self::$variant, Width::Word) => types!(@kind $word),
-                        (Self::$variant, Width::Double) => types!(@kind $double),
+                        (Self::$variant, Width::DWord) => types!(@kind $double),
                     )*
                 }
             }

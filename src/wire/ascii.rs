@@ -5,29 +5,30 @@
 //! 02h  2 hex    2 hex    0..500 chars  2 hex  03h
 //! ```
 //!
-//! The LRC is the low byte of the sum of every byte from STX to the end of the data. Numbers are hexadecimal, upper
-//! case when sent and either case when received; element addresses are decimal. Source: protocol reference,
-//! section 1 (manuals 000 and 002, section 2).
+//! The LRC is the low byte of the sum of all bytes from STX to the end of the data. Numbers are
+//! hexadecimal: upper case is sent, either case is received. Addresses of elements are decimal.
+//! Source: protocol reference, section 1 (manuals 000 and 002, section 2).
 
 use std::io;
 
 use bytes::{Buf, BufMut, BytesMut};
 use tokio_util::codec::{Decoder, Encoder};
 
+use super::bulk;
 use super::field::{FieldError, FieldReader, FieldWriter};
 use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received};
-use super::{bulk, hex};
 use crate::element::{Element, ElementError, LONGEST_SYMBOL, Symbol};
+use crate::hex;
 
-/// The start code.
+/// The first byte of a frame.
 pub const STX: u8 = 0x02;
-/// The end code.
+/// The last byte of a frame.
 pub const ETX: u8 = 0x03;
 
 /// The `tokio_util` codec of the ASCII framing.
 ///
-/// One type serves both sides: the framing does not tell queries from replies. Decoding yields [`Received`], which
-/// counts noise as items instead of failing; the only errors come from the transport.
+/// It serves both sides, because queries and replies have the same form in this framing. Decoding
+/// yields [`Received`], for noise as well, and errors of the transport only.
 ///
 /// ```
 /// use bytes::BytesMut;
@@ -46,7 +47,7 @@ pub const ETX: u8 = 0x03;
 #[derive(Clone, Debug)]
 pub struct AsciiCodec {
     max_frame_len: usize,
-    /// How much of the buffer holds no STX or ETX that is still to be looked at.
+    /// The length of the beginning of the buffer that was searched for STX and ETX.
     scanned: usize,
 }
 
@@ -64,12 +65,13 @@ impl AsciiCodec {
         self
     }
 
-    /// Gives up the frame that has begun but not ended; see [`Codec::skip_partial`](super::Codec::skip_partial).
+    /// Discards the first byte of an incomplete frame; see
+    /// [`Codec::skip_partial`](super::Codec::skip_partial).
     ///
-    /// In this framing nothing has to be done: a frame that was cut off ends at the next STX.
+    /// Does nothing in this framing: a frame that was cut off ends at the next STX.
     pub fn skip_partial(&mut self) {}
 
-    /// Forgets where it was, for a buffer that has been emptied.
+    /// Resets the decoder, for a buffer that has been cleared.
     pub fn reset(&mut self) {
         self.scanned = 0;
     }
@@ -99,7 +101,7 @@ impl Decoder for AsciiCodec {
                 return Ok(Some(self.discard(src, garbage, Discard::Garbage)));
             }
         }
-        // The data of a frame holds neither code, so the first of them ends this frame one way or the other.
+        // Data contains neither STX nor ETX, so the first of them ends this frame.
         let from = self.scanned.max(1);
         let mark = memchr::memchr2(STX, ETX, src.get(from..).unwrap_or_default()).map(|at| at.saturating_add(from));
         let end = mark.unwrap_or(src.len());
@@ -144,7 +146,9 @@ impl Encoder<&Frame> for AsciiCodec {
         if len > self.max_frame_len {
             return Err(EncodeError::TooLong { len, max: self.max_frame_len });
         }
-        check_printable(&frame.data)?;
+        if let Some((position, byte)) = find_unprintable(&frame.data) {
+            return Err(EncodeError::NotPrintable { byte, position });
+        }
         dst.reserve(len);
         emit(dst, frame.station, frame.command, |fields| fields.raw(&frame.data));
         Ok(())
@@ -159,7 +163,7 @@ impl Encoder<Frame> for AsciiCodec {
     }
 }
 
-/// Appends a frame whose data the closure writes.
+/// Appends a frame. The closure writes its data.
 pub(crate) fn emit(dst: &mut BytesMut, station: u8, command: u8, data: impl FnOnce(&mut AsciiWriter<'_>)) {
     let start = dst.len();
     let ([s1, s0], [c1, c0]) = (hex::of_byte(station), hex::of_byte(command));
@@ -169,32 +173,33 @@ pub(crate) fn emit(dst: &mut BytesMut, station: u8, command: u8, data: impl FnOn
     dst.put_slice(&[l1, l0, ETX]);
 }
 
-/// Only printable characters can stand between STX and ETX: the two codes end the frame, and a line of 7 data bits
-/// drops the eighth.
-pub(crate) fn check_printable(data: &[u8]) -> Result<(), EncodeError> {
+/// The first byte that is not a printable character, and its position.
+///
+/// Such bytes cannot be sent: STX and ETX would end the frame, and a line of 7 data bits drops the
+/// eighth.
+pub(crate) fn find_unprintable(data: &[u8]) -> Option<(usize, u8)> {
     let printable = |byte: &u8| (0x20..=0x7E).contains(byte);
-    // Without a way out in the middle: nearly always all are.
+    // No early exit: nearly always all are printable, and a plain loop is vectorised.
     if data.iter().fold(true, |all, byte| all & printable(byte)) {
-        return Ok(());
+        return None;
     }
-    let position = data.iter().position(|byte| !printable(byte)).unwrap_or_default();
-    Err(EncodeError::NotPrintable { byte: data.get(position).copied().unwrap_or_default(), position })
+    data.iter().copied().enumerate().find(|(_, byte)| !printable(byte))
 }
 
 /// STX, station and command.
 const HEAD: usize = 5;
 /// LRC and ETX.
 const TAIL: usize = 3;
-/// All of a frame but its data.
+/// A frame without data.
 pub(crate) const OVERHEAD: usize = HEAD + TAIL;
 
-/// The low byte of the sum.
+/// The LRC: the low byte of the sum.
 #[must_use]
 pub fn lrc(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0, |sum, &byte| sum.wrapping_add(byte))
 }
 
-/// Reads station and command of one whole frame, STX to ETX, whose checksum is right.
+/// The station and the command of a complete frame, STX to ETX, with a good checksum.
 fn parse(bytes: &[u8]) -> Result<(u8, u8), Discard> {
     let body_len = bytes.len().checked_sub(TAIL).ok_or(Discard::Malformed)?;
     let (body, tail) = bytes.split_at_checked(body_len).ok_or(Discard::Malformed)?;
@@ -224,7 +229,8 @@ impl FieldWriter for AsciiWriter<'_> {
     }
 
     fn code(&mut self, code: u8) {
-        // A code that has no digit of its own must not look like another one, least of all like 0.
+        // A code above F has no digit. It must not look like another code, least of all like 0,
+        // success.
         self.dst.put_u8(hex::digit(code.min(0x0F)));
     }
 
@@ -236,8 +242,8 @@ impl FieldWriter for AsciiWriter<'_> {
         self.dst.put_slice(&hex::of_word(word));
     }
 
-    fn double(&mut self, double: u32) {
-        self.dst.put_slice(&hex::of_double(double));
+    fn dword(&mut self, dword: u32) {
+        self.dst.put_slice(&hex::of_dword(dword));
     }
 
     fn element(&mut self, element: Element) {
@@ -245,7 +251,8 @@ impl FieldWriter for AsciiWriter<'_> {
         let mut digits = [b'0'; LONGEST_ADDRESS];
         let mut address = element.address();
         for digit in digits.iter_mut().rev() {
-            *digit = hex::digit(u8::try_from(address % 10).unwrap_or_default());
+            let [low, _] = (address % 10).to_le_bytes();
+            *digit = hex::digit(low);
             address /= 10;
         }
         self.dst.put_slice(symbol.as_str().as_bytes());
@@ -260,8 +267,8 @@ impl FieldWriter for AsciiWriter<'_> {
         bulk::put(self.dst, words, hex::of_word);
     }
 
-    fn doubles(&mut self, doubles: &[u32]) {
-        bulk::put(self.dst, doubles, hex::of_double);
+    fn dwords(&mut self, dwords: &[u32]) {
+        bulk::put(self.dst, dwords, hex::of_dword);
     }
 
     fn raw(&mut self, bytes: &[u8]) {
@@ -293,13 +300,13 @@ impl<'a> AsciiReader<'a> {
         }
     }
 
-    /// Why the next characters are not so many digits.
+    /// The reason why the next `count` characters are not digits.
     fn not_digits(&self, count: usize) -> FieldError {
         let first = self.data.iter().take(count).find(|character| !character.is_ascii_hexdigit());
         first.map_or(FieldError::Truncated, |&character| FieldError::NotHex(character))
     }
 
-    /// Takes as many values as there is room for, each of `N` digits.
+    /// One value of `N` digits for each place of the slice.
     fn values<T, const N: usize>(&mut self, into: &mut [T], value: impl Fn([u8; N]) -> T) -> Result<(), FieldError> {
         let count = into.len().saturating_mul(N);
         match self.data.split_at_checked(count) {
@@ -334,8 +341,8 @@ impl FieldReader for AsciiReader<'_> {
         self.digits().map(hex::word)
     }
 
-    fn double(&mut self) -> Result<u32, FieldError> {
-        self.digits().map(hex::double)
+    fn dword(&mut self) -> Result<u32, FieldError> {
+        self.digits().map(hex::dword)
     }
 
     fn bits(&mut self, into: &mut [bool]) -> Result<(), FieldError> {
@@ -346,7 +353,7 @@ impl FieldReader for AsciiReader<'_> {
             bulk::fill(into, bits, |[bit]| bit & 1 == 1);
             return Ok(());
         }
-        // One by one, the first that is wrong says why.
+        // One by one: the first wrong one is the error.
         into.iter_mut().try_for_each(|bit| self.bit().map(|value| *bit = value))
     }
 
@@ -354,8 +361,8 @@ impl FieldReader for AsciiReader<'_> {
         self.values(into, hex::word)
     }
 
-    fn doubles(&mut self, into: &mut [u32]) -> Result<(), FieldError> {
-        self.values(into, hex::double)
+    fn dwords(&mut self, into: &mut [u32]) -> Result<(), FieldError> {
+        self.values(into, hex::dword)
     }
 
     fn layout(&mut self, _elements: usize, _values: usize) -> Result<(), FieldError> {
@@ -363,7 +370,8 @@ impl FieldReader for AsciiReader<'_> {
     }
 
     fn element(&mut self) -> Result<Element, FieldError> {
-        // The longest symbol that fits, so that a hexadecimal digit in the address is called that: `RA0012`.
+        // The longest symbol first. In `RA0012`, the `A` is then a wrong digit of `R`, not an
+        // unknown symbol.
         let mut symbols = (1..=LONGEST_SYMBOL).rev().filter_map(|length| {
             let (letters, rest) = self.data.split_at_checked(length)?;
             Some((Symbol::from_letters(letters)?, rest))
@@ -389,7 +397,7 @@ impl FieldReader for AsciiReader<'_> {
     }
 }
 
-/// The digits of the longest address.
+/// The length of the longest address, in digits.
 const LONGEST_ADDRESS: usize = 5;
 
 #[cfg(test)]

@@ -5,9 +5,10 @@
 //! 51h/52h  10h  2 bytes  station command data …   2 bytes  55h AAh
 //! ```
 //!
-//! 51h is a query, 52h a reply. The length counts the payload and is big-endian. The CRC is CRC-16/MODBUS over length
-//! and payload, low byte first. The terminator can occur inside the payload: a frame ends by its length. Source:
-//! protocol reference, section 2 (manual 001, sections 1 and 2).
+//! 51h is a query, 52h a reply. The length is that of the payload, big-endian. The CRC is
+//! CRC-16/MODBUS over length and payload, low byte first. The terminator can also occur inside the
+//! payload, so the length decides where a frame ends. Source: protocol reference, section 2 (manual
+//! 001, sections 1 and 2).
 
 use std::io;
 
@@ -17,7 +18,7 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use super::field::{FieldError, FieldReader, FieldWriter};
 use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received, Side};
-use super::{bulk, readings};
+use super::{bulk, element_list};
 use crate::element::Element;
 
 /// The first byte of a query.
@@ -31,12 +32,13 @@ pub const TERMINATOR: [u8; 2] = [0x55, 0xAA];
 
 /// The `tokio_util` codec of the binary framing.
 ///
-/// [`client`](Self::client) sends queries and receives replies, [`plc`](Self::plc) the other way round. Decoding
-/// yields [`Received`], which counts noise as items instead of failing; the only errors come from the transport.
+/// [`client`](Self::client) sends queries and receives replies, [`plc`](Self::plc) the other way
+/// round. Decoding yields [`Received`], for noise as well, and errors of the transport only.
 ///
-/// A frame that has begun is waited for as its length says, even when what has come of it holds another whole frame:
-/// a payload may well hold one. When the line falls silent instead, [`skip_partial`](Self::skip_partial) gives it up;
-/// at the end of the input that is done of itself.
+/// The decoder waits for all bytes that the length field announces, even if a complete frame is
+/// among them: a payload may contain one. If the line falls silent,
+/// [`skip_partial`](Self::skip_partial) discards the incomplete frame. At the end of the input,
+/// `decode_eof` does so.
 ///
 /// ```
 /// use bytes::BytesMut;
@@ -52,9 +54,9 @@ pub const TERMINATOR: [u8; 2] = [0x55, 0xAA];
 pub struct BinaryCodec {
     side: Side,
     max_frame_len: usize,
-    /// The buffer began with a part of a frame when it was last looked at.
+    /// The buffer began with an incomplete frame when it was last decoded.
     partial: bool,
-    /// That part is to be given up if no more has come of it.
+    /// Discard the incomplete frame if it is still incomplete when it is decoded next.
     give_up: bool,
 }
 
@@ -78,12 +80,13 @@ impl BinaryCodec {
         self
     }
 
-    /// Gives up the frame that has begun but not ended; see [`Codec::skip_partial`](super::Codec::skip_partial).
+    /// Discards the first byte of an incomplete frame; see
+    /// [`Codec::skip_partial`](super::Codec::skip_partial).
     pub fn skip_partial(&mut self) {
         self.give_up = self.partial;
     }
 
-    /// Forgets where it was, for a buffer that has been emptied.
+    /// Resets the decoder, for a buffer that has been cleared.
     pub fn reset(&mut self) {
         self.partial = false;
         self.give_up = false;
@@ -128,8 +131,8 @@ impl Decoder for BinaryCodec {
             }
             Measure::Whole { good: false, .. } => Discard::BadChecksum,
         };
-        // What looked like a frame is none. A good one may begin inside it, so only the bytes up to the next
-        // beginning go.
+        // Not a frame. A good one may begin inside it, so only the bytes up to the next possible
+        // beginning are discarded.
         let bytes = src.split_to(begin(src, 1)).freeze();
         Ok(Some(Received::Discarded { reason, bytes }))
     }
@@ -168,7 +171,7 @@ impl Encoder<Frame> for BinaryCodec {
     }
 }
 
-/// Appends a frame whose data the closure writes.
+/// Appends a frame. The closure writes its data, at most 65,533 bytes.
 pub(crate) fn emit(dst: &mut BytesMut, side: Side, station: u8, command: u8, data: impl FnOnce(&mut BinaryWriter<'_>)) {
     let header = match side {
         Side::Client => QUERY,
@@ -179,7 +182,8 @@ pub(crate) fn emit(dst: &mut BytesMut, side: Side, station: u8, command: u8, dat
     data(&mut BinaryWriter { dst });
     let payload = dst.len().saturating_sub(start).saturating_sub(HEAD);
     let length_field = start.saturating_add(2);
-    // Every caller has checked the length; a payload that does not fit would be sent as one that no PLC answers.
+    debug_assert!(payload <= usize::from(u16::MAX), "the callers check the length");
+    // A payload that does not fit would be sent with length 0, which no PLC answers.
     let length = u16::try_from(payload).unwrap_or_default().to_be_bytes();
     if let Some(field) = dst.get_mut(length_field..).and_then(|tail| tail.first_chunk_mut()) {
         *field = length;
@@ -201,12 +205,13 @@ static CRC: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_MODBUS);
 const HEAD: usize = 4;
 /// CRC and terminator.
 const TAIL: usize = 4;
-/// All of a frame but its data: head, station, command, tail.
-const OVERHEAD: usize = HEAD + 2 + TAIL;
-/// The longest frame that the length field can say.
+/// A frame without data: head, station, command, tail.
+pub(crate) const OVERHEAD: usize = HEAD + 2 + TAIL;
+/// The longest frame that the length field can announce.
 const LONGEST: usize = 65_535 + HEAD + TAIL;
 
-/// Where the next frame can begin at the earliest, looking from `from` on; the end of the buffer if nowhere.
+/// The first position from `from` on where a frame can begin; the end of the buffer if there is
+/// none.
 fn begin(bytes: &[u8], from: usize) -> usize {
     let tail = bytes.get(from..).unwrap_or_default();
     let at = tail.iter().enumerate().position(|(i, &byte)| {
@@ -217,15 +222,15 @@ fn begin(bytes: &[u8], from: usize) -> usize {
 }
 
 enum Measure {
-    /// It may become a frame.
+    /// The beginning of what may be a frame.
     Partial,
-    /// It is none.
+    /// Not a frame.
     Bad(Discard),
-    /// It is all there.
+    /// A complete frame, and whether checksum and terminator are good.
     Whole { len: usize, good: bool },
 }
 
-/// What the bytes at the beginning of the buffer amount to; header and id have been looked at.
+/// Measures the frame at the beginning of the buffer, whose header and id are good.
 fn measure(bytes: &[u8], max: usize) -> Measure {
     let Some(&[_, _, high, low]) = bytes.first_chunk::<HEAD>() else {
         return Measure::Partial;
@@ -241,7 +246,7 @@ fn measure(bytes: &[u8], max: usize) -> Measure {
     let Some(frame) = bytes.get(..len) else {
         return Measure::Partial;
     };
-    // The terminator first: it is cheap, and it turns most noise away before the CRC is computed.
+    // The terminator first: it is cheap to check, and most noise fails it, so no CRC is computed.
     let good = frame
         .strip_suffix(&TERMINATOR)
         .and_then(<[u8]>::split_last_chunk)
@@ -249,7 +254,7 @@ fn measure(bytes: &[u8], max: usize) -> Measure {
     Measure::Whole { len, good }
 }
 
-/// The content of a whole, good frame.
+/// The content of a complete, good frame.
 fn frame(mut bytes: bytes::Bytes) -> Frame {
     let end = bytes.len().saturating_sub(TAIL);
     bytes.truncate(end);
@@ -290,8 +295,8 @@ impl FieldWriter for BinaryWriter<'_> {
         self.dst.put_u16(word);
     }
 
-    fn double(&mut self, double: u32) {
-        self.dst.put_u32(double);
+    fn dword(&mut self, dword: u32) {
+        self.dst.put_u32(dword);
     }
 
     fn element(&mut self, element: Element) {
@@ -307,8 +312,8 @@ impl FieldWriter for BinaryWriter<'_> {
         bulk::put(self.dst, words, u16::to_be_bytes);
     }
 
-    fn doubles(&mut self, doubles: &[u32]) {
-        bulk::put(self.dst, doubles, u32::to_be_bytes);
+    fn dwords(&mut self, dwords: &[u32]) {
+        bulk::put(self.dst, dwords, u32::to_be_bytes);
     }
 
     fn raw(&mut self, bytes: &[u8]) {
@@ -320,7 +325,7 @@ impl FieldWriter for BinaryWriter<'_> {
 #[derive(Clone, Debug)]
 pub struct BinaryReader<'a> {
     data: &'a [u8],
-    /// The lengths of the symbols that lie ahead, the next one last.
+    /// The lengths of the symbols that follow, the next one last.
     symbols: Vec<u8>,
 }
 
@@ -337,7 +342,7 @@ impl<'a> BinaryReader<'a> {
         Ok(*taken)
     }
 
-    /// Takes as many values as there is room for, each of `N` bytes.
+    /// One value of `N` bytes for each place of the slice.
     fn values<T, const N: usize>(&mut self, into: &mut [T], value: impl Fn([u8; N]) -> T) -> Result<(), FieldError> {
         let (taken, rest) = self.data.split_at_checked(into.len().saturating_mul(N)).ok_or(FieldError::Truncated)?;
         self.data = rest;
@@ -367,7 +372,7 @@ impl FieldReader for BinaryReader<'_> {
         Ok(u16::from_be_bytes(self.take()?))
     }
 
-    fn double(&mut self) -> Result<u32, FieldError> {
+    fn dword(&mut self) -> Result<u32, FieldError> {
         Ok(u32::from_be_bytes(self.take()?))
     }
 
@@ -379,7 +384,7 @@ impl FieldReader for BinaryReader<'_> {
             bulk::fill(into, bits, |[bit]| bit & 1 == 1);
             return Ok(());
         }
-        // One by one, the first that is wrong says why.
+        // One by one: the first wrong one is the error.
         into.iter_mut().try_for_each(|bit| self.bit().map(|value| *bit = value))
     }
 
@@ -387,12 +392,12 @@ impl FieldReader for BinaryReader<'_> {
         self.values(into, u16::from_be_bytes)
     }
 
-    fn doubles(&mut self, into: &mut [u32]) -> Result<(), FieldError> {
+    fn dwords(&mut self, into: &mut [u32]) -> Result<(), FieldError> {
         self.values(into, u32::from_be_bytes)
     }
 
     fn layout(&mut self, elements: usize, values: usize) -> Result<(), FieldError> {
-        self.symbols = readings::symbol_lengths(self.data, elements, values)?;
+        self.symbols = element_list::symbol_lengths(self.data, elements, values)?;
         self.symbols.reverse();
         Ok(())
     }
@@ -400,7 +405,7 @@ impl FieldReader for BinaryReader<'_> {
     fn element(&mut self) -> Result<Element, FieldError> {
         let length = self.symbols.pop().ok_or(FieldError::Unreadable)?;
         let (letters, rest) = self.data.split_at_checked(usize::from(length)).ok_or(FieldError::Truncated)?;
-        let symbol = readings::symbol(letters).ok_or(FieldError::Unreadable)?;
+        let symbol = element_list::symbol(letters).ok_or(FieldError::Unreadable)?;
         self.data = rest;
         Ok(Element::new(symbol, self.word()?)?)
     }

@@ -3,7 +3,7 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use super::{AsciiCodec, BinaryCodec, EncodeError, Frame, Framing, Received, Side};
 
-/// Either codec, chosen when the program runs.
+/// The codec of either framing, chosen at run time.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Codec {
@@ -33,10 +33,11 @@ impl Codec {
         }
     }
 
-    /// Gives up the frame that has begun but not ended, so that decoding goes on behind its first byte.
+    /// Discards the first byte of an incomplete frame, so that the rest of the buffer is decoded.
     ///
-    /// For a line that has fallen silent in the middle of what looked like a frame: what is left of the buffer may
-    /// hold a whole one. Does nothing when the buffer holds no beginning of a frame.
+    /// For a line that falls silent within a frame: bytes that only look like the beginning of a
+    /// frame can hide a complete one. Does nothing if the buffer does not begin with an incomplete
+    /// frame.
     pub fn skip_partial(&mut self) {
         match self {
             Self::Ascii(codec) => codec.skip_partial(),
@@ -44,7 +45,7 @@ impl Codec {
         }
     }
 
-    /// Forgets where it was, for a buffer that has been emptied.
+    /// Resets the decoder, for a buffer that has been cleared.
     pub fn reset(&mut self) {
         match self {
             Self::Ascii(codec) => codec.reset(),
@@ -96,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn either_codec_that_was_reset_waits_for_a_new_frame_as_if_it_had_seen_none() {
+    fn a_codec_after_reset_decodes_like_a_new_one() {
         let ascii: &[u8] = b"\x0201410F8\x03";
         let binary: &[u8] = b"\x52\x10\x00\x03\x01\x41\x00\x45\xD4\x55\xAA";
         for (framing, frame) in [(Framing::Ascii, ascii), (Framing::Binary, binary)] {

@@ -1,8 +1,6 @@
-use crate::ErrorCode;
-use crate::command::{InvalidRequest, Value};
-use crate::element::{Element, ElementError, Width};
+use crate::element::{Element, ElementError, Value, Width};
 
-/// Puts fields into the data of a frame, one after the other.
+/// Writes fields into the data of a frame, one after the other.
 ///
 /// | field | ASCII | binary |
 /// |---|---|---|
@@ -10,11 +8,11 @@ use crate::element::{Element, ElementError, Width};
 /// | code, bit | 1 digit | 1 byte |
 /// | byte | 2 hex digits | 1 byte |
 /// | word | 4 hex digits | 2 bytes, big-endian |
-/// | double | 8 hex digits | 4 bytes, big-endian |
+/// | dword | 8 hex digits | 4 bytes, big-endian |
 /// | element | letters, decimal address of fixed length | letters, 2 bytes, big-endian |
-/// | raw | as they are | as they are |
+/// | raw | unchanged | unchanged |
 pub trait FieldWriter {
-    /// A number of items, 1 to 256; 256 is sent as 0.
+    /// A number of items, 1 to 256, where 256 is sent as 0.
     fn count(&mut self, count: usize);
     /// A control or error code.
     fn code(&mut self, code: u8);
@@ -23,10 +21,10 @@ pub trait FieldWriter {
     /// 16 bits.
     fn word(&mut self, word: u16);
     /// 32 bits.
-    fn double(&mut self, double: u32);
+    fn dword(&mut self, dword: u32);
     /// An element.
     fn element(&mut self, element: Element);
-    /// Bytes as they are.
+    /// Bytes, unchanged.
     fn raw(&mut self, bytes: &[u8]);
 
     /// One discrete, on or off.
@@ -44,27 +42,27 @@ pub trait FieldWriter {
         words.iter().for_each(|&word| self.word(word));
     }
 
-    /// Several [doubles](Self::double).
-    fn doubles(&mut self, doubles: &[u32]) {
-        doubles.iter().for_each(|&double| self.double(double));
+    /// Several [double words](Self::dword).
+    fn dwords(&mut self, dwords: &[u32]) {
+        dwords.iter().for_each(|&dword| self.dword(dword));
     }
 
-    /// A value, as wide as it is.
+    /// A value, in its own width.
     fn value(&mut self, value: Value) {
         match value {
             Value::Bit(on) => self.bit(on),
             Value::Word(word) => self.word(word),
-            Value::Double(double) => self.double(double),
+            Value::DWord(dword) => self.dword(dword),
         }
     }
 }
 
-/// Takes fields out of the data of a frame, in the order they stand.
+/// Reads fields from the data of a frame, one after the other.
 ///
-/// Every method fails rather than guess; after a failure the position is unspecified, and so is what several values were
-/// read into.
+/// After an error the position in the data is unspecified, and so are the values in a slice that
+/// was to be filled.
 pub trait FieldReader {
-    /// A number of items: 1 to 255, and 0 which means 256.
+    /// A number of items, 1 to 256, where 0 is 256.
     ///
     /// # Errors
     /// [`FieldError`] as for [`byte`](Self::byte).
@@ -88,24 +86,25 @@ pub trait FieldReader {
     ///
     /// # Errors
     /// [`FieldError::Truncated`], [`FieldError::NotHex`].
-    fn double(&mut self) -> Result<u32, FieldError>;
-    /// Says what lies ahead: `elements` elements, each followed by `values` values of its own width, and then the
-    /// end of the data.
+    fn dword(&mut self) -> Result<u32, FieldError>;
+    /// Announces the rest of the data: `elements` elements, each followed by `values` values of its
+    /// own width.
     ///
-    /// The binary framing needs it before [`element`](Self::element): it does not say how long a symbol is, and only
-    /// the length of the whole tells `R` at address `54xxh` from `RT`.
+    /// Must be called before [`element`](Self::element). The binary framing does not send the
+    /// length of a symbol, and only the length of all data tells `R` at an address from 5400h from
+    /// `RT`.
     ///
     /// # Errors
     /// [`FieldError::Unreadable`] or [`FieldError::Ambiguous`].
     fn layout(&mut self, elements: usize, values: usize) -> Result<(), FieldError>;
-    /// An element; [`layout`](Self::layout) must have announced it.
+    /// An element that [`layout`](Self::layout) has announced.
     ///
     /// # Errors
     /// Any [`FieldError`].
     fn element(&mut self) -> Result<Element, FieldError>;
-    /// All that is left, as it is.
+    /// The rest of the data, unchanged.
     fn rest(&mut self) -> &[u8];
-    /// Whether nothing is left.
+    /// Whether the data has no more bytes.
     fn is_empty(&self) -> bool;
 
     /// One discrete, on or off.
@@ -120,7 +119,7 @@ pub trait FieldReader {
         }
     }
 
-    /// As many bits as there is room for.
+    /// One bit for each place of the slice.
     ///
     /// # Errors
     /// Those of [`bit`](Self::bit).
@@ -128,7 +127,7 @@ pub trait FieldReader {
         into.iter_mut().try_for_each(|bit| self.bit().map(|value| *bit = value))
     }
 
-    /// As many words as there is room for.
+    /// One word for each place of the slice.
     ///
     /// # Errors
     /// Those of [`word`](Self::word).
@@ -136,27 +135,27 @@ pub trait FieldReader {
         into.iter_mut().try_for_each(|word| self.word().map(|value| *word = value))
     }
 
-    /// As many doubles as there is room for.
+    /// One double word for each place of the slice.
     ///
     /// # Errors
-    /// Those of [`double`](Self::double).
-    fn doubles(&mut self, into: &mut [u32]) -> Result<(), FieldError> {
-        into.iter_mut().try_for_each(|double| self.double().map(|value| *double = value))
+    /// Those of [`dword`](Self::dword).
+    fn dwords(&mut self, into: &mut [u32]) -> Result<(), FieldError> {
+        into.iter_mut().try_for_each(|dword| self.dword().map(|value| *dword = value))
     }
 
     /// A value of this width.
     ///
     /// # Errors
-    /// Those of [`bit`](Self::bit), [`word`](Self::word) and [`double`](Self::double).
+    /// Those of [`bit`](Self::bit), [`word`](Self::word) and [`dword`](Self::dword).
     fn value(&mut self, width: Width) -> Result<Value, FieldError> {
         Ok(match width {
             Width::Bit => Value::Bit(self.bit()?),
             Width::Word => Value::Word(self.word()?),
-            Width::Double => Value::Double(self.double()?),
+            Width::DWord => Value::DWord(self.dword()?),
         })
     }
 
-    /// Nothing may be left.
+    /// Checks that the data has no more bytes.
     ///
     /// # Errors
     /// [`FieldError::Trailing`].
@@ -165,64 +164,41 @@ pub trait FieldReader {
     }
 }
 
-/// Why the data of a frame is not what the command says it is.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+/// The error of reading the fields of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FieldError {
-    /// The data ends before the field does.
+    /// The data ends within a field.
     #[error("the data is too short")]
     Truncated,
-    /// Something follows the last field.
+    /// Bytes follow the last field.
     #[error("the data is too long")]
     Trailing,
-    /// The data is not as long as this reply can be.
+    /// The length of the data is not one of this reply.
     #[error("the data is shorter or longer than it can be")]
     WrongLength,
-    /// A character that is no hexadecimal digit.
+    /// A character that is not a hexadecimal digit.
     #[error("{0:02X}h is not a hexadecimal digit")]
     NotHex(u8),
-    /// A character that is no decimal digit, in an address.
+    /// A character of an address that is not a decimal digit.
     #[error("{0:02X}h is not a decimal digit")]
     NotDecimal(u8),
     /// The state of a discrete that is neither 0 nor 1.
     #[error("{0} is not the state of a discrete (0 or 1)")]
     NotABit(u8),
-    /// A command that the protocol, or the framing, does not have.
-    #[error("there is no command {0:02X}")]
-    UnknownCommand(u8),
-    /// A code that the command does not have.
+    /// A control code that the command does not have.
     #[error("{0} is not a code of this command")]
     UnknownCode(u8),
-    /// The element is not one.
+    /// The symbol or the address of an element is wrong.
     #[error(transparent)]
     Element(#[from] ElementError),
-    /// The fields are well-formed, and break one of the command's limits.
-    #[error(transparent)]
-    Invalid(#[from] InvalidRequest),
-    /// The elements and values cannot be told apart in any way.
+    /// The data is not a list of elements. Binary framing only.
     #[error("the data is no list of elements that fills it")]
     Unreadable,
-    /// The elements and values can be told apart in more than one way. Binary framing only.
+    /// The data is a list of elements in more than one way. Binary framing only.
     #[error("the list of elements can be read in more than one way")]
     Ambiguous,
-    /// The echo of a loop-back is not what was sent.
+    /// The echo of a loop-back differs from the data that was sent.
     #[error("the echo differs from what was sent")]
     NotTheEcho,
-}
-
-impl FieldError {
-    /// What a PLC answers to a request with this fault: 2 for a value, A for an address, 4 for the rest
-    /// (protocol reference, section 4).
-    #[must_use]
-    pub fn error_code(&self) -> ErrorCode {
-        match self {
-            Self::NotHex(_) | Self::NotDecimal(_) | Self::NotABit(_) | Self::UnknownCode(_) => ErrorCode::IllegalValue,
-            Self::Element(ElementError::OutOfRange { .. } | ElementError::Misaligned { .. }) => {
-                ErrorCode::IllegalAddress
-            }
-            Self::Invalid(InvalidRequest::PastTheEnd { .. } | InvalidRequest::Element(_)) => ErrorCode::IllegalAddress,
-            Self::Invalid(_) => ErrorCode::IllegalValue,
-            _ => ErrorCode::IllegalFormat,
-        }
-    }
 }

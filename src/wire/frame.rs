@@ -1,85 +1,16 @@
 use std::fmt;
-use std::str::FromStr;
 
 use bytes::Bytes;
 
-use crate::element::{Symbol, Width};
-
-/// The longest frame the codecs accept and make by default, in bytes.
+/// The longest frame, in bytes, that the codecs decode and encode by default.
 ///
-/// The longest that the protocol has are 508 bytes in ASCII and 270 in binary.
+/// The longest frames of the protocol have 508 bytes in ASCII and 270 in binary.
 pub const MAX_FRAME_LEN: usize = 1024;
 
-/// How frames look on the wire.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[non_exhaustive]
-pub enum Framing {
-    /// `STX … LRC ETX`: all FB, FBe, FBs and B1 PLCs.
-    #[default]
-    Ascii,
-    /// `51h/52h 10h … CRC 55h AAh`: the M series.
-    Binary,
-}
-
-impl Framing {
-    /// The length of an element in a request: letters and address.
-    pub(crate) fn element_len(self, symbol: Symbol) -> usize {
-        let address = match self {
-            Self::Ascii => symbol.digits(),
-            Self::Binary => 2,
-        };
-        symbol.as_str().len().saturating_add(address)
-    }
-
-    /// The length of a value of this width in a request or a reply.
-    pub(crate) fn value_len(self, width: Width) -> usize {
-        match (width, self) {
-            (Width::Bit, _) => 1,
-            (Width::Word, Self::Ascii) => 4,
-            (Width::Word, Self::Binary) => 2,
-            (Width::Double, Self::Ascii) => 8,
-            (Width::Double, Self::Binary) => 4,
-        }
-    }
-
-    /// The length of a frame without data.
-    pub(crate) fn overhead(self) -> usize {
-        match self {
-            Self::Ascii => 8,
-            Self::Binary => 10,
-        }
-    }
-}
-
-impl fmt::Display for Framing {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Ascii => "ascii",
-            Self::Binary => "binary",
-        })
-    }
-}
-
-impl FromStr for Framing {
-    type Err = ParseFramingError;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        match text.to_ascii_lowercase().as_str() {
-            "ascii" => Ok(Self::Ascii),
-            "binary" => Ok(Self::Binary),
-            _ => Err(ParseFramingError(text.to_owned())),
-        }
-    }
-}
-
-/// A text that names no framing.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not a framing: it must be `ascii` or `binary`")]
-pub struct ParseFramingError(String);
-
-/// Which end of the line a codec stands on.
+/// The end of the line that a codec serves.
 ///
-/// The binary framing marks queries and replies with different headers; the ASCII framing does not tell them apart.
+/// Queries and replies have different headers in the binary framing and the same form in the ASCII
+/// framing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Side {
     /// Sends queries, receives replies.
@@ -88,14 +19,15 @@ pub enum Side {
     Plc,
 }
 
-/// What a frame carries, in either framing.
+/// The content of a frame, in either framing.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub struct Frame {
-    /// The station number: 0 is the broadcast, 1 to 254 are PLCs; 255 is no station but can be received.
+    /// The station number: 0 for a broadcast, 1 to 254 for a PLC. 255 is no station, but can be
+    /// received.
     pub station: u8,
     /// The command code, such as `0x46`.
     pub command: u8,
-    /// All between the command and the checksum: characters in ASCII, bytes in binary.
+    /// The data between command and checksum: characters in ASCII, bytes in binary.
     pub data: Bytes,
 }
 
@@ -111,17 +43,17 @@ impl fmt::Debug for Frame {
     }
 }
 
-/// What a decoder found.
+/// An item that a codec decodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Received {
-    /// A whole frame with a good checksum.
+    /// A complete frame with a good checksum.
     Frame(Frame),
-    /// Bytes that are no part of a good frame, and why they were passed over.
+    /// Bytes that belong to no good frame.
     Discarded {
-        /// Why.
+        /// The reason.
         reason: Discard,
-        /// The bytes themselves.
+        /// The bytes.
         bytes: Bytes,
     },
 }
@@ -137,21 +69,22 @@ impl Received {
     }
 }
 
-/// Why received bytes were passed over.
+/// The reason why received bytes were discarded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Discard {
     /// Bytes outside any frame.
     Garbage,
-    /// A frame that was cut off: another began inside it, or the input ended.
+    /// The beginning of a frame: another frame begins inside it, or the input ends.
     Truncated,
-    /// Begins and ends like a frame, but its checksum is wrong.
+    /// A frame with a wrong checksum.
     BadChecksum,
-    /// Begins like a frame, but its fields are not those of one.
+    /// The beginning of a frame, followed by fields that no frame has.
     Malformed,
-    /// Begins like a frame, and is longer than the limit.
+    /// The beginning of a frame that is longer than the limit.
     TooLong,
-    /// A good frame of the other direction: on a client, an echo of a query. Binary framing only.
+    /// A good frame of the other direction, such as the echo of a query at a client. Binary framing
+    /// only.
     WrongSide,
 }
 
@@ -168,26 +101,27 @@ impl fmt::Display for Discard {
     }
 }
 
-/// Why a frame was not encoded or a stream failed.
+/// The error of encoding a frame, or of the stream it is written to.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EncodeError {
     /// The frame would be longer than the limit.
     #[error("a frame of {len} bytes is over the limit of {max}")]
     TooLong {
-        /// What it would be, in bytes.
+        /// Its length, in bytes.
         len: usize,
         /// The limit, in bytes.
         max: usize,
     },
-    /// The data has a byte that the ASCII framing cannot carry: only printable characters, 20h to 7Eh, can pass.
+    /// The data has a byte that the ASCII framing cannot carry: it carries printable characters,
+    /// 20h to 7Eh.
     #[error(
         "the byte {byte:02X}h at position {position} of the data cannot be sent in the ASCII framing (20h to 7Eh can)"
     )]
     NotPrintable {
         /// The byte.
         byte: u8,
-        /// Where it stands in the data, from 0.
+        /// Its position in the data, from 0.
         position: usize,
     },
     /// The transport failed.
@@ -200,7 +134,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_frame_is_shown_with_its_data_as_text() {
+    fn debug_shows_the_data_of_a_frame_as_text() {
         let frame = Frame { station: 7, command: 0x4E, data: Bytes::from_static(b"AB\x02") };
         assert_eq!(format!("{frame:?}"), r#"Frame { station: 7, command: 4Eh, data: b"AB\x02" }"#);
     }

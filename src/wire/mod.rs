@@ -1,36 +1,28 @@
-//! The wire: how frames and their fields look in the two framings. No command is named here.
+//! The two framings: frames and their fields as bytes. Commands are not known here.
 //!
-//! - [`Frame`] is what both framings carry: station, command, data.
-//! - [`AsciiCodec`] and [`BinaryCodec`] are `tokio_util::codec` pairs, for either side of the line, usable
-//!   without the rest of this crate.
-//! - [`FieldWriter`] and [`FieldReader`] put the fields of a command into a frame's data and take them out again;
-//!   there is one of each for ASCII and for binary, and nothing else in this crate knows the difference.
+//! - [`Frame`] is the content of a frame in either framing: station, command, data.
+//! - [`AsciiCodec`] and [`BinaryCodec`] are `tokio_util::codec` pairs for both sides of the line,
+//!   usable without the rest of this crate. [`Codec`] is either of them, chosen at run time.
+//! - [`FieldWriter`] and [`FieldReader`] write the fields of a command into the data of a frame and
+//!   read them. Each has one implementation for ASCII and one for binary.
 //!
-//! **Nothing in this module panics or allocates without bound, whatever the bytes.** Noise is an item that is
-//! counted, never an error that ends a stream: a noisy line is not the end of a link.
-#![cfg_attr(
-    not(test),
-    deny(
-        clippy::unwrap_used,
-        clippy::expect_used,
-        clippy::panic,
-        clippy::indexing_slicing,
-        clippy::as_conversions,
-        clippy::arithmetic_side_effects
-    )
-)]
+//! **No input can cause a panic or unbounded memory use.** Noise is decoded as
+//! [`Received::Discarded`]. It is no error, because `Framed` ends its stream after one.
 
 pub mod ascii;
 pub mod binary;
 mod bulk;
 mod codec;
+mod element_list;
 mod field;
 mod frame;
-mod hex;
-mod readings;
+mod framing;
+mod length;
 
 pub use ascii::{AsciiCodec, AsciiReader, AsciiWriter};
 pub use binary::{BinaryCodec, BinaryReader, BinaryWriter};
 pub use codec::Codec;
 pub use field::{FieldError, FieldReader, FieldWriter};
-pub use frame::{Discard, EncodeError, Frame, Framing, MAX_FRAME_LEN, ParseFramingError, Received, Side};
+pub use frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received, Side};
+pub use framing::{Framing, ParseFramingError};
+pub(crate) use length::LONGEST_FRAME;

@@ -95,7 +95,7 @@ pub(crate) fn random(element: Element, dice: &mut Dice) -> Value {
     match element {
         Element::Discrete(_) => Value::Bit(bits & 1 == 1),
         Element::Register(_) => Value::Word(bits as u16),
-        Element::Register32(_) => Value::Double(bits as u32),
+        Element::Register32(_) => Value::DWord(bits as u32),
     }
 }
 

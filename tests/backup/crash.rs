@@ -22,7 +22,7 @@ async fn prepare(framing: Framing) -> (Bench, Backup, Vec<(Element, Value)>) {
         let other = match value.unwrap() {
             Value::Bit(on) => Value::Bit(!on),
             Value::Word(word) => Value::Word(!word),
-            Value::Double(double) => Value::Double(!double),
+            Value::DWord(double) => Value::DWord(!double),
         };
         bench.plc.write(element, other).unwrap();
     }

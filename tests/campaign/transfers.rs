@@ -97,7 +97,7 @@ fn check_backup(world: &World, station: u8, backup: &Backup, tally: &mut Tally) 
         let unreadable = element.symbol() != Symbol::M && address >= plant::READABLE;
         let expected = match element.symbol() {
             Symbol::M => Value::Bit(bit(station, address)),
-            Symbol::DR if !unreadable => Value::Double(dword(station, address)),
+            Symbol::DR if !unreadable => Value::DWord(dword(station, address)),
             _ => Value::Word(word(station, address)),
         };
         let right = match value {

@@ -295,7 +295,7 @@ fn words(request: &Request) -> BTreeSet<(Element, u16)> {
         Request::WriteMixed(write) => {
             let words = write.items().iter().flat_map(|&(element, value)| match value {
                 Value::Word(value) => run(element, &[value]),
-                Value::Double(value) => pairs(element, &[value]),
+                Value::DWord(value) => pairs(element, &[value]),
                 Value::Bit(_) => Vec::new(),
             });
             words.collect()

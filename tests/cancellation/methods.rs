@@ -2,7 +2,7 @@
 
 use bytes::BytesMut;
 use fatek::command::{
-    Answer, BriefStatus, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, LoopBack, ProgramPage,
+    BriefStatus, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, ForwardedReply, LoopBack, ProgramPage,
     ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadMixed, ReadProgramPage, ReadRegisters, ReadStatus, Request,
     WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters,
 };
@@ -98,7 +98,7 @@ pub(crate) fn reads() -> Vec<Method> {
             => ReadRegisters32(ReadRegisters::new(dd(100 * n), 1).unwrap()), [double(100 * n)];
         |n| read_mixed(&[d(100 * n).into(), dd(100 * n + 1).into()])
             => ReadMixed(ReadMixed::new([d(100 * n).into(), dd(100 * n + 1).into()]).unwrap()),
-            [Value::Word(word(1, 100 * n)), Value::Double(double(100 * n + 1))];
+            [Value::Word(word(1, 100 * n)), Value::DWord(double(100 * n + 1))];
         |n| loop_back(format!("turn {n}")) => LoopBack(LoopBack::new(format!("turn {n}")).unwrap()), ();
         |n| read_program_page(n) seen as first_word => ReadProgramPage(ReadProgramPage::new(n)), n;
     };
@@ -162,7 +162,7 @@ pub(crate) fn detailed(status: &DetailedStatus) -> bool {
 }
 
 /// The reply that a gateway sends on.
-fn frame(answer: &Answer) -> BytesMut {
+fn frame(answer: &ForwardedReply) -> BytesMut {
     let mut frame = BytesMut::new();
     answer.encode(Framing::Ascii, 1, &mut frame);
     frame

@@ -189,7 +189,7 @@ fn consecutive<E: Copy + fmt::Debug + Into<Element>, V: fmt::Debug>(
 }
 
 fn mixed(max_units: usize) -> impl Strategy<Value = Vec<(Element, Value)>> {
-    let any_element = prop_oneof![element(Width::Bit), element(Width::Word), element(Width::Double)];
+    let any_element = prop_oneof![element(Width::Bit), element(Width::Word), element(Width::DWord)];
     vec((any_element, any::<u32>()), 1..=max_units).prop_map(move |items| {
         let mut units = 0;
         let within = items.into_iter().take_while(|(e, _)| {
@@ -206,7 +206,7 @@ pub(crate) fn value(element: Element, bits: u32) -> Value {
     match element.width() {
         Width::Bit => Value::Bit(bits & 1 == 1),
         Width::Word => Value::Word(bits as u16),
-        Width::Double => Value::Double(bits),
+        Width::DWord => Value::DWord(bits),
     }
 }
 
@@ -232,7 +232,7 @@ fn register() -> impl Strategy<Value = Register> {
 }
 
 fn register32() -> impl Strategy<Value = Register32> {
-    element(Width::Double).prop_map(|e| e.try_into().unwrap())
+    element(Width::DWord).prop_map(|e| e.try_into().unwrap())
 }
 
 /// Any element of this width; the first and the last of each symbol more often.

@@ -1,6 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::element::Symbol;
 
 fn tag(text: &str) -> Tag {
     text.parse().unwrap()

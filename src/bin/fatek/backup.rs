@@ -243,7 +243,7 @@ fn cell(value: Value) -> Cell {
     match value {
         Value::Bit(on) => Cell { text: u8::from(on).to_string(), json: on.into() },
         Value::Word(word) => u32::from(word).into(),
-        Value::Double(double) => double.into(),
+        Value::DWord(double) => double.into(),
     }
 }
 

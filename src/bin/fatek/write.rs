@@ -44,5 +44,5 @@ fn words(values: &[Value]) -> Vec<u16> {
 }
 
 fn doubles(values: &[Value]) -> Vec<u32> {
-    values.iter().filter_map(|value| if let Value::Double(double) = *value { Some(double) } else { None }).collect()
+    values.iter().filter_map(|value| if let Value::DWord(double) = *value { Some(double) } else { None }).collect()
 }

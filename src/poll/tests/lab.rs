@@ -121,7 +121,7 @@ pub(super) fn value(epoch: u64, element: Element) -> Value {
     match element.width() {
         Width::Bit => Value::Bit(words[0] & 1 == 1),
         Width::Word => Value::Word(words[0]),
-        Width::Double => Value::Double(u32::from(words.get(1).copied().unwrap_or(7)) << 16 | u32::from(words[0])),
+        Width::DWord => Value::DWord(u32::from(words.get(1).copied().unwrap_or(7)) << 16 | u32::from(words[0])),
     }
 }
 
@@ -167,11 +167,11 @@ impl FakePlc {
         let values: Vec<Value> = elements(request).into_iter().map(|element| value(epoch, element)).collect();
         let bits = |value: &Value| if let Value::Bit(on) = value { *on } else { panic!("{value:?}") };
         let words = |value: &Value| if let Value::Word(word) = value { *word } else { panic!("{value:?}") };
-        let doubles = |value: &Value| if let Value::Double(double) = value { *double } else { panic!("{value:?}") };
+        let doubles = |value: &Value| if let Value::DWord(double) = value { *double } else { panic!("{value:?}") };
         let reply = match request {
             ReadRequest::Discretes(_) => Reply::Bits(values.iter().map(bits).collect()),
             ReadRequest::Registers(_) => Reply::Words(values.iter().map(words).collect()),
-            ReadRequest::Registers32(_) => Reply::Doubles(values.iter().map(doubles).collect()),
+            ReadRequest::Registers32(_) => Reply::DWords(values.iter().map(doubles).collect()),
             ReadRequest::Mixed(_) => Reply::Mixed(values),
         };
         self.last.push((request.clone(), reply.clone()));

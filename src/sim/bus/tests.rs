@@ -30,9 +30,9 @@ macro_rules! each_command {
         $do!(
             WriteMixed::new([
                 (element!("Y0"), Value::Bit(false)),
-                (element!("DD7"), Value::Double(0x0001_0002)),
+                (element!("DD7"), Value::DWord(0x0001_0002)),
                 (element!("RC3"), Value::Word(4)),
-                (element!("DF65534"), Value::Double(u32::MAX)),
+                (element!("DF65534"), Value::DWord(u32::MAX)),
             ])
             .unwrap()
         );
@@ -107,7 +107,7 @@ fn the_manuals_examples_are_answered_as_the_manuals_say() {
     assert_eq!(plc.read(element!("WY8")), Value::Word(0xAAAA));
     assert_eq!(plc.read(element!("WY24")), Value::Word(0x5555));
     assert_eq!(plc.read(element!("R3")), Value::Word(0));
-    assert_eq!(plc.read(element!("DR2")), Value::Double(0xFF));
+    assert_eq!(plc.read(element!("DR2")), Value::DWord(0xFF));
 }
 
 #[test]

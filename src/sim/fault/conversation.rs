@@ -17,10 +17,10 @@ pub(super) use self::conditions::MAX_LEFT_OVER;
 pub(crate) use self::conditions::{Conditions, LeftOvers};
 use super::faults::BroadcastVerdict;
 use super::{Addressee, Fault, Heard, Moment};
-use crate::command::Request;
+use crate::command::{Request, RequestError};
 use crate::sim::Bus;
 use crate::sim::bus::{BROADCAST, respond};
-use crate::wire::{FieldError, Frame, Framing, Received};
+use crate::wire::{Frame, Framing, Received};
 
 /// What is to be done to the connection.
 #[derive(Debug, PartialEq, Eq)]
@@ -242,7 +242,7 @@ impl Conversation {
     fn broadcast(
         &mut self,
         frame: &Frame,
-        request: Result<Request, FieldError>,
+        request: Result<Request, RequestError>,
         number: u64,
         from: Option<SocketAddr>,
         (arrived, turnaround): (Instant, Duration),
@@ -276,7 +276,7 @@ impl Conversation {
     }
 
     /// Executes a request on a PLC under the station number of the frame, and returns its reply.
-    fn respond(&self, station: u8, frame: &Frame, request: &Result<Request, FieldError>) -> (BytesMut, bool) {
+    fn respond(&self, station: u8, frame: &Frame, request: &Result<Request, RequestError>) -> (BytesMut, bool) {
         let mut reply = BytesMut::new();
         let is_done = self.bus.plc(station).is_some_and(|plc| respond(plc, frame, request, self.framing, &mut reply));
         (reply, is_done)
@@ -294,7 +294,7 @@ const MAX_EVENTS: usize = 64;
 /// How many copies and second answers a connection may have under way; further ones are not sent.
 const MAX_FOLLOW_UPS: usize = 64;
 
-fn heard(frame: &Frame, request: &Result<Request, FieldError>) -> Heard {
+fn heard(frame: &Frame, request: &Result<Request, RequestError>) -> Heard {
     match request {
         Ok(request) => Heard::Request { station: frame.station, request: request.clone() },
         Err(reason) => Heard::Unreadable { frame: frame.clone(), reason: reason.clone() },

@@ -6,8 +6,8 @@ use bytes::Bytes;
 use tokio::time::Instant;
 
 use super::Fault;
-use crate::command::Request;
-use crate::wire::{Discard, FieldError, Frame};
+use crate::command::{Request, RequestError};
+use crate::wire::{Discard, Frame};
 
 /// What has arrived at a [`Bus`](crate::sim::Bus) with [`Faults`](super::Faults), and what came of it.
 ///
@@ -225,7 +225,7 @@ pub enum Heard {
         /// The frame.
         frame: Frame,
         /// What is wrong with it.
-        reason: FieldError,
+        reason: RequestError,
     },
     /// Bytes that are no frame.
     #[non_exhaustive]

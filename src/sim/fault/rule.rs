@@ -1,9 +1,9 @@
 use super::dice::Dice;
 use super::{Addressee, Fault};
-use crate::command::{Code, Request};
-use crate::element::Element;
+use crate::command::{Code, Command, Request, Run, with_command};
+use crate::element::{Element, MemoryArea};
 use crate::sim::bus::BROADCAST;
-use crate::sim::memory::{Area, covered};
+use crate::sim::memory::covered;
 
 /// A [`Fault`], and which requests it befalls: all of them, until something narrows it down.
 ///
@@ -189,14 +189,14 @@ impl Odds {
 /// Addresses of one area, from the first to the last; none if the last comes before the first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Span {
-    area: Area,
+    area: MemoryArea,
     first: u16,
     last: u16,
 }
 
 impl Span {
     fn new(first: Element, count: usize) -> Self {
-        let area = Area::of(first.symbol());
+        let area = first.symbol().area();
         // Past the last element is nothing that could be touched.
         let last = count.checked_sub(1).map(|n| first.nth(n).map_or(u16::MAX, |last| covered(last).1));
         match last {
@@ -206,26 +206,10 @@ impl Span {
     }
 
     fn is_touched_by(self, request: &Request) -> bool {
-        let one = |element: Element| self.overlaps(Self::new(element, 1));
-        let run = |first: Element, count| self.overlaps(Self::new(first, count));
-        match request {
-            Request::ControlDiscrete(request) => one(request.discrete.into()),
-            Request::ReadDisabled(request) => run(request.first().into(), request.count()),
-            Request::ReadDiscretes(request) => run(request.first().into(), request.count()),
-            Request::WriteDiscretes(request) => run(request.first().into(), request.states().len()),
-            Request::ReadRegisters(request) => run(request.first().into(), request.count()),
-            Request::ReadRegisters32(request) => run(request.first().into(), request.count()),
-            Request::WriteRegisters(request) => run(request.first().into(), request.values().len()),
-            Request::WriteRegisters32(request) => run(request.first().into(), request.values().len()),
-            Request::ReadMixed(request) => request.elements().iter().copied().any(one),
-            Request::WriteMixed(request) => request.items().iter().any(|&(element, _)| one(element)),
-            Request::ReadStatus(_)
-            | Request::ControlPlc(_)
-            | Request::LoopBack(_)
-            | Request::ReadProgramPage(_)
-            | Request::WriteProgramPage(_)
-            | Request::ReadDetailedStatus(_) => false,
-        }
+        let mut is_touched = false;
+        let mut look = |run: Run| is_touched |= self.overlaps(Self::new(run.first, run.count));
+        with_command!(request, command => command.for_each_run(&mut look));
+        is_touched
     }
 
     fn overlaps(self, other: Self) -> bool {

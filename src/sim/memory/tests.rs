@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::element::Width;
+use crate::element::{Symbol, Width};
 use crate::{discrete, element, register, register32};
 
 #[test]
@@ -14,16 +14,16 @@ fn a_word_of_relays_overlaps_its_bits() {
     memory.set_word(register!("WM16"), 0x0002);
     assert!(memory.bit(discrete!("M17")));
     assert!(!memory.bit(discrete!("M23")) && !memory.bit(discrete!("M24")));
-    assert_eq!(memory.double(register32!("DWM8")), 0x0000_0201);
+    assert_eq!(memory.dword(register32!("DWM8")), 0x0000_0201);
 }
 
 #[test]
 fn a_double_register_is_two_registers_the_low_word_first() {
     let mut memory = Memory::default();
-    memory.set_double(register32!("DR100"), 10_000_000);
+    memory.set_dword(register32!("DR100"), 10_000_000);
     assert_eq!((memory.word(register!("R100")), memory.word(register!("R101"))), (0x9680, 0x0098));
     memory.set_word(register!("R102"), 1);
-    assert_eq!(memory.double(register32!("DR101")), 0x0001_0098);
+    assert_eq!(memory.dword(register32!("DR101")), 0x0001_0098);
 }
 
 #[test]
@@ -41,8 +41,8 @@ fn the_last_words_of_relays_reach_the_last_relay() {
     let mut memory = Memory::default();
     memory.set_word(register!("WM9984"), 0x8000);
     assert!(memory.bit(discrete!("M9999")));
-    assert_eq!(memory.double(register32!("DWM9968")), 0x8000_0000);
-    memory.set_double(register32!("DR65534"), 0xABCD_0000);
+    assert_eq!(memory.dword(register32!("DWM9968")), 0x8000_0000);
+    memory.set_dword(register32!("DR65534"), 0xABCD_0000);
     assert_eq!(memory.word(register!("R65535")), 0xABCD);
 }
 
@@ -50,7 +50,7 @@ fn the_last_words_of_relays_reach_the_last_relay() {
 fn a_value_of_the_wrong_width_is_refused_and_writes_nothing() {
     let mut memory = Memory::default();
     let element = element!("WM0");
-    let value = Value::Double(1);
+    let value = Value::DWord(1);
     assert_eq!(memory.write(element, value), Err(Error::WrongWidth { element, value }));
     assert_eq!(memory.read(element), Value::Word(0));
 }
@@ -58,7 +58,7 @@ fn a_value_of_the_wrong_width_is_refused_and_writes_nothing() {
 #[test]
 fn nothing_is_allocated_before_something_is_written() {
     let mut memory = Memory::default();
-    memory.set_double(register32!("DD7"), 0);
+    memory.set_dword(register32!("DD7"), 0);
     memory.set_bit(discrete!("M9999"), false);
     assert!(memory.pages.is_empty());
     memory.set_word(register!("D31"), 1);
@@ -75,7 +75,7 @@ proptest! {
             let value = match element.width() {
                 Width::Bit => Value::Bit(bits & 1 == 1),
                 Width::Word => Value::Word(bits as u16),
-                Width::Double => Value::Double(bits),
+                Width::DWord => Value::DWord(bits),
             };
             memory.write(element, value).unwrap();
             reference.write(element, bits);
@@ -107,7 +107,7 @@ impl Reference {
         match element.width() {
             Width::Bit => Value::Bit(bits == 1),
             Width::Word => Value::Word(bits as u16),
-            Width::Double => Value::Double(bits),
+            Width::DWord => Value::DWord(bits),
         }
     }
 
@@ -134,7 +134,7 @@ impl Reference {
     fn locate(&mut self, element: Element) -> Place<'_> {
         let letters = element.symbol().as_str();
         let address = usize::from(element.address());
-        let letters = if element.width() == Width::Double { &letters[1..] } else { letters };
+        let letters = if element.width() == Width::DWord { &letters[1..] } else { letters };
         let letters = letters.strip_prefix('W').unwrap_or(letters);
         if ["X", "Y", "M", "S", "T", "C"].contains(&letters) {
             Place::Bits(&mut self.bits.entry(letters).or_insert_with(|| vec![false; 10_000])[address..])

@@ -60,7 +60,7 @@ fn the_communication_reaches_disabled_discretes_by_every_command() {
     assert_eq!(plc.read(relay), Value::Bit(true));
     plc.execute(&WriteRegisters::new(register!("WM0"), [0]).unwrap()).unwrap();
     assert_eq!(plc.read(relay), Value::Bit(false));
-    plc.execute(&WriteMixed::new([(element!("DWM0"), Value::Double(1))]).unwrap()).unwrap();
+    plc.execute(&WriteMixed::new([(element!("DWM0"), Value::DWord(1))]).unwrap()).unwrap();
     assert_eq!(plc.read(relay), Value::Bit(true));
     assert!(plc.is_disabled(relay));
 }
@@ -167,18 +167,18 @@ fn an_element_of_any_width_that_leaves_the_model_is_beyond_it() {
         (element!("M2001"), Value::Bit(true)),
         (element!("WM1984"), Value::Word(1)),
         (element!("R101"), Value::Word(1)),
-        (element!("DR100"), Value::Double(1)),
+        (element!("DR100"), Value::DWord(1)),
         (element!("S9999"), Value::Bit(true)),
-        (element!("DD65534"), Value::Double(1)),
+        (element!("DD65534"), Value::DWord(1)),
     ] {
         assert_eq!(plc.write(element, value), Ok(()));
     }
     for (element, value) in [
         (element!("M2002"), Value::Bit(true)),
         (element!("WM1992"), Value::Word(1)),
-        (element!("DWM1976"), Value::Double(1)),
+        (element!("DWM1976"), Value::DWord(1)),
         (element!("R102"), Value::Word(1)),
-        (element!("DR101"), Value::Double(1)),
+        (element!("DR101"), Value::DWord(1)),
     ] {
         assert_eq!(plc.write(element, value), Err(Error::BeyondModel { element }));
     }

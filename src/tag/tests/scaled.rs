@@ -54,7 +54,7 @@ fn a_scaled_value_has_the_digits_of_gain_and_offset() {
         assert_eq!(decode(text, &[Value::Word(raw)])[0].to_string(), printed, "{text} {raw}");
     }
     // A float is the decimal that it prints as.
-    let float = |text: &str, value: f32| decode(text, &[Value::Double(value.to_bits())])[0].to_string();
+    let float = |text: &str, value: f32| decode(text, &[Value::DWord(value.to_bits())])[0].to_string();
     assert_eq!(float("DR0:f32*0.1", 12.3), "1.23");
     assert_eq!(float("DR0:f32*0.1-40", 12.3), "-38.77");
     assert_eq!(float("DR0:f32*0.1", -0.0), "-0.0");
@@ -77,9 +77,9 @@ fn a_scaled_value_is_written_as_the_nearest_raw_number() {
         assert_eq!(encode(text), [Value::Word(raw)], "{text}");
     }
     assert_eq!(encode("R0-R3:u32*0.5=1,1e9"), [2, 0, 0x9400, 0x7735].map(Value::Word));
-    assert_eq!(encode("DR0:f32*0.1=1.23"), [Value::Double(12.3_f32.to_bits())]);
-    assert_eq!(encode("DR0:f32*-0.1=inf"), [Value::Double(f32::NEG_INFINITY.to_bits())]);
-    assert!(matches!(encode("DR0:f32*0.1=nan")[..], [Value::Double(bits)] if f32::from_bits(bits).is_nan()));
+    assert_eq!(encode("DR0:f32*0.1=1.23"), [Value::DWord(12.3_f32.to_bits())]);
+    assert_eq!(encode("DR0:f32*-0.1=inf"), [Value::DWord(f32::NEG_INFINITY.to_bits())]);
+    assert!(matches!(encode("DR0:f32*0.1=nan")[..], [Value::DWord(bits)] if f32::from_bits(bits).is_nan()));
 }
 
 #[test]
@@ -169,7 +169,7 @@ proptest! {
         // Also near the ends of the ranges, where values are the least exact.
         for bits in [bits, near, u32::MAX - near, 0x7FFF_FFFF - near, 0x8000_0000 + near] {
             for text in ["DR0", "DR0:i32"] {
-                let raw = Value::Double(bits);
+                let raw = Value::DWord(bits);
                 prop_assert_eq!(there_and_back(tag(text).scaled(scale).unwrap(), raw).0, raw);
             }
             for text in ["R0", "R0:i16"] {
@@ -182,7 +182,7 @@ proptest! {
     #[test]
     fn decimal_scales_give_decimals(raw in -100_000_000..100_000_000_i32, gain in 1..10_000_i64, gain_decimals in 0..5_u32, offset in -9999..10_000_i64) {
         let scale = format!("*{gain}e-{gain_decimals}{offset:+}e-2").parse().unwrap();
-        let value = decode(&tag("DR0:i32").scaled(scale).unwrap().to_string(), &[Value::Double(raw.cast_unsigned())]);
+        let value = decode(&tag("DR0:i32").scaled(scale).unwrap().to_string(), &[Value::DWord(raw.cast_unsigned())]);
         // In integers, then as text: another way to the nearest f64.
         let hundred_thousandths = i64::from(raw) * gain * 10_i64.pow(5 - gain_decimals) + offset * 1000;
         let exact: f64 = format!("{hundred_thousandths}e-5").parse().unwrap();
@@ -191,9 +191,9 @@ proptest! {
 
     #[test]
     fn a_float_that_is_printed_and_written_back_is_the_same(scale in scales(), bits: u32) {
-        let (back, value) = there_and_back(tag("DR0:f32").scaled(scale).unwrap(), Value::Double(bits));
+        let (back, value) = there_and_back(tag("DR0:f32").scaled(scale).unwrap(), Value::DWord(bits));
         let raw = f32::from_bits(bits);
-        let Value::Double(back) = back else { panic!("{back:?}") };
+        let Value::DWord(back) = back else { panic!("{back:?}") };
         let back = f32::from_bits(back);
         if raw.is_nan() {
             prop_assert!(back.is_nan() && value.is_nan());

@@ -30,29 +30,29 @@ fn one_read_can_bring_several_frames_and_a_part_of_the_next() {
 }
 
 #[test]
-fn garbage_before_between_and_behind_frames_is_counted() {
+fn garbage_around_frames_is_an_item_of_its_own() {
     let input = [b"\x06\x15\xFF", QUERY, b"noise", READ, b"\x00"].concat();
     let garbage = |bytes| discarded(Discard::Garbage, bytes);
     assert_eq!(decode(&input), [garbage(b"\x06\x15\xFF"), query(), garbage(b"noise"), read(), garbage(b"\x00")]);
 }
 
 #[test]
-fn garbage_inside_a_frame_spoils_that_frame_only() {
+fn garbage_inside_a_frame_affects_that_frame_only() {
     let spoilt = b"\x020146\xFF03R0001275\x03";
     assert_eq!(decode(&[spoilt, QUERY].concat()), [discarded(Discard::BadChecksum, spoilt), query()]);
 }
 
 #[test]
-fn an_etx_in_the_noise_ends_nothing_but_the_noise() {
+fn an_etx_in_noise_hides_no_frame() {
     let garbage = |bytes| discarded(Discard::Garbage, bytes);
     assert_eq!(decode(&[b"\x03\x03ab\x03", QUERY].concat()), [garbage(b"\x03\x03ab\x03"), query()]);
-    // Inside a frame it ends the frame, and the rest is noise.
+    // Inside a frame it ends the frame; the rest is noise.
     let cut = discarded(Discard::BadChecksum, b"\x02014603R\x03");
     assert_eq!(decode(&[b"\x02014603R\x030001275\x03", QUERY].concat()), [cut, garbage(b"0001275\x03"), query()]);
 }
 
 #[test]
-fn a_frame_that_begins_inside_garbage_or_inside_another_frame_is_found() {
+fn a_frame_inside_garbage_or_another_frame_is_found() {
     let truncated = |bytes| discarded(Discard::Truncated, bytes);
     assert_eq!(decode(&[b"\x02", QUERY].concat()), [truncated(b"\x02"), query()]);
     assert_eq!(
@@ -63,7 +63,7 @@ fn a_frame_that_begins_inside_garbage_or_inside_another_frame_is_found() {
 
 #[test]
 fn a_wrong_lrc_is_a_bad_checksum() {
-    // 000 draws FF where FE is the sum: one off, no hex digits, and none at all.
+    // Manual 000 draws FF where the sum is FE. Then no hex digits, no characters, and other sums.
     for bad in [
         &b"\x0201470FF\x03"[..],
         b"\x0201470FG\x03",
@@ -77,7 +77,7 @@ fn a_wrong_lrc_is_a_bad_checksum() {
 }
 
 #[test]
-fn what_is_too_short_or_has_no_hex_header_is_malformed() {
+fn a_short_frame_or_a_header_without_digits_is_malformed() {
     for bad in
         [&b"\x02\x03"[..], b"\x02C7\x03", b"\x0201C7\x03", b"\x02014C7\x03", b"\x02G140DD\x03", b"\x0201 0B7\x03"]
     {
@@ -86,7 +86,7 @@ fn what_is_too_short_or_has_no_hex_header_is_malformed() {
 }
 
 #[test]
-fn lower_case_digits_are_read_and_upper_case_digits_are_sent() {
+fn digits_are_read_in_either_case_and_sent_in_upper_case() {
     assert_eq!(decode(b"\x020140c7\x03"), [query()]);
     assert_eq!(decode(b"\x02014eABCDEFGd8\x03"), [frame(1, 0x4E, b"ABCDEFG")]);
     assert_eq!(decode(b"\x02fe4031\x03\x02Fe4011\x03\x02FE40f1\x03"), [const { 0xFE }; 3].map(|s| frame(s, 0x40, b"")));
@@ -97,7 +97,7 @@ fn lower_case_digits_are_read_and_upper_case_digits_are_sent() {
 }
 
 #[test]
-fn a_frame_of_the_limit_passes_and_a_longer_one_is_over_long() {
+fn a_frame_longer_than_the_limit_is_too_long() {
     let frame_of = |data: usize| {
         let mut bytes = BytesMut::new();
         emit(&mut bytes, 1, 0x4E, |fields| fields.raw(&vec![b'x'; data]));
@@ -113,7 +113,7 @@ fn a_frame_of_the_limit_passes_and_a_longer_one_is_over_long() {
 }
 
 #[test]
-fn a_frame_that_never_ends_is_dropped_at_the_limit_and_the_next_one_is_found() {
+fn an_endless_frame_is_discarded_at_the_limit() {
     let mut codec = AsciiCodec::new().max_frame_len(100);
     let mut buffer = BytesMut::from(&[STX][..]);
     let mut dropped = 0;
@@ -131,18 +131,18 @@ fn a_frame_that_never_ends_is_dropped_at_the_limit_and_the_next_one_is_found() {
 }
 
 #[test]
-fn what_has_begun_at_the_end_of_the_input_is_truncated() {
+fn an_incomplete_frame_at_the_end_of_input_is_truncated() {
     let mut codec = AsciiCodec::new();
     let mut buffer = BytesMut::from(&[QUERY, b"\x02014603R"].concat()[..]);
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), Some(query()));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), Some(discarded(Discard::Truncated, b"\x02014603R")));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), None);
     buffer.put_slice(QUERY);
-    assert_eq!(all(&mut codec, &mut buffer), [query()], "the codec can be used on");
+    assert_eq!(all(&mut codec, &mut buffer), [query()], "the codec is still usable");
 }
 
 #[test]
-fn a_codec_that_was_reset_takes_a_shorter_frame_than_it_was_waiting_for() {
+fn reset_forgets_how_much_was_scanned() {
     let mut codec = AsciiCodec::new();
     assert_eq!(all(&mut codec, &mut BytesMut::from(&READ[..15])), []);
     codec.reset();
@@ -150,7 +150,7 @@ fn a_codec_that_was_reset_takes_a_shorter_frame_than_it_was_waiting_for() {
 }
 
 #[test]
-fn fields_are_written_as_the_manual_prints_them() {
+fn fields_are_written_as_in_the_manual() {
     let written = |write: &dyn Fn(&mut AsciiWriter<'_>)| {
         let mut dst = BytesMut::new();
         write(&mut AsciiWriter::new(&mut dst));
@@ -160,7 +160,7 @@ fn fields_are_written_as_the_manual_prints_them() {
     assert_eq!([0, 4, 0xA, 0xF].map(|n| written(&|w| w.code(n))), ["0", "4", "A", "F"]);
     assert_eq!(written(&|w| w.byte(0x0A)), "0A");
     assert_eq!(written(&|w| w.word(0x10A5)), "10A5");
-    assert_eq!(written(&|w| w.double(10_000_000)), "00989680");
+    assert_eq!(written(&|w| w.dword(10_000_000)), "00989680");
     assert_eq!(written(&|w| [true, false].into_iter().for_each(|b| w.bit(b))), "10");
     for &symbol in Symbol::ALL {
         for address in [0, 8, 1000, symbol.last_address()] {
@@ -171,11 +171,11 @@ fn fields_are_written_as_the_manual_prints_them() {
 }
 
 #[test]
-fn fields_are_read_in_either_case_and_only_in_their_own_form() {
+fn fields_are_read_in_either_case_and_in_one_form() {
     let reader = |data: &'static str| AsciiReader::new(data.as_bytes());
     assert_eq!((reader("00").count(), reader("fF").count()), (Ok(256), Ok(255)));
     assert_eq!((reader("a").code(), reader("7fC4").word()), (Ok(10), Ok(0x7FC4)));
-    assert_eq!(reader("c3FA1000").double(), Ok(0xC3FA_1000));
+    assert_eq!(reader("c3FA1000").dword(), Ok(0xC3FA_1000));
     assert_eq!(reader("dwm0008").element(), Ok(Element::new(Symbol::DWM, 8).unwrap()));
     assert_eq!(reader("1").bit().and(reader("2").bit()), Err(FieldError::NotABit(2)));
     for (data, error) in [("", FieldError::Truncated), ("0", FieldError::Truncated), ("0 ", FieldError::NotHex(b' '))] {
@@ -221,7 +221,7 @@ fn discarded(reason: Discard, bytes: &[u8]) -> Received {
     Received::Discarded { reason, bytes: Bytes::copy_from_slice(bytes) }
 }
 
-/// All items of this input, up to its end.
+/// All items of an input.
 fn decode(input: &[u8]) -> Vec<Received> {
     let mut buffer = BytesMut::from(input);
     let items = all(&mut AsciiCodec::new(), &mut buffer);

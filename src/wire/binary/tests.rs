@@ -33,7 +33,7 @@ fn one_read_can_bring_several_frames_and_a_part_of_the_next() {
 }
 
 #[test]
-fn garbage_before_between_and_behind_frames_is_counted() {
+fn garbage_around_frames_is_an_item_of_its_own() {
     let garbage = |bytes| discarded(Discard::Garbage, bytes);
     let input = [b"\x06\x10\x55\xAA", OK, b"\x52\x51\x53", VALUES, b"\x00"].concat();
     assert_eq!(
@@ -43,7 +43,7 @@ fn garbage_before_between_and_behind_frames_is_counted() {
 }
 
 #[test]
-fn a_first_byte_of_a_header_is_waited_with_until_the_second_tells() {
+fn the_first_byte_of_a_header_waits_for_the_second() {
     let mut codec = BinaryCodec::client();
     let mut buffer = BytesMut::from(&b"\x52"[..]);
     assert_eq!(all(&mut codec, &mut buffer), []);
@@ -52,7 +52,7 @@ fn a_first_byte_of_a_header_is_waited_with_until_the_second_tells() {
 }
 
 #[test]
-fn garbage_inside_a_frame_spoils_that_frame_only() {
+fn garbage_inside_a_frame_affects_that_frame_only() {
     let spoilt = [&VALUES[..9], b"\x00", &VALUES[9..]].concat();
     let items = to_eof(&[&spoilt[..], OK].concat());
     assert_eq!(items[0], discarded(Discard::BadChecksum, &spoilt));
@@ -61,7 +61,7 @@ fn garbage_inside_a_frame_spoils_that_frame_only() {
 
 #[test]
 fn a_wrong_crc_is_a_bad_checksum() {
-    // One bit off, the high byte first, and as the manual misprints it, one column to the left.
+    // One bit wrong, the high byte first, and the misprint of the manual: shifted by one column.
     for crc in [b"\x44\xD4", b"\xD4\x45", b"\xD4\x55"] {
         let bad = [&OK[..7], &crc[..], b"\x55\xAA"].concat();
         assert_eq!(to_eof(&[&bad[..], VALUES].concat()), [discarded(Discard::BadChecksum, &bad), values()], "{crc:?}");
@@ -77,7 +77,7 @@ fn a_wrong_terminator_is_a_bad_frame() {
 }
 
 #[test]
-fn a_length_field_of_65535_holds_nothing_up() {
+fn a_length_of_65535_does_not_delay_the_next_frame() {
     let header = b"\x52\x10\xFF\xFF";
     let mut codec = BinaryCodec::client();
     let mut buffer = BytesMut::from(&[header, OK].concat()[..]);
@@ -86,7 +86,7 @@ fn a_length_field_of_65535_holds_nothing_up() {
 }
 
 #[test]
-fn a_frame_of_65535_bytes_passes_where_the_limit_lets_it() {
+fn the_longest_frame_passes_if_the_limit_allows_it() {
     let data = Bytes::from(b"\x55\xAA\x52\x10".repeat(17_000)).split_to(65_533);
     let mut bytes = BytesMut::new();
     BinaryCodec::plc()
@@ -98,19 +98,19 @@ fn a_frame_of_65535_bytes_passes_where_the_limit_lets_it() {
 }
 
 #[test]
-fn a_length_that_leaves_no_room_for_station_and_command_is_malformed() {
+fn a_length_below_two_is_malformed() {
     for header in [b"\x52\x10\x00\x00", b"\x52\x10\x00\x01"] {
         assert_eq!(to_eof(&[&header[..], OK].concat()), [discarded(Discard::Malformed, header), ok()]);
     }
 }
 
 #[test]
-fn a_frame_ends_by_its_length_whatever_its_payload_holds() {
+fn a_frame_ends_by_its_length_not_by_its_content() {
     for data in [&b"\x55\xAA"[..], b"\x55\xAA\x55\xAA\x00", b"\x52\x10\x00\x03", b"\x52\x10\xFF\xFF", OK, STATUS] {
         let outer = from_plc(0x4E, data);
         let expected = Received::Frame(Frame { station: 1, command: 0x4E, data: Bytes::copy_from_slice(data) });
         assert_eq!(to_eof(&[&outer[..], OK].concat()), [expected.clone(), ok()], "{data:?}");
-        // Byte by byte as well: a whole frame inside the payload is not taken before its time.
+        // Byte by byte as well: a complete frame inside the payload is not decoded early.
         let (mut codec, mut buffer, mut items) = (BinaryCodec::client(), BytesMut::new(), Vec::new());
         for byte in outer {
             buffer.put_u8(byte);
@@ -121,7 +121,7 @@ fn a_frame_ends_by_its_length_whatever_its_payload_holds() {
 }
 
 #[test]
-fn a_frame_inside_a_spoilt_one_is_found() {
+fn a_frame_inside_a_bad_one_is_found() {
     let mut outer = from_plc(0x4E, OK);
     *outer.last_mut().unwrap() = 0;
     let items = to_eof(&outer);
@@ -129,12 +129,12 @@ fn a_frame_inside_a_spoilt_one_is_found() {
 }
 
 #[test]
-fn a_frame_inside_one_that_was_cut_off_is_found_when_the_input_ends() {
+fn a_frame_inside_an_incomplete_one_is_found_at_the_end() {
     let outer = from_plc(0x4E, &[OK, VALUES].concat());
     let cut = &outer[..outer.len() - 5];
     let mut codec = BinaryCodec::client();
     let mut buffer = BytesMut::from(cut);
-    assert_eq!(all(&mut codec, &mut buffer), [], "it could still become whole");
+    assert_eq!(all(&mut codec, &mut buffer), [], "it may still become complete");
     assert_eq!(
         to_eof(cut),
         [discarded(Discard::Truncated, &outer[..6]), ok(), discarded(Discard::Truncated, &cut[17..])]
@@ -142,7 +142,7 @@ fn a_frame_inside_one_that_was_cut_off_is_found_when_the_input_ends() {
 }
 
 #[test]
-fn a_frame_of_the_other_direction_is_passed_over_as_a_whole() {
+fn a_frame_of_the_other_direction_is_discarded_whole() {
     assert_eq!(to_eof(&[STATUS, OK].concat()), [discarded(Discard::WrongSide, STATUS), ok()]);
     let mut buffer = BytesMut::from(&[OK, STATUS].concat()[..]);
     let status = Received::Frame(Frame { station: 1, command: 0x40, data: Bytes::new() });
@@ -150,7 +150,7 @@ fn a_frame_of_the_other_direction_is_passed_over_as_a_whole() {
 }
 
 #[test]
-fn a_frame_of_the_limit_passes_and_a_longer_one_is_over_long() {
+fn a_frame_longer_than_the_limit_is_too_long() {
     let mut codec = BinaryCodec::client().max_frame_len(OK.len());
     assert_eq!(all(&mut codec, &mut BytesMut::from(OK)), [ok()]);
     let items = all(&mut codec, &mut BytesMut::from(&[VALUES, OK].concat()[..]));
@@ -158,30 +158,30 @@ fn a_frame_of_the_limit_passes_and_a_longer_one_is_over_long() {
 }
 
 #[test]
-fn giving_up_goes_on_behind_the_first_byte() {
+fn skip_partial_continues_after_the_first_byte() {
     let mut codec = BinaryCodec::client();
     let mut buffer = BytesMut::from(&[b"\x52\x10\x03\x00", OK].concat()[..]);
     assert_eq!(all(&mut codec, &mut buffer), []);
     codec.skip_partial();
     assert_eq!(all(&mut codec, &mut buffer), [discarded(Discard::Truncated, b"\x52\x10\x03\x00"), ok()]);
     buffer.put_slice(OK);
-    assert_eq!(all(&mut codec, &mut buffer), [ok()], "it gives up once");
+    assert_eq!(all(&mut codec, &mut buffer), [ok()], "it skips once");
 }
 
 #[test]
-fn a_codec_that_was_reset_gives_nothing_up() {
+fn reset_cancels_skip_partial() {
     let mut codec = BinaryCodec::client();
     assert_eq!(all(&mut codec, &mut BytesMut::from(&OK[..5])), []);
     codec.skip_partial();
     codec.reset();
     let mut buffer = BytesMut::from(&OK[..5]);
-    assert_eq!(all(&mut codec, &mut buffer), [], "what begins after the reset is waited for");
+    assert_eq!(all(&mut codec, &mut buffer), [], "an incomplete frame after the reset stays");
     buffer.put_slice(&OK[5..]);
     assert_eq!(all(&mut codec, &mut buffer), [ok()]);
 }
 
 #[test]
-fn fields_are_written_as_the_manual_prints_them() {
+fn fields_are_written_as_in_the_manual() {
     let written = |write: &dyn Fn(&mut BinaryWriter<'_>)| {
         let mut dst = BytesMut::new();
         write(&mut BinaryWriter::new(&mut dst));
@@ -189,7 +189,7 @@ fn fields_are_written_as_the_manual_prints_them() {
     };
     assert_eq!([1, 15, 255, 256].map(|n| written(&|w| w.count(n))), [[1], [15], [255], [0]]);
     assert_eq!(written(&|w| w.word(0xFF55)), b"\xFF\x55");
-    assert_eq!(written(&|w| w.double(0x9999_0001)), b"\x99\x99\x00\x01");
+    assert_eq!(written(&|w| w.dword(0x9999_0001)), b"\x99\x99\x00\x01");
     assert_eq!(written(&|w| [true, false].into_iter().for_each(|b| w.bit(b))), b"\x01\x00");
     for (symbol, address, bytes) in [
         (Symbol::Y, 100, &b"Y\x00\x64"[..]),
@@ -202,13 +202,13 @@ fn fields_are_written_as_the_manual_prints_them() {
 }
 
 #[test]
-fn fields_are_read_only_in_their_own_form() {
+fn fields_are_read_in_one_form() {
     assert_eq!(BinaryReader::new(b"\x00").count(), Ok(256));
     assert_eq!(BinaryReader::new(b"").byte(), Err(FieldError::Truncated));
     assert_eq!(BinaryReader::new(b"\x00").word(), Err(FieldError::Truncated));
-    assert_eq!(BinaryReader::new(b"\x00\x00\x00").double(), Err(FieldError::Truncated));
+    assert_eq!(BinaryReader::new(b"\x00\x00\x00").dword(), Err(FieldError::Truncated));
     assert_eq!(BinaryReader::new(b"\x02").bit(), Err(FieldError::NotABit(2)));
-    assert_eq!(BinaryReader::new(b"X\x00\x00").element(), Err(FieldError::Unreadable), "nothing was announced");
+    assert_eq!(BinaryReader::new(b"X\x00\x00").element(), Err(FieldError::Unreadable), "no layout was announced");
     let one = |data: &'static [u8]| {
         let mut reader = BinaryReader::new(data);
         reader.layout(1, 0).and_then(|()| reader.element())
@@ -228,7 +228,7 @@ fn fields_are_read_only_in_their_own_form() {
 }
 
 #[test]
-fn a_layout_of_more_elements_than_the_data_can_hold_is_refused_at_once() {
+fn a_layout_longer_than_the_data_is_refused() {
     for elements in [2, 256, usize::MAX] {
         for values in [0, 1, usize::MAX] {
             assert_eq!(BinaryReader::new(b"X\x00\x00").layout(elements, values), Err(FieldError::Unreadable));
@@ -237,7 +237,7 @@ fn a_layout_of_more_elements_than_the_data_can_hold_is_refused_at_once() {
 }
 
 #[test]
-fn the_crc_is_that_of_modbus() {
+fn the_crc_is_crc_16_modbus() {
     assert_eq!((crc(b"123456789"), crc(b"")), (0x4B37, 0xFFFF));
     assert_eq!(crc(b"\x00\x02\x01\x40"), 0x84A1);
 }
@@ -254,14 +254,14 @@ fn discarded(reason: Discard, bytes: &[u8]) -> Received {
     Received::Discarded { reason, bytes: Bytes::copy_from_slice(bytes) }
 }
 
-/// A frame of the PLC's side.
+/// A frame from a PLC.
 fn from_plc(command: u8, data: &[u8]) -> BytesMut {
     let mut bytes = BytesMut::new();
     emit(&mut bytes, Side::Plc, 1, command, |fields| fields.raw(data));
     bytes
 }
 
-/// All items of this input on the client's side, up to its end.
+/// All items that a client decodes of an input.
 fn to_eof(input: &[u8]) -> Vec<Received> {
     let (mut codec, mut buffer) = (BinaryCodec::client(), BytesMut::from(input));
     std::iter::from_fn(|| codec.decode_eof(&mut buffer).unwrap()).collect()

@@ -2,6 +2,8 @@
 //!
 //! The commands read their own requests through it, so that the fields shown here are those that a PLC reads.
 
+use std::fmt::Display;
+
 use fatek::Element;
 use fatek::command::Code;
 use fatek::wire::{FieldError, FieldReader};
@@ -29,7 +31,7 @@ impl<'a, R: FieldReader + Clone> Recorder<'a, R> {
     }
 
     /// What has been read, given how the reading ended.
-    pub(super) fn reading(self, result: Result<(), FieldError>) -> Reading {
+    pub(super) fn reading<E: Display>(self, result: Result<(), E>) -> Reading {
         let mut fields: Vec<Field> = Vec::with_capacity(self.fields.len());
         // The 64 words of a page are one line.
         for field in self.fields {
@@ -103,9 +105,9 @@ impl<R: FieldReader + Clone> FieldReader for Recorder<'_, R> {
         self.named(&name, R::word, meaning)
     }
 
-    fn double(&mut self) -> Result<u32, FieldError> {
+    fn dword(&mut self) -> Result<u32, FieldError> {
         let name = self.name_of_value();
-        self.named(&name, R::double, |double| text::double(*double))
+        self.named(&name, R::dword, |dword| text::dword(*dword))
     }
 
     fn bit(&mut self) -> Result<bool, FieldError> {

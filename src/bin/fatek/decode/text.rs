@@ -36,13 +36,13 @@ pub(super) fn word(word: u16) -> String {
 }
 
 /// `C3FA1000h: 3287945216, or -1007022080, or -500.125`
-pub(super) fn double(double: u32) -> String {
-    let mut text = format!("{double:08X}h: {double}");
-    if let signed @ ..0 = double.cast_signed() {
+pub(super) fn dword(dword: u32) -> String {
+    let mut text = format!("{dword:08X}h: {dword}");
+    if let signed @ ..0 = dword.cast_signed() {
         let _ = write!(text, ", or {signed}");
     }
     // Most small integers are absurd floats.
-    let float = f32::from_bits(double);
+    let float = f32::from_bits(dword);
     if (1e-6..1e12).contains(&float.abs()) {
         let _ = write!(text, ", or {float:?}");
     }

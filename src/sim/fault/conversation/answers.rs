@@ -9,11 +9,11 @@ use bytes::Bytes;
 use tokio::time::Instant;
 
 use super::conditions::later;
-use crate::command::{Class, Code, Request};
+use crate::command::{Class, Code, Request, RequestError};
 use crate::sim::fault::Line;
 use crate::sim::fault::faults::{Again, Verdict};
 use crate::sim::fault::timing::DrawnTiming;
-use crate::wire::{FieldError, Frame};
+use crate::wire::Frame;
 
 #[derive(Debug)]
 pub(super) enum Event {
@@ -36,7 +36,7 @@ pub(super) struct Job {
     pub(super) station: u8,
     /// The request, with the station number that its reply has.
     pub(super) frame: Frame,
-    pub(super) request: Arc<Result<Request, FieldError>>,
+    pub(super) request: Arc<Result<Request, RequestError>>,
     /// Which entry of the log it is.
     pub(super) number: u64,
     /// `None` for a broadcast that is not answered.
@@ -157,7 +157,7 @@ pub(super) enum Content {
     /// A read that is executed when the answer is sent.
     Read {
         frame: Frame,
-        request: Arc<Result<Request, FieldError>>,
+        request: Arc<Result<Request, RequestError>>,
     },
 }
 

@@ -13,12 +13,12 @@ use super::answers::{Answer, Content, Delivery, Event, FollowUp, Job, Piece, Spe
 use super::conditions::{Remainder, later};
 use super::{BROADCAST, Client, Conversation, MAX_FOLLOW_UPS};
 use crate::ErrorCode;
-use crate::command::{Request, encode_refusal};
+use crate::command::{Request, RequestError, encode_refusal};
 use crate::sim::fault::faults::Again;
 use crate::sim::fault::left_over;
 use crate::sim::fault::spoil::{Spoilt, spoil};
 use crate::sim::fault::{Fault, Heard, LeftOver};
-use crate::wire::{FieldError, Frame};
+use crate::wire::Frame;
 
 /// More than there are events.
 const AFTER_ALL_EVENTS: u64 = 1 << 63;
@@ -294,7 +294,7 @@ impl Conversation {
                 let number =
                     faults.log().arrived(now, &[fault], || Heard::Request { station, request: request.clone() });
                 let frame = Frame { station, command: request.code().into(), data: Bytes::new() };
-                let request: Arc<Result<Request, FieldError>> = Arc::new(Ok(request));
+                let request: Arc<Result<Request, RequestError>> = Arc::new(Ok(request));
                 let job = Job { station, frame, request, number, answer: None };
                 let bytes = if let Some(error) = error {
                     self.refusal(&job.frame, error)

@@ -1,7 +1,7 @@
 //! What is logged of it.
 
 use super::*;
-use crate::command::{ReadRegisters, WriteRegisters};
+use crate::command::{ReadRegisters, RequestError, WriteRegisters};
 use crate::sim::LogEntry;
 use crate::wire::Discard;
 
@@ -29,7 +29,7 @@ fn every_arrival_is_logged_with_what_came_of_it() {
     assert_eq!(entries[1].heard, Heard::Noise { reason: Discard::Garbage, bytes: Bytes::from_static(b"\x06") });
     assert_eq!(entries[2].faults, [Fault::BadChecksum]);
     let Heard::Unreadable { frame, reason } = &entries[3].heard else { panic!("{:?}", entries[3]) };
-    assert_eq!((frame.command, reason), (0x99, &FieldError::UnknownCommand(0x99)));
+    assert_eq!((frame.command, reason), (0x99, &RequestError::UnknownCommand(0x99)));
     let read = Request::ReadRegisters(ReadRegisters::new(register!("R0"), 1).unwrap());
     assert_eq!(entries[4].request(), Some(&read));
     assert_eq!(talk.faults.log().arrivals(), 5);

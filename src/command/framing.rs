@@ -1,4 +1,4 @@
-//! Request and reply as frames: what stands around a command's own fields.
+//! Requests and replies as frames: command code and error code around the fields of a command.
 
 use bytes::BytesMut;
 
@@ -6,7 +6,7 @@ use super::{Command, ErrorField, InvalidRequest, Spelling};
 use crate::error::ErrorCode;
 use crate::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, FieldWriter, Framing, Side, ascii, binary};
 
-/// Appends a request as a whole frame.
+/// Appends a request as a complete frame.
 ///
 /// ```
 /// use bytes::BytesMut;
@@ -20,8 +20,8 @@ use crate::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, FieldWrite
 /// ```
 ///
 /// # Errors
-/// [`InvalidRequest`] when the request cannot be sent in this framing, or 255 is given as the station; then nothing is
-/// appended.
+/// [`InvalidRequest`] if the request cannot be sent in this framing, or for station 255. Nothing is
+/// appended then.
 pub fn encode_request<C: Command>(
     request: &C,
     framing: Framing,
@@ -36,7 +36,8 @@ pub fn encode_request<C: Command>(
     Ok(())
 }
 
-/// Appends a request in one of its spellings. The caller has checked it for this framing.
+/// Appends a request in one of its spellings. The caller has called [`Command::check`] for this
+/// framing.
 pub(crate) fn encode_spelled<C: Command>(
     request: &C,
     spelling: Spelling,
@@ -53,7 +54,7 @@ pub(crate) fn encode_spelled<C: Command>(
     }
 }
 
-/// Appends the reply to a request as a whole frame, as the PLC sends it.
+/// Appends the reply to a request as a complete frame, as a PLC sends it.
 pub fn encode_reply<C: Command>(
     request: &C,
     reply: Result<&C::Reply, ErrorCode>,
@@ -68,17 +69,18 @@ pub fn encode_reply<C: Command>(
     }
 }
 
-/// Reads the data of a reply, which must be exactly what this request asks for.
+/// Decodes the data of a reply to this request.
 ///
-/// Station and command have been compared by the caller.
+/// The caller compares station and command.
 ///
 /// # Errors
-/// [`ReplyError::Plc`] when the PLC refused the request, [`ReplyError::Mismatch`] when the data is no reply to it.
+/// [`ReplyError::Plc`] for a refusal, [`ReplyError::Mismatch`] for data that is no reply to this
+/// request.
 pub fn decode_reply<C: Command>(request: &C, framing: Framing, data: &[u8]) -> Result<C::Reply, ReplyError> {
     decode_spelled(request, request.plain(), framing, data)
 }
 
-/// Reads the data of a reply to a spelling of this request.
+/// Decodes the data of a reply to a spelling of this request.
 pub(crate) fn decode_spelled<C: Command>(
     request: &C,
     spelling: Spelling,
@@ -91,14 +93,14 @@ pub(crate) fn decode_spelled<C: Command>(
     }
 }
 
-/// What a frame with the right station and command is, when it is not the reply that was hoped for.
+/// A frame with the right station and command that brings no reply.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplyError {
     /// The PLC refused the request.
     #[error(transparent)]
     Plc(#[from] ErrorCode),
-    /// It is no reply to this request.
+    /// The data is no reply to this request.
     #[error("not a reply to this request: {0}")]
     Mismatch(#[from] FieldError),
 }
@@ -122,7 +124,8 @@ fn read_reply<C: Command, R: FieldReader>(
 ) -> Result<C::Reply, ReplyError> {
     match spelling.code.error_field() {
         ErrorField::Leading => read_with_error(request, spelling, &mut fields()),
-        // The echo first: a device may refuse a loop-back with an error digit, and that digit may also be the echo.
+        // The echo first. A PLC may refuse a loop-back with an error digit, and the digit may also
+        // be the echo.
         ErrorField::Absent => {
             read_without_error(request, spelling, &mut fields()).or_else(|mismatch| refused(&mut fields(), mismatch))
         }
@@ -141,7 +144,7 @@ fn read_with_error<C: Command>(
     match ErrorCode::from_u8(fields.code().map_err(ReplyError::Mismatch)?) {
         None => Ok(read_without_error(request, spelling, fields)?),
         Some(error) => {
-            // The data is absent when there is an error: anything else is no error reply.
+            // No data follows an error code.
             fields.finish()?;
             Err(error.into())
         }
@@ -161,11 +164,11 @@ fn read_without_error<C: Command>(
 fn refused<T>(fields: &mut impl FieldReader, mismatch: FieldError) -> Result<T, ReplyError> {
     match (fields.code().map(ErrorCode::from_u8), fields.finish()) {
         (Ok(Some(error)), Ok(())) => Err(error.into()),
-        _ => Err(mismatch.into()),
+        (Ok(Some(_) | None) | Err(_), _) => Err(mismatch.into()),
     }
 }
 
-/// Appends the reply that refuses a request which could not even be read.
+/// Appends a refusal of a request that could not be decoded, as a complete frame.
 pub fn encode_refusal(code: u8, error: ErrorCode, framing: Framing, station: u8, dst: &mut BytesMut) {
     match framing {
         Framing::Ascii => ascii::emit(dst, station, code, |fields| fields.code(error.into())),

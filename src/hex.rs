@@ -1,10 +1,10 @@
-//! Hexadecimal digits and what they stand for.
+//! Hexadecimal digits.
 //!
-//! All digits of a word at once, without tables and branches: of a loop over this the compiler makes vector
-//! instructions.
+//! The functions for words handle all digits at once, without tables and branches, so that the
+//! compiler can vectorise loops over them.
 
 /// The digit of 0 to 15, upper case.
-pub(super) fn digit(value: u8) -> u8 {
+pub(crate) fn digit(value: u8) -> u8 {
     match value {
         0..=9 => b'0'.wrapping_add(value),
         _ => b'A'.wrapping_add(value.wrapping_sub(10)),
@@ -12,47 +12,49 @@ pub(super) fn digit(value: u8) -> u8 {
 }
 
 /// The two digits of a byte.
-pub(super) fn of_byte(byte: u8) -> [u8; 2] {
+pub(crate) fn of_byte(byte: u8) -> [u8; 2] {
     [digit(byte >> 4), digit(byte & 0x0F)]
 }
 
 /// The four digits of a word.
-pub(super) fn of_word(word: u16) -> [u8; 4] {
+pub(crate) fn of_word(word: u16) -> [u8; 4] {
     let word = u32::from(word);
-    // Four bits a byte, the highest four in the lowest byte, which goes first.
+    // One digit a byte, the most significant digit in the least significant byte, which is stored
+    // first.
     let values = word >> 12 | word & 0x0F00 | (word & 0x00F0) << 12 | (word & 0x000F) << 24;
-    // From 10 on, 6 more are over 15. Letters stand 7 behind the place where digits would go on.
+    // Digits from 10 on overflow 4 bits when 6 is added. In ASCII, `A` is 7 beyond the character
+    // after `9`.
     let letters = values.wrapping_add(0x0606_0606) >> 4 & 0x0101_0101;
     values.wrapping_add(0x3030_3030).wrapping_add(letters.wrapping_mul(7)).to_le_bytes()
 }
 
-/// The eight digits of a double.
-pub(super) fn of_double(double: u32) -> [u8; 8] {
-    let [h1, h0, l1, l0] = double.to_be_bytes();
+/// The eight digits of a double word.
+pub(crate) fn of_dword(dword: u32) -> [u8; 8] {
+    let [h1, h0, l1, l0] = dword.to_be_bytes();
     let ([a, b, c, d], [e, f, g, h]) = (of_word(u16::from_be_bytes([h1, h0])), of_word(u16::from_be_bytes([l1, l0])));
     [a, b, c, d, e, f, g, h]
 }
 
-/// Whether all of them are digits, of either case.
-pub(super) fn are_digits(characters: &[u8]) -> bool {
-    // Without a way out in the middle: nearly always all are.
+/// Whether all characters are digits, of either case.
+pub(crate) fn are_digits(characters: &[u8]) -> bool {
+    // No early exit: nearly always all are digits, and a plain loop is vectorised.
     characters.iter().fold(true, |all, character| all & character.is_ascii_hexdigit())
 }
 
-/// What a digit stands for; of anything else, any value.
-pub(super) fn value(digit: u8) -> u8 {
-    // Letters have this bit, and their lowest four count from 1.
+/// The value of a digit; unspecified for other characters.
+pub(crate) fn value(digit: u8) -> u8 {
+    // Letters have bit 6, and their low four bits count from 1.
     let letter = digit >> 6 & 1;
     (digit & 0x0F).wrapping_add(letter.wrapping_mul(9)) & 0x0F
 }
 
-/// What two digits stand for.
-pub(super) fn byte([high, low]: [u8; 2]) -> u8 {
+/// The byte of two digits.
+pub(crate) fn byte([high, low]: [u8; 2]) -> u8 {
     value(high) << 4 | value(low)
 }
 
-/// What four digits stand for.
-pub(super) fn word(digits: [u8; 4]) -> u16 {
+/// The word of four digits.
+pub(crate) fn word(digits: [u8; 4]) -> u16 {
     let digits = u32::from_le_bytes(digits);
     let letters = digits >> 6 & 0x0101_0101;
     let values = (digits & 0x0F0F_0F0F).wrapping_add(letters.wrapping_mul(9));
@@ -61,9 +63,27 @@ pub(super) fn word(digits: [u8; 4]) -> u16 {
     u16::from_le_bytes([low, high])
 }
 
-/// What eight digits stand for.
-pub(super) fn double([a, b, c, d, e, f, g, h]: [u8; 8]) -> u32 {
+/// The double word of eight digits.
+pub(crate) fn dword([a, b, c, d, e, f, g, h]: [u8; 8]) -> u32 {
     u32::from(word([a, b, c, d])) << 16 | u32::from(word([e, f, g, h]))
+}
+
+/// Bytes as upper-case digits, two each.
+pub(crate) fn encode(bytes: &[u8]) -> String {
+    bytes.iter().flat_map(|&byte| of_byte(byte)).map(char::from).collect()
+}
+
+/// The bytes of upper-case digits, two each; `None` for anything else.
+///
+/// Lower case is refused, so that bytes have one form in a file.
+pub(crate) fn decode(digits: &str) -> Option<Vec<u8>> {
+    let pairs = digits.as_bytes().chunks(2).map(|pair| match *pair {
+        [high, low] if [high, low].iter().all(|digit| matches!(digit, b'0'..=b'9' | b'A'..=b'F')) => {
+            Some(byte([high, low]))
+        }
+        _ => None,
+    });
+    pairs.collect()
 }
 
 #[cfg(test)]
@@ -71,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_words_have_the_digits_of_the_standard_library_and_back() {
+    fn words_have_the_digits_of_the_standard_library() {
         for word_ in 0..=u16::MAX {
             let upper = format!("{word_:04X}");
             assert_eq!(of_word(word_), upper.as_bytes(), "{upper}");
@@ -81,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn all_bytes_have_the_digits_of_the_standard_library_and_back() {
+    fn bytes_have_the_digits_of_the_standard_library() {
         for byte_ in 0..=u8::MAX {
             assert_eq!(of_byte(byte_), format!("{byte_:02X}").as_bytes());
             assert_eq!(byte(of_byte(byte_)), byte_);
@@ -89,16 +109,26 @@ mod tests {
     }
 
     #[test]
-    fn doubles_have_the_digits_of_the_standard_library_and_back() {
+    fn double_words_have_the_digits_of_the_standard_library() {
         for n in 0..=u16::MAX {
-            let double_ = u32::from(n).wrapping_mul(0x9E37_79B9);
-            assert_eq!(of_double(double_), format!("{double_:08X}").as_bytes());
-            assert_eq!(double(of_double(double_)), double_);
+            let dword_ = u32::from(n).wrapping_mul(0x9E37_79B9);
+            assert_eq!(of_dword(dword_), format!("{dword_:08X}").as_bytes());
+            assert_eq!(dword(of_dword(dword_)), dword_);
         }
     }
 
     #[test]
-    fn all_characters_are_the_digits_that_the_standard_library_takes() {
+    fn text_is_pairs_of_upper_case_digits() {
+        assert_eq!(encode(&[0, 0xFF, 0xA5]), "00FFA5");
+        assert_eq!(decode("00FFA5"), Some(vec![0, 0xFF, 0xA5]));
+        assert_eq!(decode(""), Some(vec![]));
+        for bad in ["0", "0G", "ff", "+1", " 1", "é"] {
+            assert_eq!(decode(bad), None, "{bad}");
+        }
+    }
+
+    #[test]
+    fn digits_are_those_of_the_standard_library() {
         for character in 0..=u8::MAX {
             let expected = char::from(character).to_digit(16);
             assert_eq!(are_digits(&[character]), expected.is_some(), "{character:02X}");

@@ -1,6 +1,6 @@
-//! Elements that the compiler checks.
+//! Elements in source code, checked by the compiler.
 
-/// A [`Discrete`](crate::Discrete) known when the program is compiled: `discrete!("M100")`. A wrong one does not compile.
+/// A [`Discrete`](crate::Discrete) that the compiler checks: `discrete!("M100")`.
 ///
 /// ```
 /// let lamp = fatek::discrete!("Y3");
@@ -13,11 +13,11 @@
 #[macro_export]
 macro_rules! discrete {
     ($text:literal) => {
-        $crate::known_element!(Discrete, $text, "is not a discrete (X, Y, M, S, T or C and 0..=9999)")
+        $crate::checked_element!(Discrete, $text, "is not a discrete (X, Y, M, S, T or C and 0..=9999)")
     };
 }
 
-/// A [`Register`](crate::Register) known when the program is compiled: `register!("R12")`. A wrong one does not compile.
+/// A [`Register`](crate::Register) that the compiler checks: `register!("R12")`.
 ///
 /// ```
 /// let speed = fatek::register!("R12");
@@ -30,11 +30,11 @@ macro_rules! discrete {
 #[macro_export]
 macro_rules! register {
     ($text:literal) => {
-        $crate::known_element!(Register, $text, "is not a 16-bit register the protocol has")
+        $crate::checked_element!(Register, $text, "is not a 16-bit register of the protocol")
     };
 }
 
-/// A [`Register32`](crate::Register32) known when the program is compiled: `register32!("DR100")`. A wrong one does not compile.
+/// A [`Register32`](crate::Register32) that the compiler checks: `register32!("DR100")`.
 ///
 /// ```
 /// assert_eq!(fatek::register32!("DR100").low(), fatek::Register::r(100));
@@ -42,11 +42,11 @@ macro_rules! register {
 #[macro_export]
 macro_rules! register32 {
     ($text:literal) => {
-        $crate::known_element!(Register32, $text, "is not a 32-bit register the protocol has")
+        $crate::checked_element!(Register32, $text, "is not a 32-bit register of the protocol")
     };
 }
 
-/// An [`Element`](crate::Element) known when the program is compiled: `element!("DWM0")`. A wrong one does not compile.
+/// An [`Element`](crate::Element) that the compiler checks: `element!("DWM0")`.
 ///
 /// ```
 /// assert_eq!(fatek::element!("DWM0").to_string(), "DWM0");
@@ -54,13 +54,13 @@ macro_rules! register32 {
 #[macro_export]
 macro_rules! element {
     ($text:literal) => {
-        $crate::known_element!(Element, $text, "is not an element the protocol has")
+        $crate::checked_element!(Element, $text, "is not an element of the protocol")
     };
 }
 
 #[doc(hidden)]
 #[macro_export]
-macro_rules! known_element {
+macro_rules! checked_element {
     ($type:ident, $text:literal, $rule:literal) => {
         const {
             match $crate::$type::parse($text) {

@@ -1,0 +1,50 @@
+use std::fmt;
+
+use bytes::BytesMut;
+
+use super::{Command, encode_reply};
+use crate::wire::Framing;
+
+/// The reply to a request of any command, from [`Station::forward`](crate::Station::forward).
+///
+/// It can be encoded in every framing that its request [can be sent in](super::Request::encode).
+/// `Debug` shows the request as well.
+pub struct ForwardedReply {
+    exchange: Box<dyn AnyExchange>,
+}
+
+impl ForwardedReply {
+    pub(crate) fn new<C: Command>(request: C, reply: C::Reply) -> Self {
+        Self { exchange: Box::new(Exchange { request, reply }) }
+    }
+
+    /// Appends the reply as a complete frame from the PLC with this number.
+    ///
+    /// The frame equals that of the PLC, but its digits are upper case, and a program page (4F) has
+    /// its error digit.
+    pub fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) {
+        self.exchange.encode_reply(framing, station, dst);
+    }
+}
+
+impl fmt::Debug for ForwardedReply {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.exchange.fmt(f)
+    }
+}
+
+trait AnyExchange: fmt::Debug + Send + Sync {
+    fn encode_reply(&self, framing: Framing, station: u8, dst: &mut BytesMut);
+}
+
+#[derive(Debug)]
+struct Exchange<C: Command> {
+    request: C,
+    reply: C::Reply,
+}
+
+impl<C: Command> AnyExchange for Exchange<C> {
+    fn encode_reply(&self, framing: Framing, station: u8, dst: &mut BytesMut) {
+        encode_reply(&self.request, Ok(&self.reply), framing, station, dst);
+    }
+}
