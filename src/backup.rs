@@ -82,16 +82,6 @@
 //! **Forced discretes.** A discrete that is disabled (42) was forced to its state by somebody, perhaps for their safety. It stays
 //! as it is, and [`RestoreReport::forced`] names it; so does a word, or a value of two, with such a discrete in it. To write it all the same there is
 //! [`RestoreOptions::write_forced`].
-#![cfg_attr(
-    not(test),
-    deny(
-        clippy::unwrap_used,
-        clippy::expect_used,
-        clippy::panic,
-        clippy::indexing_slicing,
-        clippy::arithmetic_side_effects
-    )
-)]
 
 mod block;
 mod error;

@@ -11,16 +11,6 @@
 //!
 //! Lines end with a line feed, and the last line is the end of the file. What has been saved is loaded again; a file
 //! that lacks anything, has anything more, or of which a single bit is another is refused, and the error says what is wrong.
-#![cfg_attr(
-    not(test),
-    deny(
-        clippy::unwrap_used,
-        clippy::expect_used,
-        clippy::panic,
-        clippy::indexing_slicing,
-        clippy::arithmetic_side_effects
-    )
-)]
 
 mod error;
 mod frame;

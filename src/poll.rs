@@ -41,16 +41,6 @@
 //!
 //! Values of one sample come from one scan of the PLC only as far as a plan promises it: each value does; tags that were
 //! added with [`PolledStation::add_one_scan`] do together.
-#![cfg_attr(
-    not(test),
-    deny(
-        clippy::unwrap_used,
-        clippy::expect_used,
-        clippy::panic,
-        clippy::indexing_slicing,
-        clippy::arithmetic_side_effects
-    )
-)]
 
 mod batch;
 mod class;

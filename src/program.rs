@@ -112,16 +112,6 @@
 //! not whole, the header is the one from before. Where both headers are the same, which is so for two programs of one
 //! PLC, a half-written program is told by nothing but the comparison with the program itself, and by the PLC's own check
 //! of the ladder when it is to run (errors 5 and 7). That is why nothing here starts a PLC without having compared.
-#![cfg_attr(
-    not(test),
-    deny(
-        clippy::unwrap_used,
-        clippy::expect_used,
-        clippy::panic,
-        clippy::indexing_slicing,
-        clippy::arithmetic_side_effects
-    )
-)]
 
 #[cfg(all(test, feature = "sim"))]
 mod bus_time;

@@ -8,6 +8,7 @@
 //!
 //! **No input can cause a panic or unbounded memory use.** Noise is decoded as
 //! [`Received::Discarded`]. It is no error, because `Framed` ends its stream after one.
+#![cfg_attr(not(test), deny(clippy::as_conversions))]
 
 pub mod ascii;
 pub mod binary;
