@@ -103,7 +103,7 @@ impl Bench {
     fn level(&self) -> u16 {
         match self.plc.read(LEVEL) {
             Value::Word(level) => level,
-            other => unreachable!("a register of 16 bits holds {other}"),
+            other @ (Value::Bit(_) | Value::DWord(_)) => unreachable!("a register of 16 bits holds {other}"),
         }
     }
 

@@ -262,7 +262,16 @@ impl Error {
         match self {
             Self::Plc { error, .. } => Some(*error),
             Self::PartlyWritten { source, .. } => source.error_code(),
-            _ => None,
+            Self::Invalid(_)
+            | Self::Timeout { .. }
+            | Self::BadReply { .. }
+            | Self::OutOfStep { .. }
+            | Self::Duplicates { .. }
+            | Self::Offline { .. }
+            | Self::QueueFull { .. }
+            | Self::Connect { .. }
+            | Self::Disconnected { .. }
+            | Self::Closed { .. } => None,
         }
     }
 }

@@ -70,6 +70,7 @@
 //! - `cli`: the `fatek` command line.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![warn(clippy::print_stdout, clippy::print_stderr)]
+#![cfg_attr(test, allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect"))]
 // Input of any kind must not cause a panic.
 #![cfg_attr(
     not(test),
@@ -82,23 +83,48 @@
     )
 )]
 
+#[allow(clippy::wildcard_enum_match_arm, reason = "its states are replaced by those of transfers")]
 pub mod backup;
+#[allow(
+    clippy::arithmetic_side_effects,
+    clippy::indexing_slicing,
+    reason = "counts and lengths are within the limits of a request"
+)]
 pub mod command;
+#[allow(
+    clippy::arithmetic_side_effects,
+    clippy::indexing_slicing,
+    reason = "constant functions over the table and short texts"
+)]
 pub mod element;
 pub mod endpoint;
 mod error;
 pub mod file;
 mod hex;
 pub mod link;
+#[allow(
+    clippy::arithmetic_side_effects,
+    clippy::indexing_slicing,
+    reason = "indexes of its own lists; property tests cover it"
+)]
 pub mod plan;
 pub mod poll;
 pub mod pool;
+#[allow(clippy::wildcard_enum_match_arm, reason = "its states are replaced by those of transfers")]
 pub mod program;
 pub mod progress;
 mod random;
 #[cfg(feature = "sim")]
+#[allow(
+    clippy::arithmetic_side_effects,
+    clippy::indexing_slicing,
+    clippy::panic,
+    reason = "for tests, which may fail by a panic"
+)]
 pub mod sim;
+#[allow(clippy::arithmetic_side_effects, reason = "counts are checked before the first request")]
 mod station;
+#[allow(clippy::arithmetic_side_effects, reason = "counts and digits are checked when a tag is parsed")]
 pub mod tag;
 pub mod wire;
 

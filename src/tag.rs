@@ -146,7 +146,7 @@ impl Tag {
             Kind::Plain(shape) | Kind::Scaled(shape, _) if self.tag_type.is_scalable() => {
                 Ok(Self { kind: Kind::Scaled(shape, scale), ..self })
             }
-            _ => Err(TagError::NotScalable { tag_type: self.tag_type }),
+            Kind::Plain(_) | Kind::Scaled(..) | Kind::Text(_) => Err(TagError::NotScalable { tag_type: self.tag_type }),
         }
     }
 
@@ -193,8 +193,8 @@ impl Tag {
     pub fn elements_per_value(&self) -> usize {
         match self.kind {
             Kind::Text(_) => self.count,
-            kind if kind.bits() > self.first.width().bits() => 2,
-            _ => 1,
+            kind @ (Kind::Plain(_) | Kind::Scaled(..)) if kind.bits() > self.first.width().bits() => 2,
+            Kind::Plain(_) | Kind::Scaled(..) => 1,
         }
     }
 

@@ -1,4 +1,5 @@
 //! Reads and writes of any length: which requests they become, and what is known when one of them fails.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
 use std::time::Duration;

@@ -1,4 +1,5 @@
 //! The limits of every command at both their ends, and what is said when one is broken: the input and the rule.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 mod common;
 

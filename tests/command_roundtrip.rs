@@ -1,4 +1,5 @@
 //! Every command there and back through both framings, and replies that are none.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 mod common;
 

@@ -1,5 +1,6 @@
 //! Many fields at once are the same as one after the other, and those are the same as by the book: what the codecs read
 //! and write in blocks is compared with a reader and a writer that go character by character.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 use bytes::{BufMut, BytesMut};
 use fatek::Element;

@@ -1,4 +1,5 @@
 //! A plan that is read from a simulated PLC: what its tags hold, and whose the error of a request is.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
 use std::time::Duration;

@@ -9,6 +9,7 @@
 //! ```
 //!
 //! `FATEK_SEED=n` runs one seed, such as one that a failure has printed.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
 use std::collections::BTreeMap;

@@ -1,4 +1,5 @@
 //! The link over UDP: one frame a datagram, a local port for each request, and traffic that is no reply.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;

@@ -1,4 +1,5 @@
 //! Frames in noise: whatever stands around them and however the bytes arrive, each is found, once, and no byte is lost.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 mod common;
 

@@ -95,7 +95,7 @@ impl Consumer {
                 polled.last = Some(at);
             }
             Quality::Good => self.tally.wrong(polled.n, sample.values()),
-            other => {
+            other @ (Quality::Stale(_) | Quality::Bad(_) | _) => {
                 polled.last = None;
                 self.tally.failed(polled.n, other);
             }

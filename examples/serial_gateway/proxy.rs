@@ -98,16 +98,17 @@ impl Proxy {
         let refusal = match outcome {
             Outcome::Refused(error) | Outcome::Faulty(error) => Some(error),
             Outcome::HeldBack if frame.station != BROADCAST => Some(write_prohibited(framing)),
-            _ => None,
+            Outcome::HeldBack | Outcome::Done | Outcome::Silent | Outcome::Broadcast | Outcome::Ignored => None,
         };
         if let Some(error) = refusal {
             encode_refusal(frame.command, error, framing, frame.station, reply);
         }
         self.lock().note(outcome);
         let (station, command) = (frame.station, format_args!("{:02X}", frame.command));
-        match outcome {
-            Outcome::HeldBack => tracing::warn!(station, command, "held back"),
-            _ => tracing::debug!(station, command, ?outcome, "request"),
+        if matches!(outcome, Outcome::HeldBack) {
+            tracing::warn!(station, command, "held back");
+        } else {
+            tracing::debug!(station, command, ?outcome, "request");
         }
     }
 
@@ -168,6 +169,6 @@ impl Counts {
 fn write_prohibited(framing: Framing) -> ErrorCode {
     match framing {
         Framing::Ascii => ErrorCode::WriteProhibited,
-        _ => ErrorCode::IllegalFormat,
+        Framing::Binary | _ => ErrorCode::IllegalFormat,
     }
 }

@@ -72,7 +72,7 @@ impl Caller {
         let pause = match &self.way {
             // Long enough for the links to fall idle.
             Way::Pool(_) if self.dice.percent(5) => pause + Duration::from_secs(1),
-            _ => pause,
+            Way::Link | Way::Pool(_) => pause,
         };
         tokio::select! {
             () = stop.cancelled() => {}

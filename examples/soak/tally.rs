@@ -70,6 +70,6 @@ fn kind(error: &Error) -> &'static str {
         Error::Offline { .. } => "offline",
         Error::QueueFull { .. } => "queue full",
         Error::Closed { .. } => "closed",
-        _ => "other",
+        Error::OutOfStep { .. } | Error::Duplicates { .. } | Error::PartlyWritten { .. } | _ => "other",
     }
 }

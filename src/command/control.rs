@@ -21,6 +21,7 @@ impl sealed::Sealed for ControlPlc {}
 impl Command for ControlPlc {
     type Reply = ();
     const CODE: Code = Code::ControlPlc;
+    const BROADCAST_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.bit(*self == Self::Run);
@@ -84,6 +85,7 @@ impl sealed::Sealed for ControlDiscrete {}
 impl Command for ControlDiscrete {
     type Reply = ();
     const CODE: Code = Code::ControlDiscrete;
+    const BROADCAST_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.code(self.control as u8);

@@ -67,6 +67,7 @@ impl sealed::Sealed for WriteDiscretes {}
 impl Command for WriteDiscretes {
     type Reply = ();
     const CODE: Code = Code::WriteDiscretes;
+    const BROADCAST_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.count(self.states.len());

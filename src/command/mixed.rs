@@ -153,6 +153,7 @@ impl sealed::Sealed for WriteMixed {}
 impl Command for WriteMixed {
     type Reply = ();
     const CODE: Code = Code::WriteMixed;
+    const BROADCAST_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.count(self.items.len());

@@ -84,6 +84,10 @@ pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
     /// The code of the command.
     const CODE: Code;
 
+    /// The result of a broadcast, which no PLC answers; `None` for commands that read.
+    #[doc(hidden)]
+    const BROADCAST_REPLY: Option<Self::Reply> = None;
+
     /// Writes the fields of the request, which follow the command code.
     fn write_request<W: FieldWriter>(&self, fields: &mut W);
 

@@ -128,6 +128,7 @@ impl sealed::Sealed for WriteProgramPage {}
 impl Command for WriteProgramPage {
     type Reply = ();
     const CODE: Code = Code::WriteProgramPage;
+    const BROADCAST_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.word(self.page);

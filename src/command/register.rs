@@ -203,6 +203,7 @@ impl<E: RegisterElement> sealed::Sealed for WriteRegisters<E> {}
 impl<E: RegisterElement> Command for WriteRegisters<E> {
     type Reply = ();
     const CODE: Code = Code::WriteRegisters;
+    const BROADCAST_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.count(self.values.len());

@@ -339,7 +339,7 @@ impl Link {
                 let reason = "too many other connections were to be opened before it";
                 self.connect_error(Arc::new(io::Error::new(io::ErrorKind::TimedOut, reason)))
             }
-            _ => error,
+            LinkState::Idle | LinkState::Connecting | LinkState::Up | LinkState::Closed => error,
         }
     }
 

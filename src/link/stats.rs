@@ -225,7 +225,7 @@ impl Board {
     pub(crate) fn discarded(&self, reason: Discard, bytes: usize) {
         self.count(|link| match reason {
             Discard::WrongSide => add(&mut link.echoes, 1),
-            reason => {
+            Discard::Garbage | Discard::Truncated | Discard::BadChecksum | Discard::Malformed | Discard::TooLong => {
                 add(&mut link.garbage_bytes, u64::try_from(bytes).unwrap_or(u64::MAX));
                 add(&mut link.checksum_errors, u64::from(reason == Discard::BadChecksum));
             }

@@ -129,7 +129,7 @@ fn is_barred(cells: &[Cells], limits: &Limits) -> bool {
 fn cell_symbol(element: Element) -> (Symbol, u8) {
     match element {
         Element::Register32(e) if e.symbol().area().has_pairs() => (e.low().symbol(), 2),
-        other => (other.symbol(), 1),
+        Element::Discrete(_) | Element::Register(_) | Element::Register32(_) => (element.symbol(), 1),
     }
 }
 

@@ -131,7 +131,7 @@ impl Limits {
                     let low = double.low().symbol();
                     (low, last.address().saturating_add(low.step()))
                 }
-                _ => (last.symbol(), last.address()),
+                Element::Discrete(_) | Element::Register(_) => (last.symbol(), last.address()),
             };
             Some(Range { symbol, first: first.address(), last })
         };
@@ -143,7 +143,7 @@ impl Limits {
     pub(crate) fn split_before(mut self, elements: impl IntoIterator<Item = Element>) -> Self {
         let cell = |element: Element| match element {
             Element::Register32(double) => (double.low().symbol(), double.address()),
-            _ => (element.symbol(), element.address()),
+            Element::Discrete(_) | Element::Register(_) => (element.symbol(), element.address()),
         };
         self.splits.extend(elements.into_iter().map(cell));
         self.splits.sort_unstable();

@@ -125,7 +125,7 @@ impl Point {
             Quality::Good if age >= bad_age => self.forget(Reason::Overdue, now),
             Quality::Good if age >= stale_age => self.quality = Quality::Stale(Reason::Overdue),
             Quality::Stale(reason) if age >= bad_age => self.forget(reason, now),
-            _ => return,
+            Quality::Good | Quality::Stale(_) | Quality::Bad(_) => return,
         }
         self.tell(now.instant, samples);
     }

@@ -440,17 +440,11 @@ impl Fault {
     }
 
     fn garbage_inside(&self) -> Option<usize> {
-        match *self {
-            Self::GarbageInside { max_len } => Some(max_len),
-            _ => None,
-        }
+        if let Self::GarbageInside { max_len } = *self { Some(max_len) } else { None }
     }
 
     fn garbage_before(&self) -> Option<usize> {
-        match *self {
-            Self::GarbageBefore { max_len } => Some(max_len),
-            _ => None,
-        }
+        if let Self::GarbageBefore { max_len } = *self { Some(max_len) } else { None }
     }
 }
 

@@ -4,7 +4,7 @@ use std::fmt;
 
 use crate::command::{
     Command, ControlDiscrete, ControlPlc, DiscreteControl, InvalidRequest, Request, Value, WriteDiscretes, WriteMixed,
-    WriteRegisters,
+    WriteRegisters, with_command,
 };
 use crate::element::{Discrete, Element, Register, Register32};
 use crate::error::Error;
@@ -94,20 +94,12 @@ impl Broadcast {
     /// # Errors
     /// As for [`run`](Self::run); [`InvalidRequest::NoBroadcast`] for a request that only reads.
     pub async fn forward(&self, request: Request) -> Result<(), Error> {
-        match request {
-            Request::ControlPlc(request) => self.cast(request).await,
-            Request::ControlDiscrete(request) => self.cast(request).await,
-            Request::WriteDiscretes(request) => self.cast(request).await,
-            Request::WriteRegisters(request) => self.cast(request).await,
-            Request::WriteRegisters32(request) => self.cast(request).await,
-            Request::WriteMixed(request) => self.cast(request).await,
-            Request::WriteProgramPage(request) => self.cast(request).await,
-            read => Err(InvalidRequest::NoBroadcast { code: read.code() }.into()),
-        }
+        with_command!(request, request => self.cast(request).await.map(drop))
     }
 
-    async fn cast<C: Command<Reply = ()>>(&self, request: C) -> Result<(), Error> {
-        self.link.submit(0, request, Purpose::Broadcast(()), self.options.retries(0)).await.result
+    async fn cast<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
+        let Some(reply) = C::BROADCAST_REPLY else { return Err(InvalidRequest::NoBroadcast { code: C::CODE }.into()) };
+        self.link.submit(0, request, Purpose::Broadcast(reply), self.options.retries(0)).await.result
     }
 }
 

@@ -73,7 +73,9 @@ impl<'s, M: Copy> StationJob<'s, M> {
             Ok(reply) => {
                 return Ok(match self.job.answered(mark, shape, proof) {
                     Progress::Go => Outcome::Reply(JobReply { reply, count: spelling.count.into() }),
-                    progress => Outcome::Rewind(self.rewound(progress, mark)?),
+                    progress @ (Progress::Rewind(_) | Progress::Failed(_)) => {
+                        Outcome::Rewind(self.rewound(progress, mark)?)
+                    }
                 });
             }
             Err(error @ Error::Plc { .. }) => error,
@@ -81,11 +83,13 @@ impl<'s, M: Copy> StationJob<'s, M> {
         };
         let progress = match self.job.answered(mark, shape, proof) {
             Progress::Go => self.job.confirmed(self.check().await?),
-            progress => progress,
+            progress @ (Progress::Rewind(_) | Progress::Failed(_)) => progress,
         };
         match progress {
             Progress::Go => Err(refused),
-            progress => Ok(Outcome::Rewind(self.rewound(progress, mark)?)),
+            progress @ (Progress::Rewind(_) | Progress::Failed(_)) => {
+                Ok(Outcome::Rewind(self.rewound(progress, mark)?))
+            }
         }
     }
 
@@ -105,7 +109,7 @@ impl<'s, M: Copy> StationJob<'s, M> {
         let proof = self.check().await?;
         match self.job.confirmed(proof) {
             Progress::Go => Ok(None),
-            progress => self.rewound(progress, first).map(Some),
+            progress @ (Progress::Rewind(_) | Progress::Failed(_)) => self.rewound(progress, first).map(Some),
         }
     }
 

@@ -204,7 +204,7 @@ pub(super) fn high(bits: u32) -> u16 {
 fn join(elements: &[Value]) -> u32 {
     elements.iter().rev().fold(0, |joined, element| match *element {
         Value::Word(word) => joined << 16 | u32::from(word),
-        element => bits(element),
+        Value::Bit(_) | Value::DWord(_) => bits(*element),
     })
 }
 

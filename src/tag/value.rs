@@ -67,7 +67,14 @@ impl TagValue {
         match self {
             Self::Scaled(_) => "scaled".to_owned(),
             Self::Text(_) => "text".to_owned(),
-            value => value.bits().map_or_else(String::new, |(shape, _)| shape.description()),
+            Self::Bool(_)
+            | Self::U16(_)
+            | Self::I16(_)
+            | Self::U32(_)
+            | Self::I32(_)
+            | Self::F32(_)
+            | Self::Hex16(_)
+            | Self::Hex32(_) => self.bits().map_or_else(String::new, |(shape, _)| shape.description()),
         }
     }
 }

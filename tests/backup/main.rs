@@ -1,4 +1,5 @@
 //! Backing up and restoring a simulated PLC.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
 mod bench;

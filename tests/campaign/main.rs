@@ -11,6 +11,7 @@
 //!
 //! and goes on until so many requests have been sent, checks not counted. `FATEK_SEED=n FATEK_CALLS=n` runs one seed, such
 //! as one that a failure has printed, and `FATEK_TRACE=1` prints its frames.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
 mod jobs;

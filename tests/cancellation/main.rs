@@ -3,6 +3,7 @@
 //!
 //! Every method is cut off after every number of polls until it ends by itself, and between two polls the rest of the
 //! runtime does as little as can be: one task runs once, or a millisecond passes.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
 mod bench;

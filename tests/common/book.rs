@@ -1,4 +1,5 @@
 //! The framings by the book: what the tests and the fuzz targets compare the codecs with, written without them.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![allow(dead_code, reason = "each user needs a part of it")]
 
 use std::ops::Range;

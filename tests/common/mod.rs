@@ -1,5 +1,6 @@
 //! What the tests of wire and commands share: exchanges of every command, noise, and `book`: the manuals' vectors and a
 //! decoder by the book to compare with.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![allow(dead_code, reason = "each test file uses a part of it")]
 
 mod book;

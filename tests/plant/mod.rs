@@ -1,5 +1,6 @@
 //! PLCs in memory, each at an endpoint of its own, which can be killed and started again; and a count of what is connected
 //! to them. Their connections answer by themselves, so the tasks and the heap are those of the links alone.
+#![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![allow(dead_code, reason = "each test program uses its own part of it")]
 
 use std::io;

@@ -65,7 +65,9 @@ pub(crate) async fn backup(
             Failure::of(format_args!("nothing is saved, as {values} of {all} elements were read, and then"))(source)
         }
         BackupError::Call { source, .. } => source.into(),
-        error => Failure::usage(error),
+        BackupError::Invalid(_) | BackupError::OtherStation { .. } | BackupError::OtherPlc { .. } | _ => {
+            Failure::usage(error)
+        }
     })?;
     let (values, all) = (backup.value_count(), backup.element_count());
     let missing = backup.missing();
@@ -177,7 +179,15 @@ async fn until_done(
                     *before += count(&error.report.written);
                     GoingOn::pause().await;
                 }
-                _ => return Err(error),
+                RestoreFailure::Call { .. }
+                | RestoreFailure::OtherStation { .. }
+                | RestoreFailure::Running
+                | RestoreFailure::StillRunning
+                | RestoreFailure::SetRunning { .. }
+                | RestoreFailure::NotThere { .. }
+                | RestoreFailure::Differs { .. }
+                | RestoreFailure::NotRunning
+                | _ => return Err(error),
             },
             Ok(report) => return Ok(report),
         }

@@ -121,7 +121,7 @@ fn of_call(error: &fatek::Error) -> u8 {
         fatek::Error::Connect { .. } | fatek::Error::Disconnected { .. } | fatek::Error::Closed { .. } => 5,
         fatek::Error::OutOfStep { sent: false, .. } => 4,
         fatek::Error::BadReply { .. } | fatek::Error::OutOfStep { .. } | fatek::Error::Duplicates { .. } => 6,
-        _ => 1,
+        fatek::Error::QueueFull { .. } | fatek::Error::PartlyWritten { .. } | _ => 1,
     }
 }
 
@@ -129,7 +129,19 @@ fn of_program(error: &ProgramError) -> u8 {
     match error {
         ProgramError::Call { source, .. } => of_call(source),
         ProgramError::RunRefused { .. } => 3,
-        _ => 7,
+        ProgramError::Invalid(_)
+        | ProgramError::Changed { .. }
+        | ProgramError::OtherStation { .. }
+        | ProgramError::SizeMisfit { .. }
+        | ProgramError::KindMisfit { .. }
+        | ProgramError::MemoryCard
+        | ProgramError::Running
+        | ProgramError::StillRunning
+        | ProgramError::SetRunning
+        | ProgramError::NotTaken { .. }
+        | ProgramError::Differs { .. }
+        | ProgramError::NotRunning
+        | _ => 7,
     }
 }
 
@@ -137,16 +149,19 @@ fn of_restore(error: &RestoreFailure) -> u8 {
     match error {
         RestoreFailure::Call { source, .. } => of_call(source),
         RestoreFailure::NotThere { .. } => 3,
-        _ => 7,
+        RestoreFailure::OtherStation { .. }
+        | RestoreFailure::Running
+        | RestoreFailure::StillRunning
+        | RestoreFailure::SetRunning { .. }
+        | RestoreFailure::Differs { .. }
+        | RestoreFailure::NotRunning
+        | _ => 7,
     }
 }
 
 /// Why a call failed; of a write in several requests, why it went no further.
 fn cause(error: &fatek::Error) -> &fatek::Error {
-    match error {
-        fatek::Error::PartlyWritten { source, .. } => cause(source),
-        error => error,
-    }
+    if let fatek::Error::PartlyWritten { source, .. } = error { cause(source) } else { error }
 }
 
 impl From<FileError> for Failure {
@@ -201,7 +216,19 @@ impl fmt::Display for Failure {
                     f.write_str("the PLC runs, and nothing was written: stop it first, or have it stopped with --stop")
                 }
                 ProgramError::RunRefused { .. } => error.fmt(f),
-                _ => {
+                ProgramError::Call { .. }
+                | ProgramError::Invalid(_)
+                | ProgramError::Changed { .. }
+                | ProgramError::OtherStation { .. }
+                | ProgramError::SizeMisfit { .. }
+                | ProgramError::KindMisfit { .. }
+                | ProgramError::MemoryCard
+                | ProgramError::StillRunning
+                | ProgramError::SetRunning
+                | ProgramError::NotTaken { .. }
+                | ProgramError::Differs { .. }
+                | ProgramError::NotRunning
+                | _ => {
                     error.fmt(f)?;
                     go_on(&error.state, f)
                 }

@@ -202,7 +202,7 @@ impl From<TagValue> for Cell {
             TagValue::F32(number) if number.is_finite() => text.parse::<f64>().map_or(Value::Null, Value::from),
             TagValue::Scaled(number) if number.is_finite() => number.into(),
             TagValue::Text(characters) => characters.into(),
-            _ => text.clone().into(),
+            TagValue::F32(_) | TagValue::Scaled(_) | TagValue::Hex16(_) | TagValue::Hex32(_) | _ => text.clone().into(),
         };
         Self { text, json }
     }

@@ -198,9 +198,9 @@ fn fields(program: &Program) -> Vec<(&'static str, Cell)> {
 
 fn load(file: &ProgramFile) -> Result<Program, Failure> {
     let loaded = if file.raw { Program::load_raw(&file.file) } else { Program::load(&file.file) };
-    loaded.map_err(|error| match error {
-        FileError::Format { source: FormatError::Foreign, .. } => Failure::NotRaw(error),
-        error => error.into(),
+    loaded.map_err(|error| {
+        let foreign = matches!(error, FileError::Format { source: FormatError::Foreign, .. });
+        if foreign { Failure::NotRaw(error) } else { error.into() }
     })
 }
 

@@ -3,7 +3,7 @@
 use std::time::SystemTime;
 
 use fatek::Station;
-use fatek::poll::{Missed, PollTag, Poller, Quality, Sample, ScanClass};
+use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass};
 use fatek::tag::Tag;
 use futures::StreamExt;
 use humantime::format_rfc3339_millis;
@@ -89,12 +89,16 @@ impl<'o> Printer<'o> {
         let time = format_rfc3339_millis(sample.at.time.max(SystemTime::UNIX_EPOCH)).to_string();
         let value = Cell::from(sample.value().cloned());
         match self.output.format {
-            Format::Table => match &sample.quality {
-                Quality::Good => print(format_args!("{time}  {:width$}  {}", sample.name, value.text)),
-                // Nothing is there to be read where nothing is known.
-                quality if value.text.is_empty() => print(format_args!("{time}  {:width$}  ({quality})", sample.name)),
-                quality => print(format_args!("{time}  {:width$}  {} ({quality})", sample.name, value.text)),
-            },
+            Format::Table => {
+                let quality = &sample.quality;
+                if sample.is_good() {
+                    print(format_args!("{time}  {:width$}  {}", sample.name, value.text))
+                } else if value.text.is_empty() {
+                    print(format_args!("{time}  {:width$}  ({quality})", sample.name))
+                } else {
+                    print(format_args!("{time}  {:width$}  {} ({quality})", sample.name, value.text))
+                }
+            }
             Format::Json => {
                 let cells =
                     [time.into(), sample.name.to_string().into(), value.json, sample.quality.to_string().into()];

@@ -10,12 +10,9 @@ pub(crate) async fn write(station: &Station, assignments: &[Assignment], output:
     for assignment in assignments {
         send(station, assignment).await.map_err(|error| {
             let tag = assignment.tag();
-            let doubt = match &error {
-                // It says itself what was written.
-                Error::PartlyWritten { .. } => "",
-                error if error.may_have_executed() => " (it may have been written)",
-                _ => "",
-            };
+            // A partial write itself says what was written.
+            let in_doubt = !matches!(error, Error::PartlyWritten { .. }) && error.may_have_executed();
+            let doubt = if in_doubt { " (it may have been written)" } else { "" };
             Failure::of(format_args!("{tag}{doubt}"))(error)
         })?;
         output.remark(format_args!("wrote {assignment}"));

@@ -68,7 +68,22 @@ fn reframed(reply: &BytesMut, framing: Framing, faults: &[Fault]) -> Option<Fram
                 data.put_bytes(zero, by.min(MAX_FRAME_LEN));
                 frame.data = data.freeze();
             }
-            _ => {}
+            Fault::Ignore
+            | Fault::DropReply
+            | Fault::Delay { .. }
+            | Fault::Split { .. }
+            | Fault::GarbageBefore { .. }
+            | Fault::GarbageInside { .. }
+            | Fault::BadChecksum
+            | Fault::Duplicate(_)
+            | Fault::RoamingDuplicate(_)
+            | Fault::SecondAnswer { .. }
+            | Fault::LeftOver { .. }
+            | Fault::AnswerBroadcast { .. }
+            | Fault::Echo
+            | Fault::Disconnect(_)
+            | Fault::Refuse
+            | Fault::Error(_) => {}
         }
     }
     Some(frame)

@@ -32,7 +32,7 @@ pub(super) fn pieces(input: &[u8], mut framing: Option<Framing>) -> Vec<Piece<'_
         framing = Some(found);
         let (frame, behind) = match found {
             Framing::Binary => rest.split_at(binary_len(rest)),
-            _ => rest.split_at(ascii_len(rest)),
+            Framing::Ascii | _ => rest.split_at(ascii_len(rest)),
         };
         pieces.push(if found == Framing::Binary { Piece::Binary(frame) } else { Piece::Ascii(frame) });
         rest = behind;

@@ -127,7 +127,7 @@ impl Explanation {
     fn data(&mut self, code: Code, framing: Framing, data: &[u8], readings: &[Part]) {
         let read = |part: &Part| match part {
             Part::Reply => (*part, reply::read(code, framing, data)),
-            _ => (*part, request::read(code, framing, data)),
+            Part::Frame | Part::Request => (*part, request::read(code, framing, data)),
         };
         let readings: Vec<(Part, Reading)> = readings.iter().map(read).collect();
         if readings.iter().any(|(_, reading)| reading.fault.is_none()) {

@@ -3,7 +3,9 @@
 //! A reply does not say what was asked, so this takes every number of values that a request can ask for.
 
 use fatek::ErrorCode;
-use fatek::command::{BriefStatus, Code, DetailedStatus, ErrorField, MAX_LOOP_BACK, MAX_POINTS, MAX_UNITS, PAGE_WORDS};
+use fatek::command::{
+    BriefStatus, Class, Code, DetailedStatus, ErrorField, MAX_LOOP_BACK, MAX_POINTS, MAX_UNITS, PAGE_WORDS,
+};
 use fatek::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, Framing};
 
 use super::explain::{Part, Reading};
@@ -13,7 +15,7 @@ use super::text;
 pub(super) fn read(code: Code, framing: Framing, data: &[u8]) -> Reading {
     match framing {
         Framing::Binary => read_fields(code, data, Recorder::new(BinaryReader::new(data), data, code, Part::Reply)),
-        _ => read_fields(code, data, Recorder::new(AsciiReader::new(data), data, code, Part::Reply)),
+        Framing::Ascii | _ => read_fields(code, data, Recorder::new(AsciiReader::new(data), data, code, Part::Reply)),
     }
 }
 
@@ -21,7 +23,7 @@ fn read_fields<R: FieldReader + Clone>(code: Code, data: &[u8], mut fields: Reco
     let has_error_code = match code.error_field() {
         ErrorField::Absent => false,
         ErrorField::ByLength => data.len() != PAGE_CHARACTERS,
-        _ => true,
+        ErrorField::Leading | _ => true,
     };
     let result = read_result(code, has_error_code, &mut fields).and_then(|()| fields.finish());
     fields.reading(result)
@@ -53,6 +55,14 @@ fn read_result<R: FieldReader + Clone>(
         Code::ReadMixed => mixed(fields),
         Code::ReadProgramPage => (0..PAGE_WORDS).try_for_each(|_| fields.word().map(drop)),
         Code::LoopBack => echo(fields),
+        Code::ControlPlc
+        | Code::ControlDiscrete
+        | Code::WriteDiscretes
+        | Code::WriteRegisters
+        | Code::WriteMixed
+        | Code::WriteProgramPage => Ok(()),
+        // A command that has no description here: a write has no data, the data of a read is shown as it is.
+        _ if code.class() == Class::Read => rest(fields),
         _ => Ok(()),
     }
 }

@@ -9,7 +9,7 @@ use super::recorder::Recorder;
 pub(super) fn read(code: Code, framing: Framing, data: &[u8]) -> Reading {
     match framing {
         Framing::Binary => read_fields(code, Recorder::new(BinaryReader::new(data), data, code, Part::Request)),
-        _ => read_fields(code, Recorder::new(AsciiReader::new(data), data, code, Part::Request)),
+        Framing::Ascii | _ => read_fields(code, Recorder::new(AsciiReader::new(data), data, code, Part::Request)),
     }
 }
 
