@@ -27,7 +27,7 @@ use std::fmt;
 use std::str::FromStr;
 
 pub use error::{ElementError, ParseElementError};
-pub(crate) use symbol::{LONGEST_SYMBOL, MemoryArea};
+pub(crate) use symbol::{LONGEST_ADDRESS, LONGEST_SYMBOL, MemoryArea};
 pub use symbol::{Symbol, Width};
 pub use value::Value;
 

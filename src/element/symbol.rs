@@ -39,6 +39,9 @@ memory_areas! {
 /// The length of the longest symbol, in letters.
 pub(crate) const LONGEST_SYMBOL: usize = 3;
 
+/// The length of the longest address in the ASCII framing, in digits.
+pub(crate) const LONGEST_ADDRESS: usize = 5;
+
 /// Words of discretes begin at addresses that are a multiple of this.
 const WORD_ALIGNMENT: u16 = 8;
 
@@ -221,6 +224,8 @@ struct SymbolRow {
 impl SymbolRow {
     const fn new(letters: &'static str, area: MemoryArea, width: Width) -> Self {
         let row = area.row();
+        assert!(letters.len() <= LONGEST_SYMBOL && row.digits <= LONGEST_ADDRESS);
+        assert!((row.last_in_ascii as u32) < 10_u32.pow(row.digits as u32));
         // The limit is not checked for the framing of a link, so it must be the same in both. Where
         // they are to differ, `Command::check` has to compare the addresses of a request.
         assert!(row.last_in_ascii == row.last_in_binary);

@@ -17,7 +17,7 @@ use tokio_util::codec::{Decoder, Encoder};
 use super::bulk;
 use super::field::{FieldError, FieldReader, FieldWriter};
 use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received};
-use crate::element::{Element, ElementError, LONGEST_SYMBOL, Symbol};
+use crate::element::{Element, ElementError, LONGEST_ADDRESS, LONGEST_SYMBOL, Symbol};
 use crate::hex;
 
 /// The first byte of a frame.
@@ -396,9 +396,6 @@ impl FieldReader for AsciiReader<'_> {
         self.data.is_empty()
     }
 }
-
-/// The length of the longest address, in digits.
-const LONGEST_ADDRESS: usize = 5;
 
 #[cfg(test)]
 mod tests;
