@@ -1,4 +1,4 @@
-//! Plans: from any set of tags to the cheapest list of requests that reads them. No I/O, but for [`Plan::read`].
+//! Plans: the cheapest list of requests that reads a set of tags. No I/O, except in [`Plan::read`].
 //!
 //! ```
 //! # fatek::sim::doctest(|station| async move {
@@ -11,56 +11,57 @@
 //!     .tags(["R0-R9", "R12:f32", "R900", "D7", "M3"].map(|tag| tag.parse().unwrap()))
 //!     .build()?;
 //! println!("{}", plan.explain());
-//! assert_eq!(plan.requests().len(), 2); // R0 to R13 in one run, through a gap; the other three in a mixed read
+//! assert_eq!(plan.requests().len(), 2); // R0 to R13 as one run, through a gap; the other three as a mixed read
 //!
 //! let readings = plan.read(&station).await;
 //! assert!(matches!(readings.tag(1), Some(Ok(values)) if values == [fatek::tag::TagValue::F32(0.0)]));
 //! # Ok(()) });
 //! ```
 //!
-//! # What is promised
+//! # Guarantees
 //!
-//! - Each value comes from one request, so from one scan: the two halves of an `R100:f32` never come from two, nor do
-//!   the registers of a text.
-//!   Different values of one tag (`R0-R99`) may come from different scans, unless [`PlanBuilder::one_scan`] asks for
-//!   more; then they are in one request, or the plan is refused.
-//! - No element is asked for that the [`Limits`] exclude, also not in a gap between two tags.
-//! - No list is asked for that has two readings in the binary framing.
+//! - Each value comes from one request, and thus from one scan: the halves of an `R100:f32` and the
+//!   registers of a text never come from two. Different values of one tag (`R0-R99`) may come from
+//!   different scans, unless [`PlanBuilder::one_scan`] puts them in one request or fails.
+//! - No request reads an element that the [`Limits`] exclude, not even in a gap between two tags.
+//! - No request has a list of elements that is ambiguous in the binary framing.
 //!
-//! # The plans that are looked at
+//! # Search space
 //!
-//! What is needed is a set of *parts*: the values of the tags, each one cell or two, or up to 64 for a text, and the groups
-//! that must come from one scan. (A cell is a discrete, a word of discretes, or a 16-bit register; `DR0` is the cells `R0` and `R1`.) Equal
-//! parts are one part, and a value within another value is read with it. A plan shares the parts out among requests,
-//! each of which is
+//! The input is a set of *parts*: the values of the tags, and the groups that must come from one
+//! scan. A value has one or two cells, or up to 64 for a text. A cell is a discrete, a word of
+//! discretes, or a 16-bit register; `DR0` is the cells `R0` and `R1`. Equal parts count once, and a
+//! value within another value is read with it. A plan distributes the parts among requests, each of
+//! which is
 //!
-//! - a *run*, 44 or 46: from the first cell that is needed to the last, with all that lies between; or
-//! - a *mixed* read, 48: the cells that are needed and no others, neighbours in pairs (`DR0` is shorter than `R0 R1`),
-//!   in the order of symbols and addresses.
+//! - a *run*, 44 or 46: all cells from the first part to the last; or
+//! - a *mixed* read, 48: only the cells of the parts, neighbours in pairs (`DR0` is shorter than
+//!   `R0 R1`), in the order of symbols and addresses.
 //!
-//! Its price is the sum over the requests of [`CostModel`]'s. Discretes are not read as words, nor words as discretes,
-//! nor `WM0` with `WM8`, whose words lie across each other.
+//! The cost of a plan is the sum of the costs of its requests by the [`CostModel`]. Discretes are
+//! not read as words, nor words as discretes. `WM0` and `WM8`, which overlap, are not in one run.
 //!
-//! Up to eight parts, the plan is the cheapest of all ways to share them out. Above that:
+//! Up to eight parts, the plan is the cheapest of all partitions. Above that:
 //!
-//! - Without mixed reads and without groups, it is still the cheapest: a dynamic program over the sorted values finds
-//!   where runs begin and end.
-//! - With mixed reads, the same program decides between run and mixed read for each value, for several prices of a
-//!   place in a mixed request. If what is left over at the price 0 fits into one mixed request, the result is still the
-//!   cheapest; else what is lost is about the unused part of the last mixed request.
-//! - Groups are placed first, each at its own best, and values fill what room they leave. This is a heuristic. A text for
-//!   which the device's runs are too short is such a group.
+//! - Without mixed reads and groups, the plan is still optimal: a dynamic program over the sorted
+//!   values finds the runs.
+//! - With mixed reads, the same program chooses run or mixed read for each value, for several
+//!   prices of a unit in a mixed read. If the values left for mixed reads at price 0 fit in one,
+//!   the plan is optimal. Otherwise the loss is about the unused part of the last mixed read.
+//! - Groups are placed first, each as its own cheapest request, and values fill the remaining room.
+//!   This is a heuristic. A text that is longer than the PLC's longest run is planned as a group.
 //!
-//! The time it takes is that of sorting the values, n log n; the rest is linear.
+//! The run time is O(n log n), for sorting the values; the rest is linear.
 
+mod access;
 mod builder;
 mod cost;
 mod error;
 mod explain;
 mod layout;
 mod limits;
-mod parts;
 mod readings;
+mod reply;
 mod request;
 mod solve;
 
@@ -72,73 +73,75 @@ pub use cost::CostModel;
 pub use error::PlanError;
 pub use explain::Explanation;
 pub use limits::Limits;
-pub(crate) use readings::Words;
-pub use readings::{Readings, Reply};
+pub use readings::PlanReadings;
+pub use reply::Reply;
+pub(crate) use reply::ReplyWords;
 pub use request::{PlannedRequest, ReadRequest};
 
 use crate::error::Error;
 use crate::station::{JobReply, Outcome, Station, StationJob};
 use crate::tag::Tag;
 
-/// The most values in a plan.
+/// The maximum number of values in a plan.
 pub const MAX_VALUES: usize = 1 << 20;
 
-/// A list of requests that reads a set of tags: see [the module](self).
+/// A list of requests that reads a set of tags. See [the module](self).
 #[derive(Clone, Debug)]
 pub struct Plan {
     tags: Vec<Tag>,
-    /// For each tag, where its values begin in `slots`.
+    /// For each tag, the index of its first value in `slots`.
     first_slot: Vec<usize>,
-    slots: Vec<Slot>,
+    slots: Vec<ValueSlot>,
     requests: Vec<PlannedRequest>,
 }
 
-/// Where a value is found: a request, and the first word of it in the reply.
+/// The place of a value: its request, and its first word in the reply.
 #[derive(Clone, Copy, Debug)]
-struct Slot {
+struct ValueSlot {
     request: u32,
     word: u32,
 }
 
 impl Plan {
-    /// Begins a plan whose requests cost what the model says.
+    /// Returns a builder of a plan with these costs.
     #[must_use]
     pub fn builder(cost: CostModel) -> PlanBuilder {
         PlanBuilder::new(cost)
     }
 
-    /// The tags, as they were added.
+    /// Returns the tags in the order in which they were added.
     #[must_use]
     pub fn tags(&self) -> &[Tag] {
         &self.tags
     }
 
-    /// The requests.
+    /// Returns the requests.
     #[must_use]
     pub fn requests(&self) -> &[PlannedRequest] {
         &self.requests
     }
 
-    /// Which requests, by their place in [`requests`](Self::requests), the values of the tag with this number come from.
-    /// None: the plan has no tag with this number.
+    /// Returns the indices of the [requests](Self::requests) that read the tag with this index.
+    ///
+    /// Empty if the plan has no such tag.
     pub fn requests_of(&self, tag: usize) -> impl Iterator<Item = usize> + use<> {
         let requests = self.slots(tag).unwrap_or_default().iter().map(|slot| slot.request as usize);
         requests.collect::<BTreeSet<_>>().into_iter()
     }
 
-    /// All bytes, of requests and replies.
+    /// Returns the length of all requests and replies in bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.requests.iter().map(PlannedRequest::bytes).sum()
     }
 
-    /// How long it takes, by the cost model.
+    /// Returns the duration of all requests by the cost model.
     #[must_use]
     pub fn time(&self) -> Duration {
         self.requests.iter().fold(Duration::ZERO, |sum, request| sum.saturating_add(request.time))
     }
 
-    /// A table for people: requests, bytes and milliseconds.
+    /// Returns a human-readable table of requests, bytes and milliseconds.
     ///
     /// ```
     /// use std::time::Duration;
@@ -155,13 +158,14 @@ impl Plan {
         Explanation { plan: self }
     }
 
-    /// Sends the requests one after the other, and gives what came back.
+    /// Sends the requests in turn and returns their replies.
     ///
-    /// A request that fails does not end it: its tags have the error, the others their values. Several requests are confirmed
-    /// by a check at their end, and read again if a duplicate of a reply came between them out of order.
-    pub async fn read(&self, station: &Station) -> Readings<'_, Error> {
+    /// After a failed request the others are sent all the same: its tags have the error, the others
+    /// their values. A check at the end confirms several requests; they are repeated if a duplicate
+    /// of a reply came out of order. Cancel-safe: the requests only read.
+    pub async fn read(&self, station: &Station) -> PlanReadings<'_, Error> {
         let mut job = StationJob::new(station);
-        let mut replies: Vec<Result<Words, Error>> = Vec::with_capacity(self.requests.len());
+        let mut replies: Vec<Result<ReplyWords, Error>> = Vec::with_capacity(self.requests.len());
         loop {
             while let Some(planned) = self.requests.get(replies.len()) {
                 match planned.request.call_in_job(&mut job, replies.len()).await {
@@ -175,49 +179,49 @@ impl Plan {
                 }
             }
             match job.end().await {
-                Ok(None) => return Readings::new(self, replies),
+                Ok(None) => return PlanReadings::new(self, replies),
                 Ok(Some(confirmed)) => replies.truncate(confirmed),
                 Err(error) => {
                     fail_from(&mut replies, job.first_held(), &error);
-                    return Readings::new(self, replies);
+                    return PlanReadings::new(self, replies);
                 }
             }
         }
     }
 
-    /// Gives the replies of the requests, in their order, to the tags: for those who send the requests themselves.
+    /// Assigns replies to the tags, one for each request, if the caller sends the requests.
     ///
     /// # Errors
-    /// [`PlanError::Reply`] when one is no reply to its request, or there is not one for each.
+    /// [`PlanError::Reply`] if a reply does not match its request, or their numbers differ.
     pub fn scatter<E>(
         &self,
         replies: impl IntoIterator<Item = Result<Reply, E>>,
-    ) -> Result<Readings<'_, E>, PlanError> {
+    ) -> Result<PlanReadings<'_, E>, PlanError> {
         let mut words = Vec::with_capacity(self.requests.len());
         for (n, reply) in replies.into_iter().enumerate() {
             let planned = self.requests.get(n).ok_or(PlanError::Reply { request: n })?;
             if let Ok(reply) = &reply
-                && !reply.answers(&planned.request)
+                && !reply.matches(&planned.request)
             {
                 return Err(PlanError::Reply { request: n });
             }
-            words.push(reply.map(readings::Words::from));
+            words.push(reply.map(ReplyWords::from));
         }
         if words.len() < self.requests.len() {
             return Err(PlanError::Reply { request: words.len() });
         }
-        Ok(Readings::new(self, words))
+        Ok(PlanReadings::new(self, words))
     }
 
-    fn slots(&self, tag: usize) -> Option<&[Slot]> {
+    fn slots(&self, tag: usize) -> Option<&[ValueSlot]> {
         let start = *self.first_slot.get(tag)?;
         let end = self.first_slot.get(tag + 1).copied().unwrap_or(self.slots.len());
         self.slots.get(start..end)
     }
 }
 
-/// Drops the replies that are not confirmed.
-fn fail_from(replies: &mut [Result<Words, Error>], first: Option<usize>, error: &Error) {
+/// Replaces the replies from `first` on, which are not confirmed, by an error.
+fn fail_from(replies: &mut [Result<ReplyWords, Error>], first: Option<usize>, error: &Error) {
     for reply in replies.iter_mut().skip(first.unwrap_or(usize::MAX)) {
         *reply = Err(error.clone());
     }

@@ -1,4 +1,4 @@
-//! The poller: tags of many stations, read again and again, and what was read as a stream of samples.
+//! The poller: polls tags of many stations periodically and yields samples as a stream.
 //!
 //! ```
 //! # fatek::sim::doctest(|station| async move {
@@ -12,214 +12,129 @@
 //! boiler.add(fast, [PollTag::new("level", "R100:f32".parse()?).deadband(0.5)])?;
 //! boiler.add(ScanClass::every(Duration::from_secs(10)), [PollTag::new("serial number", "R0-R9".parse()?)])?;
 //!
-//! let sample = poller.next().await.expect("it has not been closed")?;
+//! let sample = poller.next().await.expect("the poller is open")?;
 //! match sample.value() {
 //!     Some(value) => println!("{} is {value} ({})", sample.name, sample.quality),
-//!     None => println!("{} is not known: {}", sample.name, sample.quality),
+//!     None => println!("{} has no value: {}", sample.name, sample.quality),
 //! }
 //! # Ok(()) });
 //! ```
 //!
-//! # What it does
+//! # Behaviour
 //!
-//! - Each station has a task of its own. Tags of one [`ScanClass`] are read together, by a [`Plan`](crate::plan::Plan),
-//!   once a period, at a random time of it unless the class says which. A request at a time is on its way to a station;
-//!   calls of others go first ([`CallOptions::background`](crate::CallOptions::background)).
-//! - When a cycle is due and the one before is not over, it is skipped and counted ([`Counters::overruns`]).
-//! - The values of a cycle of several requests are given out together, when a check (4E) has confirmed that no reply among
-//!   them was a duplicate out of order. If one was, they are dropped and read again, as often as reads are retried; then the
-//!   cycle is abandoned with [`Error::Duplicates`](crate::Error::Duplicates).
-//! - A sample has values, the time of the reply they came in, and a [`Quality`]. What fails is never a zero: a value is
-//!   *stale*, the last one that was read, or *bad*, and then it is not there. The quality changes with time, too, when
-//!   no answer comes.
-//! - A sample is given after each reading, or by change, as the [`PollTag`] says. A consumer who is too slow loses the
-//!   oldest samples, and is told so ([`Missed`]); the poller never waits for it.
-//! - A request that the PLC refuses is taken apart, until the tags at fault are found. These are bad, and are tried again
-//!   now and then ([`ScanClass::probe_refused`]); the others go on. A request that is refused though its halves are not is
-//!   not sent again: its gap is not read through any more, or its length is a limit from then on.
-//! - How long the PLC takes to answer is measured, and the plans change with it.
+//! - **Scheduling.** Each station has a task of its own. A [`Plan`](crate::plan::Plan) reads all
+//!   tags of one [`ScanClass`] together, once a period. The phase is random unless the class sets
+//!   it. One request per station is in flight at a time, and calls of other users take precedence
+//!   ([`CallOptions::background`](crate::CallOptions::background)).
+//! - **Overruns.** A cycle that falls due while the previous one is running is skipped and counted
+//!   in [`Counters::overruns`].
+//! - **Confirmation.** The values of a cycle of several requests are reported together, after a
+//!   check (4E) has confirmed that none of the replies was a duplicate out of order. If one was,
+//!   the values are dropped and read again, up to the number of retries of a read. Then the cycle
+//!   is abandoned with [`Error::Duplicates`](crate::Error::Duplicates).
+//! - **Quality.** A sample has values, the time of their reply, and a [`Quality`]. A failure never
+//!   yields a zero: the tag is *stale* and keeps its last values, or *bad* and has none. Quality
+//!   also degrades with age while no reply comes.
+//! - **Report by exception.** A sample is reported after each reading or on change, as set in
+//!   [`PollTag`].
+//! - **Bounded queue.** If the consumer is too slow, the oldest samples are dropped and reported as
+//!   [`Missed`]. The poller never waits for the consumer.
+//! - **Refusals.** A request that the PLC refuses is halved until the refused tags are found. These
+//!   are bad and are probed periodically ([`ScanClass::probe_refused`]); the other tags are polled
+//!   as before. If a request is refused although both halves are accepted, the poller learns a
+//!   limit: it no longer reads through that gap, or no longer sends requests of that length.
+//! - **Adaptive plans.** The plans adapt to the measured response time of the PLC.
 //!
-//! Values of one sample come from one scan of the PLC only as far as a plan promises it: each value does; tags that were
-//! added with [`PolledStation::add_one_scan`] do together.
+//! The values of a sample come from one scan of the PLC only as far as its plan promises that: each
+//! single value does, and so do tags added together with [`PolledStation::add_one_scan`].
 
-mod batch;
+mod builder;
 mod class;
+mod class_state;
+mod compiled_plan;
+mod context;
 mod cycle;
-mod device;
 mod driver;
 mod error;
-mod known;
-mod lesson;
-mod plans;
-mod point;
-mod points;
+mod in_flight;
+mod latency;
+mod learned_limit;
+mod plan_cache;
 mod queue;
 mod sample;
+mod shared;
+mod station_poller;
 mod stats;
-mod trip;
-mod work;
+mod tag_map;
+mod tag_state;
 
 use std::fmt;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, Weak};
 use std::task::{Context, Poll};
 
 use futures::Stream;
 use tokio::runtime::Handle;
 use tokio::sync::Notify;
 use tokio::time::Instant;
-use tokio_util::task::TaskTracker;
 
+pub use self::builder::{PollerBuilder, StationPolling};
 pub use self::class::{PollTag, ScanClass};
 pub use self::error::PollError;
 pub use self::queue::Missed;
 pub use self::sample::{Quality, Reason, Sample, Stamp, TagId};
 pub use self::stats::{ClassStats, Counters, PollerStats};
 
-use self::device::Device;
-use self::known::Polled;
-use self::plans::Plans;
-use self::queue::Queue;
-use crate::plan::{CostModel, Limits};
-use crate::random::Random;
+use self::context::StationParams;
+use self::shared::{PollerShared, StationShared, lock};
+use self::station_poller::StationPoller;
+use crate::plan::CostModel;
 use crate::station::Station;
 
-/// Reads tags again and again: a [`Stream`] of [`Sample`]s, or of [`Missed`] where some were dropped. See
-/// [the module](self).
+/// A poller: a [`Stream`] of [`Sample`]s, with [`Missed`] in place of dropped ones.
 ///
-/// It ends, with `None`, when it has been closed and all samples are taken. Dropping it closes it.
+/// The stream ends after [`close`](Self::close), when all queued samples have been taken. Dropping
+/// the poller closes it. See [the module](self).
 #[derive(Debug)]
 pub struct Poller {
     handle: PollerHandle,
 }
 
-/// A handle of a [`Poller`], to add stations to it and to look at it. Cheap to clone.
+/// A handle of a [`Poller`]: adds stations, reads statistics, closes it. Cheap to clone.
 #[derive(Clone)]
 pub struct PollerHandle {
-    shared: Arc<Shared>,
+    shared: Arc<PollerShared>,
 }
 
-/// The tags of one station in a [`Poller`]. Cheap to clone; dropping it changes nothing: the tags are polled until they
-/// are removed.
+/// The tags of one station in a [`Poller`]. Cheap to clone.
+///
+/// Dropping it has no effect: the tags are polled until they are removed.
 #[derive(Clone)]
 pub struct PolledStation {
-    shared: Arc<Shared>,
-    unit: Arc<Unit>,
-}
-
-/// What a [`Poller`] is made from: see [`Poller::builder`].
-#[derive(Clone, Copy, Debug)]
-#[must_use]
-pub struct PollerBuilder {
-    capacity: usize,
-    seed: Option<u64>,
-}
-
-/// How a station is polled: what it takes, and what requests cost.
-#[derive(Clone, Debug, Default)]
-#[must_use]
-#[non_exhaustive]
-pub struct StationPolling {
-    /// `None`: the protocol's own.
-    limits: Option<Arc<Limits>>,
-    cost: Option<CostModel>,
-}
-
-#[derive(Debug)]
-struct Shared {
-    queue: Queue,
-    tasks: TaskTracker,
-    next_id: AtomicU64,
-    random: Mutex<Random>,
-    epoch: Instant,
-    plans: Arc<Plans>,
-    /// The protocol's own.
-    limits: Arc<Limits>,
-    units: Mutex<Units>,
-}
-
-#[derive(Debug, Default)]
-struct Units {
-    closed: bool,
-    now: Vec<Weak<Unit>>,
-    /// What those did that are no more.
-    before: Counters,
-}
-
-/// A station, as its task and its handles see it.
-#[derive(Debug)]
-struct Unit {
-    station: Station,
-    /// `None` once it has been stopped.
-    device: Mutex<Option<Device>>,
-    changed: Notify,
-}
-
-impl PollerBuilder {
-    /// How many samples wait for the consumer at most. Default: 65,536.
-    pub fn capacity(self, samples: usize) -> Self {
-        Self { capacity: samples, ..self }
-    }
-
-    /// Where the random phases come from, so that a test can be repeated. Default: another one each time.
-    pub fn seed(self, seed: u64) -> Self {
-        Self { seed: Some(seed), ..self }
-    }
-
-    /// Makes the poller.
-    #[must_use]
-    pub fn build(self) -> Poller {
-        let shared = Shared {
-            queue: Queue::new(self.capacity),
-            tasks: TaskTracker::new(),
-            next_id: AtomicU64::new(1),
-            random: Mutex::new(Random::new(self.seed.unwrap_or_else(Random::seed))),
-            epoch: Instant::now(),
-            plans: Arc::default(),
-            limits: Arc::default(),
-            units: Mutex::default(),
-        };
-        Poller { handle: PollerHandle { shared: Arc::new(shared) } }
-    }
-}
-
-impl StationPolling {
-    /// The defaults: the protocol's limits, and the cost of what the link says of its line.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// What the PLC takes.
-    pub fn limits(self, limits: Limits) -> Self {
-        Self { limits: Some(Arc::new(limits)), ..self }
-    }
-
-    /// What requests cost. The latency in it is that of the beginning, until it has been measured.
-    pub fn cost(self, cost: CostModel) -> Self {
-        Self { cost: Some(cost), ..self }
-    }
+    shared: Arc<PollerShared>,
+    station: Arc<StationShared>,
 }
 
 impl Poller {
-    /// A poller with the default settings.
+    /// Makes a poller with the default settings.
     #[must_use]
     pub fn new() -> Self {
         Self::builder().build()
     }
 
-    /// A poller with settings.
+    /// Returns a builder with the default settings.
     pub fn builder() -> PollerBuilder {
-        PollerBuilder { capacity: 65_536, seed: None }
+        PollerBuilder::new()
     }
 
-    /// A handle, for other tasks than the one that takes the samples.
+    /// Returns a handle, for tasks other than the one that takes the samples.
     #[must_use]
     pub fn handle(&self) -> PollerHandle {
         self.handle.clone()
     }
 
-    /// As [`PollerHandle::station`].
+    /// Adds a station: see [`PollerHandle::station`].
     ///
     /// # Errors
     /// [`PollError::Closed`], [`PollError::NoRuntime`].
@@ -227,7 +142,7 @@ impl Poller {
         self.handle.station(station)
     }
 
-    /// As [`PollerHandle::close`].
+    /// Stops polling: see [`PollerHandle::close`].
     pub async fn close(&self) {
         self.handle.close().await;
     }
@@ -255,9 +170,10 @@ impl Stream for Poller {
 }
 
 impl PollerHandle {
-    /// Polls tags of this station. Each call makes another set of tags, with a task of its own.
+    /// Adds a station with the default settings. Each call makes a separate set of tags and a task.
     ///
-    /// The options of the station hold for the requests, but all of them give way to other calls.
+    /// The station's call options apply to the requests, except that all of them run in the
+    /// background lane.
     ///
     /// # Errors
     /// [`PollError::Closed`]; [`PollError::NoRuntime`] outside of a Tokio runtime.
@@ -265,7 +181,7 @@ impl PollerHandle {
         self.station_with(station, StationPolling::new())
     }
 
-    /// Polls tags of this station, which takes only this, or whose requests cost that.
+    /// Adds a station with the given limits and costs: see [`station`](Self::station).
     ///
     /// # Errors
     /// [`PollError::Closed`]; [`PollError::NoRuntime`] outside of a Tokio runtime.
@@ -276,53 +192,54 @@ impl PollerHandle {
         let limits = limits.unwrap_or_else(|| shared.limits.clone());
         let cost = cost.unwrap_or_else(|| CostModel::of_link(station.link()));
         let seed = lock(&shared.random).next();
-        let polled = Polled { station: station.number(), retries: station.options().retries };
-        let device = Device::new(polled, (limits, cost), shared.epoch, seed, shared.plans.clone());
-        let unit = Arc::new(Unit {
-            station: station.with_options(station.options().background(true)),
-            device: Mutex::new(Some(device)),
+        let params = StationParams { station: station.number(), retries: station.options().retries };
+        let poller = StationPoller::new(params, (limits, cost), shared.epoch, seed, shared.plan_cache.clone());
+        let station = Arc::new(StationShared {
+            handle: station.with_options(station.options().background(true)),
+            poller: Mutex::new(Some(poller)),
             changed: Notify::new(),
         });
         {
-            // With the lock that `close` takes, so that no unit is forgotten by it.
-            let mut units = lock(&shared.units);
-            if units.closed {
+            // The lock that `close` takes: a station is either refused here or stopped there.
+            let mut stations = lock(&shared.stations);
+            if stations.closed {
                 return Err(PollError::Closed);
             }
-            if units.now.len() == units.now.capacity() {
-                units.now.retain(|unit| unit.strong_count() > 0);
+            if stations.active.len() == stations.active.capacity() {
+                stations.active.retain(|station| station.strong_count() > 0);
             }
-            units.now.push(Arc::downgrade(&unit));
-            shared.tasks.spawn_on(driver::run(shared.clone(), unit.clone()), &runtime);
+            stations.active.push(Arc::downgrade(&station));
+            shared.tasks.spawn_on(driver::run(shared.clone(), station.clone()), &runtime);
         }
-        Ok(PolledStation { shared: shared.clone(), unit })
+        Ok(PolledStation { shared: shared.clone(), station })
     }
 
-    /// What is known of all tags now: the newest sample of each, whether it was given or not.
+    /// Returns the current sample of each tag, including those that were not reported.
     #[must_use]
     pub fn snapshot(&self) -> Vec<Sample> {
         let mut samples = Vec::new();
-        for unit in self.shared.units() {
-            samples.extend(self.shared.snapshot(&unit));
+        for station in self.shared.active_stations() {
+            samples.extend(self.shared.snapshot(&station));
         }
         samples
     }
 
-    /// The sum of all there is now. It asks every station, so call it every second rather than for every sample.
+    /// Returns the sum over all stations. Locks each of them: call it every second, not per sample.
     #[must_use]
     pub fn stats(&self) -> PollerStats {
-        let units = lock(&self.shared.units);
-        let mut stats = PollerStats { counters: units.before, ..PollerStats::default() };
-        for unit in units.now.iter().filter_map(Weak::upgrade) {
-            unit.with(|device| stats.count(device.classes(), &device.counters()));
+        let stations = lock(&self.shared.stations);
+        let mut stats = PollerStats { counters: stations.retired, ..PollerStats::default() };
+        for station in stations.active.iter().filter_map(Weak::upgrade) {
+            station.with(|poller| stats.count(poller.classes(), &poller.counters()));
         }
-        drop(units);
+        drop(stations);
         let (samples, missed) = self.shared.queue.totals();
         PollerStats { samples, missed, ..stats }
     }
 
-    /// Stops polling, and returns when all that was on its way has been given up. The samples that there are can still be
-    /// taken.
+    /// Stops polling and waits for the tasks to end. Queued samples can still be taken.
+    ///
+    /// Cancel-safe: polling stops with the first poll of the future.
     pub async fn close(&self) {
         self.shared.close();
         self.shared.tasks.wait().await;
@@ -336,24 +253,24 @@ impl fmt::Debug for PollerHandle {
 }
 
 impl PolledStation {
-    /// Reads these tags once a period from now on. The result has the id of each, in their order.
+    /// Adds tags to a class and returns their ids, in the order of the tags.
     ///
-    /// All tags of one class are read together, whenever they were added.
+    /// All tags of one class are read together, no matter when they were added.
     ///
     /// # Errors
-    /// Nothing is added then: [`PollError::Period`], [`PollError::Deadband`]; [`PollError::Plan`] when the station's limits
-    /// say that a tag cannot be read; [`PollError::Closed`].
+    /// No tag is added on error. [`PollError::Period`], [`PollError::Deadband`];
+    /// [`PollError::Plan`] if the station's limits exclude a tag; [`PollError::Closed`].
     pub fn add(&self, class: ScanClass, tags: impl IntoIterator<Item = PollTag>) -> Result<Vec<TagId>, PollError> {
         self.add_tags(class, tags, false)
     }
 
-    /// As [`add`](Self::add), for tags that must come from one scan of the PLC: they are read in one request.
+    /// Adds tags that must come from one scan of the PLC: one request reads all of them.
     ///
-    /// If the PLC refuses one of them, all of them are bad.
+    /// If the PLC refuses one of them, all of them are bad. See also [`add`](Self::add).
     ///
     /// # Errors
-    /// As [`add`](Self::add); [`PollError::Plan`] when they are more than one request holds, [`PollError::NoTags`] without
-    /// any.
+    /// As [`add`](Self::add); [`PollError::Plan`] if they do not fit in one request;
+    /// [`PollError::NoTags`] if there are none.
     pub fn add_one_scan(
         &self,
         class: ScanClass,
@@ -371,43 +288,45 @@ impl PolledStation {
         let id = |tag| (TagId(self.shared.next_id.fetch_add(1, Ordering::Relaxed)), tag);
         let tags: Vec<(TagId, PollTag)> = tags.into_iter().map(id).collect();
         let ids = tags.iter().map(|(id, _)| *id).collect();
-        let added = self.unit.with(|device| device.add(class, tags, one_scan, Stamp::now()));
+        let added = self.station.with(|poller| poller.add(class, tags, one_scan, Stamp::now()));
         added.unwrap_or(Err(PollError::Closed))?;
-        self.unit.changed.notify_one();
+        self.station.changed.notify_one();
         Ok(ids)
     }
 
-    /// Reads a tag no more; says whether it was there. No sample of it is made after this, but some that were may still
-    /// wait to be taken.
+    /// Removes a tag and returns whether it was polled.
     ///
-    /// Of tags that must come from one scan, the others stay.
+    /// No sample of it is made after this call; queued ones may still be taken. Of tags that must
+    /// come from one scan, the others stay.
     pub fn remove(&self, id: TagId) -> bool {
-        let removed = self.unit.with(|device| device.remove(id, Instant::now())).unwrap_or(false);
-        self.unit.changed.notify_one();
+        let removed = self.station.with(|poller| poller.remove(id, Instant::now())).unwrap_or(false);
+        self.station.changed.notify_one();
         removed
     }
 
-    /// Reads nothing more of this station, for all its handles.
+    /// Stops polling this station, for all its handles.
     pub fn stop(&self) {
-        self.shared.end(&self.unit);
+        self.shared.stop(&self.station);
     }
 
-    /// What is known of a tag now: its newest sample, whether it was given or not. `None`: it is not polled.
+    /// Returns the current sample of a tag, reported or not; `None` if the tag is not polled.
     #[must_use]
     pub fn latest(&self, id: TagId) -> Option<Sample> {
-        self.unit.with(|device| self.shared.give(|samples| device.sample(id, Stamp::now(), samples))).flatten()
+        let latest =
+            self.station.with(|poller| self.shared.queue_samples(|samples| poller.sample(id, Stamp::now(), samples)));
+        latest.flatten()
     }
 
-    /// What is known of all its tags now.
+    /// Returns the current sample of each tag of the station, reported or not.
     #[must_use]
     pub fn snapshot(&self) -> Vec<Sample> {
-        self.shared.snapshot(&self.unit)
+        self.shared.snapshot(&self.station)
     }
 
-    /// What its classes do.
+    /// Returns the statistics of each class that has tags.
     #[must_use]
     pub fn classes(&self) -> Vec<ClassStats> {
-        self.unit.with(|device| device.classes().collect()).unwrap_or_default()
+        self.station.with(|poller| poller.classes().collect()).unwrap_or_default()
     }
 }
 
@@ -415,59 +334,6 @@ impl fmt::Debug for PolledStation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "PolledStation({} classes)", self.classes().len())
     }
-}
-
-impl Shared {
-    fn close(&self) {
-        let units = {
-            let mut units = lock(&self.units);
-            units.closed = true;
-            std::mem::take(&mut units.now)
-        };
-        units.iter().filter_map(Weak::upgrade).for_each(|unit| self.end(&unit));
-        self.tasks.close();
-        self.queue.close();
-    }
-
-    /// Ends the polling of a station. What it has done is not forgotten.
-    fn end(&self, unit: &Unit) {
-        // Whoever adds up what all have done finds it in one of the two places.
-        let mut units = lock(&self.units);
-        if let Some(device) = lock(&unit.device).take() {
-            units.before.add(&device.counters());
-            unit.changed.notify_one();
-        }
-    }
-
-    /// Does something that may make samples, and gives them away. To be called under the lock of their device, as the
-    /// removal of tags is, so that nothing of a tag comes after it.
-    fn give<T>(&self, make: impl FnOnce(&mut Vec<Sample>) -> T) -> T {
-        let mut samples = Vec::new();
-        let made = make(&mut samples);
-        self.queue.push(samples);
-        made
-    }
-
-    fn snapshot(&self, unit: &Unit) -> Vec<Sample> {
-        let snapshot = unit.with(|device| self.give(|samples| device.snapshot(Stamp::now(), samples)));
-        snapshot.unwrap_or_default()
-    }
-
-    fn units(&self) -> Vec<Arc<Unit>> {
-        lock(&self.units).now.iter().filter_map(Weak::upgrade).collect()
-    }
-}
-
-impl Unit {
-    /// `None`: it has been stopped.
-    fn with<T>(&self, act: impl FnOnce(&mut Device) -> T) -> Option<T> {
-        lock(&self.device).as_mut().map(act)
-    }
-}
-
-/// What is done under these locks leaves what they guard whole.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

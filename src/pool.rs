@@ -1,31 +1,30 @@
-//! The pool: links to many PLCs, made when they are first asked for and shared by all that ask for the same endpoint.
+//! The pool: links to many PLCs by endpoint, made on demand and shared by all users of an endpoint.
 //!
 //! ```text
-//! endpoint   unknown ──station()──▶ known ──room needed, no handle left──▶ unknown
-//! link       idle ──a call──▶ waiting ──its turn──▶ connecting ──▶ up ──no call for long──▶ idle
+//! endpoint   absent ──station()──▶ present ──room needed, no handle left──▶ absent
+//! link       idle ──a call──▶ waiting ──permit──▶ connecting ──▶ up ──idle timeout──▶ idle
 //!                               ▲                       └──fails──▶ down ◀──lost──┘
-//!                               └──back-off, and a call that waits───┘
+//!                               └──back-off, and a call is waiting───┘
 //! ```
 //!
-//! The pool is a map and a gate; it has no task and does no I/O. All that a link can do by itself it does by itself: it
-//! opens its connection with the first call, opens it again after a loss, and closes it when it has not been used for the
-//! [idle timeout](PoolBuilder::idle_timeout). What falls idle is the *connection*: the link stays, so a [`Station`] goes
-//! on working for as long as it is kept, and its next call opens the connection again. An idle link has no socket and no
-//! buffers.
+//! The pool is a map and a connect limiter; it has no task and does no I/O. Each link manages its
+//! own connection: it opens it with the first call, reopens it after a loss, and closes it after
+//! the [idle timeout](PoolBuilder::idle_timeout). The link itself stays, without socket and
+//! buffers, so a [`Station`] works as long as it is kept: its next call opens the connection again.
 //!
-//! What must always hold:
-//! - an endpoint has no more links than [`PoolBuilder::links_per_endpoint`] says, and a serial port has one, whatever
-//!   settings it is asked for with;
-//! - there are no more endpoints than [`PoolBuilder::max_endpoints`] says;
-//! - no more connections are being opened at once, and on average no more a second, than the pool's limits say: links
-//!   wait for their turn at a gate that they share, and the callers' deadlines go on meanwhile;
-//! - a link with handles outside the pool is never taken from them: to make room, the pool forgets the endpoint that was
-//!   asked for longest ago among those without handles;
-//! - after [`Pool::close`] there is no link that is not closed.
+//! Invariants:
+//! - an endpoint has at most [`PoolBuilder::links_per_endpoint`] links; a serial port has one,
+//!   regardless of the requested settings;
+//! - there are at most [`PoolBuilder::max_endpoints`] endpoints;
+//! - the connections opened at once, and on average per second, are bounded. Links wait at a shared
+//!   connect limiter while the deadlines of their callers run;
+//! - a link with handles outside of the pool is never evicted: to make room, the pool evicts the
+//!   least recently requested endpoint without handles;
+//! - after [`Pool::close`] all links are closed.
 
 mod builder;
+mod endpoint_links;
 mod error;
-mod slot;
 mod stats;
 
 use std::collections::HashMap;
@@ -34,8 +33,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use futures::future::join_all;
 
-use self::builder::Settings;
-use self::slot::{Key, Slot};
+use self::builder::PoolSettings;
+use self::endpoint_links::{EndpointKey, EndpointLinks};
 use crate::endpoint::Endpoint;
 use crate::link::{Link, LinkStats};
 use crate::station::Station;
@@ -44,10 +43,11 @@ pub use self::builder::PoolBuilder;
 pub use self::error::PoolError;
 pub use self::stats::{PoolEndpoint, PoolStats};
 
-/// Links to many PLCs, one an endpoint, each shared by all that ask for it. Cheap to clone; all clones are the same pool.
+/// A pool of links to many PLCs, one per endpoint, shared by all users of the endpoint.
 ///
-/// Asking for a station does no I/O: a connection is opened by the first call, closed after it has not been used for a
-/// while, and opened again by the next call. Dropping the pool leaves the stations that are still held as they are.
+/// Cheap to clone; all clones are the same pool. [`station`](Self::station) does no I/O: the first
+/// call opens the connection, the idle timeout closes it, and the next call opens it again.
+/// Stations stay usable after the pool is dropped.
 ///
 /// ```
 /// # #[tokio::main(flavor = "current_thread")]
@@ -55,7 +55,7 @@ pub use self::stats::{PoolEndpoint, PoolStats};
 /// use fatek::sim::{Bus, Plc, Server};
 /// use fatek::{Pool, register, wire::Framing};
 ///
-/// // Yours are at addresses such as "tcp://10.0.0.7:500".
+/// // Simulated PLCs; real ones have endpoints such as "tcp://10.0.0.7:500".
 /// let mut servers = Vec::new();
 /// for _ in 0..3 {
 ///     let bus = Bus::new().with_station(1, Plc::new())?;
@@ -74,44 +74,45 @@ pub use self::stats::{PoolEndpoint, PoolStats};
 /// ```
 #[derive(Clone)]
 pub struct Pool {
-    shared: Arc<Shared>,
+    shared: Arc<PoolShared>,
 }
 
-struct Shared {
-    settings: Settings,
-    slots: Mutex<Slots>,
+struct PoolShared {
+    settings: PoolSettings,
+    state: Mutex<PoolState>,
 }
 
 #[derive(Default)]
-struct Slots {
-    /// In boxes, because a map has more places than it has entries, up to twice as many and more.
-    by_key: HashMap<Key, Box<Slot>>,
-    /// How often a station was asked for: the pool's idea of time.
-    asked: u64,
-    /// How many endpoints were forgotten to make room, and what their links had counted.
+struct PoolState {
+    /// Boxed, because a hash map allocates up to twice as many places as it has entries.
+    endpoints: HashMap<EndpointKey, Box<EndpointLinks>>,
+    /// The number of stations requested: a logical clock for eviction.
+    requests: u64,
+    /// The number of evicted endpoints.
     evicted: u64,
+    /// The statistics of their links.
     evicted_traffic: LinkStats,
     closed: bool,
 }
 
 impl Pool {
-    /// A pool with the default settings.
+    /// Makes a pool with the default settings.
     #[must_use]
     pub fn new() -> Self {
         Self::builder().build()
     }
 
-    /// A pool with settings.
+    /// Returns a builder with the default settings.
     pub fn builder() -> PoolBuilder {
         PoolBuilder::new()
     }
 
-    /// The PLC with this station number, 1 to 254, at an endpoint: an [`Endpoint`], a text that is one, or a socket
-    /// address.
+    /// Returns the station with this number, 1 to 254, at an endpoint.
     ///
-    /// All stations of an endpoint share its link. Where it may have several, a new one is made as long as those there
-    /// are have handles, and then it is the one with the fewest. Keep the handle if you use it often; if not, asking again
-    /// gives the same link.
+    /// The endpoint is an [`Endpoint`], its text, or a socket address. All stations of an endpoint
+    /// share its link. If several links per endpoint are allowed, a new one is made while all
+    /// existing ones have handles; then the one with the fewest handles is used. Handles may be
+    /// kept or requested each time.
     ///
     /// ```
     /// use fatek::Pool;
@@ -123,10 +124,10 @@ impl Pool {
     /// ```
     ///
     /// # Errors
-    /// - [`PoolError::Endpoint`] for a text that is no endpoint;
-    /// - [`PoolError::Invalid`] for a number that is no station's;
-    /// - [`PoolError::Full`] when there are as many endpoints as there may be, and all of them have handles;
-    /// - [`PoolError::OtherSettings`] for a serial port that the pool has with other settings;
+    /// - [`PoolError::Endpoint`] if the text is not an endpoint;
+    /// - [`PoolError::Invalid`] if the number is not that of a station;
+    /// - [`PoolError::Full`] if the maximum of endpoints is reached and all of them have handles;
+    /// - [`PoolError::OtherSettings`] if the serial port is in use with other settings;
     /// - [`PoolError::Closed`] after [`close`](Self::close).
     pub fn station<E>(&self, endpoint: E, station: u8) -> Result<Station, PoolError>
     where
@@ -134,21 +135,21 @@ impl Pool {
         PoolError: From<E::Error>,
     {
         let endpoint = endpoint.try_into()?;
-        // A number that is wrong must not cost another endpoint its place.
+        // Checked first: an invalid number must not evict another endpoint.
         Station::check_number(station)?;
         Ok(self.link(&endpoint)?.station(station)?)
     }
 
-    /// The sum of all there is now. It asks every link, so call it every second rather than for every reading.
+    /// Returns the sum over all links. Locks each of them: call it every second, not per call.
     #[must_use]
     pub fn stats(&self) -> PoolStats {
-        let slots = self.lock();
-        let mut stats = PoolStats { evicted: slots.evicted, traffic: slots.evicted_traffic, ..PoolStats::default() };
-        slots.by_key.values().for_each(|slot| stats.count(slot));
+        let state = self.lock();
+        let mut stats = PoolStats { evicted: state.evicted, traffic: state.evicted_traffic, ..PoolStats::default() };
+        state.endpoints.values().for_each(|links| stats.count(links));
         stats
     }
 
-    /// The endpoints that the pool has, in no order, each with what its links are doing and have done.
+    /// Returns each endpoint of the pool with the state and traffic of its links, in no order.
     ///
     /// ```
     /// # let pool = fatek::Pool::new();
@@ -158,53 +159,53 @@ impl Pool {
     /// ```
     #[must_use]
     pub fn endpoints(&self) -> Vec<PoolEndpoint> {
-        self.lock().by_key.values().map(|slot| PoolEndpoint::of(slot)).collect()
+        self.lock().endpoints.values().map(|links| PoolEndpoint::of(links)).collect()
     }
 
-    /// Closes all links at the same time, as [`Link::close`] does, for all their handles; returns when that is done.
-    /// Stations are not to be had any more.
+    /// Closes all links concurrently, for all their handles, and waits until they are closed.
     ///
-    /// Dropping the future leaves links that have not been told yet open; call it again for these.
+    /// [`station`](Self::station) fails afterwards. See [`Link::close`]. If the future is dropped,
+    /// some links may stay open; call it again to close them.
     pub async fn close(&self) {
         let links: Vec<Link> = {
-            let mut slots = self.lock();
-            slots.closed = true;
-            slots.by_key.values().flat_map(|slot| slot.links.iter().cloned()).collect()
+            let mut state = self.lock();
+            state.closed = true;
+            state.endpoints.values().flat_map(|links| links.links.iter().cloned()).collect()
         };
         join_all(links.iter().map(Link::close)).await;
     }
 
     fn link(&self, endpoint: &Endpoint) -> Result<Link, PoolError> {
         let settings = &self.shared.settings;
-        let mut slots = self.lock();
-        if slots.closed {
+        let mut state = self.lock();
+        if state.closed {
             return Err(PoolError::Closed);
         }
-        slots.asked = slots.asked.saturating_add(1);
-        let asked_at = slots.asked;
-        let key = Key::of(endpoint);
-        if !slots.by_key.contains_key(&key) && slots.by_key.len() >= settings.max_endpoints {
-            slots.make_room(endpoint, settings.max_endpoints)?;
+        state.requests = state.requests.saturating_add(1);
+        let requested_at = state.requests;
+        let key = EndpointKey::of(endpoint);
+        if !state.endpoints.contains_key(&key) && state.endpoints.len() >= settings.max_endpoints {
+            state.make_room(endpoint, settings.max_endpoints)?;
         }
-        let slot = slots.by_key.entry(key).or_insert_with(|| Box::new(Slot::new(endpoint.clone())));
-        slot.link(endpoint, asked_at, settings)
+        let links = state.endpoints.entry(key).or_insert_with(|| Box::new(EndpointLinks::new(endpoint.clone())));
+        links.link(endpoint, requested_at, settings)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Slots> {
-        // What is done under this lock leaves the map whole at every step.
-        self.shared.slots.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, PoolState> {
+        // No code under this lock leaves the map inconsistent, so a poisoned lock is usable.
+        self.shared.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Slots {
-    /// Forgets the endpoint that was asked for longest ago among those that nobody has a handle of.
+impl PoolState {
+    /// Evicts the least recently requested endpoint without handles.
     fn make_room(&mut self, endpoint: &Endpoint, limit: usize) -> Result<(), PoolError> {
-        let unused = self.by_key.iter().filter(|(_, slot)| slot.is_unused());
-        let oldest = unused.min_by_key(|(_, slot)| slot.asked_at).map(|(key, _)| key.clone());
-        let slot = oldest.and_then(|key| self.by_key.remove(&key));
-        let slot = slot.ok_or_else(|| PoolError::Full { endpoint: endpoint.to_string(), limit })?;
+        let unused = self.endpoints.iter().filter(|(_, links)| links.is_unused());
+        let oldest = unused.min_by_key(|(_, links)| links.requested_at).map(|(key, _)| key.clone());
+        let links = oldest.and_then(|key| self.endpoints.remove(&key));
+        let links = links.ok_or_else(|| PoolError::Full { endpoint: endpoint.to_string(), limit })?;
         self.evicted = self.evicted.saturating_add(1);
-        self.evicted_traffic = self.evicted_traffic.plus(&slot.traffic());
+        self.evicted_traffic = self.evicted_traffic.plus(&links.traffic());
         Ok(())
     }
 }
@@ -217,6 +218,6 @@ impl Default for Pool {
 
 impl fmt::Debug for Pool {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Pool({} endpoints)", self.lock().by_key.len())
+        write!(f, "Pool({} endpoints)", self.lock().endpoints.len())
     }
 }

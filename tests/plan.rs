@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use fatek::command::{Code, Request, Value};
 use fatek::endpoint::InStepSettings;
-use fatek::plan::{ReadRequest, Readings, Reply};
+use fatek::plan::{PlanReadings, ReadRequest, Reply};
 use fatek::sim::fault::{Heard, LogEntry};
 use fatek::sim::{self, Bus, Fault, Faults, Model, Plc, Rule};
 use fatek::tag::{Assignment, Tag, TagValue};
@@ -64,7 +64,7 @@ fn model(framing: Framing) -> CostModel {
     CostModel::network(framing, Duration::from_millis(5))
 }
 
-fn values(readings: &Readings<'_, Error>, number: usize) -> Vec<TagValue> {
+fn values(readings: &PlanReadings<'_, Error>, number: usize) -> Vec<TagValue> {
     readings.tag(number).unwrap().unwrap()
 }
 

@@ -189,7 +189,7 @@ async fn to_make_room_the_endpoint_unused_for_longest_is_forgotten_but_none_that
     let error = pool.station(host(4), 1).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "no place for tcp://plc4:500: the pool has its 3 endpoints (`PoolBuilder::max_endpoints`), and all are in use"
+        "no room for tcp://plc4:500: all 3 endpoints of the pool are in use (see `PoolBuilder::max_endpoints`)"
     );
     assert!(works(&held).await);
     assert!(pool.station(host(0), 2).is_ok(), "those it has are still to be had");

@@ -4,17 +4,17 @@ use std::time::Duration;
 
 use super::layout::{self, Cells, Draft};
 use super::solve::{self, Part};
-use super::{CostModel, Limits, MAX_VALUES, Plan, PlanError, PlannedRequest, Slot};
+use super::{CostModel, Limits, MAX_VALUES, Plan, PlanError, PlannedRequest, ValueSlot};
 use crate::command::InvalidRequest;
 use crate::tag::Tag;
 
-/// What a plan is made from: see [`Plan::builder`].
+/// Builder of a [`Plan`]: its tags, limits and costs. See [`Plan::builder`].
 #[derive(Clone, Debug)]
 pub struct PlanBuilder {
     cost: CostModel,
     limits: Limits,
     tags: Vec<Tag>,
-    /// The tags of each group, by their place in `tags`.
+    /// The indices of the tags of each one-scan group.
     groups: Vec<Range<usize>>,
 }
 
@@ -23,27 +23,27 @@ impl PlanBuilder {
         Self { cost, limits: Limits::new(), tags: Vec::new(), groups: Vec::new() }
     }
 
-    /// What the device takes. Without this, it is what the protocol has.
+    /// Sets the limits of the PLC. Default: the limits of the protocol.
     #[must_use]
     pub fn limits(self, limits: Limits) -> Self {
         Self { limits, ..self }
     }
 
-    /// Adds a tag. Tags are numbered as they are added, from 0.
+    /// Adds a tag. Tags have indices from 0 in the order in which they are added.
     #[must_use]
     pub fn tag(mut self, tag: impl Into<Tag>) -> Self {
         self.tags.push(tag.into());
         self
     }
 
-    /// Adds tags, one after the other.
+    /// Adds several tags.
     #[must_use]
     pub fn tags(mut self, tags: impl IntoIterator<Item = Tag>) -> Self {
         self.tags.extend(tags);
         self
     }
 
-    /// Adds tags that must come from one scan of the PLC, so from one request.
+    /// Adds tags that must come from one scan of the PLC: one request reads them.
     ///
     /// ```
     /// use std::time::Duration;
@@ -69,8 +69,8 @@ impl PlanBuilder {
     /// Makes the plan.
     ///
     /// # Errors
-    /// [`PlanError::NotReadable`] and [`PlanError::OneScan`] where the device's limits do not allow it;
-    /// [`PlanError::TooManyValues`] above [`MAX_VALUES`].
+    /// [`PlanError::NotReadable`] and [`PlanError::OneScan`] if the limits exclude a tag or a
+    /// group; [`PlanError::TooManyValues`] above [`MAX_VALUES`].
     pub fn build(self) -> Result<Plan, PlanError> {
         let values = Values::of(&self.tags, &self.limits)?;
         let parts = self.parts(&values)?;
@@ -90,8 +90,8 @@ impl PlanBuilder {
             let at = request as usize;
             counts[at] += 1;
             let word = shares[at].0.find(*cells, &words_before[at]);
-            debug_assert!(word.is_some(), "the solver says that this request reads this value");
-            slots.push(Slot { request, word: word.unwrap_or(u32::MAX) });
+            debug_assert!(word.is_some(), "the solver assigned this value to this request");
+            slots.push(ValueSlot { request, word: word.unwrap_or(u32::MAX) });
         }
         let planned = |((draft, _), values): (&solve::Share, usize)| {
             let (request_bytes, reply_bytes) = draft.bytes(&self.cost);
@@ -100,24 +100,24 @@ impl PlanBuilder {
         };
         let mut requests = shares.iter().zip(counts).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
         let (mut tags, mut first_slot) = (self.tags, values.first_slot);
-        // A plan is kept for long, and a poller has thousands.
+        // A poller keeps thousands of plans.
         requests.shrink_to_fit();
         tags.shrink_to_fit();
         first_slot.shrink_to_fit();
         Ok(Plan { tags, first_slot, slots, requests })
     }
 
-    /// What must come from one request each.
+    /// Divides the values into parts, each of which must come from one request.
     fn parts(&self, values: &Values) -> Result<Parts, PlanError> {
         let mut part_of: Vec<usize> = vec![0; values.cells.len()];
         let mut plain: Vec<bool> = vec![true; values.cells.len()];
         let mut groups: Vec<Part> = Vec::with_capacity(self.groups.len());
-        let mut known: HashMap<Part, usize> = HashMap::new();
+        let mut seen: HashMap<Part, usize> = HashMap::new();
         for tags in self.groups.iter().cloned().chain(self.long_texts(values)) {
             let slots = values.slots(&tags);
             let mut part = values.cells[slots.clone()].to_vec();
             part.sort_unstable_by_key(|cells| cells.key());
-            part.dedup_by(|next, kept| kept.hold(*next));
+            part.dedup_by(|next, kept| kept.contains(*next));
             if Draft::cheapest(&part, &self.limits, &self.cost).is_none() {
                 return Err(PlanError::OneScan {
                     first: self.tags[tags.start],
@@ -126,7 +126,7 @@ impl PlanBuilder {
                     max: self.limits.mixed_units() as usize,
                 });
             }
-            let n = *known.entry(part.clone()).or_insert(groups.len());
+            let n = *seen.entry(part.clone()).or_insert(groups.len());
             if n == groups.len() {
                 groups.push(part);
             }
@@ -134,29 +134,30 @@ impl PlanBuilder {
             plain[slots].fill(false);
         }
 
-        // Values that are not in a group, those of groups among them to find what lies in one.
+        // All values, also those of groups, to find the single values that lie within a group.
         let mut sorted: Vec<(Cells, bool, usize)> =
             values.cells.iter().zip(&plain).enumerate().map(|(n, (cells, plain))| (*cells, *plain, n)).collect();
         sorted.sort_unstable_by_key(|(cells, plain, n)| (cells.key(), *plain, *n));
         let mut single: Vec<Cells> = Vec::with_capacity(sorted.len());
-        // All that came before begins no later, so what reaches farthest holds the next value if anything does.
+        // Sorted by first cell: if an earlier part contains the next value, the one with the
+        // last end does.
         let mut farthest: Option<(Cells, usize)> = None;
         for (cells, plain, n) in sorted {
-            let holder = farthest.filter(|(other, _)| other.hold(cells));
+            let container = farthest.filter(|(other, _)| other.contains(cells));
             if plain {
-                part_of[n] = holder.map_or(groups.len() + single.len(), |(_, part)| part);
-                if holder.is_none() {
+                part_of[n] = container.map_or(groups.len() + single.len(), |(_, part)| part);
+                if container.is_none() {
                     single.push(cells);
                 }
             }
-            if holder.is_none() {
+            if container.is_none() {
                 farthest = Some((cells, part_of[n]));
             }
         }
         Ok(Parts { groups, single, part_of })
     }
 
-    /// The texts, outside the groups, for which the device's runs are too short: like groups, they need a mixed read.
+    /// Texts outside of groups that are longer than a run, and so need a mixed read.
     fn long_texts<'a>(&'a self, values: &'a Values) -> impl Iterator<Item = Range<usize>> + 'a {
         let mut groups = self.groups.iter().peekable();
         (0..self.tags.len()).map(|n| n..n + 1).filter(move |tag| {
@@ -168,19 +169,19 @@ impl PlanBuilder {
     }
 }
 
-/// The values of the tags, as cells, one after the other.
+/// The values of the tags as cells, in the order of the tags.
 struct Values {
     cells: Vec<Cells>,
-    /// For each tag, where its values begin.
+    /// For each tag, the index of its first value.
     first_slot: Vec<usize>,
 }
 
-/// What must come from one request each: groups, and values that are in none.
+/// Groups and single values, each of which must come from one request.
 struct Parts {
     groups: Vec<Part>,
-    /// Sorted and distinct, none within another part, and each no longer than a run.
+    /// Sorted and distinct. None lies within another part or is longer than a run.
     single: Vec<Cells>,
-    /// For each value, the part it is read with: the groups count first.
+    /// For each value, the index of its part; those of groups come first.
     part_of: Vec<usize>,
 }
 

@@ -5,15 +5,15 @@ use crate::endpoint::SerialSettings;
 use crate::link::{Line, Link};
 use crate::wire::Framing;
 
-/// What a request costs: time for its bytes, and time for its being one more request.
+/// The cost of requests in time: a fixed time per request, and a time per byte.
 ///
 /// A request with its reply takes
 ///
 /// ```text
-/// turnaround + latency + overhead + (bytes of the request + bytes of the reply) × byte time
+/// frame gap + response time + overhead + (bytes of the request + bytes of the reply) × byte time
 /// ```
 ///
-/// and a plan takes the sum, for a link has one request on the wire at a time.
+/// A plan takes the sum over its requests, because a link has one request in flight at a time.
 ///
 /// ```
 /// use std::time::Duration;
@@ -31,14 +31,16 @@ use crate::wire::Framing;
 pub struct CostModel {
     framing: Framing,
     byte_time: Duration,
-    turnaround: Duration,
-    latency: Duration,
+    frame_gap: Duration,
+    response_time: Duration,
     overhead: Duration,
 }
 
 impl CostModel {
-    /// A serial line: bytes take as long as the settings say, and the line is left alone between a reply and the next
-    /// request as the link does it. The latency is 5 ms, about half a scan of a PLC; measure yours.
+    /// Costs of a serial line: byte time and frame gap by its settings, a response time of 5 ms.
+    ///
+    /// The response time is about half a scan of a PLC; measure yours and set it with
+    /// [`with_response_time`](Self::with_response_time).
     #[must_use]
     pub fn serial(settings: SerialSettings, framing: Framing) -> Self {
         Self::line(Line::from(settings), framing)
@@ -48,96 +50,100 @@ impl CostModel {
         Self {
             framing,
             byte_time: line.transmission(1),
-            turnaround: line.gap(),
-            latency: DEFAULT_LATENCY,
+            frame_gap: line.gap(),
+            response_time: DEFAULT_RESPONSE_TIME,
             overhead: Duration::ZERO,
         }
     }
 
-    /// That of the line that a link is on, as far as the link knows it. A network's latency is 5 ms: measure it.
+    /// Costs of a link: of its serial line if known, else of a network with a 5 ms round trip.
     pub(crate) fn of_link(link: &Link) -> Self {
         match link.line() {
             Some(line) => Self::line(line, link.framing()),
-            None => Self::network(link.framing(), DEFAULT_LATENCY),
+            None => Self::network(link.framing(), DEFAULT_RESPONSE_TIME),
         }
     }
 
-    /// A network with this round trip, from the first byte of a short request to the last of its reply. Bytes take
-    /// 0.8 µs, which is 10 Mbit/s both ways; where a module passes them on to a serial port inside, set
-    /// [`with_byte_time`](Self::with_byte_time) to that port's.
+    /// Costs of a network with this round trip of a short request.
+    ///
+    /// The round trip counts as the response time. The byte time is 0.8 µs, for 10 Mbit/s. Set that
+    /// of the serial port with [`with_byte_time`](Self::with_byte_time) if a module forwards
+    /// requests to one.
     #[must_use]
     pub fn network(framing: Framing, round_trip: Duration) -> Self {
         Self {
             framing,
-            byte_time: Duration::from_nanos(800),
-            turnaround: Duration::ZERO,
-            latency: round_trip,
+            byte_time: NETWORK_BYTE_TIME,
+            frame_gap: Duration::ZERO,
+            response_time: round_trip,
             overhead: Duration::ZERO,
         }
     }
 
-    /// The same with another time for each byte, at most a second.
+    /// Sets the time per byte, clamped to a second.
     #[must_use]
     pub fn with_byte_time(self, byte_time: Duration) -> Self {
         Self { byte_time: bounded(byte_time), ..self }
     }
 
-    /// The same with another silence between a reply and the next request, at most a second.
+    /// Sets the silence between a reply and the next request, clamped to a second.
     #[must_use]
-    pub fn with_turnaround(self, turnaround: Duration) -> Self {
-        Self { turnaround: bounded(turnaround), ..self }
+    pub fn with_frame_gap(self, frame_gap: Duration) -> Self {
+        Self { frame_gap: bounded(frame_gap), ..self }
     }
 
-    /// The same with another time from the end of a request to the begin of its reply, which is what a measured round
-    /// trip has beyond its bytes; at most a minute.
+    /// Sets the time from the end of a request to the beginning of its reply, clamped to a minute.
+    ///
+    /// It is a measured round trip without the time of the bytes.
     #[must_use]
-    pub fn with_latency(self, latency: Duration) -> Self {
-        Self { latency: latency.min(MAX_LATENCY), ..self }
+    pub fn with_response_time(self, response_time: Duration) -> Self {
+        Self { response_time: response_time.min(MAX_RESPONSE_TIME), ..self }
     }
 
-    /// The same with another time that every request costs besides, at most a second: a way to have fewer of them.
+    /// Sets an additional time per request, clamped to a second. More makes fewer requests.
     #[must_use]
     pub fn with_overhead(self, overhead: Duration) -> Self {
         Self { overhead: bounded(overhead), ..self }
     }
 
-    /// The framing whose bytes are counted.
+    /// Returns the framing whose bytes are counted.
     #[must_use]
     pub fn framing(&self) -> Framing {
         self.framing
     }
 
-    /// How long a byte takes.
+    /// Returns the time per byte.
     #[must_use]
     pub fn byte_time(&self) -> Duration {
         self.byte_time
     }
 
-    /// How long a request takes besides its bytes and those of its reply.
+    /// Returns the fixed time per request: frame gap, response time and overhead.
     #[must_use]
     pub fn request_time(&self) -> Duration {
-        self.turnaround + self.latency.min(MAX_LATENCY) + self.overhead
+        self.frame_gap + self.response_time.min(MAX_RESPONSE_TIME) + self.overhead
     }
 
-    pub(crate) fn latency(&self) -> Duration {
-        self.latency
+    pub(crate) fn response_time(&self) -> Duration {
+        self.response_time
     }
 
-    /// What a request with so many bytes, those of the reply among them, costs.
+    /// Returns the cost of a request in nanoseconds; `bytes` are those of request and reply.
     pub(super) fn cost(&self, bytes: usize) -> u64 {
         nanoseconds(self.request_time()).saturating_add(self.bytes_cost(bytes))
     }
 
+    /// Returns the cost of bytes in nanoseconds.
     pub(super) fn bytes_cost(&self, bytes: usize) -> u64 {
         nanoseconds(self.byte_time).saturating_mul(u64::try_from(bytes).unwrap_or(u64::MAX))
     }
 
-    /// The bytes of a request without its elements: the frame and N.
+    /// The length of a request without its elements: the frame and N.
     pub(super) fn request_bytes(&self) -> usize {
         self.framing.request_overhead()
     }
 
-    /// The bytes of a reply without its values: the frame and the error code.
+    /// The length of a reply without its values: the frame and the error code.
     pub(super) fn reply_bytes(&self) -> usize {
         self.framing.reply_overhead()
     }
@@ -151,14 +157,18 @@ impl CostModel {
     }
 }
 
-// Bounds that keep every sum far from the end of a u64 of nanoseconds.
-const MAX_LATENCY: Duration = Duration::from_secs(60);
+// The bounds keep the cost of any plan far below the maximum of a u64 of nanoseconds.
+const MAX_RESPONSE_TIME: Duration = Duration::from_secs(60);
+const MAX_OTHER_TIME: Duration = Duration::from_secs(1);
 
-/// Until something is measured.
-const DEFAULT_LATENCY: Duration = Duration::from_millis(5);
+/// The response time before any is measured.
+const DEFAULT_RESPONSE_TIME: Duration = Duration::from_millis(5);
+
+/// One byte at 10 Mbit/s.
+const NETWORK_BYTE_TIME: Duration = Duration::from_nanos(800);
 
 fn bounded(time: Duration) -> Duration {
-    time.min(Duration::from_secs(1))
+    time.min(MAX_OTHER_TIME)
 }
 
 fn nanoseconds(time: Duration) -> u64 {

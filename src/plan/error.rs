@@ -4,25 +4,25 @@ use crate::command::InvalidRequest;
 use crate::element::Element;
 use crate::tag::Tag;
 
-/// Why there is no plan.
+/// The reason why there is no plan, or why replies do not match it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlanError {
-    /// A limit of the device that makes no sense.
-    #[error("{name} is {given}, and it can be {min} to {max}")]
+    /// A limit of the PLC is out of range.
+    #[error("{name} is {given}, and must be {min} to {max}")]
     #[non_exhaustive]
     Limit {
-        /// Which limit.
+        /// The name of the limit.
         name: &'static str,
-        /// What was given.
+        /// The given limit.
         given: usize,
-        /// The least it can be.
+        /// The minimum.
         min: usize,
-        /// The most it can be.
+        /// The maximum.
         max: usize,
     },
-    /// A readable range that is none.
-    #[error("{first} to {last} is no range: both ends must be of one symbol of 1 or 16 bits, the lower one first")]
+    /// Two elements are not the ends of a range.
+    #[error("{first} to {last} is not a range: both ends must have one symbol of 1 or 16 bits, the lower one first")]
     #[non_exhaustive]
     Range {
         /// The first element given.
@@ -30,52 +30,52 @@ pub enum PlanError {
         /// The last element given.
         last: Element,
     },
-    /// A tag outside the ranges that the device can read.
-    #[error("{element} of the tag {tag} is not in a readable range of the device, or only in part")]
+    /// A tag is outside of the readable ranges.
+    #[error("{element} of the tag {tag} is not in a readable range of the PLC, or only in part")]
     #[non_exhaustive]
     NotReadable {
         /// The tag.
         tag: Tag,
-        /// The first of its elements that cannot be read.
+        /// The first of its elements outside of the ranges.
         element: Element,
     },
-    /// Tags that must come from one scan, which a text must too, and that no request holds together.
+    /// No single request can read tags, or a text, that must come from one scan.
     #[error(
-        "{} must come from one scan, but no single request of the device reads that: {}, and as one run it is too long, of \
-         several kinds, or reaches across what cannot be read",
+        "{} must come from one scan, but no single request can read that: {}, and one run would be too long, of \
+         several kinds, or across unreadable or avoided elements",
         WhichTags(first, *tags), WhyNotMixed(*units, *max)
     )]
     #[non_exhaustive]
     OneScan {
         /// The first of the tags.
         first: Tag,
-        /// How many they are.
+        /// The number of tags.
         tags: usize,
-        /// How many units they count, where 32 bits count two.
+        /// Their units, where 32 bits count two.
         units: usize,
-        /// The most that one mixed read takes; 0 if there are none.
+        /// The maximum of a mixed read; 0 without mixed reads.
         max: usize,
     },
-    /// More values than a plan holds.
+    /// The tags have too many values for a plan.
     #[error("the tags have more than {max} values")]
     #[non_exhaustive]
     TooManyValues {
-        /// The most a plan holds.
+        /// The maximum.
         max: usize,
     },
-    /// A reply that does not belong to its request: another kind of value, or another number of them, or none at all.
-    #[error("what was given for request {request} of the plan is no reply to it")]
+    /// A reply is missing, or the kind or number of its values does not match its request.
+    #[error("no matching reply for request {request} of the plan")]
     #[non_exhaustive]
     Reply {
-        /// Which request, from 0.
+        /// The index of the request.
         request: usize,
     },
-    /// A request that breaks a rule of the protocol.
+    /// A request violates a rule of the protocol.
     #[error(transparent)]
     Request(#[from] InvalidRequest),
 }
 
-/// What must come from one scan, for [`PlanError::OneScan`].
+/// Displays the tags of [`PlanError::OneScan`].
 struct WhichTags<'t>(&'t Tag, usize);
 
 impl fmt::Display for WhichTags<'_> {
@@ -87,7 +87,7 @@ impl fmt::Display for WhichTags<'_> {
     }
 }
 
-/// Why no mixed read reads it: its units, and the most of a mixed read.
+/// Displays why no mixed read is possible: the units, and the maximum of a mixed read.
 struct WhyNotMixed(usize, usize);
 
 impl fmt::Display for WhyNotMixed {
@@ -95,9 +95,9 @@ impl fmt::Display for WhyNotMixed {
         match *self {
             Self(_, 0) => f.write_str("there are no mixed reads"),
             Self(units, max) if units > max => {
-                write!(f, "{units} units are too many for a mixed read, which takes {max}")
+                write!(f, "{units} units exceed the {max} of a mixed read")
             }
-            Self(..) => f.write_str("as a mixed read, the list has two readings in the binary framing"),
+            Self(..) => f.write_str("a mixed read would be ambiguous in the binary framing"),
         }
     }
 }

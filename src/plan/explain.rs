@@ -3,7 +3,7 @@ use std::time::Duration;
 
 use super::Plan;
 
-/// A plan as a table: see [`Plan::explain`].
+/// A plan displayed as a table: see [`Plan::explain`].
 #[derive(Clone, Copy, Debug)]
 pub struct Explanation<'p> {
     pub(super) plan: &'p Plan,

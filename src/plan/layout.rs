@@ -1,4 +1,4 @@
-//! Elements as cells: positions in an area, so that neighbours are neighbours in numbers.
+//! Elements as cells: consecutive elements of an area have consecutive cell numbers.
 
 use std::cmp::Reverse;
 
@@ -8,19 +8,19 @@ use super::limits::Limits;
 use crate::command::{InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Discrete, Element, Register, Register32, Symbol, Width};
 
-/// Cells that one request can read in one go: of one symbol, in one readable range, at addresses one step apart.
+/// The cells that a run can contain: one symbol, one readable range, addresses one step apart.
 ///
-/// The cell is the smallest part that can be read: 16 bits for `R` and `DR` alike. Only `DRC` stays as it is, because
-/// some counters have 32 bits, which may not be two registers `RC`.
+/// A cell is the smallest part that can be read: 16 bits for `R` and `DR` alike. `DRC` has cells of
+/// 32 bits, because a counter of 32 bits need not be two registers `RC`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Area {
     symbol: Symbol,
     segment: u32,
-    /// What addresses leave after division by the step: `WM0` and `WM8` are not in one run.
+    /// The address modulo the step: `WM0` and `WM8` are not in one run.
     residue: u16,
 }
 
-/// Consecutive cells.
+/// Consecutive cells of an area.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Cells {
     pub(super) area: Area,
@@ -33,23 +33,23 @@ impl Area {
         self.symbol.width()
     }
 
-    /// What one cell counts against a limit.
+    /// Returns the units that a cell counts against a limit.
     pub(super) fn units(self) -> u32 {
         if self.width() == Width::DWord { 2 } else { 1 }
     }
 
-    /// How many 16-bit words a cell is kept in.
+    /// Returns the number of 16-bit words of a cell in [`ReplyWords`](super::ReplyWords).
     pub(super) fn words(self) -> u32 {
         self.units()
     }
 
-    /// The symbol that reads two cells as one element, in a mixed request.
+    /// Returns the symbol that reads two cells as one element in a mixed read.
     pub(super) fn dword(self) -> Option<Symbol> {
         let area = self.symbol.area();
         (self.width() == Width::Word && area.has_pairs()).then(|| area.dword())
     }
 
-    /// The most cells in a run.
+    /// Returns the maximum of cells in a run.
     pub(super) fn max_run(self, limits: &Limits) -> u32 {
         limits.units(self.width()) / self.units()
     }
@@ -63,14 +63,14 @@ impl Area {
         u16::try_from(address).unwrap_or(u16::MAX)
     }
 
-    /// The symbol that the ranges of [`Limits`] name it by: a range of `RC` is one of `DRC` too.
+    /// Returns the symbol by which [`Limits`] lists the area: a range of `RC` applies to `DRC` too.
     fn listed(self) -> Symbol {
         if self.width() == Width::DWord { self.symbol.area().word() } else { self.symbol }
     }
 }
 
 impl Cells {
-    /// Where `elements` consecutive elements lie; `None` if a limit says that they cannot be read.
+    /// Returns the cells of consecutive elements; `None` if they are not readable.
     pub(super) fn of(first: Element, elements: usize, limits: &Limits) -> Option<Self> {
         let per_element = u32::from(cell_symbol(first).1);
         let symbol = cell_symbol(first).0;
@@ -96,36 +96,39 @@ impl Cells {
         (self.area, self.first, Reverse(self.len))
     }
 
-    /// Whether no run leads from these to others of the area that begin at the same cell or behind it: there is something
-    /// between them that is to be avoided, or a place where runs must end. Cells with such a place within are read alone.
-    pub(super) fn is_barred_from(self, next: Self, limits: &Limits) -> bool {
+    /// Whether no run may read these cells and `next`, which begins at the same cell or later.
+    ///
+    /// The reason is a gap to avoid between them, or a split point. Cells with a split point within
+    /// are read alone.
+    pub(super) fn must_split_from(self, next: Self, limits: &Limits) -> bool {
         let address = |cell: u32| self.area.address(cell);
         let listed = self.area.listed();
-        let gap = next.first > self.end() && limits.avoids(listed, address(self.end()), address(next.first - 1));
+        let gap = next.first > self.end() && limits.avoids_any(listed, address(self.end()), address(next.first - 1));
         let end = self.end().max(next.end());
-        gap || (end > self.first + 1 && limits.splits(listed, address(self.first + 1), address(end - 1)))
+        gap || (end > self.first + 1 && limits.must_split_within(listed, address(self.first + 1), address(end - 1)))
     }
 
-    pub(super) fn hold(self, other: Self) -> bool {
+    /// Whether it contains all cells of `other`.
+    pub(super) fn contains(self, other: Self) -> bool {
         self.area == other.area && self.first <= other.first && other.end() <= self.end()
     }
 }
 
-/// Whether a run that holds these leads where it must not. They are sorted, and of one area.
-fn is_barred(cells: &[Cells], limits: &Limits) -> bool {
-    if limits.let_runs_be() {
+/// Whether no run may read all of these cells, which are sorted and of one area.
+fn must_split(cells: &[Cells], limits: &Limits) -> bool {
+    if limits.allows_any_run() {
         return false;
     }
     let Some((first, rest)) = cells.split_first() else { return false };
     let mut before = *first;
     rest.iter().any(|next| {
-        let barred = before.is_barred_from(*next, limits);
+        let must_split = before.must_split_from(*next, limits);
         before.len = before.end().max(next.end()) - before.first;
-        barred
+        must_split
     })
 }
 
-/// The symbol of the cells of an element, and how many of them it has.
+/// Returns the symbol of the cells of an element, and their number.
 fn cell_symbol(element: Element) -> (Symbol, u8) {
     match element {
         Element::Register32(e) if e.symbol().area().has_pairs() => (e.low().symbol(), 2),
@@ -133,7 +136,7 @@ fn cell_symbol(element: Element) -> (Symbol, u8) {
     }
 }
 
-/// Cells that touch or overlap, as one; they are sorted.
+/// Merges cells that are adjacent or overlap. The input is sorted.
 fn stretches(cells: &[Cells]) -> Vec<Cells> {
     let mut stretches: Vec<Cells> = Vec::new();
     for next in cells {
@@ -141,43 +144,43 @@ fn stretches(cells: &[Cells]) -> Vec<Cells> {
             Some(last) if last.area == next.area && next.first <= last.end() => {
                 last.len = last.end().max(next.end()) - last.first;
             }
-            _ => stretches.push(*next),
+            Some(_) | None => stretches.push(*next),
         }
     }
     stretches
 }
 
-/// How many units a mixed request for these has. They are sorted.
+/// Returns the units of a mixed read of these cells, which are sorted.
 pub(super) fn mixed_units(cells: &[Cells]) -> u32 {
     stretches(cells).iter().map(|stretch| stretch.len * stretch.area.units()).sum()
 }
 
-/// The bytes of the values of these in a reply, without those of anything else. They are sorted.
+/// Returns the bytes of the values of these cells in replies. The cells are sorted.
 pub(super) fn value_bytes(cells: &[Cells], cost: &CostModel) -> usize {
     let bytes = |s: Cells| usize::try_from(s.len).unwrap_or(usize::MAX) * cost.value_bytes(s.area.width());
     stretches(cells).into_iter().map(bytes).sum()
 }
 
-/// A request, as cells.
+/// A request in terms of cells.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Draft {
-    /// 44 or 46.
+    /// A run, 44 or 46.
     Run(Cells),
-    /// 48: elements of one or two cells, sorted.
+    /// A mixed read, 48: elements of one or two cells, sorted.
     Mixed(Vec<Cells>),
 }
 
 impl Draft {
-    /// The run that holds all of these, if there is one. They are sorted.
+    /// Returns the run that contains all of these cells, if there is one. They are sorted.
     pub(super) fn run(cells: &[Cells], limits: &Limits) -> Option<Self> {
         let (first, last) = (cells.first()?, cells.last()?);
         let end = cells.iter().map(|cells| cells.end()).max()?;
         let run = Cells { len: end - first.first, ..*first };
         let fits = first.area == last.area && run.len <= run.area.max_run(limits);
-        (fits && !is_barred(cells, limits)).then_some(Self::Run(run))
+        (fits && !must_split(cells, limits)).then_some(Self::Run(run))
     }
 
-    /// The mixed request that holds all of these and nothing else, if there is one. They are sorted.
+    /// Returns the mixed read of exactly these cells, if there is one. They are sorted.
     ///
     /// Neighbours are read in pairs: `DR0` is shorter than `R0 R1`.
     pub(super) fn mixed(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Self> {
@@ -195,24 +198,25 @@ impl Draft {
             }
         }
         let draft = Self::Mixed(items);
-        // In the binary framing, some lists have two readings.
+        // Some lists are ambiguous in the binary framing.
         draft.request().ok()?.check(cost.framing()).ok()?;
         Some(draft)
     }
 
-    /// The cheapest request for all of these. They are sorted.
+    /// Returns the cheapest request for all of these cells, which are sorted.
     pub(super) fn cheapest(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Self> {
         let run = Self::run(cells, limits);
         let mixed = Self::mixed(cells, limits, cost);
         [run, mixed].into_iter().flatten().min_by_key(|draft| draft.cost(cost))
     }
 
+    /// Returns the cost of request and reply in nanoseconds.
     pub(super) fn cost(&self, cost: &CostModel) -> u64 {
         let (request, reply) = self.bytes(cost);
         cost.cost(request + reply)
     }
 
-    /// The bytes of the request and of its reply.
+    /// Returns the length of the request and of its reply in bytes.
     pub(super) fn bytes(&self, cost: &CostModel) -> (usize, usize) {
         let (mut request, mut reply) = (cost.request_bytes(), cost.reply_bytes());
         match self {
@@ -249,10 +253,12 @@ impl Draft {
         }
     }
 
-    /// Where in the words of the reply these cells begin, and `None` if they are not in it.
+    /// Returns the first word of these cells in the reply; `None` if they are not in it.
+    ///
+    /// `words_before` is that of [`words_before`](Self::words_before).
     pub(super) fn find(&self, cells: Cells, words_before: &[u32]) -> Option<u32> {
         match self {
-            Self::Run(run) => run.hold(cells).then(|| (cells.first - run.first) * run.area.words()),
+            Self::Run(run) => run.contains(cells).then(|| (cells.first - run.first) * run.area.words()),
             Self::Mixed(items) => {
                 let after = items.partition_point(|item| (item.area, item.first) <= (cells.area, cells.first));
                 let n = after.checked_sub(1)?;
@@ -263,7 +269,7 @@ impl Draft {
         }
     }
 
-    /// For each element of a mixed request, how many words come before it.
+    /// Returns, for each element of a mixed read, the number of words before it; empty for a run.
     pub(super) fn words_before(&self) -> Vec<u32> {
         let Self::Mixed(items) = self else { return Vec::new() };
         let mut before = 0;
@@ -276,7 +282,7 @@ impl Draft {
     }
 }
 
-/// What an element of a mixed request costs, alone and as the second of a pair.
+/// The cost of an element of one cell, and of one of two cells, in a mixed read.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ItemCost {
     single: u64,
@@ -290,9 +296,9 @@ impl ItemCost {
         Self { single, double: area.dword().map_or(2 * single, item) }
     }
 
-    /// What so many cells more cost, at the end of a stretch that has an odd number of them, or an even one.
+    /// Returns the cost of cells added to a stretch that has an odd or an even number of cells.
     pub(super) fn cost(self, cells: u32, odd: bool) -> u64 {
-        // The odd one has been paid for alone, and finds its partner.
+        // The last cell of an odd stretch was counted as a single and becomes part of a pair.
         let cells = u64::from(cells) + u64::from(odd);
         let all = cells / 2 * self.double + cells % 2 * self.single;
         if odd { all - self.single } else { all }

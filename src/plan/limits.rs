@@ -2,7 +2,7 @@ use super::PlanError;
 use crate::command::{MAX_MIXED_READ_UNITS, MAX_POINTS, MAX_UNITS};
 use crate::element::{Element, Symbol, Width};
 
-/// What a device takes, where that is less than the protocol has.
+/// The limits of a PLC where they are lower than those of the protocol: lengths and addresses.
 ///
 /// ```
 /// use fatek::element;
@@ -11,7 +11,7 @@ use crate::element::{Element, Symbol, Width};
 /// let limits = Limits::new()
 ///     .max_registers(32)?
 ///     .no_mixed_reads()
-///     .readable(element!("R0"), element!("R3839"))? // of R, nothing else
+///     .readable(element!("R0"), element!("R3839"))? // no other register R
 ///     .readable(element!("R5000"), element!("R5998"))?;
 /// assert!(Limits::new().max_registers(65).is_err());
 /// # let _ = limits;
@@ -24,11 +24,11 @@ pub struct Limits {
     max_mixed: usize,
     readable: Ranges,
     avoided: Ranges,
-    /// Before which elements a run must end. Sorted.
-    splits: Vec<(Symbol, u16)>,
+    /// The elements that no run reads together with the one before. Sorted.
+    split_points: Vec<(Symbol, u16)>,
 }
 
-/// Ranges of elements: sorted; those that touch are one.
+/// Sorted ranges of elements; adjacent and overlapping ones are merged.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 struct Ranges(Vec<Range>);
 
@@ -40,7 +40,7 @@ struct Range {
 }
 
 impl Limits {
-    /// The protocol's own limits: 64 units, 256 points, and every address that exists.
+    /// Returns the limits of the protocol: 64 units, 256 discretes, and every address.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -49,57 +49,58 @@ impl Limits {
             max_mixed: MAX_MIXED_READ_UNITS,
             readable: Ranges::default(),
             avoided: Ranges::default(),
-            splits: Vec::new(),
+            split_points: Vec::new(),
         }
     }
 
-    /// The most 16-bit registers in one request 46, where 32 bits count two.
+    /// Sets the maximum of 16-bit registers in one request 46, where 32 bits count two.
     ///
     /// # Errors
-    /// [`PlanError::Limit`] unless it is 2, which a 32-bit value takes, to 64.
+    /// [`PlanError::Limit`] unless it is 2 to 64; a 32-bit value needs 2.
     pub fn max_registers(self, units: usize) -> Result<Self, PlanError> {
-        Ok(Self { max_registers: within("max_registers", units, 2, MAX_UNITS)?, ..self })
+        Ok(Self { max_registers: check_range("max_registers", units, 2, MAX_UNITS)?, ..self })
     }
 
-    /// The most discretes in one request 44.
+    /// Sets the maximum of discretes in one request 44.
     ///
     /// # Errors
     /// [`PlanError::Limit`] unless it is 1 to 256.
     pub fn max_points(self, points: usize) -> Result<Self, PlanError> {
-        Ok(Self { max_points: within("max_points", points, 1, MAX_POINTS)?, ..self })
+        Ok(Self { max_points: check_range("max_points", points, 1, MAX_POINTS)?, ..self })
     }
 
-    /// The most units in one request 48, where 32 bits count two.
+    /// Sets the maximum of units in one request 48, where 32 bits count two.
     ///
     /// # Errors
     /// [`PlanError::Limit`] unless it is 1 to 64.
     pub fn max_mixed(self, units: usize) -> Result<Self, PlanError> {
-        Ok(Self { max_mixed: within("max_mixed", units, 1, MAX_MIXED_READ_UNITS)?, ..self })
+        Ok(Self { max_mixed: check_range("max_mixed", units, 1, MAX_MIXED_READ_UNITS)?, ..self })
     }
 
-    /// For devices that do not know command 48.
+    /// Excludes mixed reads, for PLCs without command 48.
     #[must_use]
     pub fn no_mixed_reads(self) -> Self {
         Self { max_mixed: 0, ..self }
     }
 
-    /// These elements, both ends among them, can be read; call it once for each range. For a symbol with a range,
-    /// nothing outside its ranges is asked for, neither a tag nor a gap between two. Symbols without one are not
-    /// limited.
+    /// Adds a readable range, from `first` to `last` inclusive.
     ///
-    /// A range of `R` holds for `DR` too, but one of `M` not for `WM`: a device may allow the one and not the other.
+    /// For a symbol with readable ranges, no request reads outside of them, neither for a tag nor
+    /// in a gap. Symbols without a range are not limited. A range of `R` applies to `DR` too. A
+    /// range of `M` does not apply to `WM`, because a PLC may allow one and not the other.
     ///
     /// # Errors
-    /// [`PlanError::Range`] unless both ends are of one symbol of 1 or 16 bits, the lower one first.
+    /// [`PlanError::Range`] unless both ends have one symbol of 1 or 16 bits, the lower first.
     pub fn readable(mut self, first: Element, last: Element) -> Result<Self, PlanError> {
         self.readable.extend([Range::new(first, last)?]);
         Ok(self)
     }
 
-    /// These elements, both ends among them, are not read to get at something else: no run leads through them. A tag on
-    /// them is read all the same. For addresses that the device refuses, or that are better left alone.
+    /// Adds a range to avoid, from `first` to `last` inclusive: no run reads through it.
     ///
-    /// As with [`readable`](Self::readable), a range of `R` holds for `DR` too, but one of `M` not for `WM`.
+    /// A tag in the range is read all the same. Use it for addresses that the PLC refuses or that
+    /// should not be read needlessly. As with [`readable`](Self::readable), a range of `R` applies
+    /// to `DR` too, and a range of `M` does not apply to `WM`.
     ///
     /// ```
     /// use std::time::Duration;
@@ -109,20 +110,21 @@ impl Limits {
     ///
     /// let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
     /// let limits = Limits::new().no_mixed_reads();
-    /// let plan = |limits| Plan::builder(network).limits(limits).tags(["R0", "R9"].map(|tag| tag.parse().unwrap())).build();
+    /// let tags = ["R0", "R9"].map(|tag| tag.parse().unwrap());
+    /// let plan = |limits| Plan::builder(network).limits(limits).tags(tags).build();
     /// assert_eq!(plan(limits.clone())?.requests().len(), 1); // R0 to R9
     /// assert_eq!(plan(limits.avoid(element!("R4"), element!("R5"))?)?.requests().len(), 2);
     /// # Ok::<(), fatek::plan::PlanError>(())
     /// ```
     ///
     /// # Errors
-    /// [`PlanError::Range`] unless both ends are of one symbol of 1 or 16 bits, the lower one first.
+    /// [`PlanError::Range`] unless both ends have one symbol of 1 or 16 bits, the lower first.
     pub fn avoid(mut self, first: Element, last: Element) -> Result<Self, PlanError> {
         self.avoided.extend([Range::new(first, last)?]);
         Ok(self)
     }
 
-    /// Avoids all of these consecutive elements, of any width.
+    /// Avoids ranges given by their first element, of any width, and the number of elements.
     pub(crate) fn avoid_all(mut self, elements: impl IntoIterator<Item = (Element, usize)>) -> Self {
         let range = |(first, count): (Element, usize)| {
             let last = first.nth(count.checked_sub(1)?).ok()?;
@@ -139,19 +141,20 @@ impl Limits {
         self
     }
 
-    /// No run leads from what is before these elements to them.
+    /// Adds split points: no run reads one of these elements together with the one before.
     pub(crate) fn split_before(mut self, elements: impl IntoIterator<Item = Element>) -> Self {
         let cell = |element: Element| match element {
             Element::Register32(double) => (double.low().symbol(), double.address()),
             Element::Discrete(_) | Element::Register(_) => (element.symbol(), element.address()),
         };
-        self.splits.extend(elements.into_iter().map(cell));
-        self.splits.sort_unstable();
+        self.split_points.extend(elements.into_iter().map(cell));
+        self.split_points.sort_unstable();
         self
     }
 
-    /// The same with no more than so many registers, points and units of a mixed read in a request: with what was learned
-    /// from a device. 0 units: no mixed reads.
+    /// Lowers the maximum of registers, discretes and units of a mixed read to learned limits.
+    ///
+    /// 0 units exclude mixed reads.
     pub(crate) fn at_most(self, registers: usize, points: usize, mixed: usize) -> Self {
         Self {
             max_registers: self.max_registers.min(registers.max(2)),
@@ -161,20 +164,20 @@ impl Limits {
         }
     }
 
-    /// How many units of elements as wide as this one request takes.
+    /// Returns the maximum of units in a run of elements of this width.
     pub(super) fn units(&self, width: Width) -> u32 {
         let units = if width == Width::Bit { self.max_points } else { self.max_registers };
         u32::try_from(units).unwrap_or(u32::MAX)
     }
 
-    /// 0 if there are no mixed reads.
+    /// Returns the maximum of units in a mixed read; 0 without mixed reads.
     pub(super) fn mixed_units(&self) -> u32 {
         u32::try_from(self.max_mixed).unwrap_or(u32::MAX)
     }
 
-    /// Which of the readable ranges holds an address; `None` if none does.
+    /// Returns the index of the readable range with this address; `None` if it is not readable.
     pub(super) fn segment(&self, symbol: Symbol, address: u16) -> Option<u32> {
-        let ranges = self.readable.of(symbol);
+        let ranges = self.readable.for_symbol(symbol);
         if ranges.is_empty() {
             return Some(0);
         }
@@ -183,22 +186,22 @@ impl Limits {
         u32::try_from(n).ok()
     }
 
-    /// Whether one of these addresses, both ends among them, is to be avoided.
-    pub(super) fn avoids(&self, symbol: Symbol, first: u16, last: u16) -> bool {
-        let ranges = self.avoided.of(symbol);
+    /// Whether an address from `first` to `last` inclusive is to be avoided.
+    pub(super) fn avoids_any(&self, symbol: Symbol, first: u16, last: u16) -> bool {
+        let ranges = self.avoided.for_symbol(symbol);
         let before = ranges.partition_point(|range| range.first <= last);
         before.checked_sub(1).and_then(|n| ranges.get(n)).is_some_and(|range| first <= range.last)
     }
 
-    /// Whether a run must end before one of these addresses, both ends among them.
-    pub(super) fn splits(&self, symbol: Symbol, first: u16, last: u16) -> bool {
-        let at = self.splits.partition_point(|split| *split < (symbol, first));
-        self.splits.get(at).is_some_and(|split| *split <= (symbol, last))
+    /// Whether there is a split point before an address from `first` to `last` inclusive.
+    pub(super) fn must_split_within(&self, symbol: Symbol, first: u16, last: u16) -> bool {
+        let at = self.split_points.partition_point(|split| *split < (symbol, first));
+        self.split_points.get(at).is_some_and(|split| *split <= (symbol, last))
     }
 
-    /// Whether runs are as long as they like to be, and go where they like.
-    pub(super) fn let_runs_be(&self) -> bool {
-        self.avoided.0.is_empty() && self.splits.is_empty()
+    /// Whether nothing is to be avoided and there are no split points.
+    pub(super) fn allows_any_run(&self) -> bool {
+        self.avoided.0.is_empty() && self.split_points.is_empty()
     }
 }
 
@@ -226,7 +229,7 @@ impl Ranges {
         });
     }
 
-    fn of(&self, symbol: Symbol) -> &[Range] {
+    fn for_symbol(&self, symbol: Symbol) -> &[Range] {
         let start = self.0.partition_point(|range| range.symbol < symbol);
         let end = self.0.partition_point(|range| range.symbol <= symbol);
         self.0.get(start..end).unwrap_or_default()
@@ -239,6 +242,6 @@ impl Default for Limits {
     }
 }
 
-fn within(name: &'static str, given: usize, min: usize, max: usize) -> Result<usize, PlanError> {
+fn check_range(name: &'static str, given: usize, min: usize, max: usize) -> Result<usize, PlanError> {
     if (min..=max).contains(&given) { Ok(given) } else { Err(PlanError::Limit { name, given, min, max }) }
 }

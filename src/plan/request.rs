@@ -9,7 +9,7 @@ use crate::link::{Answered, Purpose};
 use crate::station::{Outcome, Station, StationJob};
 use crate::wire::Framing;
 
-/// One request of a [`Plan`](super::Plan), and what it costs.
+/// One request of a [`Plan`](super::Plan) with its cost.
 #[derive(Clone, Debug)]
 pub struct PlannedRequest {
     pub(super) request: ReadRequest,
@@ -19,7 +19,7 @@ pub struct PlannedRequest {
     pub(super) time: Duration,
 }
 
-/// A request that reads elements.
+/// A request that reads elements, of one of four kinds.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ReadRequest {
@@ -34,25 +34,25 @@ pub enum ReadRequest {
 }
 
 impl PlannedRequest {
-    /// What is sent.
+    /// Returns the request.
     #[must_use]
     pub fn request(&self) -> &ReadRequest {
         &self.request
     }
 
-    /// How many values of tags come from it.
+    /// Returns the number of values of tags that it reads.
     #[must_use]
     pub fn value_count(&self) -> usize {
         self.values
     }
 
-    /// The bytes of the request and of its reply.
+    /// Returns the length of request and reply in bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.request_bytes + self.reply_bytes
     }
 
-    /// How long it takes, by the cost model.
+    /// Returns its duration by the cost model.
     #[must_use]
     pub fn time(&self) -> Duration {
         self.time
@@ -60,7 +60,7 @@ impl PlannedRequest {
 }
 
 impl ReadRequest {
-    /// Sends it.
+    /// Sends the request and returns the reply.
     ///
     /// # Errors
     /// As for every method of [`Station`].
@@ -73,7 +73,7 @@ impl ReadRequest {
         })
     }
 
-    /// Sends it as a part of a job that the caller keeps.
+    /// Sends the request as part of a job that the caller keeps: a poll cycle.
     pub(crate) async fn call_in_cycle(&self, station: &Station) -> Answered<Reply> {
         async fn call<C: Command>(
             station: &Station,
@@ -91,7 +91,7 @@ impl ReadRequest {
         }
     }
 
-    /// Sends it as a part of a job, in which it stands at this mark.
+    /// Sends the request as part of `job`, at this mark.
     pub(crate) async fn call_in_job<M: Copy>(
         &self,
         job: &mut StationJob<'_, M>,
@@ -105,6 +105,7 @@ impl ReadRequest {
         })
     }
 
+    /// Checks that the request is valid and unambiguous in this framing.
     pub(super) fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         match self {
             Self::Discretes(request) => request.check(framing),
@@ -116,13 +117,13 @@ impl ReadRequest {
 }
 
 impl fmt::Display for ReadRequest {
-    /// The code and the elements: `46 R0-R9`.
+    /// Writes the code and the elements: `46 R0-R9`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let run = |f: &mut fmt::Formatter<'_>, code, first: Element, count: usize| {
             write!(f, "{code} {first}")?;
             match first.nth(count.saturating_sub(1)) {
                 Ok(last) if last != first => write!(f, "-{last}"),
-                _ => Ok(()),
+                Ok(_) | Err(_) => Ok(()),
             }
         };
         match self {

@@ -1,4 +1,4 @@
-//! From the cells that are needed to the requests that read them.
+//! The solver: distributes parts among requests at minimum cost.
 
 use std::collections::VecDeque;
 
@@ -6,39 +6,43 @@ use super::cost::CostModel;
 use super::layout::{self, Cells, Draft, ItemCost};
 use super::limits::Limits;
 
-/// Up to so many parts, every way to share them out among requests is looked at.
-pub(super) const EXACT: usize = 8;
+/// The maximum number of parts for which all partitions are compared.
+pub(super) const MAX_EXACT_PARTS: usize = 8;
 
-/// What must come from one request: a value, or a group of them. Its cells are sorted.
+/// Cells that must come from one request: a value or a group. They are sorted.
 pub(super) type Part = Vec<Cells>;
 
-/// A request, and the parts that it reads.
+/// A request and the indices of the parts that it reads.
 pub(super) type Share = (Draft, Vec<usize>);
 
-/// Every part can be read by some request alone, those of one value by a run; these come last, sorted and distinct, none
-/// within another part.
+/// Distributes groups and values among requests. Parts are numbered with the groups first.
+///
+/// Each group must fit in some request and each value in a run. The values are sorted and distinct,
+/// and none lies within another part.
 pub(super) fn solve(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Share> {
-    if let Some(share) = one_for_all(groups, values, limits, cost) {
+    if let Some(share) = single_request(groups, values, limits, cost) {
         vec![share]
-    } else if groups.len() + values.len() <= EXACT {
-        exact(groups, values, limits, cost)
+    } else if groups.len() + values.len() <= MAX_EXACT_PARTS {
+        solve_exact(groups, values, limits, cost)
     } else {
-        large(groups, values, limits, cost)
+        solve_large(groups, values, limits, cost)
     }
 }
 
-/// One request for all parts, if no two requests can be cheaper: these have all the values, too, and more than one
-/// request's share of what stands around them. So it is with most small sets, and all else takes much longer.
-fn one_for_all(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Share> {
+/// Returns a single request for all parts if two requests cannot be cheaper.
+///
+/// Two requests have the bytes of all values and twice the overhead. This quick test succeeds for
+/// most small sets.
+fn single_request(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Share> {
     let cells = sorted(groups.iter().flatten().chain(values));
     let draft = Draft::cheapest(&cells, limits, cost)?;
     let two = mixed_overhead(cost).saturating_mul(2).saturating_add(cost.bytes_cost(layout::value_bytes(&cells, cost)));
     (draft.cost(cost) <= two).then(|| (draft, (0..groups.len() + values.len()).collect()))
 }
 
-/// The cheapest of all ways to share the parts out: for each set of parts, the best request that holds the first of
-/// them and some others, and the best plan for what is left. 3ⁿ steps.
-pub(super) fn exact(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Share> {
+/// Finds the cheapest partition: for each set of parts, the best request with the first part and
+/// any others, and the best plan for the rest. Takes 3^n steps.
+pub(super) fn solve_exact(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Share> {
     let parts: Vec<Part> = groups.iter().cloned().chain(values.iter().map(|&value| vec![value])).collect();
     let all = (1_usize << parts.len()) - 1;
     let members = |set: usize| (0..parts.len()).filter(move |n| set >> n & 1 == 1);
@@ -76,18 +80,18 @@ pub(super) fn exact(groups: &[Part], values: &[Cells], limits: &Limits, cost: &C
     shares
 }
 
-/// Groups first, each at its own best; then the values, by a dynamic program with several prices for a place in a
-/// mixed request, of which the cheapest outcome is taken.
-pub(super) fn large(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Share> {
-    let (mut shares, open) = place_groups(groups, limits, cost);
+/// Places each group as its own cheapest request, and then the values by a dynamic program.
+///
+/// The program runs for several prices of a unit in a mixed read; the cheapest outcome counts.
+pub(super) fn solve_large(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Share> {
+    let (mut shares, open_bins) = place_groups(groups, limits, cost);
     let first_value = groups.len();
     let rest: Vec<(usize, Cells)> = values.iter().enumerate().map(|(n, &value)| (first_value + n, value)).collect();
-    let rest = absorb(rest, &mut shares);
-    let mut bins: Vec<Bin> = open;
+    let rest = absorb_into_runs(rest, &mut shares);
 
     let mut best: Option<(u64, Outcome)> = None;
-    let mut consider = |place: Option<u64>| {
-        let outcome = share_out(&rest, place, &bins, limits, cost);
+    let mut consider = |unit_price: Option<u64>| {
+        let outcome = pack_values(&rest, unit_price, &open_bins, limits, cost);
         let price = outcome.iter().map(|(draft, _)| draft.cost(cost)).sum::<u64>();
         if best.as_ref().is_none_or(|(cheapest, _)| price < *cheapest) {
             best = Some((price, outcome));
@@ -96,18 +100,17 @@ pub(super) fn large(groups: &[Part], values: &[Cells], limits: &Limits, cost: &C
     consider(None);
     if limits.mixed_units() > 0 {
         let share = mixed_overhead(cost) / u64::from(limits.mixed_units());
-        for place in [0, share / 2, share, share * 3 / 2, share * 2, share * 4] {
-            consider(Some(place));
+        for unit_price in [0, share / 2, share, share * 3 / 2, share * 2, share * 4] {
+            consider(Some(unit_price));
         }
     }
     if let Some((_, outcome)) = best {
-        bins.clear();
         shares.extend(outcome);
     }
     shares
 }
 
-/// A mixed request that is being filled.
+/// A mixed read that is being filled.
 #[derive(Clone, Debug, Default)]
 struct Bin {
     parts: Vec<usize>,
@@ -131,16 +134,15 @@ fn sorted<'a>(cells: impl Iterator<Item = &'a Cells>) -> Vec<Cells> {
     cells
 }
 
-/// The groups whose best request is a run, as runs, neighbours joined where that is cheaper; the others in mixed
-/// requests that have room left.
+/// Places groups as runs, joined where that is cheaper, or in mixed reads that have room.
 fn place_groups(groups: &[Part], limits: &Limits, cost: &CostModel) -> (Vec<Share>, Vec<Bin>) {
     let mut runs: Vec<(Cells, Vec<usize>)> = Vec::new();
     let mut bins: Vec<Bin> = Vec::new();
     for (n, group) in groups.iter().enumerate() {
         match Draft::cheapest(group, limits, cost) {
             Some(Draft::Run(run)) => runs.push((run, vec![n])),
-            _ => {
-                // The last few only, so that the work does not grow with the number of requests.
+            Some(Draft::Mixed(_)) | None => {
+                // Only the last few bins, so that the time stays linear.
                 let fits = |bin: &&mut Bin| {
                     let cells = sorted(bin.cells.iter().chain(group));
                     bin.units + units(group) <= limits.mixed_units() && Draft::mixed(&cells, limits, cost).is_some()
@@ -175,27 +177,27 @@ fn place_groups(groups: &[Part], limits: &Limits, cost: &CostModel) -> (Vec<Shar
     (joined.into_iter().map(|(run, parts)| (Draft::Run(run), parts)).collect(), bins)
 }
 
-/// Gives the values that lie in a group's run to it, and the others back. Both are sorted.
-fn absorb(values: Vec<(usize, Cells)>, shares: &mut [Share]) -> Vec<(usize, Cells)> {
+/// Assigns values to the runs of groups that contain them, and returns the others. Both are sorted.
+fn absorb_into_runs(values: Vec<(usize, Cells)>, shares: &mut [Share]) -> Vec<(usize, Cells)> {
     let mut rest = Vec::with_capacity(values.len());
     for (n, value) in values {
         let after = shares.partition_point(|(draft, _)| match draft {
             Draft::Run(run) => (run.area, run.first) <= (value.area, value.first),
             Draft::Mixed(_) => false,
         });
-        // Runs of one area may overlap, but hardly ever do: looking at the last one is enough to be right.
+        // Runs rarely overlap. A value that lies only in an earlier run is read once more.
         match after.checked_sub(1).and_then(|before| shares.get_mut(before)) {
-            Some((Draft::Run(run), parts)) if run.hold(value) => parts.push(n),
-            _ => rest.push((n, value)),
+            Some((Draft::Run(run), parts)) if run.contains(value) => parts.push(n),
+            Some((Draft::Run(_) | Draft::Mixed(_), _)) | None => rest.push((n, value)),
         }
     }
     rest
 }
 
-/// One outcome: runs where they are cheaper, and what is left over packed into mixed requests.
-fn share_out(
+/// Returns one outcome: runs where they are cheaper, and mixed reads of the remaining values.
+fn pack_values(
     values: &[(usize, Cells)],
-    place: Option<u64>,
+    unit_price: Option<u64>,
     open: &[Bin],
     limits: &Limits,
     cost: &CostModel,
@@ -203,18 +205,18 @@ fn share_out(
     let mut shares = Outcome::new();
     let mut left = Vec::new();
     for area in values.chunk_by(|(_, a), (_, b)| a.area == b.area) {
-        choose(area, place, limits, cost, &mut shares, &mut left);
+        solve_area(area, unit_price, limits, cost, &mut shares, &mut left);
     }
     let mut left = left.into_iter().peekable();
     for bin in open {
         let mut bin = bin.clone();
-        // Cells are counted singly here, so that neighbours in the bin are no matter.
+        // An upper bound of the units: cells shared with the bin are counted twice.
         while let Some((n, value)) = left.next_if(|(_, value)| bin.units + units(&[*value]) <= limits.mixed_units()) {
             bin.parts.push(n);
             bin.cells.push(value);
             bin.units += units(&[value]);
         }
-        close(bin, limits, cost, &mut shares);
+        close_bin(bin, limits, cost, &mut shares);
     }
     let mut bin: Vec<(usize, Cells)> = Vec::new();
     let mut filled = 0;
@@ -225,7 +227,7 @@ fn share_out(
         };
         let more = (value.len - shared) * value.area.units();
         if filled + more > limits.mixed_units() {
-            fill(&bin, limits, cost, &mut shares);
+            pack_mixed(&bin, limits, cost, &mut shares);
             bin.clear();
             filled = units(&[value]);
         } else {
@@ -233,18 +235,18 @@ fn share_out(
         }
         bin.push((n, value));
     }
-    fill(&bin, limits, cost, &mut shares);
+    pack_mixed(&bin, limits, cost, &mut shares);
     shares
 }
 
-/// A mixed request with groups in it; if the values among them give the list two readings, they go elsewhere.
-fn close(bin: Bin, limits: &Limits, cost: &CostModel, shares: &mut Outcome) {
+/// Closes a bin with groups. Values that make its list ambiguous are packed elsewhere.
+fn close_bin(bin: Bin, limits: &Limits, cost: &CostModel, shares: &mut Outcome) {
     let cells = sorted(bin.cells.iter());
     if let Some(draft) = Draft::mixed(&cells, limits, cost) {
         shares.push((draft, bin.parts));
         return;
     }
-    // The groups had passed together before any value came: parts and cells of values stand at the end.
+    // The groups alone are not ambiguous. Values have one entry each, at the ends of the lists.
     let mut bin = bin;
     let mut values = Vec::new();
     while let (Some(n), Some(value)) = (bin.parts.pop(), bin.cells.pop()) {
@@ -255,11 +257,11 @@ fn close(bin: Bin, limits: &Limits, cost: &CostModel, shares: &mut Outcome) {
         }
     }
     values.sort_unstable_by_key(|(_, value)| value.key());
-    fill(&values, limits, cost, shares);
+    pack_mixed(&values, limits, cost, shares);
 }
 
-/// The values as one mixed request, or as runs if that is cheaper, or in halves if the list has two readings.
-fn fill(values: &[(usize, Cells)], limits: &Limits, cost: &CostModel, shares: &mut Outcome) {
+/// Reads values by one mixed read, by runs if cheaper, or in halves if the list is ambiguous.
+fn pack_mixed(values: &[(usize, Cells)], limits: &Limits, cost: &CostModel, shares: &mut Outcome) {
     if values.is_empty() {
         return;
     }
@@ -267,7 +269,7 @@ fn fill(values: &[(usize, Cells)], limits: &Limits, cost: &CostModel, shares: &m
     let mut runs = Outcome::new();
     let mut none = Vec::new();
     for area in values.chunk_by(|(_, a), (_, b)| a.area == b.area) {
-        choose(area, None, limits, cost, &mut runs, &mut none);
+        solve_area(area, None, limits, cost, &mut runs, &mut none);
     }
     let price = runs.iter().map(|(draft, _)| draft.cost(cost)).sum::<u64>();
     match Draft::mixed(&cells, limits, cost) {
@@ -275,8 +277,8 @@ fn fill(values: &[(usize, Cells)], limits: &Limits, cost: &CostModel, shares: &m
         None if values.len() > 1 => {
             let mut halves = Outcome::new();
             let (low, high) = values.split_at(values.len() / 2);
-            fill(low, limits, cost, &mut halves);
-            fill(high, limits, cost, &mut halves);
+            pack_mixed(low, limits, cost, &mut halves);
+            pack_mixed(high, limits, cost, &mut halves);
             let halved = halves.iter().map(|(draft, _)| draft.cost(cost)).sum::<u64>();
             shares.extend(if halved < price { halves } else { runs });
         }
@@ -284,31 +286,36 @@ fn fill(values: &[(usize, Cells)], limits: &Limits, cost: &CostModel, shares: &m
     }
 }
 
-/// How a value is read, when it is the last of those looked at so far.
+/// How the last of the values considered so far is read.
 #[derive(Clone, Copy)]
-enum How {
-    /// At the end of a run that begins with this value.
+enum ReadMode {
+    /// At the end of a run that begins with the value `from`.
     Run { from: usize },
-    /// In a mixed request; the stretch of neighbours there has an even or odd number of cells.
-    Mixed { before: Ending },
+    /// In a mixed read, behind values with this tail.
+    Mixed { before: Tail },
 }
 
+/// The end of the values considered so far: a run, or a stretch of cells of even or odd length in a
+/// mixed read.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Ending {
+enum Tail {
     Run,
     Even,
     Odd,
 }
 
-/// The cheapest way to read the values of one area, when a unit in a mixed request has this price beside its bytes;
-/// `None`: no mixed requests.
+/// Finds the cheapest way to read the values of one area: appends runs to `shares`, and the values
+/// for mixed reads to `left`.
 ///
-/// Values are sorted and none holds another, so the values of a run follow each other in an optimum: of two runs that
-/// cross, the one can give the other what both cover. `costs[i]` is the price of the first `i` values for each ending.
-/// The best begin of a run is kept in a queue, as its distance enters the price linearly: O(n).
-fn choose(
+/// `unit_price` is the price of a unit of a mixed read without bytes; `None`: no mixed reads.
+///
+/// Values are sorted and none contains another. In an optimum the values of a run are consecutive:
+/// where two runs overlap, one of them can read all common values. `costs[i]` is the cost of the
+/// first `i` values for each tail. A monotonic queue has the best start of a run, because the cost
+/// of a run is linear in its length: O(n).
+fn solve_area(
     values: &[(usize, Cells)],
-    place: Option<u64>,
+    unit_price: Option<u64>,
     limits: &Limits,
     cost: &CostModel,
     shares: &mut Outcome,
@@ -323,74 +330,74 @@ fn choose(
         (one - cell, cell)
     };
     let item = ItemCost::new(area, cost);
-    let unit = place.map(|place| place.saturating_mul(u64::from(area.units())));
+    let cell_price = unit_price.map(|price| price.saturating_mul(u64::from(area.units())));
 
-    const NEVER: u64 = u64::MAX / 4;
-    // Run, Even, Odd.
-    let mut costs = vec![[0, NEVER, NEVER]];
-    let mut hows: Vec<[How; 3]> = Vec::with_capacity(values.len());
-    let mut begins: VecDeque<(u64, usize)> = VecDeque::new();
+    const INFINITE: u64 = u64::MAX / 4;
+    // Indexed by `Tail`.
+    let mut costs = vec![[0, INFINITE, INFINITE]];
+    let mut modes: Vec<[ReadMode; 3]> = Vec::with_capacity(values.len());
+    let mut run_starts: VecDeque<(u64, usize)> = VecDeque::new();
     let distance = |cell: u32| u64::from(cell - first.first) * per_cell;
-    // Kept above zero: what lies between the first value and a begin is not paid.
+    // Added to keep the keys positive: cells before the start of a run are not read.
     let all = distance(values.last().map_or(first.first, |(_, last)| last.first));
 
     for (i, (_, value)) in values.iter().enumerate() {
         let before = costs[i];
-        let cheapest = before.into_iter().min().unwrap_or(NEVER);
+        let cheapest = before.into_iter().min().unwrap_or(INFINITE);
         let key = cheapest + (all - distance(value.first));
-        if i > 0 && !limits.let_runs_be() && values[i - 1].1.is_barred_from(*value, limits) {
-            begins.clear();
+        if i > 0 && !limits.allows_any_run() && values[i - 1].1.must_split_from(*value, limits) {
+            run_starts.clear();
         }
-        while begins.back().is_some_and(|(worse, _)| *worse >= key) {
-            begins.pop_back();
+        while run_starts.back().is_some_and(|(worse, _)| *worse >= key) {
+            run_starts.pop_back();
         }
-        begins.push_back((key, i));
-        while begins.front().is_some_and(|(_, from)| value.end() - values[*from].1.first > max_run) {
-            begins.pop_front();
+        run_starts.push_back((key, i));
+        while run_starts.front().is_some_and(|(_, from)| value.end() - values[*from].1.first > max_run) {
+            run_starts.pop_front();
         }
-        let (run, from) = match begins.front() {
+        let (run, from) = match run_starts.front() {
             Some((key, from)) => (*key + run_fixed + distance(value.end()) - all, *from),
-            None => (NEVER, i),
+            None => (INFINITE, i),
         };
-        let mut here = [run, NEVER, NEVER];
-        let mut how = [How::Run { from }; 3];
+        let mut here = [run, INFINITE, INFINITE];
+        let mut mode = [ReadMode::Run { from }; 3];
         let fits = value.len * area.units() <= limits.mixed_units();
-        if let Some(unit) = unit.filter(|_| fits) {
+        if let Some(cell_price) = cell_price.filter(|_| fits) {
             let neighbour = i > 0 && value.first <= values[i - 1].1.end();
-            for ending in [Ending::Run, Ending::Even, Ending::Odd] {
-                let continues = neighbour && ending != Ending::Run;
+            for tail in [Tail::Run, Tail::Even, Tail::Odd] {
+                let continues = neighbour && tail != Tail::Run;
                 let new = if continues { value.end() - values[i - 1].1.end() } else { value.len };
-                let odd = continues && ending == Ending::Odd;
-                let price = before[ending as usize] + item.cost(new, odd) + unit * u64::from(new);
+                let odd = continues && tail == Tail::Odd;
+                let price = before[tail as usize] + item.cost(new, odd) + cell_price * u64::from(new);
                 let now = if (new % 2 == 1) == odd { 1 } else { 2 };
                 if price < here[now] {
                     here[now] = price;
-                    how[now] = How::Mixed { before: ending };
+                    mode[now] = ReadMode::Mixed { before: tail };
                 }
             }
         }
         costs.push(here);
-        hows.push(how);
+        modes.push(mode);
     }
 
-    // Back from the end.
+    // Traces the decisions back from the last value.
     let mut at = values.len();
     let cheapest = |costs: &[u64; 3]| (0..3).min_by_key(|n| costs[*n]).unwrap_or(0);
-    let mut ending = cheapest(&costs[at]);
+    let mut tail = cheapest(&costs[at]);
     let mut mixed = Vec::new();
     while at > 0 {
-        match hows[at - 1][ending] {
-            How::Run { from } => {
+        match modes[at - 1][tail] {
+            ReadMode::Run { from } => {
                 let (start, end) = (values[from].1, values[at - 1].1);
                 let run = Cells { len: end.end() - start.first, ..start };
                 shares.push((Draft::Run(run), values[from..at].iter().map(|(n, _)| *n).collect()));
                 at = from;
-                ending = cheapest(&costs[at]);
+                tail = cheapest(&costs[at]);
             }
-            How::Mixed { before } => {
+            ReadMode::Mixed { before } => {
                 at -= 1;
                 mixed.push(values[at]);
-                ending = before as usize;
+                tail = before as usize;
             }
         }
     }

@@ -13,7 +13,7 @@ use crate::wire::Framing;
 
 mod texts;
 
-/// SplitMix64: the tests print the seed of what fails.
+/// SplitMix64. Failed tests print its seed.
 struct Random(u64);
 
 impl Random {
@@ -53,7 +53,7 @@ fn limits() -> Vec<Limits> {
     ]
 }
 
-/// Elements between those of `random_tag`, and some of them.
+/// Limits that avoid elements among and between those of `random_tag`.
 fn avoiding() -> Limits {
     let ranges =
         ["R2", "R7", "R30", "D5", "D40", "M3", "M9", "RT4", "WM32", "X8"].map(|text| Element::parse(text).unwrap());
@@ -64,7 +64,7 @@ fn tag(text: &str) -> Tag {
     text.parse().unwrap()
 }
 
-/// A tag of one value among a few neighbours, or far away, or where the binary framing is ambiguous.
+/// A tag of one value: near others, far away, or ambiguous in the binary framing.
 fn random_tag(random: &mut Random) -> Tag {
     let symbol = random.one(&[
         Symbol::R,
@@ -91,18 +91,18 @@ fn random_tag(random: &mut Random) -> Tag {
     let first = Element::new(symbol, u16::try_from(address).unwrap()).unwrap();
     match (first.width(), random.below(6)) {
         (Width::Word, 0..2) => Tag::new(first, TagType::F32, 1).unwrap(),
-        // No longer than any of the limits' runs.
+        // No longer than a run of any of `limits`.
         (Width::Word, 2) => text(first, 1 + random.below(8)),
         _ => Tag::from(first),
     }
 }
 
-/// A text of so many registers, or as many as there are.
+/// A text of this number of registers, or fewer at the end of the area.
 fn text(first: Element, registers: usize) -> Tag {
     (1..=registers).rev().find_map(|registers| Tag::spanning(first, TagType::Text, registers).ok()).unwrap()
 }
 
-/// What the simulated memory holds.
+/// A word of the simulated memory.
 fn word(symbol: Symbol, address: u16) -> u16 {
     let mut random = Random(u64::from(address) << 8 | symbol as u64);
     u16::try_from(random.below(65_536)).unwrap()
@@ -134,16 +134,16 @@ fn answer(request: &ReadRequest) -> Reply {
     let values: Vec<Value> = elements(request).into_iter().map(value).collect();
     let bits = |value: &Value| if let Value::Bit(on) = value { *on } else { panic!("{value:?}") };
     let words = |value: &Value| if let Value::Word(word) = value { *word } else { panic!("{value:?}") };
-    let doubles = |value: &Value| if let Value::DWord(double) = value { *double } else { panic!("{value:?}") };
+    let dwords = |value: &Value| if let Value::DWord(double) = value { *double } else { panic!("{value:?}") };
     match request {
         ReadRequest::Discretes(_) => Reply::Bits(values.iter().map(bits).collect()),
         ReadRequest::Registers(_) => Reply::Words(values.iter().map(words).collect()),
-        ReadRequest::Registers32(_) => Reply::DWords(values.iter().map(doubles).collect()),
+        ReadRequest::Registers32(_) => Reply::DWords(values.iter().map(dwords).collect()),
         ReadRequest::Mixed(_) => Reply::Mixed(values),
     }
 }
 
-/// The length of request and reply as they really are on the wire.
+/// Returns the length of request and reply as encoded by the codec.
 fn frames(request: &ReadRequest, framing: Framing) -> usize {
     fn both<C: Command>(request: &C, reply: C::Reply, framing: Framing) -> usize {
         let mut bytes = BytesMut::new();
@@ -160,7 +160,7 @@ fn frames(request: &ReadRequest, framing: Framing) -> usize {
     }
 }
 
-/// Everything that must hold for any plan.
+/// Checks the invariants of any plan.
 fn check(plan: &Plan, model: &CostModel, limits: &Limits, context: &str) {
     for planned in plan.requests() {
         planned.request.check(model.framing()).unwrap();
@@ -184,11 +184,11 @@ fn check(plan: &Plan, model: &CostModel, limits: &Limits, context: &str) {
         let raw: Vec<Value> = tag.elements().map(value).collect();
         let (values, expected) = (values.unwrap(), tag.decode(&raw).unwrap());
         let same = values.iter().map(|v| format!("{v:?}")).eq(expected.iter().map(|v| format!("{v:?}")));
-        assert!(same, "{context}: {tag} is {expected:?}, and {values:?} was given");
+        assert!(same, "{context}: {tag} is {expected:?}, and {values:?} was read");
     }
 }
 
-/// The cheapest of all partitions, by enumerating each: no memory of what was seen, no program of any kind.
+/// Returns the cost of the cheapest partition by plain enumeration.
 fn brute_force(parts: &[Vec<Cells>], limits: &Limits, model: &CostModel) -> u64 {
     fn price(block: &[&Vec<Cells>], limits: &Limits, model: &CostModel) -> Option<u64> {
         let mut cells: Vec<Cells> = block.iter().flat_map(|part| part.iter().copied()).collect();
@@ -215,13 +215,13 @@ fn brute_force(parts: &[Vec<Cells>], limits: &Limits, model: &CostModel) -> u64 
     go(parts, &mut Vec::new(), (limits, model))
 }
 
-/// The parts of single values, as the module defines them, found the slow way.
+/// Returns the parts of single values, as the module defines them, by comparing all pairs.
 fn parts(tags: &[Tag], limits: &Limits) -> Vec<Vec<Cells>> {
     let cells: Vec<Cells> =
         tags.iter().map(|tag| Cells::of(tag.first(), tag.element_count(), limits).unwrap()).collect();
     let mut kept: Vec<Cells> = Vec::new();
     for (n, one) in cells.iter().enumerate() {
-        let held = |(m, other): (usize, &Cells)| other.hold(*one) && (other != one || m < n);
+        let held = |(m, other): (usize, &Cells)| other.contains(*one) && (other != one || m < n);
         if !cells.iter().enumerate().any(held) {
             kept.push(*one);
         }
@@ -235,7 +235,7 @@ fn no_partition_is_cheaper_than_the_plan_for_up_to_8_tags() {
     for seed in 0..300 {
         let mut random = Random(seed);
         let (model, limits) = (random.one(&models()), limits()[random.below(4)].clone());
-        // Bell numbers: 8 tags are 4140 partitions, which take their time in a debug build.
+        // 8 tags have 4140 partitions (a Bell number), which is slow in a debug build.
         let n = if seed % 30 == 0 { 8 } else { 1 + random.below(6) };
         let tags: Vec<Tag> = (0..n).map(|_| random_tag(&mut random)).collect();
         let plan = Plan::builder(model).limits(limits.clone()).tags(tags.clone()).build().unwrap();
@@ -247,7 +247,7 @@ fn no_partition_is_cheaper_than_the_plan_for_up_to_8_tags() {
 }
 
 #[test]
-fn no_partition_is_cheaper_than_the_plan_for_groups_from_one_scan() {
+fn no_partition_is_cheaper_than_the_plan_for_one_scan_groups() {
     for seed in 0..100 {
         let mut random = Random(seed);
         let model = random.one(&models());
@@ -262,7 +262,7 @@ fn no_partition_is_cheaper_than_the_plan_for_groups_from_one_scan() {
             cells.sort_by_key(|cells| cells.key());
             all.push(cells);
         }
-        // Two cells in the ambiguous corner of the binary framing may have no request at all.
+        // No request can read two cells that are ambiguous in the binary framing.
         let Ok(plan) = builder.build() else { continue };
         let context = format!("seed {seed}, {model:?}, {tags:?}");
         check(&plan, &model, &limits, &context);
@@ -273,9 +273,9 @@ fn no_partition_is_cheaper_than_the_plan_for_groups_from_one_scan() {
     }
 }
 
-/// The planner for many parts, given few: what it loses against the optimum can then be measured.
+/// Runs the solver for many parts on few parts, to measure its loss against the optimum.
 #[test]
-fn the_planner_for_many_values_is_exact_where_it_says_so() {
+fn the_solver_for_many_values_is_optimal_where_documented() {
     let (mut paid, mut optimal) = (0, 0);
     for seed in 0..2000 {
         let mut random = Random(seed);
@@ -284,11 +284,11 @@ fn the_planner_for_many_values_is_exact_where_it_says_so() {
         let tags: Vec<Tag> = (0..n).map(|_| random_tag(&mut random)).collect();
         let values = parts(&tags, &limits).concat();
         let price = |shares: &[solve::Share]| shares.iter().map(|(draft, _)| draft.cost(&model)).sum::<u64>();
-        let large = price(&solve::large(&[], &values, &limits, &model));
-        let best = price(&solve::exact(&[], &values, &limits, &model));
+        let large = price(&solve::solve_large(&[], &values, &limits, &model));
+        let best = price(&solve::solve_exact(&[], &values, &limits, &model));
         let context = format!("seed {seed}, {model:?}, {limits:?}, {tags:?}");
         assert!(large >= best, "{context}");
-        // With one mixed read of 64 units for all, or none, and no second readings, it must be the optimum.
+        // Optimal without ambiguity if one mixed read of 64 units, or none, is allowed.
         let one_mixed = limits.mixed_units() == 64 || limits.mixed_units() == 0;
         if one_mixed && model.framing() == Framing::Ascii {
             assert_eq!(large, best, "{context}");
@@ -296,13 +296,13 @@ fn the_planner_for_many_values_is_exact_where_it_says_so() {
         paid += large;
         optimal += best;
     }
-    // Where mixed reads hold 3 or 4 units only, packing them is what it loses by.
+    // The loss is due to packing where mixed reads hold 3 or 4 units only.
     assert!(paid * 100 <= optimal * 105, "{paid} ns instead of {optimal} ns");
 }
 
-/// The program for many values counts what a mixed read costs cell by cell; the draft counts its elements.
+/// The solver counts the cost of a mixed read cell by cell, the draft by its elements.
 #[test]
-fn cells_that_are_added_to_a_mixed_read_cost_what_its_elements_do() {
+fn cells_added_to_a_mixed_read_cost_as_much_as_its_elements() {
     for model in models() {
         for first in ["R0", "WM0", "RC0", "DRC0", "M0"].map(|first| first.parse().unwrap()) {
             let one = Cells::of(first, 1, &Limits::new()).unwrap();
@@ -317,7 +317,7 @@ fn cells_that_are_added_to_a_mixed_read_cost_what_its_elements_do() {
 }
 
 #[test]
-fn any_number_of_tags_is_read_right_and_for_no_more_than_by_runs_alone() {
+fn any_number_of_tags_costs_no_more_than_by_runs_alone() {
     for seed in 0..60 {
         let mut random = Random(seed);
         let (model, limits) = (random.one(&models()), limits()[random.below(4)].clone());
@@ -339,9 +339,8 @@ fn any_number_of_tags_is_read_right_and_for_no_more_than_by_runs_alone() {
     }
 }
 
-/// A place in a mixed request costs at least its share of the request's fixed price: no plan is below that bound.
 #[test]
-fn scattered_tags_fill_mixed_reads_but_for_the_last() {
+fn scattered_tags_fill_all_mixed_reads_but_the_last() {
     let model = CostModel::network(Framing::Ascii, Duration::from_millis(5));
     let tags = (0..1000).map(|n| Tag::from(Element::from(Register::r(n * 65))));
     let plan = Plan::builder(model).tags(tags).build().unwrap();
@@ -362,7 +361,7 @@ fn a_gap_is_read_through_where_it_is_cheaper_than_a_request() {
 }
 
 #[test]
-fn what_is_to_be_avoided_is_read_for_its_own_tags_only() {
+fn avoided_elements_are_read_for_their_own_tags_only() {
     for seed in 0..60 {
         let mut random = Random(seed);
         let count = 1 + random.below(40);
@@ -391,7 +390,7 @@ fn what_is_to_be_avoided_is_read_for_its_own_tags_only() {
 }
 
 #[test]
-fn nothing_outside_the_readable_ranges_is_asked_for() {
+fn no_request_reads_outside_of_the_readable_ranges() {
     let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
     let limits = Limits::new().no_mixed_reads();
     let limits = limits.readable(crate::element!("R0"), crate::element!("R9")).unwrap();
@@ -402,29 +401,29 @@ fn nothing_outside_the_readable_ranges_is_asked_for() {
         let error = Plan::builder(network).limits(limits.clone()).tag(tag(text)).build().unwrap_err();
         assert_eq!(error, PlanError::NotReadable { tag: tag(text), element: first.parse().unwrap() });
     }
-    // Ranges that touch are one.
+    // Adjacent ranges are merged.
     let limits = limits.readable(crate::element!("R10"), crate::element!("R19")).unwrap();
     let plan = Plan::builder(network).limits(limits).tags([tag("R9:f32"), tag("R20")]).build().unwrap();
     assert_eq!(plan.requests().len(), 1);
 }
 
 #[test]
-fn tags_that_no_request_holds_together_are_refused() {
+fn tags_that_do_not_fit_in_one_request_are_refused() {
     let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
     let limits = Limits::new().no_mixed_reads();
     let error = Plan::builder(network).limits(limits).one_scan([tag("R0"), tag("M0")]).build().unwrap_err();
     assert_eq!(error, PlanError::OneScan { first: tag("R0"), tags: 2, units: 2, max: 0 });
-    let end = "and as one run it is too long, of several kinds, or reaches across what cannot be read";
-    let what = "the 2 tags from R0 on must come from one scan, but no single request of the device reads that";
-    assert_eq!(error.to_string(), format!("{what}: there are no mixed reads, {end}"));
-    // Registers that two values share count once.
+    let tags = "the 2 tags from R0 on must come from one scan, but no single request can read that";
+    let run = "one run would be too long, of several kinds, or across unreadable or avoided elements";
+    assert_eq!(error.to_string(), format!("{tags}: there are no mixed reads, and {run}"));
+    // A register of two values counts once.
     let error = Plan::builder(network).one_scan([tag("R0-R63"), tag("R5:f32"), tag("M0")]).build().unwrap_err();
     assert_eq!(error, PlanError::OneScan { first: tag("R0-R63"), tags: 3, units: 65, max: 64 });
-    assert!(error.to_string().contains(": 65 units are too many for a mixed read, which takes 64, and as one run"));
+    assert!(error.to_string().contains(": 65 units exceed the 64 of a mixed read, and one run"));
     // 44 44 00 44 46 00 00: `D` at 4400h and `DF` at 0, or `DD` at 44h and `F` at 0.
     let binary = CostModel::network(Framing::Binary, Duration::from_millis(5));
     let error = Plan::builder(binary).one_scan([tag("D17408"), tag("DF0")]).build().unwrap_err();
-    assert!(error.to_string().contains(": as a mixed read, the list has two readings in the binary framing, and"));
+    assert!(error.to_string().contains(": a mixed read would be ambiguous in the binary framing, and"));
     assert!(Plan::builder(network).one_scan([tag("D17408"), tag("DF0")]).build().is_ok());
     assert!(Plan::builder(network).one_scan([tag("R0-R63")]).build().is_ok());
     assert!(Plan::builder(network).one_scan([tag("R0-R64")]).build().is_err());
@@ -432,7 +431,7 @@ fn tags_that_no_request_holds_together_are_refused() {
 }
 
 #[test]
-fn the_error_of_a_request_is_that_of_its_tags_only() {
+fn a_failed_request_affects_its_own_tags_only() {
     let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
     let limits = Limits::new().no_mixed_reads();
     let tags = ["R0", "M0", "R1-R2", "R3:f32"].map(tag);
@@ -459,7 +458,7 @@ fn a_reply_to_another_request_is_refused() {
 }
 
 #[test]
-fn a_plan_of_nothing_has_no_requests() {
+fn a_plan_without_tags_has_no_requests() {
     let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
     let plan = Plan::builder(network).one_scan([]).build().unwrap();
     assert_eq!((plan.requests().len(), plan.time()), (0, Duration::ZERO));

@@ -4,9 +4,12 @@ use std::time::Duration;
 use super::PollError;
 use crate::tag::Tag;
 
-/// How often tags are read: all tags of a class, on one station, are read together.
+/// Default of [`ScanClass::probe_refused`].
+const DEFAULT_PROBE_INTERVAL: Duration = Duration::from_secs(60);
+
+/// A scan class: period and phase of reading its tags, and age limits of their values.
 ///
-/// Two classes are the same if all their settings are.
+/// All tags of a class on one station are read together. Classes with equal settings are equal.
 ///
 /// ```
 /// use std::time::Duration;
@@ -26,40 +29,45 @@ pub struct ScanClass {
 }
 
 impl ScanClass {
-    /// Once a period, 1 ms to a day.
+    /// Makes a class that is read once a period, 1 ms to a day.
     #[must_use]
     pub fn every(period: Duration) -> Self {
-        Self { period, phase: None, stale_after: None, bad_after: None, probe_refused: Duration::from_secs(60) }
+        Self { period, phase: None, stale_after: None, bad_after: None, probe_refused: DEFAULT_PROBE_INTERVAL }
     }
 
-    /// When in the period: counted from the making of the [`Poller`](super::Poller), so that classes with the same period
-    /// and phase are read at the same time. Default: at random for each station, so that the load of many is even.
+    /// Sets the phase within the period, counted from when the [`Poller`](super::Poller) was made.
+    ///
+    /// Classes with equal period and phase are read at the same time. Default: random for each
+    /// station, which spreads the load of many stations evenly.
     #[must_use]
     pub fn phase(self, phase: Duration) -> Self {
         Self { phase: Some(phase), ..self }
     }
 
-    /// How old a good value can be before it is [stale](super::Quality::Stale) though nothing has failed: because its turn
-    /// does not come, or the answer takes long. Default: three periods. At least two.
+    /// Sets the age at which a good value becomes [stale](super::Quality::Stale) without a failure.
+    ///
+    /// That happens when its turn does not come or a reply takes long. Default: three periods.
+    /// Raised to two periods if less.
     #[must_use]
     pub fn stale_after(self, age: Duration) -> Self {
         Self { stale_after: Some(age), ..self }
     }
 
-    /// How old a stale value can be before it is [bad](super::Quality::Bad), and given no more. Default: ten periods, or as
-    /// long as [`stale_after`](Self::stale_after) if that is more.
+    /// Sets the age at which a stale value becomes [bad](super::Quality::Bad) and is dropped.
+    ///
+    /// Default: ten periods. Raised to [`stale_after`](Self::stale_after) if less.
     #[must_use]
     pub fn bad_after(self, age: Duration) -> Self {
         Self { bad_after: Some(age), ..self }
     }
 
-    /// How long a tag that the PLC has refused is left alone before it is tried again. Default: a minute.
+    /// Sets the interval of the probes of a tag that the PLC has refused. Default: a minute.
     #[must_use]
     pub fn probe_refused(self, interval: Duration) -> Self {
         Self { probe_refused: interval, ..self }
     }
 
-    /// The period.
+    /// Returns the period.
     #[must_use]
     pub fn period(&self) -> Duration {
         self.period
@@ -83,7 +91,7 @@ impl ScanClass {
     }
 }
 
-/// A tag with a name, and when its samples are given: after each reading, or by change.
+/// A tag with a name and the rule for its samples: after each reading, or on change.
 ///
 /// ```
 /// use std::time::Duration;
@@ -98,62 +106,66 @@ impl ScanClass {
 pub struct PollTag {
     pub(super) name: Arc<str>,
     pub(super) tag: Tag,
-    pub(super) report: Report,
+    pub(super) policy: ReportPolicy,
 }
 
-/// When samples are given.
+/// When samples are reported.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Report {
+pub(super) struct ReportPolicy {
     pub(super) on_change: bool,
     pub(super) deadband: f64,
     pub(super) heartbeat: Option<Duration>,
 }
 
 impl PollTag {
-    /// A tag whose samples are given after each reading.
+    /// Makes a tag whose samples are reported after each reading.
     ///
-    /// The name is yours: it stands in the samples, and means nothing to the poller.
+    /// The name is copied to the samples; it need not be unique.
     #[must_use]
     pub fn new(name: impl Into<Arc<str>>, tag: Tag) -> Self {
-        Self { name: name.into(), tag, report: Report { on_change: false, deadband: 0.0, heartbeat: None } }
+        Self { name: name.into(), tag, policy: ReportPolicy { on_change: false, deadband: 0.0, heartbeat: None } }
     }
 
-    /// A sample only when a value or the quality is another than in the last sample.
+    /// Reports a sample only when a value or the quality has changed since the last sample.
     #[must_use]
     pub fn on_change(mut self) -> Self {
-        self.report.on_change = true;
+        self.policy.on_change = true;
         self
     }
 
-    /// As [`on_change`](Self::on_change), and a number counts as changed when it is further than this from that of the last
-    /// sample: a slow drift is not lost.
+    /// Reports on change of a number by more than this since the last sample.
+    ///
+    /// Measured from the last sample, so a slow drift is reported too. See
+    /// [`on_change`](Self::on_change).
     #[must_use]
     pub fn deadband(mut self, deadband: f64) -> Self {
-        self.report = Report { on_change: true, deadband, ..self.report };
+        self.policy = ReportPolicy { on_change: true, deadband, ..self.policy };
         self
     }
 
-    /// As [`on_change`](Self::on_change), and a sample with the first reading after this time without one.
+    /// Reports on change, and with the first reading after this time without a sample.
+    ///
+    /// See [`on_change`](Self::on_change).
     #[must_use]
     pub fn heartbeat(mut self, heartbeat: Duration) -> Self {
-        self.report = Report { on_change: true, heartbeat: Some(heartbeat), ..self.report };
+        self.policy = ReportPolicy { on_change: true, heartbeat: Some(heartbeat), ..self.policy };
         self
     }
 
-    /// The name.
+    /// Returns the name.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The tag.
+    /// Returns the tag.
     #[must_use]
     pub fn tag(&self) -> Tag {
         self.tag
     }
 
     pub(super) fn check(&self) -> Result<(), PollError> {
-        let deadband = self.report.deadband;
+        let deadband = self.policy.deadband;
         let is_number = self.tag.tag_type().is_number();
         if !deadband.is_finite() || deadband < 0.0 || (deadband > 0.0 && !is_number) {
             return Err(PollError::Deadband { name: self.name.to_string(), tag: self.tag, deadband });
@@ -163,7 +175,7 @@ impl PollTag {
 }
 
 impl From<Tag> for PollTag {
-    /// The tag's own text is its name.
+    /// Uses the text of the tag as its name.
     fn from(tag: Tag) -> Self {
         Self::new(tag.to_string(), tag)
     }

@@ -1,4 +1,4 @@
-//! One cycle of a scan class on one station: all its tags, read once.
+//! One cycle of a scan class on one station: reads all its tags once.
 //!
 //! ```text
 //!             all requests done                probe answered
@@ -7,26 +7,28 @@
 //!    │ └── both halves done                                                    │
 //!    ▼                                                                         │
 //! halves of a refused request, and halves of these …                           │
-//!    any of them: no answer ────────────────────────────────────────▶ abandoned┘
+//!    any of them: no reply ─────────────────────────────────────────▶ abandoned┘
 //! ```
 //!
-//! - *Members*: the requests of the class's plan, one after the other. The tags that the PLC has refused are not in it.
-//! - A request that is *refused* is taken apart: its tags are read again in two halves, each as its own plan says. A tag, or a
-//!   group, that is refused by itself is at fault, and what is left of it is not asked for any more. If nothing in the halves
-//!   was at fault, the request is sent once more: if it is refused again, it was the request, and that is a [`Lesson`] for the
-//!   next plan; if not, whatever it was has passed.
-//! - *Probe*: the tag that was refused longest ago, if it is time, is tried again.
-//! - *Others*: the probe was answered, so something has changed: all other refused tags are tried, too.
-//! - No answer *abandons* the cycle: a station that does not answer one request will not answer the others. The next
-//!   cycle begins behind the request that failed, so that one which never gets an answer does not keep the others from
-//!   theirs.
-//! - A cycle is a [job](crate::link::job): its values are held until a check has confirmed them. `confirm` has this part.
+//! - *Members*: the requests of the class's plan in turn. The plan leaves out refused tags.
+//! - A *refused* request is halved: its tags are read again in two halves, each by a plan of its
+//!   own. A tag or group that is refused alone is at fault and is not read further. If neither half
+//!   contains one, the request is sent once more. A second refusal is due to the request itself and
+//!   gives a [`LearnedLimit`] for the next plans; otherwise the cause has passed.
+//! - *Probe*: the tag that was refused longest ago is read again when its probe is due.
+//! - *Others*: after an accepted probe, all other refused tags are read again too.
+//! - A missing reply *abandons* the cycle: the station would not reply to the other requests
+//!   either. The next cycle begins behind the failed request, so that it does not starve the
+//!   others.
+//! - A cycle is a [job](crate::link::job): `confirm` holds its values until a check has confirmed
+//!   them.
 //!
-//! What must always hold:
-//! - a tag's values are those of replies to requests of this cycle, one plan's, and its stamp is that of the first;
-//! - a value is given out only once, and only if it is confirmed;
-//! - a tag is at fault only if it was refused by itself, and the refusal is confirmed;
-//! - the cycle ends: each half is smaller than what it is a half of, and each phase comes once.
+//! Invariants:
+//! - the values of a tag come from requests of one plan in this cycle; its time is that of the
+//!   first reply;
+//! - each value is reported once, and only if confirmed;
+//! - a tag is at fault only if it was refused alone, and the refusal is confirmed;
+//! - the cycle ends: each half is smaller than the whole, and each phase occurs once.
 
 mod confirm;
 
@@ -34,55 +36,57 @@ use std::sync::Arc;
 
 use tokio::time::Instant;
 
-use self::confirm::Held;
-use super::batch::Batch;
+use self::confirm::HeldResults;
 use super::class::ScanClass;
-use super::known::Known;
-use super::lesson::{Lesson, Seam};
-use super::point::Point;
-use super::points::Points;
-use super::work::{Piece, Work, items};
+use super::compiled_plan::{CompiledPlan, TagPart, tags_and_groups};
+use super::context::StationContext;
+use super::in_flight::InFlight;
+use super::learned_limit::{LearnedLimit, SplitPoint};
+use super::tag_map::TagMap;
+use super::tag_state::TagState;
 use super::{Reason, Sample, Stamp, TagId};
 use crate::error::ErrorCode;
-use crate::plan::{PlannedRequest, ReadRequest, Words};
+use crate::plan::{PlannedRequest, ReadRequest, ReplyWords};
 
 #[derive(Debug)]
 pub(super) struct Cycle {
-    /// Of this class; from 1.
+    /// Counts the cycles of the class, from 1.
     pub(super) number: u64,
     pub(super) due: Instant,
     pub(super) started: Instant,
-    start: Start,
+    start: CycleStart,
     /// The plans of the class.
-    works: Vec<Arc<Work>>,
-    phase: Phase,
-    stack: Vec<Frame>,
-    /// What the probe phase tries.
+    plans: Vec<Arc<CompiledPlan>>,
+    phase: CyclePhase,
+    stack: Vec<StackFrame>,
+    /// The tags of the probe phase.
     probe: Vec<TagId>,
-    held: Held,
-    /// Why it was given up, and where the next one begins.
-    pub(super) abandoned: Option<(Reason, Start)>,
+    held: HeldResults,
+    /// The reason why the cycle was abandoned, and the start of the next one.
+    pub(super) abandoned: Option<(Reason, CycleStart)>,
 }
 
-/// A step of a cycle.
+/// The next step of a cycle.
 #[derive(Debug)]
-pub(super) enum Ask<'c> {
-    /// This is to be sent.
+pub(super) enum CycleStep<'c> {
+    /// Send this request.
     Read(&'c ReadRequest),
-    /// The results so far are to be confirmed by a check.
+    /// Confirm the results so far by a check.
     Confirm,
 }
 
-/// Where a cycle begins: with this plan of the class, the others after it, and the last one with this request. So what had
-/// no answer in one cycle is the last in the next.
+/// The position in the plans of a class at which a cycle begins.
+///
+/// The cycle runs the plans from `plan` on and around, and the last of them from `request` on and
+/// around. So the request that had no reply in one cycle is the last one of the next.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Start {
-    work: usize,
+pub(super) struct CycleStart {
+    plan: usize,
     request: usize,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Phase {
+enum CyclePhase {
     Members,
     Probe,
     Others,
@@ -90,231 +94,244 @@ enum Phase {
 }
 
 #[derive(Debug)]
-enum Frame {
-    Batch(Batch),
-    Suspect(Suspect),
+enum StackFrame {
+    Plan(InFlight),
+    Refused(RefusedRequest),
 }
 
-/// A request that was refused. Above it is the half that is being read.
+/// A refused request that is being read in halves. The half in progress is above it on the stack.
 #[derive(Debug)]
-struct Suspect {
+struct RefusedRequest {
     request: ReadRequest,
-    seam: Seam,
-    /// What is still to be read of it.
-    rest: Option<Vec<Piece>>,
-    /// Whether what is at fault has been found in it.
+    split_point: SplitPoint,
+    /// The half that has not been read.
+    second_half: Option<Vec<TagPart>>,
+    /// Whether a tag at fault was found in it.
     explained: bool,
-    /// Whether it is to be sent once more.
-    again: bool,
-    /// How many tags had been removed from the device when it was sent; `None`: it asked for some of them.
+    /// Whether to send the whole request once more.
+    resend: bool,
+    /// The number of removed tags when it was sent; `None` if it read some of these tags.
     removals: Option<u64>,
 }
 
-/// What a cycle works with.
-pub(super) struct Bench<'d> {
-    pub(super) known: &'d mut Known,
+/// The environment of a cycle: its station and class, and the samples it makes.
+pub(super) struct CycleContext<'d> {
+    pub(super) station: &'d mut StationContext,
     pub(super) scan: &'d ScanClass,
-    /// The tags of the class; those of a group stand together.
+    /// The tags of the class; those of a group are consecutive.
     pub(super) members: &'d [TagId],
     pub(super) samples: &'d mut Vec<Sample>,
-    /// The oldest stamp of the values that were given out.
+    /// The oldest time of the values that were reported.
     pub(super) oldest: Option<Instant>,
-    /// Whether results were dropped because duplicates came out of order.
+    /// Whether results were dropped because of duplicates out of order.
     pub(super) repeated: bool,
 }
 
 impl Cycle {
-    /// A cycle of these plans, which begins where `start` says; without them, of new ones for all tags that are not refused.
-    /// With it, the plans.
+    /// Starts a cycle with the given plans; without them, plans all tags that are not refused.
+    ///
+    /// Returns the plans too.
     pub(super) fn new(
         (number, due): (u64, Instant),
-        (works, start): (Option<Vec<Arc<Work>>>, Start),
+        (plans, start): (Option<Vec<Arc<CompiledPlan>>>, CycleStart),
         now: Stamp,
-        bench: &mut Bench<'_>,
-    ) -> (Self, Vec<Arc<Work>>) {
-        let (stack, probe, held) = (Vec::new(), Vec::new(), Held::new(bench.known.polled.retries));
-        let (phase, plans) = (Phase::Members, Vec::new());
-        let mut cycle =
-            Self { number, due, started: now.instant, start, works: plans, phase, stack, probe, held, abandoned: None };
-        let works = works.unwrap_or_else(|| {
-            let refused = |id: &&TagId| bench.known.points.get(**id).is_some_and(|point| point.is_refused());
-            let members: Vec<Piece> = bench.members.iter().filter(|id| !refused(id)).map(Piece::whole).collect();
-            cycle.plan(&members, now, bench)
+        ctx: &mut CycleContext<'_>,
+    ) -> (Self, Vec<Arc<CompiledPlan>>) {
+        let mut cycle = Self {
+            number,
+            due,
+            started: now.instant,
+            start,
+            plans: Vec::new(),
+            phase: CyclePhase::Members,
+            stack: Vec::new(),
+            probe: Vec::new(),
+            held: HeldResults::new(ctx.station.params.retries),
+            abandoned: None,
+        };
+        let plans = plans.unwrap_or_else(|| {
+            let refused = |id: &&TagId| ctx.station.tag_map.get(**id).is_some_and(TagState::is_refused);
+            let members: Vec<TagPart> = ctx.members.iter().filter(|id| !refused(id)).map(TagPart::whole).collect();
+            cycle.plan(&members, now, ctx)
         });
-        cycle.works.clone_from(&works);
-        cycle.begin(now, bench);
-        (cycle, works)
+        cycle.plans.clone_from(&plans);
+        cycle.begin(now, ctx);
+        (cycle, plans)
     }
 
-    /// Begins with the plans of the class.
-    fn begin(&mut self, now: Stamp, bench: &mut Bench<'_>) {
-        let (works, start) = (&self.works, self.start);
-        // The last one lies lowest.
-        for place in (0..works.len()).rev() {
-            let last = place.saturating_add(1) == works.len();
+    /// Pushes the plans of the class.
+    fn begin(&mut self, now: Stamp, ctx: &mut CycleContext<'_>) {
+        let (plans, start) = (&self.plans, self.start);
+        // The last plan is the lowest on the stack.
+        for place in (0..plans.len()).rev() {
+            let last = place.saturating_add(1) == plans.len();
             let request = if last { start.request } else { 0 };
-            let work = start.work.saturating_add(place).checked_rem(works.len()).and_then(|at| works.get(at));
-            self.stack.extend(work.map(|work| Frame::Batch(Batch::new(work.clone(), request))));
+            let plan = start.plan.saturating_add(place).checked_rem(plans.len()).and_then(|at| plans.get(at));
+            self.stack.extend(plan.map(|plan| StackFrame::Plan(InFlight::new(plan.clone(), request))));
         }
-        self.settle(now, bench);
+        self.settle(now, ctx);
     }
 
-    /// The next step; `None`: the cycle is over.
-    pub(super) fn ask(&self) -> Option<Ask<'_>> {
-        if self.held.is_to_be_confirmed() { Some(Ask::Confirm) } else { self.request().map(Ask::Read) }
+    /// Returns the next step; `None` if the cycle is over.
+    pub(super) fn next_step(&self) -> Option<CycleStep<'_>> {
+        if self.held.awaits_check() { Some(CycleStep::Confirm) } else { self.request().map(CycleStep::Read) }
     }
 
-    /// The request that is to be sent next.
+    /// Returns the request to send next.
     pub(super) fn request(&self) -> Option<&ReadRequest> {
         match self.stack.last()? {
-            Frame::Batch(batch) => batch.request(),
-            Frame::Suspect(suspect) => suspect.again.then_some(&suspect.request),
+            StackFrame::Plan(in_flight) => in_flight.request(),
+            StackFrame::Refused(refused) => refused.resend.then_some(&refused.request),
         }
     }
 
-    /// The bytes of the reply to it, if they are known.
+    /// Returns the length of the reply to [`request`](Self::request) in bytes; `None` if not known.
     pub(super) fn reply_bytes(&self) -> Option<usize> {
         match self.stack.last()? {
-            Frame::Batch(batch) => batch.planned().map(PlannedRequest::reply_bytes),
-            Frame::Suspect(_) => None,
+            StackFrame::Plan(in_flight) => in_flight.planned().map(PlannedRequest::reply_bytes),
+            StackFrame::Refused(_) => None,
         }
     }
 
-    /// The reply to what was sent.
-    fn replied(&mut self, words: Words, at: Stamp, bench: &mut Bench<'_>) {
+    /// Handles the reply to the current request.
+    fn handle_reply(&mut self, words: ReplyWords, at: Stamp, ctx: &mut CycleContext<'_>) {
         if let Some(request) = self.request() {
-            bench.known.lessons.answered(request);
+            ctx.station.learned_limits.record_accepted(request);
         }
         match self.stack.last_mut() {
-            Some(Frame::Batch(batch)) => batch.replied(words, at, |id, values, at| self.held.hold(id, values, at)),
-            // The reason of the refusal has passed.
-            Some(Frame::Suspect(_)) => {
+            Some(StackFrame::Plan(in_flight)) => {
+                in_flight.take_reply(words, at, |id, values, at| self.held.hold(id, values, at));
+            }
+            // The cause of the refusal has passed.
+            Some(StackFrame::Refused(_)) => {
                 self.stack.pop();
-                self.explain();
+                self.mark_explained();
             }
             None => {}
         }
-        self.settle(at, bench);
+        self.settle(at, ctx);
     }
 
-    /// The PLC refused what was sent.
-    fn refused(&mut self, code: ErrorCode, now: Stamp, bench: &mut Bench<'_>) {
+    /// Handles the refusal of the current request.
+    fn handle_refusal(&mut self, code: ErrorCode, now: Stamp, ctx: &mut CycleContext<'_>) {
         match self.stack.last_mut() {
-            Some(Frame::Batch(batch)) => {
-                let at = batch.at();
-                batch.done = batch.done.saturating_add(1);
-                let work = batch.work.clone();
-                self.take_apart(&work, at, code, now, bench);
+            Some(StackFrame::Plan(in_flight)) => {
+                let request = in_flight.current();
+                in_flight.done = in_flight.done.saturating_add(1);
+                let plan = in_flight.plan.clone();
+                self.halve(&plan, request, code, now, ctx);
             }
-            Some(Frame::Suspect(suspect)) => {
-                let lesson = suspect.lesson(bench.known);
+            Some(StackFrame::Refused(refused)) => {
+                let limit = refused.explanation(ctx.station);
                 self.stack.pop();
-                if let Some(lesson) = lesson {
-                    tracing::debug!(?lesson, "a request is refused, and its halves are not");
-                    bench.known.lessons.learn(lesson, now.instant);
-                    bench.known.changed();
+                if let Some(limit) = limit {
+                    tracing::debug!(?limit, "a request is refused although its halves are accepted");
+                    ctx.station.learned_limits.learn(limit, now.instant);
+                    ctx.station.invalidate_plans();
                 }
-                self.explain();
+                self.mark_explained();
             }
             None => {}
         }
-        self.settle(now, bench);
+        self.settle(now, ctx);
     }
 
-    /// Where the next cycle begins if this one is given up now.
-    fn next_start(&self) -> Start {
-        let works = self.stack.iter().map_while(|frame| match frame {
-            Frame::Batch(batch) => Some(batch),
-            Frame::Suspect(_) => None,
+    /// Returns the start of the next cycle if this one is abandoned now.
+    fn next_start(&self) -> CycleStart {
+        let plans = self.stack.iter().map_while(|frame| match frame {
+            StackFrame::Plan(in_flight) => Some(in_flight),
+            StackFrame::Refused(_) => None,
         });
-        match (self.phase, works.enumerate().last()) {
-            // So many are left that lie below it, and it comes to lie lowest.
-            (Phase::Members, Some((left, batch))) => Start {
-                work: self.start.work.saturating_add(self.works.len()).saturating_sub(left),
-                request: batch.next_start(self.stack.len() > left.saturating_add(1)),
+        match (self.phase, plans.enumerate().last()) {
+            // The `below` plans under it come first in the next cycle, and this plan last.
+            (CyclePhase::Members, Some((below, in_flight))) => CycleStart {
+                plan: self.start.plan.saturating_add(self.plans.len()).saturating_sub(below),
+                request: in_flight.next_first(self.stack.len() > below.saturating_add(1)),
             },
-            (Phase::Members | Phase::Probe | Phase::Others | Phase::Over, _) => Start::default(),
+            (CyclePhase::Members | CyclePhase::Probe | CyclePhase::Others | CyclePhase::Over, _) => {
+                CycleStart::default()
+            }
         }
     }
 
-    fn take_apart(&mut self, work: &Work, at: usize, code: ErrorCode, now: Stamp, bench: &mut Bench<'_>) {
-        let Some(request) = work.requests().get(at).map(PlannedRequest::request) else { return };
-        let pieces: Vec<Piece> = work.pieces_of(at).iter().filter_map(|number| work.piece(*number)).collect();
-        let removed = pieces.iter().any(|piece| !bench.known.points.contains(piece.id));
-        let mut suspect = Suspect {
+    /// Reads the parts of a refused request in halves, or marks them as refused.
+    fn halve(&mut self, plan: &CompiledPlan, index: usize, code: ErrorCode, now: Stamp, ctx: &mut CycleContext<'_>) {
+        let Some(request) = plan.requests().get(index).map(PlannedRequest::request) else { return };
+        let parts: Vec<TagPart> = plan.parts_of(index).iter().filter_map(|part| plan.part(*part)).collect();
+        let removed = parts.iter().any(|part| !ctx.station.tag_map.contains(part.id));
+        let mut refused = RefusedRequest {
             request: request.clone(),
-            seam: Seam { left_end: 0, right_start: 0, right: 0 },
-            rest: None,
+            split_point: SplitPoint { left_end: 0, right_start: 0, right_len: 0 },
+            second_half: None,
             explained: false,
-            again: false,
-            removals: (!removed).then_some(bench.known.removals),
+            resend: false,
+            removals: (!removed).then_some(ctx.station.removals),
         };
-        match work.halves(at, &bench.known.points) {
+        match plan.halves(index, &ctx.station.tag_map) {
             Some(halves) => {
-                suspect.seam = halves.seam;
-                // The left half comes first in every other cycle, so that one which never gets an answer does not keep the
-                // other from its turn.
+                refused.split_point = halves.split_point;
+                // Alternates between cycles: a half without a reply must not starve the other.
                 let (first, second) = match self.number.is_multiple_of(2) {
                     true => (halves.right, halves.left),
                     false => (halves.left, halves.right),
                 };
-                suspect.rest = Some(second);
-                self.stack.push(Frame::Suspect(suspect));
-                self.push(&first, now, bench);
+                refused.second_half = Some(second);
+                self.stack.push(StackFrame::Refused(refused));
+                self.push(&first, now, ctx);
             }
-            // What was at fault may have been removed.
+            // A removed tag may have been at fault.
             None if removed => {
-                let pieces: Vec<Piece> =
-                    pieces.into_iter().filter(|piece| bench.known.points.contains(piece.id)).collect();
-                self.push(&pieces, now, bench);
+                let parts: Vec<TagPart> =
+                    parts.into_iter().filter(|part| ctx.station.tag_map.contains(part.id)).collect();
+                self.push(&parts, now, ctx);
             }
             None => {
-                // What can only be read together may be in a run what it is not in a mixed read.
-                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| bench.known.plan_runs(&pieces));
-                if let Some(Ok(work)) = runs {
-                    self.stack.push(Frame::Suspect(suspect));
-                    self.stack.push(Frame::Batch(Batch::new(Arc::new(work), 0)));
+                // The PLC may refuse a mixed read of elements that it accepts as a run.
+                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| ctx.station.plan_runs(&parts));
+                if let Some(Ok(plan)) = runs {
+                    self.stack.push(StackFrame::Refused(refused));
+                    self.stack.push(StackFrame::Plan(InFlight::new(Arc::new(plan), 0)));
                 } else {
-                    self.blame(&pieces, &Reason::Refused(code), now, bench);
+                    self.mark_refused(&parts, &Reason::Refused(code), now, ctx);
                 }
             }
         }
     }
 
-    /// Goes on until there is something to send, or the cycle is over.
-    fn settle(&mut self, now: Stamp, bench: &mut Bench<'_>) {
+    /// Advances until there is a step to take, or the cycle is over.
+    fn settle(&mut self, now: Stamp, ctx: &mut CycleContext<'_>) {
         loop {
             match self.stack.last_mut() {
-                Some(Frame::Batch(batch)) => {
+                Some(StackFrame::Plan(in_flight)) => {
                     let number = self.number;
-                    let is_wanted = |piece: Piece| is_wanted(piece, number, &bench.known.points);
-                    if batch.skip_to(is_wanted) {
+                    let is_wanted = |part: TagPart| is_wanted(part, number, &ctx.station.tag_map);
+                    if in_flight.skip_to(is_wanted) {
                         return;
                     }
                     self.stack.pop();
                 }
-                Some(Frame::Suspect(suspect)) => {
-                    if let Some(rest) = suspect.rest.take() {
-                        self.push(&rest, now, bench);
-                    } else if suspect.explained {
+                Some(StackFrame::Refused(refused)) => {
+                    if let Some(half) = refused.second_half.take() {
+                        self.push(&half, now, ctx);
+                    } else if refused.explained {
                         self.stack.pop();
-                        self.explain();
-                    } else if suspect.lesson(bench.known).is_none() {
+                        self.mark_explained();
+                    } else if refused.explanation(ctx.station).is_none() {
                         self.stack.pop();
                     } else {
-                        suspect.again = true;
+                        refused.resend = true;
                         return;
                     }
                 }
                 None => {
                     // The next phase depends on the results of this one.
-                    if self.phase != Phase::Over && self.confirm_phase(bench) {
+                    if self.phase != CyclePhase::Over && self.confirm_phase(ctx) {
                         return;
                     }
-                    match self.next_phase(now, bench) {
-                        Some(pieces) => self.push(&pieces, now, bench),
+                    match self.next_phase(now, ctx) {
+                        Some(parts) => self.push(&parts, now, ctx),
                         None => {
-                            self.phase = Phase::Over;
+                            self.phase = CyclePhase::Over;
                             return;
                         }
                     }
@@ -323,117 +340,118 @@ impl Cycle {
         }
     }
 
-    /// What is to be read in the next phase; `None`: the cycle is over.
-    fn next_phase(&mut self, now: Stamp, bench: &mut Bench<'_>) -> Option<Vec<Piece>> {
-        let points = &bench.known.points;
-        let refused = |id: &TagId| points.get(*id).is_some_and(Point::is_refused);
+    /// Enters the next phase and returns the tags to read in it; `None` if the cycle is over.
+    fn next_phase(&mut self, now: Stamp, ctx: &mut CycleContext<'_>) -> Option<Vec<TagPart>> {
+        let tag_map = &ctx.station.tag_map;
+        let is_refused = |id: &TagId| tag_map.get(*id).is_some_and(TagState::is_refused);
         let untried =
-            |id: &TagId| points.get(*id).is_some_and(|point| point.is_refused() && point.cycle != self.number);
-        let pieces = || bench.members.iter().filter(|id| untried(id)).map(Piece::whole).collect::<Vec<_>>();
+            |id: &TagId| tag_map.get(*id).is_some_and(|state| state.is_refused() && state.cycle != self.number);
+        let refused = || ctx.members.iter().filter(|id| untried(id)).map(TagPart::whole).collect::<Vec<_>>();
         match self.phase {
-            Phase::Members => {
-                let pieces = pieces();
-                let due = |item: &&[Piece]| {
-                    item.iter().filter_map(|piece| points.get(piece.id)?.probe_at).min().filter(|at| *at <= now.instant)
+            CyclePhase::Members => {
+                let refused = refused();
+                let due = |item: &&[TagPart]| {
+                    let times = item.iter().filter_map(|part| tag_map.get(part.id)?.probe_at);
+                    times.min().filter(|at| *at <= now.instant)
                 };
-                let probe = items(&pieces, points).filter(|item| due(item).is_some()).min_by_key(due)?.to_vec();
-                self.probe = probe.iter().map(|piece| piece.id).collect();
-                self.phase = Phase::Probe;
-                // Whatever comes of it: it has had its turn.
-                let probe_at = self.probe_at(now, bench);
+                let items = tags_and_groups(&refused, tag_map).filter(|item| due(item).is_some());
+                let probe = items.min_by_key(due)?.to_vec();
+                self.probe = probe.iter().map(|part| part.id).collect();
+                self.phase = CyclePhase::Probe;
+                // Also if there is no reply: the next probe is that of another tag.
+                let probe_at = self.probe_at(now, ctx);
                 for id in &self.probe {
-                    if let Some(point) = bench.known.points.get_mut(*id) {
-                        point.probe_at = Some(probe_at);
+                    if let Some(state) = ctx.station.tag_map.get_mut(*id) {
+                        state.probe_at = Some(probe_at);
                     }
                 }
                 Some(probe)
             }
-            Phase::Probe if !self.probe.iter().any(refused) => {
-                self.phase = Phase::Others;
-                Some(pieces())
+            CyclePhase::Probe if !self.probe.iter().any(is_refused) => {
+                self.phase = CyclePhase::Others;
+                Some(refused())
             }
-            Phase::Probe | Phase::Others | Phase::Over => None,
+            CyclePhase::Probe | CyclePhase::Others | CyclePhase::Over => None,
         }
     }
 
-    fn probe_at(&self, now: Stamp, bench: &Bench<'_>) -> Instant {
-        now.instant.checked_add(bench.scan.probe_refused).unwrap_or(now.instant)
+    fn probe_at(&self, now: Stamp, ctx: &CycleContext<'_>) -> Instant {
+        now.instant.checked_add(ctx.scan.probe_refused).unwrap_or(now.instant)
     }
 
-    /// Reads these next.
-    fn push(&mut self, pieces: &[Piece], now: Stamp, bench: &mut Bench<'_>) {
-        let works = self.plan(pieces, now, bench);
-        self.stack.extend(works.into_iter().map(|work| Frame::Batch(Batch::new(work, 0))));
+    /// Reads these parts next.
+    fn push(&mut self, parts: &[TagPart], now: Stamp, ctx: &mut CycleContext<'_>) {
+        let plans = self.plan(parts, now, ctx);
+        self.stack.extend(plans.into_iter().map(|plan| StackFrame::Plan(InFlight::new(plan, 0))));
     }
 
-    /// Plans for these, as far as they are wanted. Most often one is enough.
-    fn plan(&mut self, pieces: &[Piece], now: Stamp, bench: &mut Bench<'_>) -> Vec<Arc<Work>> {
-        let pieces: Vec<Piece> =
-            pieces.iter().copied().filter(|piece| is_wanted(*piece, self.number, &bench.known.points)).collect();
-        if let Ok(work) = bench.known.plan(&pieces) {
-            return vec![Arc::new(work)];
+    /// Plans the wanted ones of these parts, nearly always in one plan.
+    fn plan(&mut self, parts: &[TagPart], now: Stamp, ctx: &mut CycleContext<'_>) -> Vec<Arc<CompiledPlan>> {
+        let is_wanted = |part: &TagPart| is_wanted(*part, self.number, &ctx.station.tag_map);
+        let parts: Vec<TagPart> = parts.iter().copied().filter(is_wanted).collect();
+        if let Ok(plan) = ctx.station.plan(&parts) {
+            return vec![Arc::new(plan)];
         }
-        // Not all of them can be planned: a group or a text is too much for what was learned, or for any request.
-        let items: Vec<Vec<Piece>> = items(&pieces, &bench.known.points).map(<[Piece]>::to_vec).collect();
-        let (mut works, mut good) = (Vec::new(), Vec::new());
+        // A group or a text exceeds the learned limits, or those of any request.
+        let items: Vec<Vec<TagPart>> = tags_and_groups(&parts, &ctx.station.tag_map).map(<[TagPart]>::to_vec).collect();
+        let (mut plans, mut plannable) = (Vec::new(), Vec::new());
         for item in items {
-            if bench.known.plan(&item).is_ok() {
-                good.extend(item);
+            if ctx.station.plan(&item).is_ok() {
+                plannable.extend(item);
                 continue;
             }
-            match bench.known.plan_untaught(&item) {
-                Ok(work) => works.push(Arc::new(work)),
-                Err(error) => self.blame(&item, &Reason::NoPlan(Arc::new(error)), now, bench),
+            match ctx.station.plan_with_configured_limits(&item) {
+                Ok(plan) => plans.push(Arc::new(plan)),
+                Err(error) => self.mark_refused(&item, &Reason::NoPlan(Arc::new(error)), now, ctx),
             }
         }
-        match bench.known.plan(&good) {
-            Ok(work) => works.push(Arc::new(work)),
-            // Too many values, and that was looked at when they came.
-            Err(error) => self.blame(&good, &Reason::NoPlan(Arc::new(error)), now, bench),
+        match ctx.station.plan(&plannable) {
+            Ok(plan) => plans.push(Arc::new(plan)),
+            // Too many values, which `StationPoller::add` excludes.
+            Err(error) => self.mark_refused(&plannable, &Reason::NoPlan(Arc::new(error)), now, ctx),
         }
-        works
+        plans
     }
 
-    /// These were refused by themselves.
-    fn blame(&mut self, pieces: &[Piece], reason: &Reason, now: Stamp, bench: &mut Bench<'_>) {
-        let probe_at = self.probe_at(now, bench);
-        for piece in pieces {
-            if let Some(point) = bench.known.points.get_mut(piece.id) {
-                let (tag, was_refused) = (point.tag, point.is_refused());
+    /// Marks parts as refused: the PLC refused them alone, or no request can read them.
+    fn mark_refused(&mut self, parts: &[TagPart], reason: &Reason, now: Stamp, ctx: &mut CycleContext<'_>) {
+        let probe_at = self.probe_at(now, ctx);
+        for part in parts {
+            if let Some(state) = ctx.station.tag_map.get_mut(part.id) {
+                let (tag, was_refused) = (state.tag, state.is_refused());
                 tracing::debug!(%tag, %reason, "a tag was refused");
-                point.cycle = self.number;
-                point.refused(reason.clone(), now, probe_at, bench.samples);
+                state.cycle = self.number;
+                state.set_refused(reason.clone(), now, probe_at, ctx.samples);
                 if !was_refused {
-                    bench.known.refuses(tag);
+                    ctx.station.avoid_refused(tag);
                 }
             }
         }
-        self.explain();
+        self.mark_explained();
     }
 
-    /// What was at fault is found, as far as the innermost suspect goes.
-    fn explain(&mut self) {
-        let suspects = self.stack.iter_mut().rev();
-        let innermost = suspects.filter_map(|frame| match frame {
-            Frame::Suspect(suspect) => Some(&mut suspect.explained),
-            Frame::Batch(_) => None,
+    /// Marks the innermost refused request as explained.
+    fn mark_explained(&mut self) {
+        let innermost = self.stack.iter_mut().rev().find_map(|frame| match frame {
+            StackFrame::Refused(refused) => Some(refused),
+            StackFrame::Plan(_) => None,
         });
-        if let Some(explained) = innermost.into_iter().next() {
-            *explained = true;
+        if let Some(refused) = innermost {
+            refused.explained = true;
         }
     }
 }
 
-/// Whether there is still something to be found out about a piece: it has not been removed, and this cycle has given out
-/// neither values nor a refusal of it.
-fn is_wanted(piece: Piece, number: u64, points: &Points) -> bool {
-    points.get(piece.id).is_some_and(|point| point.cycle != number)
+/// Whether a tag is polled and this cycle has reported neither values nor a refusal of it.
+fn is_wanted(part: TagPart, number: u64, tag_map: &TagMap) -> bool {
+    tag_map.get(part.id).is_some_and(|state| state.cycle != number)
 }
 
-impl Suspect {
-    /// What there is to learn if it is refused again.
-    fn lesson(&self, known: &Known) -> Option<Lesson> {
-        // Without a tag that was removed it would not be the same request.
-        (self.removals == Some(known.removals)).then(|| known.lessons.of(&self.request, self.seam))?
+impl RefusedRequest {
+    /// Returns the limit to learn if the request is refused again.
+    fn explanation(&self, station: &StationContext) -> Option<LearnedLimit> {
+        // After the removal of a tag, a plan would not contain the same request.
+        let unchanged = self.removals == Some(station.removals);
+        unchanged.then(|| station.learned_limits.explanation(&self.request, self.split_point))?
     }
 }

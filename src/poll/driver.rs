@@ -1,84 +1,89 @@
-//! The task of one station: moves requests, replies and time, and decides nothing.
+//! The task of one station: passes requests, replies and time to [`StationPoller`], which decides.
 
 use std::sync::Arc;
 
 use tokio::sync::Notify;
 use tokio::time::{Instant, timeout_at};
 
-use super::device::{Answer, Device, Step};
-use super::{Sample, Shared, Stamp, Unit};
+use super::shared::{PollerShared, StationShared};
+use super::station_poller::{PollStep, ReadOutcome, StationPoller};
+use super::{Sample, Stamp};
 use crate::command::LoopBack;
 use crate::link::{Answered, Purpose};
 
-/// Ends the unit with the task, whatever ends it: what is not polled any more must not pass for being so.
-struct Ending(Arc<Shared>, Arc<Unit>);
+/// Stops polling when the task ends for any reason, so that a dead station does not look polled.
+struct StopOnDrop(Arc<PollerShared>, Arc<StationShared>);
 
-impl Drop for Ending {
+impl Drop for StopOnDrop {
     fn drop(&mut self) {
-        self.0.end(&self.1);
+        self.0.stop(&self.1);
     }
 }
 
-/// Polls until the unit is stopped.
-pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>) {
-    let ending = Ending(shared, unit);
-    let Ending(shared, unit) = &ending;
+/// Polls a station until it is stopped.
+pub(super) async fn run(shared: Arc<PollerShared>, station: Arc<StationShared>) {
+    let guard = StopOnDrop(shared, station);
+    let StopOnDrop(shared, station) = &guard;
     loop {
-        let step = advance(shared, unit, Device::next);
+        let step = advance(shared, station, StationPoller::next_step);
         match step {
             None => return,
-            Some(Step::Wait(until)) => changed_or_at(&unit.changed, until).await,
-            Some(Step::Read(request)) => {
-                let Some(answered) = answer(shared, unit, request.call_in_cycle(&unit.station)).await else { return };
+            Some(PollStep::Wait(until)) => changed_or_at(&station.changed, until).await,
+            Some(PollStep::Read(request)) => {
+                let read = request.call_in_cycle(&station.handle);
+                let Some(answered) = wait_for(shared, station, read).await else { return };
                 let Answered { result, at, shape, proof, .. } = answered;
-                let trip = unit.station.stats().round_trip.map(|trip| trip.last);
+                let round_trip = station.handle.stats().round_trip.map(|round_trip| round_trip.last);
                 let at = Stamp::of(at.unwrap_or_else(Instant::now));
-                let answer = Answer { result, at, trip, shape, proof };
-                let repeated = advance(shared, unit, |device, _, samples| device.done(answer, samples));
-                count_repeated(unit, repeated);
+                let outcome = ReadOutcome { result, at, round_trip, shape, proof };
+                let repeated = advance(shared, station, |poller, _, samples| poller.handle_read(outcome, samples));
+                count_repeated(station, repeated);
             }
-            Some(Step::Confirm) => {
-                let check = unit.station.submit(LoopBack::empty(), Purpose::Confirm(()));
-                let Some(Answered { result, proof, .. }) = answer(shared, unit, check).await else { return };
+            Some(PollStep::Confirm) => {
+                let check = station.handle.submit(LoopBack::empty(), Purpose::Confirm(()));
+                let Some(Answered { result, proof, .. }) = wait_for(shared, station, check).await else { return };
                 let result = result.map(|()| proof);
-                let repeated = advance(shared, unit, |device, now, samples| device.confirmed(result, now, samples));
-                count_repeated(unit, repeated);
+                let repeated =
+                    advance(shared, station, |poller, now, samples| poller.handle_check(result, now, samples));
+                count_repeated(station, repeated);
             }
         }
     }
 }
 
-fn count_repeated(unit: &Unit, repeated: Option<bool>) {
+fn count_repeated(station: &StationShared, repeated: Option<bool>) {
     if repeated == Some(true) {
-        tracing::debug!(
-            station = unit.station.number(),
-            "an unexpected frame came within a cycle: its values are dropped"
-        );
-        unit.station.link().board().job_repeated(unit.station.number());
+        let number = station.handle.number();
+        tracing::debug!(station = number, "unexpected frame within a poll cycle: its values are dropped");
+        station.handle.link().board().job_repeated(number);
     }
 }
 
-/// Waits for an answer, and lets values get old meanwhile. `None`: the unit was stopped.
-async fn answer<T>(shared: &Shared, unit: &Unit, call: impl Future<Output = T>) -> Option<T> {
-    // By itself, so that a task that waits for its next cycle, as it does nearly always, has no room for it.
+/// Waits for a call and ages the tags meanwhile; `None` if polling was stopped.
+async fn wait_for<T>(shared: &PollerShared, station: &StationShared, call: impl Future<Output = T>) -> Option<T> {
+    // Boxed to keep the task small: nearly always it waits for its next cycle, without a call.
     let mut call = Box::pin(call);
     loop {
-        let ages_at = unit.with(|device| device.ages_at())?;
+        let next_aging = station.with(|poller| poller.next_aging())?;
         tokio::select! {
             biased;
             answered = &mut call => return Some(answered),
-            () = changed_or_at(&unit.changed, ages_at) => advance(shared, unit, Device::age)?,
+            () = changed_or_at(&station.changed, next_aging) => advance(shared, station, StationPoller::age)?,
         }
     }
 }
 
-/// Lets the device do something now, and gives its samples away. `None`: it has been stopped.
-fn advance<T>(shared: &Shared, unit: &Unit, act: impl FnOnce(&mut Device, Stamp, &mut Vec<Sample>) -> T) -> Option<T> {
-    unit.with(|device| shared.give(|samples| act(device, Stamp::now(), samples)))
+/// Runs `act` on the poller now and queues its samples; `None` if polling was stopped.
+fn advance<T>(
+    shared: &PollerShared,
+    station: &StationShared,
+    act: impl FnOnce(&mut StationPoller, Stamp, &mut Vec<Sample>) -> T,
+) -> Option<T> {
+    station.with(|poller| shared.queue_samples(|samples| act(poller, Stamp::now(), samples)))
 }
 
 async fn changed_or_at(changed: &Notify, at: Option<Instant>) {
     let Some(at) = at else { return changed.notified().await };
-    // It does not matter which of the two it was.
+    // The caller evaluates the state in either case.
     let _ = timeout_at(at, changed.notified()).await;
 }

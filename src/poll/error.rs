@@ -3,42 +3,42 @@ use std::time::Duration;
 use crate::plan::PlanError;
 use crate::tag::Tag;
 
-/// Why a tag is not polled.
+/// The reason why tags or a station cannot be polled.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PollError {
-    /// A period that is too short or too long.
-    #[error("a period of {period:?}: it can be {min:?} to {max:?}")]
+    /// The period is too short or too long.
+    #[error("the period is {period:?}, and must be {min:?} to {max:?}")]
     #[non_exhaustive]
     Period {
-        /// What was given.
+        /// The given period.
         period: Duration,
-        /// The shortest.
+        /// The shortest allowed.
         min: Duration,
-        /// The longest.
+        /// The longest allowed.
         max: Duration,
     },
-    /// A deadband that makes no sense.
-    #[error("a deadband of {deadband} for {name} ({tag}): it must be finite and not negative, and is for numbers only")]
+    /// The deadband is negative or not finite, or the tag is no number.
+    #[error("the deadband of {name} ({tag}) is {deadband}: it must be finite, not negative, and of a number")]
     #[non_exhaustive]
     Deadband {
         /// The tag's name.
         name: String,
         /// The tag.
         tag: Tag,
-        /// What was given.
+        /// The given deadband.
         deadband: f64,
     },
-    /// A tag that no plan can read.
+    /// No plan can read the tags.
     #[error(transparent)]
     Plan(#[from] PlanError),
-    /// No tag at all, where some must come from one scan.
+    /// [`PolledStation::add_one_scan`](super::PolledStation::add_one_scan) without tags.
     #[error("no tags were given")]
     NoTags,
-    /// The poller, or the polling of this station, has been closed.
+    /// The poller is closed, or polling of this station was stopped.
     #[error("the poller is closed")]
     Closed,
-    /// There is no Tokio runtime here to poll on.
-    #[error("polling needs a Tokio runtime, and there is none here")]
+    /// The call is made outside of a Tokio runtime.
+    #[error("polling needs a Tokio runtime")]
     NoRuntime,
 }

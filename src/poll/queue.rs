@@ -1,4 +1,4 @@
-//! Samples on their way to the consumer: a bounded queue that gives up the oldest ones rather than wait.
+//! The bounded queue of samples: drops the oldest samples when it is full.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -8,103 +8,104 @@ use futures::task::AtomicWaker;
 
 use super::Sample;
 
-/// Samples were dropped, the oldest ones, because they were not taken in time.
+/// The oldest samples were dropped because the consumer was too slow.
 ///
-/// [`PollerHandle::snapshot`](super::PollerHandle::snapshot) gives the newest one of each tag.
+/// [`PollerHandle::snapshot`](super::PollerHandle::snapshot) returns the newest sample of each tag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
-#[error("{count} samples were not taken in time and have been dropped")]
+#[error("{count} samples were dropped because they were not taken in time")]
 #[non_exhaustive]
 pub struct Missed {
-    /// How many, since this was last told.
+    /// The number of samples dropped since the previous [`Missed`].
     pub count: u64,
 }
 
-/// For so many samples there is always room.
-const KEPT: usize = 1024;
+/// The capacity that an empty queue keeps.
+const KEPT_CAPACITY: usize = 1024;
 
 #[derive(Debug)]
-pub(super) struct Queue {
-    inner: Mutex<Inner>,
+pub(super) struct SampleQueue {
+    state: Mutex<QueueState>,
     waker: AtomicWaker,
     capacity: usize,
 }
 
 #[derive(Debug, Default)]
-struct Inner {
+struct QueueState {
     samples: VecDeque<Sample>,
-    /// Dropped and not told yet.
+    /// Samples dropped since the last [`Missed`].
     missed: u64,
-    /// All that came, and all that were dropped.
+    /// All samples pushed.
     total: u64,
+    /// All samples dropped.
     total_missed: u64,
     closed: bool,
 }
 
-impl Queue {
+impl SampleQueue {
     pub(super) fn new(capacity: usize) -> Self {
-        Self { inner: Mutex::default(), waker: AtomicWaker::new(), capacity: capacity.max(1) }
+        Self { state: Mutex::default(), waker: AtomicWaker::new(), capacity: capacity.max(1) }
     }
 
-    /// Takes all of these, whatever it costs those that are there.
+    /// Pushes samples and drops the oldest ones if the queue is full.
     pub(super) fn push(&self, samples: Vec<Sample>) {
         if samples.is_empty() {
             return;
         }
-        let mut inner = self.lock();
-        if inner.closed {
+        let mut state = self.lock();
+        if state.closed {
             return;
         }
         for sample in samples {
-            inner.total = inner.total.saturating_add(1);
-            if inner.samples.len() >= self.capacity && inner.samples.pop_front().is_some() {
-                inner.missed = inner.missed.saturating_add(1);
-                inner.total_missed = inner.total_missed.saturating_add(1);
+            state.total = state.total.saturating_add(1);
+            if state.samples.len() >= self.capacity && state.samples.pop_front().is_some() {
+                state.missed = state.missed.saturating_add(1);
+                state.total_missed = state.total_missed.saturating_add(1);
             }
-            inner.samples.push_back(sample);
+            state.samples.push_back(sample);
         }
-        drop(inner);
+        drop(state);
         self.waker.wake();
     }
 
-    /// The oldest sample; before it, that there were older ones. `None` once it is closed and empty.
+    /// Pops the oldest sample, or [`Missed`] before it; `None` once the queue is closed and empty.
     pub(super) fn poll_next(&self, cx: &mut Context<'_>) -> Poll<Option<Result<Sample, Missed>>> {
         self.waker.register(cx.waker());
-        let mut inner = self.lock();
-        if inner.missed > 0 {
-            return Poll::Ready(Some(Err(Missed { count: std::mem::take(&mut inner.missed) })));
+        let mut state = self.lock();
+        if state.missed > 0 {
+            return Poll::Ready(Some(Err(Missed { count: std::mem::take(&mut state.missed) })));
         }
-        match inner.samples.pop_front() {
+        match state.samples.pop_front() {
             Some(sample) => {
-                // What a burst needed is not kept for the next one.
-                if inner.samples.is_empty() && inner.samples.capacity() > KEPT {
-                    inner.samples.shrink_to(KEPT);
+                // Frees the memory of a burst.
+                if state.samples.is_empty() && state.samples.capacity() > KEPT_CAPACITY {
+                    state.samples.shrink_to(KEPT_CAPACITY);
                 }
                 Poll::Ready(Some(Ok(sample)))
             }
-            None if inner.closed => Poll::Ready(None),
+            None if state.closed => Poll::Ready(None),
             None => Poll::Pending,
         }
     }
 
-    /// Takes nothing more. What is there can still be had.
+    /// Refuses further samples. Queued ones can still be popped.
     pub(super) fn close(&self) {
         self.lock().closed = true;
         self.waker.wake();
     }
 
-    /// Gives up what is there: nobody will take it.
+    /// Drops all queued samples.
     pub(super) fn clear(&self) {
         self.lock().samples = VecDeque::new();
     }
 
-    /// How many samples came, and how many of them were dropped.
+    /// Returns the number of samples pushed, and of those dropped.
     pub(super) fn totals(&self) -> (u64, u64) {
-        let inner = self.lock();
-        (inner.total, inner.total_missed)
+        let state = self.lock();
+        (state.total, state.total_missed)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Inner> {
-        // Nothing panics while it holds this lock.
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, QueueState> {
+        // No code panics under this lock.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

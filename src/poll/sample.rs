@@ -8,7 +8,7 @@ use crate::error::{Error, ErrorCode};
 use crate::plan::PlanError;
 use crate::tag::TagValue;
 
-/// Which tag of a [`Poller`](super::Poller): no two are the same, not even after one was removed.
+/// The id of a tag in a [`Poller`](super::Poller). Ids of removed tags are not reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TagId(pub(super) u64);
 
@@ -18,55 +18,55 @@ impl fmt::Display for TagId {
     }
 }
 
-/// What was read, or that it could not be.
+/// The values of a tag with their quality and time.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Sample {
-    /// Which tag.
+    /// The id of the tag.
     pub id: TagId,
-    /// Its name.
+    /// The name of the tag.
     pub name: Arc<str>,
-    /// Whether the values can be relied on.
+    /// The quality of the values.
     pub quality: Quality,
-    /// When the reply with the values came; for a bad sample, when that was known.
+    /// The time of the reply with the values; of a bad sample, when it became bad.
     pub at: Stamp,
     pub(super) values: Option<Arc<[TagValue]>>,
 }
 
 impl Sample {
-    /// The values: as many as the tag has, or none if the sample is bad.
+    /// Returns the values of the tag; empty if the sample is bad.
     #[must_use]
     pub fn values(&self) -> &[TagValue] {
         self.values.as_deref().unwrap_or_default()
     }
 
-    /// The first value, and the only one of most tags; `None` if the sample is bad.
+    /// Returns the first value, which is the only one of most tags; `None` if the sample is bad.
     #[must_use]
     pub fn value(&self) -> Option<&TagValue> {
         self.values().first()
     }
 
-    /// Whether the values are what the PLC has just answered.
+    /// Whether the values come from the last reading.
     #[must_use]
     pub fn is_good(&self) -> bool {
         matches!(self.quality, Quality::Good)
     }
 }
 
-/// Whether values can be relied on. There are no values in a bad sample, so an error is never taken for a zero.
+/// The quality of values. A bad sample has no values, so a failure is never taken for a zero.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Quality {
-    /// The PLC has just answered this.
+    /// The values of the last reading.
     Good,
-    /// The last values that the PLC answered: it was asked again since, or should have been, and this came of it.
+    /// The last values read. A later reading failed or is overdue, for this reason.
     Stale(Reason),
     /// No values: never read, refused, or too old.
     Bad(Reason),
 }
 
 impl Quality {
-    /// Why it is not good.
+    /// Returns the reason why the quality is not good.
     #[must_use]
     pub fn reason(&self) -> Option<&Reason> {
         match self {
@@ -75,13 +75,14 @@ impl Quality {
         }
     }
 
-    /// Whether a consumer would see a difference: details that are new each time, such as when the next probe is due, are
-    /// none.
+    /// Whether the difference counts as a change for reports.
+    ///
+    /// Details of an error that differ each time, such as the time of the next probe, do not.
     pub(super) fn differs_from(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Good, Self::Good) => false,
             (Self::Stale(a), Self::Stale(b)) | (Self::Bad(a), Self::Bad(b)) => a.differs_from(b),
-            _ => true,
+            (Self::Good | Self::Stale(_) | Self::Bad(_), _) => true,
         }
     }
 }
@@ -96,19 +97,19 @@ impl fmt::Display for Quality {
     }
 }
 
-/// Why a sample is not good.
+/// The reason why a sample is not good.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Reason {
-    /// It has not been read yet.
+    /// The tag has not been read yet.
     NotYetRead,
     /// The request failed.
     Failed(Arc<Error>),
-    /// The PLC refuses this tag, by itself. It is tried again now and then.
+    /// The PLC refuses a request for this tag alone. The tag is probed periodically.
     Refused(ErrorCode),
-    /// No answer for longer than [`ScanClass::stale_after`](super::ScanClass::stale_after), and no failure either.
+    /// No reply and no failure within [`ScanClass::stale_after`](super::ScanClass::stale_after).
     Overdue,
-    /// The tag cannot be read in one request any more, with what has been learned of the PLC.
+    /// No single request can read the tag within the learned limits of the PLC.
     NoPlan(Arc<PlanError>),
 }
 
@@ -134,30 +135,30 @@ impl fmt::Display for Reason {
     }
 }
 
-/// A point in time, by both clocks.
+/// A point in time, by the monotonic and the system clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Stamp {
-    /// By the clock that only goes forward.
+    /// The monotonic time.
     pub instant: Instant,
-    /// By the clock on the wall.
+    /// The system time.
     pub time: SystemTime,
 }
 
 impl Stamp {
-    /// Now.
+    /// Returns the current time.
     pub(super) fn now() -> Self {
         Self { instant: Instant::now(), time: SystemTime::now() }
     }
 
-    /// The time of an instant that has just been.
+    /// Returns the stamp of an instant in the recent past.
     pub(super) fn of(instant: Instant) -> Self {
         let now = Self::now();
         let ago = now.instant.saturating_duration_since(instant);
         Self { instant, time: now.time.checked_sub(ago).unwrap_or(now.time) }
     }
 
-    /// How long ago it was at another time.
+    /// Returns the age of the stamp at `now`.
     pub(super) fn age(&self, now: Instant) -> Duration {
         now.saturating_duration_since(self.instant)
     }

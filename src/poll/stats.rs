@@ -3,44 +3,45 @@ use std::time::Duration;
 
 use super::ScanClass;
 
-/// What has been done, since it began. A snapshot.
+/// Counters since the start of polling. A snapshot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Counters {
-    /// Cycles begun.
+    /// Cycles started.
     pub cycles: u64,
-    /// Cycles that were skipped, because the one before was not over, or nothing ran here.
+    /// Cycles that were skipped: the previous one was running, or the task was not scheduled.
     pub overruns: u64,
-    /// Cycles that were given up, because an answer did not come.
+    /// Cycles that were abandoned because a reply did not come.
     pub abandoned: u64,
     /// Requests sent.
     pub requests: u64,
-    /// Requests that a PLC refused.
+    /// Requests that the PLC refused.
     pub refusals: u64,
-    /// Requests without an answer.
+    /// Requests without a reply.
     pub failures: u64,
-    /// How long the last cycle took; of several classes, the longest of the last ones.
+    /// Duration of the last cycle; of several classes, the longest of their last cycles.
     pub last_cycle: Duration,
 }
 
-/// What a scan class does on one station: a snapshot. The [`Counters`] can be read as if they were its own.
+/// Statistics of a scan class on one station. A snapshot. Dereferences to its [`Counters`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ClassStats {
     /// The class.
     pub class: ScanClass,
-    /// How many tags it has now.
+    /// Tags in the class.
     pub tags: usize,
-    /// How many of them the PLC refuses.
+    /// Tags that the PLC refuses.
     pub refused_tags: usize,
-    /// How many requests read the others; 0 before the first cycle, and after a change until the next.
+    /// Requests that read the other tags; 0 until the first cycle after a change.
     pub requests_per_cycle: usize,
-    /// What it has done.
+    /// Counters of the class.
     pub counters: Counters,
 }
 
-/// What a [`Poller`](super::Poller) does: all its stations together. A snapshot. The [`Counters`] can be read as if they were
-/// its own.
+/// Statistics of a [`Poller`](super::Poller): the sum over its stations. A snapshot.
+///
+/// Dereferences to its [`Counters`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PollerStats {
@@ -50,16 +51,16 @@ pub struct PollerStats {
     pub tags: usize,
     /// Tags that their PLC refuses.
     pub refused_tags: usize,
-    /// Samples given.
+    /// Samples queued.
     pub samples: u64,
-    /// Samples that were dropped, because they were not taken in time.
+    /// Samples dropped because the consumer was too slow.
     pub missed: u64,
-    /// What all of them have done, those included that are not polled any more.
+    /// Counters of all stations, including those that are not polled any more.
     pub counters: Counters,
 }
 
 impl Counters {
-    /// Adds what others have done.
+    /// Adds the counters of another class or station.
     pub(super) fn add(&mut self, other: &Self) {
         let sums = [
             (&mut self.cycles, other.cycles),
@@ -75,7 +76,7 @@ impl Counters {
 }
 
 impl PollerStats {
-    /// A station with these classes, which has done this.
+    /// Adds a station with these classes and counters.
     pub(super) fn count(&mut self, classes: impl Iterator<Item = ClassStats>, counters: &Counters) {
         let tags = self.tags;
         for class in classes {

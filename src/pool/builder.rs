@@ -7,15 +7,20 @@ use std::time::Duration;
 use futures::future::{BoxFuture, FutureExt};
 use tokio::io::{AsyncRead, AsyncWrite};
 
-use super::{Pool, Shared, Slots};
+use super::{Pool, PoolShared, PoolState};
 use crate::endpoint::{Endpoint, Transport};
 use crate::link::{BoxIo, Connector, Gate, Link, LinkBuilder};
 use crate::random::Random;
 
-/// The most connections that a FATEK Ethernet module takes.
+/// The maximum of connections of a FATEK Ethernet module.
 const MAX_LINKS_PER_ENDPOINT: usize = 8;
 
-/// Settings of a pool. Each has a default that suits thousands of PLCs on a plant's network.
+const DEFAULT_MAX_ENDPOINTS: usize = 16_384;
+const DEFAULT_IDLE_TIMEOUT: Duration = Duration::from_secs(60);
+const DEFAULT_CONNECTS_AT_ONCE: usize = 128;
+const DEFAULT_CONNECTS_PER_SECOND: u32 = 200;
+
+/// Settings of a [`Pool`], with defaults for thousands of PLCs on a plant network.
 #[must_use]
 pub struct PoolBuilder {
     max_endpoints: usize,
@@ -34,64 +39,68 @@ type Connect = Arc<dyn Fn(Endpoint) -> BoxFuture<'static, io::Result<BoxIo>> + S
 impl PoolBuilder {
     pub(super) fn new() -> Self {
         Self {
-            max_endpoints: 16_384,
+            max_endpoints: DEFAULT_MAX_ENDPOINTS,
             links_per_endpoint: 1,
-            idle_timeout: Some(Duration::from_secs(60)),
-            connects_at_once: 128,
-            connects_per_second: 200,
+            idle_timeout: Some(DEFAULT_IDLE_TIMEOUT),
+            connects_at_once: DEFAULT_CONNECTS_AT_ONCE,
+            connects_per_second: DEFAULT_CONNECTS_PER_SECOND,
             configure: None,
             connect: None,
             seed: None,
         }
     }
 
-    /// How many endpoints there may be, at least 1. Default: 16,384.
+    /// Sets the maximum of endpoints, at least 1. Default: 16,384.
     ///
-    /// For one more, the endpoint that was asked for longest ago among those without handles is forgotten, and its
-    /// connection closed; if all have handles, there is an error.
+    /// When it is reached, the least recently requested endpoint without handles is evicted and its
+    /// connection closed. If all have handles, [`Pool::station`] fails with
+    /// [`PoolError::Full`](super::PoolError::Full).
     pub fn max_endpoints(mut self, endpoints: usize) -> Self {
         self.max_endpoints = endpoints.max(1);
         self
     }
 
-    /// How many links an endpoint may have, 1 to 8, which is what FATEK's Ethernet modules take; a serial port always has
-    /// one. Default: 1.
+    /// Sets the maximum of links per endpoint, 1 to 8. Default: 1.
     ///
-    /// What a link does for its callers it does for its own: priorities, fairness and offline stations are its alone.
+    /// FATEK's Ethernet modules accept up to 8 connections. A serial port always has one link.
+    /// Priorities, fairness and offline stations are separate for each link.
     pub fn links_per_endpoint(mut self, links: usize) -> Self {
         self.links_per_endpoint = links.clamp(1, MAX_LINKS_PER_ENDPOINT);
         self
     }
 
-    /// After how long without a call a connection is closed; `None` for never. Default: 60 s. See
-    /// [`LinkBuilder::idle_timeout`].
+    /// Sets the time without a call until a connection is closed; `None`: never. Default: 60 s.
+    ///
+    /// See [`LinkBuilder::idle_timeout`].
     pub fn idle_timeout(mut self, timeout: impl Into<Option<Duration>>) -> Self {
         self.idle_timeout = timeout.into();
         self
     }
 
-    /// How many TCP connections are being opened at once, at least 1. Default: 128.
+    /// Sets the maximum of TCP connections being opened at once, at least 1. Default: 128.
     ///
-    /// The others wait for their turn, which comes in the order in which they asked, and their calls wait with them
-    /// within their deadlines. An endpoint that is switched off holds its turn for the
-    /// [connect timeout](LinkBuilder::connect_timeout).
+    /// Other links wait in the order of their requests; the deadlines of their calls run meanwhile.
+    /// An endpoint that is switched off occupies a permit for the [connect
+    /// timeout](LinkBuilder::connect_timeout).
     pub fn connects_at_once(mut self, connects: usize) -> Self {
         self.connects_at_once = connects.max(1);
         self
     }
 
-    /// How many TCP connections are begun a second on average, at least 1. Default: 200.
+    /// Sets the average number of TCP connection attempts per second, at least 1. Default: 200.
     ///
-    /// They are spread over the second, so that a plant that comes back after a power cut is not hit by all of them
-    /// together. All are back within the longest [back-off](LinkBuilder::connect_backoff), or within the time that this
-    /// pace takes for all links, whichever is longer: 10,000 links take 50 s at 200 a second.
+    /// The attempts are spread over the second, so that they do not hit a plant all at once after a
+    /// power cut. All links are up within the maximum of the longest
+    /// [back-off](LinkBuilder::connect_backoff) and the time of all attempts at this rate: 10,000
+    /// links take 50 s at 200 per second.
     pub fn connects_per_second(mut self, connects: u32) -> Self {
         self.connects_per_second = connects.max(1);
         self
     }
 
-    /// What all links are set to. The function gets the builder of each new link; it must not use the pool. The idle
-    /// timeout is the pool's.
+    /// Sets a function that configures the builder of each new link.
+    ///
+    /// The function must not use the pool. The idle timeout is always that of the pool.
     ///
     /// ```
     /// use std::time::Duration;
@@ -106,8 +115,9 @@ impl PoolBuilder {
         self
     }
 
-    /// What opens the connections instead: through a tunnel, or, in a test, in memory. The limits on connecting then hold
-    /// for every transport.
+    /// Sets a function that opens the connections, for example through a tunnel or in memory.
+    ///
+    /// The limits on connecting then apply to every transport.
     ///
     /// ```
     /// use fatek::sim::{self, Bus, Plc};
@@ -135,26 +145,27 @@ impl PoolBuilder {
         self
     }
 
-    /// The seed of the jitter between connections, so that a test can be repeated; see also [`LinkBuilder::seed`].
-    /// Default: a new one for each pool.
+    /// Sets the seed of the jitter between connection attempts, for repeatable tests.
+    ///
+    /// See also [`LinkBuilder::seed`]. Default: a new one for each pool.
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = Some(seed);
         self
     }
 
-    /// Makes the pool, which is empty.
+    /// Makes an empty pool.
     #[must_use]
     pub fn build(self) -> Pool {
         let seed = self.seed.unwrap_or_else(Random::seed);
-        let settings = Settings {
+        let settings = PoolSettings {
             max_endpoints: self.max_endpoints,
             links_per_endpoint: self.links_per_endpoint,
             idle_timeout: self.idle_timeout,
-            gate: Gate::new(self.connects_at_once, self.connects_per_second, seed),
+            connect_limiter: Gate::new(self.connects_at_once, self.connects_per_second, seed),
             configure: self.configure,
             connect: self.connect,
         };
-        Pool { shared: Arc::new(Shared { settings, slots: Mutex::new(Slots::default()) }) }
+        Pool { shared: Arc::new(PoolShared { settings, state: Mutex::new(PoolState::default()) }) }
     }
 }
 
@@ -170,24 +181,24 @@ impl fmt::Debug for PoolBuilder {
     }
 }
 
-/// What the pool knows of all its endpoints.
-pub(super) struct Settings {
+/// The settings of a pool, applied to all its endpoints.
+pub(super) struct PoolSettings {
     pub(super) max_endpoints: usize,
     pub(super) links_per_endpoint: usize,
     idle_timeout: Option<Duration>,
-    gate: Arc<Gate>,
+    connect_limiter: Arc<Gate>,
     configure: Option<Configure>,
     connect: Option<Connect>,
 }
 
-impl Settings {
-    /// A new link.
+impl PoolSettings {
+    /// Makes a new link.
     pub(super) fn link(&self, endpoint: &Endpoint) -> Link {
         let mut builder = Link::builder(endpoint.clone());
-        // Opening a socket for UDP or a port of this machine hits nobody, and a doubt on UDP must get a fresh one soon.
+        // Opening a UDP socket or a local port puts no load on a PLC, and must not be delayed.
         let remote = matches!(endpoint.transport(), Transport::Tcp { .. });
         if remote || self.connect.is_some() {
-            builder = builder.gate(self.gate.clone());
+            builder = builder.gate(self.connect_limiter.clone());
         }
         if let Some(configure) = &self.configure {
             builder = configure(builder);

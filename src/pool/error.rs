@@ -3,34 +3,32 @@ use std::convert::Infallible;
 use crate::command::InvalidRequest;
 use crate::endpoint::ParseEndpointError;
 
-/// Why a pool gives no station.
+/// The reason why a pool returns no station.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PoolError {
-    /// The caller's fault: a text that is no endpoint.
+    /// The text is not an endpoint.
     #[error(transparent)]
     Endpoint(#[from] ParseEndpointError),
-    /// The caller's fault: a number that is no station's.
+    /// The number is not that of a station.
     #[error(transparent)]
     Invalid(#[from] InvalidRequest),
-    /// There are as many endpoints as there may be, and all of them are in use.
-    #[error(
-        "no place for {endpoint}: the pool has its {limit} endpoints (`PoolBuilder::max_endpoints`), and all are in use"
-    )]
+    /// The maximum of endpoints is reached, and all of them are in use.
+    #[error("no room for {endpoint}: all {limit} endpoints of the pool are in use (see `PoolBuilder::max_endpoints`)")]
     #[non_exhaustive]
     Full {
-        /// The endpoint that was asked for.
+        /// The requested endpoint.
         endpoint: String,
-        /// How many there may be.
+        /// The maximum of endpoints.
         limit: usize,
     },
-    /// The serial port is in use with other settings, and there is only one line behind it.
+    /// The serial port is in use with other settings. A port has one line.
     #[error("{asked}: the port is in use as {known}")]
     #[non_exhaustive]
     OtherSettings {
-        /// The endpoint that was asked for.
+        /// The requested endpoint.
         asked: String,
-        /// The endpoint that the pool has.
+        /// The endpoint in use.
         known: String,
     },
     /// The pool has been closed.

@@ -1,51 +1,52 @@
-use super::slot::Slot;
+use super::endpoint_links::EndpointLinks;
 use crate::endpoint::Endpoint;
 use crate::link::{LinkState, LinkStats};
 
-/// A pool as a whole. A snapshot.
+/// Statistics of a [`Pool`](super::Pool). A snapshot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PoolStats {
-    /// The endpoints that the pool has.
+    /// Endpoints in the pool.
     pub endpoints: usize,
-    /// Their links: the sum of the following six.
+    /// Links of the endpoints: the sum of the following six.
     pub links: usize,
-    /// Links without a connection, because nobody has asked for one yet or for long.
+    /// Links without a connection: not called yet, or idle for long.
     pub idle: usize,
-    /// Links that wait for their turn to connect, and were idle before.
+    /// Links that were idle and wait for a permit to connect.
     pub waiting: usize,
     /// Links that are connecting.
     pub connecting: usize,
     /// Links with a connection.
     pub up: usize,
-    /// Links that have lost their connection or could not open one; they may be waiting to try again.
+    /// Links that lost their connection or failed to open it; they may be waiting to retry.
     pub down: usize,
     /// Links that have been closed.
     pub closed: usize,
-    /// Endpoints that were forgotten to make room for others, since the pool was made.
+    /// Endpoints evicted since the pool was made.
     pub evicted: u64,
-    /// What has gone over all links together since the pool was made, those that are gone included. Of
-    /// [round trips](crate::StationStats::round_trip) the mean is a rough one.
+    /// Traffic of all links since the pool was made, including closed and evicted ones.
+    ///
+    /// The mean of [round trips](crate::StationStats::round_trip) is approximate.
     pub traffic: LinkStats,
 }
 
-/// An endpoint of a pool. A snapshot.
+/// Statistics of an endpoint of a pool. A snapshot.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct PoolEndpoint {
-    /// Where it is.
+    /// The endpoint.
     pub endpoint: Endpoint,
-    /// What each of its links is doing.
+    /// The state of each link.
     pub links: Vec<LinkState>,
-    /// What has gone over its links.
+    /// The traffic of its links.
     pub traffic: LinkStats,
 }
 
 impl PoolStats {
-    pub(super) fn count(&mut self, slot: &Slot) {
+    pub(super) fn count(&mut self, endpoint: &EndpointLinks) {
         let add = |counter: &mut usize| *counter = counter.saturating_add(1);
         add(&mut self.endpoints);
-        for link in &slot.links {
+        for link in &endpoint.links {
             add(&mut self.links);
             add(match link.state() {
                 LinkState::Idle => &mut self.idle,
@@ -56,16 +57,16 @@ impl PoolStats {
                 LinkState::Closed => &mut self.closed,
             });
         }
-        self.traffic = self.traffic.plus(&slot.traffic());
+        self.traffic = self.traffic.plus(&endpoint.traffic());
     }
 }
 
 impl PoolEndpoint {
-    pub(super) fn of(slot: &Slot) -> Self {
+    pub(super) fn of(links: &EndpointLinks) -> Self {
         Self {
-            endpoint: slot.endpoint.clone(),
-            links: slot.links.iter().map(|link| link.state()).collect(),
-            traffic: slot.traffic(),
+            endpoint: links.endpoint.clone(),
+            links: links.links.iter().map(|link| link.state()).collect(),
+            traffic: links.traffic(),
         }
     }
 }

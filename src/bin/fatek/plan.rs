@@ -42,7 +42,7 @@ fn cost(link: Option<&str>, args: &PlanArgs) -> Result<CostModel, Failure> {
     };
     Ok(match (settings, args.round_trip) {
         (Some(settings), None) => CostModel::serial(settings, framing),
-        (Some(settings), Some(latency)) => CostModel::serial(settings, framing).with_latency(latency),
+        (Some(settings), Some(response_time)) => CostModel::serial(settings, framing).with_response_time(response_time),
         (None, round_trip) => CostModel::network(framing, round_trip.unwrap_or(Duration::from_millis(5))),
     })
 }

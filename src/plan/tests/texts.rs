@@ -5,7 +5,7 @@ fn network() -> CostModel {
 }
 
 #[test]
-fn a_text_is_read_by_one_request_and_what_lies_in_it_with_it() {
+fn a_text_is_read_by_one_request_with_all_tags_in_it() {
     let tags = ["R60-R69:text", "R0-R63", "R62:f32", "R69", "R64-R66:text-hi"].map(tag);
     let plan = Plan::builder(network()).limits(Limits::new().no_mixed_reads()).tags(tags).build().unwrap();
     check(&plan, &network(), &Limits::new(), "five tags");
@@ -14,7 +14,7 @@ fn a_text_is_read_by_one_request_and_what_lies_in_it_with_it() {
     assert_eq!(reads, ["46 R0-R59", "46 R60-R69"]);
 }
 
-/// Runs that are too short for the texts, and mixed reads that are not.
+/// The texts are longer than a run, and fit in a mixed read.
 #[test]
 fn no_partition_is_cheaper_where_texts_are_too_long_for_runs() {
     for seed in 0..200 {
@@ -27,7 +27,7 @@ fn no_partition_is_cheaper_where_texts_are_too_long_for_runs() {
             _ => random_tag(random),
         };
         let tags: Vec<Tag> = (0..n).map(|_| of(&mut random)).filter(|tag| tag.element_count() <= 12).collect();
-        // In the ambiguous corner of the binary framing, a text may have no request at all.
+        // No request can read a text that is ambiguous in the binary framing.
         let Ok(plan) = Plan::builder(model).limits(limits.clone()).tags(tags.clone()).build() else { continue };
         let context = format!("seed {seed}, {model:?}, {limits:?}, {tags:?}");
         check(&plan, &model, &limits, &context);
@@ -37,7 +37,7 @@ fn no_partition_is_cheaper_where_texts_are_too_long_for_runs() {
 }
 
 #[test]
-fn many_texts_are_read_right_whether_runs_hold_them_or_not() {
+fn many_texts_are_read_if_longer_than_a_run_or_not() {
     for seed in 0..40 {
         let mut random = Random(seed);
         let model = random.one(&models());
@@ -65,7 +65,7 @@ fn the_same_text_twice_is_read_once() {
 }
 
 #[test]
-fn a_text_that_no_request_holds_is_refused() {
+fn a_text_longer_than_any_request_is_refused() {
     let limits = Limits::new().max_registers(9).unwrap();
     let build = |limits: Limits| Plan::builder(network()).limits(limits).tags([tag("R7"), tag("R0-R9:text")]).build();
     assert_eq!(build(limits.clone()).unwrap().requests().len(), 1);
@@ -74,8 +74,8 @@ fn a_text_that_no_request_holds_is_refused() {
     let error = build(limits.max_mixed(9).unwrap()).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "R0-R9:text must come from one scan, but no single request of the device reads that: 10 units are too many for a \
-         mixed read, which takes 9, and as one run it is too long, of several kinds, or reaches across what cannot be read"
+        "R0-R9:text must come from one scan, but no single request can read that: 10 units exceed the 9 of a mixed read, \
+         and one run would be too long, of several kinds, or across unreadable or avoided elements"
     );
     let limits = Limits::new().readable(crate::element!("R0"), crate::element!("R8")).unwrap();
     assert!(matches!(build(limits), Err(PlanError::NotReadable { .. })));

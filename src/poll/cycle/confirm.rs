@@ -1,51 +1,51 @@
 //! The cycle as a [`Job`]: results are held until they are confirmed.
 //!
 //! ```text
-//!            answered           all requests of a phase done, a refusal, no answer
+//!            answered           all requests of a phase done, a refusal, no reply
 //! reading ─────────────▶ held ────────────────────────────────────────────────────▶ check
 //!    ▲                                                                                │ │
-//!    └── an unexpected stray: the values are dropped, the cycle begins again ─────────┤ └──▶ given out
-//!        as often as reads are retried; then it is abandoned ◀────────────────────────┘
+//!    └── unexpected stray: the values are dropped, the cycle begins again ────────────┤ └──▶ reported
+//!        up to the number of retries of a read; then it is abandoned ◀────────────────┘
 //! ```
 //!
-//! A cycle that begins again asks only for tags that it has given out neither values nor a refusal of.
+//! A repeated cycle leaves out tags of which it has reported values or a refusal.
 
 use std::sync::Arc;
 
-use super::{Bench, Cycle, Phase, Start};
+use super::{Cycle, CycleContext, CyclePhase, CycleStart};
 use crate::error::{Error, ErrorCode};
 use crate::link::job::{Job, Progress};
 use crate::link::{Proof, Shape};
-use crate::plan::Words;
+use crate::plan::ReplyWords;
 use crate::poll::{Reason, Stamp, TagId};
 use crate::tag::TagValue;
 
-/// The results of a cycle that are not confirmed. The marks of the job count the values of the cycle.
+/// The unconfirmed results of a cycle. The marks of the job count the values of the cycle.
 #[derive(Debug)]
-pub(super) struct Held {
+pub(super) struct HeldResults {
     job: Job<usize>,
     values: Vec<(TagId, Vec<TagValue>, Stamp)>,
-    /// The values before those held.
-    given: usize,
-    /// The check is due, and leads to this.
-    then: Option<Then>,
+    /// The number of values that were reported before those held.
+    reported: usize,
+    /// The continuation after the check that is due.
+    after_check: Option<AfterCheck>,
 }
 
-/// The continuation of a cycle whose results are confirmed.
+/// The continuation of a cycle after its results are confirmed.
 #[derive(Debug)]
-enum Then {
+enum AfterCheck {
     NextPhase,
     Refused(ErrorCode),
-    Abandon(Reason, Start),
+    Abandon(Reason, CycleStart),
 }
 
-impl Held {
+impl HeldResults {
     pub(super) fn new(retries: u32) -> Self {
-        Self { job: Job::new(retries), values: Vec::new(), given: 0, then: None }
+        Self { job: Job::new(retries), values: Vec::new(), reported: 0, after_check: None }
     }
 
-    pub(super) fn is_to_be_confirmed(&self) -> bool {
-        self.then.is_some()
+    pub(super) fn awaits_check(&self) -> bool {
+        self.after_check.is_some()
     }
 
     pub(super) fn hold(&mut self, id: TagId, values: Vec<TagValue>, at: Stamp) {
@@ -57,99 +57,99 @@ impl Held {
     }
 
     fn mark(&self) -> usize {
-        self.given.saturating_add(self.values.len())
+        self.reported.saturating_add(self.values.len())
     }
 }
 
 impl Cycle {
-    /// The answer to what was sent: its words, or the refusal.
+    /// Handles the reply to the current request: its words, or a refusal.
     pub(in crate::poll) fn answered(
         &mut self,
-        answer: Result<Words, ErrorCode>,
+        answer: Result<ReplyWords, ErrorCode>,
         (shape, proof): (Shape, Proof),
         at: Stamp,
-        bench: &mut Bench<'_>,
+        ctx: &mut CycleContext<'_>,
     ) {
         let progress = self.held.job.answered(self.held.mark(), shape, proof);
         if progress != Progress::Go {
-            return self.rewind(progress, at, bench);
+            return self.rewind(progress, at, ctx);
         }
         let confirmed = self.held.job.first_held().unwrap_or(self.held.mark());
-        self.give_out(confirmed, bench);
+        self.report(confirmed, ctx);
         match answer {
-            Ok(words) => self.replied(words, at, bench),
-            Err(code) => self.held.then = Some(Then::Refused(code)),
+            Ok(words) => self.handle_reply(words, at, ctx),
+            Err(code) => self.held.after_check = Some(AfterCheck::Refused(code)),
         }
     }
 
-    /// No answer came to what was sent. What was read before is given out if it can be confirmed.
-    pub(in crate::poll) fn failed(&mut self, reason: Reason, bench: &mut Bench<'_>) {
+    /// Handles a missing reply. The values read before are reported if they can be confirmed.
+    pub(in crate::poll) fn failed(&mut self, reason: Reason, ctx: &mut CycleContext<'_>) {
         let start = self.next_start();
         if self.held.must_confirm() {
-            self.held.then = Some(Then::Abandon(reason, start));
+            self.held.after_check = Some(AfterCheck::Abandon(reason, start));
         } else {
-            self.give_out(usize::MAX, bench);
+            self.report(usize::MAX, ctx);
             self.abandon(reason, start);
         }
     }
 
-    /// The result of the check.
-    pub(in crate::poll) fn confirmed(&mut self, result: Result<Proof, Reason>, now: Stamp, bench: &mut Bench<'_>) {
-        let then = self.held.then.take();
+    /// Handles the result of the check.
+    pub(in crate::poll) fn confirmed(&mut self, result: Result<Proof, Reason>, now: Stamp, ctx: &mut CycleContext<'_>) {
+        let after_check = self.held.after_check.take();
         let progress = match result {
             Ok(proof) => self.held.job.confirmed(proof),
             Err(reason) => {
                 self.drop_held();
                 let start = self.next_start();
-                return match then {
-                    Some(Then::Abandon(reason, start)) => self.abandon(reason, start),
-                    Some(Then::NextPhase | Then::Refused(_)) | None => self.abandon(reason, start),
+                return match after_check {
+                    Some(AfterCheck::Abandon(reason, start)) => self.abandon(reason, start),
+                    Some(AfterCheck::NextPhase | AfterCheck::Refused(_)) | None => self.abandon(reason, start),
                 };
             }
         };
-        match (progress, then) {
-            (Progress::Go, then) => {
-                self.give_out(usize::MAX, bench);
-                match then {
-                    Some(Then::Refused(code)) => self.refused(code, now, bench),
-                    Some(Then::Abandon(reason, start)) => self.abandon(reason, start),
-                    Some(Then::NextPhase) | None => self.settle(now, bench),
+        match (progress, after_check) {
+            (Progress::Go, after_check) => {
+                self.report(usize::MAX, ctx);
+                match after_check {
+                    Some(AfterCheck::Refused(code)) => self.handle_refusal(code, now, ctx),
+                    Some(AfterCheck::Abandon(reason, start)) => self.abandon(reason, start),
+                    Some(AfterCheck::NextPhase) | None => self.settle(now, ctx),
                 }
             }
-            (Progress::Rewind(_) | Progress::Failed(_), Some(Then::Abandon(reason, start))) => {
-                bench.repeated = true;
+            (Progress::Rewind(_) | Progress::Failed(_), Some(AfterCheck::Abandon(reason, start))) => {
+                ctx.repeated = true;
                 self.drop_held();
                 self.abandon(reason, start);
             }
-            (progress, Some(Then::NextPhase | Then::Refused(_)) | None) => self.rewind(progress, now, bench),
+            (progress, Some(AfterCheck::NextPhase | AfterCheck::Refused(_)) | None) => self.rewind(progress, now, ctx),
         }
     }
 
-    /// The requests of a phase are done; says whether a check must come before the next one.
-    pub(super) fn confirm_phase(&mut self, bench: &mut Bench<'_>) -> bool {
+    /// Ends the requests of a phase. Returns whether a check must precede the next phase.
+    pub(super) fn confirm_phase(&mut self, ctx: &mut CycleContext<'_>) -> bool {
         let must = self.held.must_confirm();
         if must {
-            self.held.then = Some(Then::NextPhase);
+            self.held.after_check = Some(AfterCheck::NextPhase);
         } else {
-            self.give_out(usize::MAX, bench);
+            self.report(usize::MAX, ctx);
         }
         must
     }
 
-    /// What is held may be the values of other requests.
-    fn rewind(&mut self, progress: Progress<usize>, now: Stamp, bench: &mut Bench<'_>) {
-        bench.repeated = true;
+    /// Drops the held values, which may be of other requests; repeats or abandons the cycle.
+    fn rewind(&mut self, progress: Progress<usize>, now: Stamp, ctx: &mut CycleContext<'_>) {
+        ctx.repeated = true;
         self.drop_held();
         match progress {
             Progress::Go | Progress::Rewind(_) => {
                 self.stack.clear();
                 self.probe.clear();
-                self.phase = Phase::Members;
-                self.begin(now, bench);
+                self.phase = CyclePhase::Members;
+                self.begin(now, ctx);
             }
             Progress::Failed(_) => {
-                let error = Error::Duplicates { station: bench.known.polled.station, sent: true };
-                self.abandon(Reason::Failed(Arc::new(error)), Start::default());
+                let error = Error::Duplicates { station: ctx.station.params.station, sent: true };
+                self.abandon(Reason::Failed(Arc::new(error)), CycleStart::default());
             }
         }
     }
@@ -158,28 +158,28 @@ impl Cycle {
         self.held.values = Vec::new();
     }
 
-    fn abandon(&mut self, reason: Reason, start: Start) {
+    fn abandon(&mut self, reason: Reason, start: CycleStart) {
         self.stack.clear();
-        self.phase = Phase::Over;
+        self.phase = CyclePhase::Over;
         self.abandoned = Some((reason, start));
     }
 
-    /// Gives out the values before this mark.
-    fn give_out(&mut self, mark: usize, bench: &mut Bench<'_>) {
-        let count = mark.saturating_sub(self.held.given).min(self.held.values.len());
-        self.held.given = self.held.given.saturating_add(count);
+    /// Reports the values before this mark.
+    fn report(&mut self, mark: usize, ctx: &mut CycleContext<'_>) {
+        let count = mark.saturating_sub(self.held.reported).min(self.held.values.len());
+        self.held.reported = self.held.reported.saturating_add(count);
         for (id, values, at) in self.held.values.drain(..count) {
-            let Some(point) = bench.known.points.get_mut(id) else { continue };
-            // Read again with others, after it was given out.
-            if point.cycle == self.number && !point.is_refused() {
+            let Some(state) = ctx.station.tag_map.get_mut(id) else { continue };
+            // Reported before, and read again together with other tags.
+            if state.cycle == self.number && !state.is_refused() {
                 continue;
             }
-            let was_refused = point.is_refused();
-            point.cycle = self.number;
-            point.read(values, at, bench.samples);
-            bench.oldest = Some(bench.oldest.map_or(at.instant, |oldest| oldest.min(at.instant)));
+            let was_refused = state.is_refused();
+            state.cycle = self.number;
+            state.set_values(values, at, ctx.samples);
+            ctx.oldest = Some(ctx.oldest.map_or(at.instant, |oldest| oldest.min(at.instant)));
             if was_refused {
-                bench.known.changed();
+                ctx.station.invalidate_plans();
             }
         }
     }

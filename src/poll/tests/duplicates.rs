@@ -1,8 +1,8 @@
-//! Duplicates of replies that come out of order: see [`Job`](crate::link::job::Job).
+//! Duplicates out of order: see [`Job`](crate::link::job::Job).
 
 use std::time::Duration;
 
-use super::lab::{Lab, ms, value};
+use super::rig::{TestRig, ms, value};
 use crate::element::Register;
 use crate::error::Error;
 use crate::plan::Limits;
@@ -12,21 +12,21 @@ fn every(milliseconds: u64) -> ScanClass {
     ScanClass::every(ms(milliseconds)).phase(Duration::ZERO)
 }
 
-/// Ten registers that take ten requests, all replies to which have one shape.
-fn lab() -> Lab {
-    let mut lab = Lab::with_limits(1, Limits::new().no_mixed_reads());
-    lab.plc.one_shape = true;
+/// Ten registers read by ten requests whose replies have one shape.
+fn rig() -> TestRig {
+    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    rig.plc.one_shape = true;
     let texts: Vec<String> = (0..10).map(|n| format!("R{}", 100 * n)).collect();
-    lab.add(every(1000), &texts.iter().map(String::as_str).collect::<Vec<_>>());
-    lab
+    rig.add(every(1000), &texts.iter().map(String::as_str).collect::<Vec<_>>());
+    rig
 }
 
-/// The good samples that the PLC did not hold when it answered.
-fn wrong(lab: &mut Lab) -> usize {
-    let samples = lab.news();
+/// Counts good samples whose value the PLC did not hold at the time of the reply.
+fn wrong(rig: &mut TestRig) -> usize {
+    let samples = rig.new_samples();
     let is_wrong = |sample: &&crate::poll::Sample| {
         let address: u16 = sample.name[1..].parse().unwrap();
-        let epoch = lab.plc.epochs[&sample.at.instant];
+        let epoch = rig.plc.epochs[&sample.at.instant];
         let held = value(epoch, Register::r(address).into());
         sample.is_good() && crate::command::Value::Word(word(sample)) != held
     };
@@ -40,18 +40,18 @@ fn word(sample: &crate::poll::Sample) -> u16 {
     }
 }
 
-/// Without the check at the end of a cycle no copy at its last request was noticed: see the figures of the test of this name in
-/// `tests/poll.rs`.
+/// Without the check at the end of a cycle, no duplicate at its last request was detected. The test
+/// of the same name in `tests/poll.rs` has the figures.
 #[test]
 fn no_sample_is_a_roaming_duplicate() {
     let mut sum = 0;
     for at in 1..=40 {
-        let mut lab = lab();
-        lab.plc.roams_at = Some(at);
-        lab.run(ms(9500));
-        assert_eq!((lab.plc.roamed, lab.repeated), (1, 1), "request {at}");
-        sum += wrong(&mut lab);
-        let stats = lab.device.classes().next().unwrap();
+        let mut rig = rig();
+        rig.plc.roams_at = Some(at);
+        rig.run(ms(9500));
+        assert_eq!((rig.plc.roamed, rig.repeated), (1, 1), "request {at}");
+        sum += wrong(&mut rig);
+        let stats = rig.poller.classes().next().unwrap();
         assert_eq!((stats.cycles, stats.abandoned), (10, 0));
     }
     assert_eq!(sum, 0);
@@ -59,81 +59,81 @@ fn no_sample_is_a_roaming_duplicate() {
 
 #[test]
 fn a_cycle_of_equal_shapes_costs_one_check() {
-    let mut lab = lab();
-    lab.run(ms(9500));
-    assert_eq!((lab.plc.asked.len(), lab.plc.checks), (100, 10));
-    assert_eq!(lab.news().len(), 100);
+    let mut rig = rig();
+    rig.run(ms(9500));
+    assert_eq!((rig.plc.requests.len(), rig.plc.checks), (100, 10));
+    assert_eq!(rig.new_samples().len(), 100);
 }
 
 #[test]
 fn a_cycle_of_one_request_costs_no_check() {
-    let mut lab = Lab::new(1);
-    lab.plc.one_shape = true;
-    lab.add(every(1000), &["R0", "R1"]);
-    lab.run(ms(9500));
-    assert_eq!((lab.plc.asked.len(), lab.plc.checks), (10, 0));
+    let mut rig = TestRig::new(1);
+    rig.plc.one_shape = true;
+    rig.add(every(1000), &["R0", "R1"]);
+    rig.run(ms(9500));
+    assert_eq!((rig.plc.requests.len(), rig.plc.checks), (10, 0));
 }
 
 #[test]
 fn a_cycle_is_abandoned_when_duplicates_do_not_end() {
-    let mut lab = lab();
-    let end = lab.start + ms(900);
-    while lab.now < end && lab.step(end) {
-        lab.plc.left_over = true;
+    let mut rig = rig();
+    let end = rig.start + ms(900);
+    while rig.now < end && rig.step(end) {
+        rig.plc.stray_due = true;
     }
-    let stats = lab.device.classes().next().unwrap();
-    assert_eq!((stats.cycles, stats.abandoned, lab.repeated), (1, 1, 3));
-    let samples = lab.news();
+    let stats = rig.poller.classes().next().unwrap();
+    assert_eq!((stats.cycles, stats.abandoned, rig.repeated), (1, 1, 3));
+    let samples = rig.new_samples();
     assert_eq!(samples.len(), 10);
     for sample in samples {
         let Quality::Bad(Reason::Failed(error)) = &sample.quality else { panic!("{sample:?}") };
         assert!(matches!(**error, Error::Duplicates { station: 1, .. }), "{error}");
     }
-    // What was held is given back.
-    lab.run(ms(2000));
-    assert!(lab.news().iter().all(crate::poll::Sample::is_good));
+    // The next cycle is good again.
+    rig.run(ms(2000));
+    assert!(rig.new_samples().iter().all(crate::poll::Sample::is_good));
 }
 
 #[test]
-fn values_before_a_request_without_an_answer_are_given() {
-    let mut lab = lab();
-    // The last request.
-    lab.plc.silent_about = Some((crate::element::Symbol::R, 0));
-    lab.run(ms(900));
-    let (good, other): (Vec<_>, Vec<_>) = lab.news().into_iter().partition(crate::poll::Sample::is_good);
-    assert_eq!((good.len(), other.len(), lab.plc.checks), (9, 1, 1));
-    assert!(good.iter().all(|sample| sample.at.instant < lab.start + ms(100)), "the time of the reply");
+fn values_before_a_missing_reply_are_reported() {
+    let mut rig = rig();
+    // Read by the last request.
+    rig.plc.ignored = Some((crate::element::Symbol::R, 0));
+    rig.run(ms(900));
+    let (good, other): (Vec<_>, Vec<_>) = rig.new_samples().into_iter().partition(crate::poll::Sample::is_good);
+    assert_eq!((good.len(), other.len(), rig.plc.checks), (9, 1, 1));
+    assert!(good.iter().all(|sample| sample.at.instant < rig.start + ms(100)), "the time of the reply");
 }
 
 #[test]
-fn a_refusal_is_confirmed_before_a_tag_is_blamed() {
-    let mut lab = Lab::new(1);
-    let ids = lab.add(every(1000), &["R0"]);
+fn a_refusal_is_confirmed_before_a_tag_is_at_fault() {
+    let mut rig = TestRig::new(1);
+    let ids = rig.add(every(1000), &["R0"]);
     let mut samples = Vec::new();
-    assert!(lab.request(&mut samples).is_some());
-    // It was a copy of an older refusal: the true reply is left over.
-    lab.answer(Err(super::regressions::refusal()), None, &mut samples);
-    lab.plc.left_over = true;
-    assert!(lab.request(&mut samples).is_some(), "it is asked again");
-    lab.answer(Ok(crate::plan::Reply::Words(vec![7])), None, &mut samples);
-    assert!(lab.latest(ids[0]).is_good());
+    assert!(rig.request(&mut samples).is_some());
+    // A duplicate of an older refusal: the true reply comes as a stray.
+    rig.answer(Err(super::regressions::refusal()), None, &mut samples);
+    rig.plc.stray_due = true;
+    assert!(rig.request(&mut samples).is_some(), "the request is sent again");
+    rig.answer(Ok(crate::plan::Reply::Words(vec![7])), None, &mut samples);
+    assert!(rig.latest(ids[0]).is_good());
     assert_eq!(samples.len(), 1);
 }
 
 #[test]
 fn a_tag_removed_while_its_value_is_held_has_no_sample() {
-    let mut lab = lab();
+    let mut rig = rig();
     let mut samples = Vec::new();
     let ids: Vec<_> = (1..=10).map(crate::poll::TagId).collect();
     for _ in 0..9 {
-        let request = lab.request(&mut samples).unwrap();
-        lab.answer(Ok(crate::plan::Reply::Words(vec![7; super::lab::elements(&request).len()])), None, &mut samples);
+        let request = rig.request(&mut samples).unwrap();
+        rig.answer(Ok(crate::plan::Reply::Words(vec![7; super::rig::elements(&request).len()])), None, &mut samples);
     }
-    assert!(samples.is_empty(), "all are held");
-    assert!(lab.device.remove(ids[0], lab.now));
-    assert!(lab.request(&mut samples).is_some());
-    lab.answer(Ok(crate::plan::Reply::Words(vec![7])), None, &mut samples);
-    assert!(lab.request(&mut samples).is_none());
+    assert!(samples.is_empty(), "all values are held");
+    assert!(rig.poller.remove(ids[0], rig.now));
+    assert!(rig.request(&mut samples).is_some());
+    rig.answer(Ok(crate::plan::Reply::Words(vec![7])), None, &mut samples);
+    assert!(rig.request(&mut samples).is_none());
     let mut seen: Vec<_> = samples.iter().map(|sample| sample.id).collect();
     seen.sort_unstable();
     assert_eq!(seen, ids[1..]);

@@ -1,7 +1,7 @@
 mod cycles;
 mod duplicates;
-mod lab;
 mod quality;
+mod random;
 mod refusals;
 mod regressions;
-mod seeded;
+mod rig;

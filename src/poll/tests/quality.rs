@@ -1,6 +1,6 @@
 use std::time::Duration;
 
-use super::lab::{Lab, ms};
+use super::rig::{TestRig, ms};
 use crate::error::Error;
 use crate::poll::{PollTag, Quality, Reason, Sample, ScanClass};
 
@@ -17,109 +17,109 @@ fn kinds(samples: &[Sample]) -> Vec<&'static str> {
         Quality::Bad(Reason::Overdue) => "bad: overdue",
         Quality::Bad(Reason::NotYetRead) => "bad: not yet read",
         Quality::Bad(Reason::Refused(_)) => "bad: refused",
-        _ => "another",
+        other @ (Quality::Stale(_) | Quality::Bad(Reason::NoPlan(_))) => panic!("{other}"),
     };
     samples.iter().map(kind).collect()
 }
 
 #[test]
-fn an_error_is_never_a_zero() {
-    let mut lab = Lab::new(1);
-    lab.plc.silent = true;
-    let ids = lab.add(every(100), &["R0", "M0"]);
-    assert_eq!(kinds(&[lab.latest(ids[0])]), ["bad: not yet read"]);
-    assert_eq!(lab.latest(ids[0]).value(), None);
-    lab.run(ms(350));
-    let news = lab.news();
-    assert_eq!(kinds(&news), ["bad: failed"; 2]);
-    assert!(news.iter().all(|sample| sample.values().is_empty()));
-    assert!(matches!(news[0].quality.reason(), Some(Reason::Failed(e)) if matches!(**e, Error::Timeout { .. })));
+fn a_failure_never_yields_a_value() {
+    let mut rig = TestRig::new(1);
+    rig.plc.silent = true;
+    let ids = rig.add(every(100), &["R0", "M0"]);
+    assert_eq!(kinds(&[rig.latest(ids[0])]), ["bad: not yet read"]);
+    assert_eq!(rig.latest(ids[0]).value(), None);
+    rig.run(ms(350));
+    let samples = rig.new_samples();
+    assert_eq!(kinds(&samples), ["bad: failed"; 2]);
+    assert!(samples.iter().all(|sample| sample.values().is_empty()));
+    assert!(matches!(samples[0].quality.reason(), Some(Reason::Failed(e)) if matches!(**e, Error::Timeout { .. })));
 }
 
 #[test]
-fn a_value_goes_stale_with_the_first_failure_and_bad_when_it_is_too_old() {
-    let mut lab = Lab::new(1);
+fn a_value_is_stale_after_a_failure_and_bad_when_too_old() {
+    let mut rig = TestRig::new(1);
     let class = every(1000).bad_after(ms(3000));
-    let id = lab.try_add(class, vec![PollTag::new("level", "R0".parse().unwrap()).on_change()], false).unwrap()[0];
-    lab.run(ms(500));
-    let good = lab.news();
+    let id = rig.try_add(class, vec![PollTag::new("level", "R0".parse().unwrap()).on_change()], false).unwrap()[0];
+    rig.run(ms(500));
+    let good = rig.new_samples();
     assert_eq!(kinds(&good), ["good"]);
-    lab.plc.silent = true;
-    lab.run(ms(5000));
-    let news = lab.news();
-    assert_eq!(kinds(&news), ["stale: failed", "bad: failed"]);
-    assert_eq!(news[0].values(), good[0].values(), "the last good value");
-    assert_eq!(news[0].at, good[0].at, "and its time");
-    assert_eq!(news[1].values(), []);
-    assert!(news[1].at.instant >= good[0].at.instant + ms(3000));
-    assert!(news[1].at.instant <= good[0].at.instant + ms(3010), "on time, though nothing came");
-    lab.plc.silent = false;
-    lab.run(ms(1000));
-    assert_eq!(kinds(&lab.news()), ["good"]);
-    assert!(lab.latest(id).is_good());
+    rig.plc.silent = true;
+    rig.run(ms(5000));
+    let samples = rig.new_samples();
+    assert_eq!(kinds(&samples), ["stale: failed", "bad: failed"]);
+    assert_eq!(samples[0].values(), good[0].values(), "the last good value");
+    assert_eq!(samples[0].at, good[0].at, "and its time");
+    assert_eq!(samples[1].values(), []);
+    assert!(samples[1].at.instant >= good[0].at.instant + ms(3000));
+    assert!(samples[1].at.instant <= good[0].at.instant + ms(3010), "on time without a reply");
+    rig.plc.silent = false;
+    rig.run(ms(1000));
+    assert_eq!(kinds(&rig.new_samples()), ["good"]);
+    assert!(rig.latest(id).is_good());
 }
 
 #[test]
-fn a_value_is_overdue_while_the_answer_takes_long() {
-    let mut lab = Lab::new(1);
+fn a_value_is_overdue_while_a_reply_takes_long() {
+    let mut rig = TestRig::new(1);
     let tag = PollTag::new("level", "R0".parse().unwrap()).on_change();
-    lab.try_add(every(100).stale_after(ms(250)).bad_after(ms(600)), vec![tag], false).unwrap();
-    lab.run(ms(50));
-    lab.news();
-    lab.plc.latency = ms(2000);
-    lab.run(ms(500));
-    let news = lab.news();
-    assert_eq!(kinds(&news), ["stale: overdue", "bad: overdue", "good"]);
-    assert_eq!(news[1].at.instant - lab.start, ms(605));
+    rig.try_add(every(100).stale_after(ms(250)).bad_after(ms(600)), vec![tag], false).unwrap();
+    rig.run(ms(50));
+    rig.new_samples();
+    rig.plc.response_time = ms(2000);
+    rig.run(ms(500));
+    let samples = rig.new_samples();
+    assert_eq!(kinds(&samples), ["stale: overdue", "bad: overdue", "good"]);
+    assert_eq!(samples[1].at.instant - rig.start, ms(605));
 }
 
 #[test]
-fn on_change_is_by_value_and_quality() {
-    let mut lab = Lab::new(1);
-    lab.plc.timeout = ms(50);
-    lab.plc.frozen = true;
+fn on_change_reports_changes_of_value_and_quality() {
+    let mut rig = TestRig::new(1);
+    rig.plc.timeout = ms(50);
+    rig.plc.frozen = true;
     let tag = PollTag::new("level", "R0-R9".parse().unwrap()).on_change();
-    lab.try_add(every(100), vec![tag], false).unwrap();
-    lab.run(ms(2000));
-    assert_eq!(kinds(&lab.news()), ["good"]);
-    lab.plc.silent = true;
-    lab.run(ms(300));
-    lab.plc.silent = false;
-    lab.run(ms(2000));
-    assert_eq!(kinds(&lab.news()), ["stale: failed", "good"], "the same value, and good again");
-    lab.plc.frozen = false;
-    lab.run(ms(950));
-    assert!(kinds(&lab.news()).len() >= 9);
+    rig.try_add(every(100), vec![tag], false).unwrap();
+    rig.run(ms(2000));
+    assert_eq!(kinds(&rig.new_samples()), ["good"]);
+    rig.plc.silent = true;
+    rig.run(ms(300));
+    rig.plc.silent = false;
+    rig.run(ms(2000));
+    assert_eq!(kinds(&rig.new_samples()), ["stale: failed", "good"], "the same value is good again");
+    rig.plc.frozen = false;
+    rig.run(ms(950));
+    assert!(kinds(&rig.new_samples()).len() >= 9);
 }
 
 #[test]
-fn a_heartbeat_repeats_what_has_not_changed() {
-    let mut lab = Lab::new(1);
-    lab.plc.timeout = ms(50);
-    lab.plc.frozen = true;
+fn a_heartbeat_repeats_an_unchanged_sample() {
+    let mut rig = TestRig::new(1);
+    rig.plc.timeout = ms(50);
+    rig.plc.frozen = true;
     let tag = PollTag::new("level", "R0".parse().unwrap()).heartbeat(ms(1000));
-    lab.try_add(every(100), vec![tag], false).unwrap();
-    lab.run(ms(5050));
-    let at: Vec<Duration> = lab.news().iter().map(|sample| sample.at.instant - lab.start).collect();
+    rig.try_add(every(100), vec![tag], false).unwrap();
+    rig.run(ms(5050));
+    let at: Vec<Duration> = rig.new_samples().iter().map(|sample| sample.at.instant - rig.start).collect();
     assert_eq!(at, [5, 1005, 2005, 3005, 4005, 5005].map(ms));
-    lab.plc.silent = true;
-    lab.run(ms(3000));
-    assert_eq!(kinds(&lab.news()), ["stale: failed", "bad: failed", "bad: failed", "bad: failed"]);
+    rig.plc.silent = true;
+    rig.run(ms(3000));
+    assert_eq!(kinds(&rig.new_samples()), ["stale: failed", "bad: failed", "bad: failed", "bad: failed"]);
 }
 
 #[test]
 fn a_deadband_is_measured_from_the_last_sample() {
     use crate::poll::Stamp;
-    use crate::poll::point::Point;
+    use crate::poll::tag_state::TagState;
     use crate::tag::TagValue;
     let at = Stamp::now();
     let tag = PollTag::new("level", "R0:f32".parse().unwrap()).deadband(1.0);
-    let mut point = Point::new(crate::poll::TagId(1), tag, None, at);
+    let mut state = TagState::new(crate::poll::TagId(1), tag, None, at);
     let mut samples = Vec::new();
     let drift = [10.0, 10.5, 11.0, 11.25, 12.0, 12.25, 12.5, f32::NAN, f32::NAN, 12.5, f32::INFINITY, f32::INFINITY];
     for value in drift {
-        point.read(vec![TagValue::F32(value)], at, &mut samples);
+        state.set_values(vec![TagValue::F32(value)], at, &mut samples);
     }
-    let told: Vec<String> = samples.iter().map(|sample| sample.value().unwrap().to_string()).collect();
-    assert_eq!(told, ["10.0", "11.25", "12.5", "NaN", "12.5", "inf"]);
+    let reported: Vec<String> = samples.iter().map(|sample| sample.value().unwrap().to_string()).collect();
+    assert_eq!(reported, ["10.0", "11.25", "12.5", "NaN", "12.5", "inf"]);
 }

@@ -1,4 +1,4 @@
-//! A device of the poller and a PLC that answers it, in a time of their own.
+//! Test rig: a [`StationPoller`] with a fake PLC, in simulated time.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -11,8 +11,8 @@ use crate::element::{Element, Symbol, Width};
 use crate::error::{Error, ErrorCode};
 use crate::link::{Proof, Shape};
 use crate::plan::{CostModel, Limits, ReadRequest, Reply};
-use crate::poll::device::{Answer, Device, Step};
-use crate::poll::known::Polled;
+use crate::poll::context::StationParams;
+use crate::poll::station_poller::{PollStep, ReadOutcome, StationPoller};
 use crate::poll::{PollError, PollTag, Sample, ScanClass, Stamp, TagId};
 use crate::random::Random;
 use crate::tag::Tag;
@@ -30,21 +30,21 @@ pub(super) fn tags(texts: &[&str]) -> Vec<PollTag> {
     texts.iter().map(|text| PollTag::from(tag(text))).collect()
 }
 
-pub(super) struct Lab {
-    pub(super) device: Device,
+pub(super) struct TestRig {
+    pub(super) poller: StationPoller,
     pub(super) plc: FakePlc,
     pub(super) now: Instant,
     pub(super) start: Instant,
     pub(super) samples: Vec<Sample>,
-    /// Where in `samples` those begin that have not been looked at.
+    /// The number of samples that [`new_samples`](Self::new_samples) has returned.
     seen: usize,
     next_id: u64,
     answers: u32,
-    /// Cycles that dropped results.
+    /// Cycles that dropped results because of duplicates.
     pub(super) repeated: u32,
 }
 
-/// Its memory is another one for each request that it is asked, so that a value tells when it was read.
+/// A PLC whose memory changes with each request, so that a value identifies its request.
 pub(super) struct FakePlc {
     pub(super) refused: BTreeSet<(Symbol, u16)>,
     pub(super) refuses_all: bool,
@@ -52,23 +52,26 @@ pub(super) struct FakePlc {
     pub(super) max_registers: usize,
     pub(super) max_points: usize,
     pub(super) silent: bool,
-    /// Requests that touch this are not answered.
-    pub(super) silent_about: Option<(Symbol, u16)>,
-    pub(super) latency: Duration,
+    /// Requests that read this have no reply.
+    pub(super) ignored: Option<(Symbol, u16)>,
+    pub(super) response_time: Duration,
     pub(super) timeout: Duration,
-    /// The memory does not change.
+    /// Whether the memory is constant.
     pub(super) frozen: bool,
-    pub(super) asked: Vec<(Instant, ReadRequest)>,
-    /// When each memory was read.
+    pub(super) requests: Vec<(Instant, ReadRequest)>,
+    /// The version of the memory at the time of each reply.
     pub(super) epochs: BTreeMap<Instant, u64>,
-    /// All replies have the same shape; else each has one of its own.
+    /// Whether all replies have the same shape; otherwise each has a distinct one.
     pub(super) one_shape: bool,
-    /// The answer to this request, counted from 1, is a copy of the reply two requests before if that has its shape. The true
-    /// reply comes as an unexpected stray before the next answer.
+    /// From this request on, counted from 1, one reply is a roaming duplicate.
+    ///
+    /// It is the reply two requests before, if that has the same shape. The true reply comes as a
+    /// stray before the next reply.
     pub(super) roams_at: Option<usize>,
-    /// Such copies that were taken.
+    /// The number of roaming duplicates.
     pub(super) roamed: usize,
-    pub(super) left_over: bool,
+    /// Whether a stray comes before the next reply.
+    pub(super) stray_due: bool,
     last: Vec<(ReadRequest, Reply)>,
     pub(super) checks: u32,
     proof: Proof,
@@ -83,16 +86,16 @@ impl Default for FakePlc {
             max_registers: 64,
             max_points: 256,
             silent: false,
-            silent_about: None,
-            latency: ms(5),
+            ignored: None,
+            response_time: ms(5),
             timeout: ms(300),
             frozen: false,
-            asked: Vec::new(),
+            requests: Vec::new(),
             epochs: BTreeMap::new(),
             one_shape: false,
             roams_at: None,
             roamed: 0,
-            left_over: false,
+            stray_due: false,
             last: Vec::new(),
             checks: 0,
             proof: Proof::default(),
@@ -100,7 +103,7 @@ impl Default for FakePlc {
     }
 }
 
-/// The 16-bit parts that an element is made of.
+/// The 16-bit cells of an element.
 pub(super) fn cells(element: Element) -> Vec<(Symbol, u16)> {
     match element {
         Element::Register32(e) if e.symbol() != Symbol::DRC => {
@@ -149,29 +152,28 @@ impl FakePlc {
         if refused || !fits || self.refuses_all { Err(ErrorCode::IllegalAddress) } else { Ok(()) }
     }
 
-    /// What it answers, and how long that takes.
-    fn answer(&mut self, at: Instant, request: &ReadRequest) -> (Result<Reply, Error>, Duration) {
-        self.asked.push((at, request.clone()));
+    /// Returns the reply and how long it takes.
+    fn reply_to(&mut self, at: Instant, request: &ReadRequest) -> (Result<Reply, Error>, Duration) {
+        self.requests.push((at, request.clone()));
         let code = Code::ReadRegisters;
-        let silent =
-            self.silent_about.is_some_and(|cell| elements(request).into_iter().flat_map(cells).any(|c| c == cell));
+        let silent = self.ignored.is_some_and(|cell| elements(request).into_iter().flat_map(cells).any(|c| c == cell));
         if self.silent || silent {
             let error = Error::Timeout { station: 1, code, after: self.timeout, sent: true };
             return (Err(error), self.timeout);
         }
         if let Err(error) = self.takes(request) {
-            return (Err(Error::Plc { station: 1, code, error, repeated: false }), self.latency);
+            return (Err(Error::Plc { station: 1, code, error, repeated: false }), self.response_time);
         }
-        let epoch = if self.frozen { 0 } else { self.asked.len() as u64 };
-        self.epochs.insert(at + self.latency, epoch);
+        let epoch = if self.frozen { 0 } else { self.requests.len() as u64 };
+        self.epochs.insert(at + self.response_time, epoch);
         let values: Vec<Value> = elements(request).into_iter().map(|element| value(epoch, element)).collect();
         let bits = |value: &Value| if let Value::Bit(on) = value { *on } else { panic!("{value:?}") };
         let words = |value: &Value| if let Value::Word(word) = value { *word } else { panic!("{value:?}") };
-        let doubles = |value: &Value| if let Value::DWord(double) = value { *double } else { panic!("{value:?}") };
+        let dwords = |value: &Value| if let Value::DWord(double) = value { *double } else { panic!("{value:?}") };
         let reply = match request {
             ReadRequest::Discretes(_) => Reply::Bits(values.iter().map(bits).collect()),
             ReadRequest::Registers(_) => Reply::Words(values.iter().map(words).collect()),
-            ReadRequest::Registers32(_) => Reply::DWords(values.iter().map(doubles).collect()),
+            ReadRequest::Registers32(_) => Reply::DWords(values.iter().map(dwords).collect()),
             ReadRequest::Mixed(_) => Reply::Mixed(values),
         };
         self.last.push((request.clone(), reply.clone()));
@@ -180,15 +182,15 @@ impl FakePlc {
                 && elements(copied).len() == elements(request).len()
         };
         let copy = self.last.iter().rev().nth(2).filter(|(copied, _)| fits(copied));
-        if let (Some((_, copy)), true) = (copy, self.roams_at.is_some_and(|at| self.asked.len() >= at)) {
-            (self.roams_at, self.left_over) = (None, true);
+        if let (Some((_, copy)), true) = (copy, self.roams_at.is_some_and(|at| self.requests.len() >= at)) {
+            (self.roams_at, self.stray_due) = (None, true);
             self.roamed += 1;
-            return (Ok(copy.clone()), self.latency);
+            return (Ok(copy.clone()), self.response_time);
         }
-        (Ok(reply), self.latency)
+        (Ok(reply), self.response_time)
     }
 
-    /// The answer to a check, which takes no time.
+    /// Returns the result of a check, which takes no time.
     fn check(&mut self) -> (Result<Proof, Error>, Duration) {
         self.checks += 1;
         if self.silent {
@@ -200,17 +202,18 @@ impl FakePlc {
         (Ok(self.proof), Duration::ZERO)
     }
 
+    /// Lets a stray arrive that is due.
     fn stray(&mut self) {
-        self.proof.doubts += u32::from(std::mem::take(&mut self.left_over));
+        self.proof.doubts += u32::from(std::mem::take(&mut self.stray_due));
     }
 
-    /// Whether it answers a request for this tag alone.
+    /// Whether it refuses a request for this tag alone.
     pub(super) fn refuses(&self, tag: Tag) -> bool {
         tag.elements().flat_map(cells).any(|cell| self.refused.contains(&cell))
     }
 }
 
-impl Lab {
+impl TestRig {
     pub(super) fn new(seed: u64) -> Self {
         Self::with_limits(seed, Limits::new())
     }
@@ -218,8 +221,8 @@ impl Lab {
     pub(super) fn with_limits(seed: u64, limits: Limits) -> Self {
         let start = Instant::now();
         Self {
-            device: Device::new(
-                Polled { station: 1, retries: 2 },
+            poller: StationPoller::new(
+                StationParams { station: 1, retries: 2 },
                 (Arc::new(limits), CostModel::network(Framing::Ascii, ms(5))),
                 start,
                 seed,
@@ -251,7 +254,7 @@ impl Lab {
         self.next_id += tags.len() as u64;
         let ids: Vec<TagId> = (first..self.next_id).map(TagId).collect();
         let tags = ids.iter().copied().zip(tags).collect();
-        self.device.add(class, tags, one_scan, self.stamp())?;
+        self.poller.add(class, tags, one_scan, self.stamp())?;
         Ok(ids)
     }
 
@@ -259,68 +262,73 @@ impl Lab {
         self.try_add(class, tags(texts), false).unwrap()
     }
 
-    /// One request, or a wait that ends by then; `false`: nothing more before `end`.
+    /// Takes one step: request, check or wait. Returns `false` if nothing is due before `end`.
     pub(super) fn step(&mut self, end: Instant) -> bool {
         let mut samples = Vec::new();
-        let step = self.device.next(self.stamp(), &mut samples);
+        let step = self.poller.next_step(self.stamp(), &mut samples);
         self.samples.append(&mut samples);
         match step {
-            Step::Read(request) => {
+            PollStep::Read(request) => {
                 self.plc.stray();
-                let (result, takes) = self.plc.answer(self.now, &request);
+                let (result, takes) = self.plc.reply_to(self.now, &request);
                 self.wait(takes, &mut samples);
                 self.answer(result, Some(takes), &mut samples);
                 self.samples.append(&mut samples);
                 true
             }
-            Step::Confirm => {
+            PollStep::Confirm => {
                 self.confirm(&mut samples);
                 self.samples.append(&mut samples);
                 true
             }
-            Step::Wait(until) => {
+            PollStep::Wait(until) => {
                 let until = until.filter(|until| *until <= end);
-                assert!(until.is_none_or(|until| until > self.now), "it waits for what has been: {until:?}");
+                assert!(until.is_none_or(|until| until > self.now), "waits for a time in the past: {until:?}");
                 self.now = until.unwrap_or(end.max(self.now));
                 until.is_some()
             }
         }
     }
 
-    /// Gives this answer to the request that is on its way.
-    pub(super) fn answer(&mut self, result: Result<Reply, Error>, trip: Option<Duration>, samples: &mut Vec<Sample>) {
+    /// Ends the request in flight with this result.
+    pub(super) fn answer(
+        &mut self,
+        result: Result<Reply, Error>,
+        round_trip: Option<Duration>,
+        samples: &mut Vec<Sample>,
+    ) {
         self.answers += 1;
         let size = if self.plc.one_shape { 0 } else { self.answers };
         let shape = Shape { code: Code::ReadRegisters, size };
-        let answer = Answer { result, at: self.stamp(), trip, shape, proof: self.plc.proof };
-        self.repeated += u32::from(self.device.done(answer, samples));
+        let outcome = ReadOutcome { result, at: self.stamp(), round_trip, shape, proof: self.plc.proof };
+        self.repeated += u32::from(self.poller.handle_read(outcome, samples));
     }
 
-    /// Answers the check that is on its way.
+    /// Ends the check in flight.
     pub(super) fn confirm(&mut self, samples: &mut Vec<Sample>) {
         let (result, takes) = self.plc.check();
         self.wait(takes, samples);
         let now = self.stamp();
-        self.repeated += u32::from(self.device.confirmed(result, now, samples));
+        self.repeated += u32::from(self.poller.handle_check(result, now, samples));
     }
 
-    /// The next request, if there is one now. Checks before it are answered.
+    /// Returns the request that is due now, if any. Ends the checks before it.
     pub(super) fn request(&mut self, samples: &mut Vec<Sample>) -> Option<ReadRequest> {
         loop {
-            match self.device.next(self.stamp(), samples) {
-                Step::Read(request) => return Some(*request),
-                Step::Confirm => self.confirm(samples),
-                Step::Wait(_) => return None,
+            match self.poller.next_step(self.stamp(), samples) {
+                PollStep::Read(request) => return Some(*request),
+                PollStep::Confirm => self.confirm(samples),
+                PollStep::Wait(_) => return None,
             }
         }
     }
 
-    /// Waits for an answer. The driver wakes up for ages meanwhile.
+    /// Waits for a reply and ages the tags meanwhile, as the driver does.
     fn wait(&mut self, takes: Duration, samples: &mut Vec<Sample>) {
         let done = self.now + takes;
-        while let Some(at) = self.device.ages_at().filter(|at| *at < done) {
+        while let Some(at) = self.poller.next_aging().filter(|at| *at < done) {
             self.now = self.now.max(at);
-            self.device.age(self.stamp(), samples);
+            self.poller.age(self.stamp(), samples);
         }
         self.now = done;
     }
@@ -333,21 +341,21 @@ impl Lab {
         self.run_until(self.now + by);
     }
 
-    /// The samples since this was last called.
-    pub(super) fn news(&mut self) -> Vec<Sample> {
-        let news = self.samples[self.seen..].to_vec();
+    /// Returns the samples since the previous call.
+    pub(super) fn new_samples(&mut self) -> Vec<Sample> {
+        let samples = self.samples[self.seen..].to_vec();
         self.seen = self.samples.len();
-        news
+        samples
     }
 
-    /// The requests since this was last called.
-    pub(super) fn asked(&mut self) -> Vec<ReadRequest> {
-        std::mem::take(&mut self.plc.asked).into_iter().map(|(_, request)| request).collect()
+    /// Returns the requests since the previous call.
+    pub(super) fn take_requests(&mut self) -> Vec<ReadRequest> {
+        std::mem::take(&mut self.plc.requests).into_iter().map(|(_, request)| request).collect()
     }
 
-    /// What is known of it now; the samples that come of asking are kept.
+    /// Returns the current sample of a tag. Keeps the samples that the call makes.
     pub(super) fn latest(&mut self, id: TagId) -> Sample {
         let now = self.stamp();
-        self.device.sample(id, now, &mut self.samples).expect("a tag that is there")
+        self.poller.sample(id, now, &mut self.samples).expect("the tag is polled")
     }
 }
