@@ -48,7 +48,7 @@ impl CostModel {
         Self {
             framing,
             byte_time: line.transmission(1),
-            turnaround: line.gap(),
+            turnaround: line.frame_gap(),
             latency: DEFAULT_LATENCY,
             overhead: Duration::ZERO,
         }

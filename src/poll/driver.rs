@@ -8,7 +8,7 @@ use tokio::time::{Instant, timeout_at};
 use super::device::{Answer, Device, Step};
 use super::{Sample, Shared, Stamp, Unit};
 use crate::command::LoopBack;
-use crate::link::{Answered, Purpose};
+use crate::link::{CallOutcome, Purpose};
 
 /// Ends the unit with the task, whatever ends it: what is not polled any more must not pass for being so.
 struct Ending(Arc<Shared>, Arc<Unit>);
@@ -30,7 +30,7 @@ pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>) {
             Some(Step::Wait(until)) => changed_or_at(&unit.changed, until).await,
             Some(Step::Read(request)) => {
                 let Some(answered) = answer(shared, unit, request.call_in_cycle(&unit.station)).await else { return };
-                let Answered { result, at, shape, proof, .. } = answered;
+                let CallOutcome { result, replied_at: at, shape, proof, .. } = answered;
                 let trip = unit.station.stats().round_trip.map(|trip| trip.last);
                 let at = Stamp::of(at.unwrap_or_else(Instant::now));
                 let answer = Answer { result, at, trip, shape, proof };
@@ -39,7 +39,7 @@ pub(super) async fn run(shared: Arc<Shared>, unit: Arc<Unit>) {
             }
             Some(Step::Confirm) => {
                 let check = unit.station.submit(LoopBack::empty(), Purpose::Confirm(()));
-                let Some(Answered { result, proof, .. }) = answer(shared, unit, check).await else { return };
+                let Some(CallOutcome { result, proof, .. }) = answer(shared, unit, check).await else { return };
                 let result = result.map(|()| proof);
                 let repeated = advance(shared, unit, |device, now, samples| device.confirmed(result, now, samples));
                 count_repeated(unit, repeated);
@@ -54,7 +54,7 @@ fn count_repeated(unit: &Unit, repeated: Option<bool>) {
             station = unit.station.number(),
             "an unexpected frame came within a cycle: its values are dropped"
         );
-        unit.station.link().board().job_repeated(unit.station.number());
+        unit.station.link().shared_stats().count_repeated_job(unit.station.number());
     }
 }
 

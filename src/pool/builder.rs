@@ -9,7 +9,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::{Pool, Shared, Slots};
 use crate::endpoint::{Endpoint, Transport};
-use crate::link::{BoxIo, Connector, Gate, Link, LinkBuilder};
+use crate::link::{BoxIo, ConnectLimiter, Connector, Link, LinkBuilder};
 use crate::random::Random;
 
 /// The most connections that a FATEK Ethernet module takes.
@@ -150,7 +150,7 @@ impl PoolBuilder {
             max_endpoints: self.max_endpoints,
             links_per_endpoint: self.links_per_endpoint,
             idle_timeout: self.idle_timeout,
-            gate: Gate::new(self.connects_at_once, self.connects_per_second, seed),
+            connect_limiter: ConnectLimiter::new(self.connects_at_once, self.connects_per_second, seed),
             configure: self.configure,
             connect: self.connect,
         };
@@ -175,7 +175,7 @@ pub(super) struct Settings {
     pub(super) max_endpoints: usize,
     pub(super) links_per_endpoint: usize,
     idle_timeout: Option<Duration>,
-    gate: Arc<Gate>,
+    connect_limiter: Arc<ConnectLimiter>,
     configure: Option<Configure>,
     connect: Option<Connect>,
 }
@@ -187,15 +187,17 @@ impl Settings {
         // Opening a socket for UDP or a port of this machine hits nobody, and a doubt on UDP must get a fresh one soon.
         let remote = matches!(endpoint.transport(), Transport::Tcp { .. });
         if remote || self.connect.is_some() {
-            builder = builder.gate(self.gate.clone());
+            builder = builder.connect_limiter(self.connect_limiter.clone());
         }
         if let Some(configure) = &self.configure {
             builder = configure(builder);
         }
         if let Some(connect) = self.connect.clone() {
             let endpoint = endpoint.clone();
-            builder = builder
-                .connector(Connector::Custom { open: Box::new(move || connect(endpoint.clone())), tells: false });
+            builder = builder.connector(Connector::Custom {
+                open: Box::new(move || connect(endpoint.clone())),
+                wakes_reader: false,
+            });
         }
         builder.idle_timeout(self.idle_timeout).build()
     }

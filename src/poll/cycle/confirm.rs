@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use super::{Bench, Cycle, Phase, Start};
 use crate::error::{Error, ErrorCode};
-use crate::link::job::{Job, Progress};
+use crate::link::job::{Job, JobProgress};
 use crate::link::{Proof, Shape};
 use crate::plan::Words;
 use crate::poll::{Reason, Stamp, TagId};
@@ -71,7 +71,7 @@ impl Cycle {
         bench: &mut Bench<'_>,
     ) {
         let progress = self.held.job.answered(self.held.mark(), shape, proof);
-        if progress != Progress::Go {
+        if progress != JobProgress::Go {
             return self.rewind(progress, at, bench);
         }
         let confirmed = self.held.job.first_held().unwrap_or(self.held.mark());
@@ -108,7 +108,7 @@ impl Cycle {
             }
         };
         match (progress, then) {
-            (Progress::Go, then) => {
+            (JobProgress::Go, then) => {
                 self.give_out(usize::MAX, bench);
                 match then {
                     Some(Then::Refused(code)) => self.refused(code, now, bench),
@@ -116,7 +116,7 @@ impl Cycle {
                     Some(Then::NextPhase) | None => self.settle(now, bench),
                 }
             }
-            (Progress::Rewind(_) | Progress::Failed(_), Some(Then::Abandon(reason, start))) => {
+            (JobProgress::Rewind(_) | JobProgress::Failed(_), Some(Then::Abandon(reason, start))) => {
                 bench.repeated = true;
                 self.drop_held();
                 self.abandon(reason, start);
@@ -137,17 +137,17 @@ impl Cycle {
     }
 
     /// What is held may be the values of other requests.
-    fn rewind(&mut self, progress: Progress<usize>, now: Stamp, bench: &mut Bench<'_>) {
+    fn rewind(&mut self, progress: JobProgress<usize>, now: Stamp, bench: &mut Bench<'_>) {
         bench.repeated = true;
         self.drop_held();
         match progress {
-            Progress::Go | Progress::Rewind(_) => {
+            JobProgress::Go | JobProgress::Rewind(_) => {
                 self.stack.clear();
                 self.probe.clear();
                 self.phase = Phase::Members;
                 self.begin(now, bench);
             }
-            Progress::Failed(_) => {
+            JobProgress::Failed(_) => {
                 let error = Error::Duplicates { station: bench.known.polled.station, sent: true };
                 self.abandon(Reason::Failed(Arc::new(error)), Start::default());
             }
