@@ -1,5 +1,5 @@
-//! An async client for FATEK / FACON PLCs: the ASCII and the binary framing, one link shared by many callers and many
-//! stations, and a simulated PLC to test against.
+//! An async client for FATEK / FACON PLCs: ASCII and binary framing, one link shared by many
+//! callers and many stations, and a simulated PLC for tests.
 //!
 //! ```
 //! # #[cfg(feature = "sim")]
@@ -28,39 +28,42 @@
 //!
 //! ```text
 //! station.read_registers(R12, 3)                    Station      one async method per command
-//!   → ReadRegisters { first, count }                command      what is asked: typed, checked, framing-free
+//!   → ReadRegisters { first, count }                command      typed and checked, independent of framing
 //!   → "03" "R00012"  |  03 52 00 0C                 wire         its fields, in ASCII or in binary
 //!   → STX 01 46 … ETX  |  51 10 00 06 … 55 AA       wire         tokio_util codec: frames in, frames out
 //!   → queued, sent, awaited, matched                link         one task owns one connection
 //! and back the same way: bytes → frame → matched to its request → fields → Vec<u16>
 //! ```
 //!
-//! - [`mod@element`]: what a PLC is made of: `X0`, `WM8`, `R12`, `DR100` …
-//! - [`tag`]: an element, or a range of them, with a type: `R100:f32`.
-//! - [`command`]: the fourteen commands, each one type.
+//! - [`mod@element`]: the elements of a PLC: `X0`, `WM8`, `R12`, `DR100` …
+//! - [`tag`]: an element or a range with a type: `R100:f32`.
+//! - [`command`]: the fourteen commands, one type each.
 //! - [`plan`]: the cheapest requests for a set of tags.
-//! - [`poll`]: [`Poller`], tags read again and again, as a stream of samples.
+//! - [`poll`]: [`Poller`] polls tags periodically and yields samples as a stream.
 //! - [`wire`]: the two framings, usable alone.
-//! - [`link`]: [`Link`], [`Station`] and [`Broadcast`], and what decides between them.
-//! - [`pool`]: [`Pool`], the links to many PLCs.
-//! - [`mod@backup`]: [`Backup`], ranges of registers and discretes: read, saved, compared, written back.
-//! - [`program`]: [`Program`], the pages of a PLC together: read, saved, compared, written.
-//! - [`file`](mod@file): what is saved in files, and what can be wrong with them; [`progress`]: how far a transfer has come.
+//! - [`link`]: [`Link`], one connection, with its options and counters.
+//! - [`Station`] and [`Broadcast`]: the handles to one PLC, and to all PLCs of a link.
+//! - [`pool`]: [`Pool`], links to many PLCs by endpoint.
+//! - [`mod@backup`]: [`Backup`], ranges of registers and discretes: take, save, compare, restore.
+//! - [`program`]: [`Program`], all pages of the user program: read, save, compare, write.
+//! - [`file`](mod@file): saved files and their errors. [`progress`]: the progress of a transfer.
 #![cfg_attr(feature = "sim", doc = "- [`sim`]: a PLC in memory, and its server.")]
 //!
-//! # What it promises
+//! # Guarantees
 //!
-//! 1. **No reply reaches the wrong request**, also when replies come late, twice, from an earlier connection or to a broadcast.
-//!    The protocol has no transaction id. So a reply must match station, command and exact shape, and nothing that may still
-//!    come could answer the request: equal requests in turn are spelt differently, and a check (a loop-back with a new nonce)
-//!    goes between where that cannot be, on each new connection, and after any doubt. See
-//!    [`endpoint::InStepSettings`] for what is assumed of a line.
-//! 2. **No write is repeated behind the caller's back.** Reads are repeated, writes and control only by choice
-//!    ([`CallOptions::retry_writes`]); [`Error::may_have_executed`] tells what is known.
+//! 1. **No reply reaches the wrong request**, also when replies come late, twice, from an earlier
+//!    connection or to a broadcast. The protocol has no transaction id. So a reply must match
+//!    station, command and exact shape, and nothing that may still come could answer the request:
+//!    equal requests in turn are spelt differently. A check (a loop-back with a new nonce)
+//!    separates them where that is impossible, on each new connection, and after any doubt. See
+//!    [`endpoint::InStepSettings`] for the assumptions about a line.
+//! 2. **No write is retried without consent.** Reads are retried; writes and control commands only
+//!    with [`CallOptions::retry_writes`]. [`Error::may_have_executed`] tells whether the PLC may
+//!    have executed them.
 //! 3. **Every call ends by its deadline**, queueing, connecting and retries included.
 //! 4. **One silent station does not stop the others.** Its calls fail at once while it is offline.
-//! 5. **No bytes from the wire can panic, hang or grow it.**
-//! 6. **A dropped future harms nobody.**
+//! 5. **No input can cause a panic, a hang or unbounded memory use.**
+//! 6. **All futures are cancel-safe.**
 //! 7. **Broadcasts never wait for an answer.**
 //!
 //! # Features
@@ -139,7 +142,7 @@ pub use pool::{Pool, PoolBuilder, PoolError, PoolStats};
 pub use program::Program;
 pub use station::{Broadcast, Station};
 
-/// The code in the README compiles and runs.
+/// Compiles and runs the examples of the README.
 #[cfg(all(doctest, feature = "sim"))]
 #[doc = include_str!("../README.md")]
 pub struct Readme;

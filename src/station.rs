@@ -7,7 +7,7 @@ mod job;
 mod place;
 mod program;
 
-// The last one: the documentation has its methods just before those below.
+// Declared last: rustdoc then lists its methods just before those below.
 mod handle;
 
 use bytes::Bytes;
@@ -25,9 +25,9 @@ pub use self::handle::Station;
 pub(crate) use self::job::{JobReply, Outcome, StationJob};
 pub(crate) use self::place::{BegunWith, OtherStation};
 
-/// The commands, by name.
+/// One method for each command.
 impl Station {
-    /// 40: reads the brief status: whether it runs, and what is wrong.
+    /// Reads the brief status (40): RUN or STOP, and the faults.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -37,12 +37,12 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn read_status(&self) -> Result<BriefStatus, Error> {
         self.call(ReadStatus).await
     }
 
-    /// 53: reads the detailed status: what it is, and how large its memory is.
+    /// Reads the detailed status (53): the model, and the sizes of its memory.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -52,22 +52,23 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn read_detailed_status(&self) -> Result<DetailedStatus, Error> {
         self.call(ReadDetailedStatus).await
     }
 
-    /// 41: starts the ladder program.
+    /// Starts the ladder program (41).
     ///
     /// # Errors
-    /// As for every method of this type; the PLC may refuse with [`LadderChecksum`](crate::ErrorCode::LadderChecksum),
+    /// Those of [every method](Self#errors). The PLC may refuse with
+    /// [`LadderChecksum`](crate::ErrorCode::LadderChecksum),
     /// [`IdMismatch`](crate::ErrorCode::IdMismatch), [`Syntax`](crate::ErrorCode::Syntax) or
     /// [`NotSupported`](crate::ErrorCode::NotSupported).
     pub async fn run(&self) -> Result<(), Error> {
         self.call(ControlPlc::Run).await
     }
 
-    /// 41: stops the ladder program.
+    /// Stops the ladder program (41).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -77,12 +78,13 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn stop(&self) -> Result<(), Error> {
         self.call(ControlPlc::Stop).await
     }
 
-    /// 42: disables a discrete: its state no longer follows the program or the input, and stays as it is set or reset.
+    /// Disables a discrete (42): it no longer follows the program or the input, and keeps the state
+    /// that is set.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -95,20 +97,20 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn disable(&self, discrete: Discrete) -> Result<(), Error> {
         self.control(DiscreteControl::Disable, discrete).await
     }
 
-    /// 42: enables a discrete: its state follows the program or the input again.
+    /// Enables a discrete (42): it follows the program or the input again.
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn enable(&self, discrete: Discrete) -> Result<(), Error> {
         self.control(DiscreteControl::Enable, discrete).await
     }
 
-    /// 42: sets a discrete: on.
+    /// Sets a discrete (42): on.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -118,15 +120,15 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn set(&self, discrete: Discrete) -> Result<(), Error> {
         self.control(DiscreteControl::Set, discrete).await
     }
 
-    /// 42: resets a discrete: off.
+    /// Resets a discrete (42): off.
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn reset(&self, discrete: Discrete) -> Result<(), Error> {
         self.control(DiscreteControl::Reset, discrete).await
     }
@@ -135,17 +137,19 @@ impl Station {
         self.call(ControlDiscrete::new(control, discrete)).await
     }
 
-    /// 43: reads which of `count` consecutive discretes are disabled: `true` is disabled. Each 256 are one request, of
-    /// [one scan](#any-length).
+    /// Reads which of `count` consecutive discretes are disabled (43): `true` is disabled.
+    ///
+    /// Each 256 are one request, of [one scan](#any-length).
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn read_disabled(&self, first: Discrete, count: usize) -> Result<Vec<bool>, Error> {
         any_length::read(self, first, count, ReadDisabled::new).await
     }
 
-    /// 44: reads the states of `count` consecutive discretes: `true` is on. Each 256 are one request, of
-    /// [one scan](#any-length).
+    /// Reads the states of `count` consecutive discretes (44): `true` is on.
+    ///
+    /// Each 256 are one request, of [one scan](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -155,16 +159,16 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn read_discretes(&self, first: Discrete, count: usize) -> Result<Vec<bool>, Error> {
         any_length::read(self, first, count, ReadDiscretes::new).await
     }
 
-    /// 44: reads the states of consecutive discretes, as many as `into` has places: as
-    /// [`read_discretes`](Self::read_discretes), without a new `Vec` for each call.
+    /// Reads the states of consecutive discretes (44) into `into`: `true` is on.
     ///
-    /// After an error, or when the future was dropped, `into` is as after one of
-    /// [`read_registers_into`](Self::read_registers_into); a request is 256 discretes.
+    /// As [`read_discretes`](Self::read_discretes), without a new `Vec` for each call. For the
+    /// content of `into` after an error, or if the future is dropped, see
+    /// [`read_registers_into`](Self::read_registers_into); one request is 256 discretes.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -174,12 +178,14 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn read_discretes_into(&self, first: Discrete, into: &mut [bool]) -> Result<(), Error> {
         any_length::read_into::<_, _, MAX_POINTS>(self, first, into, ReadDiscretes::new).await
     }
 
-    /// 45: writes the states of consecutive discretes: `true` is on. Each 256 are [one request](#any-length).
+    /// Writes the states of consecutive discretes (45): `true` is on.
+    ///
+    /// Each 256 are [one request](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -188,14 +194,15 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type, and [`Error::PartlyWritten`].
+    /// Those of [every method](Self#errors), and [`Error::PartlyWritten`].
     pub async fn write_discretes(&self, first: Discrete, states: &[bool]) -> Result<(), Error> {
         any_length::write(self, first, states, |first, states: &[bool]| WriteDiscretes::new(first, states)).await
     }
 
-    /// 46: reads `count` consecutive registers of 16 bits. Each 64 are one request, of [one scan](#any-length).
+    /// Reads `count` consecutive registers of 16 bits (46).
     ///
-    /// Words of discretes count as registers: after `WY8` comes `WY24`.
+    /// Each 64 are one request, of [one scan](#any-length). Words of discretes count as registers:
+    /// `WY24` comes after `WY8`.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -205,17 +212,20 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn read_registers(&self, first: Register, count: usize) -> Result<Vec<u16>, Error> {
         any_length::read(self, first, count, ReadRegisters::new).await
     }
 
-    /// 46: reads consecutive registers of 16 bits, as many as `into` has places: as
-    /// [`read_registers`](Self::read_registers), without a new `Vec` for each call. Once the link has made a few calls,
-    /// such a call takes no memory from the heap, unless more than 16 calls are under way on the link.
+    /// Reads consecutive registers of 16 bits (46) into `into`.
     ///
-    /// All of `into` is filled when this succeeds. Up to 64 registers are all read, or none is. Of more, a part may have been
-    /// overwritten after an error, or when the future was dropped: the values of several requests are good only together.
+    /// As [`read_registers`](Self::read_registers), without a new `Vec` for each call. After a
+    /// link's first calls, such a call allocates no memory, unless more than 16 calls are under way
+    /// on the link.
+    ///
+    /// On success all of `into` is filled. Up to 64 registers are filled completely or not at all.
+    /// Of more, a part may have been overwritten after an error, or if the future is dropped: the
+    /// values of several requests are good only together.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -227,13 +237,15 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type; [`InvalidRequest::Count`](crate::command::InvalidRequest::Count) when `into` is
-    /// empty.
+    /// Those of [every method](Self#errors);
+    /// [`InvalidRequest::Count`](crate::command::InvalidRequest::Count) if `into` is empty.
     pub async fn read_registers_into(&self, first: Register, into: &mut [u16]) -> Result<(), Error> {
         any_length::read_into::<_, _, MAX_UNITS>(self, first, into, ReadRegisters::new).await
     }
 
-    /// 47: writes consecutive registers of 16 bits. Each 64 are [one request](#any-length).
+    /// Writes consecutive registers of 16 bits (47).
+    ///
+    /// Each 64 are [one request](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -242,13 +254,14 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type, and [`Error::PartlyWritten`].
+    /// Those of [every method](Self#errors), and [`Error::PartlyWritten`].
     pub async fn write_registers(&self, first: Register, values: &[u16]) -> Result<(), Error> {
         any_length::write(self, first, values, |first, values: &[u16]| WriteRegisters::new(first, values)).await
     }
 
-    /// 46: reads `count` consecutive registers of 32 bits: `DR0`, `DR2`, `DR4` … Each 32 are one request, of
-    /// [one scan](#any-length).
+    /// Reads `count` consecutive registers of 32 bits (46): `DR0`, `DR2`, `DR4` …
+    ///
+    /// Each 32 are one request, of [one scan](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -258,12 +271,14 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn read_registers32(&self, first: Register32, count: usize) -> Result<Vec<u32>, Error> {
         any_length::read(self, first, count, ReadRegisters::new).await
     }
 
-    /// 47: writes consecutive registers of 32 bits. Each 32 are [one request](#any-length).
+    /// Writes consecutive registers of 32 bits (47).
+    ///
+    /// Each 32 are [one request](#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -273,12 +288,13 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type, and [`Error::PartlyWritten`].
+    /// Those of [every method](Self#errors), and [`Error::PartlyWritten`].
     pub async fn write_registers32(&self, first: Register32, values: &[u32]) -> Result<(), Error> {
         any_length::write(self, first, values, |first, values: &[u32]| WriteRegisters::new(first, values)).await
     }
 
-    /// 48: reads any elements in one request, in the order given: up to 64, where one of 32 bits counts two.
+    /// Reads any elements in one request (48), in the order given: up to 64, where one of 32 bits
+    /// counts two.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -290,12 +306,12 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn read_mixed(&self, elements: &[Element]) -> Result<Vec<Value>, Error> {
         self.call(ReadMixed::new(elements)?).await
     }
 
-    /// 49: writes any elements in one request: up to 32, where one of 32 bits counts two.
+    /// Writes any elements in one request (49): up to 32, where one of 32 bits counts two.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -306,12 +322,13 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn write_mixed(&self, items: &[(Element, Value)]) -> Result<(), Error> {
         self.call(WriteMixed::new(items)?).await
     }
 
-    /// 4E: sends up to 256 characters (ASCII framing) or bytes (binary framing), which the PLC must return as they are.
+    /// Sends data that the PLC must return unchanged (4E): up to 256 characters in the ASCII
+    /// framing, bytes in the binary framing.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -320,12 +337,12 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn loop_back(&self, data: impl Into<Bytes>) -> Result<(), Error> {
         self.call(LoopBack::new(data)?).await
     }
 
-    /// 4F: reads one page of the program; page 0 is the header. ASCII framing only.
+    /// Reads one page of the program (4F); page 0 is the header. ASCII framing only.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -335,20 +352,23 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type;
-    /// [`InvalidRequest::NotInFraming`](crate::command::InvalidRequest::NotInFraming) in the binary framing.
+    /// Those of [every method](Self#errors);
+    /// [`InvalidRequest::NotInFraming`](crate::command::InvalidRequest::NotInFraming) in the binary
+    /// framing.
     pub async fn read_program_page(&self, page: u16) -> Result<ProgramPage, Error> {
         self.call(ReadProgramPage::new(page)).await
     }
 
-    /// 50: writes one page of the program, as [`read_program_page`](Self::read_program_page) gave it. ASCII framing
-    /// only.
+    /// Writes one page of the program (50), as read by
+    /// [`read_program_page`](Self::read_program_page). ASCII framing only.
     ///
-    /// A PLC that runs may refuse with [`IllegalFormat`](crate::ErrorCode::IllegalFormat): stop it first.
+    /// A PLC in RUN may refuse with [`IllegalFormat`](crate::ErrorCode::IllegalFormat): stop it
+    /// first.
     ///
     /// # Errors
-    /// As for every method of this type;
-    /// [`InvalidRequest::NotInFraming`](crate::command::InvalidRequest::NotInFraming) in the binary framing.
+    /// Those of [every method](Self#errors);
+    /// [`InvalidRequest::NotInFraming`](crate::command::InvalidRequest::NotInFraming) in the binary
+    /// framing.
     pub async fn write_program_page(&self, page: u16, content: &ProgramPage) -> Result<(), Error> {
         self.call(WriteProgramPage::new(page, content.clone())).await
     }

@@ -153,7 +153,7 @@ async fn the_gap_begins_when_the_reply_has_been_read_however_long_that_takes() {
     let (client, plc) = duplex(4096);
     let odd = Odd { reads_for: gap / 2, ..Odd::new(client) };
     let log = odd.log.clone();
-    let link = Link::stream_builder(odd, Framing::Ascii).gap(gap).in_step(undoubled()).build();
+    let link = Link::stream_builder(odd, Framing::Ascii).frame_gap(gap).in_step(undoubled()).build();
     tokio::spawn(Peer::new(plc).serve());
     let plc = station(&link);
     for _ in 0..3 {

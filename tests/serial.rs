@@ -112,7 +112,7 @@ async fn the_time_for_an_answer_begins_when_the_last_bit_is_on_the_line() {
 async fn the_line_is_left_alone_after_an_answer() {
     for (gap, expected) in [(None, CHARACTER * 7 / 2), (Some(Duration::from_millis(50)), Duration::from_millis(50))] {
         let (builder, mut peer) = line();
-        let builder = if let Some(gap) = gap { builder.gap(gap) } else { builder };
+        let builder = if let Some(gap) = gap { builder.frame_gap(gap) } else { builder };
         let station = builder.build().station(1).unwrap();
         tokio::spawn(async move { while station.read_registers(register!("R0"), 1).await.is_ok() {} });
         peer.echo().await;

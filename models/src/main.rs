@@ -1,11 +1,11 @@
 //! Takes the models through every interleaving up to a bound; then sees whether they find faults. See the README.
 
-mod hub;
 mod lock;
+mod shared;
 
 use std::process::{Command, ExitCode, Stdio};
 
-use self::hub::{Ending, Fault, Model};
+use self::shared::{Ending, Fault, Model};
 
 /// How often a thread is interrupted at most, other than where it waits.
 const BOUND: usize = 2;
@@ -27,7 +27,7 @@ fn main() -> ExitCode {
             let (Some(model), Some(ending)) = (named(&Model::ALL, model), named(&Ending::ALL, ending)) else {
                 return ExitCode::from(2);
             };
-            hub::run(model, ending, named(&Fault::ALL, fault), bound.parse().unwrap_or(BOUND));
+            shared::run(model, ending, named(&Fault::ALL, fault), bound.parse().unwrap_or(BOUND));
             true
         }
         _ => {

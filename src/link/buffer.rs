@@ -1,27 +1,28 @@
-//! A buffer that all links of a thread share, for what is in their hands for a moment: a request while it is written, bytes
-//! while they are understood. A link waits most of the time, and there may be thousands, so none keeps its own.
+//! A buffer per thread, shared by its links for bytes in use: a request being written, received
+//! bytes being decoded. Most links are idle most of the time, so none of thousands keeps a buffer
+//! of its own.
 
 use std::cell::Cell;
 
 use bytes::BytesMut;
 
-/// The longest reply fits.
+/// Size of the buffer: the longest reply fits.
 pub(crate) const LEN: usize = 1024;
 
 thread_local! {
     static BUFFER: Cell<BytesMut> = Cell::new(BytesMut::new());
 }
 
-/// Borrows it, empty; if it is out already, this is another one.
+/// Takes the thread's buffer, empty. If it is taken already, returns a new one.
 pub(crate) fn borrow() -> BytesMut {
-    // A thread that is about to end has none any more.
+    // A thread that is ending has none.
     let mut buffer = BUFFER.try_with(Cell::take).unwrap_or_default();
     buffer.clear();
     buffer.reserve(LEN);
     buffer
 }
 
-/// Gives it back.
+/// Returns a buffer to the thread.
 pub(crate) fn give_back(buffer: BytesMut) {
     let _ = BUFFER.try_with(|place| place.set(buffer));
 }

@@ -3,71 +3,71 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 
-use super::call::Spares;
+use super::call::SpareSlots;
 use super::config::Config;
+use super::connect_limiter::ConnectLimiter;
 use super::core::Core;
 use super::driver::Driver;
-use super::gate::Gate;
-use super::hub::Hub;
 use super::line::Line;
 use super::options::{CallOptions, EchoMode};
-use super::stations::Rules;
-use super::stats::Board;
+use super::shared::Shared;
+use super::stations::OfflineRules;
+use super::stats::SharedStats;
 use super::transport::Connector;
-use super::{Link, LinkState, Shared};
+use super::{Link, LinkInner, LinkState};
 use crate::endpoint::{InStepSettings, SerialSettings};
 use crate::random::Random;
 use crate::wire::{Framing, LONGEST_FRAME};
 
-/// Settings of a link. Each has a default that suits one PLC on an Ethernet module.
+/// Settings of a link. The defaults suit one PLC on an Ethernet module.
 #[derive(Debug)]
 #[must_use]
 pub struct LinkBuilder {
     connector: Connector,
     options: CallOptions,
-    /// The response timeout, unless the options have one.
+    /// The response timeout if the options have none.
     response_timeout: Duration,
     connect_timeout: Duration,
     line: Option<Line>,
     pub(super) config: Config,
     seed: Option<u64>,
-    gate: Option<Arc<Gate>>,
+    connect_limiter: Option<Arc<ConnectLimiter>>,
 }
 
 impl LinkBuilder {
-    /// How calls are treated, unless a [`Station`](crate::Station) has options of its own.
+    /// Sets how calls are treated, unless a [`Station`](crate::Station) has options of its own.
     pub fn options(mut self, options: CallOptions) -> Self {
         self.options = options;
         self
     }
 
-    /// How long a PLC has for its answer; the same as [`CallOptions::response_timeout`]. Default: 1 s, on a serial line
-    /// 300 ms and the time that the bytes take.
+    /// Sets the response timeout, as [`CallOptions::response_timeout`]. Default: 1 s, or 300 ms on
+    /// a serial line, where the transmission times come on top.
     pub fn response_timeout(mut self, timeout: Duration) -> Self {
         self.options = self.options.response_timeout(timeout);
         self
     }
 
-    /// How long a whole call may take; the same as [`CallOptions::call_timeout`]. Default: 10 s.
+    /// Sets the timeout of a whole call, as [`CallOptions::call_timeout`]. Default: 10 s.
     pub fn call_timeout(mut self, timeout: Duration) -> Self {
         self.options = self.options.call_timeout(timeout);
         self
     }
 
-    /// How often a read is sent again; the same as [`CallOptions::retries`]. Default: 2.
+    /// Sets the number of retries of a read, as [`CallOptions::retries`]. Default: 2.
     pub fn retries(mut self, retries: u32) -> Self {
         self.options = self.options.retries(retries);
         self
     }
 
-    /// How long one attempt to connect may take. Default: 3 s.
+    /// Sets the timeout of one attempt to connect. Default: 3 s.
     pub fn connect_timeout(mut self, timeout: Duration) -> Self {
         self.connect_timeout = timeout;
         self
     }
 
-    /// Whether TCP connections ask for signs of life when nothing has come for 30 s, then every 10 s, and end if there are
-    /// none. Default: `true`.
+    /// Sets TCP keep-alive: the first probe after 30 s of silence, then one every 10 s; without an
+    /// answer the connection ends. Default: `true`.
     ///
     /// Only for a link to an [`Endpoint`](crate::Endpoint).
     pub fn keep_alive(mut self, on: bool) -> Self {
@@ -77,12 +77,12 @@ impl LinkBuilder {
         self
     }
 
-    /// Says that the stream is a serial line with these settings, which is opened elsewhere. A link to a serial
-    /// [`Endpoint`](crate::Endpoint) knows that already.
+    /// Declares that the stream is a serial line with these settings, opened elsewhere. A link to a
+    /// serial [`Endpoint`](crate::Endpoint) needs no such call.
     ///
-    /// The time that bytes take on the line is then heeded, the stream is never flushed (of a serial port that would
-    /// wait, and all other tasks with it, until the last bit is on the line), and what the settings of a serial link
-    /// default to is set. So call it before the others.
+    /// The link then takes transmission times into account and never flushes the stream: flushing a
+    /// serial port blocks the thread until the last bit is on the line. This sets the defaults of a
+    /// serial link, so call it before the other setters.
     ///
     /// ```
     /// use fatek::Link;
@@ -99,72 +99,78 @@ impl LinkBuilder {
         self.response_timeout = Duration::from_millis(300);
         self.config.frame_time = line.transmission(LONGEST_FRAME);
         self.config.byte_time = line.transmission(1);
-        self.config.gap = line.gap();
+        self.config.frame_gap = line.frame_gap();
         self.config.broadcast_gap = Duration::from_millis(100);
-        self.config.settle = self.config.settle.max(line.gap());
+        self.config.settle = self.config.settle.max(line.frame_gap());
         self.config.echo = EchoMode::Auto;
         self
     }
 
-    /// The pause between the end of an answer and the next request, in which RS-485 drivers turn around. Default: none,
-    /// on a serial line the time of three and a half characters, and at least 2 ms.
-    pub fn gap(mut self, gap: Duration) -> Self {
-        self.config.gap = gap;
+    /// Sets the frame gap: the silence between the end of a reply and the next request, in which
+    /// RS-485 drivers turn around. Default: none; on a serial line three and a half characters, at
+    /// least 2 ms.
+    pub fn frame_gap(mut self, gap: Duration) -> Self {
+        self.config.frame_gap = gap;
         self
     }
 
-    /// The pause after a broadcast, in which the PLCs do what they were told. Default: none, on a serial line 100 ms.
+    /// Sets the silence after a broadcast, in which the PLCs execute it. Default: none; on a serial
+    /// line 100 ms.
     pub fn broadcast_gap(mut self, gap: Duration) -> Self {
         self.config.broadcast_gap = gap;
         self
     }
 
-    /// Whether waiting calls fail as soon as an attempt to connect does. Default: `false`, they wait for the next
-    /// attempt until their own time is up.
+    /// Sets whether waiting calls fail with the first failed attempt to connect. Default: `false`:
+    /// they wait for the next attempt until their own deadline.
     pub fn fail_fast(mut self, fail_fast: bool) -> Self {
         self.config.fail_fast = fail_fast;
         self
     }
 
-    /// The pause after a failed attempt to connect: it doubles from `shortest` to `longest`, less up to a half at
-    /// random. Default: 0.1 s to 30 s.
+    /// Sets the back-off after a failed attempt to connect. It doubles from `shortest` to
+    /// `longest`, less up to a half as jitter. Default: 0.1 s to 30 s.
     pub fn connect_backoff(mut self, shortest: Duration, longest: Duration) -> Self {
         self.config.connect_backoff = (shortest, longest.max(shortest));
         self
     }
 
-    /// After how many timeouts in a row a station is offline; 0 for never. Default: 3.
+    /// Sets after how many timeouts in a row a station is offline; 0: never. Default: 3.
     pub fn offline_after(mut self, timeouts: u32) -> Self {
-        self.config.rules.offline_after = if timeouts == 0 { u32::MAX } else { timeouts };
+        self.config.offline_rules.offline_after = if timeouts == 0 { u32::MAX } else { timeouts };
         self
     }
 
-    /// How many calls can wait for one station. Default: 1024.
+    /// Sets how many calls can wait for one station. Default: 1024.
     pub fn queue_capacity(mut self, calls: usize) -> Self {
         self.config.queue_capacity = calls.max(1);
         self
     }
 
-    /// The shortest and the longest time between two probes of a station that is offline: it doubles from the one to the
-    /// other. Default: 1 s to 60 s. While other stations of the link answer, all probes together use at most a twentieth of
-    /// the line's time, so that they may come later than that. When a station is back, or the connection is lost, the others
-    /// are probed as soon as possible.
+    /// Sets the time between two probes of an offline station: it doubles from `shortest` to
+    /// `longest`. Default: 1 s to 60 s.
+    ///
+    /// While other stations of the link answer, all probes together use at most a twentieth of the
+    /// line's time, so they may be further apart. When a station is back, or the connection is
+    /// lost, the others are probed as soon as possible.
     pub fn probe_interval(mut self, shortest: Duration, longest: Duration) -> Self {
-        self.config.rules.probe_interval = (shortest, longest.max(shortest));
+        self.config.offline_rules.probe_interval = (shortest, longest.max(shortest));
         self
     }
 
-    /// Whether the line echoes what is sent on it. Default: [`EchoMode::Off`], for serial lines [`EchoMode::Auto`].
+    /// Sets whether the line echoes requests. Default: [`EchoMode::Off`]; on a serial line
+    /// [`EchoMode::Auto`].
     pub fn echo(mut self, echo: EchoMode) -> Self {
         self.config.echo = echo;
         self
     }
 
-    /// After how long without a call the connection is closed, to be opened again by the next call; at most a day, and
-    /// `None` for never. Default: never.
+    /// Sets the idle timeout: the connection is closed after this time without a call, and opened
+    /// again by the next one. At most a day; `None`: never. Default: never.
     ///
-    /// The link is [`LinkState::Idle`] then. Stations that were offline are not probed meanwhile, and are asked again by
-    /// the next call. A connection that cannot be opened again ([`Link::from_stream`]) stays open.
+    /// The link is [`LinkState::Idle`] then. Stations that were offline are not probed meanwhile,
+    /// and the next call is sent to them again. A connection that cannot be opened again
+    /// ([`Link::from_stream`]) stays open.
     ///
     /// ```
     /// use std::time::Duration;
@@ -178,8 +184,9 @@ impl LinkBuilder {
         self
     }
 
-    /// Sets how the line treats replies: how far back a duplicate may come, and what replaces the check where a device does not
-    /// know it. Default: that of the [`Endpoint`](crate::Endpoint).
+    /// Sets what is assumed of the line's replies: how late a duplicate may come, and what replaces
+    /// the check where a device does not know it. Default: that of the
+    /// [`Endpoint`](crate::Endpoint).
     ///
     /// ```
     /// use std::time::Duration;
@@ -193,19 +200,19 @@ impl LinkBuilder {
         self
     }
 
-    /// What opens the connections instead.
+    /// Replaces the connector.
     pub(crate) fn connector(mut self, connector: Connector) -> Self {
         self.connector = connector;
         self
     }
 
-    /// What lets it connect, together with others.
-    pub(crate) fn gate(mut self, gate: Arc<Gate>) -> Self {
-        self.gate = Some(gate);
+    /// Sets the limiter of connection attempts that the link shares with others.
+    pub(crate) fn connect_limiter(mut self, connect_limiter: Arc<ConnectLimiter>) -> Self {
+        self.connect_limiter = Some(connect_limiter);
         self
     }
 
-    /// The seed of the nonces and of the jitter, so that a test can be repeated. Default: a new one for each link.
+    /// Sets the seed of nonces and jitter, so that a test can be repeated. Default: random.
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = Some(seed);
         self
@@ -219,22 +226,22 @@ impl LinkBuilder {
         // A connection that cannot be opened again is not closed for being idle.
         let idle_timeout = self.config.idle_timeout.filter(|_| !matches!(self.connector, Connector::Once(_)));
         let config = Config { probe_timeout: timeout, idle_timeout, ..self.config };
-        let board = Arc::new(Board::default());
+        let stats = Arc::new(SharedStats::default());
         let (name, framing) = (config.name.clone(), config.framing);
-        let core = Core::new(config, board.clone(), self.seed.unwrap_or_else(Random::seed));
-        let driver = Driver::new(core, (self.connector, self.connect_timeout), self.gate, self.line, state);
-        let shared = Shared {
+        let core = Core::new(config, stats.clone(), self.seed.unwrap_or_else(Random::seed));
+        let driver = Driver::new(core, (self.connector, self.connect_timeout), self.connect_limiter, self.line, state);
+        let inner = LinkInner {
             name,
             framing,
             options: self.options.response_timeout(timeout),
             response_timeout: timeout,
-            hub: Arc::new(Hub::new(driver)),
-            spares: Spares::default(),
+            shared: Arc::new(Shared::new(driver)),
+            spares: SpareSlots::default(),
             state: watcher,
-            board,
+            stats,
             line: self.line,
         };
-        Link { shared: Arc::new(shared) }
+        Link { inner: Arc::new(inner) }
     }
 
     pub(super) fn with_connector(connector: Connector, framing: Framing, name: &str) -> Self {
@@ -245,7 +252,7 @@ impl LinkBuilder {
             queue_capacity: 1024,
             ageing: Duration::from_secs(1),
             probe_timeout: response_timeout,
-            rules: Rules {
+            offline_rules: OfflineRules {
                 offline_after: 3,
                 probe_interval: (Duration::from_secs(1), Duration::from_secs(60)),
                 probe_pause: 19,
@@ -256,7 +263,7 @@ impl LinkBuilder {
             byte_time: NETWORK_BYTE,
             settle: Duration::from_millis(30),
             frame_time: Duration::ZERO,
-            gap: Duration::ZERO,
+            frame_gap: Duration::ZERO,
             broadcast_gap: Duration::ZERO,
             echo: EchoMode::Off,
             idle_timeout: None,
@@ -269,12 +276,12 @@ impl LinkBuilder {
             line: None,
             config,
             seed: None,
-            gate: None,
+            connect_limiter: None,
         }
     }
 }
 
-/// The time of a byte on a network of 10 Mbit/s.
+/// Transmission time of a byte on a network of 10 Mbit/s.
 pub(crate) const NETWORK_BYTE: Duration = Duration::from_nanos(800);
 
 #[cfg(test)]
@@ -283,7 +290,7 @@ mod tests {
     use crate::endpoint::Endpoint;
 
     #[test]
-    fn a_serial_link_knows_its_line_and_a_network_has_none() {
+    fn only_a_serial_link_has_a_line() {
         let settings = SerialSettings::new(Framing::Ascii);
         let serial = Link::builder(Endpoint::serial("/dev/ttyS0")).build();
         assert_eq!(serial.line(), Some(Line::from(settings)));
@@ -291,11 +298,11 @@ mod tests {
     }
 
     #[test]
-    fn only_a_connection_that_can_be_opened_again_is_closed_when_it_is_idle() {
+    fn only_a_connection_that_can_be_reopened_is_closed_when_idle() {
         let minute = Duration::from_secs(60);
         let built = |connector| {
             let link = LinkBuilder::with_connector(connector, Framing::Ascii, "here").idle_timeout(minute).build();
-            link.shared.hub.shown()
+            link.inner.shared.debug_text()
         };
         let idle = format!("idle_timeout: {:?}", Some(minute));
         assert!(built(Connector::custom(|| async { Ok(tokio::io::empty()) })).contains(&idle));

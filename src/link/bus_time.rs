@@ -1,8 +1,8 @@
-//! How well the link uses a line, in exact simulated time: the core on one end, the simulated PLCs on the other, and
-//! between them a clock that this file turns.
+//! Measures how well the link uses a line, in exact simulated time: the core on one end, simulated
+//! PLCs on the other, and a simulated clock.
 //!
-//! Tokio's timer counts whole milliseconds, which is too coarse for what is measured here.
-#![allow(clippy::print_stdout, reason = "the figures are what it is for")]
+//! Tokio's timer counts whole milliseconds, which is too coarse here.
+#![allow(clippy::print_stdout, reason = "prints figures")]
 
 mod costs;
 
@@ -16,12 +16,12 @@ use bytes::{Bytes, BytesMut};
 use tokio::time::Instant;
 use tokio_util::codec::Decoder;
 
-use super::call::{self, Completion, Spares, Terms};
+use super::call::{self, CallFuture, CallMeta, SpareSlots};
 use super::config::Config;
-use super::core::{Core, Step};
+use super::core::{Action, Core};
 use super::in_step::{Proof, Shape};
 use super::options::CallOptions;
-use super::stats::{Board, StationState};
+use super::stats::{SharedStats, StationState};
 use super::transport::Connector;
 use super::{LinkBuilder, later};
 use crate::command::{Command, ReadRegisters, Spelling};
@@ -31,21 +31,21 @@ use crate::sim::{Bus, Conversation, Fault, Faults, Line, Output, Plc, Rule};
 use crate::wire::{Codec, Framing, Side};
 
 const STATIONS: u8 = 32;
-/// How long the PLC takes before it answers.
-pub(crate) const TURNAROUND: Duration = Duration::from_millis(5);
+/// The response time of the PLCs.
+pub(crate) const RESPONSE_TIME: Duration = Duration::from_millis(5);
 
-/// A line with stations on it, each of which is asked for as many registers as one request can, over and over; or for
-/// whatever [`call`](Self::call) asks, one request after the other.
+/// A line with stations. [`run`](Self::run) keeps a read of 64 registers pending at each of them;
+/// [`call`](Self::call) makes one call.
 pub(crate) struct World {
     pub(crate) now: Instant,
     core: Core,
-    board: Arc<Board>,
+    stats: Arc<SharedStats>,
     conversation: Conversation,
     codec: Codec,
     line: Line,
-    pending: Vec<(u8, Completion<ReadRegisters<Register>>)>,
+    pending: Vec<(u8, CallFuture<ReadRegisters<Register>>)>,
     answered: BTreeMap<u8, u32>,
-    /// How long the line and the PLCs were at work.
+    /// How long the line and the PLCs were busy.
     busy: Duration,
 }
 
@@ -58,13 +58,13 @@ impl World {
         Self::on(bus, framing, baud, dead)
     }
 
-    /// A line with these stations on it.
+    /// A line with these stations.
     pub(crate) fn on(bus: Bus, framing: Framing, baud: u32, dead: &[u8]) -> Self {
         Self::with(bus, framing, baud, dead, |_| ())
     }
 
     fn with(bus: Bus, framing: Framing, baud: u32, dead: &[u8], set: impl FnOnce(&mut Config)) -> Self {
-        let line = Line::new(baud).turnaround(TURNAROUND, TURNAROUND);
+        let line = Line::new(baud).turnaround(RESPONSE_TIME, RESPONSE_TIME);
         let mut faults = Faults::new(1).line(line);
         for &station in dead {
             faults = faults.rule(Rule::new(Fault::Ignore).station(station));
@@ -72,7 +72,7 @@ impl World {
         let bus = bus.with_faults(faults);
         let conditions = bus.conditions().cloned().unwrap();
         let conversation = Conversation::new(bus, conditions, framing);
-        // As for a serial line, but for the gap, which is the adapter's.
+        // As for a serial line, except for the frame gap, which is that of the adapter.
         let mut config = LinkBuilder::with_connector(Connector::Once(None), framing, "a line").config;
         config.frame_time = line.transmission(1024);
         config.probe_timeout = RESPONSE_TIMEOUT;
@@ -80,14 +80,14 @@ impl World {
             config.byte_time = line.transmission(1);
         }
         set(&mut config);
-        let board = Arc::new(Board::default());
-        let core = Core::new(config, board.clone(), 1);
+        let stats = Arc::new(SharedStats::default());
+        let core = Core::new(config, stats.clone(), 1);
         let codec = Codec::new(framing, Side::Plc);
         let now = Instant::now();
         Self {
             now,
             core,
-            board,
+            stats,
             conversation,
             codec,
             line,
@@ -97,7 +97,7 @@ impl World {
         }
     }
 
-    /// Asks every station at all times, for this long.
+    /// Keeps a read pending at every station for this time.
     fn run(&mut self, time: Duration) {
         self.core.connected(self.now);
         for station in 1..=STATIONS {
@@ -106,56 +106,56 @@ impl World {
         self.run_on(time);
     }
 
-    /// Goes on for this long.
+    /// Continues for this time.
     fn run_on(&mut self, time: Duration) {
         let end = later(self.now, time);
         while self.now < end {
-            match self.core.step(self.now) {
-                Step::Connect => self.core.connected(self.now),
-                Step::Disconnect => unreachable!("there is no idle timeout"),
-                Step::Send(_) => self.send(),
-                Step::Wait(until) => self.wait(until.unwrap_or(end).min(end)),
+            match self.core.next_action(self.now) {
+                Action::Connect => self.core.connected(self.now),
+                Action::Disconnect => unreachable!("there is no idle timeout"),
+                Action::Send(_) => self.send(),
+                Action::Wait(until) => self.wait(until.unwrap_or(end).min(end)),
             }
             self.collect();
         }
     }
 
-    /// Asks one thing, and turns the clock until the reply is there.
+    /// Makes a call, and advances the clock until it has ended.
     pub(crate) fn call<C: Command>(&mut self, station: u8, request: C) -> Result<C::Reply, Error> {
-        let completion = self.push(station, request);
-        self.finish(completion).0
+        let future = self.push(station, request);
+        self.finish(future).0
     }
 
-    /// The same for a call that is under way; with its result, what a job must know of it.
-    fn finish<C: Command>(&mut self, completion: Completion<C>) -> (Result<C::Reply, Error>, Spelling, Shape, Proof) {
-        let mut completion = pin!(completion);
+    /// Advances the clock until a call has ended. Returns its result, and what a job needs of it.
+    fn finish<C: Command>(&mut self, future: CallFuture<C>) -> (Result<C::Reply, Error>, Spelling, Shape, Proof) {
+        let mut future = pin!(future);
         let mut context = Context::from_waker(Waker::noop());
         loop {
-            if let Poll::Ready(result) = completion.as_mut().poll(&mut context) {
-                return (result, completion.spelling(), completion.shape(self.codec.framing()), completion.proof());
+            if let Poll::Ready(result) = future.as_mut().poll(&mut context) {
+                return (result, future.spelling(), future.shape(self.codec.framing()), future.proof());
             }
-            match self.core.step(self.now) {
-                Step::Connect => self.core.connected(self.now),
-                Step::Disconnect => unreachable!("there is no idle timeout"),
-                Step::Send(_) => self.send(),
-                // A confirmation may need nothing.
-                Step::Wait(None) => {}
-                Step::Wait(Some(until)) => self.wait(until),
+            match self.core.next_action(self.now) {
+                Action::Connect => self.core.connected(self.now),
+                Action::Disconnect => unreachable!("there is no idle timeout"),
+                Action::Send(_) => self.send(),
+                // A confirmation may need no check.
+                Action::Wait(None) => {}
+                Action::Wait(Some(until)) => self.wait(until),
             }
         }
     }
 
-    /// How long so many bytes take on the line.
+    /// Transmission time of a number of bytes.
     pub(crate) fn transmission(&self, bytes: usize) -> Duration {
         self.line.transmission(bytes)
     }
 
     fn ask(&mut self, station: u8) {
-        let completion = self.push(station, ReadRegisters::new(Register::r(0), 64).unwrap());
-        self.pending.push((station, completion));
+        let future = self.push(station, ReadRegisters::new(Register::r(0), 64).unwrap());
+        self.pending.push((station, future));
     }
 
-    fn push<C: Command>(&mut self, station: u8, request: C) -> Completion<C> {
+    fn push<C: Command>(&mut self, station: u8, request: C) -> CallFuture<C> {
         self.push_as(station, request, None, false)
     }
 
@@ -164,10 +164,10 @@ impl World {
         station: u8,
         request: C,
         confirms: Option<C::Reply>,
-        longer: bool,
-    ) -> Completion<C> {
+        part: bool,
+    ) -> CallFuture<C> {
         let options = CallOptions::new().call_timeout(Duration::from_secs(3600)).retries(2);
-        let terms = Terms {
+        let meta = CallMeta {
             station,
             code: C::CODE,
             lane: options.lane(C::CODE.class()),
@@ -175,17 +175,17 @@ impl World {
             queued_at: self.now,
             response_timeout: RESPONSE_TIMEOUT,
             options,
-            longer,
+            part,
             confirms: confirms.is_some(),
         };
-        let (mut ticket, completion) = call::new(request, confirms, terms, &Spares::default());
-        ticket.retries_left = 2;
-        self.core.push(ticket, self.now);
-        completion
+        let (mut call, future) = call::new(request, confirms, meta, &SpareSlots::default());
+        call.retries_left = 2;
+        self.core.push(call, self.now);
+        future
     }
 
     fn send(&mut self) {
-        let bytes = Bytes::copy_from_slice(self.core.outgoing());
+        let bytes = Bytes::copy_from_slice(self.core.request_bytes());
         let item = self.codec.decode(&mut BytesMut::from(&bytes[..])).unwrap().unwrap();
         let takes = self.line.transmission(bytes.len());
         self.busy += takes;
@@ -193,22 +193,23 @@ impl World {
         self.core.sent(self.now + takes);
     }
 
-    /// Turns the clock to the next thing that happens, but not past that time.
+    /// Advances the clock to the next event, but not beyond `until`.
     fn wait(&mut self, until: Instant) {
         let due = self.conversation.due().filter(|&due| due <= until);
         self.now = self.now.max(due.unwrap_or(until));
         while let Some(Output::Bytes(bytes)) = self.conversation.next(self.now) {
-            self.busy += self.line.transmission(bytes.len()) + TURNAROUND;
-            self.core.incoming().extend_from_slice(&bytes);
+            self.busy += self.line.transmission(bytes.len()) + RESPONSE_TIME;
+            self.core.receive_buffer().extend_from_slice(&bytes);
             self.core.received(self.now);
         }
     }
 
-    /// Takes the results, and asks again, unless the station is offline: then a call would fail at once.
+    /// Takes the results and makes the next reads, except at offline stations, where a call fails
+    /// at once.
     fn collect(&mut self) {
         let mut done = Vec::new();
         let mut context = Context::from_waker(Waker::noop());
-        self.pending.retain_mut(|(station, completion)| match Pin::new(completion).poll(&mut context) {
+        self.pending.retain_mut(|(station, future)| match Pin::new(future).poll(&mut context) {
             Poll::Pending => true,
             Poll::Ready(result) => {
                 done.push((*station, result.is_ok()));
@@ -217,13 +218,13 @@ impl World {
         });
         for (station, ok) in done {
             *self.answered.entry(station).or_default() += u32::from(ok);
-            if !matches!(*self.board.watch(station).borrow(), StationState::Offline { .. }) {
+            if !matches!(*self.stats.watch_state(station).borrow(), StationState::Offline { .. }) {
                 self.ask(station);
             }
         }
     }
 
-    /// Answers of all stations but this one.
+    /// Number of replies of all stations but this one.
     fn answers_but_of(&self, station: Option<u8>) -> u32 {
         self.answered.iter().filter(|(number, _)| Some(**number) != station).map(|(_, count)| count).sum()
     }
@@ -232,18 +233,18 @@ impl World {
 const RESPONSE_TIMEOUT: Duration = Duration::from_millis(300);
 
 #[test]
-fn the_line_is_used_to_98_percent_of_what_bytes_and_turnaround_allow() {
+fn the_line_and_the_plcs_are_busy_98_percent_of_the_time() {
     for framing in [Framing::Ascii, Framing::Binary] {
         for baud in [9600, 115_200] {
             let mut world = World::new(framing, baud, &[]);
             let time = Duration::from_secs(300);
             world.run(time);
             let used = world.busy.as_secs_f64() / time.as_secs_f64();
-            println!("{framing}, {baud} baud: the line is used to {:.2} %", 100.0 * used);
-            // The last exchange may end behind the time.
+            println!("{framing}, {baud} baud: the line is busy {:.2} % of the time", 100.0 * used);
+            // The last exchange may end after the time.
             assert!((0.98..1.001).contains(&used), "{framing}, {baud} baud: {used}");
             let (fewest, most) = (world.answered.values().min().unwrap(), world.answered.values().max().unwrap());
-            assert!(most - fewest <= 1, "all are served alike: {fewest} to {most}");
+            assert!(most - fewest <= 1, "stations were served unequally: {fewest} to {most}");
         }
     }
 }
@@ -257,14 +258,15 @@ fn one_dead_station_of_32_costs_the_others_less_than_3_percent() {
             healthy.run(time);
             let mut sick = World::new(framing, baud, &[7]);
             sick.run(time);
-            // With all alive, 31 stations share 31/32 of the line: compare what is theirs.
+            // With all alive, 31 stations share 31/32 of the line: compare their part.
             let (before, after) = (healthy.answers_but_of(Some(7)), sick.answers_but_of(Some(7)));
             let loss = 1.0 - f64::from(after) / f64::from(before);
-            // Without the dead one there is a share more for each of the others; that must not hide what it costs.
+            // Without the dead station the others could have its share, too; that must not hide its
+            // cost.
             let possible = f64::from(before) * f64::from(STATIONS) / f64::from(STATIONS - 1);
             let loss_of_possible = 1.0 - f64::from(after) / possible;
             println!(
-                "{framing}, {baud} baud: the 31 lose {:.2} % of what they had, {:.2} % of what they could have",
+                "{framing}, {baud} baud: the 31 lose {:.2} % of their replies, {:.2} % of those possible without it",
                 100.0 * loss,
                 100.0 * loss_of_possible
             );
@@ -275,12 +277,12 @@ fn one_dead_station_of_32_costs_the_others_less_than_3_percent() {
 }
 
 #[test]
-fn probes_use_at_most_5_percent_of_the_line_however_many_stations_are_dead() {
+fn probes_of_31_dead_stations_use_at_most_5_percent_of_the_line() {
     let dead: Vec<u8> = (1..STATIONS).collect();
     let mut world = World::new(Framing::Ascii, 9600, &dead);
-    // The first minute is what it takes to find out that they are dead: three timeouts each.
+    // The first minute includes the three timeouts after which each is offline.
     world.run(Duration::from_secs(60));
-    let probes = |world: &World| dead.iter().map(|&station| world.board.station(station).checks).sum::<u64>();
+    let probes = |world: &World| dead.iter().map(|&station| world.stats.station_stats(station).checks).sum::<u64>();
     let before = probes(&world);
     let time = Duration::from_secs(600);
     world.run_on(time);

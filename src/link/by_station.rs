@@ -1,11 +1,11 @@
-//! A map from station numbers: what a link knows of each of its stations.
+//! A map by station number, for the state of each station of a link.
 //!
-//! Nearly all links have one station, and a service has thousands of links. So a map holds as much memory as there are
-//! entries and no more, which a B-tree, with its room for eleven, does not.
+//! Nearly all links have one station, and a service has thousands of links. So the map allocates
+//! for its entries only; a B-tree would have room for eleven.
 
 #[derive(Debug)]
 pub(crate) struct ByStation<T> {
-    /// In the order of the stations, each once; at most 256.
+    /// Sorted by station, each once; at most 256.
     entries: Vec<(u8, T)>,
 }
 
@@ -24,7 +24,7 @@ impl<T> ByStation<T> {
         self.entries.get_mut(at).map(|(_, value)| value)
     }
 
-    /// Does something with what there is of this station; with `new`, which then stays, if there is nothing.
+    /// Runs `work` with the entry of a station, which `new` makes if there is none.
     pub(crate) fn with<R>(&mut self, station: u8, new: impl FnOnce() -> T, work: impl FnOnce(&mut T) -> R) -> R {
         if let Some(value) = self.get_mut(station) {
             return work(value);
@@ -54,7 +54,7 @@ impl<T> ByStation<T> {
         self.entries.iter_mut().map(|(_, value)| value)
     }
 
-    /// Where its entry is, or where it would be.
+    /// The index of the entry, or where to insert it.
     fn place(&self, station: u8) -> Result<usize, usize> {
         self.entries.binary_search_by_key(&station, |&(station, _)| station)
     }
@@ -73,7 +73,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     #[test]
-    fn it_holds_what_a_b_tree_would_and_no_room_besides() {
+    fn it_equals_a_b_tree_map_and_has_no_spare_capacity() {
         for seed in 0..50 {
             let mut random = Random::new(seed);
             let (mut map, mut expected) = (ByStation::new(), BTreeMap::new());

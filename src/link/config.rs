@@ -2,37 +2,38 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::options::EchoMode;
-use super::stations::Rules;
+use super::stations::OfflineRules;
 use crate::endpoint::InStepSettings;
 use crate::wire::Framing;
 
-/// How the link behaves towards all its stations.
+/// Settings of a link that hold for all its stations.
 #[derive(Clone, Debug)]
 pub(crate) struct Config {
     pub(crate) framing: Framing,
-    /// What the errors call the other end.
+    /// The name of the endpoint in errors.
     pub(crate) name: Arc<str>,
     pub(crate) queue_capacity: usize,
     pub(crate) ageing: Duration,
-    pub(crate) rules: Rules,
+    pub(crate) offline_rules: OfflineRules,
     /// The response timeout of a probe.
     pub(crate) probe_timeout: Duration,
     pub(crate) connect_backoff: (Duration, Duration),
-    /// Whether calls fail as soon as an attempt to connect does, instead of waiting for the next one.
+    /// Whether waiting calls fail with the first failed attempt to connect.
     pub(crate) fail_fast: bool,
-    /// How the line treats replies.
+    /// Assumptions about the line's replies.
     pub(crate) in_step: InStepSettings,
-    /// The time of a byte on the line.
+    /// Transmission time of a byte.
     pub(crate) byte_time: Duration,
-    /// How long to go on listening while a frame is coming in, or after a corrupt one in which the reply may have been.
+    /// How long to listen on while a frame is coming in, or after a corrupt frame that may have
+    /// been the reply.
     pub(crate) settle: Duration,
-    /// How long the longest frame takes on the line; nothing on a network.
+    /// Transmission time of the longest frame; zero on a network.
     pub(crate) frame_time: Duration,
-    /// How long the line is left alone between a reply and the next request.
-    pub(crate) gap: Duration,
-    /// How long the line is left alone after a broadcast.
+    /// Silence between a reply and the next request.
+    pub(crate) frame_gap: Duration,
+    /// Silence after a broadcast.
     pub(crate) broadcast_gap: Duration,
     pub(crate) echo: EchoMode,
-    /// After how long without a call the connection is closed.
+    /// The connection is closed after this time without a call.
     pub(crate) idle_timeout: Option<Duration>,
 }

@@ -1,4 +1,4 @@
-//! The connection as the core sees it: whether there is one, and when the next one may be opened.
+//! The connection as the core sees it: its state, and when the next one may be opened.
 //!
 //! ```text
 //! down ──begin──▶ connecting ──opened──▶ up ──lost, or closed──▶ down
@@ -6,8 +6,9 @@
 //!  └───────failed───────┘
 //! ```
 //!
-//! What must always hold: after an attempt that failed, or a connection that ended without a single reply, none is begun
-//! before a pause has passed; it doubles with each of them up to a cap, and begins anew after a reply.
+//! Invariant: after a failed attempt, or a connection that ended without a reply, none is begun
+//! before a pause has passed. The pause doubles each time, up to a maximum, and starts anew after a
+//! reply.
 
 use std::time::Duration;
 
@@ -18,10 +19,10 @@ use crate::random::Random;
 
 #[derive(Debug)]
 pub(crate) struct Connection {
-    state: State,
-    /// Attempts to connect, and connections that ended without a single reply, since the last reply.
+    state: ConnectionState,
+    /// Failed attempts, and connections that ended without a reply, since the last reply.
     failures: u32,
-    /// It is for one request alone, which has been answered.
+    /// The connection carries one request only, and that has been answered.
     spent: bool,
     /// The shortest and the longest pause.
     backoff: (Duration, Duration),
@@ -29,7 +30,7 @@ pub(crate) struct Connection {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum State {
+pub(crate) enum ConnectionState {
     Down { retry_at: Option<Instant> },
     Connecting,
     Up { replied: bool },
@@ -37,60 +38,60 @@ pub(crate) enum State {
 
 impl Connection {
     pub(crate) fn new(backoff: (Duration, Duration), random: Random) -> Self {
-        Self { state: State::Down { retry_at: None }, failures: 0, spent: false, backoff, random }
+        Self { state: ConnectionState::Down { retry_at: None }, failures: 0, spent: false, backoff, random }
     }
 
-    pub(crate) fn state(&self) -> State {
+    pub(crate) fn state(&self) -> ConnectionState {
         self.state
     }
 
-    /// Whether another one must be opened for the next request.
+    /// Whether the next request needs a new connection.
     pub(crate) fn is_spent(&self) -> bool {
         self.spent
     }
 
-    /// It was for the one request that has been answered.
+    /// Notes that a connection for one request has carried it.
     pub(crate) fn spend(&mut self) {
         self.spent = true;
     }
 
-    /// One is being opened.
+    /// An attempt to connect begins.
     pub(crate) fn begin(&mut self) {
-        self.state = State::Connecting;
+        self.state = ConnectionState::Connecting;
     }
 
     pub(crate) fn opened(&mut self) {
-        self.state = State::Up { replied: false };
+        self.state = ConnectionState::Up { replied: false };
         self.spent = false;
     }
 
-    /// Something that was asked over it has been answered.
+    /// A request or check was answered over the connection.
     pub(crate) fn replied(&mut self) {
-        self.state = State::Up { replied: true };
+        self.state = ConnectionState::Up { replied: true };
         self.failures = 0;
     }
 
-    /// There is none, because nobody wants one.
+    /// The connection was closed because it is not needed.
     pub(crate) fn closed(&mut self) {
-        self.state = State::Down { retry_at: None };
+        self.state = ConnectionState::Down { retry_at: None };
     }
 
-    /// It has ended by itself.
+    /// The connection was lost.
     pub(crate) fn lost(&mut self, now: Instant) {
-        if self.state == (State::Up { replied: true }) {
+        if self.state == (ConnectionState::Up { replied: true }) {
             self.closed();
         } else {
             self.failed(now);
         }
     }
 
-    /// It could not be opened.
+    /// The attempt to connect has failed.
     pub(crate) fn failed(&mut self, now: Instant) {
         let (shortest, longest) = self.backoff;
         let doubled = shortest.saturating_mul(1_u32.checked_shl(self.failures).unwrap_or(u32::MAX));
         self.failures = self.failures.saturating_add(1).min(31);
         let delay = self.random.jitter(doubled.min(longest));
-        self.state = State::Down { retry_at: Some(later(now, delay)) };
+        self.state = ConnectionState::Down { retry_at: Some(later(now, delay)) };
     }
 }
 
@@ -99,13 +100,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_pause_doubles_up_to_the_cap_and_begins_anew_after_a_reply() {
+    fn the_pause_doubles_up_to_its_maximum_until_a_reply() {
         let (shortest, longest) = (Duration::from_millis(100), Duration::from_secs(30));
         for seed in 0..100 {
             let mut connection = Connection::new((shortest, longest), Random::new(seed));
             let now = Instant::now();
             let pause = |connection: &Connection| match connection.state() {
-                State::Down { retry_at } => retry_at.map_or(Duration::ZERO, |at| at.duration_since(now)),
+                ConnectionState::Down { retry_at } => retry_at.map_or(Duration::ZERO, |at| at.duration_since(now)),
                 state => panic!("{state:?}"),
             };
             for _ in 0..2 {

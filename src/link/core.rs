@@ -1,18 +1,20 @@
-//! The link's logic, without I/O and without a clock: calls, bytes and instants go in, steps come out.
+//! The link's logic, without I/O and without a clock: calls, bytes and instants go in, actions come
+//! out.
 //!
-//! The states of the connection are [`Connection`], those of a station [`Stations`], those of the request on the wire
-//! [`Exchange`], the order of the others is [`Scheduler`]; this is what ties them together. Here it is decided what is done
-//! next, and in `outcome` what follows from what has come of it.
+//! [`Core`] ties the parts together: [`Connection`] has the state of the connection, [`Stations`]
+//! that of each station, [`Exchange`] the request on the wire, and [`Scheduler`] the order of
+//! waiting calls. This file decides what is done next; `outcome` handles the result of a request.
 //!
-//! Whether a reply is that to the request on the wire is decided by the rule of [`InStep`](super::in_step::InStep), one for each
-//! station: it chooses how a request is spelt, asks for a check before it, and says whether a reply is proven. The nonce of a
-//! check is also the probe of a station that is offline.
+//! The rule of [`InStep`](super::in_step::InStep), one for each station, decides whether a reply
+//! belongs to the request on the wire. It chooses the spelling of a request, asks for a check
+//! before it, and judges the reply. A check with a nonce is also the probe of an offline station.
 //!
 //! Invariants:
-//! - a call ends once: with its reply, or with an error;
-//! - a write or control command is executed once at most, unless the caller has chosen otherwise;
-//! - a request is sent only as its station's rule allows, and its reply is given to its call only if it is proven;
-//! - a station that does not answer costs the others no more than one response timeout at a time.
+//! - A call ends once: with its reply, or with an error.
+//! - A write or control command is executed at most once, unless the caller has chosen otherwise.
+//! - A request is sent only as its station's rule allows. Its reply is given to its call only if
+//!   proven.
+//! - A station that does not answer costs the others at most one response timeout at a time.
 
 mod outcome;
 #[cfg(test)]
@@ -25,30 +27,32 @@ use std::time::Duration;
 use bytes::BytesMut;
 use tokio::time::Instant;
 
-use super::call::{InFraming, Ticket};
+use super::call::{CallInFraming, PendingCall};
 use super::config::Config;
-use super::connection::{Connection, State};
-use super::exchange::{Check, Exchange, Goal};
+use super::connection::{Connection, ConnectionState};
+use super::exchange::{Exchange, LinkRequest, Outgoing};
 use super::in_step::{self, Choice, InStep, Prices, Proof, Rule, Why};
 use super::later;
 use super::scheduler::Scheduler;
 use super::stations::Stations;
-use super::stats::{Board, StationState, add};
-use super::transport::Late;
+use super::stats::{SharedStats, StationState, add};
+use super::transport::LateDatagrams;
 use crate::command::LoopBack;
 use crate::error::Error;
 use crate::random::Random;
 
-/// What the driver has to do next.
+/// The next thing for the driver to do.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Step {
-    /// Close the connection if there is one and open another, then say [`Core::connected`] or [`Core::connect_failed`].
+pub(crate) enum Action {
+    /// Close the connection if there is one, and open another. Then call [`Core::connected`] or
+    /// [`Core::connect_failed`].
     Connect,
-    /// Close the connection: nobody has used it for long.
+    /// Close the connection: the link has fallen idle.
     Disconnect,
-    /// Write [`Core::outgoing`], by this time, then say [`Core::sent`] or [`Core::disconnected`].
+    /// Write [`Core::request_bytes`] by this time. Then call [`Core::sent`] or
+    /// [`Core::disconnected`].
     Send(Instant),
-    /// Nothing, until bytes or a call come, or until then.
+    /// Nothing, until bytes or a call come, or until this instant.
     Wait(Option<Instant>),
 }
 
@@ -58,40 +62,40 @@ pub(crate) struct Core {
     exchange: Exchange,
     scheduler: Scheduler,
     stations: Stations,
-    board: Arc<Board>,
-    /// A call whose barrier has just been passed: it is sent before all others.
-    cleared: Option<Ticket>,
+    stats: Arc<SharedStats>,
+    /// A call whose check was just answered: it is sent before all others.
+    resynced: Option<PendingCall>,
     connection: Connection,
     hold_until: Option<Instant>,
-    /// When a call came or ended last; nothing while it is idle.
+    /// When a call came or ended last; `None` while the link is idle.
     used_at: Option<Instant>,
-    /// Whether nothing new is sent any more.
+    /// Nothing new is sent.
     closing: bool,
     nonce: u64,
     prices: Prices,
     /// The device closes its connection after each reply: set, or learned.
     one_request: bool,
-    /// The echo of a check was the last answer over the connection, strays apart.
+    /// The last reply over the connection was the echo of a check. Strays do not count.
     echo_was_last: bool,
-    /// Connections in a row that were closed right behind the echo of a check.
+    /// Number of connections in a row that were closed right after the echo of a check.
     closed_behind_echo: u32,
 }
 
-/// Connections that are closed right behind the echo of a check before silence replaces the check.
+/// Number of such connections after which silence replaces the check.
 const CLOSES_TO_LEARN: u32 = 2;
 
-/// The part of an exchange that is not its bytes, as it is priced: half a scan of a PLC.
-const LATENCY: Duration = Duration::from_millis(5);
+/// The part of an exchange that is not transmission, for comparing prices: half a scan of a PLC.
+const ASSUMED_RESPONSE_TIME: Duration = Duration::from_millis(5);
 
 impl Core {
-    pub(crate) fn new(config: Config, board: Arc<Board>, seed: u64) -> Self {
+    pub(crate) fn new(config: Config, stats: Arc<SharedStats>, seed: u64) -> Self {
         let mut random = Random::new(seed);
         Self {
             exchange: Exchange::new(config.framing, config.echo),
             scheduler: Scheduler::new(config.queue_capacity, config.ageing),
-            stations: Stations::new(config.rules),
-            board,
-            cleared: None,
+            stations: Stations::new(config.offline_rules),
+            stats,
+            resynced: None,
             hold_until: None,
             used_at: None,
             closing: false,
@@ -106,133 +110,135 @@ impl Core {
     }
 
     /// Takes a call.
-    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) {
+    pub(crate) fn push(&mut self, call: PendingCall, now: Instant) {
         if self.closing {
             return; // Dropped, it ends with the right error.
         }
         self.used_at = Some(now);
-        if let Some(probe_at) = self.stations.offline_until(ticket.station) {
-            return ticket.call.fail(offline(&ticket, probe_at, now));
+        if let Some(probe_at) = self.stations.offline_until(call.station) {
+            return call.slot.fail(offline(&call, probe_at, now));
         }
-        if let Some(ticket) = self.scheduler.push(ticket, now) {
+        if let Some(call) = self.scheduler.push(call, now) {
             let limit = self.config.queue_capacity;
-            ticket.call.fail(Error::QueueFull { station: ticket.station, limit });
+            call.slot.fail(Error::QueueFull { station: call.station, limit });
         }
     }
 
-    /// What is to be done now.
-    pub(crate) fn step(&mut self, now: Instant) -> Step {
+    /// Decides what is to be done now.
+    pub(crate) fn next_action(&mut self, now: Instant) -> Action {
         loop {
             if let Some(active) = self.exchange.active() {
                 if now < active.deadline {
-                    return Step::Wait(Some(active.deadline));
+                    return Action::Wait(Some(active.deadline));
                 }
                 self.give_up(now);
-                // What has come by now is looked at before anything else is sent.
-                return Step::Wait(Some(now));
+                // Data that have come by now are read before anything else is sent.
+                return Action::Wait(Some(now));
             }
             match self.connection.state() {
-                State::Connecting => return Step::Wait(None),
-                State::Down { retry_at } => {
+                ConnectionState::Connecting => return Action::Wait(None),
+                ConnectionState::Down { retry_at } => {
                     if !self.has_work(now) {
                         if self.falls_idle(now) {
                             continue;
                         }
-                        return Step::Wait(self.next_timer());
+                        return Action::Wait(self.next_timer());
                     }
                     if let Some(at) = retry_at.filter(|&at| now < at) {
-                        return Step::Wait(Some(at));
+                        return Action::Wait(Some(at));
                     }
                     self.connection.begin();
-                    return Step::Connect;
+                    return Action::Connect;
                 }
-                State::Up { .. } if self.connection.is_spent() => {
+                ConnectionState::Up { .. } if self.connection.is_spent() => {
                     if !self.has_work(now) {
                         if self.falls_idle(now) {
                             return self.disconnect();
                         }
-                        return Step::Wait(self.next_timer());
+                        return Action::Wait(self.next_timer());
                     }
                     self.connection.begin();
-                    return Step::Connect;
+                    return Action::Connect;
                 }
-                State::Up { .. } => {}
+                ConnectionState::Up { .. } => {}
             }
             if let Some(until) = self.hold_until.filter(|&until| now < until) {
-                return Step::Wait(Some(until));
+                return Action::Wait(Some(until));
             }
-            // Before the probes: they alone are no reason to stay connected.
+            // Checked before the probes: they alone are no reason to stay connected.
             if self.falls_idle(now) {
                 return self.disconnect();
             }
-            let Some(goal) = self.next_goal(now) else {
-                return Step::Wait(self.next_timer());
+            let Some(outgoing) = self.next_outgoing(now) else {
+                return Action::Wait(self.next_timer());
             };
-            if let Some(step) = self.begin(goal, now) {
-                return step;
+            if let Some(action) = self.begin(outgoing, now) {
+                return action;
             }
         }
     }
 
     /// The bytes to be written.
-    pub(crate) fn outgoing(&self) -> &[u8] {
+    pub(crate) fn request_bytes(&self) -> &[u8] {
         self.exchange.request()
     }
 
-    /// All of [`outgoing`](Self::outgoing) has been written, and has left or will have left the machine at this time.
+    /// Notes that all [`request_bytes`](Self::request_bytes) were written, and that the last one
+    /// leaves the machine at `at`.
     pub(crate) fn sent(&mut self, at: Instant) {
         let Some(active) = self.exchange.active() else { return };
-        if let Goal::Call(ticket) = &active.goal
-            && ticket.is_broadcast()
+        if let Outgoing::Call(call) = &active.outgoing
+            && call.is_broadcast()
         {
-            let code = ticket.code;
-            ticket.call.complete_unanswered(Proof::default());
+            let code = call.code;
+            call.slot.complete_without_reply(Proof::default());
             self.exchange.end();
             self.stations.for_all(|station| station.broadcast(code, at));
             self.hold_until = Some(later(at, self.config.broadcast_gap));
             return;
         }
-        let (deadline, patient) = self.response_deadline(&active.goal, at);
-        self.exchange.sent(at, deadline, patient);
+        let (deadline, full_timeout) = self.response_deadline(&active.outgoing, at);
+        self.exchange.sent(at, deadline, full_timeout);
     }
 
-    /// Datagrams came to the ports of earlier requests, and were dropped.
-    pub(crate) fn late_datagrams(&mut self, late: Late) {
-        if late.copies > 0 || late.others > 0 {
-            let count = late.copies.saturating_add(late.others);
-            self.board.count(|link| add(&mut link.late_datagrams, count));
+    /// Notes that datagrams came to the ports of earlier requests, and were dropped.
+    pub(crate) fn late_datagrams(&mut self, late: LateDatagrams) {
+        if late.duplicates > 0 || late.others > 0 {
+            let count = late.duplicates.saturating_add(late.others);
+            self.stats.count_link(|link| add(&mut link.late_datagrams, count));
         }
         if late.others > 0 {
-            // One of them may be the true reply to a request that a copy has answered, on a port that is used again.
-            self.stations.for_all(InStep::lost_beginning);
+            // One of them may be the true reply to a request that a duplicate has answered, on a
+            // port that is in use again.
+            self.stations.for_all(InStep::input_dropped);
         }
     }
 
-    /// Where the driver puts the bytes it receives; then it says [`received`](Self::received). What is left in it then is
-    /// the beginning of a frame.
-    pub(crate) fn incoming(&mut self) -> &mut BytesMut {
+    /// The buffer for received bytes; after filling it, call [`received`](Self::received). Then it
+    /// holds at most the beginning of a frame.
+    pub(crate) fn receive_buffer(&mut self) -> &mut BytesMut {
         &mut self.exchange.received
     }
 
-    /// Bytes have come.
+    /// Handles received bytes.
     pub(crate) fn received(&mut self, now: Instant) {
         while let Some(event) = self.exchange.next_event(now) {
             self.on_event(event, now);
         }
-        // Not before: a frame that came with the reply may contradict it.
+        // After all frames: one that came with the reply may contradict it.
         self.conclude(now);
-        // A frame is coming in: it is given the time it takes, but not for ever.
+        // While a frame is coming in, the deadline is extended, but not without limit.
         if let (Some(active), false) = (self.exchange.active(), self.exchange.received.is_empty())
             && let Some(sent) = active.sent
         {
-            let (usual, _) = self.response_deadline(&active.goal, sent);
-            let latest = active.goal.call().map_or(usual, |ticket| ticket.deadline);
+            let (usual, _) = self.response_deadline(&active.outgoing, sent);
+            let latest = active.outgoing.call().map_or(usual, |call| call.deadline);
             let extended = later(now, self.config.settle).min(later(usual, self.config.frame_time)).min(latest);
             self.exchange.expect_until(extended.max(active.deadline));
         }
     }
 
-    /// The turn to open a connection has come; says whether anybody still wants one.
+    /// Whether the link still needs a connection, now that its slot to open one has come.
     pub(crate) fn may_connect(&mut self, now: Instant) -> bool {
         let wanted = self.has_work(now);
         if !wanted {
@@ -241,91 +247,93 @@ impl Core {
         wanted
     }
 
-    /// The connection is open.
+    /// Notes that the connection is open.
     pub(crate) fn connected(&mut self, now: Instant) {
         self.exchange.reconnected();
         self.stations.for_all(InStep::connected);
         self.echo_was_last = false;
         if !self.connection.is_spent() {
-            self.stations.hurry(now);
+            self.stations.probe_soon(now);
         }
         self.connection.opened();
-        self.board.count(|link| add(&mut link.connects, 1));
+        self.stats.count_link(|link| add(&mut link.connects, 1));
     }
 
-    /// The connection could not be opened.
+    /// Notes that the connection could not be opened.
     pub(crate) fn connect_failed(&mut self, error: &Arc<io::Error>, now: Instant) {
-        self.board.count(|link| add(&mut link.connect_failures, 1));
+        self.stats.count_link(|link| add(&mut link.connect_failures, 1));
         self.connection.failed(now);
         if self.config.fail_fast {
-            for ticket in self.cleared.take().into_iter().chain(self.scheduler.drain_all()) {
-                let (endpoint, sent) = (self.config.name.to_string(), ticket.call.was_sent());
-                ticket.call.fail(Error::Connect { endpoint, source: error.clone(), sent });
+            for call in self.resynced.take().into_iter().chain(self.scheduler.drain_all()) {
+                let (endpoint, sent) = (self.config.name.to_string(), call.slot.was_sent());
+                call.slot.fail(Error::Connect { endpoint, source: error.clone(), sent });
             }
         }
     }
 
-    /// The connection is lost.
+    /// Notes that the connection is lost.
     pub(crate) fn disconnected(&mut self, error: &Arc<io::Error>, now: Instant) {
-        self.board.count(|link| add(&mut link.disconnects, 1));
+        self.stats.count_link(|link| add(&mut link.disconnects, 1));
         self.connection.lost(now);
         self.exchange.forget();
         self.learn_one_request(error);
-        if let Some(ticket) = self.cleared.take() {
-            self.scheduler.push_front(ticket);
+        if let Some(call) = self.resynced.take() {
+            self.scheduler.push_front(call);
         }
         if let Some(active) = self.exchange.end() {
-            let station = active.goal.station();
-            match active.goal.into_call() {
+            let station = active.outgoing.station();
+            match active.outgoing.into_call() {
                 None => self.probe_failed(station, now),
-                Some(ticket) => {
+                Some(call) => {
                     let endpoint = self.config.name.to_string();
                     let source = error.clone();
-                    self.retry_or_fail(ticket, now, |sent| Error::Disconnected { endpoint, source, sent });
+                    self.retry_or_fail(call, now, |sent| Error::Disconnected { endpoint, source, sent });
                 }
             }
         }
-        // Perhaps a station was silent and has been started anew. The next connection is opened to see, after the
-        // back-off and not only when the probe would have been due.
-        self.stations.hurry(now);
+        // A silent station may have been restarted. The next connection is opened to probe it after
+        // the back-off, not only when the probe would have been due.
+        self.stations.probe_soon(now);
     }
 
     pub(crate) fn is_closing(&self) -> bool {
         self.closing
     }
 
-    /// Fails all that waits, and sends nothing any more; what is on the wire goes on until it has ended.
+    /// Fails all waiting calls, and sends nothing from now on. The exchange on the wire goes on.
     pub(crate) fn close(&mut self) {
         self.closing = true;
-        self.cleared = None;
+        self.resynced = None;
         self.scheduler.drain_all();
     }
 
-    /// Fails all there is: the link cannot go on.
+    /// Fails all calls: there will be no other connection.
     pub(crate) fn abort(&mut self, error: &Arc<io::Error>) {
-        self.board.count(|link| add(&mut link.disconnects, 1));
-        let active = self.exchange.end().and_then(|active| active.goal.into_call());
-        for ticket in active.into_iter().chain(self.cleared.take()).chain(self.scheduler.drain_all()) {
-            let sent = ticket.call.was_sent();
+        self.stats.count_link(|link| add(&mut link.disconnects, 1));
+        let active = self.exchange.end().and_then(|active| active.outgoing.into_call());
+        for call in active.into_iter().chain(self.resynced.take()).chain(self.scheduler.drain_all()) {
+            let sent = call.slot.was_sent();
             let endpoint = self.config.name.to_string();
-            ticket.call.fail(Error::Disconnected { endpoint, source: error.clone(), sent });
+            call.slot.fail(Error::Disconnected { endpoint, source: error.clone(), sent });
         }
     }
 
-    /// Whether nothing is on the wire.
+    /// Whether no request is on the wire.
     pub(crate) fn is_idle(&self) -> bool {
         self.exchange.active().is_none()
     }
 
-    /// Whether nobody has used the link for so long that it is idle from now on: what was known of stations that did
-    /// not answer is too old then, and they are not probed for nobody.
+    /// Makes the link idle if it was not used for the idle timeout; returns whether it did.
+    ///
+    /// Offline stations become unknown: they are not probed while no caller uses them, and by the
+    /// next call the state would be outdated.
     fn falls_idle(&mut self, now: Instant) -> bool {
-        if self.idle_at().is_none_or(|at| now < at) || self.cleared.is_some() || self.scheduler.is_waiting(now) {
+        if self.idle_at().is_none_or(|at| now < at) || self.resynced.is_some() || self.scheduler.is_waiting(now) {
             return false;
         }
         self.used_at = None;
         for station in self.stations.forget_offline() {
-            self.board.state(station, StationState::Unknown);
+            self.stats.set_state(station, StationState::Unknown);
         }
         true
     }
@@ -334,14 +342,15 @@ impl Core {
         Some(later(self.used_at?, self.config.idle_timeout?))
     }
 
-    fn disconnect(&mut self) -> Step {
+    fn disconnect(&mut self) -> Action {
         self.connection.closed();
         self.exchange.forget();
-        self.board.count(|link| add(&mut link.idle_closes, 1));
-        Step::Disconnect
+        self.stats.count_link(|link| add(&mut link.idle_closes, 1));
+        Action::Disconnect
     }
 
-    /// A device that closes its connection after each reply closes it behind the echo of the check, too.
+    /// Learns from a lost connection: a device that closes its connection after each reply also
+    /// does so after the echo of a check.
     fn learn_one_request(&mut self, error: &io::Error) {
         use io::ErrorKind::{BrokenPipe, ConnectionAborted, ConnectionReset, UnexpectedEof};
         let closed = matches!(error.kind(), UnexpectedEof | ConnectionReset | ConnectionAborted | BrokenPipe);
@@ -351,141 +360,143 @@ impl Core {
         self.closed_behind_echo = self.closed_behind_echo.saturating_add(1);
         if self.closed_behind_echo >= CLOSES_TO_LEARN {
             self.one_request = true;
-            self.board.count(|link| link.one_request = true);
+            self.stats.count_link(|link| link.one_request = true);
             let quiet = self.config.in_step.quiet();
             tracing::warn!(
                 ?quiet,
-                "the device closes its connection after each reply: silence replaces the check from now on"
+                "device closes its connection after each reply: silence replaces checks from now on"
             );
         }
     }
 
-    /// The rule as it holds for a station.
+    /// The rule, with the present settings and figures, for a station.
     fn rule(&self, station: u8) -> Rule {
         let settings = self.config.in_step;
-        let quiet = settings.quiet().max(self.stations.allowed(station));
+        let quiet = settings.quiet().max(self.stations.longest_timeout(station));
         let busy = self.prices.line_time(self.exchange.line_bytes());
         Rule { settings, quiet, one_request: self.one_request, prices: self.prices, busy }
     }
 
     fn has_work(&mut self, now: Instant) -> bool {
-        // A station that is offline is asked nothing but probes, so a probe is reason enough to connect.
+        // An offline station gets nothing but probes, so a due probe is a reason to connect.
         !self.closing
-            && (self.cleared.is_some() || self.scheduler.has_work(now) || self.stations.due_probe(now).is_some())
+            && (self.resynced.is_some() || self.scheduler.has_work(now) || self.stations.due_probe(now).is_some())
     }
 
-    fn next_goal(&mut self, now: Instant) -> Option<Goal> {
+    fn next_outgoing(&mut self, now: Instant) -> Option<Outgoing> {
         if self.closing {
             return None;
         }
-        match self.cleared.take() {
-            Some(ticket) if ticket.is_wanted(now) => {
-                if let Some(goal) = self.goal_of(ticket, now) {
-                    return Some(goal);
+        match self.resynced.take() {
+            Some(call) if call.is_wanted(now) => {
+                if let Some(outgoing) = self.outgoing_for(call, now) {
+                    return Some(outgoing);
                 }
             }
-            Some(ticket) => ticket.expire(),
+            Some(call) => call.expire(),
             None => {}
         }
         if let Some(station) = self.stations.due_probe(now) {
             return Some(self.check(station, in_step::Check::Nonce, Why::Confirm, None));
         }
         loop {
-            let ticket = self.scheduler.pop(now)?;
-            if let Some(goal) = self.goal_of(ticket, now) {
-                return Some(goal);
+            let call = self.scheduler.pop(now)?;
+            if let Some(outgoing) = self.outgoing_for(call, now) {
+                return Some(outgoing);
             }
         }
     }
 
-    /// What is sent for a call: its request, or a check before it. `None`: the station must be silent first, or the call has ended.
-    fn goal_of(&mut self, mut ticket: Ticket, now: Instant) -> Option<Goal> {
-        let station = ticket.station;
-        if ticket.is_broadcast() {
-            return Some(Goal::Call(ticket));
+    /// Chooses what is sent for a call: its request, or a check before it. `None`: the station must
+    /// be silent first, or the call has ended.
+    fn outgoing_for(&mut self, mut call: PendingCall, now: Instant) -> Option<Outgoing> {
+        let station = call.station;
+        if call.is_broadcast() {
+            return Some(Outgoing::Call(call));
         }
         if self.exchange.must_learn_echo() {
-            return Some(self.check(station, in_step::Check::Nonce, Why::Connected, Some(ticket)));
+            return Some(self.check(station, in_step::Check::Nonce, Why::Connected, Some(call)));
         }
         let (rule, framing) = (self.rule(station), self.config.framing);
-        let choice = self.stations.with_in_step(station, |known| match ticket.confirms {
-            true => known.confirm(&rule, now).ok_or(known.proof()),
-            false => Ok(known.choose(&InFraming(&ticket, framing), ticket.plain, &rule, now)),
+        let choice = self.stations.with_in_step(station, |in_step| match call.confirms {
+            true => in_step.confirm(&rule, now).ok_or(in_step.proof()),
+            false => Ok(in_step.choose(&CallInFraming(&call, framing), call.plain, &rule, now)),
         });
         match choice {
-            Ok(Choice::Send(_)) if self.may_be_executed(&ticket) => {
-                let (code, after) = (ticket.code, now.saturating_duration_since(ticket.queued_at));
-                ticket.call.fail(Error::OutOfStep { station, code, after, sent: true });
+            Ok(Choice::Send(_)) if self.may_be_executed(&call) => {
+                let (code, after) = (call.code, now.saturating_duration_since(call.queued_at));
+                call.slot.fail(Error::OutOfStep { station, code, after, sent: true });
                 None
             }
             Ok(Choice::Send(spelling)) => {
-                ticket.refused_at = None;
-                ticket.call.spell(spelling);
-                Some(Goal::Call(ticket))
+                call.refused_at = None;
+                call.slot.spell(spelling);
+                Some(Outgoing::Call(call))
             }
-            Ok(Choice::Check(check, why)) => Some(self.check(station, check, why, Some(ticket))),
+            Ok(Choice::Check(check, why)) => Some(self.check(station, check, why, Some(call))),
             Ok(Choice::Silence(until)) => {
-                ticket.call.doubt();
-                self.board.count_for(station, |stats| add(&mut stats.silences, 1));
-                self.scheduler.push_front(ticket);
+                call.slot.await_silence();
+                self.stats.count_station(station, |stats| add(&mut stats.silences, 1));
+                self.scheduler.push_front(call);
                 self.scheduler.block(station, until);
                 None
             }
             Err(proof) => {
-                ticket.call.complete_unanswered(proof);
+                call.slot.complete_without_reply(proof);
                 None
             }
         }
     }
 
-    /// Whether a write that was refused in another spelling may have been executed: an unexpected frame came since.
-    fn may_be_executed(&mut self, ticket: &Ticket) -> bool {
-        ticket
-            .refused_at
-            .is_some_and(|doubts| self.stations.with_in_step(ticket.station, |known| known.proof().doubts != doubts))
+    /// Whether a write that was refused in another spelling may have been executed: an unexpected
+    /// frame has come since.
+    fn may_be_executed(&mut self, call: &PendingCall) -> bool {
+        call.refused_at
+            .is_some_and(|doubts| self.stations.with_in_step(call.station, |in_step| in_step.proof().doubts != doubts))
     }
 
-    fn begin(&mut self, goal: Goal, now: Instant) -> Option<Step> {
-        // Not by the caller's own deadline, for a request that is not written in time costs the connection.
-        let deadline = later(now, self.response_timeout(&goal).saturating_add(self.config.frame_time));
-        if let Goal::Call(ticket) = &goal
-            && !ticket.call.mark_sent()
+    fn begin(&mut self, outgoing: Outgoing, now: Instant) -> Option<Action> {
+        // Not limited by the caller's deadline: a request that is not written in time costs the
+        // connection.
+        let deadline = later(now, self.response_timeout(&outgoing).saturating_add(self.config.frame_time));
+        if let Outgoing::Call(call) = &outgoing
+            && !call.slot.mark_sent()
         {
             return None;
         }
-        let stale = self.exchange.begin(goal, now, deadline)?;
+        let stale = self.exchange.begin(outgoing, now, deadline)?;
         let active = self.exchange.active()?;
-        let station = active.goal.station();
+        let station = active.outgoing.station();
         if stale > 0 {
-            self.board.count(|link| add(&mut link.stale_bytes, u64::try_from(stale).unwrap_or(u64::MAX)));
-            self.stations.for_all(InStep::lost_beginning);
+            self.stats.count_link(|link| add(&mut link.stale_bytes, u64::try_from(stale).unwrap_or(u64::MAX)));
+            self.stations.for_all(InStep::input_dropped);
         }
-        if let Goal::Call(ticket) = &active.goal {
-            if ticket.is_broadcast() {
-                self.board.count(|link| add(&mut link.broadcasts, 1));
+        if let Outgoing::Call(call) = &active.outgoing {
+            if call.is_broadcast() {
+                self.stats.count_link(|link| add(&mut link.broadcasts, 1));
             } else {
-                let (plain, spelling) = (ticket.call.plain(), ticket.call.spelling());
-                self.stations.allow(station, ticket.response_timeout);
-                self.board.count_for(station, |stats| stats.sent(plain, spelling));
+                let (plain, spelling) = (call.slot.plain(), call.slot.spelling());
+                self.stations.note_timeout(station, call.response_timeout);
+                self.stats.count_station(station, |stats| stats.sent(plain, spelling));
                 debug_assert!(
-                    self.stations.with_in_step(station, |known| {
-                        known.allows(&InFraming(ticket, self.config.framing), spelling)
+                    self.stations.with_in_step(station, |in_step| {
+                        in_step.allows(&CallInFraming(call, self.config.framing), spelling)
                     }),
-                    "rule 2: nothing owed could answer {spelling:?}"
+                    "something owed could answer {spelling:?}"
                 );
             }
         }
         tracing::trace!(station, bytes = %self.exchange.request().escape_ascii(), "sending");
-        Some(Step::Send(deadline))
+        Some(Action::Send(deadline))
     }
 
-    /// A check of a station, for a call or as a probe.
-    fn check(&mut self, station: u8, check: in_step::Check, why: Why, call: Option<Ticket>) -> Goal {
+    /// Makes a check of a station, for a call or as a probe.
+    fn check(&mut self, station: u8, check: in_step::Check, why: Why, call: Option<PendingCall>) -> Outgoing {
         if self.exchange.must_learn_echo() {
-            self.board.count_for(station, |stats| add(&mut stats.checks, 1));
-            return Goal::Check { station, check: Check::Echo, call };
+            self.stats.count_station(station, |stats| add(&mut stats.checks, 1));
+            return Outgoing::Link { station, request: LinkRequest::EchoTest, call };
         }
-        self.board.count_for(station, |stats| stats.checked(why));
+        self.stats.count_station(station, |stats| stats.checked(why));
         tracing::debug!(station, ?check, ?why, "check");
         let data = if check == in_step::Check::Nonce {
             self.nonce = self.nonce.wrapping_add(1);
@@ -493,32 +504,33 @@ impl Core {
         } else {
             LoopBack::empty()
         };
-        Goal::Check { station, check: Check::Separate(check, data), call }
+        Outgoing::Link { station, request: LinkRequest::Check(check, data), call }
     }
 
-    /// Until when the reply is waited for, and whether that is the whole response timeout.
-    fn response_deadline(&self, goal: &Goal, now: Instant) -> (Instant, bool) {
-        let deadline = later(now, self.response_timeout(goal));
-        match goal.call() {
-            Some(ticket) => (deadline.min(ticket.deadline), deadline <= ticket.deadline),
+    /// The deadline for a reply to a request sent at `now`, and whether it leaves the full response
+    /// timeout.
+    fn response_deadline(&self, outgoing: &Outgoing, now: Instant) -> (Instant, bool) {
+        let deadline = later(now, self.response_timeout(outgoing));
+        match outgoing.call() {
+            Some(call) => (deadline.min(call.deadline), deadline <= call.deadline),
             None => (deadline, true),
         }
     }
 
-    /// How long the station is given for its answer.
-    fn response_timeout(&self, goal: &Goal) -> Duration {
-        let Some(ticket) = goal.call() else {
-            return self.config.probe_timeout.max(self.stations.allowed(goal.station()));
+    /// The response timeout of a request.
+    fn response_timeout(&self, outgoing: &Outgoing) -> Duration {
+        let Some(call) = outgoing.call() else {
+            return self.config.probe_timeout.max(self.stations.longest_timeout(outgoing.station()));
         };
-        match ticket.options.adaptive {
-            Some(shortest) => self.stations.patience(ticket.station, shortest, ticket.response_timeout),
-            None => ticket.response_timeout,
+        match call.options.adaptive {
+            Some(shortest) => self.stations.adaptive_timeout(call.station, shortest, call.response_timeout),
+            None => call.response_timeout,
         }
     }
 
     fn next_timer(&self) -> Option<Instant> {
         let unblocked = self.scheduler.next_unblocked();
-        // While a call waits it does not fall idle.
+        // The link does not fall idle while a call waits.
         let idle_at = if unblocked.is_none() { self.idle_at() } else { None };
         [unblocked, self.stations.next_probe(), idle_at].into_iter().flatten().min()
     }
@@ -528,10 +540,10 @@ fn prices(config: &Config) -> Prices {
     let byte = config.byte_time;
     let frames =
         byte.saturating_mul(2).saturating_mul(u32::try_from(config.framing.frame_overhead()).unwrap_or(u32::MAX));
-    Prices { byte, exchange: frames.saturating_add(LATENCY).saturating_add(config.gap) }
+    Prices { byte, exchange: frames.saturating_add(ASSUMED_RESPONSE_TIME).saturating_add(config.frame_gap) }
 }
 
-fn offline(ticket: &Ticket, probe_at: Instant, now: Instant) -> Error {
+fn offline(call: &PendingCall, probe_at: Instant, now: Instant) -> Error {
     let probe_in = probe_at.saturating_duration_since(now);
-    Error::Offline { station: ticket.station, probe_in, sent: ticket.call.was_sent() }
+    Error::Offline { station: call.station, probe_in, sent: call.slot.was_sent() }
 }

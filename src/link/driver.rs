@@ -1,22 +1,23 @@
-//! What moves bytes and time between the [`Core`] and the world, and decides nothing. It owns the connection.
+//! Moves bytes and time between the [`Core`] and the outside, and decides nothing. It owns the
+//! connection.
 //!
 //! ```text
-//!        ┌───────────────────────────────────────────────────────────────┐
-//!        ▼                                                               │
-//! a request is being written ──done──▶ read until nothing comes ──▶ what does the core want?
-//!                                                                  connect, disconnect, send: done, and on
-//!                                                                  wait: back to whoever called
+//!        ┌─────────────────────────────────────────────────────────────────┐
+//!        ▼                                                                 │
+//! write the request ──done──▶ read until no data is left ──▶ next action of the core:
+//!                                                            connect, disconnect, send: done, and on
+//!                                                            wait: return to the caller of `advance`
 //! ```
 //!
-//! [`Driver::advance`] goes as far as it can without waiting. It is called by the link's task whenever something that it
-//! waits for has come, and by a caller with a new request, so that this is sent without waking the task. It is always the task
-//! that is woken by the connection: a caller only lends its time, and may go away at any moment.
+//! [`Driver::advance`] does all that can be done without waiting. The link's task calls it after
+//! each wake-up. A caller with a new request calls it, too, to send that without waking the task.
+//! I/O always wakes the task, never a caller: a caller's future may be dropped at any moment.
 //!
-//! What must always hold:
-//! - a request is begun only after all that had come was read;
-//! - a request of which a part has been written is written to its end, or the connection is given up;
-//! - the task hears of everything that `advance` waits for: bytes and room for bytes by its waker, times because
-//!   `advance` tells them.
+//! Invariants:
+//! - A request is begun only after all data that had come were read.
+//! - A request that is partly written is written to its end, or the connection is closed.
+//! - The task learns of everything that `advance` waits for: readability and writability by its
+//!   waker, instants by the return value.
 
 #[cfg(test)]
 mod tests;
@@ -35,114 +36,114 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 
 use super::LinkState;
-use super::bell::Bell;
 use super::buffer;
-use super::call::Ticket;
-use super::core::{Core, Step};
-use super::gate::{Gate, Pass, Turn};
+use super::call::PendingCall;
+use super::connect_limiter::{ConnectLimiter, ConnectPermit, ConnectSlot};
+use super::core::{Action, Core};
+use super::io_waker::IoWaker;
 use super::later;
 use super::line::Line;
 use super::transport::{BoxIo, Connector, Io};
 
-/// Everything that is needed to run a link.
+/// The connection of a link, and everything needed to open and use it.
 pub(crate) struct Driver {
     core: Core,
     connector: Connector,
     connect_timeout: Duration,
-    /// What lets links connect one after the other, if they share one.
-    gate: Option<Arc<Gate>>,
+    /// Shared by links that must not all connect at once.
+    connect_limiter: Option<Arc<ConnectLimiter>>,
     /// The serial line, if it is one.
     line: Option<Line>,
-    /// Until when the line is busy with what has been written.
+    /// When the last written byte has left the machine.
     sent_until: Option<Instant>,
     state: watch::Sender<LinkState>,
-    bell: Arc<Bell>,
-    /// The bell's.
+    io_waker: Arc<IoWaker>,
+    /// A waker of `io_waker`.
     waker: Waker,
-    /// Whether all had been read that had come when the ring was taken last, so that the bell rings when more comes.
-    listens: bool,
+    /// All data were read after the ready flag was cleared, and the stream wakes its reader for
+    /// more. So reading may be skipped while the flag is clear.
+    read_armed: bool,
     io: Option<BoxIo>,
     opening: Option<Opening>,
-    /// Whether the core wants a connection, and the task has not begun to open it yet.
-    connects: bool,
+    /// The core wants a connection, and the task has not begun to open it.
+    open_requested: bool,
     writing: Option<Writing>,
-    /// Whether there is a handle that can make calls.
+    /// The last handle was dropped.
     orphaned: bool,
-    /// Whether nothing new is done any more.
+    /// Nothing new is begun.
     ending: bool,
 }
 
-/// A request on its way out.
+/// A request that is being written.
 #[derive(Debug)]
 struct Writing {
-    /// How much of it is out.
+    /// Number of bytes written.
     written: usize,
-    /// When it must be.
+    /// When all must be written.
     by: Instant,
 }
 
-/// What is left to wait for, when all has been done that can be.
+/// Why [`Driver::advance`] has returned.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Next {
-    /// What the waker was given to, or this time, if there is one.
-    Wait(Option<Instant>),
-    /// Something that only the task can do.
-    Task,
-    /// Nothing; but others are to have their turn.
+pub(crate) enum DriverStatus {
+    /// It waits for I/O, or until this instant if there is one.
+    Waiting(Option<Instant>),
+    /// The next action needs the task.
+    NeedsTask,
+    /// Other tasks must run first: there is more to do.
     Yield,
-    /// Nothing, for good.
-    End,
+    /// The link has ended.
+    Ended,
 }
 
-/// Who lends its time.
+/// The task on which the driver runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum By {
-    Task,
+pub(crate) enum AdvancedBy {
+    LinkTask,
     Caller,
 }
 
-/// The time, looked at no more often than is needed.
+/// The clock, read as rarely as possible.
 struct Clock(Option<Instant>);
 
 impl Clock {
-    /// What it was when it was looked at last.
+    /// The time of the last reading.
     fn now(&mut self) -> Instant {
         *self.0.get_or_insert_with(Instant::now)
     }
 
-    /// What it is.
+    /// Reads the clock.
     fn look(&mut self) -> Instant {
         *self.0.insert(Instant::now())
     }
 }
 
-/// How often is read before a request, to be rid of what came before it; and how many steps are made before others have
-/// their turn.
+/// Maximum number of reads before a request, and of actions before other tasks run.
 const MAX_AT_ONCE: usize = 64;
 
 impl Driver {
     pub(crate) fn new(
         core: Core,
         (connector, connect_timeout): (Connector, Duration),
-        gate: Option<Arc<Gate>>,
+        connect_limiter: Option<Arc<ConnectLimiter>>,
         line: Option<Line>,
         state: watch::Sender<LinkState>,
     ) -> Self {
-        let bell = Arc::new(Bell::default());
+        let io_waker = Arc::new(IoWaker::default());
         Self {
             core,
             connector,
             connect_timeout,
-            gate,
+            connect_limiter,
             line,
             sent_until: None,
             state,
-            waker: Waker::from(bell.clone()),
-            bell,
-            listens: false,
+            waker: Waker::from(io_waker.clone()),
+            io_waker,
+            read_armed: false,
             io: None,
             opening: None,
-            connects: false,
+            open_requested: false,
             writing: None,
             orphaned: false,
             ending: false,
@@ -150,58 +151,59 @@ impl Driver {
     }
 
     /// Takes a call.
-    pub(crate) fn push(&mut self, ticket: Ticket, now: Instant) {
-        self.core.push(ticket, now);
+    pub(crate) fn push(&mut self, call: PendingCall, now: Instant) {
+        self.core.push(call, now);
     }
 
-    /// Sends nothing new any more.
+    /// Begins nothing new from now on.
     pub(crate) fn close(&mut self) {
         if !self.core.is_closing() {
             self.core.close();
         }
     }
 
-    /// The last handle is gone.
+    /// Notes that the last handle was dropped.
     pub(crate) fn orphan(&mut self) {
         self.orphaned = true;
     }
 
-    /// What rings when there is something to be done.
-    pub(crate) fn bell(&self) -> &Arc<Bell> {
-        &self.bell
+    /// The waker of the link's task.
+    pub(crate) fn io_waker(&self) -> &Arc<IoWaker> {
+        &self.io_waker
     }
 
-    /// For what the task waits for.
+    /// The context in which the task polls its timer.
     pub(crate) fn context(&self) -> Context<'_> {
         Context::from_waker(&self.waker)
     }
 
-    /// Whether a call that comes now would be sent at once, as far as can be told.
-    pub(crate) fn is_free(&self) -> bool {
+    /// Whether a call made now would be sent at once, as far as can be told.
+    pub(crate) fn can_send_now(&self) -> bool {
         self.io.is_some() && self.opening.is_none() && self.writing.is_none() && !self.ending && self.core.is_idle()
     }
 
-    /// Whether a call that comes now waits for nothing but the end of the request on the wire, which the task awaits.
-    pub(crate) fn is_at_work(&self) -> bool {
+    /// Whether a call made now waits only for the end of the exchange on the wire, which wakes the
+    /// task.
+    pub(crate) fn is_awaiting_reply(&self) -> bool {
         self.io.is_some() && self.writing.is_none() && !self.core.is_idle()
     }
 
     #[cfg(test)]
-    pub(crate) fn shown(&self) -> String {
+    pub(crate) fn debug_text(&self) -> String {
         format!("{:?}", self.core)
     }
 
-    /// Does what can be done now; `now` is the time, if it was looked at a moment ago.
-    pub(crate) fn advance(&mut self, by: By, now: Option<Instant>) -> Next {
+    /// Does all that can be done without waiting. `now` is the time if it was read a moment ago.
+    pub(crate) fn advance(&mut self, by: AdvancedBy, now: Option<Instant>) -> DriverStatus {
         let waker = std::mem::replace(&mut self.waker, Waker::noop().clone());
-        let next = self.steps(by, &mut Clock(now), &mut Context::from_waker(&waker));
+        let next = self.run(by, &mut Clock(now), &mut Context::from_waker(&waker));
         self.waker = waker;
         next
     }
 
-    fn steps(&mut self, by: By, clock: &mut Clock, cx: &mut Context<'_>) -> Next {
-        // Some users' streams have more, and tell nobody.
-        self.listens = self.listens && self.connector.tells();
+    fn run(&mut self, by: AdvancedBy, clock: &mut Clock, cx: &mut Context<'_>) -> DriverStatus {
+        // A user's stream may have data without waking its reader.
+        self.read_armed = self.read_armed && self.connector.wakes_reader();
         let mut sends = false;
         for _ in 0..MAX_AT_ONCE {
             if self.ending {
@@ -209,104 +211,109 @@ impl Driver {
             }
             if let Some(Writing { by, .. }) = self.writing {
                 match self.poll_write(cx) {
-                    Poll::Pending if clock.now() < by => return Next::Wait(Some(by)),
+                    Poll::Pending if clock.now() < by => return DriverStatus::Waiting(Some(by)),
                     Poll::Pending => {
-                        let late = "the request could not be written in time";
-                        self.lose(io::Error::new(io::ErrorKind::TimedOut, late), clock.now());
+                        let late = "the request was not written in time";
+                        self.connection_lost(io::Error::new(io::ErrorKind::TimedOut, late), clock.now());
                     }
                     Poll::Ready(Ok(())) => {
                         let at = self.transmitted_at(clock);
                         self.core.sent(at);
                         let late = self.io.as_deref_mut().map(<dyn Io>::take_late).unwrap_or_default();
                         self.core.late_datagrams(late);
-                        self.listens = self.listens && self.connector.tells();
+                        self.read_armed = self.read_armed && self.connector.wakes_reader();
                     }
-                    Poll::Ready(Err(error)) => self.lose(error, clock.now()),
+                    Poll::Ready(Err(error)) => self.connection_lost(error, clock.now()),
                 }
                 continue;
             }
-            if !self.listens || self.bell.has_rung() {
+            if !self.read_armed || self.io_waker.is_ready() {
                 match self.read_all(cx, clock) {
-                    Ok(all) => self.listens = all,
+                    Ok(all) => self.read_armed = all,
                     Err(error) => {
-                        self.lose(error, clock.now());
+                        self.connection_lost(error, clock.now());
                         continue;
                     }
                 }
             }
             let now = clock.now();
-            match self.core.step(now) {
-                Step::Connect => {
+            match self.core.next_action(now) {
+                Action::Connect => {
                     self.io = None;
-                    self.connects = true;
+                    self.open_requested = true;
                 }
-                Step::Disconnect => {
+                Action::Disconnect => {
                     tracing::debug!("idle");
                     self.io = None;
                     self.state.send_replace(LinkState::Idle);
                 }
-                Step::Send(by) => {
+                Action::Send(by) => {
                     if std::mem::replace(&mut sends, true) {
-                        // What was sent before it has taken its time.
+                        // Sending the request before took time.
                         clock.look();
                     }
                     self.writing = Some(Writing { written: 0, by });
                 }
-                // Not before what is on the wire has ended, so that the PLC is not cut off in the middle of its answer.
-                Step::Wait(_) if (self.core.is_closing() || self.orphaned) && self.core.is_idle() => self.ending = true,
-                Step::Wait(until) => {
-                    if self.opening.is_some() || self.connects {
-                        if by == By::Caller {
-                            return Next::Task;
+                // The exchange on the wire ends first: the PLC must not be cut off in its reply.
+                Action::Wait(_) if (self.core.is_closing() || self.orphaned) && self.core.is_idle() => {
+                    self.ending = true
+                }
+                Action::Wait(until) => {
+                    if self.opening.is_some() || self.open_requested {
+                        if by == AdvancedBy::Caller {
+                            return DriverStatus::NeedsTask;
                         }
                         if self.open(cx, now).is_ready() {
                             clock.look();
-                            self.listens = false;
+                            self.read_armed = false;
                             continue;
                         }
                     }
                     match until {
-                        Some(until) if until <= now => self.listens = false,
-                        until if self.listens => return Next::Wait(until),
+                        Some(until) if until <= now => self.read_armed = false,
+                        until if self.read_armed => return DriverStatus::Waiting(until),
                         _ => {}
                     }
                 }
             }
         }
-        Next::Yield
+        DriverStatus::Yield
     }
 
-    /// The end of all: calls that wait fail, and the connection is closed as soon as what was sent has left the machine.
-    fn end(&mut self, now: Instant) -> Next {
+    /// Ends the link: waiting calls fail, and the connection closes once all bytes have left the
+    /// machine.
+    fn end(&mut self, now: Instant) -> DriverStatus {
         self.core.close();
         match self.sent_until {
-            // A broadcast that has been said to be sent is not cut off.
-            Some(until) if self.io.is_some() && now < until => Next::Wait(Some(until)),
-            _ => Next::End,
+            // A broadcast that was reported as sent is not cut off.
+            Some(until) if self.io.is_some() && now < until => DriverStatus::Waiting(Some(until)),
+            _ => DriverStatus::Ended,
         }
     }
 
-    /// Closes the connection. Whoever closes the link waits for this: now all is done.
+    /// Closes the connection and reports that the link is closed; [`close`](super::Link::close)
+    /// waits for that.
     pub(crate) fn finish(mut self) {
         self.io = None;
         self.state.send_replace(LinkState::Closed);
     }
 
-    /// When what has just been written leaves the machine. On a serial line, it waits for what was written before; a socket
-    /// takes it at once, so that the clock need not be looked at for it; and what a user's stream does within a write or a flush
-    /// may take long.
+    /// When the bytes just written leave the machine.
+    ///
+    /// On a serial line they follow those written before. A socket takes them at once, and the
+    /// clock need not be read for it. A user's stream may take long within a write or a flush.
     fn transmitted_at(&mut self, clock: &mut Clock) -> Instant {
         let Some(line) = self.line else {
-            return if self.connector.tells() { clock.now() } else { clock.look() };
+            return if self.connector.wakes_reader() { clock.now() } else { clock.look() };
         };
         let now = clock.look();
         let begins = self.sent_until.map_or(now, |until| until.max(now));
-        let ends = later(begins, line.transmission(self.core.outgoing().len()));
+        let ends = later(begins, line.transmission(self.core.request_bytes().len()));
         self.sent_until = Some(ends);
         ends
     }
 
-    /// Goes on writing the request; ready when that is over.
+    /// Continues to write the request. Ready when it is written and flushed, or has failed.
     fn poll_write(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         let Some(writing) = &mut self.writing else { return Poll::Ready(Ok(())) };
         let Some(io) = &mut self.io else {
@@ -314,13 +321,13 @@ impl Driver {
             return Poll::Ready(Err(io::ErrorKind::NotConnected.into()));
         };
         let result = loop {
-            match self.core.outgoing().get(writing.written..) {
+            match self.core.request_bytes().get(writing.written..) {
                 Some(rest) if !rest.is_empty() => match ready!(Pin::new(&mut *io).poll_write(cx, rest)) {
                     Ok(0) => break Err(io::ErrorKind::WriteZero.into()),
                     Ok(written) => writing.written = writing.written.saturating_add(written),
                     Err(error) => break Err(error),
                 },
-                // Flushing a serial port blocks the thread until the last bit is on the line.
+                // Flushing a serial port blocks the thread until the last bit is sent.
                 _ if self.line.is_some() => break Ok(()),
                 _ => break ready!(Pin::new(&mut *io).poll_flush(cx)),
             }
@@ -329,12 +336,12 @@ impl Driver {
         Poll::Ready(result)
     }
 
-    /// Reads what has come, and lets the core understand it. Says whether that is all; of a peer that never stops, no more
-    /// than a few reads' worth is taken.
+    /// Reads all data and passes them to the core. Returns whether all were read: from a peer that
+    /// never stops, only a number of reads are taken.
     fn read_all(&mut self, cx: &mut Context<'_>, clock: &mut Clock) -> io::Result<bool> {
         for _ in 0..MAX_AT_ONCE {
             let Some(io) = &mut self.io else { return Ok(true) };
-            self.bell.take();
+            self.io_waker.clear_ready();
             let mut bytes = [const { MaybeUninit::uninit() }; buffer::LEN];
             let mut bytes = ReadBuf::uninit(&mut bytes);
             match Pin::new(io).poll_read(cx, &mut bytes) {
@@ -342,27 +349,27 @@ impl Driver {
                 Poll::Ready(result) => result?,
             }
             if bytes.filled().is_empty() {
-                return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the other end closed it"));
+                return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the peer closed the connection"));
             }
-            // Not before it has been read: the gap on a serial line begins then.
-            self.understand(bytes.filled(), clock.look());
+            // Read after the data: the frame gap of a serial line begins now.
+            self.process_bytes(bytes.filled(), clock.look());
             if !self.core.is_idle() {
-                // Its time may be up.
+                // The deadline of the exchange may have passed.
                 return Ok(false);
             }
         }
         Ok(false)
     }
 
-    fn understand(&mut self, bytes: &[u8], now: Instant) {
-        let borrows = self.core.incoming().is_empty();
+    fn process_bytes(&mut self, bytes: &[u8], now: Instant) {
+        let borrows = self.core.receive_buffer().is_empty();
         if borrows {
-            *self.core.incoming() = buffer::borrow();
+            *self.core.receive_buffer() = buffer::borrow();
         }
-        self.core.incoming().extend_from_slice(bytes);
+        self.core.receive_buffer().extend_from_slice(bytes);
         self.core.received(now);
-        let left = self.core.incoming();
-        // As much as is needed, and no more.
+        let left = self.core.receive_buffer();
+        // Exactly as much memory as the incomplete frame needs.
         let kept = if left.is_empty() { BytesMut::new() } else { BytesMut::from(&left[..]) };
         if borrows {
             buffer::give_back(std::mem::replace(left, kept));
@@ -371,26 +378,26 @@ impl Driver {
         }
     }
 
-    /// Goes on opening a connection, or begins to; ready when something has come of it.
+    /// Begins or continues to open a connection. Ready when the attempt has ended.
     fn open(&mut self, cx: &mut Context<'_>, now: Instant) -> Poll<()> {
-        if std::mem::take(&mut self.connects) {
-            match self.gate.clone() {
-                Some(gate) => {
-                    self.waits();
-                    self.opening = Some(Opening::Turn(gate.turn().boxed()));
+        if std::mem::take(&mut self.open_requested) {
+            match self.connect_limiter.clone() {
+                Some(connect_limiter) => {
+                    self.enter_waiting();
+                    self.opening = Some(Opening::Queued(connect_limiter.wait().boxed()));
                 }
-                None => self.begin_to_open(None),
+                None => self.start_opening(None),
             }
         }
         match &mut self.opening {
             None => {}
-            Some(Opening::Turn(turn)) => {
-                let turn = ready!(turn.poll_unpin(cx));
+            Some(Opening::Queued(slot)) => {
+                let slot = ready!(slot.poll_unpin(cx));
                 self.opening = None;
                 if self.core.may_connect(now) {
-                    self.begin_to_open(turn.take());
+                    self.start_opening(slot.take_permit());
                 } else {
-                    self.waits_no_more();
+                    self.leave_waiting();
                 }
             }
             Some(Opening::Connection { opening, .. }) => {
@@ -402,8 +409,9 @@ impl Driver {
         Poll::Ready(())
     }
 
-    /// It is not its turn to connect yet. A link that is down goes on saying why.
-    fn waits(&self) {
+    /// Reports that the link waits for its slot. A link that is down keeps its state, and with it
+    /// the error.
+    fn enter_waiting(&self) {
         self.state.send_if_modified(|state| {
             let down = matches!(state, LinkState::Down { .. });
             if !down {
@@ -413,8 +421,8 @@ impl Driver {
         });
     }
 
-    /// It is its turn, and nobody wants that any more.
-    fn waits_no_more(&self) {
+    /// Reports that the link no longer waits for its slot: no call needs the connection any more.
+    fn leave_waiting(&self) {
         self.state.send_if_modified(|state| {
             let waiting = matches!(state, LinkState::Waiting);
             if waiting {
@@ -424,12 +432,12 @@ impl Driver {
         });
     }
 
-    /// Begins to open a connection. If there will never be another, that is the end.
-    fn begin_to_open(&mut self, pass: Option<Pass>) {
+    /// Begins to open a connection. If the connector has none left, the link ends.
+    fn start_opening(&mut self, permit: Option<ConnectPermit>) {
         match self.connector.open(self.connect_timeout) {
             Some(opening) => {
                 self.state.send_replace(LinkState::Connecting);
-                self.opening = Some(Opening::Connection { opening, _pass: pass });
+                self.opening = Some(Opening::Connection { opening, _permit: permit });
             }
             None => self.ending = true,
         }
@@ -453,8 +461,8 @@ impl Driver {
         }
     }
 
-    /// The connection is lost. If there can be no other, that is the end.
-    fn lose(&mut self, error: io::Error, now: Instant) {
+    /// Handles a lost connection. If there can be no other, the link ends.
+    fn connection_lost(&mut self, error: io::Error, now: Instant) {
         tracing::debug!(%error, "connection lost");
         self.io = None;
         self.writing = None;
@@ -469,13 +477,13 @@ impl Driver {
     }
 }
 
-/// A connection on its way.
+/// An attempt to connect.
 enum Opening {
-    /// It waits for its turn.
-    Turn(BoxFuture<'static, Turn>),
+    /// It waits for its slot.
+    Queued(BoxFuture<'static, ConnectSlot>),
     Connection {
         opening: BoxFuture<'static, io::Result<BoxIo>>,
-        /// Held until it is open, so that not too many are opened at once.
-        _pass: Option<Pass>,
+        /// Held until the attempt has ended: it limits the number of simultaneous attempts.
+        _permit: Option<ConnectPermit>,
     },
 }

@@ -1,10 +1,11 @@
-//! In step: the rule that a reply is given to a request only if it is this request's own. One [`InStep`] a station, without I/O
-//! and clock.
+//! In step: the rule that a reply is given only to the request it answers. One [`InStep`] a
+//! station, without I/O and clock.
 //!
-//! The protocol has no transaction id. A line may deliver a reply late or lose it, and it may deliver a reply more than once. A
-//! PLC answers in the order in which it was asked and the line keeps that order, so a duplicate comes before the true reply to
-//! any request that was sent later. The rule is that of the alternating bit protocol (Bartlett, Scantlebury, Wilkinson 1969),
-//! with the bit in the shape of the reply.
+//! The protocol has no transaction id. A line may deliver a reply late, lose it, or deliver it more
+//! than once. A PLC answers in the order in which it was asked, and the line keeps that order. So a
+//! duplicate comes before the true reply to any request sent later. The rule is that of the
+//! alternating bit protocol (Bartlett, Scantlebury, Wilkinson 1969), with the bit in the shape of
+//! the reply.
 //!
 //! ```text
 //!                 connected, stray, timeout, reply without proof
@@ -13,20 +14,24 @@
 //!      └─────────────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! A *stray* is a frame of the station that no request on the wire takes. A *check* is a loop-back (4E) with a nonce that was
-//! never used before. *Owed* are the shapes of replies that may still come: what was taken last, and answers to broadcasts.
+//! A *stray* is a frame of the station that no request on the wire takes. A *check* is a loop-back
+//! (4E) with a nonce that was never used before. *Owed* are the shapes of replies that may still
+//! come: that of the reply taken last, and those of answers to broadcasts.
 //!
 //! Invariants:
-//! - a suspect station is sent nothing but checks, and only the echo of a check or silence clears it;
-//! - in step, a request is sent only if nothing owed could answer it, in one of its [spellings](crate::command::Spelling); a
-//!   read also while a refusal is owed, and a program page also while a page is owed;
-//! - after a reply was taken, its positive shape and the refusal of its command are owed, and nothing older is;
-//! - a reply without proof is given to no caller.
+//! - A suspect station is sent nothing but checks, and only the echo of a check or silence clears
+//!   it.
+//! - In step, a request is sent only if nothing owed could answer it, in one of its
+//!   [spellings](crate::command::Spelling). A read may also be sent while a refusal is owed, and a
+//!   program page while a page is owed.
+//! - After a reply was taken, its positive shape and the refusal of its command are owed, and
+//!   nothing older.
+//! - A reply without proof is given to no caller.
 
 mod answered;
 #[cfg(test)]
 mod checker;
-mod codes;
+mod command_set;
 mod terms;
 #[cfg(test)]
 mod tests;
@@ -35,8 +40,8 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use self::answered::Answered;
-use self::codes::Codes;
+use self::answered::AnsweredElements;
+use self::command_set::CommandSet;
 use self::terms::ANY_SIZE;
 pub(crate) use self::terms::{
     Check, Choice, Kind, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why, fingerprint,
@@ -44,56 +49,57 @@ pub(crate) use self::terms::{
 use super::later;
 use crate::command::{Candidate, Code, NO_CANDIDATES, Run, Spelling};
 
-/// What is known of one station.
+/// The state of the rule for one station.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct InStep {
-    /// Why anything may come, if so.
+    /// Why any reply may come; `None`: the station is in step.
     suspect: Option<Why>,
     /// 4E was refused without proof since the last proof.
     refused: bool,
     /// The beginning of the silence that replaces a check.
     silent_since: Option<Instant>,
-    /// The reply that was taken last, while a copy of it may come.
+    /// The reply taken last, while a duplicate of it may come.
     taken: Option<Taken>,
-    /// Those before it; more than none only if copies may come later than the next reply.
+    /// Replies taken before that; empty unless duplicates may come later than the next reply.
     older: Vec<Taken>,
     /// Broadcasts that may be answered.
-    broadcasts: Codes,
+    broadcasts: CommandSet,
     /// Requests that timed out since the last proof.
-    timed_out: Codes,
-    /// The fingerprint of the reply that was taken last.
+    timed_out: CommandSet,
+    /// The fingerprint of the reply taken last.
     last: Option<u64>,
-    /// The fingerprint of the page that was taken last.
+    /// The fingerprint of the page taken last.
     last_page: Option<u64>,
     /// That page was equal to the one before it.
     equal_pages: bool,
-    /// A stray equal to the reply taken last need not be its copy: a reply without proof came since, or it is a page that came
-    /// while another page was owed. If a roaming copy was taken before, that stray is the true reply.
+    /// A stray equal to the reply taken last need not be its duplicate: a reply without proof came
+    /// since, or it is a page that came while another page was owed. If a roaming duplicate was
+    /// taken before, that stray is the true reply.
     ambiguous: bool,
-    /// Such a stray came over this connection: pages are asked for behind a check.
+    /// Such a stray came over this connection: a check goes before each page.
     careful: bool,
     /// Commands that are used as spellings and that the station does not know.
-    lacks: Codes,
-    answered: Answered,
+    lacks: CommandSet,
+    answered: AnsweredElements,
     /// The silence before the reply, in the slowest of recent exchanges.
     slowest: Duration,
     proof: Proof,
 }
 
-/// A reply that was taken, of which a copy may come.
+/// A reply that was taken, and of which a duplicate may come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Taken {
     shape: Shape,
-    /// `None` for a refusal: the copy may be any positive reply then.
+    /// `None` for a refusal: its duplicate may be any positive reply.
     fingerprint: Option<u64>,
-    /// The silence of the station after which no copy comes any more.
+    /// The silence of the station after which no duplicate comes.
     window: Duration,
     heard_at: Instant,
-    /// The time that the line had been busy by then.
+    /// The line's busy time at `heard_at`.
     busy_at: Duration,
 }
 
-/// What of the owed frames could answer a request.
+/// The owed frames that could answer a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Threat {
     None,
@@ -102,7 +108,7 @@ enum Threat {
 }
 
 impl InStep {
-    /// A station on a connection over which it has not been asked anything.
+    /// The state of a station at the beginning of a connection.
     pub(crate) fn new() -> Self {
         Self {
             suspect: Some(Why::Connected),
@@ -110,21 +116,21 @@ impl InStep {
             silent_since: None,
             taken: None,
             older: Vec::new(),
-            broadcasts: Codes::NONE,
-            timed_out: Codes::NONE,
+            broadcasts: CommandSet::NONE,
+            timed_out: CommandSet::NONE,
             last: None,
             last_page: None,
             equal_pages: false,
             ambiguous: false,
             careful: false,
-            lacks: Codes::NONE,
-            answered: Answered::new(),
+            lacks: CommandSet::NONE,
+            answered: AnsweredElements::new(),
             slowest: Duration::ZERO,
             proof: Proof::default(),
         }
     }
 
-    /// A station that is in step, and that nothing is owed of.
+    /// The state of a station that is in step and owes nothing.
     #[cfg(test)]
     pub(crate) fn trusted() -> Self {
         Self { suspect: None, ..Self::new() }
@@ -139,15 +145,15 @@ impl InStep {
         self.proof
     }
 
-    /// Decides what goes out for a request. `plain`: another spelling of it has been refused.
+    /// Chooses what to send for a request. `plain`: another spelling of it was refused.
     pub(crate) fn choose(&mut self, request: &impl Spelled, plain: bool, rule: &Rule, now: Instant) -> Choice {
         if let Some(choice) = self.prove(rule, now) {
             return choice;
         }
         let spelling = request.plain();
-        // A page after two equal ones is probably equal, too, and would be asked for twice.
-        let doubtful = (self.equal_pages || self.careful) && request.kind() == Kind::Page;
-        if self.allows(request, spelling) && !(doubtful && self.threat(request.shape(spelling)) == Threat::Reply) {
+        // A page after two equal ones is probably equal, too, and would be read twice.
+        let likely_equal = (self.equal_pages || self.careful) && request.kind() == Kind::Page;
+        if self.allows(request, spelling) && !(likely_equal && self.threat(request.shape(spelling)) == Threat::Reply) {
             return Choice::Send(spelling);
         }
         let candidates = if plain { NO_CANDIDATES } else { request.candidates() };
@@ -160,7 +166,8 @@ impl InStep {
         let best = candidates.iter().flatten().filter(|candidate| possible(candidate)).min_by_key(|&c| price(c));
         match best {
             Some(candidate) => Choice::Send(candidate.spelling),
-            // Where the refusal of an earlier 4E could pass for the echo, another 4E would separate nothing.
+            // A refusal owed by an earlier 4E could answer another 4E, which would separate
+            // nothing.
             None if spelling.code == Code::LoopBack && request.kind() == Kind::Once => {
                 self.separate(Why::Owed, Check::Status, rule, now)
             }
@@ -168,12 +175,12 @@ impl InStep {
         }
     }
 
-    /// Decides what goes out to confirm all that was taken so far; `None`: it is confirmed.
+    /// Chooses what to send to confirm all results so far. `None`: they are confirmed.
     pub(crate) fn confirm(&mut self, rule: &Rule, now: Instant) -> Option<Choice> {
         let suspect = self.suspect.is_some();
         let choice = self.prove(rule, now);
-        // A suspect station that needs no check has been silent. That the window has passed is no proof: a copy may have been
-        // taken, and the true reply may be slower than the window.
+        // A suspect station that needs no check has been silent. The end of the copy window is no
+        // proof: a duplicate may have been taken, and the true reply may be slower than the window.
         if choice.is_some() || suspect || rule.settings.copies() == 0 {
             return choice;
         }
@@ -184,7 +191,7 @@ impl InStep {
         Some(self.separate(Why::Confirm, Check::Nonce, rule, now))
     }
 
-    /// What a suspect station needs; `None`: it is in step.
+    /// Chooses what a suspect station needs. `None`: it is in step.
     fn prove(&mut self, rule: &Rule, now: Instant) -> Option<Choice> {
         self.lapse(rule, now);
         let why = self.suspect?;
@@ -199,11 +206,11 @@ impl InStep {
         None
     }
 
-    /// What goes between two requests: this check, if it can.
+    /// Chooses what goes between two requests: `check`, if nothing owed could answer it.
     fn separate(&mut self, why: Why, check: Check, rule: &Rule, now: Instant) -> Choice {
         let free = |shape: Shape| self.threat(shape) == Threat::None;
         if !self.refused && matches!(check, Check::Empty | Check::Nonce) {
-            // A nonce may always go out: its echo cannot be another's.
+            // A nonce may always be sent: only its own reply echoes it.
             let empty = check == Check::Empty && free(Check::EMPTY);
             return Choice::Check(if empty { Check::Empty } else { Check::Nonce }, why);
         }
@@ -217,7 +224,7 @@ impl InStep {
         Choice::Silence(later(*self.silent_since.get_or_insert(now), rule.quiet))
     }
 
-    /// Whether a request may be sent with this spelling.
+    /// Whether a request may be sent in this spelling.
     pub(crate) fn allows(&self, request: &impl Spelled, spelling: Spelling) -> bool {
         let threat = self.threat(request.shape(spelling));
         self.suspect.is_none()
@@ -241,7 +248,7 @@ impl InStep {
         self.taken.iter().chain(&self.older)
     }
 
-    /// Whether a reply is proven to be that to the request on the wire.
+    /// Whether a reply is proven to answer the request on the wire.
     pub(crate) fn proves(&self, kind: Kind, reply: &Reply) -> bool {
         let threat = self.threat(reply.shape);
         let in_step = self.suspect.is_none();
@@ -256,9 +263,10 @@ impl InStep {
         }
     }
 
-    /// A reply was taken, for which the line was silent this long: it may come again, and nothing older may.
+    /// Notes that a reply was taken, for which the line was silent this long. Its duplicate may
+    /// come; nothing older may.
     pub(crate) fn taken(&mut self, kind: Kind, reply: &Reply, took: Duration, rule: &Rule, now: Instant) {
-        // It decays slowly: a reply that comes at once may be a copy.
+        // Decays slowly: a reply that comes at once may be a duplicate.
         self.slowest = took.max(self.slowest.saturating_mul(7).checked_div(8).unwrap_or_default());
         if kind == Kind::Page {
             self.equal_pages = !reply.refused && self.last_page == Some(reply.fingerprint);
@@ -266,7 +274,7 @@ impl InStep {
         }
         self.ambiguous = kind == Kind::Page && self.owed().any(|taken| taken.shape == reply.shape);
         self.last = Some(reply.fingerprint);
-        self.broadcasts = Codes::NONE;
+        self.broadcasts = CommandSet::NONE;
         let fingerprint = (!reply.refused).then_some(reply.fingerprint);
         let before = self.taken.take();
         if rule.settings.copies() > 0 {
@@ -280,7 +288,7 @@ impl InStep {
         Taken { shape, fingerprint, window, heard_at: now, busy_at: rule.busy }
     }
 
-    /// Keeps a frame that may come again later than the next reply, if copies roam.
+    /// Keeps a frame whose duplicate may come later than the next reply, if duplicates roam.
     fn remember(&mut self, frame: Option<Taken>, rule: &Rule) {
         let most = usize::from(rule.settings.copies()).saturating_sub(1);
         if most > 0 {
@@ -290,15 +298,16 @@ impl InStep {
         }
     }
 
-    /// A read of these elements was answered.
+    /// Notes that a read of these elements was answered.
     pub(crate) fn answered(&mut self, run: Option<Run>, spelling: Spelling) {
         if let Some(run) = run {
-            // A spelling of a mixed read has its first element twice.
+            // In a spelling of a mixed read the first element stands twice.
             self.answered.add(run.first, if run.count == 1 { 1 } else { spelling.count_behind() });
         }
     }
 
-    /// A spelling that is not the plain one was refused. `lacks`: the device does not know its command.
+    /// Notes that a spelling other than the plain one was refused. `lacks`: the device does not
+    /// know its command.
     pub(crate) fn spelling_refused(&mut self, plain: Spelling, spelling: Spelling, run: Option<Run>, lacks: bool) {
         if spelling.code == plain.code {
             run.into_iter().for_each(|run| self.answered.forget(run.first));
@@ -307,14 +316,16 @@ impl InStep {
         }
     }
 
-    /// A write was refused in another spelling, and is to be sent as itself: not before a check has shown that the refusal was its
-    /// own.
+    /// Notes that a write was refused in another spelling, and is to be sent as the caller made it: not
+    /// before a check has shown that the refusal was its own.
     pub(crate) fn write_refused(&mut self) {
         self.suspect.get_or_insert(Why::Confirm);
     }
 
-    /// A check has been answered, after this time. Says whether it has proven anything. `followed`: a stray came behind the
-    /// answer, in the same read.
+    /// Handles the reply to a check. Returns whether it has proven anything.
+    ///
+    /// `followed`: a stray came after the reply in the same read. `took`: the silence before the
+    /// reply.
     pub(crate) fn checked(
         &mut self,
         check: Check,
@@ -336,7 +347,7 @@ impl InStep {
             let (taken, older) = (self.taken, std::mem::take(&mut self.older));
             self.is_in_step();
             if rule.settings.copies() > 1 {
-                // A copy that may come later than the next reply may come later than the echo.
+                // A duplicate that may come later than the next reply may come later than the echo.
                 (self.taken, self.older) = (taken, older);
             }
         }
@@ -344,25 +355,26 @@ impl InStep {
         self.taken(Kind::Once, reply, took, rule, now);
         if followed {
             self.followed();
-            // What came behind the echo is none of those that the echo has outlived.
+            // The frame after the echo is none of those that came before it.
             self.suspect = Some(Why::Stray);
         }
         !followed
     }
 
-    /// All that was owed has come, or will never come.
+    /// Puts the station in step: all that was owed has come, or will never come.
     fn is_in_step(&mut self) {
         self.suspect = None;
         self.refused = false;
         self.silent_since = None;
         self.taken = None;
         self.older.clear();
-        self.broadcasts = Codes::NONE;
-        self.timed_out = Codes::NONE;
+        self.broadcasts = CommandSet::NONE;
+        self.timed_out = CommandSet::NONE;
         self.proof.proofs = self.proof.proofs.wrapping_add(1);
     }
 
-    /// What a taken reply owes lapses in a silence: not of this station alone, for a copy waits while others use the line.
+    /// Drops replies whose copy window has passed in silence. The time of frames of other stations
+    /// does not count, for a duplicate waits while they use the line.
     fn lapse(&mut self, rule: &Rule, now: Instant) {
         let ends = |taken: &Taken| {
             let busy = rule.busy.saturating_sub(taken.busy_at);
@@ -374,7 +386,7 @@ impl InStep {
         }
     }
 
-    /// A copy of the reply taken last came, or what is equal to it.
+    /// Notes that a duplicate of the reply taken last came, or a frame equal to it.
     pub(crate) fn copied(&mut self) {
         if self.ambiguous {
             self.careful = true;
@@ -382,8 +394,8 @@ impl InStep {
         }
     }
 
-    /// A frame of the station came behind a reply, in the same read, that is no copy of that reply. A copy of anything older would
-    /// have come before it.
+    /// Notes that a frame of the station came after a reply in the same read, and is no duplicate of
+    /// it. A duplicate of anything older would have come before the reply.
     pub(crate) fn followed(&mut self) {
         self.doubt();
     }
@@ -392,7 +404,7 @@ impl InStep {
         self.proof.doubts = self.proof.doubts.wrapping_add(1);
     }
 
-    /// The connection is new, and may be to what was asked over another one.
+    /// Notes a new connection: it may deliver replies to requests of another one.
     pub(crate) fn connected(&mut self) {
         self.careful = false;
         self.suspect = Some(Why::Connected);
@@ -400,17 +412,19 @@ impl InStep {
         self.silent_since = None;
     }
 
-    /// A request was not answered in time, or the connection was lost: the answer may come at any time.
+    /// Notes a timeout or a lost connection: the reply may come at any time.
     pub(crate) fn timed_out(&mut self, code: Code) {
         self.suspect = Some(Why::TimedOut);
         self.timed_out.insert(code);
         self.silent_since = None;
     }
 
-    /// A reply came without proof, and its request is to be sent again. `copied`: a copy of it came in the same read.
+    /// Notes a reply without proof, whose request is sent again. `copied`: a duplicate of it came
+    /// in the same read.
     ///
-    /// The reply to that request may still come, and so may the true reply to a read that a roaming copy has answered. So a frame that
-    /// comes afterwards is not expected, and a copy that came with the reply may be one: both are doubts for jobs.
+    /// The reply to that request may still come, and so may the true reply to a read that a roaming
+    /// duplicate has answered. So a later frame is unexpected, and a duplicate that came with the
+    /// reply may be one of these: both put a job's results in doubt.
     pub(crate) fn unproven(&mut self, reply: &Reply, copied: bool, rule: &Rule, now: Instant) {
         self.suspect.get_or_insert(Why::Unproven);
         self.ambiguous = true;
@@ -421,7 +435,7 @@ impl InStep {
         self.remember(Some(self.owed_frame(reply.shape, fingerprint, rule, now)), rule);
     }
 
-    /// A broadcast was sent: the station may answer it.
+    /// Notes that a broadcast was sent: the station may answer it.
     pub(crate) fn broadcast(&mut self, code: Code, now: Instant) {
         self.broadcasts.insert(code);
         self.restart_silence(now);
@@ -433,13 +447,13 @@ impl InStep {
         }
     }
 
-    /// A part of a frame, or a late datagram, was dropped, which may have been a stray of this station: results that are held are in
-    /// doubt.
-    pub(crate) fn lost_beginning(&mut self) {
+    /// Notes that a part of a frame, or a late datagram, was dropped. It may have been a stray of
+    /// this station, so held results are in doubt.
+    pub(crate) fn input_dropped(&mut self) {
         self.doubt();
     }
 
-    /// A frame came from the station that no request takes.
+    /// Handles a frame of the station that no request takes.
     pub(crate) fn stray(&mut self, command: u8, fingerprint: u64, rule: &Rule, now: Instant) -> Stray {
         self.restart_silence(now);
         self.taken.iter_mut().chain(&mut self.older).for_each(|taken| {
@@ -452,7 +466,7 @@ impl InStep {
         if let Some(code) = Code::from_u8(command) {
             self.remember(Some(self.owed_frame(Shape { code, size: ANY_SIZE }, None, rule, now)), rule);
         }
-        let is_in = |codes: Codes| Code::from_u8(command).is_some_and(|code| codes.contains(code));
+        let is_in = |codes: CommandSet| Code::from_u8(command).is_some_and(|code| codes.contains(code));
         let stray = match (is_in(self.timed_out), is_in(self.broadcasts)) {
             (true, _) => Stray::Late,
             (false, true) => Stray::Broadcast,

@@ -1,4 +1,4 @@
-//! How long bytes take on a serial line: arithmetic, without a clock.
+//! Transmission times of a serial line: arithmetic, without a clock.
 
 use std::time::Duration;
 
@@ -13,15 +13,15 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// How long so many bytes take, rounded up to the nanosecond.
+    /// Transmission time of a number of bytes, rounded up to the nanosecond.
     pub(crate) fn transmission(&self, bytes: usize) -> Duration {
         let bits = u128::from(self.bits_per_character).saturating_mul(bytes.try_into().unwrap_or(u128::MAX));
         self.half_bits(bits.saturating_mul(2))
     }
 
-    /// How long the line is left alone between a reply and the next request: three and a half characters, as is the
-    /// custom on serial buses, and at least the 2 ms that a slow RS-485 driver may take to turn around.
-    pub(crate) fn gap(&self) -> Duration {
+    /// The default frame gap: three and a half characters, as usual on serial buses, and at least 2
+    /// ms for slow RS-485 drivers to turn around.
+    pub(crate) fn frame_gap(&self) -> Duration {
         let three_and_a_half = self.half_bits(u128::from(self.bits_per_character).saturating_mul(7));
         three_and_a_half.max(Duration::from_millis(2))
     }
@@ -94,20 +94,20 @@ mod tests {
     }
 
     #[test]
-    fn no_number_overflows() {
+    fn no_time_overflows() {
         for baud in [0, 1, u32::MAX] {
             for bits_per_character in [0, u8::MAX] {
                 let line = Line { baud, bits_per_character };
                 assert!(line.transmission(usize::MAX) <= Duration::from_nanos(u64::MAX));
-                assert!(line.gap() >= Duration::from_millis(2));
+                assert!(line.frame_gap() >= Duration::from_millis(2));
             }
         }
     }
 
     #[test]
-    fn the_gap_is_three_and_a_half_characters_and_at_least_two_milliseconds() {
-        assert_eq!(Line { baud: 9600, bits_per_character: 10 }.gap(), Duration::from_nanos(3_645_834));
-        assert_eq!(Line { baud: 19_200, bits_per_character: 11 }.gap(), Duration::from_nanos(2_005_209));
-        assert_eq!(Line { baud: 115_200, bits_per_character: 10 }.gap(), Duration::from_millis(2));
+    fn the_frame_gap_is_3_5_characters_and_at_least_2_ms() {
+        assert_eq!(Line { baud: 9600, bits_per_character: 10 }.frame_gap(), Duration::from_nanos(3_645_834));
+        assert_eq!(Line { baud: 19_200, bits_per_character: 11 }.frame_gap(), Duration::from_nanos(2_005_209));
+        assert_eq!(Line { baud: 115_200, bits_per_character: 10 }.frame_gap(), Duration::from_millis(2));
     }
 }

@@ -1,19 +1,21 @@
 //! The link: one connection, shared by many callers and many stations.
 //!
-//! - [`Link`] is the handle: cheap to clone, what all of them share and no more.
-//! - `driver` owns the connection. It moves bytes and time, and decides nothing. `hub` is what handles and task share: the
-//!   driver is advanced by the link's task and, to put a request on the wire, by a caller. `bell` is what wakes the task.
-//! - `core` decides: which call is next, when to connect, whom to believe. It does no I/O and reads no clock.
-//!   `connection` is whether there is one and when there may be another.
-//! - `exchange` is the one request on the wire and the matching of its reply; `scheduler` is the order of the others;
-//!   `stations` is whom to believe, and who is there.
-//! - `call` is what a caller and the link share for one call; `stats` is what everybody can see; `by_station` is a map for what is
-//!   known of each station.
-//! - `buffer` is what they put bytes in that they have in hand.
-//! - `gate` lets links that share it connect one after the other.
-//! - `transport` is what the bytes go over, and `line` how long they take.
+//! [`Link`] is the handle, made by [`Link::new`] or a [`LinkBuilder`]. [`CallOptions`] say how
+//! calls are treated; [`LinkState`], [`LinkStats`] and [`StationStats`] show what happens on the
+//! line.
 
-mod bell;
+// The parts:
+// - `shared`: the state that handles and the task share. The task advances the driver. So does a
+//   caller, to put its request on the wire. `io_waker` wakes the task.
+// - `driver`: owns the connection, moves bytes and time, and decides nothing.
+// - `core`: decides which call is next, when to connect, and whether a reply is proven. It has no
+//   I/O and no clock. Its parts: `connection`, `exchange` (the request on the wire), `scheduler`
+//   (the order of waiting calls), `stations` (online or not), `in_step` (the rule about replies).
+// - `call`: the state that a caller and the link share for one call.
+// - `job`: several calls that are confirmed together.
+// - `stats`: counters and states. `by_station`: a map. `buffer`: a buffer per thread.
+// - `connect_limiter`: limits the connection attempts of several links.
+// - `transport`: the streams. `line`: transmission times.
 mod buffer;
 mod builder;
 #[cfg(all(test, feature = "sim"))]
@@ -21,15 +23,16 @@ pub(crate) mod bus_time;
 mod by_station;
 mod call;
 mod config;
+mod connect_limiter;
 mod connection;
 mod core;
 mod driver;
 mod exchange;
-mod gate;
-mod hub;
 mod in_step;
+mod io_waker;
 pub(crate) mod job;
 mod line;
+mod shared;
 pub(crate) use line::Line;
 mod options;
 mod scheduler;
@@ -50,11 +53,11 @@ use tokio::task::consume_budget;
 use tokio::time::{Instant, timeout_at};
 use tracing::Instrument;
 
-use self::call::{Spares, Terms};
-pub(crate) use self::gate::Gate;
-use self::hub::Hub;
+use self::call::{CallMeta, SpareSlots};
+pub(crate) use self::connect_limiter::ConnectLimiter;
 pub(crate) use self::in_step::{Proof, Shape};
-use self::stats::Board;
+use self::shared::Shared;
+use self::stats::SharedStats;
 pub(crate) use self::transport::{BoxIo, Connector};
 use crate::command::{Command, InvalidRequest, Spelling};
 use crate::endpoint::{Endpoint, Transport};
@@ -68,9 +71,10 @@ pub use self::stats::{CheckStats, LinkStats, RoundTripStats, SpellingStats, Stat
 
 /// One connection to one or more PLCs. Cheap to clone; all clones share the connection.
 ///
-/// Making a link does no I/O: the connection is opened by the first call, and again by the next call after it was
-/// lost. A task of the Tokio runtime owns it; it ends when the last handle (this, or a [`Station`] or [`Broadcast`] of
-/// it) is dropped, or with [`close`](Self::close).
+/// Making a link does no I/O. The first call opens the connection, and after a loss the next call
+/// opens it again. A task of the Tokio runtime owns the connection. It ends with
+/// [`close`](Self::close), or when the last handle (this, or a [`Station`] or [`Broadcast`] of it)
+/// is dropped.
 ///
 /// ```no_run
 /// use fatek::{Link, register};
@@ -85,46 +89,47 @@ pub use self::stats::{CheckStats, LinkStats, RoundTripStats, SpellingStats, Stat
 /// ```
 #[derive(Clone)]
 pub struct Link {
-    shared: Arc<Shared>,
+    inner: Arc<LinkInner>,
 }
 
-struct Shared {
+struct LinkInner {
     name: Arc<str>,
     framing: Framing,
     options: CallOptions,
     /// For calls whose options have none.
     response_timeout: Duration,
-    hub: Arc<Hub>,
-    spares: Spares,
+    shared: Arc<Shared>,
+    spares: SpareSlots,
     state: watch::Receiver<LinkState>,
-    board: Arc<Board>,
+    stats: Arc<SharedStats>,
     /// The serial line, if it is one.
     line: Option<Line>,
 }
 
-impl Drop for Shared {
+impl Drop for LinkInner {
     fn drop(&mut self) {
-        self.hub.orphan();
+        self.shared.orphan();
     }
 }
 
-/// What a link's connection is doing.
+/// State of a link's connection.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum LinkState {
-    /// Not open: no call has been made yet, or none for the [idle timeout](LinkBuilder::idle_timeout).
+    /// Not open: no call has been made yet, or none for the [idle
+    /// timeout](LinkBuilder::idle_timeout).
     Idle,
-    /// Waiting for its turn to be opened: a [`Pool`](crate::Pool) opens only so many at a time. A link that was down stays
-    /// so while it waits.
+    /// Waiting to be opened: a [`Pool`](crate::Pool) limits connection attempts. A link that was
+    /// down stays `Down` while it waits.
     Waiting,
     /// Being opened.
     Connecting,
     /// Open.
     Up,
-    /// Lost, or not to be opened; the next call, or one that waits, tries again.
+    /// Lost, or could not be opened. The next call, or one that waits, opens it again.
     #[non_exhaustive]
     Down {
-        /// What happened.
+        /// Why the connection was lost or not opened.
         error: Arc<io::Error>,
     },
     /// Closed for good.
@@ -138,7 +143,7 @@ impl Link {
         Self::builder(endpoint).build()
     }
 
-    /// A link to this endpoint, with settings.
+    /// Settings of a link to this endpoint.
     pub fn builder(endpoint: Endpoint) -> LinkBuilder {
         let framing = endpoint.framing();
         let name = endpoint.to_string();
@@ -151,16 +156,16 @@ impl Link {
         }
     }
 
-    /// A link over a connection that is open already, and cannot be opened again once it is lost.
+    /// A link over an open connection, which cannot be opened again after a loss.
     ///
-    /// For anything that reads and writes bytes: a `tokio::io::duplex` in a test, a tunnel, a port that was set up
-    /// elsewhere.
+    /// For anything that reads and writes bytes: a `tokio::io::duplex` in a test, a tunnel, a port
+    /// that was set up elsewhere.
     #[must_use]
     pub fn from_stream(stream: impl AsyncRead + AsyncWrite + Send + Unpin + 'static, framing: Framing) -> Self {
         Self::stream_builder(stream, framing).build()
     }
 
-    /// As [`from_stream`](Self::from_stream), with settings.
+    /// Settings of a link over an open connection, as for [`from_stream`](Self::from_stream).
     pub fn stream_builder(
         stream: impl AsyncRead + AsyncWrite + Send + Unpin + 'static,
         framing: Framing,
@@ -168,9 +173,11 @@ impl Link {
         LinkBuilder::with_connector(Connector::Once(Some(Box::new(stream))), framing, "the given stream")
     }
 
-    /// A link over connections that `open` opens: the first one and, after each loss, the next one.
+    /// Settings of a link whose connections are made by `open`: the first one and, after each loss,
+    /// the next.
     ///
-    /// They are opened by the link's task; requests are also written by callers, on the runtime that polls them.
+    /// The link's task calls `open`. Requests are also written by callers, on the runtime that
+    /// polls them.
     ///
     /// ```
     /// use fatek::{Link, wire::Framing};
@@ -194,34 +201,34 @@ impl Link {
     /// # Errors
     /// [`InvalidRequest::Station`] for 0 and 255.
     pub fn station(&self, station: u8) -> Result<Station, InvalidRequest> {
-        Station::new(self.clone(), station, self.shared.options)
+        Station::new(self.clone(), station, self.inner.options)
     }
 
-    /// All PLCs of the link at once. None of them answers.
+    /// All PLCs of the link at once, for broadcasts. None of them answers.
     #[must_use]
     pub fn broadcast(&self) -> Broadcast {
-        Broadcast::new(self.clone(), self.shared.options)
+        Broadcast::new(self.clone(), self.inner.options)
     }
 
-    /// How frames look on this link.
+    /// The framing of the link.
     #[must_use]
     pub fn framing(&self) -> Framing {
-        self.shared.framing
+        self.inner.framing
     }
 
-    /// What the connection is doing now.
+    /// The present state of the connection.
     #[must_use]
     pub fn state(&self) -> LinkState {
-        self.shared.state.borrow().clone()
+        self.inner.state.borrow().clone()
     }
 
-    /// What the connection is doing, to be watched.
+    /// Watches the state of the connection.
     #[must_use]
     pub fn watch_state(&self) -> watch::Receiver<LinkState> {
-        self.shared.state.clone()
+        self.inner.state.clone()
     }
 
-    /// What has gone over the link so far: a snapshot.
+    /// Returns the counters of the link: a snapshot.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -232,182 +239,194 @@ impl Link {
     /// ```
     #[must_use]
     pub fn stats(&self) -> LinkStats {
-        self.shared.board.link()
+        self.inner.stats.link_stats()
     }
 
-    /// Whether it will never do anything again: it has been closed, or its task has ended.
+    /// Whether the link has been closed, or its task has ended.
     pub(crate) fn is_closed(&self) -> bool {
-        self.shared.hub.is_closed()
+        self.inner.shared.is_closed()
     }
 
-    /// How many handles there are, those of stations included.
+    /// The number of handles, those of stations included.
     pub(crate) fn handles(&self) -> usize {
-        Arc::strong_count(&self.shared)
+        Arc::strong_count(&self.inner)
     }
 
-    /// The endpoint, or what a link over something else was called.
+    /// The endpoint, or the name given to [`connector_builder`](Self::connector_builder).
     pub(crate) fn name(&self) -> &str {
-        &self.shared.name
+        &self.inner.name
     }
 
     pub(crate) fn line(&self) -> Option<Line> {
-        self.shared.line
+        self.inner.line
     }
 
-    pub(crate) fn board(&self) -> &Board {
-        &self.shared.board
+    pub(crate) fn shared_stats(&self) -> &SharedStats {
+        &self.inner.stats
     }
 
-    /// Closes the link for all its handles: what waits fails with [`Error::Closed`], the request on the wire is
-    /// finished, the connection is closed. Returns when that is done; calls made later fail at once.
+    /// Closes the link for all its handles.
+    ///
+    /// Waiting calls fail with [`Error::Closed`], the request on the wire is finished, and the
+    /// connection is closed. Returns when that is done; later calls fail at once.
     ///
     /// Dropping the future does not undo it.
     pub async fn close(&self) {
-        // If somebody else has closed it, that may not be done yet.
-        self.shared.hub.close();
-        let mut state = self.shared.state.clone();
+        // Another handle may have called it before, and closing may still be under way.
+        self.inner.shared.close();
+        let mut state = self.inner.state.clone();
         let _ = state.wait_for(|state| matches!(state, LinkState::Closed)).await;
     }
 
-    /// Has a request sent.
-    // Whatever a call needs is moved on before anything is awaited: its future is part of its caller's, of which there may be
-    // thousands.
+    /// Makes a call, and waits for its result.
+    // All arguments are moved on before the first await: this future is part of the caller's, of
+    // which there may be thousands.
     pub(crate) async fn submit<C: Command>(
         &self,
         station: u8,
         request: C,
         purpose: Purpose<C>,
         options: CallOptions,
-    ) -> Answered<C::Reply> {
+    ) -> CallOutcome<C::Reply> {
         if let Err(error) = request.check(self.framing()).map_err(Error::from).and_then(|()| self.start()) {
-            return Answered::none(Err(error), request.plain());
+            return CallOutcome::none(Err(error), request.plain());
         }
         let queued_at = Instant::now();
         let deadline = later(queued_at, options.call_timeout);
-        let terms = Terms {
+        let meta = CallMeta {
             station,
             code: C::CODE,
             lane: options.lane(C::CODE.class()),
             deadline,
             queued_at,
-            response_timeout: options.response_timeout.unwrap_or(self.shared.response_timeout),
+            response_timeout: options.response_timeout.unwrap_or(self.inner.response_timeout),
             options,
-            longer: matches!(purpose, Purpose::Part),
+            part: matches!(purpose, Purpose::Part),
             confirms: matches!(purpose, Purpose::Confirm(_)),
         };
         let in_job = matches!(purpose, Purpose::InJob | Purpose::Part);
-        let unanswered = match purpose {
+        let implied_reply = match purpose {
             Purpose::Whole | Purpose::InJob | Purpose::Part => None,
             Purpose::Broadcast(reply) | Purpose::Confirm(reply) => Some(reply),
         };
-        let (ticket, mut completion) = call::new(request, unanswered, terms, &self.shared.spares);
-        // Until the call has ended.
-        let span = tracing::debug_span!("call", link = %self.shared.name, station, command = C::CODE.name());
-        // What is done for the link now may be for others' calls, too.
-        self.span().in_scope(|| self.shared.hub.submit(ticket));
-        // It may never have to wait: a broadcast is done when it is written. All the same, others have their turn.
+        let (call, mut future) = call::new(request, implied_reply, meta, &self.inner.spares);
+        // Lasts until the call has ended.
+        let span = tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name());
+        // Work for the link may also serve calls of others, so it runs in the link's span.
+        self.span().in_scope(|| self.inner.shared.submit(call));
+        // A call may be ready at once: a broadcast is done when it is written. Other tasks must run
+        // all the same.
         consume_budget().await;
-        let answered = timeout_at(deadline, &mut completion).await;
+        let answered = timeout_at(deadline, &mut future).await;
         drop(span);
         let result = answered.unwrap_or_else(|_| {
             let after = queued_at.elapsed();
-            let (code, sent) = (C::CODE, completion.abandon());
-            Err(match completion.is_in_doubt() {
+            let (code, sent) = (C::CODE, future.abandon());
+            Err(match future.awaits_silence() {
                 true => Error::OutOfStep { station, code, after, sent },
                 false => Error::Timeout { station, code, after, sent },
             })
         });
-        let mut answered = Answered::none(result.map_err(|error| self.explain(error, deadline)), completion.spelling());
-        answered.at = completion.answered_at();
-        answered.proof = completion.proof();
+        let mut outcome = CallOutcome::none(result.map_err(|error| self.explain(error, deadline)), future.spelling());
+        outcome.replied_at = future.replied_at();
+        outcome.proof = future.proof();
         if in_job {
-            answered.shape = completion.shape(self.framing());
+            outcome.shape = future.shape(self.framing());
         }
-        completion.recycle(&self.shared.spares);
-        answered
+        future.recycle(&self.inner.spares);
+        outcome
     }
 
-    /// When the time was spent on trying to connect, that is what the caller wants to know.
+    /// Replaces a timeout by the connection's error if the call waited for the connection until its
+    /// deadline.
     fn explain(&self, error: Error, deadline: Instant) -> Error {
-        // Before its time is up, a call times out because a station is silent, and what the connection does is another matter.
+        // Before its deadline a call times out because its station is silent, not because of the
+        // connection.
         if !matches!(error, Error::Timeout { sent: false, .. }) || Instant::now() < deadline {
             return error;
         }
-        match &*self.shared.state.borrow() {
+        match &*self.inner.state.borrow() {
             LinkState::Down { error } => self.connect_error(error.clone()),
             LinkState::Waiting => {
-                let reason = "too many other connections were to be opened before it";
+                let reason = "still waiting for other connections to be opened";
                 self.connect_error(Arc::new(io::Error::new(io::ErrorKind::TimedOut, reason)))
             }
             LinkState::Idle | LinkState::Connecting | LinkState::Up | LinkState::Closed => error,
         }
     }
 
-    /// Starts the task, the first time.
+    /// Starts the task with the first call.
     fn start(&self) -> Result<(), Error> {
-        if self.shared.hub.is_started(false) {
+        if self.inner.shared.is_started(false) {
             return Ok(());
         }
-        // Only with a runtime at hand: a caller without one must not use the task up.
+        // Fails before the task is taken, so that a caller without a runtime does not use it up.
         let runtime = Handle::try_current().map_err(|error| self.connect_error(Arc::new(io::Error::other(error))))?;
-        if !self.shared.hub.is_started(true) {
-            let task = self.shared.hub.clone().run();
+        if !self.inner.shared.is_started(true) {
+            let task = self.inner.shared.clone().run();
             runtime.spawn(task.instrument(self.span()));
         }
         Ok(())
     }
 
-    /// What is told of the link is told in this span, whoever lends it the time.
+    /// The span of events that concern the link; its task and its callers emit them.
     fn span(&self) -> tracing::Span {
-        tracing::debug_span!(parent: None, "link", name = %self.shared.name)
+        tracing::debug_span!(parent: None, "link", name = %self.inner.name)
     }
 
     fn connect_error(&self, source: Arc<io::Error>) -> Error {
-        Error::Connect { endpoint: self.shared.name.to_string(), source, sent: false }
+        Error::Connect { endpoint: self.inner.name.to_string(), source, sent: false }
     }
 }
 
-/// What a call is for.
+/// Purpose of a call.
 pub(crate) enum Purpose<C: Command> {
-    /// The request is all that is asked for.
+    /// A single request.
     Whole,
     /// A request of a [`job`].
     InJob,
-    /// A part of a longer read or write, which is a job: it may leave elements to the next request.
+    /// A request of a longer read or write, which is a job. A spelling may leave elements to the
+    /// next one.
     Part,
-    /// A broadcast, which has this result once it is sent.
+    /// A broadcast. This is its result once it is sent.
     Broadcast(C::Reply),
-    /// The confirmation of what was taken before, which has this result. The request itself is never sent.
+    /// The confirmation of earlier results. This is its result; the request itself is never sent.
     Confirm(C::Reply),
 }
 
-/// The result of a call.
-pub(crate) struct Answered<T> {
+/// The result of a call, and what its reply has shown.
+pub(crate) struct CallOutcome<T> {
     pub(crate) result: Result<T, Error>,
-    /// When the reply came, if one did.
-    pub(crate) at: Option<Instant>,
-    /// How the request was spelt.
+    /// When the reply came, if there was one.
+    pub(crate) replied_at: Option<Instant>,
+    /// The spelling that was sent.
     pub(crate) spelling: Spelling,
-    /// The shape of the positive reply, within a job.
+    /// Shape of the positive reply, within a job.
     pub(crate) shape: Shape,
-    /// What was proven of the station when the reply was taken.
+    /// The station's proof when the reply was taken.
     pub(crate) proof: Proof,
 }
 
-impl<T> Answered<T> {
+impl<T> CallOutcome<T> {
     fn none(result: Result<T, Error>, spelling: Spelling) -> Self {
-        Self { result, at: None, spelling, shape: Shape { code: spelling.code, size: 0 }, proof: Proof::default() }
+        Self {
+            result,
+            replied_at: None,
+            spelling,
+            shape: Shape { code: spelling.code, size: 0 },
+            proof: Proof::default(),
+        }
     }
 }
 
 impl fmt::Debug for Link {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Link({}, {})", self.shared.name, self.shared.framing)
+        write!(f, "Link({}, {})", self.inner.name, self.inner.framing)
     }
 }
 
-/// An instant this much later. A day at the most: far more than any call should take, and still within what a clock can
-/// hold.
+/// The instant `by` after `now`, at most a day: more than any call takes, and within the range of a
+/// clock.
 fn later(now: Instant, by: Duration) -> Instant {
     now.checked_add(by.min(Duration::from_secs(86_400))).unwrap_or(now)
 }

@@ -2,7 +2,7 @@ use std::time::Duration;
 
 use crate::command::Class;
 
-/// How one call is treated: how long it may take, and how often it may be sent.
+/// How a call is treated: its timeouts, retries and priority.
 ///
 /// A link has one for all its stations ([`LinkBuilder::options`](super::LinkBuilder::options)), and
 /// [`Station::with_options`](crate::Station::with_options) makes a handle with its own.
@@ -25,7 +25,7 @@ pub struct CallOptions {
 }
 
 impl CallOptions {
-    /// The defaults: the link's time for the response, 10 s for the whole call, 2 retries, reads only.
+    /// The defaults: the link's response timeout, 10 s for the whole call, 2 retries of reads.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -38,52 +38,54 @@ impl CallOptions {
         }
     }
 
-    /// How long the PLC has for its answer, from the moment the request has been sent. Default: that of the link, which is
-    /// 1 s, on a serial line 300 ms.
+    /// Sets the response timeout, counted from the end of the request. Default: that of the link,
+    /// which is 1 s, or 300 ms on a serial line.
     #[must_use]
     pub fn response_timeout(mut self, timeout: Duration) -> Self {
         self.response_timeout = Some(timeout);
         self
     }
 
-    /// How long the whole call may take: queueing, connecting and retries included. Default: 10 s.
+    /// Sets the timeout of the whole call: queueing, connecting and retries included. Default: 10
+    /// s.
     ///
-    /// A read or write that is longer than one request is several calls, each with this time.
+    /// A read or write of more than one request is several calls, each with this timeout.
     #[must_use]
     pub fn call_timeout(mut self, timeout: Duration) -> Self {
         self.call_timeout = timeout;
         self
     }
 
-    /// How often a request is sent again after no answer, or a bad one, has come. Default: 2.
+    /// Sets how often a request is sent again after a timeout or a bad reply. Default: 2.
     ///
-    /// Only reads are, unless [`retry_writes`](Self::retry_writes) says otherwise.
+    /// Only reads are retried, unless [`retry_writes`](Self::retry_writes) is set.
     #[must_use]
     pub fn retries(mut self, retries: u32) -> Self {
         self.retries = retries;
         self
     }
 
-    /// Whether writes and control commands may be sent again, too. Default: `false`.
+    /// Allows retries of writes and control commands. Default: `false`.
     ///
-    /// The PLC may have executed the first one: choose it only where doing it twice does no harm.
+    /// The PLC may have executed the first one: allow it only for requests that are idempotent.
     #[must_use]
     pub fn retry_writes(mut self, retry: bool) -> Self {
         self.retry_writes = retry;
         self
     }
 
-    /// Whether reads give way to all other calls of the link, as polling should. Default: `false`.
+    /// Gives reads the lowest priority on the link, as suits polling. Default: `false`.
     #[must_use]
     pub fn background(mut self, background: bool) -> Self {
         self.background = background;
         self
     }
 
-    /// Gives each station the time that its answers have needed so far, and some more, instead of the whole response
-    /// timeout: between `shortest` and [`response_timeout`](Self::response_timeout). Default: not.
+    /// Adapts the response timeout of each station to its round trips, between `shortest` and
+    /// [`response_timeout`](Self::response_timeout). Default: not adapted.
     ///
-    /// The estimate is that of TCP: the smoothed round trip and four times its deviation, doubled with each timeout.
+    /// The estimate is that of TCP (RFC 6298): the smoothed round trip and four times its
+    /// deviation, doubled with each timeout.
     #[must_use]
     pub fn adaptive_timeout(mut self, shortest: Duration) -> Self {
         self.adaptive = Some(shortest);
@@ -110,23 +112,25 @@ impl Default for CallOptions {
     }
 }
 
-/// Whether the line sends back what is sent on it, as some RS-485 adapters do.
+/// Whether the line echoes requests, as some RS-485 adapters do.
 ///
-/// In the ASCII framing the echo of a request looks like a frame, and the echo of a loop-back or of STOP looks like its
-/// reply; so it has to be known. The binary framing tells echoes by their header.
+/// In the ASCII framing the echo of a request looks like a frame, and the echo of a loop-back or of
+/// STOP looks like its reply. So the link must know. The binary framing marks requests by their
+/// header.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EchoMode {
-    /// Found out with a status request at the beginning of each connection. The default for serial lines.
+    /// Learned with a status request at the beginning of each connection. The default for serial
+    /// lines.
     Auto,
-    /// It does.
+    /// The line echoes.
     On,
-    /// It does not. The default for networks and for streams.
+    /// The line does not echo. The default for networks and for streams.
     #[default]
     Off,
 }
 
-/// Which calls come first, the first one first.
+/// Priority of a call, highest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Lane {
     Control,
@@ -144,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_reads_give_way_and_only_if_asked_to() {
+    fn only_background_reads_have_the_lowest_priority() {
         let background = CallOptions::new().background(true);
         for (class, lane, in_background) in [
             (Class::Control, Lane::Control, Lane::Control),
@@ -157,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn only_reads_are_repeated_unless_writes_shall_be_too() {
+    fn only_reads_are_retried_unless_writes_are_allowed() {
         let once = CallOptions::new().retries(5);
         assert_eq!(
             (once.retries_for(Class::Read), once.retries_for(Class::Write), once.retries_for(Class::Control)),

@@ -1,11 +1,11 @@
-//! What the link knows of each station: whether it can be believed, and whether it is there.
+//! The state of each station: whether it is in step, and whether it is online.
 //!
 //! ```text
-//! clean  ──doubt──▶ dirty   ──nonce echoed, or (where loop-backs are refused) silence──▶ clean
-//! online ──timeouts in a row──▶ offline ──any answer──▶ online
+//! in step ──stray, timeout, new connection──▶ suspect ──nonce echoed, or silence──▶ in step   (`in_step`)
+//! online  ──timeouts in a row──▶ offline ──any answer──▶ online
 //! ```
 //!
-//! Invariant: probes take no more than their share of the bus, however many stations are offline.
+//! Invariant: probes use no more than their share of the bus, however many stations are offline.
 
 use std::time::Duration;
 
@@ -17,27 +17,27 @@ use super::later;
 
 #[derive(Debug)]
 pub(crate) struct Stations {
-    known: ByStation<Health>,
-    rules: Rules,
+    stations: ByStation<Health>,
+    offline_rules: OfflineRules,
     probe_allowed_at: Option<Instant>,
 }
 
 /// When a station is offline, and how it is probed.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rules {
-    /// After how many timeouts in a row.
+pub(crate) struct OfflineRules {
+    /// After this many timeouts in a row.
     pub(crate) offline_after: u32,
     /// The shortest and the longest time between two probes of a station.
     pub(crate) probe_interval: (Duration, Duration),
-    /// After a probe that took a time, none for so many times as long.
+    /// Pause after a probe, as a multiple of its duration.
     pub(crate) probe_pause: u32,
 }
 
 #[derive(Debug)]
 struct Health {
     in_step: InStep,
-    /// The longest response timeout that it was ever given.
-    allowed: Duration,
+    /// The longest response timeout that the station was ever given.
+    longest_timeout: Duration,
     /// Timeouts in a row.
     timeouts: u32,
     offline: Option<Offline>,
@@ -53,36 +53,36 @@ struct Offline {
 }
 
 impl Stations {
-    pub(crate) fn new(rules: Rules) -> Self {
-        Self { known: ByStation::new(), rules, probe_allowed_at: None }
+    pub(crate) fn new(offline_rules: OfflineRules) -> Self {
+        Self { stations: ByStation::new(), offline_rules, probe_allowed_at: None }
     }
 
-    /// What is known of the station's replies; `None`: it has not been asked anything yet.
+    /// The in-step state of a station. `None`: it was never sent a request.
     pub(crate) fn in_step(&mut self, station: u8) -> Option<&mut InStep> {
-        self.known.get_mut(station).map(|health| &mut health.in_step)
+        self.stations.get_mut(station).map(|health| &mut health.in_step)
     }
 
-    /// Does something with what is known of the station's replies.
+    /// Runs `work` with the in-step state of a station.
     pub(crate) fn with_in_step<R>(&mut self, station: u8, work: impl FnOnce(&mut InStep) -> R) -> R {
         self.health(station, |health| work(&mut health.in_step))
     }
 
-    /// Does something for all stations that have been asked anything.
+    /// Runs `work` for all stations that were sent a request.
     pub(crate) fn for_all(&mut self, work: impl Fn(&mut InStep)) {
-        self.known.values_mut().for_each(|health| work(&mut health.in_step));
+        self.stations.values_mut().for_each(|health| work(&mut health.in_step));
     }
 
-    /// The station is given this long for an answer.
-    pub(crate) fn allow(&mut self, station: u8, timeout: Duration) {
-        self.health(station, |health| health.allowed = health.allowed.max(timeout));
+    /// Notes that the station is given this response timeout.
+    pub(crate) fn note_timeout(&mut self, station: u8, timeout: Duration) {
+        self.health(station, |health| health.longest_timeout = health.longest_timeout.max(timeout));
     }
 
-    /// The longest time that the station was ever given for an answer: what a probe must give it, too.
-    pub(crate) fn allowed(&self, station: u8) -> Duration {
-        self.known.get(station).map(|health| health.allowed).unwrap_or_default()
+    /// The longest response timeout that the station was ever given; probes use it, too.
+    pub(crate) fn longest_timeout(&self, station: u8) -> Duration {
+        self.stations.get(station).map(|health| health.longest_timeout).unwrap_or_default()
     }
 
-    /// The station has answered, within this time; says whether it was offline.
+    /// Notes that the station has answered within this round trip. Returns whether it was offline.
     pub(crate) fn answered(&mut self, station: u8, within: Duration, now: Instant) -> bool {
         let back = self.health(station, |health| {
             health.timeouts = 0;
@@ -90,16 +90,16 @@ impl Stations {
             health.offline.take().is_some()
         });
         if back {
-            // What kept it away has most likely kept others away, too.
-            self.hurry(now);
+            // The same cause has probably kept other stations away.
+            self.probe_soon(now);
         }
         back
     }
 
-    /// The station has not answered within its whole response timeout; says when the first probe is due if it is
-    /// offline from now on.
+    /// Notes that the station has not answered within its full response timeout. Returns when the
+    /// first probe is due if the station is offline from now on.
     pub(crate) fn timed_out(&mut self, station: u8, now: Instant) -> Option<Instant> {
-        let Rules { offline_after, probe_interval: (interval, _), .. } = self.rules;
+        let OfflineRules { offline_after, probe_interval: (interval, _), .. } = self.offline_rules;
         let goes_offline = self.health(station, |health| {
             health.timeouts = health.timeouts.saturating_add(1);
             health.round_trip.timed_out();
@@ -112,22 +112,23 @@ impl Stations {
         if goes_offline { self.offline_until(station) } else { None }
     }
 
-    /// If the station is offline: when it is probed next, or soon after if others are due as well.
+    /// When the next probe of an offline station is due; later, if others are due as well. `None`:
+    /// online.
     pub(crate) fn offline_until(&self, station: u8) -> Option<Instant> {
-        Some(self.not_before_pause(self.known.get(station)?.offline?.probe_at))
+        Some(self.not_before_pause(self.stations.get(station)?.offline?.probe_at))
     }
 
-    /// Whatever was the matter with the stations may be over: those that are offline are probed at once.
-    pub(crate) fn hurry(&mut self, now: Instant) {
+    /// Makes the probes of all offline stations due now: the cause may be over.
+    pub(crate) fn probe_soon(&mut self, now: Instant) {
         self.probe_allowed_at = None;
-        for offline in self.known.values_mut().filter_map(|health| health.offline.as_mut()) {
+        for offline in self.stations.values_mut().filter_map(|health| health.offline.as_mut()) {
             offline.probe_at = now;
         }
     }
 
-    /// Takes those that are offline for what they were before anything was known of them, doubts apart; says which.
+    /// Makes offline stations unknown, but keeps their in-step state. Returns their numbers.
     pub(crate) fn forget_offline(&mut self) -> Vec<u8> {
-        let offline = self.known.iter_mut().filter(|(_, health)| health.offline.is_some());
+        let offline = self.stations.iter_mut().filter(|(_, health)| health.offline.is_some());
         let forget = |(station, health): (u8, &mut Health)| {
             health.offline = None;
             health.timeouts = 0;
@@ -136,64 +137,65 @@ impl Stations {
         offline.map(forget).collect()
     }
 
-    /// The station whose probe is due: of several, the one that has waited longest.
+    /// The station whose probe is due; of several, the one probed longest ago.
     pub(crate) fn due_probe(&self, now: Instant) -> Option<u8> {
-        let probes = self.known.iter().filter_map(|(station, health)| Some((health.offline?, station)));
+        let probes = self.stations.iter().filter_map(|(station, health)| Some((health.offline?, station)));
         let due = probes.filter(|(offline, _)| self.not_before_pause(offline.probe_at) <= now);
         due.min_by_key(|&(offline, station)| (offline.probed_at, station)).map(|(_, station)| station)
     }
 
     /// When the next probe is due.
     pub(crate) fn next_probe(&self) -> Option<Instant> {
-        let due = self.known.values().filter_map(|health| Some(health.offline?.probe_at)).min()?;
+        let due = self.stations.values().filter_map(|health| Some(health.offline?.probe_at)).min()?;
         Some(self.not_before_pause(due))
     }
 
-    /// The pause between probes is for the stations that are there: if none is, there is none.
+    /// Delays a probe until the pause after the last one is over. The pause serves stations that
+    /// are online; if none is, there is no pause.
     fn not_before_pause(&self, at: Instant) -> Instant {
-        let protects = self.known.values().any(|health| health.offline.is_none());
+        let protects = self.stations.values().any(|health| health.offline.is_none());
         self.probe_allowed_at.filter(|_| protects).map_or(at, |allowed| at.max(allowed))
     }
 
-    /// A probe has ended, having used this much of the bus.
+    /// Notes that a probe has ended after this time on the bus.
     pub(crate) fn probe_ended(&mut self, took: Duration, now: Instant) {
-        self.probe_allowed_at = Some(later(now, took.saturating_mul(self.rules.probe_pause)));
+        self.probe_allowed_at = Some(later(now, took.saturating_mul(self.offline_rules.probe_pause)));
     }
 
-    /// A probe of the station was not answered; says when the next one is due.
+    /// Notes that a probe was not answered. Returns when the next one is due.
     pub(crate) fn probe_failed(&mut self, station: u8, now: Instant) -> Option<Instant> {
-        let (_, longest) = self.rules.probe_interval;
-        let offline = self.known.get_mut(station)?.offline.as_mut()?;
+        let (_, longest) = self.offline_rules.probe_interval;
+        let offline = self.stations.get_mut(station)?.offline.as_mut()?;
         offline.interval = offline.interval.saturating_mul(2).min(longest);
         offline.probe_at = later(now, offline.interval);
         offline.probed_at = Some(now);
         self.offline_until(station)
     }
 
-    /// How long the station should be given, by what it has needed so far: between the two limits.
-    pub(crate) fn patience(&self, station: u8, shortest: Duration, longest: Duration) -> Duration {
-        let estimate = self.known.get(station).and_then(|health| health.round_trip.timeout());
+    /// The adaptive response timeout of a station, between the limits.
+    pub(crate) fn adaptive_timeout(&self, station: u8, shortest: Duration, longest: Duration) -> Duration {
+        let estimate = self.stations.get(station).and_then(|health| health.round_trip.timeout());
         estimate.map_or(longest, |estimate| estimate.max(shortest).min(longest))
     }
 
     fn health<R>(&mut self, station: u8, work: impl FnOnce(&mut Health) -> R) -> R {
         let new = || Health {
             in_step: InStep::new(),
-            allowed: Duration::ZERO,
+            longest_timeout: Duration::ZERO,
             timeouts: 0,
             offline: None,
             round_trip: RoundTrip::default(),
         };
-        self.known.with(station, new, work)
+        self.stations.with(station, new, work)
     }
 }
 
-/// The round-trip time, smoothed as TCP does it (RFC 6298).
+/// The round trip, smoothed as TCP does it (RFC 6298).
 #[derive(Debug, Default)]
 struct RoundTrip {
     smoothed: Option<Duration>,
     deviation: Duration,
-    /// How often the estimate has been doubled since the last answer.
+    /// Number of times that the estimate was doubled since the last answer.
     doublings: u32,
 }
 
@@ -237,37 +239,37 @@ mod tests {
 
     fn stations() -> Stations {
         let probe_interval = (Duration::from_secs(1), Duration::from_secs(60));
-        Stations::new(Rules { offline_after: 3, probe_interval, probe_pause: 19 })
+        Stations::new(OfflineRules { offline_after: 3, probe_interval, probe_pause: 19 })
     }
 
     #[test]
-    fn patience_follows_the_round_trip_between_its_limits_and_doubles_with_each_timeout() {
+    fn the_adaptive_timeout_follows_round_trips_within_its_limits() {
         let mut stations = stations();
         let now = Instant::now();
         let (shortest, longest) = (20 * MS, 1000 * MS);
-        assert_eq!(stations.patience(1, shortest, longest), longest, "nothing is known yet");
+        assert_eq!(stations.adaptive_timeout(1, shortest, longest), longest, "no round trip was measured yet");
         for _ in 0..50 {
             stations.answered(1, 40 * MS, now);
         }
-        let steady = stations.patience(1, shortest, longest);
+        let steady = stations.adaptive_timeout(1, shortest, longest);
         assert!((40 * MS..45 * MS).contains(&steady), "{steady:?}");
         stations.answered(1, 80 * MS, now);
-        assert!(stations.patience(1, shortest, longest) > 75 * MS, "one slow answer asks for more");
-        let before = stations.patience(1, shortest, longest);
+        assert!(stations.adaptive_timeout(1, shortest, longest) > 75 * MS, "one slow answer raises it");
+        let before = stations.adaptive_timeout(1, shortest, longest);
         stations.timed_out(1, now);
-        assert_eq!(stations.patience(1, shortest, longest), 2 * before);
+        assert_eq!(stations.adaptive_timeout(1, shortest, longest), 2 * before);
         for _ in 0..50 {
             stations.answered(1, MS, now);
         }
-        assert_eq!(stations.patience(1, shortest, longest), shortest);
+        assert_eq!(stations.adaptive_timeout(1, shortest, longest), shortest);
         for _ in 0..40 {
             stations.timed_out(1, now);
         }
-        assert_eq!(stations.patience(1, shortest, longest), longest);
+        assert_eq!(stations.adaptive_timeout(1, shortest, longest), longest);
     }
 
     #[test]
-    fn a_station_is_offline_after_three_timeouts_in_a_row_and_probed_ever_less_often() {
+    fn after_three_timeouts_probes_back_off_up_to_a_minute() {
         let mut stations = stations();
         let now = Instant::now();
         assert_eq!(stations.timed_out(1, now), None);
@@ -281,12 +283,12 @@ mod tests {
             waits.push(stations.probe_failed(1, now).unwrap().duration_since(now).as_secs());
         }
         assert_eq!(waits, [2, 4, 8, 16, 32, 60, 60, 60]);
-        assert!(stations.answered(1, MS, now), "any answer brings it back");
+        assert!(stations.answered(1, MS, now), "any answer puts it online");
         assert_eq!(stations.offline_until(1), None);
     }
 
     #[test]
-    fn no_probe_follows_another_before_19_times_its_length_while_somebody_else_is_there() {
+    fn a_probe_is_followed_by_a_pause_while_any_station_is_online() {
         let mut stations = stations();
         let now = Instant::now();
         for station in [1, 2] {
@@ -296,13 +298,13 @@ mod tests {
         assert_eq!((stations.due_probe(now), stations.due_probe(due)), (None, Some(1)));
         stations.probe_ended(300 * MS, due);
         stations.probe_failed(1, due);
-        assert_eq!(stations.due_probe(due), Some(2), "there is nobody whom the pause could serve");
+        assert_eq!(stations.due_probe(due), Some(2), "no station is online, so there is no pause");
         stations.answered(3, MS, due);
         let allowed = due + 19 * 300 * MS;
         assert_eq!(stations.due_probe(due), None);
         assert_eq!((stations.next_probe(), stations.offline_until(2)), (Some(allowed), Some(allowed)));
         assert_eq!(stations.due_probe(allowed), Some(2));
         stations.answered(2, MS, due);
-        assert_eq!(stations.due_probe(due), Some(1), "one is back, perhaps the other is, too");
+        assert_eq!(stations.due_probe(due), Some(1), "after one is back, the other is probed at once");
     }
 }

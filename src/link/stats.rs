@@ -1,22 +1,21 @@
-//! What can be seen of a link from outside: counters, and states to be watched.
+//! Counters of a link and its stations, and station states that can be watched.
+
+mod shared;
 
 use std::cmp::Ordering;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::watch;
 use tokio::time::Instant;
 
-use super::by_station::ByStation;
+pub(crate) use self::shared::SharedStats;
 use super::in_step::Why;
 use crate::command::Spelling;
-use crate::wire::Discard;
 
-/// What a station has been asked and has answered, since the link was made. A snapshot.
+/// Counters of a station since the link was made. A snapshot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct StationStats {
-    /// Requests sent: those of calls, repeated ones included. Loop-backs of the link itself are in `checks`.
+    /// Requests of calls sent, retries included. Requests of the link itself are in `checks`.
     pub requests: u64,
     /// Replies given to calls, refusals included.
     pub replies: u64,
@@ -24,71 +23,72 @@ pub struct StationStats {
     pub refusals: u64,
     /// Requests and checks that were not answered in time.
     pub timeouts: u64,
-    /// Requests and checks that were answered by something that was no reply to them.
+    /// Requests and checks that were answered by a corrupt frame or one of another shape.
     pub bad_replies: u64,
-    /// Requests sent again.
+    /// Retries.
     pub retries: u64,
-    /// Requests of the link itself that separate two requests, or show whether the station is there.
+    /// Requests of the link itself: checks between two requests, and probes of an offline station.
     pub checks: u64,
-    /// The checks by what they were sent for.
+    /// The checks by reason.
     pub checks_for: CheckStats,
     /// Checks that were refused: the device does not know the loop-back (4E), or not always.
     pub refused_checks: u64,
     /// Silences that replaced a check.
     pub silences: u64,
-    /// The requests by how they were spelt.
+    /// The requests by spelling.
     pub spellings: SpellingStats,
-    /// Requests that were refused in another spelling than their own, and sent again as themselves.
+    /// Requests that were refused in another spelling, and sent again as the caller made them.
     pub refused_spellings: u64,
-    /// Replies without proof that they belong to the request, which was sent again.
+    /// Replies without proof that they answer the request, which was sent again.
     pub unproven_replies: u64,
-    /// Copies of the reply taken last.
+    /// Duplicates of the reply taken last.
     pub duplicates: u64,
     /// Replies to requests that had timed out.
     pub late_replies: u64,
     /// Answers to broadcasts.
     pub broadcast_answers: u64,
-    /// Reads and writes of several requests that were repeated in part, because an unexpected frame came in between.
+    /// Reads and writes of several requests that were repeated in part after an unexpected frame.
     pub repeated_jobs: u64,
-    /// Other good frames that were no reply to what was on the wire.
+    /// Other good frames that did not answer the request on the wire.
     pub stray_frames: u64,
-    /// How long replies took, from the end of the request to the end of the reply.
+    /// Round trips, from the end of the request to the end of the reply; `None` before the first.
     pub round_trip: Option<RoundTripStats>,
 }
 
-/// Checks, by what they were sent for.
+/// Checks by reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CheckStats {
     /// The connection was new.
     pub connected: u64,
-    /// A request had not been answered in time.
+    /// A request was not answered in time.
     pub timed_out: u64,
-    /// A frame had come that no request takes.
+    /// A frame came that no request takes.
     pub stray: u64,
-    /// A reply had come without proof.
+    /// A reply came without proof.
     pub unproven: u64,
-    /// A copy of an earlier reply could have answered the next request in each of its spellings.
+    /// A duplicate of an earlier reply could have answered the next request in each of its
+    /// spellings.
     pub owed: u64,
     /// A read or write of several requests was confirmed, or an offline station was probed.
     pub confirm: u64,
 }
 
-/// Requests, by how they were spelt.
+/// Requests by spelling.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SpellingStats {
-    /// As themselves.
+    /// As the caller made them.
     pub plain: u64,
-    /// With one element more, or the first one once more.
+    /// With one element more, or the first one twice.
     pub one_more: u64,
-    /// With fewer elements, as a part of a longer read or write.
+    /// With fewer elements, as part of a longer read or write.
     pub fewer: u64,
     /// As a mixed read or write (48, 49).
     pub mixed: u64,
 }
 
-/// How long replies took.
+/// Round trips of a station.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RoundTripStats {
@@ -98,37 +98,39 @@ pub struct RoundTripStats {
     pub shortest: Duration,
     /// The longest one.
     pub longest: Duration,
-    /// The mean, where a reply counts an eighth and what was before it the rest.
+    /// A moving average, in which each round trip has a weight of one eighth.
     pub smoothed: Duration,
 }
 
-/// What has gone over a link, since it was made. A snapshot.
+/// Counters of a link since it was made. A snapshot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct LinkStats {
-    /// All stations together.
+    /// The sum of all stations.
     pub stations: StationStats,
     /// Broadcasts sent.
     pub broadcasts: u64,
     /// Frames with a bad checksum.
     pub checksum_errors: u64,
-    /// Bytes that were no part of a good frame, those of bad frames included.
+    /// Bytes that were part of no good frame, those of bad frames included.
     pub garbage_bytes: u64,
-    /// Bytes that had come before a request was sent, and were forgotten then.
+    /// Bytes that came before a request was sent, and were dropped then.
     pub stale_bytes: u64,
-    /// Datagrams that came to the local port of an earlier request: late replies and duplicates over UDP.
+    /// Datagrams that came to the local port of an earlier request: late replies and duplicates
+    /// over UDP.
     pub late_datagrams: u64,
-    /// Requests that came back from the line: the echo of an RS-485 adapter.
+    /// Echoes of requests from an RS-485 adapter.
     pub echoes: u64,
     /// Connections opened.
     pub connects: u64,
     /// Connections lost.
     pub disconnects: u64,
-    /// Connections closed because nobody used them.
+    /// Connections closed because the link was idle.
     pub idle_closes: u64,
     /// Attempts to connect that failed.
     pub connect_failures: u64,
-    /// The device closes its connection after each reply, as was [set](crate::endpoint::InStepSettings::one_request) or learned.
+    /// Whether the device closes its connection after each reply, as
+    /// [set](crate::endpoint::InStepSettings::one_request) or learned.
     pub one_request: bool,
 }
 
@@ -136,7 +138,7 @@ pub struct LinkStats {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum StationState {
-    /// Nothing has been heard of it yet, or it was offline when its link fell idle.
+    /// It has not answered yet, or it was offline when its link fell idle.
     #[default]
     Unknown,
     /// It has answered.
@@ -147,99 +149,6 @@ pub enum StationState {
         /// When the next probe is due.
         probe_at: Instant,
     },
-}
-
-/// The counters and states of a link, shared by its task and its handles.
-#[derive(Debug, Default)]
-pub(crate) struct Board {
-    tallies: Mutex<Tallies>,
-}
-
-#[derive(Debug, Default)]
-struct Tallies {
-    link: LinkStats,
-    stations: ByStation<Tally>,
-}
-
-#[derive(Debug, Default)]
-struct Tally {
-    stats: StationStats,
-    state: StationState,
-    /// Since somebody has asked to watch the state. Nobody does so of most stations, and a channel takes more memory than
-    /// all else that is counted here.
-    watched: Option<watch::Sender<StationState>>,
-}
-
-impl Tally {
-    fn watch(&mut self) -> watch::Receiver<StationState> {
-        self.watched.get_or_insert_with(|| watch::Sender::new(self.state)).subscribe()
-    }
-
-    fn set_state(&mut self, state: StationState) {
-        if self.state == state {
-            return;
-        }
-        self.state = state;
-        if let Some(watched) = &self.watched {
-            watched.send_replace(state);
-        }
-    }
-}
-
-impl Board {
-    pub(crate) fn link(&self) -> LinkStats {
-        let tallies = self.lock();
-        let stations = tallies.stations.values().fold(StationStats::default(), |sum, tally| sum.plus(&tally.stats));
-        LinkStats { stations, ..tallies.link }
-    }
-
-    pub(crate) fn station(&self, station: u8) -> StationStats {
-        self.lock().stations.get(station).map(|tally| tally.stats).unwrap_or_default()
-    }
-
-    pub(crate) fn watch(&self, station: u8) -> watch::Receiver<StationState> {
-        self.lock().stations.with(station, Tally::default, Tally::watch)
-    }
-
-    pub(crate) fn count(&self, count: impl FnOnce(&mut LinkStats)) {
-        count(&mut self.lock().link);
-    }
-
-    pub(crate) fn count_for(&self, station: u8, count: impl FnOnce(&mut StationStats)) {
-        self.lock().stations.with(station, Tally::default, |tally| count(&mut tally.stats));
-    }
-
-    /// A station has answered, and is there.
-    pub(crate) fn answered(&self, station: u8, count: impl FnOnce(&mut StationStats)) {
-        self.lock().stations.with(station, Tally::default, |tally| {
-            tally.set_state(StationState::Online);
-            count(&mut tally.stats);
-        });
-    }
-
-    /// A job was rewound.
-    pub(crate) fn job_repeated(&self, station: u8) {
-        self.count_for(station, |stats| add(&mut stats.repeated_jobs, 1));
-    }
-
-    pub(crate) fn discarded(&self, reason: Discard, bytes: usize) {
-        self.count(|link| match reason {
-            Discard::WrongSide => add(&mut link.echoes, 1),
-            Discard::Garbage | Discard::Truncated | Discard::BadChecksum | Discard::Malformed | Discard::TooLong => {
-                add(&mut link.garbage_bytes, u64::try_from(bytes).unwrap_or(u64::MAX));
-                add(&mut link.checksum_errors, u64::from(reason == Discard::BadChecksum));
-            }
-        });
-    }
-
-    pub(crate) fn state(&self, station: u8, state: StationState) {
-        self.lock().stations.with(station, Tally::default, |tally| tally.set_state(state));
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Tallies> {
-        // Nothing panics while it holds this lock.
-        self.tallies.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl LinkStats {
@@ -276,7 +185,7 @@ impl StationStats {
         });
     }
 
-    /// A request goes out, so spelt.
+    /// Counts a request that is sent in this spelling.
     pub(crate) fn sent(&mut self, plain: Spelling, spelling: Spelling) {
         add(&mut self.requests, 1);
         let spellings = &mut self.spellings;
@@ -289,7 +198,7 @@ impl StationStats {
         add(counter, 1);
     }
 
-    /// A check goes out.
+    /// Counts a check.
     pub(crate) fn checked(&mut self, why: Why) {
         add(&mut self.checks, 1);
         let checks = &mut self.checks_for;
@@ -378,7 +287,7 @@ mod tests {
     const MS: Duration = Duration::from_millis(1);
 
     #[test]
-    fn round_trips_have_a_last_a_shortest_a_longest_and_a_smoothed_one() {
+    fn round_trips_are_counted_as_last_shortest_longest_and_mean() {
         let mut stats = StationStats::default();
         stats.replied(80 * MS, false);
         stats.replied(160 * MS, true);
@@ -389,30 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_has_the_sum_of_its_stations() {
-        let board = Board::default();
-        board.count_for(1, |stats| stats.replied(20 * MS, false));
-        board.count_for(2, |stats| stats.replied(40 * MS, true));
-        board.count_for(9, |stats| add(&mut stats.requests, 3));
-        let sum = board.link().stations;
-        let round_trip = RoundTripStats { last: 40 * MS, shortest: 20 * MS, longest: 40 * MS, smoothed: 30 * MS };
-        assert_eq!((sum.requests, sum.replies, sum.refusals, sum.round_trip), (3, 2, 1, Some(round_trip)));
-        assert_eq!((board.station(2).refusals, board.station(3)), (1, StationStats::default()));
-    }
-
-    #[test]
-    fn bytes_that_are_no_frame_are_counted_by_what_they_are() {
-        let board = Board::default();
-        board.discarded(Discard::Garbage, 3);
-        board.discarded(Discard::BadChecksum, 10);
-        board.discarded(Discard::Truncated, 4);
-        board.discarded(Discard::WrongSide, 100);
-        let stats = board.link();
-        assert_eq!((stats.garbage_bytes, stats.checksum_errors, stats.echoes), (17, 1, 1));
-    }
-
-    #[test]
-    fn sums_of_links_add_every_counter() {
+    fn sums_of_link_stats_add_every_counter() {
         let one = LinkStats {
             stations: StationStats { requests: 1, ..StationStats::default() },
             broadcasts: 2,
@@ -437,19 +323,5 @@ mod tests {
             [two.echoes, two.connects, two.disconnects, two.idle_closes, two.connect_failures],
             [12, 14, 16, 18, 20]
         );
-    }
-
-    #[test]
-    fn a_state_is_seen_by_whoever_watches_it_before_or_after_and_only_when_it_changes() {
-        let board = Board::default();
-        board.state(1, StationState::Online);
-        let mut watcher = board.watch(1);
-        assert_eq!(*watcher.borrow_and_update(), StationState::Online);
-        board.state(1, StationState::Online);
-        assert!(!watcher.has_changed().expect("the board is there"));
-        board.state(1, StationState::Unknown);
-        assert!(watcher.has_changed().expect("the board is there"));
-        assert_eq!(*watcher.borrow(), StationState::Unknown);
-        assert_eq!(*board.watch(2).borrow(), StationState::Unknown);
     }
 }

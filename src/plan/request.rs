@@ -5,7 +5,7 @@ use super::Reply;
 use crate::command::{Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Element, Register, Register32};
 use crate::error::Error;
-use crate::link::{Answered, Purpose};
+use crate::link::{CallOutcome, Purpose};
 use crate::station::{Outcome, Station, StationJob};
 use crate::wire::Framing;
 
@@ -74,14 +74,15 @@ impl ReadRequest {
     }
 
     /// Sends the request as part of a job that the caller keeps: a poll cycle.
-    pub(crate) async fn call_in_cycle(&self, station: &Station) -> Answered<Reply> {
+    pub(crate) async fn call_in_cycle(&self, station: &Station) -> CallOutcome<Reply> {
         async fn call<C: Command>(
             station: &Station,
             request: C,
             reply: impl FnOnce(C::Reply) -> Reply,
-        ) -> Answered<Reply> {
-            let Answered { result, at, spelling, shape, proof } = station.submit(request, Purpose::InJob).await;
-            Answered { result: result.map(reply), at, spelling, shape, proof }
+        ) -> CallOutcome<Reply> {
+            let CallOutcome { result, replied_at, spelling, shape, proof } =
+                station.submit(request, Purpose::InJob).await;
+            CallOutcome { result: result.map(reply), replied_at, spelling, shape, proof }
         }
         match self {
             Self::Discretes(request) => call(station, *request, Reply::Bits).await,

@@ -9,7 +9,7 @@ use super::shared::{PollerShared, StationShared};
 use super::station_poller::{PollStep, ReadOutcome, StationPoller};
 use super::{Sample, Stamp};
 use crate::command::LoopBack;
-use crate::link::{Answered, Purpose};
+use crate::link::{CallOutcome, Purpose};
 
 /// Stops polling when the task ends for any reason, so that a dead station does not look polled.
 struct StopOnDrop(Arc<PollerShared>, Arc<StationShared>);
@@ -32,7 +32,7 @@ pub(super) async fn run(shared: Arc<PollerShared>, station: Arc<StationShared>) 
             Some(PollStep::Read(request)) => {
                 let read = request.call_in_cycle(&station.handle);
                 let Some(answered) = wait_for(shared, station, read).await else { return };
-                let Answered { result, at, shape, proof, .. } = answered;
+                let CallOutcome { result, replied_at: at, shape, proof, .. } = answered;
                 let round_trip = station.handle.stats().round_trip.map(|round_trip| round_trip.last);
                 let at = Stamp::of(at.unwrap_or_else(Instant::now));
                 let outcome = ReadOutcome { result, at, round_trip, shape, proof };
@@ -41,7 +41,7 @@ pub(super) async fn run(shared: Arc<PollerShared>, station: Arc<StationShared>) 
             }
             Some(PollStep::Confirm) => {
                 let check = station.handle.submit(LoopBack::empty(), Purpose::Confirm(()));
-                let Some(Answered { result, proof, .. }) = wait_for(shared, station, check).await else { return };
+                let Some(CallOutcome { result, proof, .. }) = wait_for(shared, station, check).await else { return };
                 let result = result.map(|()| proof);
                 let repeated =
                     advance(shared, station, |poller, now, samples| poller.handle_check(result, now, samples));
@@ -55,7 +55,7 @@ fn count_repeated(station: &StationShared, repeated: Option<bool>) {
     if repeated == Some(true) {
         let number = station.handle.number();
         tracing::debug!(station = number, "unexpected frame within a poll cycle: its values are dropped");
-        station.handle.link().board().job_repeated(number);
+        station.handle.link().shared_stats().count_repeated_job(number);
     }
 }
 

@@ -9,7 +9,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::{Pool, PoolShared, PoolState};
 use crate::endpoint::{Endpoint, Transport};
-use crate::link::{BoxIo, Connector, Gate, Link, LinkBuilder};
+use crate::link::{BoxIo, ConnectLimiter, Connector, Link, LinkBuilder};
 use crate::random::Random;
 
 /// The maximum of connections of a FATEK Ethernet module.
@@ -161,7 +161,7 @@ impl PoolBuilder {
             max_endpoints: self.max_endpoints,
             links_per_endpoint: self.links_per_endpoint,
             idle_timeout: self.idle_timeout,
-            connect_limiter: Gate::new(self.connects_at_once, self.connects_per_second, seed),
+            connect_limiter: ConnectLimiter::new(self.connects_at_once, self.connects_per_second, seed),
             configure: self.configure,
             connect: self.connect,
         };
@@ -186,7 +186,7 @@ pub(super) struct PoolSettings {
     pub(super) max_endpoints: usize,
     pub(super) links_per_endpoint: usize,
     idle_timeout: Option<Duration>,
-    connect_limiter: Arc<Gate>,
+    connect_limiter: Arc<ConnectLimiter>,
     configure: Option<Configure>,
     connect: Option<Connect>,
 }
@@ -198,15 +198,17 @@ impl PoolSettings {
         // Opening a UDP socket or a local port puts no load on a PLC, and must not be delayed.
         let remote = matches!(endpoint.transport(), Transport::Tcp { .. });
         if remote || self.connect.is_some() {
-            builder = builder.gate(self.connect_limiter.clone());
+            builder = builder.connect_limiter(self.connect_limiter.clone());
         }
         if let Some(configure) = &self.configure {
             builder = configure(builder);
         }
         if let Some(connect) = self.connect.clone() {
             let endpoint = endpoint.clone();
-            builder = builder
-                .connector(Connector::Custom { open: Box::new(move || connect(endpoint.clone())), tells: false });
+            builder = builder.connector(Connector::Custom {
+                open: Box::new(move || connect(endpoint.clone())),
+                wakes_reader: false,
+            });
         }
         builder.idle_timeout(self.idle_timeout).build()
     }

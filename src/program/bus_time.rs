@@ -7,7 +7,7 @@ use super::reading::{self, Reading};
 use super::writing::{self, Goal, Told, Writing};
 use super::{PAGE_WORDS, Program, ProgramPage, WriteOptions};
 use crate::command::{ControlPlc, LoopBack, ReadDetailedStatus, ReadProgramPage, ReadStatus, WriteProgramPage};
-use crate::link::bus_time::{TURNAROUND, World};
+use crate::link::bus_time::{RESPONSE_TIME, World};
 use crate::sim::{Bus, Model, Plc};
 use crate::wire::Framing;
 
@@ -83,8 +83,8 @@ fn a_program_is_read_and_written_within_3_percent_of_what_its_bytes_and_the_turn
         for ladder_words in [8192, 13_184] {
             let (mut world, plc) = world(ladder_words, baud);
             let pages = u32::from(plc.pages());
-            let read_page = world.transmission(READ_REQUEST + READ_REPLY) + TURNAROUND;
-            let write_page = world.transmission(WRITE_REQUEST + WRITE_REPLY) + TURNAROUND;
+            let read_page = world.transmission(READ_REQUEST + READ_REPLY) + RESPONSE_TIME;
+            let write_page = world.transmission(WRITE_REQUEST + WRITE_REPLY) + RESPONSE_TIME;
 
             let start = world.now;
             let program = read(&mut world);

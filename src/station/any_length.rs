@@ -1,11 +1,12 @@
-//! Reads and writes of any length: consecutive elements in as many requests as they take, one after the other. Those that take
-//! more than one are a [job](StationJob).
+//! Reads and writes of any length: consecutive elements in as many requests as needed, one after
+//! the other. More than one request is a [job](StationJob).
 //!
 //! Invariants:
-//! - nothing is sent unless all the elements exist;
-//! - a request begins where the one before it has ended, so that no value of 32 bits is split between two. It is as long as the
-//!   protocol allows, or one element shorter, as the link chooses to tell its reply from the one before;
-//! - the first failure is the end; a write tells how much is confirmed to have been written before it.
+//! - Nothing is sent unless all the elements exist.
+//! - A request begins where the one before it has ended, so no value of 32 bits is split. It is as
+//!   long as the protocol allows, or one element shorter: the link chooses, to tell its reply from
+//!   the one before.
+//! - The first failure ends the call. A write reports how many elements are confirmed as written.
 
 use super::{JobReply, Outcome, Station, StationJob};
 use crate::command::{Command, Consecutive, InvalidRequest, StackReply, check_range, most_in_one_request};
@@ -27,7 +28,7 @@ where
     if (1..=most).contains(&count) {
         return station.call(request(first, count)?).await;
     }
-    // What one request can do is checked when it is made.
+    // A single request checks its elements when it is made.
     check_range(C::CODE, first.into(), count)?;
     let mut job = StationJob::new(station);
     let mut values = Vec::with_capacity(count);
@@ -46,7 +47,8 @@ where
     }
 }
 
-/// Reads as many elements from `first` on as there is room for; `request` makes one request, of at most `N`.
+/// Fills `into` with elements from `first` on; `request` makes one request, of at most `N`
+/// elements.
 pub(super) async fn read_into<E, C, const N: usize>(
     station: &Station,
     first: E,
@@ -59,7 +61,8 @@ where
 {
     let count = into.len();
     let most = most_in_one_request(first.into());
-    // Copied by the caller: the link never has memory that it must give back when a call is dropped.
+    // The caller copies the values: the link holds no reference to memory of a future that may be
+    // dropped.
     let mut copy = |from: usize, values: &[C::Value]| {
         into.iter_mut().skip(from).zip(values).for_each(|(place, &value)| *place = value);
     };
@@ -89,7 +92,7 @@ where
     }
 }
 
-/// Writes these values to `first` and the elements after it; `request` makes one request.
+/// Writes `values` to `first` and the elements after it; `request` makes one request.
 pub(super) async fn write<E, T, C>(
     station: &Station,
     first: E,
@@ -109,7 +112,8 @@ where
         0 => error,
         written => Error::PartlyWritten { written, count, source: Box::new(error) },
     };
-    // Writes are not repeated: those since the last proof have an unknown result, also if none was confirmed.
+    // Writes are not repeated. Those since the last proof have an unknown result, even if none was
+    // confirmed.
     let unknown = |written, source: Error| Error::PartlyWritten { written, count, source: Box::new(source) };
     let duplicates = || Error::Duplicates { station: station.number, sent: true };
     let mut job = StationJob::of_writes(station);
@@ -125,7 +129,7 @@ where
     match job.end().await {
         Ok(None) => Ok(()),
         Ok(Some(confirmed)) => Err(unknown(confirmed, duplicates())),
-        // All was acknowledged, and is not confirmed.
+        // All were acknowledged, but not confirmed.
         Err(error) => Err(unknown(job.first_held().unwrap_or(count), error)),
     }
 }

@@ -4,10 +4,10 @@ use crate::tag::Tag;
 
 /// Ranges of registers and discretes.
 impl Station {
-    /// 44, 46: reads what ranges of elements hold, to be saved, compared or written back. What the PLC refuses to give is
-    /// [missing](crate::backup::Missing) in the backup.
+    /// Reads ranges of elements (44, 46), to be saved, compared or written back.
     ///
-    /// To see how far it has come, or to go on after a failure, use [`TakeBackup`].
+    /// Elements that the PLC refuses to read are [missing](crate::backup::Missing) in the backup.
+    /// To see the progress, or to resume after a failure, use [`TakeBackup`].
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -17,15 +17,16 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// [`BackupError::Invalid`] when the ranges are none for a backup; nothing is sent. [`BackupError::Call`], with what has been
-    /// read, when a request fails.
+    /// [`BackupError::Invalid`] if the ranges cannot be a backup; nothing is sent.
+    /// [`BackupError::Call`], with all that was read, if a request fails.
     pub async fn back_up(&self, ranges: impl IntoIterator<Item = Tag>) -> Result<Backup, BackupError> {
         TakeBackup::new(ranges)?.run(self).await
     }
 
-    /// 45, 47: writes those elements of a backup that differ from what the PLC holds, reads all back and compares.
+    /// Writes those elements of a backup that differ from the PLC (45, 47), reads all back and
+    /// compares.
     ///
-    /// To see how far it has come, to compare alone, or to go on after a failure, use [`Restore`].
+    /// To see the progress, to compare only, or to resume after a failure, use [`Restore`].
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -38,7 +39,7 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for [`Restore::run`].
+    /// Those of [`Restore::run`].
     pub async fn restore(&self, backup: &Backup, options: RestoreOptions) -> Result<RestoreReport, RestoreError> {
         Restore::new(backup, options).run(self).await
     }

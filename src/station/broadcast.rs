@@ -12,10 +12,11 @@ use crate::link::{CallOptions, Link, Purpose};
 
 /// All PLCs of a [`Link`] at once: station 0. Cheap to clone.
 ///
-/// Every PLC obeys and none answers, so there are only the commands that make sense without an answer, and their `Ok`
-/// says that the request was sent, not that it was executed. They are never repeated. A PLC that answers all the same, under its
-/// number or under 0, is counted ([`StationStats::broadcast_answers`](crate::StationStats::broadcast_answers)); its answer is never
-/// the reply to what follows.
+/// Every PLC executes a broadcast and none answers. So there are only commands that need no reply,
+/// and `Ok` means that the request was sent, not that it was executed. Broadcasts are never
+/// retried. A PLC that answers all the same, under its number or under 0, is counted
+/// ([`StationStats::broadcast_answers`](crate::StationStats::broadcast_answers)); its answer is
+/// never taken for a reply to a later request.
 #[derive(Clone)]
 pub struct Broadcast {
     link: Link,
@@ -27,72 +28,72 @@ impl Broadcast {
         Self { link, options }
     }
 
-    /// The same, with options of its own: of these, only how long the whole call may take matters here.
+    /// Returns a handle with options of its own; only the timeout of the whole call matters here.
     #[must_use]
     pub fn with_options(&self, options: CallOptions) -> Self {
         Self { options, ..self.clone() }
     }
 
-    /// 41: starts the ladder programs.
+    /// Starts the ladder programs (41).
     ///
     /// # Errors
-    /// As for every method of [`Station`](crate::Station), except that there are no answers to go wrong.
+    /// Those of [`Station`](crate::Station#errors), except for those of replies.
     pub async fn run(&self) -> Result<(), Error> {
         self.cast(ControlPlc::Run).await
     }
 
-    /// 41: stops the ladder programs.
+    /// Stops the ladder programs (41).
     ///
     /// # Errors
-    /// As for [`run`](Self::run).
+    /// Those of [`run`](Self::run).
     pub async fn stop(&self) -> Result<(), Error> {
         self.cast(ControlPlc::Stop).await
     }
 
-    /// 42: disables, enables, sets or resets a discrete.
+    /// Disables, enables, sets or resets a discrete (42).
     ///
     /// # Errors
-    /// As for [`run`](Self::run).
+    /// Those of [`run`](Self::run).
     pub async fn control(&self, control: DiscreteControl, discrete: Discrete) -> Result<(), Error> {
         self.cast(ControlDiscrete::new(control, discrete)).await
     }
 
-    /// 45: writes the states of 1 to 256 consecutive discretes: `true` is on.
+    /// Writes the states of 1 to 256 consecutive discretes (45): `true` is on.
     ///
     /// # Errors
-    /// As for [`run`](Self::run).
+    /// Those of [`run`](Self::run).
     pub async fn write_discretes(&self, first: Discrete, states: &[bool]) -> Result<(), Error> {
         self.cast(WriteDiscretes::new(first, states)?).await
     }
 
-    /// 47: writes 1 to 64 consecutive registers of 16 bits.
+    /// Writes 1 to 64 consecutive registers of 16 bits (47).
     ///
     /// # Errors
-    /// As for [`run`](Self::run).
+    /// Those of [`run`](Self::run).
     pub async fn write_registers(&self, first: Register, values: &[u16]) -> Result<(), Error> {
         self.cast(WriteRegisters::new(first, values)?).await
     }
 
-    /// 47: writes 1 to 32 consecutive registers of 32 bits.
+    /// Writes 1 to 32 consecutive registers of 32 bits (47).
     ///
     /// # Errors
-    /// As for [`run`](Self::run).
+    /// Those of [`run`](Self::run).
     pub async fn write_registers32(&self, first: Register32, values: &[u32]) -> Result<(), Error> {
         self.cast(WriteRegisters::new(first, values)?).await
     }
 
-    /// 49: writes any elements in one request: up to 32, where one of 32 bits counts two.
+    /// Writes any elements in one request (49): up to 32, where one of 32 bits counts two.
     ///
     /// # Errors
-    /// As for [`run`](Self::run).
+    /// Those of [`run`](Self::run).
     pub async fn write_mixed(&self, items: &[(Element, Value)]) -> Result<(), Error> {
         self.cast(WriteMixed::new(items)?).await
     }
 
-    /// Sends a request that was made elsewhere, such as one that a gateway has decoded.
+    /// Forwards a request, such as one that a gateway has decoded.
     ///
     /// # Errors
-    /// As for [`run`](Self::run); [`InvalidRequest::NoBroadcast`] for a request that only reads.
+    /// Those of [`run`](Self::run); [`InvalidRequest::NoBroadcast`] for a request that only reads.
     pub async fn forward(&self, request: Request) -> Result<(), Error> {
         with_command!(request, request => self.cast(request).await.map(drop))
     }

@@ -6,44 +6,55 @@ use tokio::sync::watch;
 
 use crate::command::{Command, ForwardedReply, InvalidRequest, Request, with_command};
 use crate::error::Error;
-use crate::link::{Answered, CallOptions, Link, Purpose, StationState, StationStats};
+use crate::link::{CallOptions, CallOutcome, Link, Purpose, StationState, StationStats};
 
-/// One PLC on a [`Link`]. Cheap to clone; every method takes `&self`, so that one handle serves many tasks.
+/// One PLC on a [`Link`]. Cheap to clone; every method takes `&self`, so one handle serves many
+/// tasks.
 ///
-/// Each method sends one request and gives its reply; those that read or write consecutive elements send as many as the
-/// elements take ([*any length*](#any-length)). All of them fail alike:
+/// Each method sends one request and returns its reply. Methods for consecutive elements send as
+/// many requests as needed ([*any length*](#any-length)).
 ///
-/// - [`Error::Invalid`] when an argument breaks a rule of the protocol; nothing is sent;
-/// - [`Error::Plc`] when the PLC refuses the request;
-/// - [`Error::Timeout`], [`Error::BadReply`], [`Error::OutOfStep`], [`Error::Disconnected`], [`Error::Connect`], [`Error::Offline`],
-///   [`Error::QueueFull`] and [`Error::Closed`] when there is no usable answer. Reads have been repeated by then, as
-///   [`CallOptions::retries`] says; writes and control have not, unless [`CallOptions::retry_writes`] says so.
-///   [`Error::may_have_executed`] tells whether the PLC may have done what was asked.
+/// # Errors
 ///
-/// A call can be dropped at any time. A request that has not been sent is then not sent any more; one that has been
-/// sent is executed by the PLC, and its reply is given to nobody.
+/// All methods fail alike:
+///
+/// - [`Error::Invalid`] if an argument breaks a rule of the protocol; nothing is sent.
+/// - [`Error::Plc`] if the PLC refuses the request.
+/// - [`Error::Timeout`], [`Error::BadReply`], [`Error::OutOfStep`], [`Error::Disconnected`],
+///   [`Error::Connect`], [`Error::Offline`], [`Error::QueueFull`] and [`Error::Closed`] if there is
+///   no usable reply. Reads were retried by then, as [`CallOptions::retries`] says; writes and
+///   control commands only if [`CallOptions::retry_writes`] is set. [`Error::may_have_executed`]
+///   tells whether the PLC may have executed the request.
+///
+/// # Cancel safety
+///
+/// A call can be dropped at any time. A request that has not been sent is then never sent. One that
+/// has been sent may be executed by the PLC; its reply is discarded.
 ///
 /// # Any length
 ///
-/// One request is answered from one scan of the PLC; two requests are not. One request takes 256 discretes, 64 registers
-/// of 16 bits or 32 of 32 bits. [`read_registers`](Self::read_registers) and the other methods for consecutive elements
-/// take any number and send several requests, one after the other. So:
+/// One request is answered from one scan of the PLC; two requests are not. One request takes 256
+/// discretes, 64 registers of 16 bits or 32 of 32 bits. [`read_registers`](Self::read_registers)
+/// and the other methods for consecutive elements take any number and send several requests, one
+/// after the other. So:
 ///
-/// - Up to the limit of one request, all values are of one scan. Beyond it, **they are not**: what belongs together may
-///   change between one request and the next. A value of 32 bits is never split.
-/// - Several requests are full ones and ones with an element less in turn, so that the replies to two in a row differ in size; on
-///   a network, writes are 47 of 64 registers and 49 of 32 in turn. A check confirms them at the end.
-/// - Other calls of the link come in between, as their priority says.
+/// - Up to the limit of one request, all values are of one scan. Beyond it, **they are not**:
+///   values that belong together may change between two requests. A value of 32 bits is never
+///   split.
+/// - The requests have full length and one element less in turn, so that two replies in a row
+///   differ in size. On a network, writes are 47 with 64 registers and 49 with 32 in turn. A check
+///   confirms them at the end.
+/// - Other calls of the link come in between, by priority.
 /// - Nothing is sent unless all the elements exist.
-/// - Each request has its own time, [`CallOptions::call_timeout`], and its own retries. For a limit on the whole, put it
-///   in a [`tokio::time::timeout`].
-/// - A read fails as a whole, with the error of the first request that fails, and no more are sent. A write ends there,
-///   too; if it was not the first request, the error is [`Error::PartlyWritten`], which tells what has been written. So
-///   it is when it is dropped: what was sent before is written.
-/// - If a duplicate of a reply comes out of order in between, a read asks again for the values since the last check, and
-///   a write ends with [`Error::Duplicates`]: its result is unknown.
+/// - Each request has its own [`CallOptions::call_timeout`] and its own retries. For a limit on the
+///   whole, use a [`tokio::time::timeout`].
+/// - A read fails as a whole, with the error of the first request that fails. A write ends there,
+///   too; if it was not the first request, the error is [`Error::PartlyWritten`], which says how
+///   much was written. If the future is dropped, all that was sent before stays written.
+/// - If a duplicate of a reply comes out of order, a read repeats the requests since the last
+///   check, and a write ends with [`Error::Duplicates`]: its result is unknown.
 ///
-/// [`call`](Self::call) sends exactly one request, and a longer one is refused:
+/// [`call`](Self::call) sends exactly one request, and a longer one is an error:
 ///
 /// ```
 /// # fatek::sim::doctest(|station| async move {
@@ -75,7 +86,7 @@ impl Station {
         }
     }
 
-    /// The same station, with options of its own.
+    /// Returns a handle to the same station with options of its own.
     ///
     /// ```
     /// # use std::time::Duration;
@@ -91,19 +102,19 @@ impl Station {
         Self { options, ..self.clone() }
     }
 
-    /// Its station number, 1 to 254.
+    /// The station number, 1 to 254.
     #[must_use]
     pub fn number(&self) -> u8 {
         self.number
     }
 
-    /// The link it is on.
+    /// The link of the station.
     #[must_use]
     pub fn link(&self) -> &Link {
         &self.link
     }
 
-    /// What it has been asked and has answered so far, by all handles of the link: a snapshot.
+    /// Returns the counters of the station, over all handles of the link: a snapshot.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -113,13 +124,13 @@ impl Station {
     /// ```
     #[must_use]
     pub fn stats(&self) -> StationStats {
-        self.link.board().station(self.number)
+        self.link.shared_stats().station_stats(self.number)
     }
 
-    /// Whether it answers, to be watched.
+    /// Watches whether the station is online.
     #[must_use]
     pub fn watch_state(&self) -> watch::Receiver<StationState> {
-        self.link.board().watch(self.number)
+        self.link.shared_stats().watch_state(self.number)
     }
 
     /// The options of its calls.
@@ -128,7 +139,7 @@ impl Station {
         self.options
     }
 
-    /// Sends any [`Command`] and gives its reply. The methods below are this, by name.
+    /// Sends any [`Command`] and returns its reply. The methods named after commands use it.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -140,21 +151,21 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type.
+    /// Those of [every method](Self#errors).
     pub async fn call<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
         self.submit(request, Purpose::Whole).await.result
     }
 
-    /// Sends a request for this purpose, and tells what its answer proves.
-    pub(crate) async fn submit<C: Command>(&self, request: C, purpose: Purpose<C>) -> Answered<C::Reply> {
+    /// Makes a call for this purpose, and returns its result and proof.
+    pub(crate) async fn submit<C: Command>(&self, request: C, purpose: Purpose<C>) -> CallOutcome<C::Reply> {
         self.link.submit(self.number, request, purpose, self.options).await
     }
 
-    /// Sends a request that was made elsewhere, such as one that a gateway has decoded, and gives its reply so that it can
-    /// be sent on.
+    /// Forwards a request, such as one that a gateway has decoded, and returns its reply for
+    /// forwarding.
     ///
-    /// It is a [`call`](Self::call) like any other: the reply must be one to this very request, reads are repeated, and
-    /// writes are not.
+    /// It is a [`call`](Self::call) like any other: the reply must answer this very request, reads
+    /// are retried, and writes are not.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -171,7 +182,7 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for every method of this type. What the PLC refuses is [`Error::Plc`]:
+    /// Those of [every method](Self#errors). A refusal of the PLC is [`Error::Plc`]:
     /// [`encode_refusal`](crate::command::encode_refusal) makes a frame of its error code.
     pub async fn forward(&self, request: Request) -> Result<ForwardedReply, Error> {
         with_command!(request, request => self.answer(request).await)

@@ -3,8 +3,8 @@
 use super::Station;
 use crate::command::{Command, LoopBack};
 use crate::error::Error;
-use crate::link::job::{Job, Progress};
-use crate::link::{Answered, Purpose};
+use crate::link::job::{Job, JobProgress};
+use crate::link::{CallOutcome, Purpose};
 
 /// A job on a station.
 pub(crate) struct StationJob<'s, M> {
@@ -68,12 +68,12 @@ impl<'s, M: Copy> StationJob<'s, M> {
         longer: bool,
     ) -> Result<Outcome<M, C::Reply>, Error> {
         let purpose = if longer { Purpose::Part } else { Purpose::InJob };
-        let Answered { result, spelling, shape, proof, .. } = self.station.submit(request, purpose).await;
+        let CallOutcome { result, spelling, shape, proof, .. } = self.station.submit(request, purpose).await;
         let refused = match result {
             Ok(reply) => {
                 return Ok(match self.job.answered(mark, shape, proof) {
-                    Progress::Go => Outcome::Reply(JobReply { reply, count: spelling.count.into() }),
-                    progress @ (Progress::Rewind(_) | Progress::Failed(_)) => {
+                    JobProgress::Go => Outcome::Reply(JobReply { reply, count: spelling.count.into() }),
+                    progress @ (JobProgress::Rewind(_) | JobProgress::Failed(_)) => {
                         Outcome::Rewind(self.rewound(progress, mark)?)
                     }
                 });
@@ -82,12 +82,12 @@ impl<'s, M: Copy> StationJob<'s, M> {
             Err(error) => return Err(error),
         };
         let progress = match self.job.answered(mark, shape, proof) {
-            Progress::Go => self.job.confirmed(self.check().await?),
-            progress @ (Progress::Rewind(_) | Progress::Failed(_)) => progress,
+            JobProgress::Go => self.job.confirmed(self.check().await?),
+            progress @ (JobProgress::Rewind(_) | JobProgress::Failed(_)) => progress,
         };
         match progress {
-            Progress::Go => Err(refused),
-            progress @ (Progress::Rewind(_) | Progress::Failed(_)) => {
+            JobProgress::Go => Err(refused),
+            progress @ (JobProgress::Rewind(_) | JobProgress::Failed(_)) => {
                 Ok(Outcome::Rewind(self.rewound(progress, mark)?))
             }
         }
@@ -108,8 +108,8 @@ impl<'s, M: Copy> StationJob<'s, M> {
         let Some(first) = self.job.first_held() else { return Ok(None) };
         let proof = self.check().await?;
         match self.job.confirmed(proof) {
-            Progress::Go => Ok(None),
-            progress @ (Progress::Rewind(_) | Progress::Failed(_)) => self.rewound(progress, first).map(Some),
+            JobProgress::Go => Ok(None),
+            progress @ (JobProgress::Rewind(_) | JobProgress::Failed(_)) => self.rewound(progress, first).map(Some),
         }
     }
 
@@ -118,19 +118,19 @@ impl<'s, M: Copy> StationJob<'s, M> {
         answered.result.map(|()| answered.proof)
     }
 
-    fn rewound(&mut self, progress: Progress<M>, mark: M) -> Result<M, Error> {
+    fn rewound(&mut self, progress: JobProgress<M>, mark: M) -> Result<M, Error> {
         let number = self.station.number;
-        self.station.link.board().job_repeated(number);
+        self.station.link.shared_stats().count_repeated_job(number);
         match progress {
-            Progress::Go => Ok(mark),
-            Progress::Rewind(first) => {
+            JobProgress::Go => Ok(mark),
+            JobProgress::Rewind(first) => {
                 tracing::debug!(
                     station = number,
                     "an unexpected frame came within a job: its results are asked for again"
                 );
                 Ok(first)
             }
-            Progress::Failed(first) => {
+            JobProgress::Failed(first) => {
                 self.given_up = Some(first);
                 Err(Error::Duplicates { station: number, sent: true })
             }

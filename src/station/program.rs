@@ -3,9 +3,9 @@ use crate::program::{Program, ProgramError, ReadProgram, WriteOptions, WriteProg
 
 /// Whole programs.
 impl Station {
-    /// 4F: reads the whole program. ASCII framing only.
+    /// Reads the whole program (4F). ASCII framing only.
     ///
-    /// To see how far it has come, or to go on after a failure, use [`ReadProgram`].
+    /// To see the progress, or to resume after a failure, use [`ReadProgram`].
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -15,15 +15,16 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for [`ReadProgram::run`].
+    /// Those of [`ReadProgram::run`].
     pub async fn read_program(&self) -> Result<Program, ProgramError> {
         ReadProgram::new().run(self).await
     }
 
-    /// 50: writes those pages of the program that differ from the PLC's, reads them back and compares. ASCII framing only.
+    /// Writes those pages of the program that differ from the PLC's (50), reads them back and
+    /// compares. ASCII framing only.
     ///
-    /// A PLC that runs is refused, unless the [options](WriteOptions) say otherwise. To see how far it has come, use
-    /// [`WriteProgram`].
+    /// It is an error if the PLC is in RUN, unless the [options](WriteOptions) stop it. To see the
+    /// progress, use [`WriteProgram`].
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -36,7 +37,7 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// As for [`WriteProgram::run`].
+    /// Those of [`WriteProgram::run`].
     pub async fn write_program(
         &self,
         program: &Program,

@@ -1,9 +1,9 @@
-//! The price of the rule of [`in_step`](crate::link::in_step): the time of each kind of work, beside the same work on a line
-//! that never doubles a reply.
+//! The cost of the rule of [`in_step`](crate::link::in_step): the time of each kind of work,
+//! compared with a line that never doubles a reply.
 
 use std::time::Duration;
 
-use super::{TURNAROUND, World};
+use super::{RESPONSE_TIME, World};
 use crate::command::{
     Command, LoopBack, PAGE_WORDS, ProgramPage, ReadDiscretes, ReadProgramPage, ReadRegisters, ReadStatus,
     WriteRegisters,
@@ -11,11 +11,11 @@ use crate::command::{
 use crate::element::{Discrete, Register, Symbol};
 use crate::endpoint::InStepSettings;
 use crate::link::Line;
-use crate::link::job::{Job, Progress};
+use crate::link::job::{Job, JobProgress};
 use crate::sim::{Bus, Model, Plc};
 use crate::wire::Framing;
 
-/// The lines: bits a second, bits a character; 0 is a network.
+/// The lines, by baud rate; 0 is a network.
 const LINES: [(&str, u32); 3] = [("9600 7E1", 9600), ("115200 8N1", 115_200), ("TCP", 0)];
 
 /// A station behind a line, and a job on it.
@@ -30,22 +30,22 @@ impl Work {
         let world = World::with(bus, Framing::Ascii, baud, &[], |config| {
             config.in_step = InStepSettings::new().with_copies(copies).unwrap();
             if baud > 0 {
-                config.gap = Line { baud, bits_per_character: 10 }.gap();
+                config.frame_gap = Line { baud, bits_per_character: 10 }.frame_gap();
             }
         });
         let mut work = Self { world, job: None };
-        // The check of a new connection is apart.
+        // The check of a new connection is not counted.
         work.world.call(1, ReadStatus).unwrap();
         work
     }
 
-    /// Asks one thing; says how many elements were asked for.
+    /// Makes a call. Returns the number of elements that its request named.
     fn ask<C: Command>(&mut self, request: C, longer: bool) -> usize {
-        let completion = self.world.push_as(1, request, None, longer);
-        let (result, spelling, shape, proof) = self.world.finish(completion);
+        let future = self.world.push_as(1, request, None, longer);
+        let (result, spelling, shape, proof) = self.world.finish(future);
         assert!(result.is_ok(), "{result:?}");
         if let Some(job) = &mut self.job {
-            assert_eq!(job.answered(0, shape, proof), Progress::Go);
+            assert_eq!(job.answered(0, shape, proof), JobProgress::Go);
         }
         spelling.count.into()
     }
@@ -54,8 +54,8 @@ impl Work {
         self.job = Some(Job::new(2));
         work(self);
         if self.job.take().is_some_and(|job| job.must_confirm()) {
-            let completion = self.world.push_as(1, LoopBack::empty(), Some(()), false);
-            assert!(self.world.finish(completion).0.is_ok());
+            let future = self.world.push_as(1, LoopBack::empty(), Some(()), false);
+            assert!(self.world.finish(future).0.is_ok());
         }
     }
 
@@ -92,22 +92,26 @@ fn seconds(baud: u32, copies: u8, plc: &Plc, work: &impl Fn(&mut Work)) -> f64 {
     (bench.world.now - began).as_secs_f64()
 }
 
-/// Compares a kind of work with the same one on a line that never doubles; `most`: the percent that the rule may cost.
+/// Compares a kind of work with the same work on a line that never doubles a reply. `most`: the
+/// additional time that the rule may cost, in percent.
 fn costs(name: &str, plc: &Plc, most: [f64; 3], work: impl Fn(&mut Work)) {
     let mut row = format!("{name:44}");
     for ((line, baud), most) in LINES.into_iter().zip(most) {
         let (plain, ruled) = (seconds(baud, 0, plc, &work), seconds(baud, 1, plc, &work));
         let percent = 100.0 * (ruled / plain - 1.0);
         row += &format!(" {plain:8.3} s {percent:6.1} %");
-        assert!((0.0..=most).contains(&percent), "{name}, {line}: {percent:.2} %, and at most {most} %");
+        assert!((0.0..=most).contains(&percent), "{name}, {line}: {percent:.2} % instead of at most {most} %");
     }
     println!("{row}");
 }
 
 #[test]
-fn the_rule_costs_no_more_than_its_table_says() {
+fn the_rule_costs_no_more_than_the_table_allows() {
     let plc = Plc::new();
-    println!("{:44} {:>19} {:>19} {:>19}", "seconds without, and percent more", LINES[0].0, LINES[1].0, LINES[2].0);
+    println!(
+        "{:44} {:>19} {:>19} {:>19}",
+        "seconds without the rule, and its cost", LINES[0].0, LINES[1].0, LINES[2].0
+    );
     costs("read of 3840 registers", &plc, [2.0, 2.0, 4.0], |work| work.in_job(|work| work.read(3840)));
     costs("backup, with 1912 discretes", &plc, [2.0, 2.0, 4.0], |work| {
         work.in_job(|work| {
@@ -166,5 +170,5 @@ fn the_rule_costs_no_more_than_its_table_says() {
             });
         });
     }
-    assert_eq!(TURNAROUND, Duration::from_millis(5), "of which the table speaks");
+    assert_eq!(RESPONSE_TIME, Duration::from_millis(5), "the table is for this response time");
 }

@@ -1,4 +1,4 @@
-//! What the driver does with a stream of ours, which wakes its reader whenever something has come.
+//! The driver on a stream of the crate's own, which wakes its reader whenever it has data.
 
 use std::collections::VecDeque;
 use std::io;
@@ -18,18 +18,19 @@ use crate::link::transport::{BoxIo, Connector};
 use crate::wire::{Codec, Frame, Framing, Side};
 use crate::{CallOptions, Error, Link, register};
 
-/// A PLC that answers at once, and at its first broadcast repeats its last answer, with the old value.
+/// A PLC that answers at once. At its first broadcast it repeats its last reply, with the old
+/// value.
 #[derive(Default)]
 struct Plc {
-    came: VecDeque<u8>,
+    received: VecDeque<u8>,
     reader: Option<Waker>,
     value: u16,
     answered: Vec<u8>,
     broadcasts: u32,
     /// Whether it takes no bytes.
     stuck: bool,
-    /// How many requests came before a repeated answer had been read.
-    unheard: u32,
+    /// Number of requests that came while a repeated reply was unread.
+    unread: u32,
 }
 
 #[derive(Clone, Default)]
@@ -43,20 +44,24 @@ impl Line {
     fn link(&self) -> Link {
         let line = self.clone();
         let open = Box::new(move || futures::future::ready(Ok(Box::new(line.clone()) as BoxIo)).boxed());
-        LinkBuilder::with_connector(Connector::Custom { open, tells: true }, Framing::Ascii, "a line that tells")
-            .build()
+        LinkBuilder::with_connector(
+            Connector::Custom { open, wakes_reader: true },
+            Framing::Ascii,
+            "a line that wakes its reader",
+        )
+        .build()
     }
 }
 
 impl Plc {
-    fn asked(&mut self, request: &Frame) {
-        self.unheard += u32::from(!self.came.is_empty());
+    fn handle(&mut self, request: &Frame) {
+        self.unread += u32::from(!self.received.is_empty());
         if request.station == 0 {
             self.broadcasts += 1;
             self.value = 2;
             if self.broadcasts == 1 {
                 let again = self.answered.clone();
-                self.come(&again);
+                self.send(&again);
             }
             return;
         }
@@ -66,13 +71,13 @@ impl Plc {
         };
         let mut answer = BytesMut::new();
         let frame = Frame { station: request.station, command: request.command, data };
-        Codec::new(Framing::Ascii, Side::Plc).encode(&frame, &mut answer).expect("it can be sent");
+        Codec::new(Framing::Ascii, Side::Plc).encode(&frame, &mut answer).expect("the codec does not fail");
         self.answered = answer.to_vec();
-        self.come(&answer);
+        self.send(&answer);
     }
 
-    fn come(&mut self, bytes: &[u8]) {
-        self.came.extend(bytes);
+    fn send(&mut self, bytes: &[u8]) {
+        self.received.extend(bytes);
         if let Some(reader) = self.reader.take() {
             reader.wake();
         }
@@ -82,11 +87,11 @@ impl Plc {
 impl AsyncRead for Line {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let mut plc = self.plc();
-        if plc.came.is_empty() {
+        if plc.received.is_empty() {
             plc.reader = Some(cx.waker().clone());
             return Poll::Pending;
         }
-        into.put_slice(&plc.came.drain(..).collect::<Vec<u8>>());
+        into.put_slice(&plc.received.drain(..).collect::<Vec<u8>>());
         Poll::Ready(Ok(()))
     }
 }
@@ -97,7 +102,7 @@ impl AsyncWrite for Line {
             return Poll::Pending;
         }
         let request = Codec::new(Framing::Ascii, Side::Plc).decode(&mut BytesMut::from(bytes));
-        self.plc().asked(&request.expect("no I/O").and_then(|item| item.frame()).expect("a request is written whole"));
+        self.plc().handle(&request.expect("no I/O").and_then(|item| item.frame()).expect("a request is written whole"));
         Poll::Ready(Ok(bytes.len()))
     }
 
@@ -111,25 +116,25 @@ impl AsyncWrite for Line {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_answer_that_is_repeated_while_broadcasts_are_sent_is_not_that_of_the_read_behind_them() {
+async fn a_reply_repeated_during_broadcasts_is_not_the_next_reads() {
     let line = Line::default();
     line.plc().value = 1;
     let link = line.link();
     let station = link.station(1).expect("a station");
     assert_eq!(station.read_registers(register!("R0"), 1).await.expect("it answers"), [1]);
-    // All of them wait for the first one, and are then sent in one go.
+    // All of them wait for the first read, and are then sent in one go.
     let (all, first) = (link.broadcast(), station.read_registers(register!("R0"), 1));
     let casts = join_all((0..20).map(|_| all.write_registers(register!("R0"), &[2])));
     let (first, casts, second) = tokio::join!(first, casts, station.read_registers(register!("R0"), 1));
     assert_eq!(first.expect("it answers"), [1]);
     assert!(casts.iter().all(Result::is_ok) && line.plc().broadcasts == 20);
     assert_eq!(second.expect("it answers"), [2]);
-    assert_eq!(line.plc().unheard, 0, "what had come was read before the next request");
+    assert_eq!(line.plc().unread, 0, "received data were read before the next request");
     assert_eq!(station.stats().duplicates, 1);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_request_that_cannot_be_written_in_time_costs_the_connection_and_not_before() {
+async fn an_unwritable_request_costs_the_connection_at_its_timeout() {
     let line = Line::default();
     let link = line.link();
     let timeout = Duration::from_millis(700);
@@ -140,8 +145,8 @@ async fn a_request_that_cannot_be_written_in_time_costs_the_connection_and_not_b
     let began = Instant::now();
     let error = station.read_registers(register!("R0"), 1).await.expect_err("it does not get there");
     assert!(matches!(error, Error::Disconnected { sent: true, .. }), "{error:?}");
-    let source = std::error::Error::source(&error).expect("it has one").to_string();
-    assert_eq!(source, "the request could not be written in time");
+    let source = std::error::Error::source(&error).expect("a source").to_string();
+    assert_eq!(source, "the request was not written in time");
     let took = began.elapsed();
     assert!((timeout..timeout * 2).contains(&took), "{took:?}");
     line.plc().stuck = false;

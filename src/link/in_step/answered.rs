@@ -1,14 +1,15 @@
 //! Elements that a station has answered reads of.
 //!
-//! Invariant: at most [`MOST`] spans, which do not overlap or touch. Where there are more, the oldest is forgotten.
+//! Invariant: at most [`MOST`] spans, which neither overlap nor touch. If there are more, the
+//! oldest is forgotten.
 
 use crate::element::{Element, Symbol};
 
-/// Spans that are kept for a station.
+/// Maximum number of spans of a station.
 const MOST: usize = 16;
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct Answered {
+pub(super) struct AnsweredElements {
     spans: Vec<Span>,
 }
 
@@ -19,7 +20,7 @@ struct Span {
     last: u16,
 }
 
-impl Answered {
+impl AnsweredElements {
     pub(super) fn new() -> Self {
         Self { spans: Vec::new() }
     }
@@ -47,12 +48,12 @@ impl Answered {
         if self.spans.len() >= MOST {
             self.spans.remove(0);
         }
-        // Most stations are asked for one block.
+        // Most stations are read in one block.
         self.spans.reserve_exact(1);
         self.spans.push(new);
     }
 
-    /// Forgets the elements around this one.
+    /// Forgets the span of this element.
     pub(super) fn forget(&mut self, element: Element) {
         self.spans.retain(|span| !span.contains(element.symbol(), element.address()));
     }
@@ -81,7 +82,7 @@ mod tests {
 
     #[test]
     fn spans_that_overlap_or_touch_are_joined() {
-        let mut answered = Answered::new();
+        let mut answered = AnsweredElements::new();
         answered.add(element("R0"), 16);
         answered.add(element("R32"), 16);
         assert!(!answered.contains(element("R16")) && !answered.contains(element("D0")));
@@ -98,7 +99,7 @@ mod tests {
 
     #[test]
     fn the_oldest_of_too_many_spans_is_forgotten() {
-        let mut answered = Answered::new();
+        let mut answered = AnsweredElements::new();
         for n in 0..=MOST {
             answered.add(Element::new(Symbol::R, u16::try_from(10 * n).unwrap()).unwrap(), 1);
         }

@@ -1,15 +1,16 @@
 //! A model checker of the rule: a breadth-first search of all states of client, line and PLC.
 //!
-//! The client is the real [`InStep`](super::InStep) with the real spellings, driven as the core drives it. The line and the PLC
-//! do what is assumed of them, up to a number of faults: replies are late, are lost, and come more than once; replies of earlier
-//! processes are on their way. A result is wrong if its reply answered another request. Requests are not counted in a state, so
+//! The client is the real [`InStep`](super::InStep) with the real spellings, driven as the core
+//! drives it. The line and the PLC do what is assumed of them, up to a number of faults: replies
+//! are late, are lost, and come more than once; replies to earlier processes are on their way. A
+//! result is wrong if its reply answered another request. Requests are not counted in a state, so
 //! "sound" holds for any number of them.
 //!
-//! `FATEK_CHECKER=full` sets larger bounds. With `--nocapture`, the tests print a table, and the shortest trace of each wrong
-//! result.
-#![allow(clippy::print_stdout, reason = "the verdicts are what it is for")]
+//! `FATEK_CHECKER=full` sets larger bounds. With `--nocapture`, the tests print a table, and the
+//! shortest trace of each wrong result.
+#![allow(clippy::print_stdout, reason = "prints verdicts")]
 
-mod driver;
+mod client;
 mod faults;
 mod jobs;
 mod model;
@@ -21,32 +22,32 @@ use std::rc::Rc;
 
 use tokio::time::Instant;
 
-use self::driver::{Driver, Without, Wrong};
-use self::model::{Faults, State, starts, steps};
+use self::client::{Ablation, Client, Wrong};
+use self::model::{Faults, ModelState, starts, steps};
 use self::requests::Name;
 pub(super) use self::requests::Request;
 use super::Rule;
 
-/// States after which a search is cut.
+/// Number of states after which a search is cut.
 const MOST_STATES: usize = 1_000_000;
 
 /// The result of a search.
 struct Verdict {
     states: usize,
-    /// The shortest trace to a wrong result of each sort.
+    /// The shortest trace to a wrong result of each kind.
     found: BTreeMap<Wrong, String>,
-    /// The most wrong results in a row, counted up to the bound.
+    /// The maximum number of wrong results in a row, counted up to the bound.
     most: u8,
     cut: bool,
 }
 
-/// Searches all states. Traces end at this many wrong results.
-fn explore(faults: &Faults, rule: Rule, without: Without, most: u8) -> Verdict {
+/// Searches all states. Traces end at `most` wrong results.
+fn explore(faults: &Faults, rule: Rule, ablation: Ablation, most: u8) -> Verdict {
     let requests = Name::ALL.map(Request::of);
-    let driver = Driver { rule, without, now: Instant::now(), by_content: faults.roam, lacks: faults.lacks, requests };
-    let mut came: HashMap<Rc<State>, Option<Rc<State>>> = HashMap::new();
+    let client = Client { rule, ablation, now: Instant::now(), by_content: faults.roam, lacks: faults.lacks, requests };
+    let mut came: HashMap<Rc<ModelState>, Option<Rc<ModelState>>> = HashMap::new();
     let mut queue = VecDeque::new();
-    for start in starts(faults, &driver) {
+    for start in starts(faults, &client) {
         let start = Rc::new(start.canonical());
         came.insert(start.clone(), None);
         queue.push_back(start);
@@ -54,7 +55,7 @@ fn explore(faults: &Faults, rule: Rule, without: Without, most: u8) -> Verdict {
     let mut verdict = Verdict { states: 0, found: BTreeMap::new(), most: 0, cut: false };
     while let Some(s) = queue.pop_front() {
         let mut wrongs = Vec::new();
-        steps(faults, &driver, &s, &mut |label, after, wrong| {
+        steps(faults, &client, &s, &mut |label, after, wrong| {
             let mut after = after.canonical();
             if let Some(wrong) = wrong {
                 after.wrong += 1;
@@ -73,10 +74,10 @@ fn explore(faults: &Faults, rule: Rule, without: Without, most: u8) -> Verdict {
             }
         });
         for (wrong, last) in wrongs {
-            verdict.found.entry(wrong).or_insert_with(|| trace(faults, &driver, &came, &s) + &last);
+            verdict.found.entry(wrong).or_insert_with(|| trace(faults, &client, &came, &s) + &last);
         }
         verdict.cut = came.len() >= MOST_STATES;
-        if verdict.cut || without != Without::Nothing && !verdict.found.is_empty() && most == 1 {
+        if verdict.cut || ablation != Ablation::Nothing && !verdict.found.is_empty() && most == 1 {
             break;
         }
     }
@@ -84,8 +85,13 @@ fn explore(faults: &Faults, rule: Rule, without: Without, most: u8) -> Verdict {
     verdict
 }
 
-/// The steps to a state, a line each.
-fn trace(faults: &Faults, driver: &Driver, came: &HashMap<Rc<State>, Option<Rc<State>>>, s: &Rc<State>) -> String {
+/// The trace to a state, one step a line.
+fn trace(
+    faults: &Faults,
+    client: &Client,
+    came: &HashMap<Rc<ModelState>, Option<Rc<ModelState>>>,
+    s: &Rc<ModelState>,
+) -> String {
     let mut states = vec![s];
     while let Some(Some(before)) = states.last().map(|s| &came[*s]) {
         states.push(before);
@@ -95,7 +101,7 @@ fn trace(faults: &Faults, driver: &Driver, came: &HashMap<Rc<State>, Option<Rc<S
     let mut lines = format!("        on its way at the start: {}\n", on_its_way.join("; "));
     for pair in states.windows(2) {
         let mut found = false;
-        steps(faults, driver, pair[0], &mut |label, after, wrong| {
+        steps(faults, client, pair[0], &mut |label, after, wrong| {
             let mut after = after.canonical();
             after.wrong += u8::from(wrong.is_some());
             if !found && after == **pair[1] {
@@ -108,9 +114,9 @@ fn trace(faults: &Faults, driver: &Driver, came: &HashMap<Rc<State>, Option<Rc<S
 }
 
 /// Searches, and prints a line of the table and the traces.
-fn report(name: &str, faults: &Faults, rule: Rule, without: Without, most: u8) -> Verdict {
+fn report(name: &str, faults: &Faults, rule: Rule, ablation: Ablation, most: u8) -> Verdict {
     let began = std::time::Instant::now();
-    let verdict = explore(faults, rule, without, most);
+    let verdict = explore(faults, rule, ablation, most);
     let found: Vec<_> = verdict.found.keys().collect();
     let said = match (verdict.found.is_empty(), verdict.cut) {
         (true, false) => "sound".to_owned(),
@@ -119,7 +125,7 @@ fn report(name: &str, faults: &Faults, rule: Rule, without: Without, most: u8) -
         (false, _) => format!("WRONG {found:?}"),
     };
     println!("{name:28} | {:34} | {:7} | {said} | {:.1} s", faults.name, verdict.states, began.elapsed().as_secs_f32());
-    let wanted = without == Without::Nothing || std::env::var("FATEK_CHECKER").is_ok();
+    let wanted = ablation == Ablation::Nothing || std::env::var("FATEK_CHECKER").is_ok();
     for trace in verdict.found.values().filter(|_| wanted) {
         println!("{trace}");
     }

@@ -1,4 +1,4 @@
-//! The terms of the rule.
+//! Terms of the rule.
 
 use std::time::Duration;
 
@@ -18,49 +18,49 @@ pub(crate) struct Shape {
 /// The size of a stray, which may fit any size.
 pub(super) const ANY_SIZE: u32 = u32::MAX;
 
-/// What a request is to the rule.
+/// How the rule treats a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Kind {
-    /// It can be asked again.
+    /// A read: it can be sent again.
     Read,
-    /// A read of a program page: a page that differs from the one before it is new.
+    /// A read of a program page: a page that differs from the one before it is proven.
     Page,
-    /// It is sent only if no owed frame of any sort could answer it.
+    /// A request that is sent only if no owed frame of any sort could answer it.
     Once,
 }
 
-/// A request, as far as the rule must know it.
+/// A request, as far as the rule needs it.
 pub(crate) trait Spelled {
     fn kind(&self) -> Kind;
     fn plain(&self) -> Spelling;
     /// The other spellings.
     fn candidates(&self) -> Candidates;
-    /// The shape of the positive reply to a spelling.
+    /// Shape of the positive reply to a spelling.
     fn shape(&self, spelling: Spelling) -> Shape;
 }
 
 /// A reply that fits the request on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Reply {
-    /// The shape that was asked for.
+    /// Shape of the positive reply to the request.
     pub(crate) shape: Shape,
     pub(crate) refused: bool,
-    /// Of the frame: see [`fingerprint`].
+    /// The [`fingerprint`] of the frame.
     pub(crate) fingerprint: u64,
 }
 
-/// What goes out for a request.
+/// The next transmission for a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Choice {
-    /// The request, so spelt.
+    /// The request, in this spelling.
     Send(Spelling),
     /// A request of the link itself, before it.
     Check(Check, Why),
-    /// Nothing before this time, nor ever if a frame comes from the station before.
+    /// Nothing before this time; a frame of the station restarts the silence.
     Silence(Instant),
 }
 
-/// What the link itself sends to separate two requests.
+/// A request of the link itself that separates two requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Check {
     /// 4E with a nonce. Its echo always proves.
@@ -90,12 +90,12 @@ pub(crate) enum Why {
     Confirm,
 }
 
-/// What a frame is that no request takes.
+/// The kind of a frame that no request takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Stray {
-    /// A copy of the reply that was taken last.
+    /// A duplicate of the reply taken last.
     Duplicate,
-    /// An answer to a request that had timed out.
+    /// The reply to a request that had timed out.
     Late,
     /// An answer to a broadcast.
     Broadcast,
@@ -103,22 +103,22 @@ pub(crate) enum Stray {
     Unexpected,
 }
 
-/// A number for what was proven of a station so far: see [`Job`](super::job::Job).
+/// Counters of a station's proofs and doubts so far: see [`Job`](super::job::Job).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Proof {
-    /// The number of proofs: echoes of checks, and silences of the quiet time.
+    /// Number of proofs: echoes of checks, and silences of the quiet time.
     pub(crate) proofs: u32,
-    /// The number of unexpected strays.
+    /// Number of unexpected strays.
     pub(crate) doubts: u32,
 }
 
-/// The rule as it holds on a link.
+/// The rule's settings, and the figures that it needs now.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rule {
     pub(crate) settings: InStepSettings,
     /// The silence that replaces a check.
     pub(crate) quiet: Duration,
-    /// The connection is for one request alone, so silence replaces every check.
+    /// The connection carries one request only, so silence replaces every check.
     pub(crate) one_request: bool,
     pub(crate) prices: Prices,
     /// The time that the line has been busy so far.
@@ -128,7 +128,7 @@ pub(crate) struct Rule {
 /// Prices of what separates two requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Prices {
-    /// Time on the line of a byte.
+    /// Transmission time of a byte.
     pub(crate) byte: Duration,
     /// Time of an exchange without data.
     pub(crate) exchange: Duration,
@@ -141,7 +141,7 @@ impl Check {
 }
 
 impl Prices {
-    /// Time on the line of this many bytes; a count of 32 bits would end within days.
+    /// Transmission time of this many bytes. A count of 32 bits would be full within days.
     pub(crate) fn line_time(&self, bytes: u64) -> Duration {
         let byte = u64::try_from(self.byte.as_nanos()).unwrap_or(u64::MAX);
         Duration::from_nanos(byte.saturating_mul(bytes))
@@ -149,13 +149,13 @@ impl Prices {
 
     pub(super) fn of(&self, candidate: &Candidate, plain: Spelling) -> Duration {
         let bytes = self.byte.saturating_mul(u32::try_from(candidate.more_bytes).unwrap_or(u32::MAX));
-        // What is left takes its part of another exchange.
+        // The elements left over take their part of another exchange.
         let rest = self.exchange.saturating_mul(candidate.left.into()).checked_div(u32::from(plain.count.max(1)));
         bytes.saturating_add(rest.unwrap_or_default())
     }
 }
 
-/// A number for the content of a frame: equal for equal frames, and for others hardly ever.
+/// A hash of the content of a frame: equal for equal frames, and hardly ever for others.
 pub(crate) fn fingerprint(command: u8, data: &[u8]) -> u64 {
     const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
     let (words, rest) = data.as_chunks::<8>();

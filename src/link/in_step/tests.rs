@@ -1,4 +1,4 @@
-//! The rule, one sentence at a time.
+//! The rule, one statement at a time.
 
 use std::time::Duration;
 
@@ -16,23 +16,23 @@ const SERIAL_115200: Duration = Duration::from_micros(87);
 const WINDOW: Duration = Duration::from_millis(100);
 const QUIET: Duration = Duration::from_secs(1);
 
-/// A station, the rule, and the time.
-struct Bench {
-    known: InStep,
+/// A station with the settings of its link and the time.
+struct TestStation {
+    in_step: InStep,
     rule: Rule,
     now: Instant,
     body: u64,
 }
 
-impl Bench {
+impl TestStation {
     /// A station in step, with nothing owed.
     fn with(byte: Duration, copies: u8) -> Self {
         let settings = InStepSettings::default().with_copies(copies).unwrap();
         let prices = Prices { byte, exchange: byte * 16 + Duration::from_millis(5) };
         let rule = Rule { settings, quiet: QUIET, one_request: false, prices, busy: Duration::ZERO };
-        let mut known = InStep::new();
-        known.is_in_step();
-        Self { known, rule, now: Instant::now(), body: 0 }
+        let mut in_step = InStep::new();
+        in_step.is_in_step();
+        Self { in_step, rule, now: Instant::now(), body: 0 }
     }
 
     fn new() -> Self {
@@ -40,12 +40,12 @@ impl Bench {
     }
 
     fn choose(&mut self, request: &Request) -> Choice {
-        self.known.choose(request, false, &self.rule, self.now)
+        self.in_step.choose(request, false, &self.rule, self.now)
     }
 
-    /// The spelling that goes out.
+    /// The spelling that is sent for a request.
     #[track_caller]
-    fn sends(&mut self, request: &Request) -> (Code, u16) {
+    fn expect_send(&mut self, request: &Request) -> (Code, u16) {
         match self.choose(request) {
             Choice::Send(spelling) => (spelling.code, spelling.count),
             choice => panic!("{choice:?}"),
@@ -57,27 +57,27 @@ impl Bench {
         Reply { shape, refused, fingerprint: self.body }
     }
 
-    /// A request goes out and is answered; says how it was spelt.
+    /// Sends a request and takes its reply. Returns the spelling that was sent.
     #[track_caller]
-    fn asks(&mut self, request: &Request) -> (Code, u16) {
-        let (code, count) = self.sends(request);
+    fn exchange(&mut self, request: &Request) -> (Code, u16) {
+        let (code, count) = self.expect_send(request);
         let spelling = Spelling { code, count, before: false };
         let reply = self.reply(request.shape(spelling), false);
-        assert!(self.known.proves(request.kind(), &reply));
-        self.known.taken(request.kind(), &reply, Duration::ZERO, &self.rule, self.now);
-        self.known.answered(request.run, spelling);
+        assert!(self.in_step.proves(request.kind(), &reply));
+        self.in_step.taken(request.kind(), &reply, Duration::ZERO, &self.rule, self.now);
+        self.in_step.answered(request.run, spelling);
         (code, count)
     }
 
-    /// A request goes out and is refused; says whether that is proven.
+    /// Sends a request and refuses it. Returns whether the refusal is proven.
     #[track_caller]
-    fn is_refused(&mut self, request: &Request) -> bool {
-        let (code, count) = self.sends(request);
+    fn exchange_refused(&mut self, request: &Request) -> bool {
+        let (code, count) = self.expect_send(request);
         let reply = self.reply(request.shape(Spelling { code, count, before: false }), true);
-        let proven = self.known.proves(request.kind(), &reply);
+        let proven = self.in_step.proves(request.kind(), &reply);
         match proven {
-            true => self.known.taken(request.kind(), &reply, Duration::ZERO, &self.rule, self.now),
-            false => self.known.unproven(&reply, false, &self.rule, self.now),
+            true => self.in_step.taken(request.kind(), &reply, Duration::ZERO, &self.rule, self.now),
+            false => self.in_step.unproven(&reply, false, &self.rule, self.now),
         }
         proven
     }
@@ -90,12 +90,12 @@ impl Bench {
             Check::Detail => Check::DETAIL,
         };
         let reply = self.reply(shape, refused);
-        self.known.checked(check, (&reply, false), Duration::ZERO, &self.rule, self.now)
+        self.in_step.checked(check, (&reply, false), Duration::ZERO, &self.rule, self.now)
     }
 
     fn stray(&mut self, code: Code) -> Stray {
         self.body += 1;
-        self.known.stray(code.into(), self.body, &self.rule, self.now)
+        self.in_step.stray(code.into(), self.body, &self.rule, self.now)
     }
 }
 
@@ -121,44 +121,44 @@ fn empty_check() -> Choice {
 
 #[test]
 fn a_longer_read_takes_64_and_63_in_turn() {
-    let mut bench = Bench::with(SERIAL_9600, 1);
+    let mut station = TestStation::with(SERIAL_9600, 1);
     let part = read(0, 64, true);
-    let counts: Vec<_> = (0..4).map(|_| bench.asks(&part)).collect();
+    let counts: Vec<_> = (0..4).map(|_| station.exchange(&part)).collect();
     assert_eq!(counts.iter().map(|(_, count)| *count).collect::<Vec<_>>(), [64, 63, 64, 63]);
 }
 
 #[test]
 fn reads_take_46_and_48_in_turn() {
-    let mut bench = Bench::new();
-    let codes: Vec<_> = (0..4).map(|n| bench.asks(&read(10 * n, 1, false)).0).collect();
+    let mut station = TestStation::new();
+    let codes: Vec<_> = (0..4).map(|n| station.exchange(&read(10 * n, 1, false)).0).collect();
     assert_eq!(codes, [Code::ReadRegisters, Code::ReadMixed, Code::ReadRegisters, Code::ReadMixed]);
 }
 
 #[test]
 fn writes_take_47_and_49_in_turn() {
-    let mut bench = Bench::new();
-    let codes: Vec<_> = (0..3).map(|_| bench.asks(&write(2)).0).collect();
+    let mut station = TestStation::new();
+    let codes: Vec<_> = (0..3).map(|_| station.exchange(&write(2)).0).collect();
     assert_eq!(codes, [Code::WriteRegisters, Code::WriteMixed, Code::WriteRegisters]);
 }
 
 #[test]
 fn one_element_more_is_read_only_if_answered_before() {
-    let mut bench = Bench::with(SERIAL_9600, 1);
-    bench.asks(&read(100, 16, false));
-    assert_eq!(bench.choose(&read(0, 16, false)), empty_check());
-    bench.known.is_in_step();
-    bench.asks(&read(16, 1, false));
-    bench.known.is_in_step();
-    bench.asks(&read(0, 16, false));
-    assert_eq!(bench.asks(&read(0, 16, false)), (Code::ReadRegisters, 17));
-    // A refusal of it is remembered.
+    let mut station = TestStation::with(SERIAL_9600, 1);
+    station.exchange(&read(100, 16, false));
+    assert_eq!(station.choose(&read(0, 16, false)), empty_check());
+    station.in_step.is_in_step();
+    station.exchange(&read(16, 1, false));
+    station.in_step.is_in_step();
+    station.exchange(&read(0, 16, false));
+    assert_eq!(station.exchange(&read(0, 16, false)), (Code::ReadRegisters, 17));
+    // A refused spelling is not used again.
     let plain = Spelling::new(Code::ReadRegisters, 16);
-    bench.known.spelling_refused(plain, Spelling { count: 17, ..plain }, read(0, 16, false).run, false);
-    bench.known.is_in_step();
-    bench.known.answered(read(0, 16, false).run, plain);
-    let reply = bench.reply(read(0, 16, false).shape(plain), false);
-    bench.known.taken(Kind::Read, &reply, Duration::ZERO, &bench.rule, bench.now);
-    assert_eq!(bench.choose(&read(0, 16, false)), empty_check());
+    station.in_step.spelling_refused(plain, Spelling { count: 17, ..plain }, read(0, 16, false).run, false);
+    station.in_step.is_in_step();
+    station.in_step.answered(read(0, 16, false).run, plain);
+    let reply = station.reply(read(0, 16, false).shape(plain), false);
+    station.in_step.taken(Kind::Read, &reply, Duration::ZERO, &station.rule, station.now);
+    assert_eq!(station.choose(&read(0, 16, false)), empty_check());
 }
 
 #[test]
@@ -170,9 +170,9 @@ fn the_price_decides_between_48_and_an_empty_4e() {
         (SERIAL_9600, 16, false),
         (SERIAL_9600, 2, true),
     ] {
-        let mut bench = Bench::with(byte, 1);
-        bench.asks(&read(0, count, false));
-        let choice = bench.choose(&read(100, count, false));
+        let mut station = TestStation::with(byte, 1);
+        station.exchange(&read(0, count, false));
+        let choice = station.choose(&read(100, count, false));
         let spelling = Spelling::new(Code::ReadMixed, count);
         assert_eq!(choice, if mixed { Choice::Send(spelling) } else { empty_check() }, "{byte:?} {count}");
     }
@@ -180,228 +180,229 @@ fn the_price_decides_between_48_and_an_empty_4e() {
 
 #[test]
 fn a_spelling_that_the_device_lacks_is_not_used() {
-    let mut bench = Bench::new();
-    bench.asks(&read(0, 1, false));
+    let mut station = TestStation::new();
+    station.exchange(&read(0, 1, false));
     let plain = Spelling::new(Code::ReadRegisters, 1);
-    bench.known.spelling_refused(plain, Spelling::new(Code::ReadMixed, 1), None, true);
-    assert_eq!(bench.choose(&read(0, 1, false)), empty_check());
+    station.in_step.spelling_refused(plain, Spelling::new(Code::ReadMixed, 1), None, true);
+    assert_eq!(station.choose(&read(0, 1, false)), empty_check());
 }
 
 #[test]
 fn a_request_of_one_spelling_goes_behind_an_empty_4e() {
-    let mut bench = Bench::new();
-    bench.asks(&run());
-    assert_eq!(bench.choose(&run()), empty_check());
-    assert!(bench.check(Check::Empty, false));
-    assert_eq!(bench.asks(&run()).0, Code::ControlPlc);
+    let mut station = TestStation::new();
+    station.exchange(&run());
+    assert_eq!(station.choose(&run()), empty_check());
+    assert!(station.check(Check::Empty, false));
+    assert_eq!(station.exchange(&run()).0, Code::ControlPlc);
 }
 
 #[test]
 fn a_nonce_separates_where_an_empty_4e_is_owed() {
-    let mut bench = Bench::new();
-    assert!(bench.check(Check::Empty, false));
-    let choice = bench.known.separate(Why::Owed, Check::Empty, &bench.rule, bench.now);
+    let mut station = TestStation::new();
+    assert!(station.check(Check::Empty, false));
+    let choice = station.in_step.separate(Why::Owed, Check::Empty, &station.rule, station.now);
     assert_eq!(choice, Choice::Check(Check::Nonce, Why::Owed));
 }
 
 #[test]
 fn the_status_separates_where_4e_is_refused() {
-    let mut bench = Bench::new();
-    bench.known.refused = true;
-    bench.asks(&run());
-    assert_eq!(bench.choose(&run()), Choice::Check(Check::Status, Why::Owed));
-    assert!(bench.check(Check::Status, false));
-    bench.known.refused = true;
-    assert_eq!(bench.choose(&Request::new(&ReadStatus, false)), Choice::Check(Check::Detail, Why::Owed));
+    let mut station = TestStation::new();
+    station.in_step.refused = true;
+    station.exchange(&run());
+    assert_eq!(station.choose(&run()), Choice::Check(Check::Status, Why::Owed));
+    assert!(station.check(Check::Status, false));
+    station.in_step.refused = true;
+    assert_eq!(station.choose(&Request::new(&ReadStatus, false)), Choice::Check(Check::Detail, Why::Owed));
 }
 
 #[test]
 fn a_refusal_that_may_be_owed_proves_nothing() {
-    let mut bench = Bench::with(SERIAL_9600, 1);
+    let mut station = TestStation::with(SERIAL_9600, 1);
     let part = read(0, 64, true);
-    bench.asks(&part);
-    assert!(!bench.is_refused(&part), "that may be a second answer to the first");
-    assert_eq!(bench.choose(&part), Choice::Check(Check::Nonce, Why::Unproven));
-    assert!(bench.check(Check::Nonce, false));
-    assert!(bench.is_refused(&part));
+    station.exchange(&part);
+    assert!(!station.exchange_refused(&part), "it may be a second answer to the first request");
+    assert_eq!(station.choose(&part), Choice::Check(Check::Nonce, Why::Unproven));
+    assert!(station.check(Check::Nonce, false));
+    assert!(station.exchange_refused(&part));
 }
 
 #[test]
 fn a_write_is_not_sent_while_its_refusal_is_owed() {
-    let mut bench = Bench::new();
-    assert!(bench.is_refused(&run()));
-    assert_eq!(bench.choose(&run()), empty_check());
+    let mut station = TestStation::new();
+    assert!(station.exchange_refused(&run()));
+    assert_eq!(station.choose(&run()), empty_check());
 }
 
 #[test]
 fn a_page_is_proven_only_if_it_differs_from_the_last() {
-    let mut bench = Bench::new();
+    let mut station = TestStation::new();
     let shape = page().shape(page().plain());
     let reply = |fingerprint, refused| Reply { shape, refused, fingerprint };
-    bench.known.taken(Kind::Page, &reply(1, false), Duration::ZERO, &bench.rule, bench.now);
-    assert!(bench.known.proves(Kind::Page, &reply(2, false)));
-    assert!(!bench.known.proves(Kind::Page, &reply(1, false)));
-    assert!(!bench.known.proves(Kind::Page, &reply(2, true)));
-    bench.known.taken(Kind::Page, &reply(2, true), Duration::ZERO, &bench.rule, bench.now);
-    assert!(!bench.known.proves(Kind::Page, &reply(3, false)), "the copy may be any page");
+    station.in_step.taken(Kind::Page, &reply(1, false), Duration::ZERO, &station.rule, station.now);
+    assert!(station.in_step.proves(Kind::Page, &reply(2, false)));
+    assert!(!station.in_step.proves(Kind::Page, &reply(1, false)));
+    assert!(!station.in_step.proves(Kind::Page, &reply(2, true)));
+    station.in_step.taken(Kind::Page, &reply(2, true), Duration::ZERO, &station.rule, station.now);
+    assert!(!station.in_step.proves(Kind::Page, &reply(3, false)), "the duplicate may be any page");
 }
 
 #[test]
 fn after_two_equal_pages_a_check_goes_first() {
-    let mut bench = Bench::new();
+    let mut station = TestStation::new();
     let reply = Reply { shape: page().shape(page().plain()), refused: false, fingerprint: 7 };
-    bench.known.taken(Kind::Page, &reply, Duration::ZERO, &bench.rule, bench.now);
-    bench.sends(&page());
-    bench.known.taken(Kind::Page, &reply, Duration::ZERO, &bench.rule, bench.now);
-    assert_eq!(bench.choose(&page()), empty_check());
+    station.in_step.taken(Kind::Page, &reply, Duration::ZERO, &station.rule, station.now);
+    station.expect_send(&page());
+    station.in_step.taken(Kind::Page, &reply, Duration::ZERO, &station.rule, station.now);
+    assert_eq!(station.choose(&page()), empty_check());
 }
 
 #[test]
 fn a_taken_reply_lapses_after_the_window_of_silence() {
-    let mut bench = Bench::new();
-    bench.asks(&run());
-    bench.now += WINDOW / 2;
-    assert_eq!(bench.known.last, Some(bench.body));
-    assert_eq!(bench.known.stray(0x41, bench.body, &bench.rule, bench.now), Stray::Duplicate);
-    bench.now += WINDOW - Duration::from_millis(1);
-    assert_eq!(bench.choose(&run()), empty_check(), "the line was not silent");
-    let proofs = bench.known.proof().proofs;
-    bench.now += Duration::from_millis(1);
-    bench.sends(&run());
-    assert_eq!(bench.known.proof().proofs, proofs, "a pause proves nothing to a job");
+    let mut station = TestStation::new();
+    station.exchange(&run());
+    station.now += WINDOW / 2;
+    assert_eq!(station.in_step.last, Some(station.body));
+    assert_eq!(station.in_step.stray(0x41, station.body, &station.rule, station.now), Stray::Duplicate);
+    station.now += WINDOW - Duration::from_millis(1);
+    assert_eq!(station.choose(&run()), empty_check(), "the line was not silent");
+    let proofs = station.in_step.proof().proofs;
+    station.now += Duration::from_millis(1);
+    station.expect_send(&run());
+    assert_eq!(station.in_step.proof().proofs, proofs, "a pause proves nothing to a job");
 }
 
 #[test]
 fn a_slow_exchange_lapses_after_twice_its_time() {
-    let mut bench = Bench::new();
-    let reply = bench.reply(run().shape(run().plain()), false);
-    bench.known.taken(Kind::Once, &reply, WINDOW, &bench.rule, bench.now);
-    bench.now += WINDOW * 2 - Duration::from_millis(1);
-    assert_eq!(bench.choose(&run()), empty_check());
-    bench.now += Duration::from_millis(1);
-    bench.sends(&run());
+    let mut station = TestStation::new();
+    let reply = station.reply(run().shape(run().plain()), false);
+    station.in_step.taken(Kind::Once, &reply, WINDOW, &station.rule, station.now);
+    station.now += WINDOW * 2 - Duration::from_millis(1);
+    assert_eq!(station.choose(&run()), empty_check());
+    station.now += Duration::from_millis(1);
+    station.expect_send(&run());
 }
 
 #[test]
 fn a_line_without_copies_owes_nothing() {
-    let mut bench = Bench::with(NETWORK, 0);
-    bench.asks(&run());
-    bench.asks(&run());
-    assert_eq!(bench.known.confirm(&bench.rule, bench.now), None);
+    let mut station = TestStation::with(NETWORK, 0);
+    station.exchange(&run());
+    station.exchange(&run());
+    assert_eq!(station.in_step.confirm(&station.rule, station.now), None);
 }
 
 #[test]
 fn three_copies_keep_three_replies_owed() {
-    let mut bench = Bench::with(NETWORK, 3);
-    bench.asks(&run());
-    bench.asks(&read(0, 1, false));
-    assert!(bench.check(Check::Nonce, false));
-    assert_ne!(bench.known.threat(run().shape(run().plain())), Threat::None, "the echo proves no roaming copy");
-    bench.asks(&page());
-    bench.sends(&run());
+    let mut station = TestStation::with(NETWORK, 3);
+    station.exchange(&run());
+    station.exchange(&read(0, 1, false));
+    assert!(station.check(Check::Nonce, false));
+    assert_ne!(station.in_step.threat(run().shape(run().plain())), Threat::None, "the echo proves no roaming copy");
+    station.exchange(&page());
+    station.expect_send(&run());
 }
 
 #[test]
 fn a_broadcast_is_owed_until_the_next_reply() {
-    let mut bench = Bench::new();
-    bench.known.broadcast(Code::ControlPlc, bench.now);
-    assert_eq!(bench.choose(&run()), empty_check());
-    bench.now += 2 * WINDOW;
-    assert_eq!(bench.choose(&run()), empty_check(), "it does not lapse");
-    bench.asks(&read(0, 1, false));
-    bench.sends(&run());
+    let mut station = TestStation::new();
+    station.in_step.broadcast(Code::ControlPlc, station.now);
+    assert_eq!(station.choose(&run()), empty_check());
+    station.now += 2 * WINDOW;
+    assert_eq!(station.choose(&run()), empty_check(), "what a broadcast owes does not lapse");
+    station.exchange(&read(0, 1, false));
+    station.expect_send(&run());
 }
 
 #[test]
-fn strays_are_told_apart_and_the_unexpected_are_doubts() {
-    let mut bench = Bench::new();
-    bench.asks(&run());
-    let before = bench.known.proof();
-    assert_eq!(bench.known.stray(0x41, bench.body, &bench.rule, bench.now), Stray::Duplicate);
-    assert!(!bench.known.is_suspect());
-    bench.known.broadcast(Code::WriteRegisters, bench.now);
-    assert_eq!(bench.stray(Code::WriteRegisters), Stray::Broadcast);
-    assert!(bench.known.is_suspect());
-    bench.known.timed_out(Code::ReadRegisters);
-    assert_eq!(bench.stray(Code::ReadRegisters), Stray::Late);
-    assert_eq!(bench.known.proof(), before);
-    assert_eq!(bench.stray(Code::ReadStatus), Stray::Unexpected);
-    assert_eq!(bench.known.proof().doubts, before.doubts + 1);
-    assert!(bench.check(Check::Nonce, false));
-    assert_eq!(bench.known.proof().proofs, before.proofs + 1);
-    assert_eq!(bench.stray(Code::ReadRegisters), Stray::Unexpected);
+fn strays_are_classified_and_unexpected_ones_are_doubts() {
+    let mut station = TestStation::new();
+    station.exchange(&run());
+    let before = station.in_step.proof();
+    assert_eq!(station.in_step.stray(0x41, station.body, &station.rule, station.now), Stray::Duplicate);
+    assert!(!station.in_step.is_suspect());
+    station.in_step.broadcast(Code::WriteRegisters, station.now);
+    assert_eq!(station.stray(Code::WriteRegisters), Stray::Broadcast);
+    assert!(station.in_step.is_suspect());
+    station.in_step.timed_out(Code::ReadRegisters);
+    assert_eq!(station.stray(Code::ReadRegisters), Stray::Late);
+    assert_eq!(station.in_step.proof(), before);
+    assert_eq!(station.stray(Code::ReadStatus), Stray::Unexpected);
+    assert_eq!(station.in_step.proof().doubts, before.doubts + 1);
+    assert!(station.check(Check::Nonce, false));
+    assert_eq!(station.in_step.proof().proofs, before.proofs + 1);
+    assert_eq!(station.stray(Code::ReadRegisters), Stray::Unexpected);
 }
 
 #[test]
 fn a_refused_4e_of_a_suspect_station_needs_silence() {
-    let mut bench = Bench::new();
-    bench.known.connected();
-    assert_eq!(bench.choose(&run()), Choice::Check(Check::Nonce, Why::Connected));
-    assert!(!bench.check(Check::Nonce, true));
-    assert_eq!(bench.choose(&run()), Choice::Silence(bench.now + QUIET));
-    bench.now += QUIET / 2;
-    bench.stray(Code::ReadStatus);
-    bench.now += QUIET / 2;
-    assert_eq!(bench.choose(&run()), Choice::Silence(bench.now + QUIET / 2), "a frame restarts it");
-    bench.now += QUIET / 2;
-    bench.sends(&run());
+    let mut station = TestStation::new();
+    station.in_step.connected();
+    assert_eq!(station.choose(&run()), Choice::Check(Check::Nonce, Why::Connected));
+    assert!(!station.check(Check::Nonce, true));
+    assert_eq!(station.choose(&run()), Choice::Silence(station.now + QUIET));
+    station.now += QUIET / 2;
+    station.stray(Code::ReadStatus);
+    station.now += QUIET / 2;
+    assert_eq!(station.choose(&run()), Choice::Silence(station.now + QUIET / 2), "a frame restarts the silence");
+    station.now += QUIET / 2;
+    station.expect_send(&run());
 }
 
-/// Before, the silence ended at its time, and the answer to the broadcast was the reply to the STOP that followed.
+/// Before, the silence was not restarted, and the answer to the broadcast was taken for the reply
+/// to the STOP after it.
 #[test]
 fn a_broadcast_restarts_the_silence() {
-    let mut bench = Bench::new();
-    bench.known.connected();
-    assert_eq!(bench.choose(&run()), Choice::Check(Check::Nonce, Why::Connected));
-    assert!(!bench.check(Check::Nonce, true));
-    let until = bench.now + QUIET;
-    assert_eq!(bench.choose(&run()), Choice::Silence(until));
-    bench.now = until - QUIET / 100;
-    bench.known.broadcast(Code::ControlPlc, bench.now);
-    let restarted = bench.now + QUIET;
-    bench.now = until;
-    assert_eq!(bench.choose(&run()), Choice::Silence(restarted));
-    bench.now = restarted;
-    bench.sends(&run());
+    let mut station = TestStation::new();
+    station.in_step.connected();
+    assert_eq!(station.choose(&run()), Choice::Check(Check::Nonce, Why::Connected));
+    assert!(!station.check(Check::Nonce, true));
+    let until = station.now + QUIET;
+    assert_eq!(station.choose(&run()), Choice::Silence(until));
+    station.now = until - QUIET / 100;
+    station.in_step.broadcast(Code::ControlPlc, station.now);
+    let restarted = station.now + QUIET;
+    station.now = until;
+    assert_eq!(station.choose(&run()), Choice::Silence(restarted));
+    station.now = restarted;
+    station.expect_send(&run());
 }
 
 #[test]
 fn one_request_a_connection_replaces_checks_by_silence() {
-    let mut bench = Bench::new();
-    bench.rule.one_request = true;
-    bench.known.connected();
-    assert_eq!(bench.choose(&run()), Choice::Silence(bench.now + QUIET));
-    bench.now += QUIET;
-    bench.asks(&run());
-    let until = bench.now + QUIET;
-    assert_eq!(bench.known.confirm(&bench.rule, bench.now), Some(Choice::Silence(until)));
-    bench.now = until;
-    assert_eq!(bench.known.confirm(&bench.rule, bench.now), None);
+    let mut station = TestStation::new();
+    station.rule.one_request = true;
+    station.in_step.connected();
+    assert_eq!(station.choose(&run()), Choice::Silence(station.now + QUIET));
+    station.now += QUIET;
+    station.exchange(&run());
+    let until = station.now + QUIET;
+    assert_eq!(station.in_step.confirm(&station.rule, station.now), Some(Choice::Silence(until)));
+    station.now = until;
+    assert_eq!(station.in_step.confirm(&station.rule, station.now), None);
 }
 
 #[test]
-fn what_is_owed_is_confirmed_by_a_nonce() {
-    let mut bench = Bench::new();
-    bench.asks(&read(0, 1, false));
+fn owed_replies_are_confirmed_by_a_nonce() {
+    let mut station = TestStation::new();
+    station.exchange(&read(0, 1, false));
     let nonce = Choice::Check(Check::Nonce, Why::Confirm);
-    assert_eq!(bench.known.confirm(&bench.rule, bench.now), Some(nonce));
-    bench.known.timed_out(Code::LoopBack);
+    assert_eq!(station.in_step.confirm(&station.rule, station.now), Some(nonce));
+    station.in_step.timed_out(Code::LoopBack);
     let nonce = Choice::Check(Check::Nonce, Why::TimedOut);
-    assert_eq!(bench.known.confirm(&bench.rule, bench.now), Some(nonce));
-    let mut undoubled = Bench::with(NETWORK, 0);
-    undoubled.asks(&read(0, 1, false));
-    assert_eq!(undoubled.known.confirm(&undoubled.rule, undoubled.now), None, "the line never doubles a reply");
+    assert_eq!(station.in_step.confirm(&station.rule, station.now), Some(nonce));
+    let mut other = TestStation::with(NETWORK, 0);
+    other.exchange(&read(0, 1, false));
+    assert_eq!(other.in_step.confirm(&other.rule, other.now), None, "the line never doubles a reply");
 }
 
 #[test]
 fn a_fast_exchange_behind_slow_ones_has_their_window() {
-    let mut bench = Bench::new();
-    let slow = bench.reply(run().shape(run().plain()), false);
-    bench.known.taken(Kind::Once, &slow, 4 * WINDOW, &bench.rule, bench.now);
-    let fast = bench.reply(run().shape(run().plain()), false);
-    bench.known.taken(Kind::Once, &fast, Duration::ZERO, &bench.rule, bench.now);
-    bench.now += 6 * WINDOW;
-    assert_eq!(bench.choose(&run()), empty_check(), "the fast one may have been a copy");
-    bench.now += 2 * WINDOW;
-    bench.sends(&run());
+    let mut station = TestStation::new();
+    let slow = station.reply(run().shape(run().plain()), false);
+    station.in_step.taken(Kind::Once, &slow, 4 * WINDOW, &station.rule, station.now);
+    let fast = station.reply(run().shape(run().plain()), false);
+    station.in_step.taken(Kind::Once, &fast, Duration::ZERO, &station.rule, station.now);
+    station.now += 6 * WINDOW;
+    assert_eq!(station.choose(&run()), empty_check(), "the fast reply may have been a duplicate");
+    station.now += 2 * WINDOW;
+    station.expect_send(&run());
 }

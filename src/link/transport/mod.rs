@@ -1,4 +1,4 @@
-//! How the bytes get there: whatever the link task reads from and writes to, and how it is opened.
+//! Transports: the streams that a link reads and writes, and how they are opened.
 
 #[cfg_attr(not(feature = "serial"), path = "no_serial.rs")]
 mod serial;
@@ -20,20 +20,21 @@ use crate::endpoint::{Endpoint, Transport};
 pub(crate) trait Io: AsyncRead + AsyncWrite + Send + Unpin + Any {}
 impl<T: AsyncRead + AsyncWrite + Send + Unpin + Any> Io for T {}
 
-/// Datagrams that came to the ports of earlier requests.
+/// Numbers of datagrams that came to the ports of earlier requests.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Late {
-    /// Copies of the datagram that was read from that port last.
-    pub(crate) copies: u64,
-    /// Any others.
+pub(crate) struct LateDatagrams {
+    /// Duplicates of the datagram that was read last from that port.
+    pub(crate) duplicates: u64,
+    /// All others.
     pub(crate) others: u64,
 }
 
 impl dyn Io {
-    /// Returns the datagrams of earlier requests dropped since the last call; none for anything but UDP.
+    /// Returns the datagrams of earlier requests dropped since the last call; none for anything but
+    /// UDP.
     ///
-    /// A method of the trait would be found on the box, which is a connection itself, before the one within.
-    pub(crate) fn take_late(&mut self) -> Late {
+    /// Not a method of the trait: it would be found on the box first, which is itself a connection.
+    pub(crate) fn take_late(&mut self) -> LateDatagrams {
         let io: &mut dyn Any = self;
         io.downcast_mut().map(udp::Datagrams::take_late).unwrap_or_default()
     }
@@ -43,19 +44,19 @@ pub(crate) type BoxIo = Box<dyn Io>;
 
 /// Opens connections.
 pub(crate) enum Connector {
-    /// To an endpoint, as often as needed.
+    /// To an endpoint, any number of times.
     Endpoint {
         endpoint: Endpoint,
-        /// Whether TCP asks for signs of life.
+        /// TCP keep-alive.
         keep_alive: bool,
     },
-    /// The one connection there is.
+    /// A single open connection; `None` once it was taken.
     Once(Option<BoxIo>),
-    /// As the user says.
+    /// By a function of the user.
     Custom {
         open: Box<dyn FnMut() -> BoxFuture<'static, io::Result<BoxIo>> + Send>,
-        /// Whether they are as good as ours; nobody says so of a user's.
-        tells: bool,
+        /// Whether the connections always wake their reader; never assumed of a user's.
+        wakes_reader: bool,
     },
 }
 
@@ -70,20 +71,20 @@ impl Connector {
             let opening = open();
             async move { Ok(Box::new(opening.await?) as BoxIo) }.boxed()
         });
-        Self::Custom { open, tells: false }
+        Self::Custom { open, wakes_reader: false }
     }
 
-    /// Whether there can be another connection after this one.
+    /// Whether another connection can be opened.
     pub(crate) fn reopens(&self) -> bool {
         !matches!(self, Self::Once(None))
     }
 
-    /// Whether its connections surely wake their reader, whenever something has come: ours do.
-    pub(crate) fn tells(&self) -> bool {
-        matches!(self, Self::Endpoint { .. } | Self::Custom { tells: true, .. })
+    /// Whether connections always wake their reader when data have come.
+    pub(crate) fn wakes_reader(&self) -> bool {
+        matches!(self, Self::Endpoint { .. } | Self::Custom { wakes_reader: true, .. })
     }
 
-    /// Opens a connection, within the time. `None`: there will never be another.
+    /// Begins to open a connection, with this timeout. `None`: there will never be another.
     pub(crate) fn open(&mut self, within: Duration) -> Option<BoxFuture<'static, io::Result<BoxIo>>> {
         let opening = match self {
             Self::Endpoint { endpoint, keep_alive } => open(endpoint.clone(), *keep_alive).boxed(),
@@ -126,15 +127,15 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_connector_is_shown_by_where_it_leads_and_opens_what_it_can() {
-        let endpoint: Endpoint = "tcp://127.0.0.1:500".parse().expect("it is one");
+    async fn connectors_show_their_endpoint_and_open_connections() {
+        let endpoint: Endpoint = "tcp://127.0.0.1:500".parse().expect("an endpoint");
         let shown = format!("Connector({endpoint})");
         assert_eq!(format!("{:?}", Connector::Endpoint { endpoint, keep_alive: true }), shown);
 
         let mut once = Connector::Once(Some(Box::new(tokio::io::empty())));
         assert_eq!((format!("{once:?}"), once.reopens()), ("Connector(once)".to_owned(), true));
-        assert!(once.open(Duration::from_secs(1)).expect("there is one").await.is_ok());
-        assert!(!once.reopens() && once.open(Duration::from_secs(1)).is_none(), "there was only one");
+        assert!(once.open(Duration::from_secs(1)).expect("the connection").await.is_ok());
+        assert!(!once.reopens() && once.open(Duration::from_secs(1)).is_none(), "it was taken");
 
         let mut custom = Connector::custom(|| async { Ok(tokio::io::empty()) });
         assert_eq!(format!("{custom:?}"), "Connector(custom)");
@@ -144,11 +145,9 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn what_does_not_open_in_its_time_fails_and_says_so() {
+    async fn an_attempt_to_connect_fails_at_its_timeout() {
         let mut never = Connector::custom(|| async { std::future::pending::<io::Result<tokio::io::Empty>>().await });
-        let Err(error) = never.open(Duration::from_secs(3)).expect("it can be tried").await else {
-            panic!("it opened")
-        };
+        let Err(error) = never.open(Duration::from_secs(3)).expect("an attempt").await else { panic!("connected") };
         assert_eq!((error.kind(), error.to_string().as_str()), (io::ErrorKind::TimedOut, "no connection within 3s"));
     }
 }

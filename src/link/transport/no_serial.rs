@@ -2,7 +2,7 @@ use std::io;
 
 use crate::endpoint::SerialSettings;
 
-/// Stands in for serial ports where the crate is built without them.
+/// Replaces serial ports in a build without them.
 pub(super) async fn open(_: &str, _: SerialSettings) -> io::Result<tokio::io::Empty> {
     Err(io::Error::new(io::ErrorKind::Unsupported, "the crate `fatek` is built without its feature `serial`"))
 }

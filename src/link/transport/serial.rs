@@ -7,10 +7,10 @@ use tokio_serial::{ClearBuffer, FlowControl, SerialPort as _, SerialPortBuilder,
 
 use crate::endpoint::{DataBits, Parity, SerialSettings, StopBits};
 
-/// Opens the port for this process alone, and forgets what it has received before.
+/// Opens the port exclusively, and discards what it has received before.
 pub(super) async fn open(path: &str, settings: SerialSettings) -> io::Result<Port> {
     let builder = builder(path, settings);
-    // Opening a device can take long: some drivers ask it first whether it is there.
+    // Opening a device can take long: some drivers look for the hardware first.
     let opening = tokio::task::spawn_blocking(move || {
         let stream = SerialStream::open(&builder)?;
         stream.clear(ClearBuffer::Input)?;
@@ -47,8 +47,8 @@ fn parity(settings: SerialSettings) -> tokio_serial::Parity {
     }
 }
 
-/// Some adapters cannot send 7 data bits or a parity bit, and their drivers accept the setting all the same. Then no PLC
-/// answers, and nothing else tells why.
+/// Warns if the port has not kept its settings. Some adapters lack 7 data bits or parity, and their
+/// drivers accept the setting all the same. Then no PLC answers, without any other sign.
 fn warn_of_other_settings(stream: &SerialStream, settings: SerialSettings) {
     let (Ok(data_bits_kept), Ok(parity_kept)) = (stream.data_bits(), stream.parity()) else { return };
     if (data_bits_kept, parity_kept) != (data_bits(settings), parity(settings)) {
@@ -57,7 +57,8 @@ fn warn_of_other_settings(stream: &SerialStream, settings: SerialSettings) {
     }
 }
 
-/// An open port. It must never be flushed: that waits, on the thread that asks, until the last bit is on the line.
+/// An open port. It must never be flushed: that blocks the thread until the last bit is on the
+/// line.
 #[derive(Debug)]
 pub(super) struct Port {
     stream: SerialStream,
@@ -65,8 +66,8 @@ pub(super) struct Port {
 
 impl Drop for Port {
     fn drop(&mut self) {
-        // What has not been sent by now shall not be, and closing a port waits for it. An unplugged one has nothing left
-        // to clear, so an error says nothing.
+        // Unsent bytes are discarded, since closing a port would wait for them. The error of an
+        // unplugged port is ignored: it has nothing left to discard.
         let _ = self.stream.clear(ClearBuffer::Output);
     }
 }
@@ -96,9 +97,10 @@ mod tests {
     use super::*;
     use crate::wire::Framing;
 
-    /// A pseudo-terminal cannot show this: the kernel gives it 8 data bits and no parity bit, whatever it is asked for.
+    /// A pseudo-terminal cannot show this: it always has 8 data bits and no
+    /// parity.
     #[test]
-    fn ports_are_asked_for_the_settings_of_the_endpoint() {
+    fn ports_are_opened_with_the_settings_of_the_endpoint() {
         use tokio_serial::{DataBits as Data, Parity as Check, StopBits as Stop};
 
         let ascii = SerialSettings::new(Framing::Ascii);

@@ -7,7 +7,7 @@ use tokio::net::TcpStream;
 /// Connects to the first address of the host that accepts.
 pub(super) async fn connect(host: &str, port: u16, keep_alive: bool) -> io::Result<TcpStream> {
     let stream = TcpStream::connect((host, port)).await?;
-    // Requests are single small writes that wait for their answer: coalescing them only adds delay.
+    // Requests are single small writes followed by a wait: coalescing them only adds delay.
     stream.set_nodelay(true)?;
     if keep_alive {
         SockRef::from(&stream).set_tcp_keepalive(&TcpKeepalive::new().with_time(IDLE).with_interval(INTERVAL))?;
@@ -15,11 +15,11 @@ pub(super) async fn connect(host: &str, port: u16, keep_alive: bool) -> io::Resu
     Ok(stream)
 }
 
-/// After how long a silence the system asks whether the other end is still there. A module that was switched off says
-/// nothing, and holds one of its few connections until it is asked.
+/// Silence before the first keep-alive probe. A module that was switched off sends nothing, and its
+/// connection would stay open.
 const IDLE: Duration = Duration::from_secs(30);
 
-/// How long after a question without an answer the next one is asked.
+/// Time between two keep-alive probes.
 const INTERVAL: Duration = Duration::from_secs(10);
 
 #[cfg(test)]
@@ -28,7 +28,7 @@ mod tests {
     use tokio::net::TcpListener;
 
     #[tokio::test]
-    async fn connections_send_at_once_and_ask_for_signs_of_life() {
+    async fn connections_have_nodelay_and_keep_alive() {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
         for keep_alive in [true, false] {

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use super::{Cycle, CycleContext, CyclePhase, CycleStart};
 use crate::error::{Error, ErrorCode};
-use crate::link::job::{Job, Progress};
+use crate::link::job::{Job, JobProgress};
 use crate::link::{Proof, Shape};
 use crate::plan::ReplyWords;
 use crate::poll::{Reason, Stamp, TagId};
@@ -71,7 +71,7 @@ impl Cycle {
         ctx: &mut CycleContext<'_>,
     ) {
         let progress = self.held.job.answered(self.held.mark(), shape, proof);
-        if progress != Progress::Go {
+        if progress != JobProgress::Go {
             return self.rewind(progress, at, ctx);
         }
         let confirmed = self.held.job.first_held().unwrap_or(self.held.mark());
@@ -108,7 +108,7 @@ impl Cycle {
             }
         };
         match (progress, after_check) {
-            (Progress::Go, after_check) => {
+            (JobProgress::Go, after_check) => {
                 self.report(usize::MAX, ctx);
                 match after_check {
                     Some(AfterCheck::Refused(code)) => self.handle_refusal(code, now, ctx),
@@ -116,7 +116,7 @@ impl Cycle {
                     Some(AfterCheck::NextPhase) | None => self.settle(now, ctx),
                 }
             }
-            (Progress::Rewind(_) | Progress::Failed(_), Some(AfterCheck::Abandon(reason, start))) => {
+            (JobProgress::Rewind(_) | JobProgress::Failed(_), Some(AfterCheck::Abandon(reason, start))) => {
                 ctx.repeated = true;
                 self.drop_held();
                 self.abandon(reason, start);
@@ -137,17 +137,17 @@ impl Cycle {
     }
 
     /// Drops the held values, which may be of other requests; repeats or abandons the cycle.
-    fn rewind(&mut self, progress: Progress<usize>, now: Stamp, ctx: &mut CycleContext<'_>) {
+    fn rewind(&mut self, progress: JobProgress<usize>, now: Stamp, ctx: &mut CycleContext<'_>) {
         ctx.repeated = true;
         self.drop_held();
         match progress {
-            Progress::Go | Progress::Rewind(_) => {
+            JobProgress::Go | JobProgress::Rewind(_) => {
                 self.stack.clear();
                 self.probe.clear();
                 self.phase = CyclePhase::Members;
                 self.begin(now, ctx);
             }
-            Progress::Failed(_) => {
+            JobProgress::Failed(_) => {
                 let error = Error::Duplicates { station: ctx.station.params.station, sent: true };
                 self.abandon(Reason::Failed(Arc::new(error)), CycleStart::default());
             }

@@ -1,8 +1,8 @@
-//! The fault sets, and the tests.
+//! The sets of faults, and the tests.
 
 use std::time::Duration;
 
-use super::driver::{Without, Wrong};
+use super::client::{Ablation, Wrong};
 use super::model::{Faults, LoopBack};
 use super::requests::Name;
 use super::{is_full, report};
@@ -79,7 +79,7 @@ const JOB_ORDERED: Faults =
     Faults { name: "job: copy, loss, asked again", roam: false, loss: 1, again: true, ..JOB_ALONE };
 const JOB_OF_PAGES: Faults = Faults { name: "job of pages: 1 roaming copy", job: Some(Page), ..JOB_ALONE };
 
-/// On a serial line of 115200 bit/s, or in a network.
+/// The rule on a serial line of 115200 bit/s, or on a network.
 pub(super) fn rule(serial: bool, copies: u8) -> Rule {
     let byte = if serial { Duration::from_micros(87) } else { Duration::ZERO };
     let exchange = byte * 16 + Duration::from_millis(5);
@@ -96,12 +96,12 @@ pub(super) fn rule(serial: bool, copies: u8) -> Rule {
 fn is_sound(name: &str, faults: &Faults, rule: Rule) {
     let calls: &[Name] = if faults.job.is_some() { &[Write, Run] } else { &ALL_CALLS };
     let full = Faults { calls, lacks: true, ..*faults };
-    let verdict = report(name, if is_full() { &full } else { faults }, rule, Without::Nothing, 1);
+    let verdict = report(name, if is_full() { &full } else { faults }, rule, Ablation::Nothing, 1);
     assert!(verdict.found.is_empty() && !verdict.cut, "{name}, {}", faults.name);
 }
 
 #[test]
-fn replies_of_an_earlier_time_are_given_to_no_request() {
+fn late_and_left_over_replies_are_given_to_no_request() {
     for faults in [&LEFT, &LATE, &BROADCAST, &LEFT_3, &RECONNECT] {
         is_sound("network", faults, rule(false, 1));
     }
@@ -133,12 +133,12 @@ fn a_device_without_loop_back_gives_no_wrong_result() {
 
 #[test]
 fn a_roaming_copy_gives_one_wrong_result_and_no_shift() {
-    let verdict = report("network", &ROAM, rule(false, 1), Without::Nothing, 4);
+    let verdict = report("network", &ROAM, rule(false, 1), Ablation::Nothing, 4);
     assert!(verdict.most <= 1 && !verdict.cut);
-    // A copy of a refusal that was dropped without proof is not remembered.
-    let verdict = report("3 remembered", &ROAM_3, rule(false, 3), Without::Nothing, 4);
+    // A duplicate of a refusal that was dropped without proof is not remembered.
+    let verdict = report("3 remembered", &ROAM_3, rule(false, 3), Ablation::Nothing, 4);
     assert!(verdict.most <= 1 && verdict.found.keys().all(|&wrong| wrong == Wrong::Refusal) && !verdict.cut);
-    report("network", &ROAM_2, rule(false, 1), Without::Nothing, 4);
+    report("network", &ROAM_2, rule(false, 1), Ablation::Nothing, 4);
 }
 
 #[test]
@@ -148,7 +148,8 @@ fn a_job_gives_out_no_reply_of_a_roaming_copy() {
     is_sound("network", &JOB_ORDERED, rule(false, 1));
 }
 
-/// Before, a stray that was equal to the page taken last was its copy in any case, and a shift among equal pages ended unseen.
+/// Before, a stray equal to the page taken last always passed for its duplicate, and a shift among equal
+/// pages was not noticed.
 #[test]
 fn a_job_of_equal_pages_gives_out_no_page_of_a_roaming_copy() {
     is_sound("network", &JOB_OF_PAGES, rule(false, 1));
@@ -157,29 +158,30 @@ fn a_job_of_equal_pages_gives_out_no_page_of_a_roaming_copy() {
 
 #[test]
 fn every_ingredient_of_the_rule_is_needed() {
-    let ablations: [(Without, &Faults, bool); 13] = [
-        (Without::Suspicion, &LEFT, false),
-        (Without::Timeout, &LATE, false),
-        (Without::Broadcast, &BROADCAST, false),
-        (Without::Separation, &COPIES, false),
-        (Without::FreshNonce, &LEFT, false),
-        (Without::EverySize, &COPIES, true),
-        (Without::OtherAnswer, &AGAIN, true),
-        (Without::Proof, &COPIES, false),
-        (Without::Echo, &NO_4E_LEFT, false),
-        (Without::Silence, &NO_4E_LEFT, false),
-        (Without::Strays, &JOB, false),
-        (Without::IdleInput, &JOB, false),
-        (Without::Confirmation, &JOB, false),
+    let ablations: [(Ablation, &Faults, bool); 13] = [
+        (Ablation::Suspicion, &LEFT, false),
+        (Ablation::Timeout, &LATE, false),
+        (Ablation::Broadcast, &BROADCAST, false),
+        (Ablation::Separation, &COPIES, false),
+        (Ablation::FreshNonce, &LEFT, false),
+        (Ablation::EverySize, &COPIES, true),
+        (Ablation::OtherAnswer, &AGAIN, true),
+        (Ablation::Proof, &COPIES, false),
+        (Ablation::Echo, &NO_4E_LEFT, false),
+        (Ablation::Silence, &NO_4E_LEFT, false),
+        (Ablation::Strays, &JOB, false),
+        (Ablation::IdleInput, &JOB, false),
+        (Ablation::Confirmation, &JOB, false),
     ];
     let mut missed = Vec::new();
-    for (without, faults, serial) in ablations {
-        let verdict = report(&format!("without {without:?}"), faults, rule(serial, 1), without, 1);
+    for (ablation, faults, serial) in ablations {
+        let verdict = report(&format!("without {ablation:?}"), faults, rule(serial, 1), ablation, 1);
         if verdict.found.is_empty() {
-            missed.push((without, faults.name));
+            missed.push((ablation, faults.name));
         }
     }
     assert!(missed.is_empty(), "{missed:?}");
-    // A frame that is not read before a request is sent is read as a stray after it: no wrong result.
-    report("without ReadFirst", &COPIES, rule(false, 1), Without::ReadFirst, 1);
+    // A frame that is not read before a request is sent is read as a stray after it: no wrong
+    // result.
+    report("without ReadFirst", &COPIES, rule(false, 1), Ablation::ReadFirst, 1);
 }

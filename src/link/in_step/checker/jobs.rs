@@ -6,52 +6,54 @@ use std::rc::Rc;
 use super::model::Frame;
 use super::requests::Name;
 use crate::link::in_step::{InStep, Proof, Shape};
-use crate::link::job::{Job, Progress};
+use crate::link::job::{Job, JobProgress};
 
 #[derive(Clone, Debug)]
-pub(super) struct Held {
+pub(super) struct ModelJob {
     job: Job<u8>,
-    /// What it asks for.
+    /// The requests of the job.
     pub(super) name: Name,
-    /// The job as text, for it has no equality.
+    /// The job as text: it has no equality of its own.
     key: Rc<str>,
     /// The mark of the next read.
     at: u8,
-    /// Bits of the marks whose results are other requests'.
+    /// One bit per mark: its result belongs to another request.
     wrong: u8,
-    /// The proof that the job was told last. The rule counts from there, so that the states are finite.
-    told: Proof,
-    /// A refusal that is to be confirmed, and whether it is the request's own.
+    /// The proof that the job was given last. The rule counts from there, so that the states are
+    /// finite.
+    given_proof: Proof,
+    /// A refusal that waits for its confirmation, and whether it is the request's own.
     refusal: Option<bool>,
 }
 
-impl Held {
+impl ModelJob {
     pub(super) fn new(name: Name) -> Self {
         let job = Job::new(1);
         let key = format!("{job:?}").into();
-        Self { job, name, key, at: 0, wrong: 0, told: Proof::default(), refusal: None }
+        Self { job, name, key, at: 0, wrong: 0, given_proof: Proof::default(), refusal: None }
     }
 
-    /// The number of its requests. Equal pages need one more: a shift of them begins behind two that differ.
+    /// Number of requests. Equal pages need one more: a shift of them begins after two that differ.
     fn requests(&self) -> u8 {
         if self.name == Name::Page { 4 } else { 3 }
     }
 
-    /// Whether a check is the next that the job asks for.
+    /// Whether the job needs a check next.
     pub(super) fn must_confirm(&self) -> bool {
         self.refusal.is_some() || self.at == self.requests()
     }
 
-    /// The job ends here; says whether a wrong result is given out: one that is not held.
+    /// Ends the job. Returns whether a wrong result is given out, that is one that is not held.
     pub(super) fn fails(&self) -> bool {
         self.has_wrong_before(self.job.first_held().unwrap_or(self.at))
     }
 
-    /// A read was answered; says whether a wrong result is given out. `confirms`: whether the job ends with a check.
-    pub(super) fn answered(&mut self, known: &mut InStep, shape: Shape, frame: Frame, confirms: bool) -> bool {
-        let proof = self.tell(known);
+    /// Handles the reply to a read. Returns whether a wrong result is given out. `confirms`:
+    /// whether the job ends with a check.
+    pub(super) fn answered(&mut self, in_step: &mut InStep, shape: Shape, frame: Frame, confirms: bool) -> bool {
+        let proof = self.next_proof(in_step);
         let progress = self.job.answered(self.at, shape, proof);
-        if progress != Progress::Go {
+        if progress != JobProgress::Go {
             return self.rewound(progress);
         }
         if frame.refused {
@@ -68,25 +70,25 @@ impl Held {
         wrong
     }
 
-    /// The check was answered, or silence replaced it.
-    pub(super) fn confirmed(&mut self, known: &mut InStep) -> bool {
-        let proof = self.tell(known);
+    /// Handles the answer to a check, or silence in its place.
+    pub(super) fn confirmed(&mut self, in_step: &mut InStep) -> bool {
+        let proof = self.next_proof(in_step);
         match self.job.confirmed(proof) {
-            Progress::Go => self.ends(),
+            JobProgress::Go => self.ends(),
             progress => self.rewound(progress),
         }
     }
 
-    fn rewound(&mut self, progress: Progress<u8>) -> bool {
+    fn rewound(&mut self, progress: JobProgress<u8>) -> bool {
         self.refusal = None;
         match progress {
-            Progress::Go => {}
-            Progress::Rewind(first) => {
+            JobProgress::Go => {}
+            JobProgress::Rewind(first) => {
                 self.at = first;
                 self.wrong &= (1 << first) - 1;
                 self.remember();
             }
-            Progress::Failed(first) => {
+            JobProgress::Failed(first) => {
                 let wrong = self.has_wrong_before(first);
                 *self = Self::new(self.name);
                 return wrong;
@@ -105,12 +107,13 @@ impl Held {
         self.wrong & ((1 << mark) - 1) != 0
     }
 
-    /// The job compares proofs for equality alone, so two values of each counter are enough.
-    fn tell(&mut self, known: &mut InStep) -> Proof {
-        let new = std::mem::take(&mut known.proof);
-        self.told.proofs ^= u32::from(new.proofs > 0);
-        self.told.doubts ^= u32::from(new.doubts > 0);
-        self.told
+    /// Returns the proof for the job. Jobs compare proofs for equality only, so two values of each
+    /// counter are enough.
+    fn next_proof(&mut self, in_step: &mut InStep) -> Proof {
+        let new = std::mem::take(&mut in_step.proof);
+        self.given_proof.proofs ^= u32::from(new.proofs > 0);
+        self.given_proof.doubts ^= u32::from(new.doubts > 0);
+        self.given_proof
     }
 
     fn remember(&mut self) {
@@ -118,17 +121,17 @@ impl Held {
     }
 }
 
-impl PartialEq for Held {
+impl PartialEq for ModelJob {
     fn eq(&self, other: &Self) -> bool {
-        (&self.key, self.name, self.at, self.wrong, self.told, self.refusal)
-            == (&other.key, other.name, other.at, other.wrong, other.told, other.refusal)
+        (&self.key, self.name, self.at, self.wrong, self.given_proof, self.refusal)
+            == (&other.key, other.name, other.at, other.wrong, other.given_proof, other.refusal)
     }
 }
 
-impl Eq for Held {}
+impl Eq for ModelJob {}
 
-impl Hash for Held {
+impl Hash for ModelJob {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        (&self.key, self.name, self.at, self.wrong, self.told, self.refusal).hash(state);
+        (&self.key, self.name, self.at, self.wrong, self.given_proof, self.refusal).hash(state);
     }
 }

@@ -2,36 +2,37 @@
 
 use std::fmt;
 
-use super::driver::{Driver, Outcome, Without, Wrong};
-use super::jobs::Held;
+use super::client::{Ablation, Client, StepOutcome, Wrong};
+use super::jobs::ModelJob;
 use super::requests::Name;
 use crate::command::{Code, Spelling};
-use crate::link::in_step::codes::Codes;
+use crate::link::in_step::command_set::CommandSet;
 use crate::link::in_step::{Check, Choice, InStep, Proof, Shape, Spelled, Why};
 
-/// What a line and a PLC may do, and what is asked of it.
+/// The faults of a line and a PLC, and the calls of the client.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Faults {
     pub(super) name: &'static str,
     pub(super) copies: u8,
-    /// Copies answer a request that a bridge has asked again: they may differ, those of a page in being refused only.
+    /// Duplicates are answers to a request that a bridge has repeated. They may differ; those of a
+    /// page only in being refused.
     pub(super) again: bool,
-    /// Copies come at any moment of the next exchanges.
+    /// Duplicates roam: they come at any moment of the next exchanges.
     pub(super) roam: bool,
     pub(super) loss: u8,
-    /// Replies later than the timeout.
+    /// Number of replies later than the timeout.
     pub(super) late: u8,
-    /// Replies to earlier processes, on their way at the start.
+    /// Number of replies to earlier processes that are on their way at the start.
     pub(super) left: usize,
-    /// Broadcasts that are answered.
+    /// Number of broadcasts that are answered.
     pub(super) broadcasts: u8,
-    /// Connections that are lost; what is on its way comes over the next.
+    /// Number of lost connections. Frames on their way come over the next one.
     pub(super) reconnects: u8,
     pub(super) loopback: LoopBack,
     pub(super) calls: &'static [Name],
     /// A refused spelling may be a command that the device lacks.
     pub(super) lacks: bool,
-    /// Several of these are a job.
+    /// A job of several of these requests.
     pub(super) job: Option<Name>,
 }
 
@@ -42,7 +43,7 @@ pub(super) enum LoopBack {
     AtTimes,
 }
 
-/// Exchanges in which a roaming copy may come.
+/// Number of exchanges in which a roaming duplicate may come.
 const LIFE: u8 = 3;
 
 /// Sizes from here on are nonces.
@@ -51,14 +52,14 @@ const NONCES: u32 = 1000;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Frame {
     pub(super) code: Code,
-    /// Of a positive reply.
+    /// Size of a positive reply.
     size: u32,
     pub(super) refused: bool,
     body: u8,
     /// It answers the request on the wire.
     pub(super) own: bool,
     copy: bool,
-    /// A copy of it will come at any moment of the next exchanges.
+    /// A duplicate of it will come at any moment of the next exchanges.
     roams: bool,
 }
 
@@ -75,7 +76,7 @@ impl Frame {
         self.code == shape.code && (self.refused || self.size == shape.size)
     }
 
-    /// As [`fingerprint`](crate::link::in_step::fingerprint), but so that a nonce can be renamed in it.
+    /// As [`fingerprint`](crate::link::in_step::fingerprint), but a nonce can be renamed in it.
     pub(super) fn fingerprint(&self) -> u64 {
         u64::from(u8::from(self.code)) << 40
             | u64::from(self.size) << 8
@@ -112,18 +113,18 @@ pub(super) struct Out {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct State {
-    pub(super) known: InStep,
+pub(super) struct ModelState {
+    pub(super) in_step: InStep,
     pub(super) out: Option<Out>,
     /// Frames on their way, in order.
-    chan: Vec<Frame>,
-    /// Copies that roam, and the exchanges that they have left.
-    bag: Vec<(Frame, u8)>,
-    /// Copies, losses, late replies, broadcasts, reconnects.
+    channel: Vec<Frame>,
+    /// Roaming duplicates, with the number of exchanges left to each.
+    roaming: Vec<(Frame, u8)>,
+    /// Duplicates, losses, late replies, broadcasts and reconnects left.
     budget: [u8; 5],
-    /// Wrong results so far.
+    /// Number of wrong results so far.
     pub(super) wrong: u8,
-    pub(super) job: Option<Held>,
+    pub(super) job: Option<ModelJob>,
 }
 
 const COPIES: usize = 0;
@@ -132,19 +133,19 @@ const LATE: usize = 2;
 const BROADCASTS: usize = 3;
 const RECONNECTS: usize = 4;
 
-/// Takes a step: its name, the state after it, and a wrong result.
-pub(super) type Sink<'a> = dyn FnMut(fmt::Arguments<'_>, State, Option<Wrong>) + 'a;
+/// Receives a step: its name, the state after it, and a wrong result.
+pub(super) type Sink<'a> = dyn FnMut(fmt::Arguments<'_>, ModelState, Option<Wrong>) + 'a;
 
-impl State {
-    /// The exchange is over: what is on its way answers no request on the wire.
+impl ModelState {
+    /// Ends the exchange: frames on their way answer no request on the wire.
     pub(super) fn ends(&mut self) {
         self.out = None;
-        self.chan.iter_mut().for_each(|frame| frame.own = false);
-        self.bag.iter_mut().for_each(|(frame, _)| frame.own = false);
+        self.channel.iter_mut().for_each(|frame| frame.own = false);
+        self.roaming.iter_mut().for_each(|(frame, _)| frame.own = false);
     }
 
     pub(super) fn on_its_way(&self) -> impl Iterator<Item = &Frame> {
-        self.chan.iter()
+        self.channel.iter()
     }
 
     fn spends(&self, what: usize) -> Option<Self> {
@@ -153,16 +154,17 @@ impl State {
         Some(after)
     }
 
-    /// Replaces what makes equal states differ: reasons, the numbers of nonces, and counters that no job looks at.
+    /// Normalises what makes equal states differ: reasons, the numbers of nonces, and counters that
+    /// no job reads.
     pub(super) fn canonical(mut self) -> Self {
-        let known = &mut self.known;
-        known.silent_since = None;
-        known.suspect = known.suspect.map(|_| Why::Connected);
+        let in_step = &mut self.in_step;
+        in_step.silent_since = None;
+        in_step.suspect = in_step.suspect.map(|_| Why::Connected);
         if self.job.is_none() {
-            (known.timed_out, known.proof) = (Codes::NONE, Proof::default());
+            (in_step.timed_out, in_step.proof) = (CommandSet::NONE, Proof::default());
         }
-        known.proof.proofs = known.proof.proofs.min(1);
-        known.proof.doubts = known.proof.doubts.min(1);
+        in_step.proof.proofs = in_step.proof.proofs.min(1);
+        in_step.proof.doubts = in_step.proof.doubts.min(1);
         self.rename_nonces();
         self
     }
@@ -181,24 +183,27 @@ impl State {
         if let Some(out) = &mut self.out {
             size(&mut out.shape.size);
         }
-        self.chan.iter_mut().chain(self.bag.iter_mut().map(|(frame, _)| frame)).for_each(|frame| size(&mut frame.size));
+        self.channel
+            .iter_mut()
+            .chain(self.roaming.iter_mut().map(|(frame, _)| frame))
+            .for_each(|frame| size(&mut frame.size));
         let mut fingerprint = |fingerprint: &mut u64| {
             let mut renamed = u32::try_from(*fingerprint >> 8 & 0xFFFF_FFFF).unwrap();
             size(&mut renamed);
             *fingerprint = *fingerprint & !(0xFFFF_FFFF << 8) | u64::from(renamed) << 8;
         };
-        let known = &mut self.known;
-        known.last.iter_mut().for_each(&mut fingerprint);
-        for taken in known.taken.iter_mut().chain(&mut known.older) {
+        let in_step = &mut self.in_step;
+        in_step.last.iter_mut().for_each(&mut fingerprint);
+        for taken in in_step.taken.iter_mut().chain(&mut in_step.older) {
             taken.fingerprint.iter_mut().for_each(&mut fingerprint);
         }
-        known.taken.iter_mut().chain(&mut known.older).for_each(|taken| size(&mut taken.shape.size));
+        in_step.taken.iter_mut().chain(&mut in_step.older).for_each(|taken| size(&mut taken.shape.size));
     }
 }
 
-/// The states in which a client may start.
-pub(super) fn starts(faults: &Faults, driver: &Driver) -> Vec<State> {
-    let shape = |name| driver.request(name).shape(driver.request(name).plain());
+/// The initial states.
+pub(super) fn starts(faults: &Faults, client: &Client) -> Vec<ModelState> {
+    let shape = |name| client.request(name).shape(client.request(name).plain());
     let mut shapes: Vec<_> = faults.calls.iter().map(|&name| Frame::of(shape(name), 0)).collect();
     shapes.push(Frame::refusal(shape(Name::Read).code));
     if faults.loopback != LoopBack::Refused {
@@ -214,85 +219,89 @@ pub(super) fn starts(faults: &Faults, driver: &Driver) -> Vec<State> {
         longest = longest.iter().flat_map(longer).collect();
         queues.extend(longest.iter().cloned());
     }
-    let mut known = InStep::new();
-    if driver.without == Without::Suspicion {
-        known.suspect = None;
+    let mut in_step = InStep::new();
+    if client.ablation == Ablation::Suspicion {
+        in_step.suspect = None;
     }
     let budget = [faults.copies, faults.loss, faults.late, faults.broadcasts, faults.reconnects];
-    let start = |chan| State {
-        known: known.clone(),
+    let start = |channel| ModelState {
+        in_step: in_step.clone(),
         out: None,
-        chan,
-        bag: Vec::new(),
+        channel,
+        roaming: Vec::new(),
         budget,
         wrong: 0,
-        job: faults.job.map(Held::new),
+        job: faults.job.map(ModelJob::new),
     };
     queues.into_iter().map(start).collect()
 }
 
 /// All steps from a state.
-pub(super) fn steps(faults: &Faults, driver: &Driver, s: &State, sink: &mut Sink<'_>) {
-    if s.out.is_some() || driver.without != Without::ReadFirst {
-        arrivals(driver, s, sink);
+pub(super) fn steps(faults: &Faults, client: &Client, s: &ModelState, sink: &mut Sink<'_>) {
+    if s.out.is_some() || client.ablation != Ablation::ReadFirst {
+        arrivals(client, s, sink);
     }
     if let Some(mut after) = s.spends(RECONNECTS) {
         after.ends();
-        after.known.connected();
+        after.in_step.connected();
         sink(format_args!("the connection is lost, and another is opened"), after, None);
     }
     match &s.out {
         Some(out) => {
-            let awaited = s.chan.iter().any(|frame| frame.own);
+            let awaited = s.channel.iter().any(|frame| frame.own);
             let after = if awaited { s.spends(LATE) } else { Some(s.clone()) };
             if let Some(mut after) = after {
                 after.ends();
-                give(driver.timed_out(&after, out), format_args!("    the request"), sink);
+                give(client.timed_out(&after, out), format_args!("    the request"), sink);
             }
         }
-        None => idle(faults, driver, s, sink),
+        None => idle(faults, client, s, sink),
     }
 }
 
-fn give(outcomes: Vec<Outcome>, before: fmt::Arguments<'_>, sink: &mut Sink<'_>) {
+fn give(outcomes: Vec<StepOutcome>, before: fmt::Arguments<'_>, sink: &mut Sink<'_>) {
     for (label, after, wrong) in outcomes {
         sink(format_args!("{before} {label}"), after, wrong);
     }
 }
 
-fn arrivals(driver: &Driver, s: &State, sink: &mut Sink<'_>) {
-    for count in 1..=s.chan.len().min(3) {
-        let (now, later) = s.chan.split_at(count);
+fn arrivals(client: &Client, s: &ModelState, sink: &mut Sink<'_>) {
+    for count in 1..=s.channel.len().min(3) {
+        let (now, later) = s.channel.split_at(count);
         let mut rest = s.clone();
-        rest.chan = later.to_vec();
+        rest.channel = later.to_vec();
         let copies = now.iter().filter(|frame| frame.roams);
-        rest.bag.extend(copies.map(|&frame| (Frame { roams: false, copy: true, ..frame }, LIFE)));
+        rest.roaming.extend(copies.map(|&frame| (Frame { roams: false, copy: true, ..frame }, LIFE)));
         match now {
-            [frame] => give(driver.hears(&rest, now), format_args!("    comes {frame}:"), sink),
+            [frame] => give(client.receive(&rest, now), format_args!("    comes {frame}:"), sink),
             [reply, behind @ ..] if s.out.as_ref().is_some_and(|out| reply.fits(out.shape)) => {
                 let behind = behind.iter().map(Frame::to_string).collect::<Vec<_>>().join("; ");
-                give(driver.hears(&rest, now), format_args!("    comes {reply}, and in the same read {behind}:"), sink);
+                give(
+                    client.receive(&rest, now),
+                    format_args!("    comes {reply}, and in the same read {behind}:"),
+                    sink,
+                );
             }
             _ => {}
         }
     }
-    for place in 0..s.bag.len() {
+    for place in 0..s.roaming.len() {
         let mut rest = s.clone();
-        let (frame, _) = rest.bag.remove(place);
-        give(driver.hears(&rest, &[frame]), format_args!("    comes the roaming copy {frame}:"), sink);
+        let (frame, _) = rest.roaming.remove(place);
+        give(client.receive(&rest, &[frame]), format_args!("    comes the roaming copy {frame}:"), sink);
     }
 }
 
-fn idle(faults: &Faults, driver: &Driver, s: &State, sink: &mut Sink<'_>) {
+fn idle(faults: &Faults, client: &Client, s: &ModelState, sink: &mut Sink<'_>) {
     let mut chosen = Vec::new();
     for &name in faults.calls {
         for plain in [false, true] {
             let mut after = s.clone();
-            let choice = driver.choose(&mut after.known, name, plain);
+            let choice = client.choose(&mut after.in_step, name, plain);
             let next = (Some(name).filter(|_| matches!(choice, Choice::Send(_))), choice, false, false);
             if !chosen.contains(&next) {
                 chosen.push(next);
-                go_out(faults, driver, after, next, sink);
+                go_out(faults, client, after, next, sink);
             }
         }
     }
@@ -300,59 +309,66 @@ fn idle(faults: &Faults, driver: &Driver, s: &State, sink: &mut Sink<'_>) {
         let mut after = s.clone();
         if !job.must_confirm() {
             for plain in [false, true] {
-                let choice = driver.choose(&mut after.known, job.name, plain);
-                go_out(faults, driver, after.clone(), (Some(job.name), choice, true, false), sink);
+                let choice = client.choose(&mut after.in_step, job.name, plain);
+                go_out(faults, client, after.clone(), (Some(job.name), choice, true, false), sink);
             }
-        } else if let Some(choice) = driver.confirm(&mut after.known) {
-            go_out(faults, driver, after, (None, choice, true, true), sink);
+        } else if let Some(choice) = client.confirm(&mut after.in_step) {
+            go_out(faults, client, after, (None, choice, true, true), sink);
         } else {
-            let wrong = after.job.as_mut().is_some_and(|job| job.confirmed(&mut after.known));
+            let wrong = after.job.as_mut().is_some_and(|job| job.confirmed(&mut after.in_step));
             sink(format_args!("the job is confirmed without a check"), after, wrong.then_some(Wrong::InJob));
         }
     }
-    // The copy of the reply taken last is one of these, or has come. Where copies roam, the window must also be longer than
-    // the PLC takes: else the true reply to a request that a copy has answered comes after it.
-    if s.bag.is_empty() && !s.chan.iter().any(|frame| frame.copy || faults.roam) {
+    // The duplicate of the reply taken last is one of these, or has come. Where duplicates roam,
+    // the window must also be longer than the response time: else the true reply to a request that
+    // a duplicate has answered comes after it.
+    if s.roaming.is_empty() && !s.channel.iter().any(|frame| frame.copy || faults.roam) {
         let mut after = s.clone();
-        driver.window_passes(&mut after.known);
+        client.window_passes(&mut after.in_step);
         sink(format_args!("the copy window passes"), after, None);
     }
     if let Some(spent) = s.spends(BROADCASTS) {
         for name in [Name::Write, Name::Run] {
-            let shape = driver.request(name).shape(driver.request(name).plain());
+            let shape = client.request(name).shape(client.request(name).plain());
             for answer in [Frame::of(shape, 0), Frame::refusal(shape.code)] {
                 let mut after = spent.clone();
-                after.chan.push(answer);
-                driver.broadcast(&mut after.known, shape.code);
+                after.channel.push(answer);
+                client.broadcast(&mut after.in_step, shape.code);
                 sink(format_args!("a broadcast of {name:?} is answered: {answer}"), after, None);
             }
         }
     }
 }
 
-/// What goes out: a call or none, the choice, whether for the job, and whether to confirm it.
-type Next = (Option<Name>, Choice, bool, bool);
+/// The next transmission: a call or none, the choice, whether for the job, whether to confirm.
+type NextSend = (Option<Name>, Choice, bool, bool);
 
-/// All that the PLC and the line may make of a request.
-fn go_out(faults: &Faults, driver: &Driver, mut s: State, (name, choice, in_job, confirms): Next, sink: &mut Sink<'_>) {
+/// All possible answers of PLC and line to a request.
+fn go_out(
+    faults: &Faults,
+    client: &Client,
+    mut s: ModelState,
+    (name, choice, in_job, confirms): NextSend,
+    sink: &mut Sink<'_>,
+) {
     let out = match choice {
         Choice::Silence(_) => {
-            if s.chan.is_empty() && s.bag.is_empty() {
+            if s.channel.is_empty() && s.roaming.is_empty() {
                 let mut after = s.clone();
-                driver.is_silent(&mut after.known);
+                client.is_silent(&mut after.in_step);
                 sink(format_args!("silence, until all has come"), after, None);
             }
             return sink(format_args!("silence begins"), s, None);
         }
         Choice::Send(spelling) => {
             let name = name.unwrap();
-            let shape = driver.request(name).shape(spelling);
+            let shape = client.request(name).shape(spelling);
             Out { asked: Asked::Call(name), spelling, shape, in_job }
         }
         Choice::Check(check, _) => {
             let shape = match check {
                 // A number that no other nonce has before they are renamed.
-                Check::Nonce => Shape { code: Code::LoopBack, size: NONCES + fresh(driver) },
+                Check::Nonce => Shape { code: Code::LoopBack, size: NONCES + fresh(client) },
                 Check::Empty => Check::EMPTY,
                 Check::Status => Check::STATUS,
                 Check::Detail => Check::DETAIL,
@@ -361,7 +377,7 @@ fn go_out(faults: &Faults, driver: &Driver, mut s: State, (name, choice, in_job,
             Out { asked: Asked::Check { check, confirms }, spelling, shape, in_job }
         }
     };
-    s.bag.retain_mut(|(_, life)| {
+    s.roaming.retain_mut(|(_, life)| {
         let lives = *life > 0;
         *life = life.saturating_sub(1);
         lives
@@ -371,9 +387,9 @@ fn go_out(faults: &Faults, driver: &Driver, mut s: State, (name, choice, in_job,
     let what = format!("{:?} {:X}/{} goes out", out.asked, u8::from(out.shape.code), out.shape.size);
     for &answer in &answers {
         let mut after = s.clone();
-        after.chan.push(answer);
+        after.channel.push(answer);
         sink(format_args!("{what}: {answer}"), after, None);
-        // The other answers that a copy may be.
+        // The other answers that a duplicate may be.
         let is_page = out.shape.code == Code::ReadProgramPage;
         let others: Vec<_> = answers
             .iter()
@@ -383,9 +399,9 @@ fn go_out(faults: &Faults, driver: &Driver, mut s: State, (name, choice, in_job,
             for &&other in &others {
                 let mut after = s.clone();
                 after.budget[COPIES] -= count;
-                after.chan.push(Frame { roams: faults.roam, ..answer });
+                after.channel.push(Frame { roams: faults.roam, ..answer });
                 if !faults.roam {
-                    after.chan.extend((0..count).map(|_| Frame { copy: true, ..other }));
+                    after.channel.extend((0..count).map(|_| Frame { copy: true, ..other }));
                 }
                 sink(format_args!("{what}: {answer}, then {count} x {other}, roaming: {}", faults.roam), after, None);
                 if faults.roam {
@@ -399,8 +415,8 @@ fn go_out(faults: &Faults, driver: &Driver, mut s: State, (name, choice, in_job,
     }
 }
 
-fn fresh(driver: &Driver) -> u32 {
-    if driver.without == Without::FreshNonce { 0 } else { 100 }
+fn fresh(client: &Client) -> u32 {
+    if client.ablation == Ablation::FreshNonce { 0 } else { 100 }
 }
 
 fn answers(faults: &Faults, out: &Out) -> Vec<Frame> {

@@ -17,7 +17,7 @@ pub(super) enum Name {
     One,
     /// Two registers: 47, 49.
     Write,
-    /// 4F: one spelling, and two possible bodies.
+    /// 4F: one spelling, and two possible contents.
     Page,
     /// 41: one spelling.
     Run,

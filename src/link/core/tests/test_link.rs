@@ -1,4 +1,4 @@
-//! A link without its driver: the test does what the driver does, and turns the clock.
+//! A core without its driver: the test does what the driver does, and sets the clock.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -8,15 +8,15 @@ use std::time::Duration;
 use bytes::BytesMut;
 use tokio::time::Instant;
 
-use super::super::{Core, Step};
+use super::super::{Action, Core};
 use crate::command::{self, Code, Command, ReadRegisters, WriteRegisters};
 use crate::element::Register;
 use crate::error::Error;
-use crate::link::call::{self, Completion, Spares, Terms};
+use crate::link::call::{self, CallFuture, CallMeta, SpareSlots};
 use crate::link::config::Config;
 use crate::link::in_step::InStep;
 use crate::link::options::CallOptions;
-use crate::link::stats::{Board, LinkStats, StationStats};
+use crate::link::stats::{LinkStats, SharedStats, StationStats};
 use crate::link::transport::Connector;
 use crate::link::{LinkBuilder, later};
 use crate::wire::{FieldWriter as _, Framing, Side, ascii, binary};
@@ -24,13 +24,13 @@ use crate::wire::{FieldWriter as _, Framing, Side, ascii, binary};
 pub(super) const MS: Duration = Duration::from_millis(1);
 pub(super) const TIMEOUT: Duration = Duration::from_millis(100);
 
-/// A link without its driver.
-pub(super) struct Desk {
+/// A core without its driver.
+pub(super) struct TestLink {
     pub(super) core: Core,
-    board: Arc<Board>,
+    stats: Arc<SharedStats>,
     framing: Framing,
     pub(super) now: Instant,
-    /// What was sent last.
+    /// The bytes sent last.
     pub(super) sent: Vec<u8>,
 }
 
@@ -44,45 +44,46 @@ pub(super) fn write() -> WriteRegisters<Register> {
     WriteRegisters::new(Register::r(0), [1]).unwrap()
 }
 
-pub(super) fn result<C: Command>(completion: &mut Completion<C>) -> Option<Result<C::Reply, Error>> {
-    match pin!(completion).poll(&mut Context::from_waker(Waker::noop())) {
+pub(super) fn result<C: Command>(future: &mut CallFuture<C>) -> Option<Result<C::Reply, Error>> {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
         Poll::Ready(result) => Some(result),
         Poll::Pending => None,
     }
 }
 
-impl Desk {
+impl TestLink {
     pub(super) fn new(framing: Framing) -> Self {
         Self::with(framing, |_| ())
     }
 
-    /// With its connection open.
+    /// A link with its connection open.
     pub(super) fn with(framing: Framing, set: impl FnOnce(&mut Config)) -> Self {
         let mut config = LinkBuilder::with_connector(Connector::Once(None), framing, "desk").config;
         config.probe_timeout = TIMEOUT;
         config.in_step = config.in_step.with_quiet(TIMEOUT);
         set(&mut config);
-        let board = Arc::new(Board::default());
-        let mut desk =
-            Self { core: Core::new(config, board.clone(), 1), board, framing, now: Instant::now(), sent: Vec::new() };
-        desk.core.connected(desk.now);
-        desk.trust();
-        desk
+        let stats = Arc::new(SharedStats::default());
+        let mut link =
+            Self { core: Core::new(config, stats.clone(), 1), stats, framing, now: Instant::now(), sent: Vec::new() };
+        link.core.connected(link.now);
+        link.put_in_step();
+        link
     }
 
-    /// Puts the stations of these tests in step, as if an exchange of another command had been the last.
-    pub(super) fn trust(&mut self) {
+    /// Puts the stations of these tests in step, as if an exchange of another command had been the
+    /// last.
+    pub(super) fn put_in_step(&mut self) {
         for station in [1, 2, 9] {
-            self.core.stations.with_in_step(station, |known| *known = InStep::trusted());
+            self.core.stations.with_in_step(station, |in_step| *in_step = InStep::trusted());
         }
     }
 
-    pub(super) fn ask<C: Command>(&mut self, station: u8, request: C) -> Completion<C> {
-        self.ask_with(station, request, CallOptions::new())
+    pub(super) fn call<C: Command>(&mut self, station: u8, request: C) -> CallFuture<C> {
+        self.call_with(station, request, CallOptions::new())
     }
 
-    pub(super) fn ask_with<C: Command>(&mut self, station: u8, request: C, options: CallOptions) -> Completion<C> {
-        let terms = Terms {
+    pub(super) fn call_with<C: Command>(&mut self, station: u8, request: C, options: CallOptions) -> CallFuture<C> {
+        let meta = CallMeta {
             station,
             code: C::CODE,
             lane: options.lane(C::CODE.class()),
@@ -90,23 +91,23 @@ impl Desk {
             queued_at: self.now,
             response_timeout: options.response_timeout.unwrap_or(TIMEOUT),
             options,
-            longer: false,
+            part: false,
             confirms: false,
         };
-        let (ticket, completion) = call::new(request, None, terms, &Spares::default());
-        self.core.push(ticket, self.now);
-        completion
+        let (call, future) = call::new(request, None, meta, &SpareSlots::default());
+        self.core.push(call, self.now);
+        future
     }
 
-    pub(super) fn step(&mut self) -> Step {
-        self.core.step(self.now)
+    pub(super) fn next_action(&mut self) -> Action {
+        self.core.next_action(self.now)
     }
 
-    /// What is sent now; the test fails if it is nothing.
-    pub(super) fn sends(&mut self) -> Code {
-        let step = self.step();
-        assert!(matches!(step, Step::Send(_)), "{step:?}");
-        self.sent = self.core.outgoing().to_vec();
+    /// Sends the next request and returns its command. Fails the test if nothing is to be sent.
+    pub(super) fn expect_send(&mut self) -> Code {
+        let action = self.next_action();
+        assert!(matches!(action, Action::Send(_)), "{action:?}");
+        self.sent = self.core.request_bytes().to_vec();
         self.core.sent(self.now);
         let code = match self.framing {
             Framing::Ascii => u8::from_str_radix(str::from_utf8(&self.sent[3..5]).unwrap(), 16).unwrap(),
@@ -115,42 +116,42 @@ impl Desk {
         Code::from_u8(code).unwrap()
     }
 
-    pub(super) fn passes(&mut self, time: Duration) {
+    pub(super) fn advance(&mut self, time: Duration) {
         self.now += time;
     }
 
-    pub(super) fn hears(&mut self, bytes: &[u8]) {
-        self.core.incoming().extend_from_slice(bytes);
+    pub(super) fn receive(&mut self, bytes: &[u8]) {
+        self.core.receive_buffer().extend_from_slice(bytes);
         self.core.received(self.now);
     }
 
-    /// A frame from a PLC with this data.
-    pub(super) fn hears_frame(&mut self, station: u8, command: u8, data: &[u8]) {
+    /// Receives a frame from a PLC with this data.
+    pub(super) fn receive_frame(&mut self, station: u8, command: u8, data: &[u8]) {
         let mut frame = BytesMut::new();
         match self.framing {
             Framing::Ascii => ascii::emit(&mut frame, station, command, |fields| fields.raw(data)),
             Framing::Binary => binary::emit(&mut frame, Side::Plc, station, command, |fields| fields.raw(data)),
         }
-        self.hears(&frame);
+        self.receive(&frame);
     }
 
-    pub(super) fn hears_reply<C: Command>(&mut self, station: u8, request: &C, reply: &C::Reply) {
+    pub(super) fn receive_reply<C: Command>(&mut self, station: u8, request: &C, reply: &C::Reply) {
         let mut frame = BytesMut::new();
         command::encode_reply(request, Ok(reply), self.framing, station, &mut frame);
-        self.hears(&frame);
+        self.receive(&frame);
     }
 
-    /// The station sends back what was sent last.
-    pub(super) fn hears_echo(&mut self) {
+    /// Receives the bytes sent last.
+    pub(super) fn receive_echo(&mut self) {
         let request = self.sent.clone();
-        self.hears(&request);
+        self.receive(&request);
     }
 
     pub(super) fn stats(&self) -> LinkStats {
-        self.board.link()
+        self.stats.link_stats()
     }
 
-    pub(super) fn stats_of(&self, station: u8) -> StationStats {
-        self.board.station(station)
+    pub(super) fn station_stats(&self, station: u8) -> StationStats {
+        self.stats.station_stats(station)
     }
 }

@@ -4,15 +4,15 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::jobs::Held;
-use super::model::{Asked, Frame, Out, State};
+use super::jobs::ModelJob;
+use super::model::{Asked, Frame, ModelState, Out};
 use super::requests::{Name, Request};
 use crate::command::Code;
 use crate::link::in_step::{Check, Choice, InStep, Kind, Reply, Rule, Spelled, Why};
 
-/// The ingredient of the rule that is left out.
+/// The part of the rule that is left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Without {
+pub(super) enum Ablation {
     Nothing,
     /// A new connection is trusted.
     Suspicion,
@@ -20,13 +20,13 @@ pub(super) enum Without {
     Timeout,
     /// A broadcast owes nothing.
     Broadcast,
-    /// Where no spelling is distinct, the plain one goes out without a check.
+    /// Where no spelling is distinct, the plain one is sent without a check.
     Separation,
     /// All nonces are equal.
     FreshNonce,
     /// A refusal is owed to requests of its own size only.
     EverySize,
-    /// The frame received is owed, and not the other answer to its request.
+    /// The received frame is owed, and not the other possible answer to its request.
     OtherAnswer,
     /// A reply without proof is taken.
     Proof,
@@ -34,7 +34,7 @@ pub(super) enum Without {
     Echo,
     /// Where 4E is refused, 40 replaces the silence.
     Silence,
-    /// Strays have no consequence.
+    /// Strays are ignored.
     Strays,
     /// Input is discarded unread while no request is on the wire.
     IdleInput,
@@ -44,10 +44,10 @@ pub(super) enum Without {
     Confirmation,
 }
 
-/// What happened, the state after it, and whether a caller got another request's result.
-pub(super) type Outcome = (&'static str, State, Option<Wrong>);
+/// An event, the state after it, and a wrong result if a caller got one.
+pub(super) type StepOutcome = (&'static str, ModelState, Option<Wrong>);
 
-/// A result that was another request's.
+/// Kinds of results whose reply answered another request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Wrong {
     Value,
@@ -57,10 +57,10 @@ pub(super) enum Wrong {
     InJob,
 }
 
-pub(super) struct Driver {
+pub(super) struct Client {
     pub(super) rule: Rule,
-    pub(super) without: Without,
-    /// The time of all events; only silence takes any.
+    pub(super) ablation: Ablation,
+    /// The time of all events; only silence takes time.
     pub(super) now: Instant,
     /// A result is wrong only if its content is not that of the true reply.
     pub(super) by_content: bool,
@@ -69,81 +69,81 @@ pub(super) struct Driver {
     pub(super) requests: [Request; 6],
 }
 
-impl Driver {
+impl Client {
     pub(super) fn request(&self, name: Name) -> &Request {
         &self.requests[name as usize]
     }
 
-    /// As `Core::goal_of`, for a request.
-    pub(super) fn choose(&self, known: &mut InStep, name: Name, plain: bool) -> Choice {
+    /// As `Core::outgoing_for`, for a request.
+    pub(super) fn choose(&self, in_step: &mut InStep, name: Name, plain: bool) -> Choice {
         let request = self.request(name);
-        match (self.without, known.choose(request, plain, &self.rule, self.now)) {
-            (Without::Separation, Choice::Check(_, Why::Owed)) => Choice::Send(request.plain()),
-            (Without::Silence, Choice::Silence(_)) => Choice::Check(Check::Status, Why::Unproven),
+        match (self.ablation, in_step.choose(request, plain, &self.rule, self.now)) {
+            (Ablation::Separation, Choice::Check(_, Why::Owed)) => Choice::Send(request.plain()),
+            (Ablation::Silence, Choice::Silence(_)) => Choice::Check(Check::Status, Why::Unproven),
             (_, choice) => {
-                let allowed = !matches!(choice, Choice::Send(spelling) if !known.allows(request, spelling));
-                assert!(allowed, "{choice:?} is not allowed in {known:?}");
+                let allowed = !matches!(choice, Choice::Send(spelling) if !in_step.allows(request, spelling));
+                assert!(allowed, "{choice:?} is not allowed in {in_step:?}");
                 choice
             }
         }
     }
 
-    /// As `Core::goal_of`, for the end of a job.
-    pub(super) fn confirm(&self, known: &mut InStep) -> Option<Choice> {
-        known.confirm(&self.rule, self.now)
+    /// As `Core::outgoing_for`, for the end of a job.
+    pub(super) fn confirm(&self, in_step: &mut InStep) -> Option<Choice> {
+        in_step.confirm(&self.rule, self.now)
     }
 
-    /// The station is silent for the quiet time, and nothing can come any more.
-    pub(super) fn is_silent(&self, known: &mut InStep) {
-        known.silent_since = None;
-        assert!(known.prove(&self.rule, self.now).is_some());
-        assert_eq!(known.prove(&self.rule, self.now + self.rule.quiet), None);
+    /// The station is silent for the quiet time, and nothing can come after it.
+    pub(super) fn is_silent(&self, in_step: &mut InStep) {
+        in_step.silent_since = None;
+        assert!(in_step.prove(&self.rule, self.now).is_some());
+        assert_eq!(in_step.prove(&self.rule, self.now + self.rule.quiet), None);
     }
 
-    /// The copy window passes, and no copy can come any more.
-    pub(super) fn window_passes(&self, known: &mut InStep) {
-        known.lapse(&self.rule, self.now + self.rule.settings.window());
+    /// The copy window passes, and no duplicate can come after it.
+    pub(super) fn window_passes(&self, in_step: &mut InStep) {
+        in_step.lapse(&self.rule, self.now + self.rule.settings.window());
     }
 
-    pub(super) fn broadcast(&self, known: &mut InStep, code: Code) {
-        if self.without != Without::Broadcast {
-            known.broadcast(code, self.now);
+    pub(super) fn broadcast(&self, in_step: &mut InStep, code: Code) {
+        if self.ablation != Ablation::Broadcast {
+            in_step.broadcast(code, self.now);
         }
     }
 
-    pub(super) fn stray(&self, known: &mut InStep, frame: &Frame) {
-        if self.without != Without::Strays {
-            known.stray(frame.code.into(), frame.fingerprint(), &self.rule, self.now);
+    pub(super) fn stray(&self, in_step: &mut InStep, frame: &Frame) {
+        if self.ablation != Ablation::Strays {
+            in_step.stray(frame.code.into(), frame.fingerprint(), &self.rule, self.now);
         }
     }
 
     /// As `Core::give_up`.
-    pub(super) fn timed_out(&self, s: &State, out: &Out) -> Vec<Outcome> {
+    pub(super) fn timed_out(&self, s: &ModelState, out: &Out) -> Vec<StepOutcome> {
         let mut after = s.clone();
-        if self.without != Without::Timeout {
-            after.known.timed_out(out.shape.code);
+        if self.ablation != Ablation::Timeout {
+            after.in_step.timed_out(out.shape.code);
         }
         self.repeated_or_failed("times out", after, out)
     }
 
-    /// A request is sent again, or it fails and a job with it.
-    fn repeated_or_failed(&self, label: &'static str, after: State, out: &Out) -> Vec<Outcome> {
+    /// The request is sent again; or it fails, and its job with it.
+    fn repeated_or_failed(&self, label: &'static str, after: ModelState, out: &Out) -> Vec<StepOutcome> {
         let mut outcomes = vec![(label, after.clone(), None)];
         if let (Some(job), true) = (&after.job, out.in_job) {
             let mut failed = after.clone();
             let wrong = job.fails();
-            failed.job = Some(Held::new(job.name));
+            failed.job = Some(ModelJob::new(job.name));
             outcomes.push(("fails, and the job with it", failed, wrong.then_some(Wrong::InJob)));
         }
         outcomes
     }
 
-    /// As `Exchange::classify` and `Core::conclude`: these frames come in one read.
-    pub(super) fn hears(&self, s: &State, frames: &[Frame]) -> Vec<Outcome> {
+    /// As `Exchange::classify` and `Core::conclude`, for frames that come in one read.
+    pub(super) fn receive(&self, s: &ModelState, frames: &[Frame]) -> Vec<StepOutcome> {
         let mut after = s.clone();
         let Some(out) = s.out.clone() else {
-            if self.without != Without::IdleInput {
-                frames.iter().for_each(|frame| self.stray(&mut after.known, frame));
+            if self.ablation != Ablation::IdleInput {
+                frames.iter().for_each(|frame| self.stray(&mut after.in_step, frame));
             }
             return vec![("a stray", after, None)];
         };
@@ -151,11 +151,11 @@ impl Driver {
         for frame in frames {
             match held {
                 None if frame.fits(out.shape) => held = Some(*frame),
-                None => self.stray(&mut after.known, frame),
+                None => self.stray(&mut after.in_step, frame),
                 Some(reply) if reply.fingerprint() == frame.fingerprint() => copied = true,
                 Some(_) => {
                     followed = true;
-                    self.stray(&mut after.known, frame);
+                    self.stray(&mut after.in_step, frame);
                 }
             }
         }
@@ -171,7 +171,14 @@ impl Driver {
     }
 
     /// As `Core::replied`.
-    fn replied(&self, mut after: State, out: &Out, frame: Frame, followed: bool, copied: bool) -> Vec<Outcome> {
+    fn replied(
+        &self,
+        mut after: ModelState,
+        out: &Out,
+        frame: Frame,
+        followed: bool,
+        copied: bool,
+    ) -> Vec<StepOutcome> {
         let reply = Reply { shape: out.shape, refused: frame.refused, fingerprint: frame.fingerprint() };
         let name = match out.asked {
             Asked::Call(name) => name,
@@ -180,21 +187,21 @@ impl Driver {
         let request = self.request(name);
         let kind = request.kind();
         if followed {
-            after.known.followed();
+            after.in_step.followed();
         }
         let contradicted = kind != Kind::Once && followed;
-        if !self.proves(&after.known, kind, &reply) || contradicted && self.without != Without::Proof {
-            after.known.unproven(&reply, copied, &self.rule, self.now);
+        if !self.proves(&after.in_step, kind, &reply) || contradicted && self.ablation != Ablation::Proof {
+            after.in_step.unproven(&reply, copied, &self.rule, self.now);
             return self.repeated_or_failed("no proof", after, out);
         }
-        let known = &mut after.known;
-        known.taken(kind, &reply, Duration::ZERO, &self.rule, self.now);
+        let in_step = &mut after.in_step;
+        in_step.taken(kind, &reply, Duration::ZERO, &self.rule, self.now);
         if reply.refused && out.spelling != request.plain() {
             let mut lacking = after.clone();
             for (state, lacks) in [(&mut after, false), (&mut lacking, true)] {
-                state.known.spelling_refused(request.plain(), out.spelling, request.run, lacks);
+                state.in_step.spelling_refused(request.plain(), out.spelling, request.run, lacks);
                 if kind == Kind::Once {
-                    state.known.write_refused();
+                    state.in_step.write_refused();
                 }
             }
             let mut outcomes = vec![("a spelling is refused", after, None), ("a command is lacking", lacking, None)];
@@ -202,10 +209,10 @@ impl Driver {
             return outcomes;
         }
         if !reply.refused {
-            known.answered(request.run, out.spelling);
+            in_step.answered(request.run, out.spelling);
         }
         if copied {
-            known.copied();
+            in_step.copied();
         }
         let wrong = match (frame.own, frame.refused, kind) {
             (true, ..) => None,
@@ -214,11 +221,11 @@ impl Driver {
             (false, false, _) => Some(Wrong::Value),
         };
         if let (Some(job), true) = (&mut after.job, out.in_job) {
-            let confirms = self.without != Without::Confirmation;
-            let wrong = job.answered(&mut after.known, out.shape, frame, confirms);
+            let confirms = self.ablation != Ablation::Confirmation;
+            let wrong = job.answered(&mut after.in_step, out.shape, frame, confirms);
             return vec![("the reply, in the job", after, wrong.then_some(Wrong::InJob))];
         }
-        // With a job, only the results of the job count.
+        // In a model with a job, only the results of the job count.
         let wrong = wrong.filter(|_| after.job.is_none());
         let label = if wrong.is_some() { "TAKEN FOR THE REPLY" } else { "the reply" };
         vec![(label, after, wrong)]
@@ -226,46 +233,47 @@ impl Driver {
 
     fn checked(
         &self,
-        mut after: State,
+        mut after: ModelState,
         out: &Out,
         check: Check,
         confirms: bool,
         (reply, followed): (&Reply, bool),
-    ) -> Vec<Outcome> {
-        let known = &mut after.known;
-        let mut passed = known.checked(check, (reply, followed), Duration::ZERO, &self.rule, self.now);
-        let trusted = match self.without {
-            Without::Echo => reply.refused,
-            Without::Silence => check == Check::Status,
+    ) -> Vec<StepOutcome> {
+        let in_step = &mut after.in_step;
+        let mut passed = in_step.checked(check, (reply, followed), Duration::ZERO, &self.rule, self.now);
+        let trusted = match self.ablation {
+            Ablation::Echo => reply.refused,
+            Ablation::Silence => check == Check::Status,
             _ => false,
         };
         if !passed && trusted {
-            known.is_in_step();
+            in_step.is_in_step();
             passed = true;
         }
         if !passed {
             return vec![("no proof", after, None)];
         }
         if let (Some(job), true, true) = (&mut after.job, out.in_job, confirms) {
-            let wrong = job.confirmed(&mut after.known);
+            let wrong = job.confirmed(&mut after.in_step);
             return vec![("the check is answered, for the job", after, wrong.then_some(Wrong::InJob))];
         }
         vec![("the check is answered", after, None)]
     }
 
-    fn proves(&self, known: &InStep, kind: Kind, reply: &Reply) -> bool {
+    fn proves(&self, in_step: &InStep, kind: Kind, reply: &Reply) -> bool {
         let other_size = |size| size != reply.shape.size;
-        let mut known = known.clone();
-        match self.without {
-            Without::Proof => return true,
-            Without::EverySize => {
-                known.taken = known.taken.filter(|taken| taken.fingerprint.is_some() || !other_size(taken.shape.size));
+        let mut in_step = in_step.clone();
+        match self.ablation {
+            Ablation::Proof => return true,
+            Ablation::EverySize => {
+                in_step.taken =
+                    in_step.taken.filter(|taken| taken.fingerprint.is_some() || !other_size(taken.shape.size));
             }
-            Without::OtherAnswer => {
-                known.taken = known.taken.filter(|taken| taken.fingerprint.is_none() == reply.refused);
+            Ablation::OtherAnswer => {
+                in_step.taken = in_step.taken.filter(|taken| taken.fingerprint.is_none() == reply.refused);
             }
             _ => {}
         }
-        known.proves(kind, reply)
+        in_step.proves(kind, reply)
     }
 }

@@ -3,9 +3,9 @@
 use crate::command::Code;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct Codes(u32);
+pub(super) struct CommandSet(u32);
 
-impl Codes {
+impl CommandSet {
     pub(super) const NONE: Self = Self(0);
 
     pub(super) fn contains(self, code: Code) -> bool {
@@ -29,7 +29,7 @@ mod tests {
     #[test]
     fn every_command_has_a_bit_of_its_own() {
         for (n, &code) in Code::ALL.iter().enumerate() {
-            let mut codes = Codes::NONE;
+            let mut codes = CommandSet::NONE;
             codes.insert(code);
             let found: Vec<_> = Code::ALL.iter().filter(|&&other| codes.contains(other)).collect();
             assert_eq!(found, [&Code::ALL[n]]);

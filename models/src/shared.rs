@@ -1,5 +1,5 @@
-//! The hub and the bell of a link: `src/link/hub.rs` and `src/link/bell.rs`. What decides (the core) is left out but for this:
-//! one request is on the wire at a time, the others are queued.
+//! The state that the threads of a link share: `src/link/shared.rs` and `src/link/io_waker.rs`.
+//! Of the core there is only this: one request is on the wire at a time, the others are queued.
 
 use std::future::poll_fn;
 use std::task::{Poll, Waker};
@@ -41,10 +41,10 @@ pub(crate) enum Fault {
     NotPosted,
     /// The end relies on the flag of the inbox.
     EndByFlag,
-    /// The bell wakes the task before it is known that it has rung.
-    WokenBeforeRung,
-    /// The ring is taken after the reading.
-    RingTakenLate,
+    /// The task is woken before the ready flag is set.
+    WokenBeforeReady,
+    /// The ready flag is cleared after the read.
+    ReadyClearedLate,
     /// Nothing is read before a request.
     NothingRead,
 }
@@ -64,8 +64,8 @@ impl Fault {
         Self::WakerLate,
         Self::NotPosted,
         Self::EndByFlag,
-        Self::WokenBeforeRung,
-        Self::RingTakenLate,
+        Self::WokenBeforeReady,
+        Self::ReadyClearedLate,
         Self::NothingRead,
     ];
 }
@@ -77,13 +77,13 @@ enum Bytes {
     ReplyTo(usize),
 }
 
-struct Hub {
+struct Shared {
     model: Model,
     fault: Option<Fault>,
     inbox: Mutex<Vec<usize>>,
     posted: AtomicBool,
     /// Until the task has ended.
-    desk: Lock<Option<Desk>>,
+    slot: Lock<Option<DriverSlot>>,
     closed: AtomicBool,
     line: Arc<Line>,
     /// How often each call has ended.
@@ -94,18 +94,18 @@ struct Line {
     fault: Option<Fault>,
     /// What has come, and whether somebody is to be woken when more does.
     came: Mutex<(Vec<Bytes>, bool)>,
-    bell: Bell,
+    io_waker: IoWaker,
 }
 
-struct Bell {
+struct IoWaker {
     task: AtomicWaker,
-    rung: AtomicBool,
+    ready: AtomicBool,
 }
 
-struct Desk {
+struct DriverSlot {
     queue: Vec<usize>,
     active: Option<usize>,
-    listens: bool,
+    read_armed: bool,
 }
 
 impl Line {
@@ -127,17 +127,17 @@ impl Line {
         if !wakes {
             return;
         }
-        if self.fault == Some(Fault::WokenBeforeRung) {
-            self.bell.task.wake();
-            self.bell.rung.store(true, Release);
+        if self.fault == Some(Fault::WokenBeforeReady) {
+            self.io_waker.task.wake();
+            self.io_waker.ready.store(true, Release);
         } else {
-            self.bell.rung.store(true, Release);
-            self.bell.task.wake();
+            self.io_waker.ready.store(true, Release);
+            self.io_waker.task.wake();
         }
     }
 }
 
-impl Hub {
+impl Shared {
     fn has(&self, fault: Fault) -> bool {
         self.fault == Some(fault)
     }
@@ -154,7 +154,7 @@ impl Hub {
         if self.closed.load(Acquire) {
             return self.end_call(call);
         }
-        match self.desk.try_lock() {
+        match self.slot.try_lock() {
             None => {
                 let mut inbox = self.inbox.lock().unwrap();
                 inbox.push(call);
@@ -162,24 +162,24 @@ impl Hub {
                     self.posted.store(true, Release);
                 }
                 drop(inbox);
-                return self.deliver();
+                return self.drain_inbox();
             }
-            Some(mut desk) => {
+            Some(mut slot) => {
                 let mut calls = self.take_inbox();
                 calls.push(call);
-                self.serve(desk.as_mut(), calls);
+                self.serve(slot.as_mut(), calls);
             }
         }
         if !self.has(Fault::InboxForgotten) {
-            self.deliver();
+            self.drain_inbox();
         }
     }
 
-    fn deliver(&self) {
+    fn drain_inbox(&self) {
         while !self.inbox.lock().unwrap().is_empty() {
-            let Some(mut desk) = self.desk.try_lock() else { return };
+            let Some(mut slot) = self.slot.try_lock() else { return };
             let calls = self.take_inbox();
-            self.serve(desk.as_mut(), calls);
+            self.serve(slot.as_mut(), calls);
         }
     }
 
@@ -192,31 +192,31 @@ impl Hub {
         std::mem::take(&mut *inbox)
     }
 
-    fn serve(&self, desk: Option<&mut Desk>, calls: Vec<usize>) {
-        let Some(desk) = desk else {
+    fn serve(&self, slot: Option<&mut DriverSlot>, calls: Vec<usize>) {
+        let Some(slot) = slot else {
             return calls.into_iter().for_each(|call| self.end_call(call));
         };
-        let free = desk.active.is_none();
-        desk.queue.extend(calls);
+        let free = slot.active.is_none();
+        slot.queue.extend(calls);
         if free {
-            self.advance(desk);
+            self.advance(slot);
         }
     }
 
     /// As the driver does, for the task or a caller.
-    fn advance(&self, desk: &mut Desk) {
-        desk.listens =
-            desk.listens && !self.line.bell.rung.load(Acquire) || self.has(Fault::NothingRead) && desk.active.is_none();
+    fn advance(&self, slot: &mut DriverSlot) {
+        slot.read_armed = slot.read_armed && !self.line.io_waker.ready.load(Acquire)
+            || self.has(Fault::NothingRead) && slot.active.is_none();
         loop {
-            if !desk.listens {
-                self.read_all(desk);
-                desk.listens = true;
+            if !slot.read_armed {
+                self.read_all(slot);
+                slot.read_armed = true;
             }
-            if desk.active.is_some() || desk.queue.is_empty() {
+            if slot.active.is_some() || slot.queue.is_empty() {
                 return;
             }
-            let call = desk.queue.remove(0);
-            desk.active = Some(call);
+            let call = slot.queue.remove(0);
+            slot.active = Some(call);
             match self.model {
                 Model::Callers => self.line.come(Bytes::ReplyTo(call)),
                 Model::Wire => {
@@ -227,12 +227,12 @@ impl Hub {
         }
     }
 
-    fn read_all(&self, desk: &mut Desk) {
-        if !self.has(Fault::RingTakenLate) {
-            self.line.bell.rung.swap(false, AcqRel);
+    fn read_all(&self, slot: &mut DriverSlot) {
+        if !self.has(Fault::ReadyClearedLate) {
+            self.line.io_waker.ready.swap(false, AcqRel);
         }
         while let Some(bytes) = self.line.read() {
-            match desk.active.take() {
+            match slot.active.take() {
                 None => assert_eq!(bytes, Bytes::Stale, "nobody has asked for it"),
                 Some(call) => {
                     assert_eq!(bytes, Bytes::ReplyTo(call), "a call gets what is not its reply");
@@ -240,26 +240,26 @@ impl Hub {
                 }
             }
         }
-        if self.has(Fault::RingTakenLate) {
-            self.line.bell.rung.swap(false, AcqRel);
+        if self.has(Fault::ReadyClearedLate) {
+            self.line.io_waker.ready.swap(false, AcqRel);
         }
     }
 
     /// A turn of the task.
     fn poll(&self, waker: &Waker) -> Poll<()> {
         if !self.has(Fault::WakerLate) {
-            self.line.bell.task.register(waker.clone());
+            self.line.io_waker.task.register(waker.clone());
         }
         loop {
-            let mut guard = self.desk.lock();
-            let Some(desk) = guard.as_mut() else { return Poll::Ready(()) };
+            let mut guard = self.slot.lock();
+            let Some(slot) = guard.as_mut() else { return Poll::Ready(()) };
             let closed = self.closed.load(Acquire);
-            desk.queue.extend(self.take_inbox());
+            slot.queue.extend(self.take_inbox());
             if closed {
-                std::mem::take(&mut desk.queue).into_iter().for_each(|call| self.end_call(call));
+                std::mem::take(&mut slot.queue).into_iter().for_each(|call| self.end_call(call));
             }
-            self.advance(desk);
-            if closed && desk.active.is_none() {
+            self.advance(slot);
+            if closed && slot.active.is_none() {
                 return Poll::Ready(());
             }
             drop(guard);
@@ -268,16 +268,16 @@ impl Hub {
             }
         }
         if self.has(Fault::WakerLate) {
-            self.line.bell.task.register(waker.clone());
+            self.line.io_waker.task.register(waker.clone());
         }
         Poll::Pending
     }
 
     fn end(&self) {
         self.closed.store(true, Release);
-        let desk = self.desk.lock().take();
-        if let Some(desk) = desk {
-            desk.queue.into_iter().chain(desk.active).for_each(|call| self.end_call(call));
+        let slot = self.slot.lock().take();
+        if let Some(slot) = slot {
+            slot.queue.into_iter().chain(slot.active).for_each(|call| self.end_call(call));
         }
         let left = match self.has(Fault::EndByFlag) {
             true => self.take_inbox(),
@@ -288,7 +288,7 @@ impl Hub {
 
     fn close(&self) {
         self.closed.store(true, Release);
-        self.line.bell.task.wake();
+        self.line.io_waker.task.wake();
     }
 }
 
@@ -299,51 +299,51 @@ pub(crate) fn run(model: Model, ending: Ending, fault: Option<Fault>, bound: usi
     builder.preemption_bound = Some(bound);
     builder.max_branches = 100_000;
     builder.check(move || {
-        let hub = Arc::new(Hub {
+        let shared = Arc::new(Shared {
             model,
             fault,
             inbox: Mutex::new(Vec::new()),
             posted: AtomicBool::new(false),
-            desk: Lock::new(Some(Desk { queue: Vec::new(), active: None, listens: false })),
+            slot: Lock::new(Some(DriverSlot { queue: Vec::new(), active: None, read_armed: false })),
             closed: AtomicBool::new(false),
             line: Arc::new(Line {
                 fault,
                 came: Mutex::new((Vec::new(), false)),
-                bell: Bell { task: AtomicWaker::new(), rung: AtomicBool::new(false) },
+                io_waker: IoWaker { task: AtomicWaker::new(), ready: AtomicBool::new(false) },
             }),
             ended: (0..CALLS).map(|_| AtomicUsize::new(0)).collect(),
         });
         let others = match model {
-            Model::Callers => callers(&hub, ending),
-            Model::Wire => caller(&hub, ending),
+            Model::Callers => callers(&shared, ending),
+            Model::Wire => caller(&shared, ending),
         };
         match ending {
-            Ending::Done => block_on(poll_fn(|cx| match hub.poll(cx.waker()) {
-                Poll::Pending if !hub.all_ended() => Poll::Pending,
+            Ending::Done => block_on(poll_fn(|cx| match shared.poll(cx.waker()) {
+                Poll::Pending if !shared.all_ended() => Poll::Pending,
                 _ => Poll::Ready(()),
             })),
-            Ending::Closed => block_on(poll_fn(|cx| hub.poll(cx.waker()))),
+            Ending::Closed => block_on(poll_fn(|cx| shared.poll(cx.waker()))),
             Ending::Dropped => block_on(poll_fn(|cx| {
-                let _ = hub.poll(cx.waker());
+                let _ = shared.poll(cx.waker());
                 Poll::Ready(())
             })),
         }
         if ending != Ending::Done {
-            hub.end();
+            shared.end();
         }
         others.into_iter().for_each(|thread| thread.join().unwrap());
-        assert!(hub.all_ended(), "a call is left");
+        assert!(shared.all_ended(), "a call is left");
     });
 }
 
 /// Two callers; the last one closes the link when it has called.
-fn callers(hub: &Arc<Hub>, ending: Ending) -> Vec<thread::JoinHandle<()>> {
+fn callers(shared: &Arc<Shared>, ending: Ending) -> Vec<thread::JoinHandle<()>> {
     let caller = |call| {
-        let hub = hub.clone();
+        let shared = shared.clone();
         thread::spawn(move || {
-            hub.submit(call);
+            shared.submit(call);
             if ending == Ending::Closed && call == CALLS - 1 {
-                hub.close();
+                shared.close();
             }
         })
     };
@@ -351,8 +351,8 @@ fn callers(hub: &Arc<Hub>, ending: Ending) -> Vec<thread::JoinHandle<()>> {
 }
 
 /// One caller. Something has come before it calls.
-fn caller(hub: &Arc<Hub>, ending: Ending) -> Vec<thread::JoinHandle<()>> {
-    let caller = hub.clone();
+fn caller(shared: &Arc<Shared>, ending: Ending) -> Vec<thread::JoinHandle<()>> {
+    let caller = shared.clone();
     let caller = thread::spawn(move || {
         caller.line.come(Bytes::Stale);
         (0..CALLS).for_each(|call| caller.submit(call));

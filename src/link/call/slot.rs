@@ -1,0 +1,336 @@
+//! The allocation that caller and link share for one call, and the caller's future.
+//!
+//! Memory order: the result is written under its mutex before `DONE` is set with `AcqRel`, and the
+//! future reads `DONE` with `Acquire`. `proof` is stored before `DONE`, too, so `Relaxed` suffices
+//! for it.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+
+use bytes::BytesMut;
+use futures::task::AtomicWaker;
+use tokio::time::Instant;
+
+use super::{AnyCall, CallMeta, SpareSlots, lock};
+use crate::command::{
+    self, Candidates, Class, Code, Command, InvalidRequest, NO_CANDIDATES, ReplyError, Run, Spelling,
+};
+use crate::error::{Error, ErrorCode};
+use crate::link::in_step::{Kind, Proof, Shape};
+use crate::wire::{FieldError, Framing};
+
+/// The caller's half of a call: a future of its result. Dropping it abandons the call.
+#[derive(Debug)]
+pub(crate) struct CallFuture<C: Command> {
+    slot: Arc<CallSlot<C>>,
+    replied_at: Option<Instant>,
+}
+
+impl<C: Command> CallFuture<C> {
+    pub(super) fn new(slot: Arc<CallSlot<C>>) -> Self {
+        Self { slot, replied_at: None }
+    }
+
+    /// Gives the call up. Returns whether the request, or a part of it, has been sent; if not, it
+    /// never will be.
+    pub(crate) fn abandon(&self) -> bool {
+        self.slot.state.fetch_or(ABANDONED, Ordering::AcqRel) & SENT != 0
+    }
+
+    /// Whether the call waits for the quiet time of its station.
+    pub(crate) fn awaits_silence(&self) -> bool {
+        self.slot.awaits_silence()
+    }
+
+    /// When the reply came: after the future is ready, and if there was a reply.
+    pub(crate) fn replied_at(&self) -> Option<Instant> {
+        self.replied_at
+    }
+
+    /// The spelling of the request that was answered.
+    pub(crate) fn spelling(&self) -> Spelling {
+        self.slot.spelling()
+    }
+
+    /// Shape of the positive reply to the spelling that was sent.
+    pub(crate) fn shape(&self, framing: Framing) -> Shape {
+        self.slot.shape(self.slot.spelling(), framing)
+    }
+
+    /// The station's proof when the reply was taken.
+    pub(crate) fn proof(&self) -> Proof {
+        let bits = self.slot.proof.load(Ordering::Relaxed);
+        let [p0, p1, p2, p3, d0, d1, d2, d3] = bits.to_be_bytes();
+        Proof { proofs: u32::from_be_bytes([p0, p1, p2, p3]), doubts: u32::from_be_bytes([d0, d1, d2, d3]) }
+    }
+
+    /// Leaves the slot to a later call if this one has ended.
+    pub(crate) fn recycle(self, spares: &SpareSlots) {
+        let slot = self.slot.clone();
+        drop(self);
+        if slot.state.load(Ordering::Acquire) & DONE != 0 {
+            // A waker keeps its task's memory alive.
+            drop(slot.waker.take());
+            spares.keep(slot);
+        }
+    }
+}
+
+impl<C: Command> Future for CallFuture<C> {
+    type Output = Result<C::Reply, Error>;
+
+    fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
+        if self.slot.state.load(Ordering::Acquire) & DONE == 0 {
+            self.slot.waker.register(cx.waker());
+            // Checked again: the call may have ended before the waker was registered, and have
+            // woken no task.
+            if self.slot.state.load(Ordering::Acquire) & DONE == 0 {
+                return Poll::Pending;
+            }
+        }
+        // A future is not polled again after it is ready, so the result is there. A caller that
+        // polls again gets an error rather than a panic.
+        let answer = lock(&self.slot.result).take();
+        let (result, at) = answer.unwrap_or((Err(Error::Closed { sent: true }), None));
+        self.replied_at = at;
+        Poll::Ready(result)
+    }
+}
+
+impl<C: Command> Drop for CallFuture<C> {
+    fn drop(&mut self) {
+        self.abandon();
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct CallSlot<C: Command> {
+    /// `None` only in a spare slot.
+    request: Option<C>,
+    /// Result of a call that ends without a reply.
+    implied_reply: Option<C::Reply>,
+    meta: CallMeta,
+    state: AtomicU8,
+    /// How many times the request has been sent, at most 255.
+    sends: AtomicU8,
+    /// The spelling: whether it begins one element earlier, the code, the number of elements.
+    spelling: AtomicU32,
+    /// The upper half is the number of proofs, the lower half that of doubts.
+    proof: AtomicU64,
+    result: Mutex<Option<TimedResult<C>>>,
+    waker: AtomicWaker,
+}
+
+/// A result, and when its reply came, if there was one.
+type TimedResult<C> = (Result<<C as Command>::Reply, Error>, Option<Instant>);
+
+/// Bits of the state. A call that is neither done nor abandoned is queued or on the wire.
+const DONE: u8 = 1;
+const ABANDONED: u8 = 2;
+/// The request has been sent at least once. The bit stays when the request is queued again.
+const SENT: u8 = 4;
+/// The call waits for the quiet time of its station.
+const AWAITS_SILENCE: u8 = 8;
+
+impl<C: Command> CallSlot<C> {
+    pub(super) fn new(request: C, implied_reply: Option<C::Reply>, meta: CallMeta) -> Self {
+        Self {
+            request: Some(request),
+            implied_reply,
+            meta,
+            state: AtomicU8::new(0),
+            sends: AtomicU8::new(0),
+            spelling: AtomicU32::new(0),
+            proof: AtomicU64::new(0),
+            result: Mutex::new(None),
+            waker: AtomicWaker::new(),
+        }
+    }
+
+    /// Reuses the slot of a call that has ended; its waker was taken in [`CallFuture::recycle`].
+    pub(super) fn begin(&mut self, request: C, implied_reply: Option<C::Reply>, meta: CallMeta) {
+        self.request = Some(request);
+        self.implied_reply = implied_reply;
+        self.meta = meta;
+        *self.state.get_mut() = 0;
+        *self.sends.get_mut() = 0;
+        *self.spelling.get_mut() = 0;
+        *self.proof.get_mut() = 0;
+        *self.result.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// The request of a call under way.
+    fn request(&self) -> Option<&C> {
+        debug_assert!(self.request.is_some(), "only a spare slot has no request");
+        self.request.as_ref()
+    }
+
+    /// Drops the request, and with it the values of a write.
+    pub(super) fn drop_request(&mut self) {
+        self.request = None;
+    }
+
+    /// Ends the call with this result, unless it has ended: the first result stays.
+    fn finish(&self, result: Result<C::Reply, Error>, at: Option<Instant>) {
+        if self.hold(result, at) {
+            self.done();
+        }
+    }
+
+    /// Stores a result that may still be taken back. Returns `false` if the call has ended.
+    fn hold(&self, result: Result<C::Reply, Error>, at: Option<Instant>) -> bool {
+        let mut slot = lock(&self.result);
+        let wanted = self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0;
+        if wanted {
+            *slot = Some((result, at));
+        }
+        wanted
+    }
+
+    fn done(&self) {
+        self.state.fetch_or(DONE, Ordering::AcqRel);
+        self.waker.wake();
+    }
+}
+
+impl<C: Command> AnyCall for CallSlot<C> {
+    fn meta(&self) -> &CallMeta {
+        &self.meta
+    }
+
+    fn kind(&self) -> Kind {
+        match (C::CODE.class(), self.request()) {
+            (Class::Write | Class::Control, _) | (Class::Read, None) => Kind::Once,
+            (Class::Read, Some(request)) if request.is_like_a_refusal() => Kind::Once,
+            (Class::Read, Some(_)) if C::CODE == Code::ReadProgramPage => Kind::Page,
+            (Class::Read, Some(_)) => Kind::Read,
+        }
+    }
+
+    fn plain(&self) -> Spelling {
+        self.request().map_or(Spelling::new(C::CODE, 0), C::plain)
+    }
+
+    fn candidates(&self, framing: Framing) -> Candidates {
+        self.request().map_or(NO_CANDIDATES, |request| request.candidates(self.meta.part, framing))
+    }
+
+    fn shape(&self, spelling: Spelling, framing: Framing) -> Shape {
+        let size = self.request().map_or(0, |request| request.reply_size(spelling, framing));
+        Shape { code: spelling.code, size }
+    }
+
+    fn run(&self) -> Option<Run> {
+        self.request().filter(|_| C::CODE.class() == Class::Read)?.run()
+    }
+
+    fn spell(&self, spelling: Spelling) {
+        let [high, low] = spelling.count.to_be_bytes();
+        let bits = u32::from_be_bytes([spelling.before.into(), spelling.code.into(), high, low]);
+        self.spelling.store(bits, Ordering::Release);
+    }
+
+    fn spelling(&self) -> Spelling {
+        let [before, code, high, low] = self.spelling.load(Ordering::Acquire).to_be_bytes();
+        match Code::from_u8(code) {
+            Some(code) => Spelling { code, count: u16::from_be_bytes([high, low]), before: before != 0 },
+            None => self.plain(),
+        }
+    }
+
+    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
+        if let Some(request) = self.request() {
+            request.check(framing)?;
+            command::encode_spelled(request, self.spelling(), framing, station, dst);
+        }
+        Ok(())
+    }
+
+    fn try_complete(
+        &self,
+        framing: Framing,
+        station: u8,
+        data: &[u8],
+        now: Instant,
+    ) -> Result<Option<ErrorCode>, FieldError> {
+        let Some(request) = self.request() else { return Err(FieldError::Unreadable) };
+        match command::decode_spelled(request, self.spelling(), framing, data) {
+            Ok(reply) => {
+                self.hold(Ok(reply), Some(now));
+                Ok(None)
+            }
+            Err(ReplyError::Plc(error)) => {
+                let repeated = self.sends.load(Ordering::Acquire) > 1;
+                self.hold(Err(Error::Plc { station, code: C::CODE, error, repeated }), Some(now));
+                Ok(Some(error))
+            }
+            Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
+        }
+    }
+
+    fn commit(&self, proof: Proof) {
+        self.proof.store(u64::from(proof.proofs) << 32 | u64::from(proof.doubts), Ordering::Relaxed);
+        if self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0 {
+            self.done();
+        }
+    }
+
+    fn retract(&self) {
+        let mut slot = lock(&self.result);
+        if self.state.load(Ordering::Acquire) & DONE == 0 {
+            *slot = None;
+        }
+    }
+
+    fn uncount_send(&self) {
+        let count = self.sends.load(Ordering::Acquire);
+        self.sends.store(count.saturating_sub(1), Ordering::Release);
+    }
+
+    fn mark_sent(&self) -> bool {
+        // Either the caller abandons first and learns that nothing was sent, or the link marks
+        // first and sends.
+        let wanted = |state| (state & ABANDONED == 0).then_some((state | SENT) & !AWAITS_SILENCE);
+        let sends = self.state.fetch_update(Ordering::AcqRel, Ordering::Acquire, wanted).is_ok();
+        if sends {
+            let count = self.sends.load(Ordering::Acquire);
+            self.sends.store(count.saturating_add(1), Ordering::Release);
+        }
+        sends
+    }
+
+    fn await_silence(&self) {
+        self.state.fetch_or(AWAITS_SILENCE, Ordering::AcqRel);
+    }
+
+    fn awaits_silence(&self) -> bool {
+        self.state.load(Ordering::Acquire) & AWAITS_SILENCE != 0
+    }
+
+    fn complete_without_reply(&self, proof: Proof) {
+        if self.hold(self.implied_reply.clone().ok_or(Error::Closed { sent: true }), None) {
+            self.commit(proof);
+        }
+    }
+
+    fn fail(&self, error: Error) {
+        self.finish(Err(error), None);
+    }
+
+    fn fail_if_pending(&self) {
+        if self.state.load(Ordering::Acquire) & DONE == 0 {
+            self.fail(Error::Closed { sent: self.was_sent() });
+        }
+    }
+
+    fn is_abandoned(&self) -> bool {
+        self.state.load(Ordering::Acquire) & ABANDONED != 0
+    }
+
+    fn was_sent(&self) -> bool {
+        self.state.load(Ordering::Acquire) & SENT != 0
+    }
+}

@@ -1,0 +1,180 @@
+//! Calls: the bytes of a reply, timeouts, retries, priority and the end of a call.
+
+use super::test_link::{MS, TIMEOUT, TestLink, read, result, write};
+use crate::command::{Code, ControlPlc, ReadStatus};
+use crate::error::Error;
+use crate::link::core::Action;
+use crate::link::options::CallOptions;
+use crate::wire::Framing;
+
+#[test]
+fn bytes_before_a_request_are_dropped_and_counted() {
+    let mut link = TestLink::new(Framing::Ascii);
+    link.receive(b"\x020146000");
+    assert_eq!(link.stats().stale_bytes, 0, "they may still become a frame");
+    let mut call = link.call(1, read(1));
+    link.expect_send();
+    assert_eq!(link.stats().stale_bytes, 8);
+    link.receive_frame(1, 0x46, b"00001");
+    assert_eq!(result(&mut call).unwrap().unwrap(), [1]);
+    link.call(1, read(1));
+    link.call(1, ReadStatus);
+    assert_eq!(link.stats().stale_bytes, 8, "no bytes came before the second request");
+}
+
+#[test]
+fn a_frame_behind_a_false_header_is_found_in_silence() {
+    let mut link = TestLink::new(Framing::Binary);
+    let mut call = link.call_with(1, read(1), CallOptions::new().retries(0));
+    link.expect_send();
+    link.receive(b"\x52\x10\x03\x00");
+    link.receive_frame(1, 0x46, b"\x00\x12\x34");
+    assert!(result(&mut call).is_none(), "it seems to be part of a longer frame");
+    link.advance(TIMEOUT * 10);
+    link.next_action();
+    assert_eq!(result(&mut call).unwrap().unwrap(), [0x1234]);
+}
+
+#[test]
+fn a_truncated_reply_is_a_bad_reply_and_no_timeout() {
+    let cut_off = [
+        (Framing::Ascii, &b"\x020146000"[..], "an incomplete frame"),
+        (Framing::Binary, b"\x52\x10\x00\x05\x01\x46", "a truncated frame"),
+    ];
+    for (framing, bytes, what) in cut_off {
+        let mut link = TestLink::new(framing);
+        let mut call = link.call_with(1, read(1), CallOptions::new().retries(0));
+        link.expect_send();
+        link.receive(bytes);
+        link.advance(TIMEOUT * 10);
+        link.next_action();
+        let error = result(&mut call).unwrap().unwrap_err();
+        assert!(matches!(&error, Error::BadReply { reason, .. } if reason == what), "{error:?}");
+        assert_eq!((link.station_stats(1).bad_replies, link.station_stats(1).timeouts), (1, 0));
+    }
+}
+
+#[test]
+fn garbage_between_frames_does_not_end_the_wait() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let mut call = link.call_with(1, read(1), CallOptions::new().retries(1));
+    link.expect_send();
+    link.receive(b"\x00\xFF");
+    let end = link.now + TIMEOUT;
+    assert_eq!(link.next_action(), Action::Wait(Some(end)), "the reply is still to come");
+    link.now = end;
+    link.next_action();
+    assert_eq!((link.station_stats(1).timeouts, link.station_stats(1).bad_replies), (1, 0));
+    assert!(result(&mut call).is_none(), "it is retried");
+}
+
+#[test]
+fn a_corrupt_frame_ends_the_wait_only_if_retries_are_left() {
+    for (retries, wait) in [(1, 30 * MS), (0, TIMEOUT)] {
+        let mut link = TestLink::new(Framing::Ascii);
+        let _call = link.call_with(1, read(1), CallOptions::new().retries(retries));
+        link.expect_send();
+        link.receive(b"\x020146000011FF\x03");
+        assert_eq!(link.next_action(), Action::Wait(Some(link.now + wait)), "{retries} retries");
+        link.advance(wait);
+        link.next_action();
+        assert_eq!((link.station_stats(1).bad_replies, link.stats().checksum_errors), (1, 1));
+    }
+}
+
+#[test]
+fn a_write_is_sent_once_unless_retries_are_allowed() {
+    for (options, sends) in [
+        (CallOptions::new(), 1),
+        (CallOptions::new().retry_writes(true), 3),
+        (CallOptions::new().retry_writes(true).retries(0), 1),
+    ] {
+        let mut link = TestLink::new(Framing::Ascii);
+        let mut call = link.call_with(1, write(), options);
+        let mut count = 0;
+        while result(&mut call).is_none() {
+            if link.expect_send() == Code::LoopBack {
+                link.receive_echo();
+            } else {
+                count += 1;
+                link.advance(TIMEOUT);
+                link.next_action();
+            }
+        }
+        assert_eq!(count, sends, "{options:?}");
+        assert_eq!(link.station_stats(1).retries, sends - 1);
+    }
+}
+
+#[test]
+fn nothing_is_retried_after_the_callers_deadline() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let mut call = link.call_with(1, read(1), CallOptions::new().call_timeout(40 * MS));
+    link.expect_send();
+    assert_eq!(link.next_action(), Action::Wait(Some(link.now + 40 * MS)), "the deadline of the call comes first");
+    link.advance(40 * MS);
+    link.next_action();
+    assert!(matches!(result(&mut call), Some(Err(Error::Timeout { .. }))));
+    assert_eq!((link.station_stats(1).retries, link.next_action()), (0, Action::Wait(None)));
+}
+
+#[test]
+fn an_abandoned_call_is_never_sent() {
+    let mut link = TestLink::new(Framing::Ascii);
+    drop(link.call(1, read(1)));
+    let given_up = link.call(1, read(1));
+    assert!(!given_up.abandon(), "nothing of it was sent");
+    assert_eq!(link.next_action(), Action::Wait(None));
+    assert_eq!(link.station_stats(1).requests, 0);
+    let sent = link.call(1, read(1));
+    link.expect_send();
+    assert!(sent.abandon());
+}
+
+#[test]
+fn the_time_of_a_reply_is_when_its_frame_came() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let mut call = link.call(1, read(1));
+    link.expect_send();
+    link.advance(7 * MS);
+    link.receive_reply(1, &read(1), &vec![3]);
+    let came = link.now;
+    link.advance(7 * MS);
+    assert_eq!(result(&mut call).unwrap().unwrap(), [3]);
+    assert_eq!(call.replied_at(), Some(came));
+    let round_trip = link.station_stats(1).round_trip.unwrap();
+    assert_eq!((round_trip.last, round_trip.smoothed), (7 * MS, 7 * MS));
+}
+
+#[test]
+fn control_comes_before_writes_and_writes_before_reads() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let _read = link.call_with(1, read(1), CallOptions::new().background(true));
+    let _status = link.call(1, ReadStatus);
+    let _write = link.call(1, write());
+    let _stop = link.call(1, ControlPlc::Stop);
+    let mut order = Vec::new();
+    for (command, reply) in [(0x41, &b"0"[..]), (0x47, b"0"), (0x40, b"0010000"), (0x46, b"00001")] {
+        order.push(link.expect_send());
+        link.receive_frame(1, command, reply);
+    }
+    assert_eq!(order, [Code::ControlPlc, Code::WriteRegisters, Code::ReadStatus, Code::ReadRegisters]);
+}
+
+#[test]
+fn a_closing_link_fails_waiting_calls_and_sends_nothing() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let mut on_the_wire = link.call(1, read(1));
+    let mut waiting = link.call(1, read(1));
+    link.expect_send();
+    assert!(!link.core.is_closing());
+    link.core.close();
+    assert!(link.core.is_closing());
+    assert!(matches!(result(&mut waiting), Some(Err(Error::Closed { sent: false }))));
+    assert!(matches!(result(&mut link.call(1, read(1))), Some(Err(Error::Closed { sent: false }))));
+    assert!(!link.core.is_idle());
+    link.advance(TIMEOUT);
+    link.next_action();
+    assert!(matches!(result(&mut on_the_wire), Some(Err(Error::Timeout { sent: true, .. }))), "it is not retried");
+    assert!(link.core.is_idle());
+}
