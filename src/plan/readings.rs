@@ -139,11 +139,11 @@ impl<'p, E> Readings<'p, E> {
 impl Tag {
     /// How many words of a reply a slot of this tag has.
     pub(super) fn slot_words(&self) -> usize {
-        match self.first().width() {
-            Width::Bit => 1,
-            Width::Word => self.elements_per_value(),
+        let words_per_element = match self.first().width() {
+            Width::Bit | Width::Word => 1,
             Width::DWord => 2,
-        }
+        };
+        words_per_element * self.elements_per_value()
     }
 
     /// Takes the elements of a slot from the words of its reply; `None`: they are not in it.
@@ -156,7 +156,11 @@ impl Tag {
                     raw.push(Value::Word(word(n)?));
                 }
             }
-            Width::DWord => raw.push(Value::DWord(u32::from(word(1)?) << 16 | u32::from(word(0)?))),
+            Width::DWord => {
+                for low in (0..self.slot_words()).step_by(2) {
+                    raw.push(Value::DWord(u32::from(word(low + 1)?) << 16 | u32::from(word(low)?)));
+                }
+            }
         }
         Some(())
     }
