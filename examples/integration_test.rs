@@ -292,7 +292,7 @@ mod tests {
             }
             looked += 1;
         }
-        assert!(bench.faults.rules().iter().all(|rule| rule.struck() > 0));
+        assert!(bench.faults.rules().iter().all(|rule| rule.times_applied() > 0));
         assert!(looked > 250, "the reads are repeated: {looked}");
         assert_eq!(bench.switched(), 0);
     }

@@ -1,4 +1,4 @@
-//! Where a PLC is: endpoints and how they are written.
+//! Endpoints: the address of a PLC as a URL.
 
 mod in_step;
 mod serial;
@@ -12,29 +12,32 @@ use in_step::InStepOptions;
 pub use in_step::{DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET, InStepSettings, MAX_COPIES};
 pub use serial::{DataBits, MAX_BAUD, MIN_BAUD, Parity, SerialSettings, StopBits};
 
-/// Where a PLC is, and how it talks.
+/// Address, transport and framing of a PLC or a line of PLCs, written as a URL.
 ///
-/// | | |
-/// |---|---|
-/// | `tcp://host[:port]` | a TCP connection, as to an Ethernet module |
-/// | `udp://host[:port]` | UDP, one frame a datagram |
-/// | `serial:path[?baud=9600&frame=7E1]` | a serial port: its path or name, its speed, and its data bits, parity (`N`, `E`, `O`) and stop bits |
+/// - `tcp://host[:port]`: a TCP connection, as to an Ethernet module
+/// - `udp://host[:port]`: UDP, one frame per datagram
+/// - `serial:path[?baud=9600&frame=7E1]`: a serial port, with its path or name, baud rate, and data
+///   bits, parity (`N`, `E`, `O`) and stop bits
 ///
-/// Options follow a `?` and are joined by `&`. Those of every transport, with their defaults:
+/// Options follow a `?`, separated by `&`. Options of all transports, with their defaults:
 ///
-/// | | |
-/// |---|---|
-/// | `framing=ascii` | The framing, `ascii` or `binary`. |
-/// | `copies=1` | A duplicate of a reply can come this many exchanges late, 0 to 8: each more costs a check between more of the requests of the same shape, and 0 is for lines that never double a reply. |
-/// | `window=100ms` | A duplicate comes before the station has been silent this long: a longer time costs a check between equal requests whose pause is shorter. |
-/// | `quiet=1s` | A station that refuses the loop-back must be silent this long before it is believed: the first request of a connection, and the first after an unexpected reply, waits as long. |
-/// | `one_request=false` | If `true`, the device closes the connection after each reply: each request waits for the quiet time, since no loop-back can go before it. |
+/// - `framing=ascii`: `ascii` or `binary`.
+/// - `copies=1`: number of exchanges after which a duplicate of a reply can still come, 0 to 8. A
+///   higher number costs more checks between requests of the same shape; 0 is for lines without
+///   duplicates.
+/// - `window=100ms`: silence of a station after which no duplicate comes. A longer time costs a
+///   check between equal requests with a shorter pause.
+/// - `quiet=1s`: silence that replaces the check of a station that refuses it (4E). The first
+///   request of a connection waits this long, and so does the first after an unexpected reply.
+/// - `one_request=false`: `true` if the gateway closes the connection after each reply. Each
+///   request waits for the quiet time, since a check would use up the connection.
 ///
-/// Times are in `ms` or `s`, at most a day, and can be fractions: `1.5s`. See [`InStepSettings`] for the last four.
+/// Times are in `ms` or `s`, at most a day, and can have decimals: `1.5s`. See [`InStepSettings`]
+/// for the last four options.
 ///
-/// The port is 500 unless stated, but must be stated for the binary framing, which has no usual one. An IPv6 address
-/// stands in brackets. A serial port has 9600 baud unless stated, and 7E1, or 8N1 for the binary framing, which needs 8
-/// data bits.
+/// Default port: 500 with the ASCII framing; required with the binary framing. An IPv6 address is
+/// in brackets. Default of a serial port: 9600 baud and 7E1, or 8N1 with the binary framing,
+/// which needs 8 data bits.
 ///
 /// ```
 /// use fatek::Endpoint;
@@ -57,22 +60,22 @@ pub struct Endpoint {
     in_step: InStepSettings,
 }
 
-/// What carries the bytes.
+/// The transport of an endpoint, with its address.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Transport {
     /// A TCP connection.
     #[non_exhaustive]
     Tcp {
-        /// A name or an address; an IPv6 address without its brackets.
+        /// Host name or address; an IPv6 address without brackets.
         host: String,
         /// The port.
         port: u16,
     },
-    /// UDP, one frame a datagram.
+    /// UDP, one frame per datagram.
     #[non_exhaustive]
     Udp {
-        /// A name or an address; an IPv6 address without its brackets.
+        /// Host name or address; an IPv6 address without brackets.
         host: String,
         /// The port.
         port: u16,
@@ -80,14 +83,14 @@ pub enum Transport {
     /// A serial port.
     #[non_exhaustive]
     Serial {
-        /// What the operating system calls it: `/dev/ttyUSB0`, `COM3`.
+        /// Its name in the operating system: `/dev/ttyUSB0`, `COM3`.
         path: String,
-        /// How it is set.
+        /// Baud rate, data bits, parity and stop bits.
         settings: SerialSettings,
     },
 }
 
-/// The port of FATEK's Ethernet modules, of TCP and of UDP.
+/// Default port, TCP and UDP: that of FATEK's Ethernet modules.
 pub const DEFAULT_PORT: u16 = 500;
 
 impl Endpoint {
@@ -103,7 +106,7 @@ impl Endpoint {
         Self::new(Transport::Udp { host: host.into(), port })
     }
 
-    /// A serial port with the ASCII framing, 9600 baud and 7E1.
+    /// A serial endpoint with the ASCII framing, 9600 baud and 7E1.
     ///
     /// ```
     /// use fatek::Endpoint;
@@ -124,11 +127,11 @@ impl Endpoint {
         Self { transport, framing: Framing::Ascii, in_step: InStepSettings::new() }
     }
 
-    /// The same with other settings of the serial port.
+    /// Sets the settings of the serial port.
     ///
     /// # Errors
-    /// [`InvalidSettings::NotSerial`] for another transport; [`InvalidSettings::DataBits`] for 7 data bits with the
-    /// binary framing.
+    /// [`InvalidSettings::NotSerial`] for another transport; [`InvalidSettings::DataBits`] for 7 data
+    /// bits with the binary framing.
     pub fn with_serial(mut self, serial: SerialSettings) -> Result<Self, InvalidSettings> {
         match &mut self.transport {
             Transport::Serial { settings, .. } => {
@@ -141,9 +144,9 @@ impl Endpoint {
         }
     }
 
-    /// The same with another framing.
+    /// Sets the framing.
     ///
-    /// Binary frames do not pass through a serial port with 7 data bits, so such a port is set to 8N1.
+    /// The binary framing needs 8 data bits: a serial port with 7 is set to 8N1.
     #[must_use]
     pub fn with_framing(mut self, framing: Framing) -> Self {
         self.framing = framing;
@@ -156,20 +159,20 @@ impl Endpoint {
         self
     }
 
-    /// The same with other assumptions about late and duplicate replies.
+    /// Sets the assumptions about late and duplicate replies.
     #[must_use]
     pub fn with_in_step(mut self, in_step: InStepSettings) -> Self {
         self.in_step = in_step;
         self
     }
 
-    /// What carries the bytes.
+    /// The transport, with its address.
     #[must_use]
     pub fn transport(&self) -> &Transport {
         &self.transport
     }
 
-    /// How frames look.
+    /// The framing.
     #[must_use]
     pub fn framing(&self) -> Framing {
         self.framing
@@ -268,37 +271,37 @@ impl fmt::Display for Authority<'_> {
     }
 }
 
-/// Settings that an endpoint cannot have.
+/// Invalid settings of an endpoint.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidSettings {
-    /// A speed that no serial port has.
+    /// The baud rate is not [`MIN_BAUD`] to [`MAX_BAUD`].
     #[error("the baud rate {baud} is not within {MIN_BAUD} to {MAX_BAUD}")]
     Baud {
-        /// The speed.
+        /// The baud rate.
         baud: u32,
     },
-    /// More than [`MAX_COPIES`] exchanges after which a duplicate of a reply can still come.
+    /// The number of copies is more than [`MAX_COPIES`].
     #[error("the number of copies {copies} is not within 0 to {MAX_COPIES}")]
     Copies {
         /// The number.
         copies: u8,
     },
-    /// Too few data bits for the binary framing, which uses all values of a byte.
+    /// The binary framing needs 8 data bits.
     #[error("the binary framing needs 8 data bits, and {settings} has {}", settings.data_bits())]
     DataBits {
         /// The settings.
         settings: SerialSettings,
     },
-    /// A serial port's settings for something else.
-    #[error("{endpoint} is no serial port")]
+    /// The endpoint is not a serial port.
+    #[error("{endpoint} is not a serial port")]
     NotSerial {
         /// The endpoint.
         endpoint: String,
     },
 }
 
-/// A text that is not an endpoint: the text, and the rule it breaks.
+/// A text that is not an endpoint, with the rule that it breaks.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{input}` is not an endpoint: {rule}")]
 pub struct ParseEndpointError {
@@ -315,7 +318,7 @@ fn parse(text: &str) -> Result<Endpoint, String> {
     let endpoint: fn(String, u16) -> Endpoint = match scheme.to_ascii_lowercase().as_str() {
         "tcp" => Endpoint::tcp,
         "udp" => Endpoint::udp,
-        _ => return Err(format!("the transport `{scheme}` is not known, only `tcp`, `udp` and `serial` are")),
+        _ => return Err(format!("unknown transport `{scheme}`: it must be `tcp`, `udp` or `serial`")),
     };
     let (authority, options) = split_options(rest)?;
     if let Some(name) = options.baud.and(Some("baud")).or(options.frame.and(Some("frame"))) {
@@ -331,7 +334,7 @@ fn parse(text: &str) -> Result<Endpoint, String> {
         None if options.framing == Framing::Ascii => DEFAULT_PORT,
         None => {
             return Err(format!(
-                "the binary framing has no usual port: state it, as in `{scheme}://host:port?framing=binary`"
+                "the binary framing has no default port: state it, as in `{scheme}://host:port?framing=binary`"
             ));
         }
     };
@@ -342,7 +345,7 @@ const SCHEMES: &str = "it must begin with `tcp://`, `udp://` or `serial:`";
 
 fn parse_serial(rest: &str) -> Result<Endpoint, String> {
     let (path, options) = split_options(rest)?;
-    // An URL with an empty authority, `serial:///dev/ttyUSB0`, means the same path.
+    // A URL with an empty authority, `serial:///dev/ttyUSB0`, has the same path.
     let path = path.strip_prefix("//").filter(|path| path.starts_with('/')).unwrap_or(path);
     if path.is_empty() {
         return Err("the path of the port is missing, as in `serial:/dev/ttyUSB0` or `serial:COM3`".to_owned());
@@ -351,7 +354,7 @@ fn parse_serial(rest: &str) -> Result<Endpoint, String> {
         return Err("the path follows `serial:` without `//`, as in `serial:/dev/ttyUSB0` or `serial:COM3`".to_owned());
     }
     if let Some(c) = path.chars().find(|c| c.is_control()) {
-        return Err(format!("the path has the character {c:?}, which no path of a port has"));
+        return Err(format!("the path has the character {c:?}, which is not valid in the path of a port"));
     }
     let mut settings = SerialSettings::new(options.framing);
     if let Some(text) = options.baud {
@@ -369,7 +372,7 @@ fn parse_serial(rest: &str) -> Result<Endpoint, String> {
     endpoint.with_serial(settings).map_err(|invalid| invalid.to_string())
 }
 
-/// What stands behind the `?`.
+/// The options behind the `?`.
 #[derive(Default)]
 struct Options<'a> {
     framing: Framing,
@@ -384,7 +387,7 @@ fn split_options(text: &str) -> Result<(&str, Options<'_>), String> {
     let mut framing = None;
     for option in query.split('&') {
         let (name, value) = option.split_once('=').unwrap_or((option, ""));
-        let place = match name {
+        let slot = match name {
             "framing" => &mut framing,
             "baud" => &mut options.baud,
             "frame" => &mut options.frame,
@@ -394,12 +397,12 @@ fn split_options(text: &str) -> Result<(&str, Options<'_>), String> {
             "one_request" => &mut options.in_step.one_request,
             _ => {
                 return Err(format!(
-                    "the option `{option}` is not known, only `framing`, `copies`, `window`, `quiet` and `one_request` \
-                     are and, for a serial port, `baud` and `frame`"
+                    "unknown option `{option}`: it must be `framing`, `copies`, `window`, `quiet` or `one_request`, \
+                     or, for a serial port, `baud` or `frame`"
                 ));
             }
         };
-        if place.replace(value).is_some() {
+        if slot.replace(value).is_some() {
             return Err(format!("the option `{name}` is given twice"));
         }
     }
@@ -430,9 +433,9 @@ fn split_authority(authority: &str) -> Result<(&str, Option<&str>), String> {
     if host.is_empty() {
         return Err("the host is missing".to_owned());
     }
-    let strange = host.chars().find(|c| !(c.is_alphanumeric() || "-._:".contains(*c)));
-    match strange {
-        Some(c) => Err(format!("the host `{host}` has the character {c:?}, which no host name has")),
+    let invalid = host.chars().find(|c| !(c.is_alphanumeric() || "-._:".contains(*c)));
+    match invalid {
+        Some(c) => Err(format!("the host `{host}` has the character {c:?}, which is not valid in a host name")),
         None => Ok((host, port)),
     }
 }

@@ -1,4 +1,4 @@
-//! What can go wrong, and whose fault it is.
+//! Errors of calls, and the error codes of replies.
 
 use std::io;
 use std::sync::Arc;
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use crate::command::{Code, InvalidRequest};
 
-/// The error code of a reply.
+/// Error code of a refusal.
 ///
 /// Source: protocol reference, section 4 (manuals 000 and 002 section 3, 001 section 2.3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
@@ -24,25 +24,25 @@ pub enum ErrorCode {
     /// 5: cannot run, the checksum of the ladder is wrong.
     #[error("cannot run: ladder checksum error (5)")]
     LadderChecksum,
-    /// 6: cannot run, the id of the PLC is not that of the ladder.
+    /// 6: cannot run, the id of the PLC is not the ladder's.
     #[error("cannot run: the PLC's id is not the ladder's (6)")]
     IdMismatch,
-    /// 7: cannot run, the ladder does not pass the syntax check.
+    /// 7: cannot run, syntax error in the ladder.
     #[error("cannot run: syntax error (7)")]
     Syntax,
-    /// 9: cannot run, the ladder uses a function that the PLC does not have.
+    /// 9: cannot run, the ladder uses a function that the PLC does not support.
     #[error("cannot run: function not supported (9)")]
     NotSupported,
     /// A: illegal address.
     #[error("illegal address (A)")]
     IllegalAddress,
-    /// A code that no manual names.
+    /// A code that is in no manual.
     #[error("unknown error code ({0:X})")]
     Unknown(u8),
 }
 
 impl ErrorCode {
-    /// The error with this code; `None` for 0, which says that all went well.
+    /// The error with this code; `None` for 0, which is success.
     #[must_use]
     pub fn from_u8(code: u8) -> Option<Self> {
         Some(match code {
@@ -71,7 +71,7 @@ impl From<ErrorCode> for u8 {
             ErrorCode::Syntax => 0x7,
             ErrorCode::NotSupported => 0x9,
             ErrorCode::IllegalAddress => 0xA,
-            // An error must never look like success, even one that is none.
+            // 0 is success, so it must not be sent for an error.
             ErrorCode::Unknown(code) => code.max(1),
         }
     }
@@ -79,14 +79,14 @@ impl From<ErrorCode> for u8 {
 
 /// Why a call failed.
 ///
-/// [`may_have_executed`](Self::may_have_executed) tells whether the PLC may have done what was asked all the same.
+/// [`may_have_executed`](Self::may_have_executed) tells whether the PLC can have executed it.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The caller's fault: the request breaks a rule of the protocol. Nothing was sent.
+    /// The request breaks a rule of the protocol. Nothing was sent.
     #[error("invalid request: {0}")]
     Invalid(#[from] InvalidRequest),
-    /// The PLC's answer: it refused the request.
+    /// The PLC refused the request.
     #[error("station {station} refused {code}: {error}")]
     #[non_exhaustive]
     Plc {
@@ -94,12 +94,12 @@ pub enum Error {
         station: u8,
         /// The command.
         code: Code,
-        /// What it answered.
+        /// The error code of the refusal.
         error: ErrorCode,
-        /// Whether the request had been sent before, without an answer: it may have been executed then.
+        /// Whether the request was sent before without a reply, so that it can have been executed.
         repeated: bool,
     },
-    /// Nothing came back in time.
+    /// No reply came within the timeout.
     #[error("station {station} did not answer {code} within {after:?}{}", unsent(*sent))]
     #[non_exhaustive]
     Timeout {
@@ -107,13 +107,12 @@ pub enum Error {
         station: u8,
         /// The command.
         code: Code,
-        /// How long was waited.
+        /// The time waited.
         after: Duration,
-        /// Whether the request itself had been sent; `false` when the station did not answer the loop-back that had
-        /// to come before it.
+        /// Whether the request was sent. `false` if the check (4E) before it was not answered.
         sent: bool,
     },
-    /// Something came back in time, and none of it was a reply to this request.
+    /// Frames came within the timeout, but no reply to this request.
     #[error("station {station} gave no usable reply to {code} within {after:?}: {reason}")]
     #[non_exhaustive]
     BadReply {
@@ -121,15 +120,14 @@ pub enum Error {
         station: u8,
         /// The command.
         code: Code,
-        /// How long was waited.
+        /// The time waited.
         after: Duration,
-        /// What was wrong with the last thing that came.
+        /// Why the last frame was not a reply to this request.
         reason: String,
-        /// Whether the request itself had been sent.
+        /// Whether the request was sent.
         sent: bool,
     },
-    /// Replies to earlier requests may still be under way: what came back may be one of them, or the station has not proven
-    /// the contrary in time.
+    /// Replies to earlier requests may still come, so that no reply can be matched to this request.
     #[error("station {station}, {code}: {}", out_of_step(*sent, *after))]
     #[non_exhaustive]
     OutOfStep {
@@ -137,13 +135,13 @@ pub enum Error {
         station: u8,
         /// The command.
         code: Code,
-        /// How long was waited.
+        /// The time waited.
         after: Duration,
-        /// Whether the request itself had been sent; `false` when the station refuses the check (4E) and was not silent for the
-        /// quiet time, or that is longer than the call may take.
+        /// Whether the request was sent. `false` if the station refuses the check (4E) and the quiet
+        /// time did not pass or is longer than the timeout of the call.
         sent: bool,
     },
-    /// Replies came twice and out of order while several requests belonged together, each time that they were repeated.
+    /// Duplicates came out of order during a job of several requests, also in all its repetitions.
     #[error(
         "station {station} sends duplicates of replies out of order: the results of several requests cannot be trusted"
     )]
@@ -151,69 +149,70 @@ pub enum Error {
     Duplicates {
         /// The station.
         station: u8,
-        /// Whether a request may have been executed whose reply cannot be trusted: `true` for writes.
+        /// Whether a request can have been executed without a reliable reply: `true` for writes.
         sent: bool,
     },
-    /// The station has not answered several times in a row; nothing is sent to it until it answers a probe.
+    /// The station did not answer several times in a row: calls fail until it answers a probe.
     #[error("station {station} is offline; the next probe is due in {probe_in:?}")]
     #[non_exhaustive]
     Offline {
         /// The station.
         station: u8,
-        /// When it is asked next whether it is there.
+        /// Time until the next probe.
         probe_in: Duration,
-        /// Whether the request had been sent before the station was found to be offline.
+        /// Whether the request was sent before the station was found offline.
         sent: bool,
     },
-    /// More calls wait for this station than the link holds. Nothing was sent.
+    /// The queue of calls for this station is full. Nothing was sent.
     #[error("{limit} calls are waiting for station {station} already")]
     #[non_exhaustive]
     QueueFull {
         /// The station.
         station: u8,
-        /// How many calls can wait.
+        /// Maximum number of waiting calls.
         limit: usize,
     },
     /// The connection could not be opened.
     #[error("cannot connect to {endpoint}: {source}")]
     #[non_exhaustive]
     Connect {
-        /// Where to.
+        /// The endpoint.
         endpoint: String,
-        /// Why not.
+        /// The error of the transport.
         source: Arc<io::Error>,
-        /// Whether the request had been sent before, over a connection that was lost.
+        /// Whether the request was sent before, over a connection that was lost.
         sent: bool,
     },
     /// The connection was lost.
     #[error("the connection to {endpoint} was lost: {source}")]
     #[non_exhaustive]
     Disconnected {
-        /// Where to.
+        /// The endpoint.
         endpoint: String,
-        /// How.
+        /// The error of the transport.
         source: Arc<io::Error>,
-        /// Whether the request, or a part of it, had been sent.
+        /// Whether the request, or a part of it, was sent.
         sent: bool,
     },
-    /// A write that takes several requests failed after the first of them, or was not confirmed in the end: the values before
-    /// `written` are in the PLC.
+    /// A write of several requests failed after the first one, or was not confirmed at its end.
     #[error("{written} of {count} values were written, and then: {source}")]
     #[non_exhaustive]
     PartlyWritten {
-        /// How many values, from the first one on, were written for certain.
+        /// Number of values, from the first on, that were certainly written.
         written: usize,
-        /// How many there were.
+        /// Number of values to write.
         count: usize,
-        /// What became of the next request. Its [`may_have_executed`](Self::may_have_executed) tells whether the values
-        /// behind `written`, as many as one request takes, may have been written, too; those behind them were not.
+        /// The error of the next request.
+        ///
+        /// Its [`may_have_executed`](Self::may_have_executed) tells whether its values, as many as
+        /// one request takes, can have been written. Values behind those were not written.
         source: Box<Error>,
     },
-    /// The link has been closed, or its task has ended with its runtime.
+    /// The link is closed, or its task has ended with its runtime.
     #[error("the link is closed")]
     #[non_exhaustive]
     Closed {
-        /// Whether the request had been sent before.
+        /// Whether the request was sent before.
         sent: bool,
     },
 }
@@ -226,19 +225,17 @@ fn out_of_step(sent: bool, after: Duration) -> String {
     match sent {
         true => "the reply may be a late one, or a duplicate of one, to an earlier request".to_owned(),
         false => format!(
-            "not sent within {after:?}: replies to earlier requests may be under way, and the station refuses the check, so it \
-             must be silent for the quiet time first"
+            "not sent within {after:?}: replies to earlier requests may be under way, and the station refuses the \
+             check, so it must be silent for the quiet time first"
         ),
     }
 }
 
 impl Error {
-    /// Whether the PLC may have executed the request.
+    /// Whether the PLC can have executed the request; of a write of several requests, any of them.
     ///
-    /// Of a write in several requests that is any of them.
-    ///
-    /// `false` is certain: the request was never sent, or the PLC refused it. `true` means that nobody can know, and
-    /// whether to repeat a write is the caller's to decide.
+    /// `false` is certain: the request was not sent, or the PLC refused it. `true` is not: whether
+    /// to repeat a write is the decision of the caller.
     #[must_use]
     pub fn may_have_executed(&self) -> bool {
         match self {
@@ -256,7 +253,7 @@ impl Error {
         }
     }
 
-    /// What the PLC answered, if that is the error.
+    /// The error code of the PLC, if it refused the request.
     #[must_use]
     pub fn error_code(&self) -> Option<ErrorCode> {
         match self {

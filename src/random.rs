@@ -1,9 +1,10 @@
-//! Randomness for nonces, jitter and simulated faults: seeded, so that a run can be repeated. Not for secrets.
+//! Random numbers for nonces, jitter and simulated faults. Seeded, so that runs are reproducible;
+//! not for secrets.
 
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
-/// `SplitMix64`.
+/// The `SplitMix64` generator.
 #[derive(Debug)]
 pub(crate) struct Random {
     state: u64,
@@ -14,7 +15,7 @@ impl Random {
         Self { state: seed }
     }
 
-    /// A seed that differs from process to process and from link to link.
+    /// A seed that differs between processes and between links.
     pub(crate) fn seed() -> u64 {
         RandomState::new().hash_one(0)
     }
@@ -26,9 +27,10 @@ impl Random {
         mixed ^ mixed >> 31
     }
 
-    /// Between half of it and all of it, so that links that failed together do not come back together.
+    /// Draws from half of a duration to all of it, so that links do not reconnect at the same time.
     pub(crate) fn jitter(&mut self, duration: Duration) -> Duration {
-        let thousandths = 500_u64.saturating_add(self.next().checked_rem(501).unwrap_or_default());
-        duration.saturating_mul(u32::try_from(thousandths).unwrap_or(1000)).checked_div(1000).unwrap_or(duration)
+        // 500 to 1000, so it fits a u32.
+        let thousandths = 500 + (self.next() % 501) as u32;
+        duration.saturating_mul(thousandths) / 1000
     }
 }

@@ -1,26 +1,28 @@
-//! Tags: elements as people write them, with the type that their bits stand for.
+//! Tags: elements with a data type, written as text.
 //!
-//! A [`Tag`] is an element, or a range of consecutive elements with both ends in it, and a [`TagType`]. An
-//! [`Assignment`] is a tag with a value for each place. Both are parsed from text and print themselves as text that
-//! parses to the same; they turn the [`Value`]s of the protocol into [`TagValue`]s and back.
+//! A [`Tag`] is an element or a range of consecutive elements, both ends included, with a
+//! [`TagType`]. An [`Assignment`] is a tag with its values. Both are parsed from text, and display
+//! as text that parses to the same. They convert the [`Value`]s of the protocol to [`TagValue`]s and
+//! back.
 //!
-//! | tag | what it is |
+//! | tag | meaning |
 //! |---|---|
-//! | `M100` | a discrete, on or off |
+//! | `M100` | a discrete |
 //! | `R0-R9`, `R0-9` | ten registers, each a `u16` |
 //! | `WM0-WM32` | the three words `WM0`, `WM16` and `WM32` |
 //! | `R5:i16` | a register, signed |
 //! | `DR2:i32` | a 32-bit register, signed |
 //! | `R100:f32` | the registers `R100`, the low word, and `R101` as one float |
-//! | `R0-R9:f32` | the same ten registers as five floats |
+//! | `R0-R9:f32` | ten registers as five floats |
 //! | `WY8:hex` | 16 outputs as four hexadecimal digits |
-//! | `R5:i16*0.1-40` | a register, signed, times a gain of 0.1, plus an offset of -40; see [`Scale`] |
-//! | `R0-R9:u16*0.01`, `R100:f32+3` | every number but `hex` can have a gain, an offset or both |
-//! | `R0-R9:text` | ten registers as one text of up to 20 characters, the low byte of each first |
-//! | `R0-R9:text-hi` | the same, the high byte first |
+//! | `R5:i16*0.1-40` | a register, signed, with a gain of 0.1 and an offset of -40; see [`Scale`] |
+//! | `R0-R9:u16*0.01`, `R100:f32+3` | all numbers except `hex` can have a gain, an offset or both |
+//! | `R0-R9:text` | ten registers as one text of up to 20 characters, low byte first |
+//! | `R0-R9:text-hi` | the same, high byte first |
 //!
-//! A text is read and written by one request, so it has at most 64 registers. Its characters are the 256 of Latin-1, and
-//! NULs at its end are not seen; in an assignment it stands in double quotes, which may be left out around plain words.
+//! A text is read and written by one request, so it has at most 64 registers. Its characters are
+//! Latin-1; NULs at its end are removed. In an assignment it is in double quotes, optional around
+//! plain words.
 //!
 //! ```
 //! use fatek::command::Value;
@@ -36,21 +38,22 @@
 //! assert_eq!(tag.decode(&[Value::Word(123)])?, [TagValue::Scaled(12.3)]);
 //!
 //! let tag: Tag = "R0-R1:text".parse()?;
-//! assert_eq!(tag.decode(&[Value::Word(0x4241), Value::Word(0x0043)])?, [TagValue::Text("ABC".to_owned())]);
+//! let text = TagValue::Text("ABC".to_owned());
+//! assert_eq!(tag.decode(&[Value::Word(0x4241), Value::Word(0x0043)])?, [text]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! This module does no I/O, and nothing in it panics, whatever the text. Source: protocol reference, section 3, for
-//! the order of words in 32 bits.
+//! No I/O. No text can cause a panic.
+//!
+//! Source: protocol reference, section 3, for the order of words in 32 bits.
 
 mod assignment;
+mod codec;
 mod error;
-mod kind;
 mod parse;
 mod scale;
 mod text;
 mod types;
-mod value;
 
 use std::fmt;
 use std::str::FromStr;
@@ -58,28 +61,30 @@ use std::str::FromStr;
 pub use assignment::Assignment;
 pub use error::{ParseAssignmentError, ParseTagError, ParseTagTypeError, ParseValueError, TagError, ValueError};
 pub use scale::{Scale, ScaleError};
-pub use types::TagType;
-pub use value::TagValue;
+pub use types::{TagType, TagValue};
 
-use self::kind::{Kind, Shape, high, low};
+use self::scale::parse_scaled;
+use self::types::Storage;
 use crate::command::{MAX_UNITS, Value};
 use crate::element::{Element, Width};
 
-/// Elements, and the type that their bits stand for: see [the module](self).
+/// An element or a range of elements, with a data type; see [the module](self).
 ///
-/// It has at least one value, and all of its elements exist.
+/// A tag has at least one value, and all of its elements exist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Tag {
     first: Element,
-    /// How many elements, not values.
+    /// Number of elements, not of values.
     count: usize,
     tag_type: TagType,
-    kind: Kind,
+    storage: Storage,
+    scale: Option<Scale>,
 }
 
 impl Tag {
-    /// `values` values of a type, one after the other from `first` on. A text of this many values is of one, and one
-    /// register long; for a longer one there is [`spanning`](Self::spanning).
+    /// A tag of consecutive values of a type, from `first` on.
+    ///
+    /// A text has one value of one register; for a longer text, use [`spanning`](Self::spanning).
     ///
     /// ```
     /// use fatek::register;
@@ -91,18 +96,20 @@ impl Tag {
     /// ```
     ///
     /// # Errors
-    /// [`TagError::WrongType`], [`TagError::NoValues`], [`TagError::SeveralTexts`] and [`TagError::PastTheEnd`].
+    /// [`TagError::WrongType`], [`TagError::NoValues`], [`TagError::SeveralTexts`] and
+    /// [`TagError::PastTheEnd`].
     pub fn new(first: impl Into<Element>, tag_type: TagType, values: usize) -> Result<Self, TagError> {
         let first = first.into();
-        let kind = kind(first, tag_type)?;
+        let storage = storage(first, tag_type)?;
         if tag_type.is_text() && values > 1 {
             return Err(TagError::SeveralTexts { first });
         }
-        let per_value = if kind.bits() > first.width().bits() { 2 } else { 1 };
-        Self::checked(first, values.saturating_mul(per_value), tag_type, kind)
+        // On overflow, the elements are past the last address, too.
+        let elements = values.saturating_mul(storage.elements_per_value(first.width()));
+        Self::checked(first, elements, tag_type, storage)
     }
 
-    /// So many elements from `first` on: as many values of the type as they hold, or one text.
+    /// A tag of consecutive elements, from `first` on: as many values as they hold, or one text.
     ///
     /// ```
     /// use fatek::register;
@@ -114,21 +121,22 @@ impl Tag {
     /// ```
     ///
     /// # Errors
-    /// [`TagError::WrongType`], [`TagError::NoValues`], [`TagError::Uneven`], [`TagError::LongText`] and
-    /// [`TagError::PastTheEnd`].
+    /// [`TagError::WrongType`], [`TagError::NoValues`], [`TagError::Uneven`],
+    /// [`TagError::LongText`] and [`TagError::PastTheEnd`].
     pub fn spanning(first: impl Into<Element>, tag_type: TagType, elements: usize) -> Result<Self, TagError> {
         let first = first.into();
-        let kind = kind(first, tag_type)?;
-        if kind.bits() > first.width().bits() && !elements.is_multiple_of(2) {
-            return Err(TagError::Uneven { count: elements, tag_type });
+        let storage = storage(first, tag_type)?;
+        let per_value = storage.elements_per_value(first.width());
+        if !elements.is_multiple_of(per_value) {
+            return Err(TagError::Uneven { count: elements, per_value, tag_type });
         }
         if tag_type.is_text() && elements > MAX_UNITS {
             return Err(TagError::LongText { registers: elements, max: MAX_UNITS });
         }
-        Self::checked(first, elements, tag_type, kind)
+        Self::checked(first, elements, tag_type, storage)
     }
 
-    /// The same elements, their numbers after gain and offset.
+    /// Sets gain and offset of the values.
     ///
     /// ```
     /// use fatek::element;
@@ -142,18 +150,16 @@ impl Tag {
     /// # Errors
     /// [`TagError::NotScalable`] for `bool`, `hex` and texts.
     pub fn scaled(self, scale: Scale) -> Result<Self, TagError> {
-        match self.kind {
-            Kind::Plain(shape) | Kind::Scaled(shape, _) if self.tag_type.is_scalable() => {
-                Ok(Self { kind: Kind::Scaled(shape, scale), ..self })
-            }
-            Kind::Plain(_) | Kind::Scaled(..) | Kind::Text(_) => Err(TagError::NotScalable { tag_type: self.tag_type }),
+        if !self.tag_type.is_scalable() {
+            return Err(TagError::NotScalable { tag_type: self.tag_type });
         }
+        Ok(Self { scale: Some(scale), ..self })
     }
 
-    fn checked(first: Element, count: usize, tag_type: TagType, kind: Kind) -> Result<Self, TagError> {
+    fn checked(first: Element, count: usize, tag_type: TagType, storage: Storage) -> Result<Self, TagError> {
         let last = count.checked_sub(1).ok_or(TagError::NoValues)?;
         match first.nth(last) {
-            Ok(_) => Ok(Self { first, count, tag_type, kind }),
+            Ok(_) => Ok(Self { first, count, tag_type, storage, scale: None }),
             Err(_) => Err(TagError::PastTheEnd { first, count }),
         }
     }
@@ -164,41 +170,40 @@ impl Tag {
         self.first
     }
 
-    /// What the bits stand for.
+    /// The data type.
     #[must_use]
     pub fn tag_type(&self) -> TagType {
         self.tag_type
     }
 
-    /// Gain and offset of its numbers, if it has them.
+    /// Gain and offset, if it has them.
     #[must_use]
     pub fn scale(&self) -> Option<Scale> {
-        self.kind.scale()
+        self.scale
     }
 
-    /// How many elements it has.
+    /// Number of elements.
     #[must_use]
     pub fn element_count(&self) -> usize {
         self.count
     }
 
-    /// How many values it has: as many as elements, half as many where a value takes two, and one if it is a text.
+    /// Number of values; 1 for a text.
     #[must_use]
     pub fn value_count(&self) -> usize {
         self.count / self.elements_per_value()
     }
 
-    /// How many elements one value takes: 2 for 32 bits on 16-bit registers, all of them for a text, else 1.
+    /// Number of elements per value: 2 for 32 bits on 16-bit registers, all for a text, else 1.
     #[must_use]
     pub fn elements_per_value(&self) -> usize {
-        match self.kind {
-            Kind::Text(_) => self.count,
-            kind @ (Kind::Plain(_) | Kind::Scaled(..)) if kind.bits() > self.first.width().bits() => 2,
-            Kind::Plain(_) | Kind::Scaled(..) => 1,
+        match self.storage {
+            Storage::Text(_) => self.count,
+            Storage::Bits(_) => self.storage.elements_per_value(self.first.width()),
         }
     }
 
-    /// Its elements, in order: what is to be read, or written.
+    /// Its elements in order, to be read or written.
     pub fn elements(&self) -> impl Iterator<Item = Element> + use<> {
         let first = self.first;
         (0..self.count).filter_map(move |n| first.nth(n).ok())
@@ -210,13 +215,13 @@ impl Tag {
         self.elements().step_by(per_value).map(move |first| Self { first, count: per_value, ..tag })
     }
 
-    /// What the elements hold, as values of the type.
+    /// Decodes the values of its elements.
     ///
-    /// `raw` is what was read from [`elements`](Self::elements), in their order.
+    /// `raw`: the values of [`elements`](Self::elements), in their order.
     ///
     /// # Errors
-    /// [`ValueError::Count`] unless there is one for each element, [`ValueError::WrongWidth`] when one is not as wide
-    /// as the elements are.
+    /// [`ValueError::Count`] unless there is one per element; [`ValueError::WrongWidth`] if one has
+    /// not the width of the elements.
     pub fn decode(&self, raw: &[Value]) -> Result<Vec<TagValue>, ValueError> {
         if raw.len() != self.count {
             return Err(ValueError::Count { tag: *self, expected: self.count, given: raw.len() });
@@ -224,18 +229,18 @@ impl Tag {
         if let Some(&value) = raw.iter().find(|value| value.width() != self.first.width()) {
             return Err(ValueError::WrongWidth { tag: *self, value });
         }
-        Ok(raw.chunks(self.elements_per_value()).map(|elements| self.kind.value(elements)).collect())
+        Ok(raw.chunks(self.elements_per_value()).map(|elements| self.decode_one(elements)).collect())
     }
 
-    /// What the elements are to hold, for these values.
+    /// Encodes values for its elements.
     ///
-    /// The result goes to [`elements`](Self::elements), in their order.
+    /// Returns one value for each of [`elements`](Self::elements), in their order.
     ///
     /// # Errors
-    /// - [`ValueError::Count`] unless there are [`value_count`](Self::value_count) of them
-    /// - [`ValueError::WrongType`] when one is of another type
-    /// - [`ValueError::RawOutOfRange`] when one comes from no number that the elements can hold, by the scale
-    /// - [`ValueError::TooLong`] and [`ValueError::NotLatin1`] when a text cannot be held
+    /// - [`ValueError::Count`] unless there are [`value_count`](Self::value_count) values
+    /// - [`ValueError::WrongType`] for a value of another type
+    /// - [`ValueError::RawOutOfRange`] for a scaled value whose raw number does not fit
+    /// - [`ValueError::TooLong`] and [`ValueError::NotLatin1`] for a text that does not fit
     pub fn encode(&self, values: &[TagValue]) -> Result<Vec<Value>, ValueError> {
         if values.len() != self.value_count() {
             return Err(ValueError::Count { tag: *self, expected: self.value_count(), given: values.len() });
@@ -245,16 +250,18 @@ impl Tag {
         Ok(raw)
     }
 
-    /// Reads the values of this tag: as many as it has, with commas between.
+    /// Parses the values of this tag, separated by commas.
     ///
-    /// - numbers: decimal, with a sign if need be; `f32` also with a point or an exponent, `nan` and `inf`
-    /// - `bool`: `0` `1` `false` `true` `off` `on`
-    /// - every type: the bits after `0x`, so `0xFFFF` as `i16` is -1; `hex` takes no other form, for nobody can know
-    ///   what `10` was meant to be, and `f32` takes all 8 digits
-    /// - scaled: decimal, with a point or an exponent, `nan` and `inf`; the nearest raw number is what is written, and
-    ///   bits are not taken
-    /// - a text: in double quotes, with `\\` before `"` and `\\`, and `\\n`, `\\r`, `\\t`, `\\0` or `\\x` and two hexadecimal
-    ///   digits for what cannot be seen; without quotes if it has no such character, no comma and no blank at its ends
+    /// - Numbers: decimal, with an optional sign. `f32` also with decimals or an exponent, `nan`
+    ///   and `inf`.
+    /// - `bool`: `0` `1` `false` `true` `off` `on`.
+    /// - All these types: the bits as `0x` and hexadecimal digits, so `0xFFFF` as `i16` is -1.
+    ///   `f32` takes all 8 digits. `hex` takes only this form, since `10` is ambiguous.
+    /// - Scaled values: decimal, with decimals or an exponent, `nan` and `inf`, but not `0x`. The
+    ///   nearest raw number is written.
+    /// - A text: in double quotes, with `\\` before `"` and `\\`, and `\\n`, `\\r`, `\\t`, `\\0` or
+    ///   `\\x` and two hexadecimal digits for control characters. Quotes are optional without such
+    ///   characters, commas, and blanks at the ends.
     ///
     /// ```
     /// use fatek::tag::{Tag, TagValue};
@@ -265,27 +272,27 @@ impl Tag {
     /// ```
     ///
     /// # Errors
-    /// [`ParseValueError`]: the value, and the rule that it breaks.
+    /// [`ParseValueError`], with the value and the rule that it breaks.
     pub fn parse_values(&self, text: &str) -> Result<Vec<TagValue>, ParseValueError> {
         Ok(self.parse_and_encode(text)?.0)
     }
 
-    /// The values that the text names, and what the elements are to hold for them.
+    /// Parses values, and encodes them for the elements.
     fn parse_and_encode(&self, text: &str) -> Result<(Vec<TagValue>, Vec<Value>), ParseValueError> {
         let error = |input: &str, reason| ParseValueError::new(input, *self, reason);
         let (mut values, mut raw) = (Vec::new(), Vec::new());
         let mut take = |item: &str| {
             let item = item.trim();
-            let value = self.kind.parse(item).map_err(|reason| error(item, reason))?;
+            let value = self.parse_one(item).map_err(|reason| error(item, reason))?;
             self.encode_one(&value, &mut raw).map_err(|reason| error(item, reason))?;
             values.push(value);
             Ok(())
         };
         if self.tag_type.is_text() {
-            // Whatever stands in it: commas that are not in quotes are refused as such.
+            // Not split: the parser of texts refuses commas outside of quotes.
             take(text)?;
         } else {
-            // Counted first, so that the time it takes is bounded by the tag.
+            // Counted first, so that the length of the tag bounds the time.
             let given = text.split(',').count();
             if given != self.value_count() {
                 return Err(error(text, ValueError::Count { tag: *self, expected: self.value_count(), given }));
@@ -295,60 +302,86 @@ impl Tag {
         Ok((values, raw))
     }
 
+    fn parse_one(&self, text: &str) -> Result<TagValue, ValueError> {
+        if text.is_empty() {
+            return Err(ValueError::Empty);
+        }
+        match (self.storage, self.scale) {
+            (Storage::Bits(format), None) => format.parse(text),
+            (Storage::Bits(_), Some(_)) => Ok(TagValue::Scaled(parse_scaled(text)?)),
+            (Storage::Text(_), _) => Ok(TagValue::Text(text::parse(text)?)),
+        }
+    }
+
+    fn decode_one(&self, elements: &[Value]) -> TagValue {
+        match (self.storage, self.scale) {
+            (Storage::Bits(format), None) => format.value(join(elements)),
+            (Storage::Bits(format), Some(scale)) => TagValue::Scaled(scale.value(format, join(elements))),
+            (Storage::Text(order), _) => {
+                TagValue::Text(text::decode(elements.iter().map(|&element| low_word(bits(element))), order))
+            }
+        }
+    }
+
     fn encode_one(&self, value: &TagValue, raw: &mut Vec<Value>) -> Result<(), ValueError> {
-        let bits = match (self.kind, value) {
-            (Kind::Text(order), TagValue::Text(text)) => {
+        let bits = match (self.storage, self.scale, value) {
+            (Storage::Text(order), _, TagValue::Text(text)) => {
                 raw.extend(text::encode(text, self.count, order)?.into_iter().map(Value::Word));
                 return Ok(());
             }
-            (Kind::Scaled(shape, scale), &TagValue::Scaled(value)) => {
-                let bits = scale.bits(shape, value);
+            (Storage::Bits(format), Some(scale), &TagValue::Scaled(value)) => {
+                let bits = scale.bits(format, value);
                 bits.ok_or(ValueError::RawOutOfRange { value, raw: scale.raw(value), tag_type: self.tag_type })?
             }
-            (kind, value) => match value.bits() {
-                Some((shape, bits)) if kind == Kind::Plain(shape) => bits,
-                _ => return Err(ValueError::WrongType { tag: *self, value: value.clone() }),
+            (Storage::Bits(own), None, value) => match value.bits() {
+                Some((format, bits)) if format == own => bits,
+                Some(_) | None => return Err(ValueError::WrongType { tag: *self, value: value.clone() }),
             },
+            (Storage::Text(_) | Storage::Bits(_), _, value) => {
+                return Err(ValueError::WrongType { tag: *self, value: value.clone() });
+            }
         };
-        match (self.first.width(), self.elements_per_value()) {
-            (Width::Bit, _) => raw.push(Value::Bit(bits != 0)),
-            (Width::Word, 1) => raw.push(Value::Word(low(bits))),
-            (Width::Word, _) => raw.extend([Value::Word(low(bits)), Value::Word(high(bits))]),
-            (Width::DWord, _) => raw.push(Value::DWord(bits)),
-        }
+        raw.extend(split(bits, self.first.width(), self.elements_per_value()));
         Ok(())
+    }
+
+    /// The type of its values, for errors: `u16 of 16 bits`, `scaled`, `text`.
+    fn description(&self) -> String {
+        match (self.storage, self.scale) {
+            (Storage::Bits(_), Some(_)) => "scaled".to_owned(),
+            (Storage::Bits(format), None) => format.description(),
+            (Storage::Text(_), _) => "text".to_owned(),
+        }
     }
 }
 
 impl From<Element> for Tag {
-    /// The element alone, with the type that is the default for it.
+    /// A tag of this element, with the default type of its width.
     fn from(first: Element) -> Self {
-        let (tag_type, shape) = match first.width() {
-            Width::Bit => (TagType::Bool, Shape::Bool),
-            Width::Word => (TagType::U16, Shape::U16),
-            Width::DWord => (TagType::U32, Shape::U32),
-        };
-        Self { first, count: 1, tag_type, kind: Kind::Plain(shape) }
+        let (tag_type, storage) = TagType::default_of(first.width());
+        Self { first, count: 1, tag_type, storage, scale: None }
     }
 }
 
 impl FromStr for Tag {
     type Err = ParseTagError;
 
-    /// Reads `ELEMENT`, `ELEMENT:TYPE`, `FIRST-LAST` or `FIRST-LAST:TYPE`, in either case; the letters of `LAST` may
-    /// be left out. Behind the type there can be a [`Scale`].
+    /// Parses `ELEMENT`, `ELEMENT:TYPE`, `FIRST-LAST` or `FIRST-LAST:TYPE`, in either case.
+    ///
+    /// The letters of `LAST` are optional. A [`Scale`] can follow the type.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         parse::parse(text).map_err(|reason| ParseTagError { input: text.to_owned(), reason })
     }
 }
 
 impl fmt::Display for Tag {
-    /// The shortest text that parses to the same: the type is left out where it is the default, and the range where
-    /// the first element and the type tell it.
+    /// The shortest text that parses to the same tag.
+    ///
+    /// Without the type if it is the default, and without the end of a range of one value.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.first)?;
-        let told = if self.tag_type.is_text() { 1 } else { self.elements_per_value() };
-        if self.count > told
+        let implied = if self.tag_type.is_text() { 1 } else { self.elements_per_value() };
+        if self.count > implied
             && let Ok(last) = self.first.nth(self.count - 1)
         {
             write!(f, "-{last}")?;
@@ -361,9 +394,42 @@ impl fmt::Display for Tag {
     }
 }
 
-/// What values of a type are made of on these elements.
-fn kind(first: Element, tag_type: TagType) -> Result<Kind, TagError> {
-    tag_type.kind(first.width()).ok_or(TagError::WrongType { symbol: first.symbol(), tag_type })
+/// The storage of a value of this type, from `first` on.
+fn storage(first: Element, tag_type: TagType) -> Result<Storage, TagError> {
+    tag_type.storage(first.width()).ok_or(TagError::WrongType { symbol: first.symbol(), tag_type })
+}
+
+/// The bits of the elements of one value, the first element lowest.
+fn join(elements: &[Value]) -> u64 {
+    elements.iter().rev().fold(0, |joined, &element| joined << element.width().bits() | bits(element))
+}
+
+/// The elements of one value from its bits, the lowest first.
+fn split(bits: u64, width: Width, elements: usize) -> impl Iterator<Item = Value> {
+    let parts = (0..elements).map(move |n| bits >> (n as u32 * width.bits()));
+    parts.map(move |bits| match width {
+        Width::Bit => Value::Bit(bits != 0),
+        Width::Word => Value::Word(low_word(bits)),
+        Width::DWord => Value::DWord(low_double(bits)),
+    })
+}
+
+fn bits(element: Value) -> u64 {
+    match element {
+        Value::Bit(on) => on.into(),
+        Value::Word(word) => word.into(),
+        Value::DWord(double) => double.into(),
+    }
+}
+
+#[allow(clippy::cast_possible_truncation, reason = "the low word is wanted")]
+fn low_word(bits: u64) -> u16 {
+    bits as u16
+}
+
+#[allow(clippy::cast_possible_truncation, reason = "the low double word is wanted")]
+fn low_double(bits: u64) -> u32 {
+    bits as u32
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use fatek::command::{Code, Request, WriteDiscretes, WriteMixed, WriteRegisters};
 use fatek::endpoint::InStepSettings;
-use fatek::sim::fault::Heard;
+use fatek::sim::fault::Arrival;
 use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
 use fatek::wire::Framing;
 use fatek::{
@@ -39,10 +39,10 @@ impl Bench {
 
 /// The requests that have arrived.
 fn requests_of(faults: &Faults) -> Vec<Request> {
-    let heard = faults.log().entries().into_iter().map(|entry| entry.heard);
+    let heard = faults.log().entries().into_iter().map(|entry| entry.arrival);
     heard
         .map(|heard| match heard {
-            Heard::Request { request, .. } => request,
+            Arrival::Request { request, .. } => request,
             other => panic!("{other:?}"),
         })
         .collect()

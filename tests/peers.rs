@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use fatek::command::Code;
 use fatek::endpoint::InStepSettings;
-use fatek::sim::{self, Bus, Fault, Faults, Line, Moment, Plc, Rule};
+use fatek::sim::{self, Bus, DisconnectAt, Fault, Faults, Line, Plc, Rule};
 use fatek::wire::Framing;
 use fatek::{CallOptions, Error, ErrorCode, Link, LinkBuilder, Register, Station, StationState, Value};
 use tokio::time::{Instant, sleep, timeout};
@@ -69,7 +69,7 @@ async fn a_reply_that_is_shorter_or_longer_than_asked_is_never_accepted() {
             assert!(matches!(result, Err(Error::BadReply { .. })), "{framing}, {fault:?}: {result:?}");
             let repeated = link.station(1).unwrap().read_registers(d(2), 2).await;
             assert_eq!(repeated.unwrap(), words(1, 2), "{framing}, {fault:?}");
-            assert_eq!(faults.rules()[0].struck(), 2);
+            assert_eq!(faults.rules()[0].times_applied(), 2);
         }
     }
 }
@@ -79,7 +79,7 @@ async fn a_future_that_is_dropped_with_its_request_on_the_wire_leaves_the_stream
     for framing in FRAMINGS {
         let (builder, faults) = bus(framing, 1);
         let scan = Duration::from_millis(20);
-        faults.set_line(Line::new(0).turnaround(scan, scan));
+        faults.set_line(Line::new(0).response_time(scan, scan));
         let link = builder.build();
         let station = link.station(1).unwrap();
         station.read_status().await.unwrap();
@@ -173,7 +173,12 @@ async fn a_lost_connection_is_opened_again_and_no_read_fails_for_it() {
         let station = link.station(1).unwrap();
         assert_eq!(station.read_registers(d(0), 2).await.unwrap(), words(1, 0));
         let mut losses = 0;
-        for moment in [Moment::BeforeExecution, Moment::BeforeReply, Moment::WithinReply, Moment::AfterReply] {
+        for moment in [
+            DisconnectAt::BeforeExecution,
+            DisconnectAt::BeforeReply,
+            DisconnectAt::WithinReply,
+            DisconnectAt::AfterReply,
+        ] {
             for n in 0..5 {
                 let lose = Rule::new(Fault::Disconnect(moment)).command(Code::ReadRegisters).times(1);
                 let refuse = Rule::new(Fault::Refuse).times(2);
@@ -204,7 +209,7 @@ async fn whatever_happens_is_in_one_result_with_one_error() {
         (Fault::Error(ErrorCode::IllegalAddress), "refused"),
         (Fault::Ignore, "did not answer"),
         (Fault::BadChecksum, "gave no usable reply"),
-        (Fault::Disconnect(Moment::BeforeReply), "was lost"),
+        (Fault::Disconnect(DisconnectAt::BeforeReply), "was lost"),
         (Fault::Refuse, "cannot connect"),
     ] {
         faults.set_rules([Rule::new(fault)]);

@@ -7,7 +7,7 @@ use std::time::Duration;
 use fatek::command::{Code, Request, Value};
 use fatek::endpoint::InStepSettings;
 use fatek::plan::{PlanReadings, ReadRequest, Reply};
-use fatek::sim::fault::{Heard, LogEntry};
+use fatek::sim::fault::{Arrival, LogEntry};
 use fatek::sim::{self, Bus, Fault, Faults, Model, Plc, Rule};
 use fatek::tag::{Assignment, Tag, TagValue};
 use fatek::wire::Framing;
@@ -141,8 +141,8 @@ async fn a_text_is_never_made_of_two_replies() {
         let tags: Vec<Tag> = ["R0-R39", "R30-R79:text", "R60-R119"].map(|tag| tag.parse().unwrap()).into();
         let plan = Plan::builder(model(framing)).tags(tags.clone()).build().unwrap();
         plan.read(&bench.station).await;
-        let whole = |entry: &LogEntry| match &entry.heard {
-            Heard::Request { request: Request::ReadRegisters(read), .. } => {
+        let whole = |entry: &LogEntry| match &entry.arrival {
+            Arrival::Request { request: Request::ReadRegisters(read), .. } => {
                 let first = usize::from(read.first().address());
                 first <= 30 && first + read.count() >= 80
             }

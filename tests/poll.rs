@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use fatek::plan::Limits;
 use fatek::poll::{Missed, PollError, PollTag, Poller, Quality, Reason, Sample, ScanClass, StationPolling};
-use fatek::sim::fault::Moment;
+use fatek::sim::fault::DisconnectAt;
 use fatek::sim::{self, Bus, Fault, Faults, Model, Plc, Rule};
 use fatek::tag::TagValue;
 use fatek::wire::Framing;
@@ -333,7 +333,7 @@ async fn good_samples_are_true_whatever_happens_on_the_bus() {
             .rule(Rule::new(Fault::DropReply).one_in(9))
             .rule(Rule::new(Fault::BadChecksum).one_in(11))
             .rule(Rule::new(Fault::Delay { min: ms(150), max: ms(150) }).one_in(13))
-            .rule(Rule::new(Fault::Disconnect(Moment::BeforeReply)).one_in(101));
+            .rule(Rule::new(Fault::Disconnect(DisconnectAt::BeforeReply)).one_in(101));
         let mut bus = Bus::new().with_faults(faults.clone());
         let plcs: Vec<Plc> = (1..=8).map(|_| Plc::new()).collect();
         for (number, plc) in (1..).zip(&plcs) {

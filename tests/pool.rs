@@ -164,7 +164,7 @@ async fn errors_say_what_is_wrong_and_cost_nobody_a_place() {
     assert!(matches!(&error, PoolError::Endpoint(_)), "{error:?}");
     assert_eq!(
         error.to_string(),
-        "`http://plc` is not an endpoint: the transport `http` is not known, only `tcp`, `udp` and `serial` are"
+        "`http://plc` is not an endpoint: unknown transport `http`: it must be `tcp`, `udp` or `serial`"
     );
     let error = pool.station("tcp://second", 0).unwrap_err();
     assert!(error.to_string().starts_with("0 is not a station"), "{error}");

@@ -366,7 +366,7 @@ fn run(seed: u64, requests: u32, struck: &mut BTreeMap<String, u64>) -> Outcome 
             outcome.obeyed += (1..=STATIONS).map(|station| log.applied(station, &write)).sum::<u64>();
         }
         for rule in faults.rules() {
-            *struck.entry(label(rule.fault())).or_default() += rule.struck();
+            *struck.entry(label(rule.fault())).or_default() += rule.times_applied();
         }
         outcome
     })

@@ -134,7 +134,7 @@ async fn report(proxy: Arc<Proxy>) {
 /// Eight PLCs on a line, and what goes on in them: `R0` counts seconds, from a hundred times the station's number on.
 fn simulated_bus() -> Result<(LinkBuilder, impl Future<Output = ()>), Box<dyn Error>> {
     let plcs: Vec<_> = (1..=8).map(|station| (station, Plc::new())).collect();
-    let line = Line::new(9600).turnaround(Duration::from_millis(1), Duration::from_millis(10));
+    let line = Line::new(9600).response_time(Duration::from_millis(1), Duration::from_millis(10));
     let mut bus = Bus::new().with_faults(Faults::new(0).line(line));
     for (station, plc) in &plcs {
         plc.run();

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use fatek::command::Code;
 use fatek::endpoint::SerialSettings;
-use fatek::sim::{self, Bus, Fault, Faults, Model, Moment, Plc, Rule};
+use fatek::sim::{self, Bus, DisconnectAt, Fault, Faults, Model, Plc, Rule};
 use fatek::wire::Framing;
 use fatek::{Endpoint, ErrorCode, Link, LinkBuilder};
 use tokio::sync::RwLock;
@@ -169,7 +169,7 @@ fn faults(stations: &[u8], over: Over, framing: Framing, seed: u64) -> Faults {
     let mut faults = Faults::new(seed)
         .log_capacity(256)
         .journal_capacity(100_000)
-        .line(sim::Line::default().turnaround(ms(0), ms(3)))
+        .line(sim::Line::default().response_time(ms(0), ms(3)))
         .rule(some(Fault::Ignore, 4))
         .rule(some(Fault::DropReply, 4))
         .rule(some(Fault::Split { pieces: 3, pause: ms(4) }, 20))
@@ -181,10 +181,10 @@ fn faults(stations: &[u8], over: Over, framing: Framing, seed: u64) -> Faults {
         .rule(some(Fault::Extended { by: 4 }, 3))
         .rule(some(Fault::BadChecksum, 4))
         .rule(some(Fault::duplicate(), 8))
-        .rule(some(Fault::Disconnect(Moment::BeforeExecution), 1))
-        .rule(some(Fault::Disconnect(Moment::BeforeReply), 1))
-        .rule(some(Fault::Disconnect(Moment::WithinReply), 1))
-        .rule(some(Fault::Disconnect(Moment::AfterReply), 1))
+        .rule(some(Fault::Disconnect(DisconnectAt::BeforeExecution), 1))
+        .rule(some(Fault::Disconnect(DisconnectAt::BeforeReply), 1))
+        .rule(some(Fault::Disconnect(DisconnectAt::WithinReply), 1))
+        .rule(some(Fault::Disconnect(DisconnectAt::AfterReply), 1))
         .rule(some(Fault::Refuse, 100))
         .rule(some(Fault::Error(ErrorCode::IllegalFormat), 10).command(Code::ReadRegisters))
         .rule(some(Fault::Error(ErrorCode::IllegalAddress), 10).command(Code::WriteRegisters));

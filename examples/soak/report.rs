@@ -91,7 +91,7 @@ impl Report {
         for rule in self.lines.iter().flat_map(|line| line.faults.rules()) {
             let fault = format!("{:?}", rule.fault());
             let kind = fault.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();
-            *struck.entry(kind.to_owned()).or_default() += rule.struck();
+            *struck.entry(kind.to_owned()).or_default() += rule.times_applied();
         }
         println!("faults: {} {struck:?}, and {interruptions} interruptions", struck.values().sum::<u64>());
         println!("links: {stats:?}");

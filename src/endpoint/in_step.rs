@@ -3,10 +3,12 @@ use std::time::Duration;
 
 use super::InvalidSettings;
 
-/// What a line is assumed to do with replies: how late a duplicate can come, and how a station is proven to be in step.
+/// Assumptions about late and duplicate replies: when a duplicate can come, and how a station is
+/// proven to be in step.
 ///
-/// A reply is only matched to its request if nothing older can be mistaken for it. These settings say what can still
-/// come; the defaults suit Ethernet modules, serial device servers and serial ports.
+/// A reply is only accepted if no earlier reply can be mistaken for it. These settings say which
+/// earlier replies can still come. The defaults suit Ethernet modules, serial device servers and
+/// serial ports.
 ///
 /// ```
 /// use std::time::Duration;
@@ -34,26 +36,27 @@ pub const DEFAULT_COPIES: u8 = 1;
 /// Maximum number of exchanges after which a duplicate of a reply can still come.
 pub const MAX_COPIES: u8 = 8;
 
-/// Default of the copy window: duplicates of a reply come before the station has been silent this long.
+/// Default of the copy window: silence of a station after which no duplicate of a reply comes.
 pub const DEFAULT_COPY_WINDOW: Duration = Duration::from_millis(100);
 
-/// Default of the quiet time: silence that proves a station in step if it refuses the loop-back.
+/// Default of the quiet time: silence that replaces the check of a station that refuses it (4E).
 pub const DEFAULT_QUIET: Duration = Duration::from_secs(1);
 
 /// Maximum of the copy window and of the quiet time: a day.
 const MAX_TIME: Duration = Duration::from_secs(86_400);
 
 impl InStepSettings {
-    /// The default settings: 1 copy within 100 ms, a quiet time of 1 s, and connections that carry many requests.
+    /// The default settings: 1 copy within 100 ms, a quiet time of 1 s, and connections for any
+    /// number of requests.
     #[must_use]
     pub const fn new() -> Self {
         Self { copies: DEFAULT_COPIES, window: DEFAULT_COPY_WINDOW, quiet: DEFAULT_QUIET, one_request: false }
     }
 
-    /// The same with another number of exchanges after which a duplicate of a reply can still come.
+    /// Sets the number of exchanges after which a duplicate of a reply can still come.
     ///
-    /// 1: a duplicate comes before the reply to the next request. More is for lines that deliver it later, and costs more
-    /// checks. 0: the line never doubles a reply.
+    /// 1, the default: a duplicate comes before the reply to the next request. A higher number is
+    /// for lines that deliver it later, and costs more checks. 0: no duplicates.
     ///
     /// # Errors
     /// [`InvalidSettings::Copies`] if it is more than [`MAX_COPIES`].
@@ -65,60 +68,59 @@ impl InStepSettings {
         Ok(self)
     }
 
-    /// The same with another copy window: after the station has been silent this long, no duplicate of a reply comes.
+    /// Sets the copy window: silence of a station after which no duplicate of a reply comes.
     ///
-    /// If an exchange took longer than half of it, twice the duration of that exchange is used instead. Requests with a
-    /// longer pause between them cost no checks. At most a day; a longer time counts as a day.
+    /// After an exchange that took longer than half of it, twice the duration of that exchange
+    /// applies. Requests with a longer pause between them cost no checks. Limited to a day.
     #[must_use]
     pub const fn with_window(mut self, window: Duration) -> Self {
         self.window = bounded(window);
         self
     }
 
-    /// The same with another quiet time: how long a station that refuses the loop-back must be silent before it is
-    /// believed.
+    /// Sets the quiet time: silence that replaces the check of a station that refuses it (4E).
     ///
-    /// It should be longer than the longest delay of a reply on the line. At most a day; a longer time counts as a day.
+    /// It should be longer than the longest delay of a reply on the line. Limited to a day.
     #[must_use]
     pub const fn with_quiet(mut self, quiet: Duration) -> Self {
         self.quiet = bounded(quiet);
         self
     }
 
-    /// The same for a device that closes the connection after each reply, or one that does not.
+    /// Sets whether the gateway closes the connection after each reply.
     ///
-    /// On such a connection a loop-back leaves no room for the request, so the quiet time takes its place.
+    /// A check would use up such a connection, so the quiet time replaces it.
     #[must_use]
     pub const fn with_one_request(mut self, one_request: bool) -> Self {
         self.one_request = one_request;
         self
     }
 
-    /// Number of exchanges after which a duplicate of a reply can still come; 0 if replies are never doubled.
+    /// Number of exchanges after which a duplicate of a reply can still come; 0 is no duplicates.
     #[must_use]
     pub const fn copies(&self) -> u8 {
         self.copies
     }
 
-    /// The copy window: a reply can be doubled until the station has been silent this long.
+    /// The copy window: silence of a station after which no duplicate of a reply comes.
     #[must_use]
     pub const fn window(&self) -> Duration {
         self.window
     }
 
-    /// The quiet time: how long a station that refuses the loop-back must be silent before it is believed.
+    /// The quiet time: silence that replaces the check of a station that refuses it (4E).
     #[must_use]
     pub const fn quiet(&self) -> Duration {
         self.quiet
     }
 
-    /// Whether the device closes the connection after each reply.
+    /// Whether the gateway closes the connection after each reply.
     #[must_use]
     pub const fn one_request(&self) -> bool {
         self.one_request
     }
 
-    /// The options of a URL that differ from the defaults.
+    /// The options for a URL: those that differ from their defaults.
     pub(super) fn options(self) -> impl Iterator<Item = String> {
         let usual = Self::new();
         let options = [
@@ -141,7 +143,7 @@ const fn bounded(time: Duration) -> Duration {
     if time.as_nanos() > MAX_TIME.as_nanos() { MAX_TIME } else { time }
 }
 
-/// The values of the options as they stand in a URL.
+/// The values of the options in a URL, not parsed.
 #[derive(Default)]
 pub(super) struct InStepOptions<'a> {
     pub(super) copies: Option<&'a str>,
@@ -151,7 +153,7 @@ pub(super) struct InStepOptions<'a> {
 }
 
 impl InStepOptions<'_> {
-    /// The settings, or the rule that an option breaks.
+    /// Parses the options. The error is the rule that one of them breaks.
     pub(super) fn parse(&self) -> Result<InStepSettings, String> {
         let mut settings = InStepSettings::new();
         if let Some(text) = self.copies {
@@ -183,7 +185,7 @@ fn time(name: &str, text: &str) -> Result<Duration, String> {
     })
 }
 
-/// A decimal number of milliseconds or seconds, to the nanosecond.
+/// Parses a decimal number of milliseconds or seconds, to the nanosecond.
 fn parse_time(text: &str) -> Option<Duration> {
     let (number, decimals) = match text.strip_suffix("ms") {
         Some(number) => (number, 6),
@@ -198,11 +200,11 @@ fn parse_time(text: &str) -> Option<Duration> {
     if whole.is_empty() || !digits(whole) || !digits(fraction) || fraction.len() > decimals {
         return None;
     }
-    // The number without its point, in nanoseconds.
+    // Without the decimal point, the digits are nanoseconds.
     format!("{whole}{fraction:0<decimals$}").parse().ok().map(Duration::from_nanos)
 }
 
-/// A time as it is parsed: in seconds from 1 s on, else in milliseconds, without trailing zeros.
+/// Displays a time in seconds from 1 s on, else in milliseconds, without trailing zeros.
 struct Time(Duration);
 
 impl fmt::Display for Time {

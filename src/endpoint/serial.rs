@@ -3,13 +3,13 @@ use std::fmt;
 use super::InvalidSettings;
 use crate::wire::Framing;
 
-/// How a serial port is set: its speed, and what a character looks like on the line. There is no flow control.
+/// Settings of a serial port: baud rate, data bits, parity and stop bits. No flow control.
 ///
 /// ```
 /// use fatek::endpoint::{DataBits, Parity, SerialSettings};
 /// use fatek::wire::Framing;
 ///
-/// let settings = SerialSettings::new(Framing::Ascii); // the factory setting of the PLCs
+/// let settings = SerialSettings::new(Framing::Ascii); // factory settings of the PLCs
 /// assert_eq!(settings.to_string(), "9600 baud 7E1");
 ///
 /// let settings = settings.with_baud(19_200)?.with_data_bits(DataBits::Eight).with_parity(Parity::None);
@@ -24,14 +24,14 @@ pub struct SerialSettings {
     stop_bits: StopBits,
 }
 
-/// The slowest baud rate that is accepted.
+/// Minimum baud rate.
 pub const MIN_BAUD: u32 = 300;
 
-/// The fastest baud rate that is accepted.
+/// Maximum baud rate.
 pub const MAX_BAUD: u32 = 921_600;
 
 impl SerialSettings {
-    /// The usual settings for a framing: 9600 baud, and 7E1 for ASCII or 8N1 for binary.
+    /// The default settings of a framing: 9600 baud, and 7E1 for ASCII or 8N1 for binary.
     #[must_use]
     pub const fn new(framing: Framing) -> Self {
         let (data_bits, parity) = match framing {
@@ -41,7 +41,7 @@ impl SerialSettings {
         Self { baud: 9600, data_bits, parity, stop_bits: StopBits::One }
     }
 
-    /// The same with another speed, in bits per second.
+    /// Sets the baud rate, in bits per second.
     ///
     /// # Errors
     /// [`InvalidSettings::Baud`] unless it is [`MIN_BAUD`] to [`MAX_BAUD`].
@@ -53,46 +53,46 @@ impl SerialSettings {
         Ok(self)
     }
 
-    /// The same with another number of data bits.
+    /// Sets the number of data bits.
     #[must_use]
     pub const fn with_data_bits(mut self, data_bits: DataBits) -> Self {
         self.data_bits = data_bits;
         self
     }
 
-    /// The same with another parity.
+    /// Sets the parity.
     #[must_use]
     pub const fn with_parity(mut self, parity: Parity) -> Self {
         self.parity = parity;
         self
     }
 
-    /// The same with another number of stop bits.
+    /// Sets the number of stop bits.
     #[must_use]
     pub const fn with_stop_bits(mut self, stop_bits: StopBits) -> Self {
         self.stop_bits = stop_bits;
         self
     }
 
-    /// The speed, in bits per second.
+    /// The baud rate, in bits per second.
     #[must_use]
     pub const fn baud(&self) -> u32 {
         self.baud
     }
 
-    /// How many bits of a character are data.
+    /// The number of data bits.
     #[must_use]
     pub const fn data_bits(&self) -> DataBits {
         self.data_bits
     }
 
-    /// The bit that checks a character.
+    /// The parity.
     #[must_use]
     pub const fn parity(&self) -> Parity {
         self.parity
     }
 
-    /// How many bits end a character.
+    /// The number of stop bits.
     #[must_use]
     pub const fn stop_bits(&self) -> StopBits {
         self.stop_bits
@@ -103,7 +103,7 @@ impl SerialSettings {
         format!("{}{}{}", self.data_bits, self.parity, self.stop_bits)
     }
 
-    /// The same with data bits, parity and stop bits from a text such as `7E1`. `None` if it is no such text.
+    /// Sets data bits, parity and stop bits from a text such as `7E1`; `None` if it is malformed.
     pub(super) fn with_character(self, text: &str) -> Option<Self> {
         let mut letters = text.chars();
         let data_bits = match letters.next()? {
@@ -126,11 +126,11 @@ impl SerialSettings {
         letters.next().is_none().then_some(settings)
     }
 
-    /// The binary framing uses all values of a byte.
+    /// Checks that there are enough data bits: the binary framing uses all values of a byte.
     pub(super) fn check(self, framing: Framing) -> Result<Self, InvalidSettings> {
         match (framing, self.data_bits) {
             (Framing::Binary, DataBits::Seven) => Err(InvalidSettings::DataBits { settings: self }),
-            _ => Ok(self),
+            (Framing::Binary, DataBits::Eight) | (Framing::Ascii, _) => Ok(self),
         }
     }
 }
@@ -141,7 +141,7 @@ impl fmt::Display for SerialSettings {
     }
 }
 
-/// How many bits of a character are data. The ASCII framing does with seven, the binary framing needs eight.
+/// Number of data bits per character. The ASCII framing needs seven, the binary framing eight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum DataBits {
@@ -160,15 +160,15 @@ impl fmt::Display for DataBits {
     }
 }
 
-/// The bit that checks a character.
+/// Parity bit of a character.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Parity {
-    /// N: there is none.
+    /// N: no parity bit.
     None,
-    /// E: it makes the number of ones even.
+    /// E: an even number of ones, parity bit included.
     Even,
-    /// O: it makes the number of ones odd.
+    /// O: an odd number of ones, parity bit included.
     Odd,
 }
 
@@ -182,7 +182,7 @@ impl fmt::Display for Parity {
     }
 }
 
-/// How many bits end a character.
+/// Number of stop bits per character.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum StopBits {

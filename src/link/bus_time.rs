@@ -27,7 +27,7 @@ use super::{LinkBuilder, later};
 use crate::command::{Command, ReadRegisters, Spelling};
 use crate::element::Register;
 use crate::error::Error;
-use crate::sim::{Bus, Conversation, Fault, Faults, Line, Output, Plc, Rule};
+use crate::sim::{Bus, Fault, Faults, Line, Output, Plc, Rule, Session};
 use crate::wire::{Codec, Framing, Side};
 
 const STATIONS: u8 = 32;
@@ -40,7 +40,7 @@ pub(crate) struct World {
     pub(crate) now: Instant,
     core: Core,
     stats: Arc<SharedStats>,
-    conversation: Conversation,
+    session: Session,
     codec: Codec,
     line: Line,
     pending: Vec<(u8, CallFuture<ReadRegisters<Register>>)>,
@@ -64,14 +64,14 @@ impl World {
     }
 
     fn with(bus: Bus, framing: Framing, baud: u32, dead: &[u8], set: impl FnOnce(&mut Config)) -> Self {
-        let line = Line::new(baud).turnaround(RESPONSE_TIME, RESPONSE_TIME);
+        let line = Line::new(baud).response_time(RESPONSE_TIME, RESPONSE_TIME);
         let mut faults = Faults::new(1).line(line);
         for &station in dead {
             faults = faults.rule(Rule::new(Fault::Ignore).station(station));
         }
         let bus = bus.with_faults(faults);
         let conditions = bus.conditions().cloned().unwrap();
-        let conversation = Conversation::new(bus, conditions, framing);
+        let session = Session::new(bus, conditions, framing);
         // As for a serial line, except for the frame gap, which is that of the adapter.
         let mut config = LinkBuilder::with_connector(Connector::Once(None), framing, "a line").config;
         config.frame_time = line.transmission(1024);
@@ -88,7 +88,7 @@ impl World {
             now,
             core,
             stats,
-            conversation,
+            session,
             codec,
             line,
             pending: Vec::new(),
@@ -189,15 +189,15 @@ impl World {
         let item = self.codec.decode(&mut BytesMut::from(&bytes[..])).unwrap().unwrap();
         let takes = self.line.transmission(bytes.len());
         self.busy += takes;
-        self.conversation.hear(item, bytes, self.now);
+        self.session.receive(item, bytes, self.now);
         self.core.sent(self.now + takes);
     }
 
     /// Advances the clock to the next event, but not beyond `until`.
     fn wait(&mut self, until: Instant) {
-        let due = self.conversation.due().filter(|&due| due <= until);
+        let due = self.session.due().filter(|&due| due <= until);
         self.now = self.now.max(due.unwrap_or(until));
-        while let Some(Output::Bytes(bytes)) = self.conversation.next(self.now) {
+        while let Some(Output::Bytes(bytes)) = self.session.next_output(self.now) {
             self.busy += self.line.transmission(bytes.len()) + RESPONSE_TIME;
             self.core.receive_buffer().extend_from_slice(&bytes);
             self.core.received(self.now);

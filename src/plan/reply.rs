@@ -83,11 +83,11 @@ fn halves(double: u32) -> [u16; 2] {
 impl Tag {
     /// Returns the number of words of a reply for one value of this tag.
     pub(super) fn words_per_value(&self) -> usize {
-        match self.first().width() {
-            Width::Bit => 1,
-            Width::Word => self.elements_per_value(),
+        let words_per_element = match self.first().width() {
+            Width::Bit | Width::Word => 1,
             Width::DWord => 2,
-        }
+        };
+        words_per_element * self.elements_per_value()
     }
 
     /// Appends the elements of one value, from word `at` of a reply on, to `raw`.
@@ -102,7 +102,11 @@ impl Tag {
                     raw.push(Value::Word(word(n)?));
                 }
             }
-            Width::DWord => raw.push(Value::DWord(u32::from(word(1)?) << 16 | u32::from(word(0)?))),
+            Width::DWord => {
+                for low in (0..self.words_per_value()).step_by(2) {
+                    raw.push(Value::DWord(u32::from(word(low + 1)?) << 16 | u32::from(word(low)?)));
+                }
+            }
         }
         Some(())
     }

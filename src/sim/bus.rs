@@ -11,7 +11,7 @@ use crate::command::{
 };
 use crate::wire::{Frame, Framing, Received, ascii};
 
-/// A line with PLCs on it, each at its station number.
+/// A line with simulated PLCs, each at its station number.
 ///
 /// ```
 /// use bytes::BytesMut;
@@ -22,7 +22,7 @@ use crate::wire::{Frame, Framing, Received, ascii};
 /// let pump = Plc::new();
 /// let bus = Bus::new().with_station(1, Plc::new())?.with_station(2, pump.clone())?;
 ///
-/// let mut line = BytesMut::from(&b"\x0202411FA\x03"[..]); // station 2, run!
+/// let mut line = BytesMut::from(&b"\x0202411FA\x03"[..]); // RUN to station 2
 /// let mut replies = BytesMut::new();
 /// while let Some(received) = AsciiCodec::new().decode(&mut line)? {
 ///     bus.answer(&received, Framing::Ascii, &mut replies);
@@ -34,21 +34,21 @@ use crate::wire::{Frame, Framing, Received, ascii};
 #[derive(Clone, Debug, Default)]
 pub struct Bus {
     stations: BTreeMap<u8, Plc>,
-    /// What is not as it should be. `None` for a line where all is well: nothing is spent on it then.
+    /// `None` without faults: no queue and no timer is used then.
     conditions: Option<Conditions>,
 }
 
 impl Bus {
-    /// A line with no PLC on it: nothing answers.
+    /// A line without PLCs: no request is answered.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Puts a PLC on the line, in the place of the one that had this number.
+    /// Adds a PLC to the line. It replaces the one with the same number.
     ///
     /// # Errors
-    /// [`Error::Station`] unless the number is 1 to 254.
+    /// [`Error::Station`] unless the station number is 1 to 254.
     pub fn with_station(mut self, station: u8, plc: Plc) -> Result<Self, Error> {
         if !(1..=254).contains(&station) {
             return Err(Error::Station { station });
@@ -57,55 +57,54 @@ impl Bus {
         Ok(self)
     }
 
-    /// Gives the line faults, a speed and a log; see [`fault`](super::fault). They take the place of those it had.
+    /// Sets the faults, the speed and the log of the line; see [`fault`](super::fault).
     ///
-    /// [`serve`](super::serve), [`Server`](super::Server), [`UdpServer`](super::UdpServer) and
-    /// [`connector`](super::connector) apply them, for a bus that has them when it is given to these.
-    /// [`answer`](Self::answer) does not, for it knows no time.
+    /// Applied by [`serve`](super::serve), [`Server`](super::Server),
+    /// [`UdpServer`](super::UdpServer) and [`connector`](super::connector), if set before the bus
+    /// is passed to them. [`answer`](Self::answer) ignores them, since it has no clock.
     ///
-    /// The faults that are kept can be changed while the line is in use. Give every bus its own: clones share their
-    /// counters and their log.
+    /// A clone of `faults` can change the rules while the line is in use. Use new faults for each
+    /// bus: clones share their counts and their log.
     #[must_use]
     pub fn with_faults(mut self, faults: Faults) -> Self {
         self.conditions = Some(Conditions::new(faults));
         self
     }
 
-    /// The PLC with this number.
+    /// The PLC with this station number.
     #[must_use]
     pub fn plc(&self, station: u8) -> Option<&Plc> {
         self.stations.get(&station)
     }
 
-    /// The faults that it was given.
+    /// The faults of the line.
     #[must_use]
     pub fn faults(&self) -> Option<&Faults> {
         self.conditions.as_ref().map(Conditions::faults)
     }
 
-    /// Does what was received, and appends the reply as a whole frame.
+    /// Executes a request, and appends the reply as a whole frame.
     ///
-    /// Nothing is appended for a frame to a station that is not here, and for one with a bad checksum or other noise:
-    /// those are ignored. A broadcast is obeyed by all, and answered by none.
-    ///
-    /// The reply to a request that cannot be read is the error that [`RequestError::error_code`] says.
+    /// Frames to absent stations, frames with a bad checksum and noise are ignored. A broadcast is
+    /// executed by all stations and not answered. The reply to an unreadable request is the error
+    /// code of [`RequestError::error_code`].
     pub fn answer(&self, received: &Received, framing: Framing, replies: &mut BytesMut) {
         let Received::Frame(frame) = received else {
             return;
         };
         if frame.station == BROADCAST {
             let request = Request::decode(frame, framing);
-            let mut unsaid = BytesMut::new();
+            let mut unsent = BytesMut::new();
             for plc in self.stations.values() {
-                respond(plc, frame, &request, framing, &mut unsaid);
-                unsaid.clear();
+                respond(plc, frame, &request, framing, &mut unsent);
+                unsent.clear();
             }
         } else if let Some(plc) = self.plc(frame.station) {
             respond(plc, frame, &Request::decode(frame, framing), framing, replies);
         }
     }
 
-    /// The numbers of the PLCs on the line.
+    /// The station numbers of the PLCs on the line.
     pub(super) fn stations(&self) -> impl Iterator<Item = u8> {
         self.stations.keys().copied()
     }
@@ -115,10 +114,10 @@ impl Bus {
     }
 }
 
-/// The station number that means all of them.
+/// The station number of broadcasts.
 pub(super) const BROADCAST: u8 = 0;
 
-/// Has a PLC do what a frame asks, and appends its reply. Says whether it has done it, rather than refused.
+/// Executes a request on a PLC, and appends its reply. Returns `false` if the PLC refused it.
 pub(super) fn respond(
     plc: &Plc,
     frame: &Frame,
@@ -129,13 +128,13 @@ pub(super) fn respond(
     debug!(station = frame.station, ?request, "received");
     let mut responder = Responder { plc, station: frame.station, framing, replies };
     match request {
-        Err(fault) => responder.refuse(frame.command, fault),
+        Err(error) => responder.refuse(frame.command, error),
         Ok(Request::ReadProgramPage(request)) => responder.reply_page(request),
         Ok(request) => with_command!(request, request => responder.reply(request)),
     }
 }
 
-/// One PLC, about to reply.
+/// Executes requests on one PLC, and encodes the replies.
 struct Responder<'a> {
     plc: &'a Plc,
     station: u8,
@@ -145,7 +144,7 @@ struct Responder<'a> {
 
 impl Responder<'_> {
     fn reply<C: Execute>(&mut self, request: &C) -> bool {
-        self.say(request, self.plc.execute(request))
+        self.encode(request, self.plc.execute(request))
     }
 
     fn reply_page(&mut self, request: &ReadProgramPage) -> bool {
@@ -156,17 +155,17 @@ impl Responder<'_> {
                 ascii::emit(self.replies, self.station, code, |fields| request.write_reply(&page, fields));
                 true
             }
-            reply => self.say(request, reply),
+            reply => self.encode(request, reply),
         }
     }
 
-    fn say<C: Command>(&mut self, request: &C, reply: Result<C::Reply, ErrorCode>) -> bool {
+    fn encode<C: Command>(&mut self, request: &C, reply: Result<C::Reply, ErrorCode>) -> bool {
         encode_reply(request, reply.as_ref().map_err(|&error| error), self.framing, self.station, self.replies);
         reply.is_ok()
     }
 
-    fn refuse(&mut self, command: u8, fault: &RequestError) -> bool {
-        encode_refusal(command, fault.error_code(), self.framing, self.station, self.replies);
+    fn refuse(&mut self, command: u8, error: &RequestError) -> bool {
+        encode_refusal(command, error.error_code(), self.framing, self.station, self.replies);
         false
     }
 }

@@ -1,11 +1,11 @@
 use crate::command::Value;
 use crate::element::Element;
 
-/// What cannot be done to a simulated PLC: a mistake of the test that does it.
+/// A wrong use of a simulated PLC by a test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A value that is not as wide as its element.
+    /// The value has another width than the element.
     #[error("{element} is {}, and the value {value} is for {}", element.width(), value.width())]
     WrongWidth {
         /// The element.
@@ -13,24 +13,24 @@ pub enum Error {
         /// The value.
         value: Value,
     },
-    /// An element that the model does not have.
-    #[error("{element} lies beyond the memory of this model")]
+    /// The element is beyond the memory of the model.
+    #[error("{element} is beyond the memory of this model")]
     BeyondModel {
         /// The element.
         element: Element,
     },
-    /// A page that the program does not have.
-    #[error("there is no page {page}: the program has the pages 0 to {last}")]
+    /// The page is beyond the program.
+    #[error("page {page} does not exist: the program has pages 0 to {last}")]
     BeyondProgram {
-        /// The page asked for.
+        /// The page.
         page: u16,
-        /// The last page.
+        /// The last page of the program.
         last: u16,
     },
-    /// Not a station number.
-    #[error("{station} is not a station: PLCs are 1 to 254")]
+    /// The number is not a station number.
+    #[error("{station} is not a station number: stations are 1 to 254")]
     Station {
-        /// The number given.
+        /// The number.
         station: u8,
     },
 }

@@ -1,6 +1,6 @@
-//! What each command does to a PLC: one `impl` a command, in the order of the codes.
+//! Execution of commands by a simulated PLC: one `impl` per command, in the order of the codes.
 
-use super::plc::State;
+use super::plc::PlcInner;
 use crate::ErrorCode;
 use crate::command::{
     BriefStatus, Command, ControlDiscrete, ControlPlc, DetailedStatus, DiscreteControl, LoopBack, ProgramPage,
@@ -9,21 +9,22 @@ use crate::command::{
 };
 use crate::element::{Element, Register, Register32};
 
-/// A command that a simulated PLC executes, which is every [`Command`] of this crate. It cannot be implemented
-/// outside of it.
+/// A command that a simulated PLC executes: every [`Command`] of this crate.
+///
+/// Sealed: it cannot be implemented outside of this crate.
 pub trait Execute: Command {
     #[doc(hidden)]
-    fn execute(&self, plc: &mut State) -> Result<Self::Reply, ErrorCode>;
+    fn execute(&self, plc: &mut PlcInner) -> Result<Self::Reply, ErrorCode>;
 }
 
 impl Execute for ReadStatus {
-    fn execute(&self, plc: &mut State) -> Result<BriefStatus, ErrorCode> {
+    fn execute(&self, plc: &mut PlcInner) -> Result<BriefStatus, ErrorCode> {
         Ok(plc.model.brief_status(plc.flags))
     }
 }
 
 impl Execute for ControlPlc {
-    fn execute(&self, plc: &mut State) -> Result<(), ErrorCode> {
+    fn execute(&self, plc: &mut PlcInner) -> Result<(), ErrorCode> {
         match (self, plc.refuse_run) {
             (Self::Run, Some(error)) => return Err(error),
             (Self::Run, None) => plc.set_running(true),
@@ -34,8 +35,8 @@ impl Execute for ControlPlc {
 }
 
 impl Execute for ControlDiscrete {
-    fn execute(&self, plc: &mut State) -> Result<(), ErrorCode> {
-        plc.reach([self.discrete.into()])?;
+    fn execute(&self, plc: &mut PlcInner) -> Result<(), ErrorCode> {
+        plc.check_elements([self.discrete.into()])?;
         match self.control {
             DiscreteControl::Disable => plc.disable(self.discrete),
             DiscreteControl::Enable => plc.enable(self.discrete),
@@ -47,21 +48,21 @@ impl Execute for ControlDiscrete {
 }
 
 impl Execute for ReadDisabled {
-    fn execute(&self, plc: &mut State) -> Result<Vec<bool>, ErrorCode> {
+    fn execute(&self, plc: &mut PlcInner) -> Result<Vec<bool>, ErrorCode> {
         let discretes = plc.consecutive(self.first(), self.count())?;
         Ok(discretes.into_iter().map(|discrete| plc.is_disabled(discrete)).collect())
     }
 }
 
 impl Execute for ReadDiscretes {
-    fn execute(&self, plc: &mut State) -> Result<Vec<bool>, ErrorCode> {
+    fn execute(&self, plc: &mut PlcInner) -> Result<Vec<bool>, ErrorCode> {
         let discretes = plc.consecutive(self.first(), self.count())?;
         Ok(discretes.into_iter().map(|discrete| plc.memory.bit(discrete)).collect())
     }
 }
 
 impl Execute for WriteDiscretes {
-    fn execute(&self, plc: &mut State) -> Result<(), ErrorCode> {
+    fn execute(&self, plc: &mut PlcInner) -> Result<(), ErrorCode> {
         let discretes = plc.consecutive(self.first(), self.states().len())?;
         discretes.into_iter().zip(self.states()).for_each(|(discrete, &on)| plc.memory.set_bit(discrete, on));
         Ok(())
@@ -72,39 +73,39 @@ registers!(Register, word, set_word);
 registers!(Register32, dword, set_dword);
 
 impl Execute for ReadMixed {
-    fn execute(&self, plc: &mut State) -> Result<Vec<Value>, ErrorCode> {
-        plc.reach(self.elements().iter().copied())?;
+    fn execute(&self, plc: &mut PlcInner) -> Result<Vec<Value>, ErrorCode> {
+        plc.check_elements(self.elements().iter().copied())?;
         Ok(self.elements().iter().map(|&element| plc.memory.read(element)).collect())
     }
 }
 
 impl Execute for WriteMixed {
-    fn execute(&self, plc: &mut State) -> Result<(), ErrorCode> {
-        plc.reach(self.items().iter().map(|&(element, _)| element))?;
+    fn execute(&self, plc: &mut PlcInner) -> Result<(), ErrorCode> {
+        plc.check_elements(self.items().iter().map(|&(element, _)| element))?;
         let mut items = self.items().iter();
-        // The request has compared the widths when it was made.
+        // Unreachable error: the request has checked the widths.
         items.try_for_each(|&(element, value)| plc.memory.write(element, value)).map_err(|_| ErrorCode::IllegalFormat)
     }
 }
 
 impl Execute for LoopBack {
-    fn execute(&self, _plc: &mut State) -> Result<(), ErrorCode> {
+    fn execute(&self, _plc: &mut PlcInner) -> Result<(), ErrorCode> {
         Ok(())
     }
 }
 
 impl Execute for ReadProgramPage {
-    fn execute(&self, plc: &mut State) -> Result<ProgramPage, ErrorCode> {
+    fn execute(&self, plc: &mut PlcInner) -> Result<ProgramPage, ErrorCode> {
         plc.page(self.page).ok_or(ErrorCode::IllegalAddress)
     }
 }
 
 impl Execute for WriteProgramPage {
-    fn execute(&self, plc: &mut State) -> Result<(), ErrorCode> {
+    fn execute(&self, plc: &mut PlcInner) -> Result<(), ErrorCode> {
         if plc.flags.memory_card() {
             return Err(ErrorCode::WriteProhibited);
         }
-        if plc.flags.running() && !plc.model.takes_pages_while_running() {
+        if plc.flags.running() && !plc.model.accepts_pages_while_running() {
             return Err(ErrorCode::IllegalFormat);
         }
         plc.set_page(self.page, self.content.clone()).map_err(|_| ErrorCode::IllegalAddress)
@@ -112,20 +113,23 @@ impl Execute for WriteProgramPage {
 }
 
 impl Execute for ReadDetailedStatus {
-    fn execute(&self, plc: &mut State) -> Result<DetailedStatus, ErrorCode> {
+    fn execute(&self, plc: &mut PlcInner) -> Result<DetailedStatus, ErrorCode> {
         Ok(plc.model.detailed_status(plc.flags))
     }
 }
 
-impl State {
-    /// Whether the model has all of these. Asked before anything is written: a PLC does not execute such a command in
-    /// part.
-    fn reach(&self, elements: impl IntoIterator<Item = Element>) -> Result<(), ErrorCode> {
+impl PlcInner {
+    /// Checks that the model has all of these elements.
+    ///
+    /// Called before the first write, since a PLC never executes a command in part.
+    fn check_elements(&self, elements: impl IntoIterator<Item = Element>) -> Result<(), ErrorCode> {
         let within = elements.into_iter().all(|element| self.model.has(element));
         within.then_some(()).ok_or(ErrorCode::IllegalAddress)
     }
 
-    /// `count` elements from `first` on, if the model has them all.
+    /// `count` elements from `first` on.
+    ///
+    /// Error A unless the model has all of them.
     fn consecutive<E>(&self, first: E, count: usize) -> Result<Vec<E>, ErrorCode>
     where
         E: Copy + Into<Element> + TryFrom<Element>,
@@ -138,18 +142,18 @@ impl State {
     }
 }
 
-/// 46 and 47 of one width.
+/// Commands 46 and 47 for registers of one width.
 macro_rules! registers {
     ($element:ty, $read:ident, $write:ident) => {
         impl Execute for ReadRegisters<$element> {
-            fn execute(&self, plc: &mut State) -> Result<Self::Reply, ErrorCode> {
+            fn execute(&self, plc: &mut PlcInner) -> Result<Self::Reply, ErrorCode> {
                 let registers = plc.consecutive(self.first(), self.count())?;
                 Ok(registers.into_iter().map(|register| plc.memory.$read(register)).collect())
             }
         }
 
         impl Execute for WriteRegisters<$element> {
-            fn execute(&self, plc: &mut State) -> Result<(), ErrorCode> {
+            fn execute(&self, plc: &mut PlcInner) -> Result<(), ErrorCode> {
                 let registers = plc.consecutive(self.first(), self.values().len())?;
                 registers.into_iter().zip(self.values()).for_each(|(register, &value)| {
                     plc.memory.$write(register, value);

@@ -5,10 +5,11 @@ use super::Error;
 use crate::command::Value;
 use crate::element::{Discrete, Element, MemoryArea, Register, Register32};
 
-/// The memory behind all elements. Nothing is allocated before it is written; what was never written is 0.
+/// Memory of all elements. Allocated on the first write; elements that were never written are 0.
 ///
-/// Every area is a string of bytes, least significant first: eight discretes a byte, two bytes a register. So a word
-/// is two bytes and a double word four, wherever it begins, and elements that overlap need no care.
+/// Each area is an array of bytes, least significant first: eight discretes per byte, two bytes per
+/// register. A word is two bytes and a double word four at any address, so overlapping elements
+/// share their bytes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Memory {
     pages: BTreeMap<(MemoryArea, usize), Box<[u8; PAGE_LEN]>>,
@@ -23,25 +24,27 @@ impl Memory {
         }
     }
 
-    /// Fails with [`Error::WrongWidth`], and then writes nothing.
+    /// Writes a value. On [`Error::WrongWidth`] nothing is written.
     pub(super) fn write(&mut self, element: Element, value: Value) -> Result<(), Error> {
         match (element, value) {
             (Element::Discrete(discrete), Value::Bit(on)) => self.set_bit(discrete, on),
             (Element::Register(register), Value::Word(word)) => self.set_word(register, word),
-            (Element::Register32(register), Value::DWord(dword)) => self.set_dword(register, dword),
-            _ => return Err(Error::WrongWidth { element, value }),
+            (Element::Register32(register), Value::DWord(double)) => self.set_dword(register, double),
+            (Element::Discrete(_) | Element::Register(_) | Element::Register32(_), _) => {
+                return Err(Error::WrongWidth { element, value });
+            }
         }
         Ok(())
     }
 
     pub(super) fn bit(&self, discrete: Discrete) -> bool {
         let [byte] = self.bytes(discrete.into());
-        byte & mask(discrete) != 0
+        byte & bit_mask(discrete) != 0
     }
 
     pub(super) fn set_bit(&mut self, discrete: Discrete, on: bool) {
         let [byte] = self.bytes(discrete.into());
-        let byte = if on { byte | mask(discrete) } else { byte & !mask(discrete) };
+        let byte = if on { byte | bit_mask(discrete) } else { byte & !bit_mask(discrete) };
         self.set_bytes(discrete.into(), [byte]);
     }
 
@@ -57,12 +60,12 @@ impl Memory {
         u32::from_le_bytes(self.bytes(register.into()))
     }
 
-    pub(super) fn set_dword(&mut self, register: Register32, dword: u32) {
-        self.set_bytes(register.into(), dword.to_le_bytes());
+    pub(super) fn set_dword(&mut self, register: Register32, double: u32) {
+        self.set_bytes(register.into(), double.to_le_bytes());
     }
 
     fn bytes<const N: usize>(&self, element: Element) -> [u8; N] {
-        let (area, first) = place(element);
+        let (area, first) = locate(element);
         array::from_fn(|i| {
             let at = first + i;
             self.pages.get(&(area, at / PAGE_LEN)).map_or(0, |page| page[at % PAGE_LEN])
@@ -70,10 +73,10 @@ impl Memory {
     }
 
     fn set_bytes<const N: usize>(&mut self, element: Element, bytes: [u8; N]) {
-        let (area, first) = place(element);
+        let (area, first) = locate(element);
         for (at, byte) in (first..).zip(bytes) {
             let key = (area, at / PAGE_LEN);
-            // A page that is not there holds zeros already.
+            // An absent page reads as zeros, so zeros need no allocation.
             if byte != 0 || self.pages.contains_key(&key) {
                 self.pages.entry(key).or_insert_with(|| Box::new([0; PAGE_LEN]))[at % PAGE_LEN] = byte;
             }
@@ -81,25 +84,25 @@ impl Memory {
     }
 }
 
-/// What is allocated at once, in bytes: 32 registers or 512 discretes.
+/// Bytes per allocation: 32 registers or 512 discretes.
 const PAGE_LEN: usize = 64;
 
-/// The area that an element lies in, and its first byte there.
-fn place(element: Element) -> (MemoryArea, usize) {
+/// The area of an element, and its first byte there.
+fn locate(element: Element) -> (MemoryArea, usize) {
     let area = element.symbol().area();
     (area, usize::from(element.address()) * area.bits_per_address() as usize / 8)
 }
 
-fn mask(discrete: Discrete) -> u8 {
+fn bit_mask(discrete: Discrete) -> u8 {
     1 << (discrete.address() % 8)
 }
 
-/// The addresses that an element covers: of discretes, or of 16-bit registers. From the first to the last, both
-/// included.
+/// First and last address that an element covers, of discretes or of 16-bit registers.
 pub(super) fn covered(element: Element) -> (u16, u16) {
-    // Consecutive elements touch, so the step from one to the next is what each of them covers.
+    // Consecutive elements are adjacent, so each covers as many addresses as the step. No element
+    // ends above 65535.
     let first = element.address();
-    (first, first.saturating_add(element.symbol().step() - 1))
+    (first, first + (element.symbol().step() - 1))
 }
 
 #[cfg(test)]

@@ -1,15 +1,15 @@
-//! A PLC in memory, and its server: for the tests of programs that use this crate.
+//! Simulated PLCs and servers for them, for tests of programs that use this crate.
 //!
-//! - [`Plc`] is one PLC of some [`Model`]: memory, program, RUN/STOP. It is a cheap handle, so a test can keep one and
-//!   look at the PLC, or play the process, while a client talks to it.
-//! - [`Bus`] is a line with PLCs at their station numbers: frames in, replies out, no I/O.
-//! - [`serve`] puts a bus behind any stream, [`Server`] behind a TCP port, [`UdpServer`] behind a UDP port;
+//! - [`Plc`]: one PLC of a given [`Model`], with memory, program and RUN/STOP. A cheap handle: a
+//!   test can keep one to read the PLC, or to act as the process, while a client is connected.
+//! - [`Bus`]: a line with PLCs at their station numbers. Frames in, replies out, no I/O.
+//! - [`serve`] serves a bus over any stream, [`Server`] over TCP, [`UdpServer`] over UDP.
 //!   [`connector`] connects a [`Link`](crate::Link) to it in memory.
-//! - [`Faults`] make it go wrong: silence, delays, garbage, lost connections, line speed; and they keep a log of what
-//!   arrived. See [`fault`].
+//! - [`Faults`]: silence, delays, garbage, lost connections and line speed, with a log of the
+//!   requests that arrived. See [`fault`].
 //!
-//! It shares the commands and the framings with the client, and nothing else. Where the manuals do not say what a PLC
-//! does, the documentation here says what this one does.
+//! The simulator shares commands and framings with the client, and nothing else. Where the manuals
+//! do not specify a PLC's behaviour, the documentation here specifies that of the simulated one.
 //!
 //! ```
 //! use fatek::register;
@@ -51,9 +51,9 @@ pub use bus::Bus;
 pub use doctest::doctest;
 pub use error::Error;
 pub use execute::Execute;
+pub use fault::{DisconnectAt, Fault, Faults, LeftOver, Line, Log, LogEntry, Rule, Timing};
 #[cfg(test)]
-pub(crate) use fault::{Conversation, Output};
-pub use fault::{Fault, Faults, LeftOver, Line, Log, LogEntry, Moment, Rule, Timing};
+pub(crate) use fault::{Output, Session};
 pub use model::{Model, PageReply};
 pub use plc::Plc;
 pub use server::{MAX_CONNECTIONS, Server, UdpServer, connector, serve};

@@ -3,11 +3,11 @@ use crate::command::{BriefStatus, DetailedStatus, PAGE_WORDS, ProgramPage, Statu
 use crate::element::{Element, MemoryArea};
 use crate::wire::Framing;
 
-/// What kind of PLC a [`Plc`](super::Plc) is: what it says of itself, and where its memory ends.
+/// Model of a [`Plc`](super::Plc): the status it reports, and the size of its memory.
 ///
-/// The default says what the FBE-28MC in the manual's example of 53 says: 28 points, OS 3.1, a ladder of 13184 words.
-/// Its memory is the largest that the protocol can address. What a model says of itself does not limit its memory;
-/// [`last`](Self::last) does.
+/// The default reports the status of the FBE-28MC in the manual's example of 53: 28 points, OS 3.1,
+/// a ladder of 13184 words. Its memory is the largest that the protocol can address. The reported
+/// sizes do not limit the memory; [`last`](Self::last) does.
 ///
 /// ```
 /// use fatek::element;
@@ -29,7 +29,7 @@ use crate::wire::Framing;
 pub struct Model {
     /// STATUS2 of 40.
     program_capacity: u8,
-    /// STATUS1..64 of 53, where STATUS1 is not the model's to say.
+    /// STATUS1 to 64 of 53. STATUS1 is set from the PLC's flags.
     detailed: [u8; 64],
     /// The last address of each area.
     last: [u16; MemoryArea::ALL.len()],
@@ -40,7 +40,9 @@ pub struct Model {
 }
 
 impl Model {
-    /// Sets STATUS2 of 40, the program capacity of older models: 54h, an FBE of 13K, by default. FBs units answer 40h.
+    /// Sets STATUS2 of 40, the program capacity of older models.
+    ///
+    /// Default: 54h, an FBE with 13K. FBs units answer 40h.
     #[must_use]
     pub fn program_capacity(mut self, code: u8) -> Self {
         self.program_capacity = code;
@@ -54,25 +56,26 @@ impl Model {
         self
     }
 
-    /// Sets STATUS3 of 53, the code for the number of I/O points, which each series assigns anew.
+    /// Sets STATUS3 of 53, the code of the number of I/O points. Its meaning depends on the series.
     #[must_use]
     pub fn io_points_code(mut self, code: u8) -> Self {
         self.detailed[2] = code;
         self
     }
 
-    /// Sets STATUS4 of 53, the version of the operating system: (3, 1) is sent as 31h. Each takes four bits, the rest
-    /// is cut off.
+    /// Sets STATUS4 of 53, the version of the operating system: (3, 1) is sent as 31h.
+    ///
+    /// Only the low four bits of each number are sent.
     #[must_use]
     pub fn os_version(mut self, major: u8, minor: u8) -> Self {
         self.detailed[3] = major << 4 | minor & 0x0F;
         self
     }
 
-    /// Ends the memory of one kind of element with this one: beyond it the PLC answers error A.
+    /// Sets the last element of a memory area. Beyond it the PLC answers error A.
     ///
-    /// It holds for every element in that memory: after `M2001`, `WM1984` still exists and `WM1992` does not; after
-    /// `DR100` the last register is `R101`.
+    /// It applies to all symbols of the area. With `M2001`, `WM1984` exists and `WM1992` does not;
+    /// with `DR100`, the last register is `R101`.
     #[must_use]
     pub fn last(mut self, element: impl Into<Element>) -> Self {
         let element = element.into();
@@ -81,29 +84,32 @@ impl Model {
         self
     }
 
-    /// Sets the first four bytes of page 0 of the program: `FB` or `FM`, then two digits. `FB00` by default.
+    /// Sets the first four bytes of page 0 of the program: `FB` or `FM`, then two digits.
+    ///
+    /// Default: `FB00`.
     #[must_use]
     pub fn program_mark(mut self, mark: [u8; 4]) -> Self {
         self.program_mark = mark;
         self
     }
 
-    /// Sets how 4F is answered.
+    /// Sets the form of the reply to 4F.
     #[must_use]
     pub fn page_reply(mut self, form: PageReply) -> Self {
         self.page_reply = form;
         self
     }
 
-    /// Sets whether the PLC takes pages of a program (50) while it runs. The manuals do not say; by default it refuses them with
-    /// error 4.
+    /// Sets whether the PLC accepts program pages (50) in RUN.
+    ///
+    /// Default: `false`, it refuses them with error 4. The manuals do not specify this.
     #[must_use]
-    pub fn pages_while_running(mut self, taken: bool) -> Self {
-        self.pages_while_running = taken;
+    pub fn pages_while_running(mut self, accepted: bool) -> Self {
+        self.pages_while_running = accepted;
         self
     }
 
-    pub(super) fn takes_pages_while_running(&self) -> bool {
+    pub(super) fn accepts_pages_while_running(&self) -> bool {
         self.pages_while_running
     }
 
@@ -122,12 +128,12 @@ impl Model {
         raw.into()
     }
 
-    /// The last page of the program, where page 0 is the header.
+    /// Number of the last page of the program. Page 0 is the header.
     pub(super) fn last_page(&self) -> u16 {
         u16::from_be_bytes(self.ladder_size()).div_ceil(PAGE_WORDS as u16)
     }
 
-    /// A page that was never written: of the header what the model says, of the ladder zeros.
+    /// A page that was never written: the header of this model, or a page of zeros.
     pub(super) fn blank_page(&self, page: u16) -> ProgramPage {
         let mut bytes = [0; 2 * PAGE_WORDS];
         if page == 0 {
@@ -147,30 +153,30 @@ impl Model {
         [self.detailed[4], self.detailed[5]]
     }
 
-    fn say(mut self, status: usize, word: u16) -> Self {
+    fn with_status_word(mut self, status: usize, word: u16) -> Self {
         self.detailed[status - 1..=status].copy_from_slice(&word.to_be_bytes());
         self
     }
 }
 
-/// How a PLC answers 4F when all is well: the manual's figure and its text differ.
+/// Form of the reply to 4F without an error. The manual's figure and its text differ.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum PageReply {
-    /// The error digit 0, then the page: what the text says of every reply.
+    /// The error digit 0, then the page, as the text has it for all replies.
     #[default]
     WithErrorDigit,
-    /// The page alone: what the figure shows. An error is still answered by its digit.
+    /// The page alone, as in the figure. An error is still answered by its digit.
     Bare,
 }
 
-// What 53 says in words.
+// The words in the reply to 53.
 //
-// - STATUS:  the number of the high byte, from 1; the low byte follows
+// - STATUS:  number of the high byte, from 1; the low byte follows
 // - default: the manual's example
-says! {
+status_words! {
     // STATUS  default  method            sets
-    5          13_184   ladder_words      "the size of the ladder, in words; the program has a page for every 64, and the header";
+    5          13_184   ladder_words      "the ladder size in words; the program has a page per 64 words";
     7             256   discrete_inputs   "the number of discrete inputs";
     9             256   discrete_outputs  "the number of discrete outputs";
     11            100   analog_inputs     "the number of analog inputs";
@@ -184,22 +190,23 @@ says! {
     27            256   counters          "the number of counters";
 }
 
-/// The last address of each area, as far as the protocol goes.
-fn furthest() -> [u16; MemoryArea::ALL.len()] {
+/// The last address of each area in the protocol.
+fn protocol_limits() -> [u16; MemoryArea::ALL.len()] {
     std::array::from_fn(|n| {
         let last = |framing| MemoryArea::ALL[n].last_address_in(framing);
         last(Framing::Ascii).max(last(Framing::Binary))
     })
 }
 
-macro_rules! says {
+macro_rules! status_words {
     ($($status:literal $default:literal $method:ident $sets:literal;)*) => {
         impl Model {
             $(
-                #[doc = concat!("Sets ", $sets, ": STATUS", $status, " and the next of 53. ", $default, " by default.")]
+                #[doc = concat!("Sets ", $sets, ".")]
+                #[doc = concat!("\n\nSTATUS", $status, " and the next byte of 53. Default: ", $default, ".")]
                 #[must_use]
                 pub fn $method(self, number: u16) -> Self {
-                    self.say($status, number)
+                    self.with_status_word($status, number)
                 }
             )*
         }
@@ -209,7 +216,7 @@ macro_rules! says {
                 Self {
                     program_capacity: 0x54,
                     detailed: [0; 64],
-                    last: furthest(),
+                    last: protocol_limits(),
                     program_mark: *b"FB00",
                     page_reply: PageReply::default(),
                     pages_while_running: false,
@@ -222,4 +229,4 @@ macro_rules! says {
         }
     };
 }
-use says;
+use status_words;

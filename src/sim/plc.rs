@@ -7,15 +7,17 @@ use crate::ErrorCode;
 use crate::command::{ProgramPage, StatusFlags, Value};
 use crate::element::{Discrete, Element};
 
-/// A PLC in memory.
+/// A simulated PLC.
 ///
-/// This is a handle: its clones are the same PLC. Two parties act on it. The *process* is the test: what it
-/// [writes](Self::write) stands for the inputs and the ladder program. The *communication* is whatever client is
-/// connected, or [`execute`](Self::execute).
+/// A handle: clones are the same PLC. It is accessed in two ways:
 ///
-/// The two differ for disabled discretes, which no longer follow the process: what it writes to them has no effect
-/// until they are enabled again, and then the last of it takes effect. The communication reaches them all the same, with
-/// 42 as well as with 45, 47 and 49; that is what disabling is for.
+/// - by the process, that is the test: [`write`](Self::write) stands for inputs and the ladder
+///   program;
+/// - by communication, that is the connected clients, and [`execute`](Self::execute).
+///
+/// The two differ for disabled discretes (42). A write of the process to a disabled discrete takes
+/// effect when the discrete is enabled again. Communication writes it at once, with 42, 45, 47 and
+/// 49: that is a forced discrete.
 ///
 /// ```
 /// use fatek::command::{ControlDiscrete, DiscreteControl, Value};
@@ -24,18 +26,18 @@ use crate::element::{Discrete, Element};
 /// const LEVEL_HIGH: fatek::Discrete = discrete!("X3");
 /// let plc = Plc::new();
 /// plc.execute(&ControlDiscrete::new(DiscreteControl::Disable, LEVEL_HIGH)).unwrap();
-/// plc.write(LEVEL_HIGH, true).unwrap(); // the tank is full, and the PLC does not notice
+/// plc.write(LEVEL_HIGH, true).unwrap(); // no effect while disabled
 /// assert_eq!(plc.read(LEVEL_HIGH), Value::Bit(false));
 ///
 /// plc.execute(&ControlDiscrete::new(DiscreteControl::Enable, LEVEL_HIGH)).unwrap();
 /// assert_eq!(plc.read(LEVEL_HIGH), Value::Bit(true));
 /// ```
 ///
-/// A new PLC is stopped, with all memory 0, all discretes enabled and no program. It takes a few hundred bytes, and more
-/// only as memory is written.
+/// A new PLC is in STOP, with all memory 0, all discretes enabled and no program. It takes a few
+/// hundred bytes, and more as memory is written.
 #[derive(Clone, Debug, Default)]
 pub struct Plc {
-    state: Arc<Mutex<State>>,
+    inner: Arc<Mutex<PlcInner>>,
 }
 
 impl Plc {
@@ -48,65 +50,67 @@ impl Plc {
     /// A PLC of this model.
     #[must_use]
     pub fn with_model(model: Model) -> Self {
-        Self { state: Arc::new(Mutex::new(State { model, ..State::default() })) }
+        Self { inner: Arc::new(Mutex::new(PlcInner { model, ..PlcInner::default() })) }
     }
 
-    /// Does what a request asks, and gives the reply's content or the error that the PLC answers.
-    ///
-    /// A request that is refused has changed nothing.
+    /// Executes a request, and returns the content of the reply.
     ///
     /// # Errors
-    /// - [`ErrorCode::IllegalAddress`] for an element or a program page beyond the model's;
-    /// - for 50, [`ErrorCode::WriteProhibited`] while a memory card is in use, else [`ErrorCode::IllegalFormat`] while
-    ///   the PLC runs, unless its model [takes pages](Model::pages_while_running) then;
-    /// - for 41, what [`refuse_run`](Self::refuse_run) has set.
+    /// The error code of the PLC; the request has changed nothing then:
+    ///
+    /// - [`ErrorCode::IllegalAddress`] for elements and program pages beyond the model;
+    /// - for 50, [`ErrorCode::WriteProhibited`] with a memory card, else
+    ///   [`ErrorCode::IllegalFormat`] in RUN, unless the model
+    ///   [accepts pages](Model::pages_while_running) then;
+    /// - for 41, the error set with [`refuse_run`](Self::refuse_run).
     pub fn execute<C: Execute>(&self, request: &C) -> Result<C::Reply, ErrorCode> {
         request.execute(&mut self.lock())
     }
 
-    /// What an element holds. Beyond the model's memory, as in what was never written, that is 0.
+    /// The value of an element: 0 if it was never written, or is beyond the model.
     #[must_use]
     pub fn read(&self, element: impl Into<Element>) -> Value {
         self.lock().memory.read(element.into())
     }
 
-    /// Sets an element as the process does: disabled discretes keep their state until they are enabled.
+    /// Writes an element as the process. Disabled discretes keep their state until enabled.
     ///
     /// # Errors
-    /// [`Error::WrongWidth`] and [`Error::BeyondModel`]; nothing is written then.
+    /// [`Error::WrongWidth`] and [`Error::BeyondModel`]. Nothing is written then.
     pub fn write(&self, element: impl Into<Element>, value: impl Into<Value>) -> Result<(), Error> {
-        self.lock().process_writes(element.into(), value.into())
+        self.lock().write_as_process(element.into(), value.into())
     }
 
-    /// Whether a discrete is disabled, so that it does not follow the process.
+    /// Whether a discrete is disabled (42), so that writes of the process have no effect.
     #[must_use]
     pub fn is_disabled(&self, discrete: Discrete) -> bool {
         self.lock().is_disabled(discrete)
     }
 
-    /// Whether the ladder program runs.
+    /// Whether the PLC is in RUN.
     #[must_use]
     pub fn is_running(&self) -> bool {
         self.flags().running()
     }
 
-    /// Starts the PLC at its switch, which is never refused.
+    /// Sets RUN at the PLC's switch, which [`refuse_run`](Self::refuse_run) does not prevent.
     pub fn run(&self) {
         self.lock().set_flag(RUNNING, true);
     }
 
-    /// Stops the PLC at its switch.
+    /// Sets STOP at the PLC's switch.
     pub fn stop(&self) {
         self.lock().set_flag(RUNNING, false);
     }
 
-    /// From now on answers this error to 41 RUN, and stays as it is; `None` lets it run again. The manuals have 5, 6, 7
-    /// and 9 for this.
+    /// Sets the error with which the PLC refuses RUN (41); `None` accepts it.
+    ///
+    /// The manuals have the errors 5, 6, 7 and 9 for this.
     pub fn refuse_run(&self, error: Option<ErrorCode>) {
         self.lock().refuse_run = error;
     }
 
-    /// STATUS1, of 40 and 53.
+    /// STATUS1 of 40 and 53.
     #[must_use]
     pub fn flags(&self) -> StatusFlags {
         self.lock().flags
@@ -122,7 +126,7 @@ impl Plc {
         self.lock().set_flag(2, on);
     }
 
-    /// Sets B3 of STATUS1: with a ROM pack or memory card in use, 50 answers error 3.
+    /// Sets B3 of STATUS1: a ROM pack or memory card is in use, and 50 gives error 3.
     pub fn set_memory_card(&self, on: bool) {
         self.lock().set_flag(3, on);
     }
@@ -142,20 +146,22 @@ impl Plc {
         self.lock().set_flag(6, on);
     }
 
-    /// How many pages the program has, the header included: 207 for a ladder of 13184 words.
+    /// Number of pages of the program, header included: 207 for a ladder of 13184 words.
     #[must_use]
     pub fn pages(&self) -> u16 {
         self.lock().model.last_page() + 1
     }
 
-    /// A page of the program; `None` beyond the last. Page 0 is the header, made from the model until it is written;
-    /// any other that was never written is all zeros.
+    /// A page of the program; `None` beyond the last.
+    ///
+    /// Page 0 is the header, which follows from the model until it is written. Other pages are
+    /// zeros until they are written.
     #[must_use]
     pub fn page(&self, page: u16) -> Option<ProgramPage> {
         self.lock().page(page)
     }
 
-    /// Sets a page of the program, even in a running PLC.
+    /// Sets a page of the program, in RUN, too.
     ///
     /// # Errors
     /// [`Error::BeyondProgram`].
@@ -167,26 +173,26 @@ impl Plc {
         self.lock().model.form_of_page_reply()
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
-        // Nothing panics under the lock; a panic would at worst leave a request half done.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, PlcInner> {
+        // Nothing panics under the lock.
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// All that a PLC is. It is public in name only, for [`Execute`]: no path leads here from outside.
+/// State of a simulated PLC. Only nominally public, for [`Execute`]: its module is private.
 #[derive(Debug, Default)]
-pub struct State {
+pub struct PlcInner {
     pub(super) model: Model,
     pub(super) memory: Memory,
-    /// The disabled discretes, each with what the process has written to it since, if it has.
+    /// Disabled discretes, each with the last write of the process since, if any.
     disabled: BTreeMap<Discrete, Option<bool>>,
-    /// The pages that were written.
+    /// Pages that were written.
     program: BTreeMap<u16, ProgramPage>,
     pub(super) flags: StatusFlags,
     pub(super) refuse_run: Option<ErrorCode>,
 }
 
-impl State {
+impl PlcInner {
     pub(super) fn set_running(&mut self, on: bool) {
         self.set_flag(RUNNING, on);
     }
@@ -219,18 +225,18 @@ impl State {
         Ok(())
     }
 
-    fn process_writes(&mut self, element: Element, value: Value) -> Result<(), Error> {
+    fn write_as_process(&mut self, element: Element, value: Value) -> Result<(), Error> {
         if !self.model.has(element) {
             return Err(Error::BeyondModel { element });
         }
-        // All of it is written, and then the disabled discretes among it are put back.
+        // Writes all bits, then restores those of disabled discretes.
         let before = self.memory.read(element);
         self.memory.write(element, value)?;
         let (first, last) = covered(element);
-        for (&discrete, meant) in &mut self.disabled {
+        for (&discrete, written) in &mut self.disabled {
             let same_area = discrete.symbol().area() == element.symbol().area();
             if same_area && (first..=last).contains(&discrete.address()) {
-                *meant = Some(self.memory.bit(discrete));
+                *written = Some(self.memory.bit(discrete));
                 self.memory.set_bit(discrete, bit(before, discrete.address() - first));
             }
         }
@@ -246,7 +252,7 @@ impl State {
 /// B0 of STATUS1.
 const RUNNING: u32 = 0;
 
-/// The `n`-th bit of a value, from the least significant.
+/// Bit `n` of a value, from the least significant.
 fn bit(value: Value, n: u16) -> bool {
     match value {
         Value::Bit(on) => on,

@@ -1,4 +1,4 @@
-mod converse;
+mod session;
 mod udp;
 
 use std::future::{Ready, ready};
@@ -18,19 +18,20 @@ use tokio::time;
 use tokio_util::codec::Decoder;
 use tracing::debug;
 
-use self::converse::converse;
+use self::session::run_session;
 pub use self::udp::UdpServer;
 use super::Bus;
-use super::fault::{Conversation, Faults};
+use super::fault::{Faults, Session};
 use crate::wire::{Codec, Framing, MAX_FRAME_LEN, Side};
 
-/// How many connections a [`Server`] has at a time; further ones wait until one of them ends.
+/// Maximum number of connections of a [`Server`]. Further ones wait until one of them ends.
 pub const MAX_CONNECTIONS: usize = 64;
 
-/// Answers what comes from a stream, until it ends.
+/// Serves a bus over a stream, until the stream ends.
 ///
-/// One request after the other, as a PLC does. A frame whose rest does not come within 100 ms is given up, so that what
-/// follows is not taken for its rest. With [`Faults`] it is as their [documentation](super::fault) says.
+/// Requests are handled one at a time, as by a PLC. An incomplete frame is discarded after a pause
+/// of 100 ms, so that the next frame is not taken for its rest. For a bus with [`Faults`], see
+/// [`fault`](super::fault).
 ///
 /// ```
 /// use fatek::sim::{self, Bus, Plc};
@@ -39,29 +40,30 @@ pub const MAX_CONNECTIONS: usize = 64;
 /// # #[tokio::main(flavor = "current_thread")]
 /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// let (client, line) = tokio::io::duplex(1024);
-/// let serving = tokio::spawn(sim::serve(line, Bus::new().with_station(1, Plc::new())?, Framing::Binary));
+/// let bus = Bus::new().with_station(1, Plc::new())?;
+/// let serving = tokio::spawn(sim::serve(line, bus, Framing::Binary));
 /// drop(client);
 /// serving.await??;
 /// # Ok(())
 /// # }
 /// ```
 ///
-/// It needs the timer of the Tokio runtime.
+/// Requires the timer of the Tokio runtime.
 ///
 /// # Errors
-/// Those of the stream.
+/// Errors of the stream.
 pub async fn serve<S>(stream: S, bus: Bus, framing: Framing) -> io::Result<()>
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
     match bus.conditions().cloned() {
         None => serve_at_once(stream, bus, framing).await,
-        // In a box, so that those who have no faults do not pay for them with memory.
-        Some(conditions) => Box::pin(converse(stream, Conversation::new(bus, conditions, framing), framing)).await,
+        // Boxed, since this future is large: without faults it costs no memory.
+        Some(conditions) => Box::pin(run_session(stream, Session::new(bus, conditions, framing), framing)).await,
     }
 }
 
-/// Without a queue and without time: a reply is out before the next request is looked at.
+/// Without a queue and without delays: each reply is written before the next request is decoded.
 async fn serve_at_once<S>(mut stream: S, bus: Bus, framing: Framing) -> io::Result<()>
 where
     S: AsyncRead + AsyncWrite + Unpin,
@@ -70,12 +72,12 @@ where
     let mut received = BytesMut::with_capacity(MAX_FRAME_LEN);
     let mut reply = BytesMut::with_capacity(MAX_FRAME_LEN);
     loop {
-        let heard = listen(&mut stream, &mut received).await?;
+        let event = read_event(&mut stream, &mut received).await?;
         loop {
-            let item = match heard {
-                Heard::Bytes => codec.decode(&mut received)?,
-                Heard::Silence => codec.decode_eof(&mut received)?,
-                Heard::End => return Ok(()),
+            let item = match event {
+                ReadEvent::Bytes => codec.decode(&mut received)?,
+                ReadEvent::Silence => codec.decode_eof(&mut received)?,
+                ReadEvent::End => return Ok(()),
             };
             let Some(item) = item else { break };
             bus.answer(&item, framing, &mut reply);
@@ -85,33 +87,35 @@ where
     }
 }
 
-/// How long a frame may pause in its middle.
-const SILENCE: Duration = Duration::from_millis(100);
+/// Longest pause within a frame.
+const FRAME_TIMEOUT: Duration = Duration::from_millis(100);
 
-enum Heard {
+enum ReadEvent {
     Bytes,
-    /// A frame has begun, and nothing more has come of it.
+    /// An incomplete frame was received, and no byte after it for [`FRAME_TIMEOUT`].
     Silence,
     End,
 }
 
-async fn listen(stream: &mut (impl AsyncRead + Unpin), received: &mut BytesMut) -> io::Result<Heard> {
+async fn read_event(stream: &mut (impl AsyncRead + Unpin), received: &mut BytesMut) -> io::Result<ReadEvent> {
     let begun = !received.is_empty();
     let read = stream.read_buf(received);
     let len = if begun {
-        match time::timeout(SILENCE, read).await {
+        match time::timeout(FRAME_TIMEOUT, read).await {
             Ok(len) => len?,
-            Err(_) => return Ok(Heard::Silence),
+            Err(_) => return Ok(ReadEvent::Silence),
         }
     } else {
         read.await?
     };
-    Ok(if len == 0 { Heard::End } else { Heard::Bytes })
+    Ok(if len == 0 { ReadEvent::End } else { ReadEvent::Bytes })
 }
 
-/// Opens connections to a bus in memory, for [`Link::connector_builder`](crate::Link::connector_builder): no port, no
-/// sockets, and so the same run every time under a paused clock. Each connection is served by a task of the runtime, and
-/// [`Fault::Refuse`](super::Fault::Refuse) refuses it.
+/// Opens connections to a bus in memory, for
+/// [`Link::connector_builder`](crate::Link::connector_builder).
+///
+/// Without ports and sockets, a test is reproducible under a paused clock. Each connection is
+/// served by a task of the runtime. [`Fault::Refuse`](super::Fault::Refuse) refuses connections.
 ///
 /// ```
 /// use fatek::sim::{self, Bus, Plc};
@@ -120,7 +124,8 @@ async fn listen(stream: &mut (impl AsyncRead + Unpin), received: &mut BytesMut) 
 /// # #[tokio::main(flavor = "current_thread")]
 /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// let bus = Bus::new().with_station(1, Plc::new())?;
-/// let link = Link::connector_builder("in memory", Framing::Ascii, sim::connector(bus, Framing::Ascii)).build();
+/// let connector = sim::connector(bus, Framing::Ascii);
+/// let link = Link::connector_builder("in memory", Framing::Ascii, connector).build();
 /// assert_eq!(link.station(1)?.read_registers(register!("R0"), 2).await?, [0, 0]);
 /// # Ok(())
 /// # }
@@ -139,25 +144,25 @@ fn connect(bus: &Bus, framing: Framing) -> io::Result<DuplexStream> {
     Ok(client)
 }
 
-/// A [`Bus`] behind a TCP port, as behind an Ethernet module.
+/// A TCP server for a [`Bus`], as an Ethernet module.
 ///
-/// Dropping it stops accepting and closes its connections, soon; [`shutdown`](Self::shutdown) waits until that is done.
-///
-/// The [module's documentation](super) has an example.
+/// Dropping it closes the port and all connections; [`shutdown`](Self::shutdown) also waits for
+/// that. The [module](super) has an example.
 #[derive(Debug)]
 pub struct Server {
     local_addr: SocketAddr,
-    /// Closes when this server is dropped, and that stops the task.
+    /// Stops the task when dropped.
     stop: oneshot::Sender<()>,
     task: JoinHandle<()>,
 }
 
 impl Server {
-    /// Listens on an address, such as `127.0.0.1:0` for any free port of this machine, and answers every connection as
-    /// [`serve`] does, at most [`MAX_CONNECTIONS`] at a time.
+    /// Listens on an address, such as `127.0.0.1:0` for any free local port.
+    ///
+    /// Each connection is served as by [`serve`], at most [`MAX_CONNECTIONS`] at a time.
     ///
     /// # Errors
-    /// Those of binding the address.
+    /// The address cannot be bound.
     pub async fn bind(address: impl ToSocketAddrs, bus: Bus, framing: Framing) -> io::Result<Self> {
         let listener = TcpListener::bind(address).await?;
         let local_addr = listener.local_addr()?;
@@ -166,13 +171,13 @@ impl Server {
         Ok(Self { local_addr, stop, task })
     }
 
-    /// Where it listens.
+    /// The address it listens on.
     #[must_use]
     pub fn local_addr(&self) -> SocketAddr {
         self.local_addr
     }
 
-    /// Stops accepting, closes the connections, and returns when both are done.
+    /// Closes the port and all connections, and returns when that is done.
     pub async fn shutdown(self) {
         drop(self.stop);
         if let Err(error) = self.task.await {
@@ -187,12 +192,12 @@ async fn serve_until(stopped: oneshot::Receiver<()>, listener: TcpListener, bus:
         let accepting = pin!(accept(&listener, &mut connections, &bus, framing));
         future::select(accepting, stopped).await;
     }
-    // The port first: a client that loses its connection may be quick to open the next.
+    // The port is closed first: a client can reconnect as soon as its connection ends.
     drop(listener);
     connections.shutdown().await;
 }
 
-/// Never ends.
+/// Accepts connections. Never returns.
 async fn accept(listener: &TcpListener, connections: &mut JoinSet<()>, bus: &Bus, framing: Framing) {
     loop {
         while connections.try_join_next().is_some() {}
@@ -205,16 +210,16 @@ async fn accept(listener: &TcpListener, connections: &mut JoinSet<()>, bus: &Bus
                 debug!(%peer, "accepted");
                 let bus = bus.clone();
                 connections.spawn(async move {
-                    // A reply is one small segment, and the client waits for it.
+                    // A reply is one small segment: without this, Nagle's algorithm delays it.
                     let _ = stream.set_nodelay(true);
                     let result = serve(stream, bus, framing).await;
                     debug!(%peer, ?result, "closed");
                 });
             }
             Err(error) => {
-                // Such as too many open files: it takes a moment to pass, and must not be asked for in a tight loop.
+                // For instance too many open files. The pause prevents a busy loop.
                 debug!(%error, "cannot accept");
-                time::sleep(SILENCE).await;
+                time::sleep(FRAME_TIMEOUT).await;
             }
         }
     }

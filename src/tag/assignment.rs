@@ -4,7 +4,7 @@ use std::str::FromStr;
 use super::{ParseAssignmentError, Tag, TagValue, ValueError};
 use crate::command::Value;
 
-/// A tag and its values: `R5=7`, `R0-R2=1,2,3`, `R100:f32=-1.5`, `R0-R9:text="a, b"`.
+/// A tag with its values: `R5=7`, `R0-R2=1,2,3`, `R100:f32=-1.5`, `R0-R9:text="a, b"`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Assignment {
     tag: Tag,
@@ -13,10 +13,10 @@ pub struct Assignment {
 }
 
 impl Assignment {
-    /// Gives these values to this tag.
+    /// An assignment of these values to this tag.
     ///
     /// # Errors
-    /// As for [`Tag::encode`].
+    /// Those of [`Tag::encode`].
     pub fn new(tag: Tag, values: impl Into<Vec<TagValue>>) -> Result<Self, ValueError> {
         let values = values.into();
         let raw = tag.encode(&values)?;
@@ -29,13 +29,13 @@ impl Assignment {
         self.tag
     }
 
-    /// The values: as many as the tag has, all of its type.
+    /// The values, [`Tag::value_count`] of them, all of the tag's type.
     #[must_use]
     pub fn values(&self) -> &[TagValue] {
         &self.values
     }
 
-    /// What the tag's [`elements`](Tag::elements) are to hold, in their order.
+    /// The values to write to the tag's [`elements`](Tag::elements), in their order.
     #[must_use]
     pub fn encode(&self) -> Vec<Value> {
         self.raw.clone()
@@ -45,7 +45,7 @@ impl Assignment {
 impl FromStr for Assignment {
     type Err = ParseAssignmentError;
 
-    /// Reads `TAG=VALUE`, and `TAG=VALUE,VALUE…` for a tag of several values; see [`Tag::parse_values`].
+    /// Parses `TAG=VALUE`, or `TAG=VALUE,VALUE...` for several values; see [`Tag::parse_values`].
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let Some((tag, values)) = text.split_once('=') else {
             return Err(ParseAssignmentError::NoValue { input: text.to_owned() });

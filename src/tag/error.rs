@@ -5,83 +5,88 @@ use super::{ScaleError, Tag, TagType, TagValue};
 use crate::command::Value;
 use crate::element::{Element, ElementError, Symbol, Width};
 
-/// The rule that a tag breaks.
+/// A rule that a tag breaks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TagError {
-    /// An end of the range, or the whole, is no element.
+    /// The text, or an end of the range, is not an element.
     #[error(transparent)]
     Element(#[from] ElementError),
-    /// There is no such type.
+    /// The type is unknown.
     #[error(transparent)]
     Type(#[from] ParseTagTypeError),
-    /// The type does not exist on such elements.
+    /// The type does not exist for elements of this width.
     #[error("{symbol} is {}, which has no type {tag_type} (it has: {})", symbol.width(), TypesOf(symbol.width()))]
     WrongType {
         /// The symbol of the elements.
         symbol: Symbol,
-        /// The type asked for.
-        tag_type: TagType,
-    },
-    /// The ends of the range have different symbols.
-    #[error("a range has one kind of element, and this goes from {first} to {last}")]
-    TwoSymbols {
-        /// The symbol of its first element.
-        first: Symbol,
-        /// The symbol of its last element.
-        last: Symbol,
-    },
-    /// The range ends before it begins.
-    #[error("the range goes backwards, from {first} to {last}")]
-    Backwards {
-        /// Where it begins.
-        first: Element,
-        /// Where it ends.
-        last: Element,
-    },
-    /// The end of the range is not one of the elements that follow its begin.
-    #[error("{last} does not follow {first}, because {} is counted in steps of {}", first.symbol(), first.symbol().step())]
-    OffStep {
-        /// Where it begins.
-        first: Element,
-        /// Where it ends.
-        last: Element,
-    },
-    /// A range with an uneven number of 16-bit registers, where a value takes two of them.
-    #[error("{tag_type} takes two 16-bit registers, and the range has {count}, an uneven number")]
-    Uneven {
-        /// How many elements the range has.
-        count: usize,
         /// The type.
         tag_type: TagType,
     },
-    /// Several texts in one tag: a text is its whole range.
-    #[error("a tag has one text, as long as its range, and not several from {first} on")]
+    /// The ends of the range have different symbols.
+    #[error("a range has elements of one symbol, and this one is from {first} to {last}")]
+    TwoSymbols {
+        /// The symbol of the first element.
+        first: Symbol,
+        /// The symbol of the last element.
+        last: Symbol,
+    },
+    /// The last element precedes the first.
+    #[error("the range goes backwards, from {first} to {last}")]
+    Backwards {
+        /// The first element.
+        first: Element,
+        /// The last element.
+        last: Element,
+    },
+    /// The last element is not a whole number of steps behind the first.
+    #[error(
+        "{last} does not follow {first}, because {} is counted in steps of {}",
+        first.symbol(), first.symbol().step()
+    )]
+    OffStep {
+        /// The first element.
+        first: Element,
+        /// The last element.
+        last: Element,
+    },
+    /// The range is not a whole number of values.
+    #[error("a value of {tag_type} takes {per_value} elements, and the range has {count}")]
+    Uneven {
+        /// Number of elements of the range.
+        count: usize,
+        /// Number of elements per value.
+        per_value: usize,
+        /// The type.
+        tag_type: TagType,
+    },
+    /// The tag would have several texts. A text is a whole range.
+    #[error("a tag has one text, as long as its range, not several from {first} on")]
     #[non_exhaustive]
     SeveralTexts {
         /// The first element.
         first: Element,
     },
-    /// A text that one request does not hold.
+    /// The text is longer than one request.
     #[error("a text comes from one request, which holds {max} registers, and the range has {registers}")]
     #[non_exhaustive]
     LongText {
-        /// How many registers it would have.
+        /// Number of registers of the text.
         registers: usize,
-        /// The most it can have.
+        /// Maximum number of registers.
         max: usize,
     },
-    /// No gain and no offset.
+    /// Gain and offset are invalid.
     #[error(transparent)]
     Scale(#[from] ScaleError),
-    /// Gain and offset on what is no number.
-    #[error("{tag_type} takes neither gain nor offset (those that do: {})", Names(scalable()))]
+    /// The type cannot have a gain or offset.
+    #[error("{tag_type} takes neither gain nor offset (types that do: {})", Names(scalable()))]
     #[non_exhaustive]
     NotScalable {
         /// The type.
         tag_type: TagType,
     },
-    /// A tag of no values at all.
+    /// The tag has no values.
     #[error("a tag has at least one value")]
     NoValues,
     /// The elements reach past the last address.
@@ -92,12 +97,12 @@ pub enum TagError {
     PastTheEnd {
         /// The first element.
         first: Element,
-        /// How many elements are needed.
+        /// Number of elements.
         count: usize,
     },
 }
 
-/// A text that is not a tag: the text, and the rule it breaks.
+/// A text that is not a tag, with the rule that it breaks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("`{input}` is not a tag: {reason}")]
 pub struct ParseTagError {
@@ -106,39 +111,39 @@ pub struct ParseTagError {
 }
 
 impl ParseTagError {
-    /// The text as given.
+    /// The text.
     #[must_use]
     pub fn input(&self) -> &str {
         &self.input
     }
 
-    /// The rule it breaks.
+    /// The rule that it breaks.
     #[must_use]
     pub fn reason(&self) -> &TagError {
         &self.reason
     }
 }
 
-/// A text that names no type.
+/// A text that is not the name of a type.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a type (known: {known})", known = Names(TagType::ALL.iter().copied()))]
 pub struct ParseTagTypeError(pub(super) String);
 
-/// The rule that a value, or a number of values, breaks.
+/// A rule that a value, or the number of values, breaks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ValueError {
-    /// Too few or too many.
-    #[error("{tag} takes {expected} of them, not {given}")]
+    /// The number of values is wrong.
+    #[error("the number of values is {given}, and {tag} takes {expected}")]
     Count {
         /// The tag.
         tag: Tag,
-        /// How many it takes.
+        /// Number of values that the tag takes.
         expected: usize,
-        /// How many there are.
+        /// Number of values given.
         given: usize,
     },
-    /// A raw value is not as wide as the tag's elements.
+    /// A raw value has another width than the elements of the tag.
     #[error("{tag} has elements of {} bits, and {value} has {}", tag.first.width().bits(), value.width().bits())]
     WrongWidth {
         /// The tag.
@@ -147,52 +152,52 @@ pub enum ValueError {
         value: Value,
     },
     /// A value is of another type than the tag.
-    #[error("{tag} is {}, and {value} is {}", tag.kind.description(), value.description())]
+    #[error("{tag} is {}, and {value} is {}", tag.description(), value.description())]
     WrongType {
         /// The tag.
         tag: Tag,
         /// The value.
         value: TagValue,
     },
-    /// It is not written as values of this type are.
+    /// The text is not a value of this type.
     #[error("{tag_type} takes {}", tag_type.takes())]
     Malformed {
         /// The type.
         tag_type: TagType,
     },
-    /// It is a number, and too small or too large for the type.
-    #[error("it does not fit: {tag_type} takes {}", tag_type.takes())]
+    /// The number is too small or too large for the type.
+    #[error("out of range: {tag_type} takes {}", tag_type.takes())]
     OutOfRange {
         /// The type.
         tag_type: TagType,
     },
-    /// A value comes from no number that the elements can hold, by the tag's scale.
-    #[error("{value:?} comes from the raw number {raw:?}, which does not fit: {tag_type} takes {}", tag_type.takes())]
+    /// The raw number of a scaled value is out of the range of the type.
+    #[error("the raw number of {value:?} is {raw:?}, out of range: {tag_type} takes {}", tag_type.takes())]
     #[non_exhaustive]
     RawOutOfRange {
-        /// The value.
+        /// The scaled value.
         value: f64,
-        /// What it comes from, before it is rounded.
+        /// The raw number, not rounded.
         raw: f64,
         /// The type of the raw number.
         tag_type: TagType,
     },
-    /// It is not a decimal number, where a scaled value should be.
+    /// A scaled value is not a decimal number.
     #[error("a scaled value is a decimal number, such as 12.3 or -1e3")]
     NotDecimal,
-    /// There are more characters than the elements hold.
-    #[error("{} has {characters} characters, and {most} fit", Quoted(text))]
+    /// The text is longer than the elements.
+    #[error("{} has {characters} characters, and {max} fit", Quoted(text))]
     #[non_exhaustive]
     TooLong {
         /// The text.
         text: String,
-        /// How many characters it has.
+        /// Number of characters.
         characters: usize,
-        /// How many the elements hold.
-        most: usize,
+        /// Maximum number of characters.
+        max: usize,
     },
-    /// A character that no byte stands for.
-    #[error("{} has the character {character:?}, and only the 256 of Latin-1 can be held", Quoted(text))]
+    /// A character is not Latin-1.
+    #[error("{} has the character {character:?}, which is not Latin-1", Quoted(text))]
     #[non_exhaustive]
     NotLatin1 {
         /// The text.
@@ -200,42 +205,48 @@ pub enum ValueError {
         /// The character.
         character: char,
     },
-    /// A bare text that could be taken for something else.
-    #[error("text with a comma, a quote, a backslash or a control character stands in double quotes, such as \"a, b\"")]
+    /// A text without quotes has a character that needs them.
+    #[error("a text with a comma, a quote, a backslash or a control character needs double quotes, such as \"a, b\"")]
     NotQuoted,
-    /// Double quotes that do not enclose the text.
-    #[error("text in double quotes ends with one, and a quote within it stands behind a backslash")]
+    /// The double quotes do not enclose the whole text.
+    #[error("a text in double quotes must end with one, and a quote within it needs a backslash before it")]
     BadQuotes,
-    /// A backslash before something that it does not go with.
-    #[error(r#"a backslash stands before one of " \ n r t 0, or before x and two hexadecimal digits"#)]
+    /// The escape behind a backslash is unknown.
+    #[error(r#"a backslash must be followed by one of " \ n r t 0, or by x and two hexadecimal digits"#)]
     BadEscape,
-    /// There is no value where one should be.
+    /// A value is empty.
     #[error("a value is missing")]
     Empty,
-    /// A hexadecimal value without its mark, which could also be a decimal one.
+    /// A hexadecimal value has no `0x`.
     #[error("a hexadecimal value begins with 0x, such as 0x{}", if *bits > 16 { "0000BEEF" } else { "00FF" })]
     NotMarked {
-        /// How many bits the value has.
+        /// Number of bits of the value.
         bits: u32,
     },
-    /// `0x` is not followed by hexadecimal digits alone, or by too many of them.
+    /// `0x` is not followed by 1 to `max` hexadecimal digits.
     #[error("0x must be followed by 1 to {max} hexadecimal digits")]
     BadHex {
-        /// The most digits that the type takes.
+        /// Maximum number of digits.
         max: u32,
     },
-    /// `0x` for a float, without all the digits of its bits.
-    #[error("as the bits of f32, 0x must be followed by all 8 digits, such as 0x3F800000 for 1.0")]
-    PartialBits,
+    /// A float as `0x` has not all its digits.
+    #[error("as the bits of {tag_type}, 0x must be followed by all {digits} digits")]
+    #[non_exhaustive]
+    PartialBits {
+        /// The type.
+        tag_type: TagType,
+        /// Number of digits that it takes.
+        digits: u32,
+    },
 }
 
-/// A text that is not the value, or the values, of a tag: the text, and the rule it breaks.
+/// A text that is not a value of a tag, with the rule that it breaks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("`{input}` is not a value for {tag}: {reason}")]
 pub struct ParseValueError {
     input: String,
     tag: Tag,
-    /// In a box, for it can hold a tag too.
+    /// Boxed, since it can contain a tag, too.
     reason: Box<ValueError>,
 }
 
@@ -244,19 +255,19 @@ impl ParseValueError {
         Self { input: input.to_owned(), tag, reason: reason.into() }
     }
 
-    /// The text of the value as given; all of them when their number is wrong.
+    /// The text of the value; the text of all values if their number is wrong.
     #[must_use]
     pub fn input(&self) -> &str {
         &self.input
     }
 
-    /// The tag it was to be a value for.
+    /// The tag.
     #[must_use]
     pub fn tag(&self) -> Tag {
         self.tag
     }
 
-    /// The rule it breaks.
+    /// The rule that it breaks.
     #[must_use]
     pub fn reason(&self) -> &ValueError {
         &self.reason
@@ -267,16 +278,16 @@ impl ParseValueError {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ParseAssignmentError {
-    /// There is no `=`.
+    /// The text has no `=`.
     #[error("`{input}` is not an assignment: it must be TAG=VALUE, such as R5=7")]
     NoValue {
-        /// The text as given.
+        /// The text.
         input: String,
     },
-    /// What stands before `=` is no tag.
+    /// The text before `=` is not a tag.
     #[error(transparent)]
     Tag(#[from] ParseTagError),
-    /// What stands behind it is no value of that tag.
+    /// The text behind `=` is not a value of the tag.
     #[error(transparent)]
     Value(#[from] ParseValueError),
 }
@@ -285,12 +296,12 @@ fn scalable() -> impl Iterator<Item = TagType> + Clone {
     TagType::ALL.iter().copied().filter(|tag_type| tag_type.is_scalable())
 }
 
-/// The types that elements of a width can have, for [`TagError::WrongType`].
+/// Displays the types that exist for a width.
 struct TypesOf(Width);
 
 impl fmt::Display for TypesOf {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        Names(TagType::ALL.iter().copied().filter(|tag_type| tag_type.kind(self.0).is_some())).fmt(f)
+        Names(TagType::ALL.iter().copied().filter(|tag_type| tag_type.storage(self.0).is_some())).fmt(f)
     }
 }
 

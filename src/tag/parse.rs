@@ -1,4 +1,4 @@
-//! Tags as people write them.
+//! Parser of tags.
 
 use super::{Tag, TagError, TagType};
 use crate::element::{Element, Symbol};
@@ -7,7 +7,7 @@ pub(super) fn parse(text: &str) -> Result<Tag, TagError> {
     let Some((elements, tag_type)) = text.split_once(':') else {
         return parse_elements(text, None);
     };
-    // `text-hi` is a name; the `-` of `i16-40` begins a scale.
+    // The `-` of `text-hi` belongs to the name, that of `i16-40` begins a scale.
     let name_end = if tag_type.parse::<TagType>().is_ok() { None } else { tag_type.find(['*', '+', '-']) };
     let (name, scale) = tag_type.split_at(name_end.unwrap_or(tag_type.len()));
     let tag = parse_elements(elements, Some(name.parse()?))?;
@@ -23,13 +23,13 @@ fn parse_elements(elements: &str, tag_type: Option<TagType>) -> Result<Tag, TagE
     let Some(last) = last else {
         return Tag::new(first, tag_type, 1);
     };
-    if tag_type.kind(first.width()).is_none() {
+    if tag_type.storage(first.width()).is_none() {
         return Err(TagError::WrongType { symbol: first.symbol(), tag_type });
     }
     Tag::spanning(first, tag_type, elements_between(first, parse_last(first.symbol(), last)?)?)
 }
 
-/// The end of a range: `R9`, or `9` after an `R`.
+/// Parses the end of a range: `R9`, or `9` if the range begins with an `R`.
 fn parse_last(first: Symbol, text: &str) -> Result<Element, TagError> {
     if text.is_empty() || text.starts_with(|c: char| c.is_ascii_digit()) {
         return Ok(Element::parse(&format!("{first}{text}"))?);

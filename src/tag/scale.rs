@@ -1,25 +1,25 @@
-//! Gain and offset: from a raw number to the quantity that it stands for, and back.
+//! Gain and offset between raw numbers and engineering values.
 //!
-//! # What is promised
-//!
-//! - The value of an integer is the `f64` nearest to `raw × gain + offset` as decimals, as long as neither the
-//!   product nor the offset takes more than 14 digits: 123 × 0.1 is 12.3 and prints so, not 12.3 and a bit.
-//! - The value of an integer leads back to it, whatever gain and offset, also by way of its text.
-//! - So does that of an `f32`, unless it is too small beside the offset for their sum to tell. NaN stays NaN, and
-//!   infinity infinity.
-//! - A value that no raw number stands for is refused; nothing is clamped or wrapped.
+//! Invariants:
+//! - The value of an integer is the `f64` nearest to the decimal `raw * gain + offset`, if neither
+//!   product nor offset has more than 14 digits: 123 * 0.1 is 12.3, not 12.300000000000001.
+//! - The value of an integer encodes to the same integer, also after display and parsing.
+//! - The value of an `f32` does, too, unless it is too small beside the offset. NaN stays NaN, and
+//!   infinity stays infinity.
+//! - A value whose raw number is out of range is refused, never clamped or wrapped.
 
 use std::cmp::Ordering;
 use std::fmt;
 use std::hash::{Hash, Hasher};
 use std::str::FromStr;
 
-use super::TagValue;
-use super::kind::Shape;
+use super::ValueError;
+use super::codec::{decimals, has_overflowed};
+use super::types::Format;
 
 /// A gain and an offset: `value = raw × gain + offset`.
 ///
-/// It is written as in a tag: `*0.1`, `+3`, `*0.1-40`, and prints itself so.
+/// Parsed and displayed as in a tag: `*0.1`, `+3`, `*0.1-40`.
 ///
 /// ```
 /// use fatek::tag::Scale;
@@ -35,58 +35,60 @@ pub struct Scale {
     gain: f64,
     /// Never -0.
     offset: f64,
-    // How many digits each has behind the point. They follow from the numbers, so comparisons leave them out.
+    // Decimals of each. They follow from the numbers, so comparisons ignore them.
     gain_decimals: u8,
     offset_decimals: u8,
 }
 
-/// Why a gain and an offset are no scale.
+/// Why a gain and an offset are not a valid scale.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScaleError {
-    /// A gain of 0, no number at all, or so far from 1 that values would be.
-    #[error("the gain is {gain:?}, and it must be from 1e-200 to 1e200, or the same below 0")]
+    /// The gain is 0, not a number, too small or too large.
+    #[error("the gain is {gain:?}, and it must be from 1e-200 to 1e200, or from -1e200 to -1e-200")]
     #[non_exhaustive]
     Gain {
-        /// What was given.
+        /// The gain.
         gain: f64,
     },
-    /// An offset that is no number.
-    #[error("the offset is {offset:?}, and it must be a number")]
+    /// The offset is not a finite number.
+    #[error("the offset is {offset:?}, and it must be a finite number")]
     #[non_exhaustive]
     Offset {
-        /// What was given.
+        /// The offset.
         offset: f64,
     },
-    /// An offset beside which the gain is lost: neighbouring raw numbers would have the same value.
+    /// The offset is so large beside the gain that adjacent raw numbers would have the same value.
     #[error("the offset {offset:?} is more than 2.8e14 times the gain {gain:?}, so values could not be told apart")]
     #[non_exhaustive]
     Coarse {
-        /// The gain given.
+        /// The gain.
         gain: f64,
-        /// The offset given.
+        /// The offset.
         offset: f64,
     },
-    /// A text that is no scale.
+    /// The text is not a scale.
     #[error("`{input}` is not a scale: it must be *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40")]
     #[non_exhaustive]
     Malformed {
-        /// The text as given.
+        /// The text.
         input: String,
     },
 }
 
-/// A 32-bit number and so many gains need 49 bits, which leaves an `f64` with 4 for its roundings.
+/// Largest ratio of offset and gain. A sum of such an offset and a 32-bit number has 49 bits, which
+/// leaves 4 bits of an `f64` for rounding.
 const MAX_GAINS: f64 = (1_u64 << 48) as f64;
 
 impl Scale {
-    /// This gain and this offset.
+    /// A scale with this gain and offset.
     ///
     /// # Errors
-    /// [`ScaleError::Gain`] unless the gain is from 1e-200 to 1e200 in size, [`ScaleError::Offset`] unless the offset is
-    /// finite, and [`ScaleError::Coarse`] when it is more than 2⁴⁸ gains.
+    /// - [`ScaleError::Gain`] unless the absolute value of the gain is from 1e-200 to 1e200
+    /// - [`ScaleError::Offset`] unless the offset is finite
+    /// - [`ScaleError::Coarse`] if the offset is more than 2^48 times the gain
     pub fn new(gain: f64, offset: f64) -> Result<Self, ScaleError> {
-        // NaN is in no range.
+        // False for NaN.
         if !(1e-200..=1e200).contains(&gain.abs()) {
             return Err(ScaleError::Gain { gain });
         }
@@ -96,49 +98,48 @@ impl Scale {
         if offset.abs() > gain.abs() * MAX_GAINS {
             return Err(ScaleError::Coarse { gain, offset });
         }
-        // -0 + 0 is 0.
+        // Turns -0 into 0.
         let offset = offset + 0.0;
         Ok(Self { gain, offset, gain_decimals: decimals(gain), offset_decimals: decimals(offset) })
     }
 
-    /// What a raw number is multiplied with.
+    /// The factor of the raw number.
     #[must_use]
     pub fn gain(self) -> f64 {
         self.gain
     }
 
-    /// What is added to that.
+    /// The number added to the product.
     #[must_use]
     pub fn offset(self) -> f64 {
         self.offset
     }
 
-    /// The value of a raw number of this shape.
-    pub(super) fn value(self, shape: Shape, bits: u32) -> f64 {
-        let raw = shape.value(bits);
-        let raw_decimals = if let TagValue::F32(float) = raw { decimals(float) } else { 0 };
-        let product = raw.as_f64().unwrap_or(f64::NAN) * self.gain;
-        // A float keeps the sign of its 0 where there is no sum; an integer's 0 has none.
-        let value = if shape == Shape::F32 && self.offset == 0.0 { product } else { product + self.offset };
-        let decimals = self.gain_decimals.saturating_add(raw_decimals).max(self.offset_decimals);
+    /// The value of a raw number of this format, from its bits.
+    pub(super) fn value(self, format: Format, bits: u64) -> f64 {
+        let raw = format.value(bits).as_f64().unwrap_or(f64::NAN);
+        let product = raw * self.gain;
+        // Without an offset, a float of -0 stays -0; an integer has no -0.
+        let value = if format.is_float() && self.offset == 0.0 { product } else { product + self.offset };
+        let decimals = self.gain_decimals.saturating_add(format.decimals(bits)).max(self.offset_decimals);
         let rounded = round(value, product.abs().max(self.offset.abs()), decimals);
-        if self.bits(shape, rounded) == Some(bits) { rounded } else { value }
+        if self.bits(format, rounded) == Some(bits) { rounded } else { value }
     }
 
-    /// The raw number of this shape whose value is nearest to this one; `None` if it is not in the shape's range.
-    pub(super) fn bits(self, shape: Shape, value: f64) -> Option<u32> {
+    /// The bits of the raw number, rounded; `None` if it is out of the range of the format.
+    pub(super) fn bits(self, format: Format, value: f64) -> Option<u64> {
         let raw = self.raw(value);
-        if raw.is_infinite() && value.is_finite() { None } else { shape.nearest(raw) }
+        if raw.is_infinite() && value.is_finite() { None } else { format.nearest(raw) }
     }
 
-    /// What stands for a value before it is rounded to a raw number.
+    /// The raw number of a value, not rounded.
     pub(super) fn raw(self, value: f64) -> f64 {
         (value - self.offset) / self.gain
     }
 }
 
-/// The value with so many digits behind the point, when that is exact: what it was made from is no larger than this
-/// and has at most 14 digits, so that the roundings on the way are not seen.
+/// Rounds a value to a number of decimals if that is exact: if `largest`, the larger of its two
+/// summands, has at most 14 digits, which hides the rounding errors of the calculation.
 fn round(value: f64, largest: f64, decimals: u8) -> f64 {
     const POWERS: [f64; 23] = [
         1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19,
@@ -150,14 +151,13 @@ fn round(value: f64, largest: f64, decimals: u8) -> f64 {
     }
 }
 
-/// How many digits the shortest decimal of this number has behind the point.
-fn decimals(number: impl fmt::Display) -> u8 {
-    let text = number.to_string();
-    let digits = text.split_once('.').map_or(0, |(_, digits)| digits.len());
-    u8::try_from(digits).unwrap_or(u8::MAX)
+/// Parses a scaled value.
+pub(super) fn parse_scaled(text: &str) -> Result<f64, ValueError> {
+    let number = text.parse().map_err(|_| ValueError::NotDecimal)?;
+    if has_overflowed(number, text) { Err(ValueError::NotDecimal) } else { Ok(number) }
 }
 
-// -0 is gone and NaN never came, so equal bits are equal numbers.
+// Gain and offset are neither NaN nor -0, so equal bits are equal numbers.
 
 impl PartialEq for Scale {
     fn eq(&self, other: &Self) -> bool {
@@ -188,7 +188,7 @@ impl Hash for Scale {
 impl FromStr for Scale {
     type Err = ScaleError;
 
-    /// Reads `*GAIN`, `+OFFSET`, `-OFFSET`, or a gain with an offset behind it; a gain can be negative.
+    /// Parses `*GAIN`, `+OFFSET`, `-OFFSET`, or `*GAIN` and an offset. A gain can be negative.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let malformed = || ScaleError::Malformed { input: text.to_owned() };
         let (gain, rest) = match text.strip_prefix('*') {
@@ -209,7 +209,7 @@ impl FromStr for Scale {
 }
 
 impl fmt::Display for Scale {
-    /// The shortest text that parses to the same: a gain of 1 is left out where there is an offset.
+    /// The shortest text that parses to the same scale: without a gain of 1 if there is an offset.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.gain != 1.0 || self.offset == 0.0 {
             write!(f, "*{}", Shortest(self.gain))?;
@@ -222,7 +222,7 @@ impl fmt::Display for Scale {
     }
 }
 
-/// A number with neither an idle `.0` nor a row of zeros.
+/// Displays a number in its shortest form, with an exponent and without `.0`.
 struct Shortest(f64);
 
 impl fmt::Display for Shortest {
@@ -232,23 +232,23 @@ impl fmt::Display for Shortest {
     }
 }
 
-/// How long the decimal number is that the text begins with: digits, with a point and with an exponent if need be.
+/// Length of the unsigned decimal number at the beginning of a text, with decimals and exponent.
 fn unsigned(text: &str) -> Option<usize> {
     let digits = |from: usize| text.bytes().skip(from).take_while(u8::is_ascii_digit).count();
     let byte = |at: usize| text.as_bytes().get(at).copied();
     let mut end = digits(0);
-    let mut any = end;
+    let mut digit_count = end;
     if byte(end) == Some(b'.') {
-        let behind = digits(end + 1);
-        any += behind;
-        end += 1 + behind;
+        let decimals = digits(end + 1);
+        digit_count += decimals;
+        end += 1 + decimals;
     }
-    if any == 0 {
+    if digit_count == 0 {
         return None;
     }
     if let Some(b'e' | b'E') = byte(end) {
         let sign = usize::from(matches!(byte(end + 1), Some(b'+' | b'-')));
-        // `e` without digits is no exponent, and no number goes on so.
+        // An `e` without digits makes the number invalid.
         match digits(end + 1 + sign) {
             0 => return None,
             exponent => end += 1 + sign + exponent,

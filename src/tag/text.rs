@@ -1,15 +1,15 @@
-//! Text over registers, and text as people write it.
+//! Texts in registers, and their quoted form.
 //!
-//! A register holds two characters of 8 bits, which stand for the 256 characters of Latin-1, so that every text that a
-//! PLC can hold is a value and nothing of it is lost. `text` has the low byte of each register first: in the order of a
-//! PLC whose 32-bit values have the low word first, the bytes of a text then follow each other. The protocol's manuals
-//! say nothing about it, and panels differ, so there is `text-hi` with the high byte first.
+//! A register holds two characters of 8 bits. They are Latin-1, so that all contents of registers
+//! are valid texts, without loss. `text` has the low byte of each register first, consistent with
+//! 32-bit values, whose low word is first. The manuals do not specify this and operator panels
+//! differ, so there is also `text-hi`, with the high byte first.
 
 use std::fmt::{self, Write};
 
 use super::ValueError;
 
-/// Which byte of a register comes first.
+/// Order of the two characters of a register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(super) enum ByteOrder {
     LowFirst,
@@ -32,29 +32,30 @@ impl ByteOrder {
     }
 }
 
-/// The text that these words hold, without the NULs at its end.
+/// Decodes a text, without the NULs at its end.
 pub(super) fn decode(words: impl Iterator<Item = u16>, order: ByteOrder) -> String {
     let mut text: String = words.flat_map(|word| order.bytes(word)).map(char::from).collect();
     text.truncate(text.trim_end_matches('\0').len());
     text
 }
 
-/// The words that hold this text, with NULs up to this many words.
+/// Encodes a text, padded with NULs to a number of words.
 pub(super) fn encode(text: &str, words: usize, order: ByteOrder) -> Result<Vec<u16>, ValueError> {
-    let mut bytes = Vec::with_capacity(words.saturating_mul(2));
+    // A tag has at most 65536 elements.
+    let max = words * 2;
+    let mut bytes = Vec::with_capacity(max);
     for character in text.chars() {
         let byte = u8::try_from(character);
         bytes.push(byte.map_err(|_| ValueError::NotLatin1 { text: text.to_owned(), character })?);
     }
-    let most = words.saturating_mul(2);
-    if bytes.len() > most {
-        return Err(ValueError::TooLong { text: text.to_owned(), characters: bytes.len(), most });
+    if bytes.len() > max {
+        return Err(ValueError::TooLong { text: text.to_owned(), characters: bytes.len(), max });
     }
-    bytes.resize(most, 0);
+    bytes.resize(max, 0);
     Ok(bytes.as_chunks().0.iter().map(|pair| order.word(*pair)).collect())
 }
 
-/// A text in double quotes, in which nothing is invisible and nothing ends it but the closing one.
+/// Displays a text in double quotes, with escapes for quotes, backslashes and invisible characters.
 pub(super) struct Quoted<'t>(pub(super) &'t str);
 
 impl fmt::Display for Quoted<'_> {
@@ -67,7 +68,7 @@ impl fmt::Display for Quoted<'_> {
                 '\r' => f.write_str("\\r")?,
                 '\t' => f.write_str("\\t")?,
                 '\0' => f.write_str("\\0")?,
-                // Control characters, and the two of Latin-1 that look like a blank or like nothing.
+                // Control characters, the no-break space and the soft hyphen.
                 '\u{1}'..='\u{1F}' | '\u{7F}'..='\u{A0}' | '\u{AD}' => write!(f, "\\x{:02X}", u32::from(character))?,
                 _ => f.write_char(character)?,
             }
@@ -76,7 +77,7 @@ impl fmt::Display for Quoted<'_> {
     }
 }
 
-/// Reads a text: in double quotes, or as it stands if nothing in it could be taken for something else.
+/// Parses a text in double quotes, or a plain one.
 pub(super) fn parse(input: &str) -> Result<String, ValueError> {
     let Some(quoted) = input.strip_prefix('"') else {
         let plain = !input.is_empty() && !input.contains(|c: char| matches!(c, '"' | '\\' | ',') || c.is_control());
@@ -94,7 +95,7 @@ pub(super) fn parse(input: &str) -> Result<String, ValueError> {
     }
 }
 
-/// What stands for a character behind a backslash.
+/// Parses the rest of an escape, behind the backslash.
 fn escaped(characters: &mut std::str::Chars<'_>) -> Option<char> {
     Some(match characters.next()? {
         character @ ('"' | '\\') => character,

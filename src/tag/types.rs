@@ -1,56 +1,120 @@
+//! Data types of tags, and their values.
+//!
+//! A new type needs changes in this file only:
+//! - a row in `types!`;
+//! - for a new format of values, a row in `formats!`;
+//! - for a new Rust type of values, an entry in `primitives!`, and for a new coding, an
+//!   implementation of [`Codec`].
+
 use std::fmt;
 use std::str::FromStr;
 
-use super::ParseTagTypeError;
-use super::kind::{Kind, Shape};
-use super::text::ByteOrder;
+use super::codec::{Bit, Codec, Float, Hex, Integer, Primitive, Real, primitives};
+use super::text::{ByteOrder, Quoted};
+use super::{ParseTagTypeError, ValueError};
 use crate::element::Width;
 
-// One row a type.
+// One row per type.
 //
-// - discrete, word, double: what a value is made of on elements of that width: a shape, or the first byte of a text;
-//                           `-` where the type does not exist
-// - takes:                  how values are written, for the documentation and for errors
+// - discrete, word, dword: storage of a value on elements of that width: a format, or the first
+//                          byte of a text; `-` if the type does not exist
+// - class:                 bool, number (scalable), bits (a number that is not scalable), or text
+// - takes:                 accepted values, for the documentation and for errors
 types! {
-    // variant  name      discrete  word   double  takes
-    Bool        "bool"    Bool      -      -       "0 or 1, false or true, off or on";
-    U16         "u16"     -         U16    -       "0 to 65535";
-    I16         "i16"     -         I16    -       "-32768 to 32767";
-    U32         "u32"     -         U32    U32     "0 to 4294967295";
-    I32         "i32"     -         I32    I32     "-2147483648 to 2147483647";
-    F32         "f32"     -         F32    F32     "-3.4028235e38 to 3.4028235e38, nan and inf";
-    Hex         "hex"     -         Hex16  Hex32   "0x and hexadecimal digits, up to 4 for 16 bits and up to 8 for 32";
-    Text        "text"    -         Low    -       "two characters a register, the low byte first; in double quotes, or bare";
-    TextHi      "text-hi" -         High   -       "two characters a register, the high byte first; in double quotes, or bare";
+    // type  name       discrete  word   dword  class    takes
+    Bool     "bool"     Bool      -      -      Bool     "0 or 1, false or true, off or on";
+    U16      "u16"      -         U16    -      Number   "0 to 65535";
+    I16      "i16"      -         I16    -      Number   "-32768 to 32767";
+    U32      "u32"      -         U32    U32    Number   "0 to 4294967295";
+    I32      "i32"      -         I32    I32    Number   "-2147483648 to 2147483647";
+    F32      "f32"      -         F32    F32    Number   "-3.4028235e38 to 3.4028235e38, nan and inf";
+    Hex      "hex"      -         Hex16  Hex32  Bits     "0x and up to 4 hexadecimal digits for 16 bits, 8 for 32";
+    Text     "text"     -         Low    -      Text     "two characters per register, low byte first";
+    TextHi   "text-hi"  -         High   -      Text     "two characters per register, high byte first";
+}
+
+// One row per format of values of a fixed number of bits.
+formats! {
+    // format  type  codec           value  documentation
+    Bool       Bool  Bit          => bool   "State of a discrete; `true` is on.";
+    U16        U16   Integer<u16> => u16    "16 bits, unsigned.";
+    I16        I16   Integer<i16> => i16    "16 bits, signed.";
+    U32        U32   Integer<u32> => u32    "32 bits, unsigned.";
+    I32        I32   Integer<i32> => i32    "32 bits, signed.";
+    F32        F32   Float<f32>   => f32    "32 bits, an IEEE-754 float.";
+    Hex16      Hex   Hex<u16>     => u16    "16 bits, displayed as four hexadecimal digits.";
+    Hex32      Hex   Hex<u32>     => u32    "32 bits, displayed as eight hexadecimal digits.";
+}
+
+primitives!(u16, i16, u32, i32, f32);
+
+impl Real for f32 {
+    #[allow(clippy::cast_possible_truncation, reason = "the nearest f32 is wanted")]
+    fn nearest(number: f64) -> Self {
+        number as Self
+    }
+}
+
+/// Storage of a value in elements.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub(super) enum Storage {
+    /// A fixed number of bits.
+    Bits(Format),
+    /// A text over all elements of a tag.
+    Text(ByteOrder),
+}
+
+impl Storage {
+    /// Number of elements of a value; for a text, of its shortest one.
+    pub(super) fn elements_per_value(self, width: Width) -> usize {
+        match self {
+            Self::Bits(format) => format.bits().div_ceil(width.bits()) as usize,
+            Self::Text(_) => 1,
+        }
+    }
+}
+
+/// Group of types.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Class {
+    Bool,
+    Number,
+    Bits,
+    Text,
 }
 
 impl TagType {
-    /// The type of a tag that names none: `bool` for a discrete, `u16` for a 16-bit register, `u32` for 32 bits.
+    /// The default type of a width: `bool` for a discrete, `u16` for 16 bits, `u32` for 32 bits.
     #[must_use]
     pub const fn default_for(width: Width) -> Self {
+        Self::default_of(width).0
+    }
+
+    /// The default type of a width, with its storage.
+    pub(super) const fn default_of(width: Width) -> (Self, Storage) {
         match width {
-            Width::Bit => Self::Bool,
-            Width::Word => Self::U16,
-            Width::DWord => Self::U32,
+            Width::Bit => (Self::Bool, Storage::Bits(Format::Bool)),
+            Width::Word => (Self::U16, Storage::Bits(Format::U16)),
+            Width::DWord => (Self::U32, Storage::Bits(Format::U32)),
         }
     }
 
-    /// Whether its values are numbers, which can be compared: all but `bool` and texts.
+    /// Whether its values are numbers: all types except `bool` and texts.
     #[must_use]
     pub const fn is_number(self) -> bool {
-        !matches!(self, Self::Bool) && !self.is_text()
+        matches!(self.class(), Class::Number | Class::Bits)
     }
 
-    /// Whether it is a text, so that all the elements of a tag are one value.
+    /// Whether it is a text, so that all elements of a tag are one value.
     #[must_use]
     pub const fn is_text(self) -> bool {
-        matches!(self, Self::Text | Self::TextHi)
+        matches!(self.class(), Class::Text)
     }
 
-    /// Whether a [`Scale`](super::Scale) can be had on it: every number but `hex`.
+    /// Whether it can have a [`Scale`](super::Scale): all numbers except `hex`.
     #[must_use]
     pub const fn is_scalable(self) -> bool {
-        matches!(self, Self::U16 | Self::I16 | Self::U32 | Self::I32 | Self::F32)
+        matches!(self.class(), Class::Number)
     }
 }
 
@@ -63,20 +127,38 @@ impl fmt::Display for TagType {
 impl FromStr for TagType {
     type Err = ParseTagTypeError;
 
-    /// Reads the name of a type, in either case.
+    /// Parses the name of a type, in either case.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let found = Self::ALL.iter().find(|tag_type| tag_type.as_str().eq_ignore_ascii_case(text));
         found.copied().ok_or_else(|| ParseTagTypeError(text.to_owned()))
     }
 }
 
+impl Format {
+    /// Type and width, for errors: `u16 of 16 bits`.
+    pub(super) fn description(self) -> String {
+        format!("{} of {} bits", self.tag_type(), self.bits())
+    }
+}
+
+impl TagValue {
+    /// Its type, for errors: `u16 of 16 bits`, `scaled`, `text`.
+    pub(super) fn description(&self) -> String {
+        match self.bits() {
+            Some((format, _)) => format.description(),
+            None if matches!(self, Self::Text(_)) => "text".to_owned(),
+            None => "scaled".to_owned(),
+        }
+    }
+}
+
 macro_rules! types {
-    ($($variant:ident $name:literal $discrete:tt $word:tt $double:tt $takes:literal;)*) => {
-        /// What the bits of a tag stand for.
+    ($($variant:ident $name:literal $discrete:tt $word:tt $dword:tt $class:ident $takes:literal;)*) => {
+        /// Data type of a tag.
         ///
-        /// Discretes are `bool` and nothing else. A 16-bit register, a word of discretes too, has every other type; 32
-        /// bits take two of them, the low word first, and a text up to 64. A 32-bit register has every type of 32 bits,
-        /// and `hex`.
+        /// Discretes are `bool`. 16-bit registers, and words of discretes, have all other types: a
+        /// value of 32 bits takes two of them, the low word first, and a text up to 64. 32-bit
+        /// registers have the types of 32 bits, and `hex`.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         #[non_exhaustive]
         pub enum TagType {
@@ -87,10 +169,10 @@ macro_rules! types {
         }
 
         impl TagType {
-            /// Every type.
+            /// All types.
             pub const ALL: &'static [Self] = &[$(Self::$variant),*];
 
-            /// Its name, as in a tag.
+            /// Its name in a tag.
             #[must_use]
             pub const fn as_str(self) -> &'static str {
                 match self {
@@ -98,27 +180,145 @@ macro_rules! types {
                 }
             }
 
+            /// Its accepted values, for errors.
             pub(super) const fn takes(self) -> &'static str {
                 match self {
                     $(Self::$variant => $takes,)*
                 }
             }
 
-            /// What a value of the type is made of on elements of this width; `None` where the type does not exist.
-            pub(super) const fn kind(self, width: Width) -> Option<Kind> {
+            const fn class(self) -> Class {
+                match self {
+                    $(Self::$variant => Class::$class,)*
+                }
+            }
+
+            /// Storage of a value on elements of a width; `None` if the type does not exist there.
+            pub(super) const fn storage(self, width: Width) -> Option<Storage> {
                 match (self, width) {
                     $(
-                        (Self::$variant, Width::Bit) => types!(@kind $discrete),
-                        (Self::$variant, Width::Word) => types!(@kind $word),
-                        (Self::$variant, Width::DWord) => types!(@kind $double),
+                        (Self::$variant, Width::Bit) => types!(@storage $discrete),
+                        (Self::$variant, Width::Word) => types!(@storage $word),
+                        (Self::$variant, Width::DWord) => types!(@storage $dword),
                     )*
                 }
             }
         }
     };
-    (@kind -) => { None };
-    (@kind Low) => { Some(Kind::Text(ByteOrder::LowFirst)) };
-    (@kind High) => { Some(Kind::Text(ByteOrder::HighFirst)) };
-    (@kind $shape:ident) => { Some(Kind::Plain(Shape::$shape)) };
+    (@storage -) => { None };
+    (@storage Low) => { Some(Storage::Text(ByteOrder::LowFirst)) };
+    (@storage High) => { Some(Storage::Text(ByteOrder::HighFirst)) };
+    (@storage $format:ident) => { Some(Storage::Bits(Format::$format)) };
 }
 use types;
+
+macro_rules! formats {
+    ($($variant:ident $tag_type:ident $codec:ty => $value:ident $doc:literal;)*) => {
+        /// Format of a value of a fixed number of bits.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub(super) enum Format {
+            $($variant,)*
+        }
+
+        /// A value of a tag.
+        ///
+        /// Displays as text that parses to the same value: floats in their shortest form, texts in
+        /// double quotes with escapes for invisible characters. The payload of a NaN is not
+        /// displayed.
+        #[derive(Clone, Debug, PartialEq)]
+        #[non_exhaustive]
+        pub enum TagValue {
+            $(
+                #[doc = $doc]
+                $variant($value),
+            )*
+            /// A number after gain and offset; see [`Scale`](super::Scale).
+            Scaled(f64),
+            /// A text, without the NULs at its end.
+            Text(String),
+        }
+
+        impl Format {
+            pub(super) const fn bits(self) -> u32 {
+                match self {
+                    $(Self::$variant => <$codec as Codec>::BITS,)*
+                }
+            }
+
+            pub(super) const fn is_float(self) -> bool {
+                match self {
+                    $(Self::$variant => <$codec as Codec>::IS_FLOAT,)*
+                }
+            }
+
+            pub(super) const fn tag_type(self) -> TagType {
+                match self {
+                    $(Self::$variant => TagType::$tag_type,)*
+                }
+            }
+
+            /// The value of these bits.
+            pub(super) fn value(self, bits: u64) -> TagValue {
+                match self {
+                    $(Self::$variant => TagValue::$variant(<$codec>::decode(bits)),)*
+                }
+            }
+
+            /// The number of decimals of the value of these bits.
+            pub(super) fn decimals(self, bits: u64) -> u8 {
+                match self {
+                    $(Self::$variant => <$codec>::decimals(<$codec>::decode(bits)),)*
+                }
+            }
+
+            /// The bits of the value nearest to a number; `None` if it is out of range.
+            pub(super) fn nearest(self, number: f64) -> Option<u64> {
+                match self {
+                    $(Self::$variant => <$codec>::nearest(number).map(<$codec>::encode),)*
+                }
+            }
+
+            pub(super) fn parse(self, text: &str) -> Result<TagValue, ValueError> {
+                Ok(match self {
+                    $(
+                        Self::$variant => {
+                            TagValue::$variant(<$codec>::parse(text, TagType::$tag_type)?)
+                        }
+                    )*
+                })
+            }
+        }
+
+        impl TagValue {
+            /// The value as a number: 31 for `0x001F`; `None` for `bool` and texts.
+            #[must_use]
+            pub fn as_f64(&self) -> Option<f64> {
+                match *self {
+                    $(Self::$variant(value) => <$codec>::number(value),)*
+                    Self::Scaled(value) => Some(value),
+                    Self::Text(_) => None,
+                }
+            }
+
+            /// Its format and its bits; `None` if they depend on the tag.
+            pub(super) fn bits(&self) -> Option<(Format, u64)> {
+                match *self {
+                    $(Self::$variant(value) => Some((Format::$variant, <$codec>::encode(value))),)*
+                    Self::Scaled(_) | Self::Text(_) => None,
+                }
+            }
+        }
+
+        impl fmt::Display for TagValue {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                match self {
+                    $(Self::$variant(value) => <$codec>::display(*value, f),)*
+                    // Debug uses an exponent where Display would write up to 309 digits.
+                    Self::Scaled(value) => write!(f, "{value:?}"),
+                    Self::Text(text) => Quoted(text).fmt(f),
+                }
+            }
+        }
+    };
+}
+use formats;

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use fatek::backup::{Backup, Restore, RestoreOptions, RestoreReport};
 use fatek::command::Code;
-use fatek::sim::{Fault, Faults, Moment, Rule};
+use fatek::sim::{DisconnectAt, Fault, Faults, Rule};
 use fatek::tag::Tag;
 use fatek::wire::Framing;
 use fatek::{Element, Value, element};
@@ -79,7 +79,7 @@ async fn a_plc_that_is_gone_at_any_request_is_restored_when_it_is_back() {
     for framing in FRAMINGS {
         let all = requests(framing).await;
         assert!(all > 20, "{all}");
-        for fault in [Fault::Ignore, Fault::DropReply, Fault::Disconnect(Moment::BeforeReply)] {
+        for fault in [Fault::Ignore, Fault::DropReply, Fault::Disconnect(DisconnectAt::BeforeReply)] {
             for at in 0..all {
                 let note = format!("{framing}, {fault:?} at {at}");
                 let (bench, backup, before) = prepare(framing).await;
@@ -138,7 +138,9 @@ async fn a_restoring_that_is_dropped_at_any_request_can_be_done_again() {
 #[tokio::test(start_paused = true)]
 async fn a_write_without_an_answer_is_looked_at_before_it_is_repeated() {
     for framing in FRAMINGS {
-        for (fault, sent) in [(Fault::DropReply, 1), (Fault::Disconnect(Moment::BeforeReply), 1), (Fault::Ignore, 2)] {
+        for (fault, sent) in
+            [(Fault::DropReply, 1), (Fault::Disconnect(DisconnectAt::BeforeReply), 1), (Fault::Ignore, 2)]
+        {
             let (bench, backup, before) = prepare(framing).await;
             bench.faults.set_rules([Rule::new(fault.clone())
                 .command(Code::WriteRegisters)

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use fatek::backup::{Backup, BackupError, Missing, Restore, RestoreOptions, TakeBackup};
 use fatek::command::Code;
-use fatek::sim::{Fault, Faults, Line, Moment, Rule};
+use fatek::sim::{DisconnectAt, Fault, Faults, Line, Rule};
 use fatek::tag::Tag;
 use fatek::wire::Framing;
 use fatek::{Element, Error, Value};
@@ -49,11 +49,11 @@ fn faults(seed: u64) -> Faults {
         .rule(some(Fault::Extended { by: 4 }, 10))
         .rule(some(Fault::BadChecksum, 20))
         .rule(some(Fault::duplicate(), 20))
-        .rule(some(Fault::Disconnect(Moment::BeforeExecution), 10))
-        .rule(some(Fault::Disconnect(Moment::BeforeReply), 10))
-        .rule(some(Fault::Disconnect(Moment::WithinReply), 10))
+        .rule(some(Fault::Disconnect(DisconnectAt::BeforeExecution), 10))
+        .rule(some(Fault::Disconnect(DisconnectAt::BeforeReply), 10))
+        .rule(some(Fault::Disconnect(DisconnectAt::WithinReply), 10))
         .rule(some(Fault::Refuse, 200))
-        .line(Line::new(115_200).turnaround(ms(1), ms(5)))
+        .line(Line::new(115_200).response_time(ms(1), ms(5)))
 }
 
 /// Reads a backup, again and again until it is there.
@@ -154,7 +154,7 @@ async fn round_trip(seed: u64, framing: Framing, faulty: bool) -> Vec<u64> {
         assert!(differs(&values[0]) && differs(&values[values.len() - 1]), "{range}, {note}");
         assert!(options != RestoreOptions::new() || values.iter().all(differs), "{range}, {note}");
     }
-    bench.faults.rules().iter().map(Rule::struck).collect()
+    bench.faults.rules().iter().map(Rule::times_applied).collect()
 }
 
 fn seeds() -> std::ops::Range<u64> {

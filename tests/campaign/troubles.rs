@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use fatek::command::{Code, ReadRegisters, Request, WriteRegisters};
-use fatek::sim::{Fault, LeftOver, Moment, Rule, Timing};
+use fatek::sim::{DisconnectAt, Fault, LeftOver, Rule, Timing};
 use fatek::{Element, Register};
 
 use crate::plant::{Dice, INJECTED, REFUSED, SECOND, UNKNOWN_COMMAND, UNREADABLE, UNWRITABLE, d, r};
@@ -126,14 +126,14 @@ pub(crate) fn rules(trouble: Trouble, times: &Times, alone: bool) -> Vec<Rule> {
         LeftAtStart => vec![Rule::new(Fault::Delay { min: times.busy, max: times.busy }).times(1)],
         LeftOver => vec![
             some(Fault::LeftOver { min, max }, 25),
-            some(Fault::Disconnect(Moment::BeforeExecution), 4),
-            some(Fault::Disconnect(Moment::BeforeReply), 4),
-            some(Fault::Disconnect(Moment::WithinReply), 4),
-            some(Fault::Disconnect(Moment::AfterReply), 4),
+            some(Fault::Disconnect(DisconnectAt::BeforeExecution), 4),
+            some(Fault::Disconnect(DisconnectAt::BeforeReply), 4),
+            some(Fault::Disconnect(DisconnectAt::WithinReply), 4),
+            some(Fault::Disconnect(DisconnectAt::AfterReply), 4),
         ],
         NoLoopBack => vec![always(UNKNOWN_COMMAND, Code::LoopBack)],
         NoMixed => vec![always(UNKNOWN_COMMAND, Code::ReadMixed), always(UNKNOWN_COMMAND, Code::WriteMixed)],
-        Closes => vec![Rule::new(Fault::Disconnect(Moment::AfterReply))],
+        Closes => vec![Rule::new(Fault::Disconnect(DisconnectAt::AfterReply))],
         Injected => vec![
             some(Fault::Error(INJECTED), 20).command(Code::ReadRegisters),
             some(Fault::Error(INJECTED), 20).command(Code::WriteRegisters),

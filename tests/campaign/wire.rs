@@ -72,7 +72,7 @@ impl Wire {
             Self::Network | Self::Sockets => 0,
             Self::Serial { baud, .. } => baud,
         };
-        let line = Line::new(baud).turnaround(ms(min), ms(max));
+        let line = Line::new(baud).response_time(ms(min), ms(max));
         if baud > 9600 && dice.in_hundred(5) { line.byte_by_byte() } else { line }
     }
 

@@ -268,7 +268,7 @@ impl World {
             }
         }
         for rule in self.faults.rules() {
-            *tally.struck.entry(label(rule.fault())).or_default() += rule.struck();
+            *tally.struck.entry(label(rule.fault())).or_default() += rule.times_applied();
         }
         if self.has(Trouble::LeftAtStart) {
             let is_left_over = |fault: &Fault| matches!(fault, Fault::LeftOver { min, max } if min == max);

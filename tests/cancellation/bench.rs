@@ -88,7 +88,7 @@ impl Bench {
             plc.write(m(nth), true).unwrap();
             plc.set_page(n, page(n)).unwrap();
         }
-        let faults = Faults::new(1).line(Line::new(0).turnaround(A_WHILE, A_WHILE)).rule(in_two_pieces());
+        let faults = Faults::new(1).line(Line::new(0).response_time(A_WHILE, A_WHILE)).rule(in_two_pieces());
         let [first, second] = plcs.clone();
         let bus = Bus::new().with_station(1, first).unwrap().with_station(2, second).unwrap();
         let mut connect = sim::connector(bus.with_faults(faults.clone()), framing);

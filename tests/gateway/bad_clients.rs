@@ -25,7 +25,7 @@ async fn a_hundred_reads(bench: &Bench) -> Duration {
 }
 
 fn slow_bus() -> Bench {
-    let line = Line::new(19_200).turnaround(Duration::from_millis(2), Duration::from_millis(2));
+    let line = Line::new(19_200).response_time(Duration::from_millis(2), Duration::from_millis(2));
     Bench::with_faults(Framing::Ascii, OPEN, Faults::new(0).line(line), PATIENCE)
 }
 

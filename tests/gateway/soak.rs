@@ -87,7 +87,7 @@ fn run(seed: u64) -> Outcome {
         assert!(log.writes() >= outcome.confirmed_writes, "FATEK_SEED={seed}");
         for rule in bench.faults.rules() {
             let kind = format!("{:?}", rule.fault()).split([' ', '(']).next().unwrap().to_owned();
-            *outcome.struck.entry(kind).or_default() += rule.struck();
+            *outcome.struck.entry(kind).or_default() += rule.times_applied();
         }
         let counts = bench.proxy.counts();
         assert_eq!(
@@ -106,7 +106,7 @@ fn faults(seed: u64) -> Faults {
     let some = |fault: Fault, per_mille: u16| Rule::new(fault).per_mille(per_mille);
     let mut faults = Faults::new(seed)
         .journal_capacity(100_000)
-        .line(Line::new(57_600).turnaround(ms(1), ms(5)))
+        .line(Line::new(57_600).response_time(ms(1), ms(5)))
         .rule(some(Fault::Ignore, 15))
         .rule(some(Fault::DropReply, 15))
         .rule(some(Fault::Split { pieces: 3, pause: ms(4) }, 30))

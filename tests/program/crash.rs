@@ -8,7 +8,7 @@ use std::time::Duration;
 use fatek::CallOptions;
 use fatek::command::Code;
 use fatek::program::{PlcState, Program, ProgramError, WriteOptions, WriteProgram, WriteProgramError};
-use fatek::sim::{Fault, Line, Moment, PageReply, Rule};
+use fatek::sim::{DisconnectAt, Fault, Line, PageReply, Rule};
 
 use crate::bench::{Bench, program, program_with_header, seeds};
 
@@ -59,7 +59,7 @@ async fn crash_at(crash: Crash, nth: u16, ladder_words: u16, old: &Program, new:
     match crash {
         Crash::Silence => bench.faults.add_rule(from_here(Fault::Ignore)),
         Crash::Disconnect => {
-            bench.faults.add_rule(from_here(Fault::Disconnect(Moment::BeforeReply)));
+            bench.faults.add_rule(from_here(Fault::Disconnect(DisconnectAt::BeforeReply)));
             // There is one connection, and no other.
             bench.faults.add_rule(Rule::new(Fault::Refuse).skip(1));
         }
@@ -123,7 +123,7 @@ fn check(error: &WriteProgramError, nth: u16, new: &Program, context: &str) {
 
 /// Until the first rule has struck.
 async fn struck(bench: &Bench) {
-    while bench.faults.rules().first().is_some_and(|rule| rule.struck() == 0) {
+    while bench.faults.rules().first().is_some_and(|rule| rule.times_applied() == 0) {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
 }
@@ -189,7 +189,7 @@ async fn a_writing_that_is_dropped_at_any_time_goes_on_and_in_the_end_the_plc_ru
         bench.load(&old);
         bench.plc.run();
         let request = Duration::from_millis(10);
-        bench.faults.set_line(Line::default().turnaround(request, request));
+        bench.faults.set_line(Line::default().response_time(request, request));
         let station = bench.station();
         let mut write = WriteProgram::new(&new, OPTIONS());
         // The whole takes about 400 ms, and the comparison before the first page 130 ms.

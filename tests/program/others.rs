@@ -16,7 +16,7 @@ const REQUEST: Duration = Duration::from_millis(10);
 fn bench(ladder_words: u16) -> Bench {
     let bench = Bench::new(ladder_words, PageReply::WithErrorDigit, 1);
     bench.load(&program(ladder_words, 1));
-    bench.faults.set_line(Line::default().turnaround(REQUEST, REQUEST));
+    bench.faults.set_line(Line::default().response_time(REQUEST, REQUEST));
     bench
 }
 
@@ -95,7 +95,7 @@ async fn a_plc_that_takes_pages_while_it_runs_is_found_to_run_within_16_pages() 
     for at in [49, 63, 80, 103, 125] {
         let bench = Bench::with_model(Model::default().ladder_words(2560).pages_while_running(true), 1);
         bench.load(&old);
-        bench.faults.set_line(Line::default().turnaround(REQUEST, REQUEST));
+        bench.faults.set_line(Line::default().response_time(REQUEST, REQUEST));
         let station = bench.station();
         let writing = station.write_program(&new, WriteOptions::new());
         let starting = async {

@@ -18,7 +18,7 @@ const REQUEST: Duration = Duration::from_millis(10);
 fn bench() -> Bench {
     let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
     bench.load(&program(640, 1));
-    bench.faults.set_line(Line::default().turnaround(REQUEST, REQUEST));
+    bench.faults.set_line(Line::default().response_time(REQUEST, REQUEST));
     bench
 }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use fatek::command::Code;
 use fatek::program::{Program, ProgramError, ReadProgram, WriteOptions, WriteProgram};
 use fatek::progress::{Phase, Progress};
-use fatek::sim::{Fault, Moment, PageReply, Rule};
+use fatek::sim::{DisconnectAt, Fault, PageReply, Rule};
 use fatek::wire::Framing;
 use fatek::{Error, Link};
 
@@ -28,9 +28,9 @@ fn spoil(bench: &Bench) {
         Fault::Truncated { by: 2 },
         Fault::Extended { by: 5 },
         Fault::BadChecksum,
-        Fault::Disconnect(Moment::BeforeExecution),
-        Fault::Disconnect(Moment::BeforeReply),
-        Fault::Disconnect(Moment::WithinReply),
+        Fault::Disconnect(DisconnectAt::BeforeExecution),
+        Fault::Disconnect(DisconnectAt::BeforeReply),
+        Fault::Disconnect(DisconnectAt::WithinReply),
     ] {
         bench.faults.add_rule(rare(fault));
     }
@@ -121,7 +121,9 @@ async fn a_reading_that_is_dropped_at_any_time_goes_on_there() {
     let program = program(640, 7);
     bench.load(&program);
     // Each request takes 10 ms.
-    bench.faults.set_line(fatek::sim::Line::default().turnaround(Duration::from_millis(10), Duration::from_millis(10)));
+    bench
+        .faults
+        .set_line(fatek::sim::Line::default().response_time(Duration::from_millis(10), Duration::from_millis(10)));
     let station = bench.station();
     let mut read = ReadProgram::new();
     let mut drops = 0;
@@ -142,7 +144,9 @@ async fn progress_tells_each_page_its_bytes_and_how_long_the_rest_takes() {
     let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
     let (old, new) = (program(640, 7), program(640, 8));
     bench.load(&old);
-    bench.faults.set_line(fatek::sim::Line::default().turnaround(Duration::from_millis(10), Duration::from_millis(10)));
+    bench
+        .faults
+        .set_line(fatek::sim::Line::default().response_time(Duration::from_millis(10), Duration::from_millis(10)));
     let told = Arc::<Mutex<Vec<Progress>>>::default();
     let tell = |told: &Arc<Mutex<Vec<Progress>>>| {
         let told = told.clone();

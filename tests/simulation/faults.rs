@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use fatek::command::{Code, ReadRegisters, Request, WriteRegisters};
-use fatek::sim::{Bus, Fault, Faults, LeftOver, Line, Moment, Rule, Timing};
+use fatek::sim::{Bus, DisconnectAt, Fault, Faults, LeftOver, Line, Rule, Timing};
 use fatek::wire::Framing;
 use fatek::{ErrorCode, Register, element, register};
 
@@ -58,12 +58,12 @@ pub(crate) fn faults(seed: u64, framing: Framing, echo: bool) -> Faults {
         .rule(some(Fault::Ignore, 8))
         .rule(some(Fault::DropReply, 8))
         .rule(some(Fault::Split { pieces: 3, pause: ms(4) }, 20))
-        .rule(some(Fault::Disconnect(Moment::BeforeExecution), 1))
-        .rule(some(Fault::Disconnect(Moment::BeforeReply), 1))
-        .rule(some(Fault::Disconnect(Moment::WithinReply), 1))
-        .rule(some(Fault::Disconnect(Moment::AfterReply), 1))
+        .rule(some(Fault::Disconnect(DisconnectAt::BeforeExecution), 1))
+        .rule(some(Fault::Disconnect(DisconnectAt::BeforeReply), 1))
+        .rule(some(Fault::Disconnect(DisconnectAt::WithinReply), 1))
+        .rule(some(Fault::Disconnect(DisconnectAt::AfterReply), 1))
         .rule(some(Fault::Refuse, 200))
-        .line(Line::new(115_200).turnaround(ms(1), ms(5)));
+        .line(Line::new(115_200).response_time(ms(1), ms(5)));
     for rule in refusals().into_iter().chain(answers_to_broadcasts()) {
         faults = faults.rule(rule);
     }

@@ -11,7 +11,7 @@ use crate::sim::Model;
 use crate::wire::{Codec, Side};
 use crate::{discrete, element, register, register32};
 
-/// Every command that both framings have, in an order in which each has something to find.
+/// All commands of both framings, in an order that gives each of them non-zero data.
 macro_rules! each_command {
     ($do:ident) => {
         $do!(ReadStatus);
@@ -50,7 +50,7 @@ macro_rules! each_command {
 }
 
 #[test]
-fn every_command_gives_in_both_framings_what_it_does_to_the_plc() {
+fn both_framings_execute_every_command_alike() {
     let plcs = [small(), small(), small()];
     let [ascii, binary] = [0, 1].map(|n| Bus::new().with_station(1, plcs[n].clone()).unwrap());
     macro_rules! compare {
@@ -65,11 +65,11 @@ fn every_command_gives_in_both_framings_what_it_does_to_the_plc() {
 }
 
 #[test]
-fn program_pages_are_written_and_read_in_both_forms_of_the_reply() {
+fn program_pages_round_trip_in_both_reply_forms() {
     for form in [PageReply::WithErrorDigit, PageReply::Bare] {
         let plc = Plc::with_model(Model::default().page_reply(form));
         let bus = Bus::new().with_station(1, plc.clone()).unwrap();
-        // With or without a digit 0 in front, a page of zeros must be a page.
+        // A page of zeros must not be mistaken for an error digit.
         for word in [0, 0x000A, 0xFFFF] {
             let page = ProgramPage::new([word; PAGE_WORDS]);
             assert_eq!(ask(&bus, &WriteProgramPage::new(206, page.clone()), Framing::Ascii), Ok(()));
@@ -83,7 +83,7 @@ fn program_pages_are_written_and_read_in_both_forms_of_the_reply() {
 }
 
 #[test]
-fn the_manuals_examples_are_answered_as_the_manuals_say() {
+fn replies_match_the_manuals_examples() {
     let plc = Plc::new();
     let bus = Bus::new().with_station(1, plc.clone()).unwrap();
     plc.write(element!("R12"), 0x10A5_u16).unwrap();
@@ -111,7 +111,7 @@ fn the_manuals_examples_are_answered_as_the_manuals_say() {
 }
 
 #[test]
-fn an_illegal_value_is_answered_by_2() {
+fn an_illegal_value_gives_error_2() {
     let bus = Bus::new().with_station(1, small()).unwrap();
     for (request, reply, why) in [
         (
@@ -133,7 +133,7 @@ fn an_illegal_value_is_answered_by_2() {
 }
 
 #[test]
-fn what_is_no_command_is_answered_by_4() {
+fn an_unknown_or_malformed_command_gives_error_4() {
     let bus = Bus::new().with_station(1, small()).unwrap();
     for (request, reply, why) in [
         (&b"\x020199D5\x03"[..], &b"\x020199409\x03"[..], "no such command"),
@@ -151,7 +151,7 @@ fn what_is_no_command_is_answered_by_4() {
 }
 
 #[test]
-fn an_illegal_address_is_answered_by_a() {
+fn an_illegal_address_gives_error_a() {
     let bus = Bus::new().with_station(1, small()).unwrap();
     for (request, reply, why) in [
         (&b"\x02014401X025651\x03"[..], &b"\x020144A0C\x03"[..], "beyond the model"),
@@ -171,7 +171,7 @@ fn an_illegal_address_is_answered_by_a() {
 }
 
 #[test]
-fn a_running_plc_answers_4_to_a_program_page() {
+fn a_running_plc_refuses_a_program_page_with_error_4() {
     let plc = Plc::new();
     let bus = Bus::new().with_station(1, plc.clone()).unwrap();
     let mut request = BytesMut::new();
@@ -195,7 +195,7 @@ fn the_binary_framing_has_no_program_pages() {
 }
 
 #[test]
-fn a_broadcast_is_obeyed_by_all_and_answered_by_none() {
+fn all_stations_obey_a_broadcast_and_none_answers() {
     let plcs = [Plc::new(), Plc::new()];
     let bus = Bus::new().with_station(3, plcs[0].clone()).unwrap().with_station(254, plcs[1].clone()).unwrap();
     assert_eq!(ascii(&bus, b"\x0200411F8\x03"), b""); // run
@@ -259,11 +259,14 @@ fn only_1_to_254_are_stations() {
     assert!(Bus::new().with_station(1, Plc::new()).and_then(|bus| bus.with_station(254, Plc::new())).is_ok());
 }
 
+/// Data that resembles the fields of requests.
+const FIELDS: &str = "[0-9A-F]{0,8}[RDXYMSTCFW]{1,3}[0-9A-F]{0,40}";
+
 proptest! {
     #[test]
-    fn whatever_comes_is_answered_by_one_good_frame_of_its_command(
+    fn every_request_gets_one_good_frame_of_its_command(
         code in prop_oneof![prop::sample::select(Code::ALL).prop_map(u8::from), any::<u8>()],
-        data in prop_oneof!["[0-9A-F]{0,8}[RDXYMSTCFW]{1,3}[0-9A-F]{0,40}".prop_map(String::into_bytes), any::<Vec<u8>>()],
+        data in prop_oneof![FIELDS.prop_map(String::into_bytes), any::<Vec<u8>>()],
         ascii in any::<bool>(),
     ) {
         let framing = if ascii { Framing::Ascii } else { Framing::Binary };
@@ -271,19 +274,20 @@ proptest! {
         let request = Frame { station: 1, command: code, data: data.into() };
         let mut replies = BytesMut::new();
         bus.answer(&Received::Frame(request.clone()), framing, &mut replies);
-        // The codec lets no STX or ETX into the data of an ASCII frame, so neither can be in the echo.
+        // The codec rejects STX and ETX in the data of an ASCII frame, so an echo cannot hold them.
         prop_assume!(!ascii || !request.data.iter().any(|byte| [ascii::STX, ascii::ETX].contains(byte)));
         let frames = frames(&mut replies, Codec::new(framing, Side::Client));
-        prop_assert_eq!(frames.iter().map(|&(station, command, _)| (station, command)).collect::<Vec<_>>(), [(1, code)]);
+        let headers: Vec<_> = frames.iter().map(|&(station, command, _)| (station, command)).collect();
+        prop_assert_eq!(headers, [(1, code)]);
     }
 }
 
-/// The limits that the manual gives for an FBE.
+/// A PLC with the memory limits of an FBE in the manual.
 fn small() -> Plc {
     Plc::with_model(Model::default().last(element!("X255")).last(element!("Y255")).last(element!("S999")))
 }
 
-/// Through frames and back, to station 1.
+/// Executes a request of station 1 through encoded frames.
 fn ask<C: Command>(bus: &Bus, request: &C, framing: Framing) -> Result<C::Reply, ErrorCode> {
     let mut line = BytesMut::new();
     encode_request(request, framing, 1, &mut line).unwrap();
@@ -297,7 +301,7 @@ fn ask<C: Command>(bus: &Bus, request: &C, framing: Framing) -> Result<C::Reply,
     })
 }
 
-/// The same for data that no request has: the replies.
+/// The replies to any data, in any command.
 fn ask_unchecked(bus: &Bus, command: u8, data: &'static [u8], framing: Framing) -> Vec<(u8, u8, Vec<u8>)> {
     let mut replies = BytesMut::new();
     let frame = Frame { station: 1, command, data: data.into() };

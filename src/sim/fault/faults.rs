@@ -3,19 +3,19 @@ use std::mem;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use super::conversation::MAX_LEFT_OVER;
-use super::dice::Dice;
+use super::rng::FaultRng;
 use super::rule::Subject;
+use super::session::MAX_LEFT_OVER;
 use super::timing::DrawnTiming;
-use super::{Addressee, Fault, LeftOver, Line, Log, Moment, Rule};
+use super::{DisconnectAt, Fault, FaultTarget, LeftOver, Line, Log, Rule};
 use crate::ErrorCode;
 use crate::command::{Code, Request};
 use crate::wire::Frame;
 
-/// The faults of one [`Bus`](crate::sim::Bus), its line and its log.
+/// The fault rules of one [`Bus`](crate::sim::Bus), with its line and its log.
 ///
-/// This is a handle: its clones are the same, and what is changed takes effect for the requests that arrive from then on.
-/// Without any rule or line it makes nothing go wrong, takes no time, and only logs.
+/// A handle: clones share the same rules. Changes apply to requests that arrive from then on.
+/// Without a rule and a line, there are no faults and no delays, and arrivals are only logged.
 ///
 /// ```
 /// use std::time::Duration;
@@ -29,21 +29,21 @@ use crate::wire::Frame;
 ///     .line(Line::new(9600));
 /// let bus = Bus::new().with_station(3, Plc::new())?.with_faults(faults.clone());
 ///
-/// faults.set_rules([Rule::new(Fault::Ignore).station(3)]); // station 3 is dead
-/// faults.set_rules([]); // and well again
+/// faults.set_rules([Rule::new(Fault::Ignore).station(3)]); // station 3 is offline
+/// faults.set_rules([]); // online again, no faults
 /// # Ok::<(), fatek::sim::Error>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct Faults {
-    state: Arc<Mutex<State>>,
+    inner: Arc<Mutex<FaultsInner>>,
     log: Log,
 }
 
 impl Faults {
-    /// No faults yet. All chance comes from the seed.
+    /// No rules. All random numbers come from the seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
-        let state = State {
+        let inner = FaultsInner {
             seed,
             rules: Vec::new(),
             line: Line::default(),
@@ -51,27 +51,28 @@ impl Faults {
             connections: 0,
             left_over: VecDeque::new(),
         };
-        Self { state: Arc::new(Mutex::new(state)), log: Log::new() }
+        Self { inner: Arc::new(Mutex::new(inner)), log: Log::new() }
     }
 
-    /// Adds a rule behind those there are.
+    /// Adds a rule behind the others.
     #[must_use]
     pub fn rule(self, rule: Rule) -> Self {
         self.add_rule(rule);
         self
     }
 
-    /// Sets the line.
+    /// Sets the speed and the response time of the line.
     #[must_use]
     pub fn line(self, line: Line) -> Self {
         self.set_line(line);
         self
     }
 
-    /// Adds a reply that an earlier client has left over: the next connection that opens gets it.
+    /// Adds a reply to an earlier client: it is sent on the next connection that opens.
     ///
-    /// Left-over replies are sent in the order in which they were added, and before the reply to any request of the
-    /// connection unless they have a [delay](LeftOver::delay). At most 64 wait; further ones are lost.
+    /// Left-over replies are sent in the order in which they were added. Without a
+    /// [delay](LeftOver::delay) they precede all replies to requests of the connection. At most 64
+    /// can wait; further ones are discarded.
     ///
     /// ```
     /// use fatek::command::{ReadRegisters, Request};
@@ -85,7 +86,7 @@ impl Faults {
     /// let earlier = Request::ReadRegisters(ReadRegisters::new(register!("R200"), 1)?);
     /// let faults = Faults::new(1)
     ///     .left_over(LeftOver::reply(1, earlier))
-    ///     .left_over(LeftOver::bytes(&b"\x0201410F8\x03"[..])); // STOP is done
+    ///     .left_over(LeftOver::bytes(&b"\x0201410F8\x03"[..])); // success of STOP
     /// let bus = Bus::new().with_station(1, Plc::new())?.with_faults(faults);
     ///
     /// let mut client = sim::connector(bus, Framing::Ascii)().await?;
@@ -101,51 +102,53 @@ impl Faults {
         self
     }
 
-    /// Sets how many arrivals the log keeps: 1000 by default, each of a few hundred bytes.
+    /// Sets the number of arrivals that the log keeps. Default: 1000, each of a few hundred bytes.
     #[must_use]
     pub fn log_capacity(self, arrivals: usize) -> Self {
         self.log.set_capacity(arrivals);
         self
     }
 
-    /// Sets how many different writes the log can count: 10,000 by default, each of a hundred bytes and its values.
+    /// Sets the number of different writes that the journal of the log can count.
+    ///
+    /// Default: 10,000. Each takes a hundred bytes and its values.
     #[must_use]
     pub fn journal_capacity(self, writes: usize) -> Self {
         self.log.set_journal_capacity(writes);
         self
     }
 
-    /// Adds a rule behind those there are.
+    /// Adds a rule behind the others.
     pub fn add_rule(&self, rule: Rule) {
-        self.lock().rules.push(rule.afresh());
+        self.lock().rules.push(rule.with_counts_reset());
     }
 
-    /// Adds a reply that an earlier client has left over, as [`left_over`](Self::left_over) does.
+    /// Adds a reply to an earlier client, as [`left_over`](Self::left_over).
     pub fn add_left_over(&self, reply: LeftOver) {
-        let mut state = self.lock();
-        if state.left_over.len() < MAX_LEFT_OVER {
-            state.left_over.push_back(reply);
+        let mut inner = self.lock();
+        if inner.left_over.len() < MAX_LEFT_OVER {
+            inner.left_over.push_back(reply);
         }
     }
 
-    /// Puts rules in the place of those there are. They start afresh: nothing is in their counts.
+    /// Replaces all rules. The counts of the new rules start at 0.
     pub fn set_rules(&self, rules: impl IntoIterator<Item = Rule>) {
-        let rules = rules.into_iter().map(Rule::afresh).collect();
+        let rules = rules.into_iter().map(Rule::with_counts_reset).collect();
         self.lock().rules = rules;
     }
 
-    /// The rules as they are now, counts included.
+    /// The current rules, with their counts.
     #[must_use]
     pub fn rules(&self) -> Vec<Rule> {
         self.lock().rules.clone()
     }
 
-    /// Changes the line.
+    /// Replaces the line.
     pub fn set_line(&self, line: Line) {
         self.lock().line = line;
     }
 
-    /// The log.
+    /// The log of arrivals.
     #[must_use]
     pub fn log(&self) -> Log {
         self.log.clone()
@@ -155,105 +158,105 @@ impl Faults {
         self.lock().line
     }
 
-    /// Decides what befalls a request.
-    pub(super) fn judge(&self, frame: &Frame, request: Option<&Request>, addressee: Addressee) -> Verdict {
-        let mut state = self.lock();
-        let mut dice = state.dice(frame.station);
-        let subject = Subject::new(addressee, frame, request);
+    /// Evaluates the rules for a request that has arrived.
+    pub(super) fn decide(&self, frame: &Frame, request: Option<&Request>, target: FaultTarget) -> Decision {
+        let mut inner = self.lock();
+        let mut rng = inner.rng(frame.station);
+        let subject = Subject::new(target, frame, request);
         let mut faults: Vec<Fault> = Vec::new();
-        for rule in &mut state.rules {
+        for rule in &mut inner.rules {
             let kind = mem::discriminant(rule.fault());
-            let is_befallen = faults.iter().any(|fault| mem::discriminant(fault) == kind);
-            if !is_befallen && rule.strikes(&subject, &mut dice) {
+            let has_kind = faults.iter().any(|fault| mem::discriminant(fault) == kind);
+            if !has_kind && rule.matches(&subject, &mut rng) {
                 faults.push(rule.fault().clone());
             }
         }
-        let line = state.line;
-        let (min, max) = line.turnarounds();
-        let turnaround = dice.between(min, max);
-        Verdict { faults, dice, line, turnaround }
+        let line = inner.line;
+        let (min, max) = line.response_times();
+        let response_time = rng.between(min, max);
+        Decision { faults, rng, line, response_time }
     }
 
-    /// Decides what a station, of which there is a PLC, does with a broadcast that has not been ignored by all.
-    pub(super) fn judge_broadcast(&self, station: u8, frame: &Frame, request: Option<&Request>) -> BroadcastVerdict {
-        let mut state = self.lock();
-        let mut dice = state.dice(station);
-        let subject = Subject { station: Some(station), ..Subject::new(Addressee::Everybody, frame, request) };
-        let mut rules = state.rules.iter_mut().filter(|rule| *rule.fault() == Fault::Ignore && rule.is_for(station));
-        if rules.any(|rule| rule.strikes(&subject, &mut dice)) {
-            return BroadcastVerdict::Ignored;
+    /// Evaluates the rules for one station of the bus and a broadcast that the bus has received.
+    pub(super) fn decide_broadcast(&self, station: u8, frame: &Frame, request: Option<&Request>) -> BroadcastDecision {
+        let mut inner = self.lock();
+        let mut rng = inner.rng(station);
+        let subject = Subject { station: Some(station), ..Subject::new(FaultTarget::Broadcast, frame, request) };
+        let mut rules = inner.rules.iter_mut().filter(|rule| *rule.fault() == Fault::Ignore && rule.is_for(station));
+        if rules.any(|rule| rule.matches(&subject, &mut rng)) {
+            return BroadcastDecision::Ignored;
         }
-        let subject = Subject { addressee: Addressee::Listener, ..subject };
-        let answer = state.rules.iter_mut().find_map(|rule| {
+        let subject = Subject { target: FaultTarget::BroadcastListener, ..subject };
+        let answer = inner.rules.iter_mut().find_map(|rule| {
             let fault = rule.fault().clone();
             let Fault::AnswerBroadcast { station: number, min, max, .. } = fault else { return None };
-            rule.strikes(&subject, &mut dice).then_some((number, min, max, fault))
+            rule.matches(&subject, &mut rng).then_some((number, min, max, fault))
         });
-        let Some((number, min, max, fault)) = answer else { return BroadcastVerdict::Obeyed };
-        let delay = dice.between(min, max);
-        let verdict = Verdict { faults: vec![fault], dice, line: state.line, turnaround: Duration::ZERO };
-        BroadcastVerdict::Answered { station: number.unwrap_or(station), delay, verdict: Box::new(verdict) }
+        let Some((number, min, max, fault)) = answer else { return BroadcastDecision::Obeyed };
+        let delay = rng.between(min, max);
+        let decision = Decision { faults: vec![fault], rng, line: inner.line, response_time: Duration::ZERO };
+        BroadcastDecision::Answered { station: number.unwrap_or(station), delay, decision: Box::new(decision) }
     }
 
-    /// The replies of earlier clients, which are those of this connection from now on.
+    /// Takes the replies to earlier clients, for the connection that calls this.
     pub(super) fn take_left_over(&self) -> VecDeque<LeftOver> {
         mem::take(&mut self.lock().left_over)
     }
 
-    /// Decides whether a connection is refused.
+    /// Evaluates the rules for a new connection: whether it is refused.
     pub(in crate::sim) fn refuse_connection(&self) -> bool {
-        let mut state = self.lock();
-        let nth = state.connections;
-        state.connections += 1;
-        let mut dice = Dice::new(state.seed, CONNECTIONS, nth);
-        let subject = Subject { addressee: Addressee::Server, station: None, command: None, request: None };
-        state.rules.iter_mut().any(|rule| rule.strikes(&subject, &mut dice))
+        let mut inner = self.lock();
+        let nth = inner.connections;
+        inner.connections += 1;
+        let mut rng = FaultRng::new(inner.seed, CONNECTIONS, nth);
+        let subject = Subject { target: FaultTarget::Connection, station: None, command: None, request: None };
+        inner.rules.iter_mut().any(|rule| rule.matches(&subject, &mut rng))
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, FaultsInner> {
         // Nothing panics under the lock.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// What befalls a request.
+/// Faults and times of one request.
 #[derive(Debug)]
-pub(super) struct Verdict {
-    /// At most one of each kind.
+pub(super) struct Decision {
+    /// At most one fault of each kind.
     pub(super) faults: Vec<Fault>,
-    pub(super) dice: Dice,
+    pub(super) rng: FaultRng,
     pub(super) line: Line,
-    pub(super) turnaround: Duration,
+    pub(super) response_time: Duration,
 }
 
-/// What a station does with a broadcast.
+/// The reaction of one station to a broadcast.
 #[derive(Debug)]
-pub(super) enum BroadcastVerdict {
+pub(super) enum BroadcastDecision {
     Ignored,
     Obeyed,
-    /// It replies under this number, this long after the execution.
+    /// Replies with this station number, this long after the execution.
     Answered {
         station: u8,
         delay: Duration,
-        verdict: Box<Verdict>,
+        decision: Box<Decision>,
     },
 }
 
-/// What comes after a reply, and when.
+/// A duplicate or second answer behind a reply, with its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Again {
-    Copy(DrawnTiming),
-    RoamingCopy(DrawnTiming),
+pub(super) enum DrawnFollowUp {
+    Duplicate(DrawnTiming),
+    RoamingDuplicate(DrawnTiming),
     SecondAnswer(DrawnTiming, Option<ErrorCode>),
 }
 
-impl Verdict {
+impl Decision {
     pub(super) fn has(&self, fault: &Fault) -> bool {
         self.faults.contains(fault)
     }
 
-    pub(super) fn disconnect(&self) -> Option<Moment> {
-        self.find(|fault| if let Fault::Disconnect(moment) = *fault { Some(moment) } else { None })
+    pub(super) fn disconnect(&self) -> Option<DisconnectAt> {
+        self.find(|fault| if let Fault::Disconnect(at) = *fault { Some(at) } else { None })
     }
 
     pub(super) fn error(&self) -> Option<ErrorCode> {
@@ -268,49 +271,48 @@ impl Verdict {
         })
     }
 
-    /// How many pieces the reply comes in, and the pause between them.
+    /// The number of pieces of the reply, and the pause between them.
     pub(super) fn split(&self) -> (usize, Duration) {
         let split =
             self.find(|fault| if let Fault::Split { pieces, pause } = *fault { Some((pieces, pause)) } else { None });
         split.unwrap_or((1, Duration::ZERO))
     }
 
-    /// Draws how late the reply is.
+    /// Draws the delay of the reply.
     pub(super) fn delay(&mut self) -> Duration {
         let delay = self.find(|fault| if let Fault::Delay { min, max } = *fault { Some((min, max)) } else { None });
         let left_over =
             self.find(|fault| if let Fault::LeftOver { min, max } = *fault { Some((min, max)) } else { None });
-        let mut draw = |times: Option<(Duration, Duration)>| {
-            times.map_or(Duration::ZERO, |(min, max)| self.dice.between(min, max))
-        };
+        let mut draw =
+            |times: Option<(Duration, Duration)>| times.map_or(Duration::ZERO, |(min, max)| self.rng.between(min, max));
         draw(delay).saturating_add(draw(left_over))
     }
 
-    /// Whether the reply waits for the next connection when its own has ended.
+    /// Whether the reply is kept for the next connection when its own has ended.
     pub(super) fn outlives_connection(&self) -> bool {
         self.faults.iter().any(|fault| matches!(fault, Fault::LeftOver { .. }))
     }
 
-    /// Draws what comes after the reply. It is empty where there is no whole reply.
-    pub(super) fn again(&mut self) -> Vec<Again> {
+    /// Draws duplicates and second answers. None without a whole reply.
+    pub(super) fn draw_follow_ups(&mut self) -> Vec<DrawnFollowUp> {
         let faults = &self.faults;
-        let is_cut = self.disconnect().is_some_and(|moment| moment != Moment::AfterReply);
+        let is_cut = self.disconnect().is_some_and(|at| at != DisconnectAt::AfterReply);
         if is_cut || self.has(&Fault::DropReply) {
             return Vec::new();
         }
-        let dice = &mut self.dice;
-        let again = faults.iter().filter_map(|fault| {
+        let rng = &mut self.rng;
+        let follow_ups = faults.iter().filter_map(|fault| {
             if let Fault::Duplicate(timing) = *fault {
-                Some(Again::Copy(timing.draw(dice)))
+                Some(DrawnFollowUp::Duplicate(timing.draw(rng)))
             } else if let Fault::RoamingDuplicate(timing) = *fault {
-                Some(Again::RoamingCopy(timing.draw(dice)))
+                Some(DrawnFollowUp::RoamingDuplicate(timing.draw(rng)))
             } else if let Fault::SecondAnswer { timing, error } = *fault {
-                Some(Again::SecondAnswer(timing.draw(dice), error))
+                Some(DrawnFollowUp::SecondAnswer(timing.draw(rng), error))
             } else {
                 None
             }
         });
-        again.collect()
+        follow_ups.collect()
     }
 
     fn find<T>(&self, property: impl Fn(&Fault) -> Option<T>) -> Option<T> {
@@ -319,31 +321,31 @@ impl Verdict {
 }
 
 #[derive(Debug)]
-struct State {
+struct FaultsInner {
     seed: u64,
     rules: Vec<Rule>,
     line: Line,
-    /// How many requests there were to each station.
+    /// The number of requests so far, by station.
     requests: BTreeMap<u8, u64>,
     connections: u64,
     left_over: VecDeque<LeftOver>,
 }
 
-impl State {
-    /// The dice of the next request to this station.
-    fn dice(&mut self, station: u8) -> Dice {
+impl FaultsInner {
+    /// The random numbers of the next request to a station.
+    fn rng(&mut self, station: u8) -> FaultRng {
         let requests = self.requests.entry(station).or_default();
         let nth = *requests;
         *requests += 1;
-        Dice::new(self.seed, station.into(), nth)
+        FaultRng::new(self.seed, station.into(), nth)
     }
 }
 
-/// The kind of dice that connections have; those of requests are the stations' numbers.
+/// The stream of random numbers for connections; requests have the station number as theirs.
 const CONNECTIONS: u64 = 256;
 
 impl<'a> Subject<'a> {
-    fn new(addressee: Addressee, frame: &Frame, request: Option<&'a Request>) -> Self {
-        Self { addressee, station: Some(frame.station), command: Code::from_u8(frame.command), request }
+    fn new(target: FaultTarget, frame: &Frame, request: Option<&'a Request>) -> Self {
+        Self { target, station: Some(frame.station), command: Code::from_u8(frame.command), request }
     }
 }

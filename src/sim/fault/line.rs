@@ -1,66 +1,72 @@
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-/// How fast a line is, and how fast the PLCs on it turn around from hearing to speaking.
+/// Speed of a line, and response time of the PLCs on it.
 ///
-/// The default takes no time at all.
+/// Default: no transmission time and no response time.
 ///
 /// ```
 /// use std::time::Duration;
 /// use fatek::sim::Line;
 ///
-/// let line = Line::new(9600).turnaround(Duration::from_millis(1), Duration::from_millis(20));
-/// assert_eq!(line.transmission(96), Duration::from_millis(100)); // 10 bits a character: 7E1
+/// let line = Line::new(9600).response_time(Duration::from_millis(1), Duration::from_millis(20));
+/// assert_eq!(line.transmission(96), Duration::from_millis(100)); // 10 bits per character: 7E1
 /// ```
 ///
 /// Source: protocol reference, section 7.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Line {
-    /// `None`: bytes take no time.
+    /// `None`: no transmission time.
     baud: Option<NonZeroU32>,
     bits_per_character: u32,
-    /// The shortest and the longest.
-    turnaround: (Duration, Duration),
+    /// Shortest and longest.
+    response_time: (Duration, Duration),
     byte_by_byte: bool,
 }
 
 impl Line {
-    /// A line of this speed, in bits a second, with 10 bits a character and no turnaround. On one of 0 baud bytes take
-    /// no time, as over Ethernet.
+    /// A line of this speed in bits per second, with 10 bits per character and no response time.
+    ///
+    /// 0 is for Ethernet: no transmission time.
     #[must_use]
     pub fn new(baud: u32) -> Self {
         Self {
             baud: NonZeroU32::new(baud),
             bits_per_character: 10,
-            turnaround: (Duration::ZERO, Duration::ZERO),
+            response_time: (Duration::ZERO, Duration::ZERO),
             byte_by_byte: false,
         }
     }
 
-    /// Sets how many bits a character takes, start, parity and stop bits included: 10 for 7E1 and 8N1, 11 for 8E1.
+    /// Sets the number of bits per character, with start, parity and stop bits.
+    ///
+    /// 10 for 7E1 and 8N1, 11 for 8E1. Default: 10.
     #[must_use]
     pub fn bits_per_character(mut self, bits: u32) -> Self {
         self.bits_per_character = bits;
         self
     }
 
-    /// Sets how long a PLC takes from the end of a request to its execution: the scan that it has to finish, and its
-    /// reply delay. For each request a time between the two, both included.
+    /// Sets the response time of the PLCs: from the end of a request to the beginning of its reply.
+    ///
+    /// It stands for the rest of the scan cycle and the PLC's reply delay, and the request is
+    /// executed at its end. Drawn per request from `min` to `max`, both included. Default: 0.
     #[must_use]
-    pub fn turnaround(mut self, min: Duration, max: Duration) -> Self {
-        self.turnaround = (min, max);
+    pub fn response_time(mut self, min: Duration, max: Duration) -> Self {
+        self.response_time = (min, max);
         self
     }
 
-    /// Hands every byte of a reply over when it has come, instead of all of them when the last has: truer, and a timer a
-    /// byte.
+    /// Delivers each byte of a reply at its own time, instead of all with the last one.
+    ///
+    /// More realistic, but needs a timer per byte.
     #[must_use]
     pub fn byte_by_byte(mut self) -> Self {
         self.byte_by_byte = true;
         self
     }
 
-    /// How long this many bytes take.
+    /// Transmission time of this many bytes.
     #[must_use]
     pub fn transmission(&self, bytes: usize) -> Duration {
         let Some(baud) = self.baud else { return Duration::ZERO };
@@ -69,8 +75,8 @@ impl Line {
         Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
     }
 
-    pub(super) fn turnarounds(&self) -> (Duration, Duration) {
-        self.turnaround
+    pub(super) fn response_times(&self) -> (Duration, Duration) {
+        self.response_time
     }
 
     pub(super) fn is_byte_by_byte(&self) -> bool {

@@ -9,38 +9,41 @@ use super::Fault;
 use crate::command::{Request, RequestError};
 use crate::wire::{Discard, Frame};
 
-/// What has arrived at a [`Bus`](crate::sim::Bus) with [`Faults`](super::Faults), and what came of it.
+/// Log of the arrivals at a [`Bus`](crate::sim::Bus) with [`Faults`](super::Faults).
 ///
-/// This is a handle: its clones show the same log. It keeps the latest arrivals, up to a number that
-/// [`Faults::log_capacity`](super::Faults::log_capacity) sets, and counts the others. Besides it counts how often each
-/// write was applied, which [`Faults::journal_capacity`](super::Faults::journal_capacity) bounds.
+/// A handle: clones show the same log. It keeps the latest arrivals with their replies and faults,
+/// up to [`Faults::log_capacity`](super::Faults::log_capacity), and counts the others. A journal
+/// counts how often each write was executed, up to
+/// [`Faults::journal_capacity`](super::Faults::journal_capacity) different writes.
 #[derive(Clone)]
 pub struct Log {
-    record: Arc<Mutex<Record>>,
+    inner: Arc<Mutex<LogInner>>,
 }
 
 impl Log {
-    /// The arrivals it still has, in the order in which they came.
+    /// The arrivals in the log, oldest first.
     #[must_use]
     pub fn entries(&self) -> Vec<LogEntry> {
         self.lock().entries.iter().cloned().collect()
     }
 
-    /// How many arrivals there were.
+    /// Number of arrivals, including those no longer in the log.
     #[must_use]
     pub fn arrivals(&self) -> u64 {
         self.lock().arrivals
     }
 
-    /// How many arrivals, the oldest ones, had no place any more.
+    /// Number of arrivals, the oldest ones, that are no longer in the log for lack of capacity.
     #[must_use]
     pub fn forgotten(&self) -> u64 {
-        let record = self.lock();
-        record.arrivals.saturating_sub(u64::try_from(record.entries.len()).unwrap_or(u64::MAX))
+        let inner = self.lock();
+        // Each entry is an arrival.
+        inner.arrivals - inner.entries.len() as u64
     }
 
-    /// How often a PLC has done what exactly this write or control request asks: a broadcast counts for every station
-    /// that has obeyed it, a request that the PLC refused does not count, and reads do not either.
+    /// Number of executions of exactly this write or control request by a station.
+    ///
+    /// A broadcast counts for each station that obeyed it. Refused requests and reads do not count.
     ///
     /// ```
     /// use fatek::command::{Request, WriteRegisters};
@@ -54,16 +57,17 @@ impl Log {
     /// ```
     #[must_use]
     pub fn applied(&self, station: u8, request: &Request) -> u64 {
-        let record = self.lock();
-        record.journal.get(&station).and_then(|writes| writes.get(request)).map_or(0, |count| count.times)
+        let inner = self.lock();
+        inner.journal.get(&station).and_then(|writes| writes.get(request)).map_or(0, |count| count.times)
     }
 
-    /// The writes that were applied more than once, in the order in which they were first applied.
+    /// Writes and control requests that were executed more than once, in the order of their first
+    /// execution.
     #[must_use]
     pub fn repeated(&self) -> Vec<Applied> {
-        let record = self.lock();
+        let inner = self.lock();
         let mut repeated = Vec::new();
-        for (&station, writes) in &record.journal {
+        for (&station, writes) in &inner.journal {
             let writes = writes.iter().filter(|(_, count)| count.times > 1);
             repeated.extend(writes.map(|(request, count)| {
                 (count.first, Applied { station, request: request.clone(), times: count.times })
@@ -73,76 +77,79 @@ impl Log {
         repeated.into_iter().map(|(_, write)| write).collect()
     }
 
-    /// How many writes were applied, those that had no place in the journal included.
+    /// Number of executed writes and control requests, including those not in the journal.
     #[must_use]
     pub fn writes(&self) -> u64 {
         self.lock().writes
     }
 
-    /// How many writes were applied that are not in the journal, because it was full.
+    /// Number of executed writes and control requests that the full journal did not take.
+    ///
+    /// Check that it is 0 before you rely on [`applied`](Self::applied) and
+    /// [`repeated`](Self::repeated).
     #[must_use]
     pub fn unjournaled(&self) -> u64 {
         self.lock().unjournaled
     }
 
-    /// Forgets all there is, counts included.
+    /// Removes all entries and resets all counts.
     pub fn clear(&self) {
-        let mut record = self.lock();
-        let Record { capacity, journal_capacity, next, .. } = *record;
-        *record = Record { capacity, journal_capacity, next, ..Record::default() };
+        let mut inner = self.lock();
+        let LogInner { capacity, journal_capacity, next, .. } = *inner;
+        *inner = LogInner { capacity, journal_capacity, next, ..LogInner::default() };
     }
 
     pub(super) fn new() -> Self {
-        let record = Record { capacity: 1000, journal_capacity: 10_000, ..Record::default() };
-        Self { record: Arc::new(Mutex::new(record)) }
+        let inner = LogInner { capacity: 1000, journal_capacity: 10_000, ..LogInner::default() };
+        Self { inner: Arc::new(Mutex::new(inner)) }
     }
 
     pub(super) fn set_capacity(&self, entries: usize) {
-        let mut record = self.lock();
-        record.capacity = entries;
-        let excess = record.entries.len().saturating_sub(entries);
-        record.entries.drain(..excess);
+        let mut inner = self.lock();
+        inner.capacity = entries;
+        let excess = inner.entries.len().saturating_sub(entries);
+        inner.entries.drain(..excess);
     }
 
     pub(super) fn set_journal_capacity(&self, writes: usize) {
         self.lock().journal_capacity = writes;
     }
 
-    /// Something has arrived. The number it gets is how the rest of it is told later.
-    pub(super) fn arrived(&self, at: Instant, faults: &[Fault], heard: impl FnOnce() -> Heard) -> u64 {
-        let mut record = self.lock();
-        let number = record.next;
-        record.next += 1;
-        record.arrivals += 1;
-        if record.capacity > 0 {
-            if record.entries.len() >= record.capacity {
-                record.entries.pop_front();
+    /// Adds an arrival, and returns its number for later additions to its entry.
+    pub(super) fn arrived(&self, at: Instant, faults: &[Fault], arrival: impl FnOnce() -> Arrival) -> u64 {
+        let mut inner = self.lock();
+        let number = inner.next;
+        inner.next += 1;
+        inner.arrivals += 1;
+        if inner.capacity > 0 {
+            if inner.entries.len() >= inner.capacity {
+                inner.entries.pop_front();
             }
             let faults = faults.to_vec();
-            record.entries.push_back(LogEntry { at, heard: heard(), executed: false, answer: None, faults });
+            inner.entries.push_back(LogEntry { at, arrival: arrival(), executed: false, answer: None, faults });
         }
         number
     }
 
-    /// A PLC has done what a request asks.
+    /// A PLC has executed a request.
     pub(super) fn executed(&self, number: u64, station: u8, write: Option<&Request>) {
-        let mut record = self.lock();
-        if let Some(entry) = record.entry(number) {
+        let mut inner = self.lock();
+        if let Some(entry) = inner.entry(number) {
             entry.executed = true;
         }
         if let Some(request) = write {
-            record.apply(station, request);
+            inner.apply(station, request);
         }
     }
 
-    /// A fault has befallen a request after its arrival.
-    pub(super) fn befell(&self, number: u64, fault: &Fault) {
+    /// Adds a fault that was decided after the arrival.
+    pub(super) fn add_fault(&self, number: u64, fault: &Fault) {
         if let Some(entry) = self.lock().entry(number).filter(|entry| !entry.faults.contains(fault)) {
             entry.faults.push(fault.clone());
         }
     }
 
-    /// An answer has been sent, behind those that were sent before.
+    /// Adds a reply that was sent, behind earlier ones to the same request.
     pub(super) fn answered(&self, number: u64, answer: &Bytes) {
         if let Some(entry) = self.lock().entry(number) {
             entry.answer = Some(match entry.answer.take() {
@@ -152,128 +159,130 @@ impl Log {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Record> {
+    fn lock(&self) -> MutexGuard<'_, LogInner> {
         // Nothing panics under the lock.
-        self.record.lock().unwrap_or_else(PoisonError::into_inner)
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl fmt::Debug for Log {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let record = self.lock();
-        f.debug_struct("Log")
-            .field("arrivals", &record.arrivals)
-            .field("writes", &record.writes)
-            .finish_non_exhaustive()
+        let inner = self.lock();
+        f.debug_struct("Log").field("arrivals", &inner.arrivals).field("writes", &inner.writes).finish_non_exhaustive()
     }
 }
 
-/// One arrival.
+/// One arrival at a bus, with its replies and faults.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct LogEntry {
-    /// When its last byte had come over the line.
+    /// Time at which its last byte had arrived.
     pub at: Instant,
-    /// What came.
-    pub heard: Heard,
-    /// Whether a PLC has done what it asks. `false` while it waits for its turn, and for ever when it was lost, or when
-    /// the PLC refused it.
+    /// The request, or the bytes that are none.
+    pub arrival: Arrival,
+    /// Whether a PLC has executed it.
+    ///
+    /// `false` while it waits for earlier requests to its station, and if it was lost or refused.
     pub executed: bool,
-    /// What was sent for an answer, all faults included: the reply, and behind it copies and second answers that have
-    /// been sent by now. An echo is none.
+    /// Bytes that were sent in reply, with all faults.
+    ///
+    /// The reply, and behind it the duplicates and second answers that have been sent so far. An
+    /// echo does not belong to them.
     pub answer: Option<Bytes>,
-    /// The faults that befell it, in the order of their rules; behind them those that had stations answer a broadcast.
+    /// The faults that applied to it, in the order of their rules.
+    ///
+    /// Behind them: the faults by which stations answered a broadcast.
     pub faults: Vec<Fault>,
 }
 
 impl LogEntry {
-    /// Which station it was for: 0 is the broadcast. `None` for noise.
+    /// Station number of the frame; 0 is a broadcast, `None` is noise.
     #[must_use]
     pub fn station(&self) -> Option<u8> {
-        match &self.heard {
-            Heard::Request { station, .. } => Some(*station),
-            Heard::Unreadable { frame, .. } => Some(frame.station),
-            Heard::Noise { .. } => None,
+        match &self.arrival {
+            Arrival::Request { station, .. } => Some(*station),
+            Arrival::Unreadable { frame, .. } => Some(frame.station),
+            Arrival::Noise { .. } => None,
         }
     }
 
-    /// The request, if it is one.
+    /// The request, if the arrival is one.
     #[must_use]
     pub fn request(&self) -> Option<&Request> {
-        match &self.heard {
-            Heard::Request { request, .. } => Some(request),
-            Heard::Unreadable { .. } | Heard::Noise { .. } => None,
+        match &self.arrival {
+            Arrival::Request { request, .. } => Some(request),
+            Arrival::Unreadable { .. } | Arrival::Noise { .. } => None,
         }
     }
 }
 
-/// What arrives at a bus.
+/// A request as the bus received it, or bytes that are none.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Heard {
-    /// A request, perhaps to a station that is not there.
+pub enum Arrival {
+    /// A request, possibly to a station that is not on the bus.
     #[non_exhaustive]
     Request {
-        /// To which station; 0 is the broadcast.
+        /// Station number; 0 is a broadcast.
         station: u8,
-        /// What it asks.
+        /// The request.
         request: Request,
     },
-    /// A good frame that is no request.
+    /// A good frame that is not a request.
     #[non_exhaustive]
     Unreadable {
         /// The frame.
         frame: Frame,
-        /// What is wrong with it.
+        /// The rule that its content breaks.
         reason: RequestError,
     },
-    /// Bytes that are no frame.
+    /// Bytes that are not a frame.
     #[non_exhaustive]
     Noise {
-        /// Why not.
+        /// Why they are not.
         reason: Discard,
         /// The bytes.
         bytes: Bytes,
     },
 }
 
-/// A write or control request that was applied.
+/// A write or control request that a station has executed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Applied {
-    /// By which station.
+    /// The station that executed it.
     pub station: u8,
-    /// What it asks.
+    /// The request.
     pub request: Request,
-    /// How often.
+    /// Number of executions.
     pub times: u64,
 }
 
 #[derive(Debug, Default)]
-struct Record {
+struct LogInner {
     capacity: usize,
     entries: VecDeque<LogEntry>,
-    /// The number of the next entry.
+    /// Number of the next entry.
     next: u64,
     arrivals: u64,
     journal_capacity: usize,
-    journal: BTreeMap<u8, HashMap<Request, Count>>,
-    /// How many different writes the journal holds.
+    journal: BTreeMap<u8, HashMap<Request, WriteCount>>,
+    /// Number of different writes in the journal.
     journaled: usize,
     writes: u64,
     unjournaled: u64,
 }
 
-/// How often a write was applied.
+/// Executions of one write.
 #[derive(Debug)]
-struct Count {
+struct WriteCount {
     times: u64,
-    /// The number of the first time, among all writes.
+    /// Number of the first execution among all writes.
     first: u64,
 }
 
-impl Record {
-    /// The entry with this number, if it has not been forgotten.
+impl LogInner {
+    /// The entry with this number, if it is still in the log.
     fn entry(&mut self, number: u64) -> Option<&mut LogEntry> {
         let back = usize::try_from(self.next.checked_sub(number)?).ok()?;
         let index = self.entries.len().checked_sub(back)?;
@@ -286,7 +295,7 @@ impl Record {
         if let Some(count) = self.journal.get_mut(&station).and_then(|writes| writes.get_mut(request)) {
             count.times += 1;
         } else if self.journaled < self.journal_capacity {
-            self.journal.entry(station).or_default().insert(request.clone(), Count { times: 1, first });
+            self.journal.entry(station).or_default().insert(request.clone(), WriteCount { times: 1, first });
             self.journaled += 1;
         } else {
             self.unjournaled += 1;

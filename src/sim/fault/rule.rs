@@ -1,29 +1,29 @@
-use super::dice::Dice;
-use super::{Addressee, Fault};
+use super::rng::FaultRng;
+use super::{Fault, FaultTarget};
 use crate::command::{Code, Command, Request, Run, with_command};
 use crate::element::{Element, MemoryArea};
 use crate::sim::bus::BROADCAST;
 use crate::sim::memory::covered;
 
-/// A [`Fault`], and which requests it befalls: all of them, until something narrows it down.
+/// A [`Fault`] with the requests it applies to. Default: all requests.
 ///
 /// ```
 /// use fatek::command::Code;
 /// use fatek::element;
 /// use fatek::sim::{Fault, Rule};
 ///
-/// // Station 3 answers one in ten reads that touch R100 to R199 with a bad checksum, but not the first five of them.
+/// // A bad checksum for one in ten reads of R100 to R199 of station 3, after the first five.
 /// let rule = Rule::new(Fault::BadChecksum)
 ///     .station(3)
 ///     .command(Code::ReadRegisters)
 ///     .elements(element!("R100"), 100)
 ///     .skip(5)
 ///     .one_in(10);
-/// assert_eq!(rule.struck(), 0);
+/// assert_eq!(rule.times_applied(), 0);
 /// ```
 ///
-/// Order does not matter: a request must be in the scope (station, command, elements), then it is counted, then come
-/// [`skip`](Self::skip), [`times`](Self::times) and chance.
+/// The order of the methods has no effect. A request in the scope of the rule (station, command,
+/// elements) is counted; then [`skip`](Self::skip), [`times`](Self::times) and the chance apply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rule {
     fault: Fault,
@@ -33,12 +33,13 @@ pub struct Rule {
     skip: u64,
     times: Option<u64>,
     odds: Odds,
+    /// Number of requests in the scope so far.
     in_scope: u64,
-    struck: u64,
+    applied: u64,
 }
 
 impl Rule {
-    /// This fault befalls every request.
+    /// A rule that applies this fault to all requests.
     #[must_use]
     pub fn new(fault: Fault) -> Self {
         Self {
@@ -48,145 +49,150 @@ impl Rule {
             elements: None,
             skip: 0,
             times: None,
-            odds: Odds { strikes: 1, of: 1 },
+            odds: Odds { hits: 1, of: 1 },
             in_scope: 0,
-            struck: 0,
+            applied: 0,
         }
     }
 
-    /// Only requests to this station. 0 is the broadcast.
+    /// Limits the rule to requests to this station; 0 is a broadcast.
     ///
-    /// For [`Fault::AnswerBroadcast`] it is the station that answers, and with 0, as without this, each of them.
+    /// For [`Fault::AnswerBroadcast`]: the station that answers. 0 is all stations, the default.
     #[must_use]
     pub fn station(mut self, station: u8) -> Self {
         self.station = Some(station);
         self
     }
 
-    /// Only this command.
+    /// Limits the rule to requests of this command.
     #[must_use]
     pub fn command(mut self, code: Code) -> Self {
         self.command = Some(code);
         self
     }
 
-    /// Only requests that touch this element, by any name: `R101` is touched by a read of `DR100`, and `M9` by one of
-    /// `WM8`.
+    /// Limits the rule to requests that read or write this element.
+    ///
+    /// By any symbol of the same memory: a read of `DR100` includes `R101`, one of `WM8` includes
+    /// `M9`.
     #[must_use]
     pub fn element(self, element: impl Into<Element>) -> Self {
         self.elements(element, 1)
     }
 
-    /// Only requests that touch one of `count` consecutive elements from `first` on.
+    /// Limits the rule to requests that read or write any of `count` elements from `first` on.
     #[must_use]
     pub fn elements(mut self, first: impl Into<Element>, count: usize) -> Self {
         self.elements = Some(Span::new(first.into(), count));
         self
     }
 
-    /// Not the first `requests` of those in the scope.
+    /// Excludes the first `requests` requests in the scope. Default: 0.
     #[must_use]
     pub fn skip(mut self, requests: u64) -> Self {
         self.skip = requests;
         self
     }
 
-    /// At most this many times.
+    /// Limits how often the fault applies. Default: no limit.
     #[must_use]
     pub fn times(mut self, times: u64) -> Self {
         self.times = Some(times);
         self
     }
 
-    /// With a chance of this many in a thousand.
+    /// Sets the chance of each request, in thousandths. Default: 1000.
     #[must_use]
     pub fn per_mille(mut self, per_mille: u16) -> Self {
-        self.odds = Odds { strikes: per_mille.into(), of: 1000 };
+        self.odds = Odds { hits: per_mille.into(), of: 1000 };
         self
     }
 
-    /// With a chance of one in `requests`; never with one in 0.
+    /// Sets the chance of each request to one in `requests`. 0 is never.
     #[must_use]
     pub fn one_in(mut self, requests: u32) -> Self {
-        self.odds = Odds { strikes: requests.min(1).into(), of: requests.into() };
+        self.odds = Odds { hits: requests.min(1).into(), of: requests.into() };
         self
     }
 
-    /// The fault.
+    /// The fault of this rule.
     #[must_use]
     pub fn fault(&self) -> &Fault {
         &self.fault
     }
 
-    /// How often it has struck, for a rule that [`Faults::rules`](super::Faults::rules) gives.
+    /// How often the fault has applied so far, for a rule from [`Faults::rules`].
+    ///
+    /// [`Faults::rules`]: super::Faults::rules
     #[must_use]
-    pub fn struck(&self) -> u64 {
-        self.struck
+    pub fn times_applied(&self) -> u64 {
+        self.applied
     }
 
-    /// The same rule, as if it had never been asked.
-    pub(super) fn afresh(mut self) -> Self {
-        (self.in_scope, self.struck) = (0, 0);
+    /// The same rule with its counts at 0.
+    pub(super) fn with_counts_reset(mut self) -> Self {
+        (self.in_scope, self.applied) = (0, 0);
         self
     }
 
-    /// Whether it is meant for this station alone.
+    /// Whether it is limited to this station.
     pub(super) fn is_for(&self, station: u8) -> bool {
         self.station == Some(station)
     }
 
-    /// Whether it befalls this request, and counts it.
-    pub(super) fn strikes(&mut self, subject: &Subject<'_>, dice: &mut Dice) -> bool {
-        if !self.covers(subject) {
+    /// Whether the fault applies to this request. Updates the counts.
+    pub(super) fn matches(&mut self, subject: &Subject<'_>, rng: &mut FaultRng) -> bool {
+        if !self.has_in_scope(subject) {
             return false;
         }
         let earlier = self.in_scope;
-        self.in_scope = earlier.saturating_add(1);
-        let strikes =
-            earlier >= self.skip && self.times.is_none_or(|times| self.struck < times) && self.odds.strike(dice);
-        self.struck = self.struck.saturating_add(strikes.into());
-        strikes
+        self.in_scope += 1;
+        let is_due = earlier >= self.skip && self.times.is_none_or(|times| self.applied < times);
+        let applies = is_due && self.odds.draw(rng);
+        self.applied += u64::from(applies);
+        applies
     }
 
-    fn covers(&self, subject: &Subject<'_>) -> bool {
-        self.fault.befalls(subject.addressee)
-            && self.station.is_none_or(|station| subject.concerns(station))
+    fn has_in_scope(&self, subject: &Subject<'_>) -> bool {
+        self.fault.applies_to(subject.target)
+            && self.station.is_none_or(|station| subject.is_for(station))
             && self.command.is_none_or(|code| subject.command == Some(code))
-            && self.elements.is_none_or(|span| subject.request.is_some_and(|request| span.is_touched_by(request)))
+            && self.elements.is_none_or(|span| subject.request.is_some_and(|request| span.is_accessed_by(request)))
     }
 }
 
-/// What a rule is asked about.
+/// A request, broadcast or connection for which a rule is evaluated.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Subject<'a> {
-    pub(super) addressee: Addressee,
+    pub(super) target: FaultTarget,
     pub(super) station: Option<u8>,
     pub(super) command: Option<Code>,
     pub(super) request: Option<&'a Request>,
 }
 
 impl Subject<'_> {
-    fn concerns(&self, station: u8) -> bool {
-        self.station == Some(station) || self.addressee == Addressee::Listener && station == BROADCAST
+    fn is_for(&self, station: u8) -> bool {
+        self.station == Some(station) || self.target == FaultTarget::BroadcastListener && station == BROADCAST
     }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Odds {
-    strikes: u64,
+    hits: u64,
     of: u64,
 }
 
 impl Odds {
-    fn strike(self, dice: &mut Dice) -> bool {
-        match self.strikes {
+    /// Draws a random number only if the result is open.
+    fn draw(self, rng: &mut FaultRng) -> bool {
+        match self.hits {
             0 => false,
-            strikes => strikes >= self.of || dice.below(self.of) < strikes,
+            hits => hits >= self.of || rng.below(self.of) < hits,
         }
     }
 }
 
-/// Addresses of one area, from the first to the last; none if the last comes before the first.
+/// Addresses of one memory area, both ends included. Empty if `last` is below `first`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Span {
     area: MemoryArea,
@@ -197,7 +203,7 @@ struct Span {
 impl Span {
     fn new(first: Element, count: usize) -> Self {
         let area = first.symbol().area();
-        // Past the last element is nothing that could be touched.
+        // Elements past the last address do not exist, so the span ends there.
         let last = count.checked_sub(1).map(|n| first.nth(n).map_or(u16::MAX, |last| covered(last).1));
         match last {
             Some(last) => Self { area, first: first.address(), last },
@@ -205,11 +211,11 @@ impl Span {
         }
     }
 
-    fn is_touched_by(self, request: &Request) -> bool {
-        let mut is_touched = false;
-        let mut look = |run: Run| is_touched |= self.overlaps(Self::new(run.first, run.count));
-        with_command!(request, command => command.for_each_run(&mut look));
-        is_touched
+    fn is_accessed_by(self, request: &Request) -> bool {
+        let mut is_accessed = false;
+        let mut check = |run: Run| is_accessed |= self.overlaps(Self::new(run.first, run.count));
+        with_command!(request, command => command.for_each_run(&mut check));
+        is_accessed
     }
 
     fn overlaps(self, other: Self) -> bool {

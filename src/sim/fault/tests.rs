@@ -1,3 +1,5 @@
+use std::time::Duration;
+
 use super::*;
 use crate::command::{Code, Value};
 use crate::sim::{Bus, Plc, connector};
@@ -5,7 +7,7 @@ use crate::wire::Framing;
 use crate::{Link, Station, register};
 
 #[tokio::test(start_paused = true)]
-async fn a_station_can_be_killed_and_brought_back_while_a_client_talks_to_it() {
+async fn a_rule_takes_a_station_offline_and_back_during_use() {
     let (station, faults) = station(Faults::new(1));
     station.write_registers(register!("R0"), &[1]).await.unwrap();
     faults.set_rules([Rule::new(Fault::Ignore).station(1)]);
@@ -23,27 +25,31 @@ async fn a_station_can_be_killed_and_brought_back_while_a_client_talks_to_it() {
 }
 
 #[test]
-fn different_kinds_combine_and_of_each_the_first_that_strikes_counts() {
+fn kinds_combine_and_the_first_match_of_each_applies() {
     let faults = Faults::new(1)
         .rule(Rule::new(Fault::Truncated { by: 1 }).times(1))
         .rule(Rule::new(Fault::WrongStation))
         .rule(Rule::new(Fault::Truncated { by: 2 }))
         .rule(Rule::new(Fault::Truncated { by: 3 }));
     let befallen = |nth: usize| {
-        let verdict = faults.judge(&frame(), None, Addressee::Plc);
-        assert_eq!(faults.rules().iter().map(Rule::struck).sum::<u64>(), 2 * nth as u64, "the others are not asked");
-        verdict.faults
+        let decision = faults.decide(&frame(), None, FaultTarget::Station);
+        assert_eq!(
+            faults.rules().iter().map(Rule::times_applied).sum::<u64>(),
+            2 * nth as u64,
+            "the others are not evaluated"
+        );
+        decision.faults
     };
     assert_eq!(befallen(1), [Fault::Truncated { by: 1 }, Fault::WrongStation]);
     assert_eq!(befallen(2), [Fault::WrongStation, Fault::Truncated { by: 2 }]);
     assert_eq!(befallen(3), [Fault::WrongStation, Fault::Truncated { by: 2 }]);
-    assert_eq!(faults.rules().iter().map(Rule::struck).collect::<Vec<_>>(), [1, 3, 2, 0]);
+    assert_eq!(faults.rules().iter().map(Rule::times_applied).collect::<Vec<_>>(), [1, 3, 2, 0]);
 }
 
 #[test]
-fn rules_that_are_set_start_afresh() {
+fn set_rules_resets_the_counts() {
     let faults = Faults::new(1).rule(Rule::new(Fault::DropReply).times(1));
-    let drops = || faults.judge(&frame(), None, Addressee::Plc).has(&Fault::DropReply);
+    let drops = || faults.decide(&frame(), None, FaultTarget::Station).has(&Fault::DropReply);
     assert_eq!([drops(), drops()], [true, false]);
     faults.set_rules(faults.rules());
     assert_eq!([drops(), drops()], [true, false]);
@@ -52,7 +58,7 @@ fn rules_that_are_set_start_afresh() {
 }
 
 #[test]
-fn connections_are_refused_by_rules_of_their_own() {
+fn only_refuse_rules_apply_to_connections() {
     let faults = Faults::new(1)
         .rule(Rule::new(Fault::DropReply))
         .rule(Rule::new(Fault::Refuse).station(1))
@@ -63,22 +69,22 @@ fn connections_are_refused_by_rules_of_their_own() {
     assert!((900..1100).contains(&refused), "{refused}");
 }
 
-/// What the module's documentation says that a client can rely on: with every fault there is, a value is right or an
-/// error, and a write is applied once or, if the client was told so, perhaps.
+/// The guarantees of the module's documentation: with all faults, a value is right or an error,
+/// and a write is executed once, or at most once with an error that says so.
 #[tokio::test(start_paused = true)]
-async fn a_link_never_takes_a_faulty_reply_for_a_good_one() {
+async fn a_link_never_accepts_a_faulty_reply() {
     for framing in [Framing::Ascii, Framing::Binary] {
         for seed in 0..4 {
-            let (successes, failures) = torture(seed, framing).await;
+            let (successes, failures) = call_with_all_faults(seed, framing).await;
             assert!(successes > 100 && failures > 10, "{framing}, seed {seed}: {successes} and {failures}");
         }
     }
 }
 
-async fn torture(seed: u64, framing: Framing) -> (u32, u32) {
+async fn call_with_all_faults(seed: u64, framing: Framing) -> (u32, u32) {
     const CALLS: u16 = 300;
     let ms = Duration::from_millis;
-    let faults = Faults::new(seed).line(Line::new(115_200).turnaround(ms(1), ms(5)));
+    let faults = Faults::new(seed).line(Line::new(115_200).response_time(ms(1), ms(5)));
     faults.set_rules(
         [
             Fault::Ignore,
@@ -91,12 +97,12 @@ async fn torture(seed: u64, framing: Framing) -> (u32, u32) {
             Fault::Extended { by: 4 },
             Fault::BadChecksum,
             Fault::duplicate(),
-            Fault::Disconnect(Moment::BeforeExecution),
-            Fault::Disconnect(Moment::WithinReply),
+            Fault::Disconnect(DisconnectAt::BeforeExecution),
+            Fault::Disconnect(DisconnectAt::WithinReply),
         ]
         .map(|fault| Rule::new(fault).per_mille(20)),
     );
-    // Both at one station would make a late reply that is the other's.
+    // At one station, the two would give a late reply of the other station.
     faults.add_rule(Rule::new(Fault::Delay { min: ms(10), max: ms(1500) }).station(1).per_mille(40));
     faults.add_rule(Rule::new(Fault::WrongStation).station(2).per_mille(40));
     faults.add_rule(Rule::new(Fault::Refuse).one_in(4));
@@ -128,7 +134,7 @@ async fn torture(seed: u64, framing: Framing) -> (u32, u32) {
         }
     }
     assert_eq!(faults.log().repeated(), [], "{framing}, seed {seed}");
-    assert!(faults.rules().iter().all(|rule| rule.struck() > 0), "{:?}", faults.rules());
+    assert!(faults.rules().iter().all(|rule| rule.times_applied() > 0), "{:?}", faults.rules());
     (successes, failures)
 }
 

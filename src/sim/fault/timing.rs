@@ -1,16 +1,16 @@
 use std::time::Duration;
 
-use super::dice::Dice;
+use super::rng::FaultRng;
 
-/// When a copy or a second answer is sent, relative to the reply or to the next request of the station.
+/// The time of a duplicate or second answer, relative to the reply or the next request.
 ///
-/// The time is drawn when the request arrives. It runs from the last byte of the reply.
+/// It is drawn on arrival of the request and counted from the last byte of the reply.
 ///
 /// ```
 /// use std::time::Duration;
 /// use fatek::sim::{Fault, Rule, Timing};
 ///
-/// // A copy when the next request has just arrived, half-way to its reply, or directly before its reply.
+/// // A duplicate on arrival of the next request, half-way to its reply, or directly before it.
 /// for per_mille in [0, 500, 1000] {
 ///     let timing = Timing::WithNextRequest {
 ///         min_per_mille: per_mille,
@@ -19,67 +19,71 @@ use super::dice::Dice;
 ///     };
 ///     let rule = Rule::new(Fault::Duplicate(timing)).one_in(10);
 /// }
-/// // A copy at any moment within the second after the reply.
-/// let rule = Rule::new(Fault::Duplicate(Timing::After { min: Duration::ZERO, max: Duration::from_secs(1) }));
+/// // A duplicate at any time within the second after the reply.
+/// let timing = Timing::After { min: Duration::ZERO, max: Duration::from_secs(1) };
+/// let rule = Rule::new(Fault::Duplicate(timing));
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Timing {
-    /// A time after the reply, between the two, both included.
+    /// A time after the reply, from `min` to `max`, both included.
     After {
-        /// The shortest.
+        /// Shortest time.
         min: Duration,
-        /// The longest.
+        /// Longest time.
         max: Duration,
     },
-    /// Between the arrival of the next request to the same station and its reply.
+    /// A time between the arrival of the next request to the same station and its reply.
     ///
-    /// The share of that time is drawn between the two, both included: 0 is at the arrival, 500 half-way, 1000 directly
-    /// before the reply. For a request that is lost, every share is its arrival.
+    /// It is a share of that interval: 0 is on arrival, 500 half-way, 1000 directly before the
+    /// reply. For a request that is lost, each share is its arrival.
     WithNextRequest {
-        /// The smallest share, in thousandths.
+        /// Smallest share, in thousandths.
         min_per_mille: u16,
-        /// The largest share, in thousandths.
+        /// Largest share, in thousandths.
         max_per_mille: u16,
-        /// This long after the reply, if no request has arrived by then.
+        /// Time after the reply if no request has arrived by then.
         at_latest: Duration,
     },
-    /// A time after the next reply of the same station, between the two, both included.
+    /// A time after the next reply of the same station, from `min` to `max`, both included.
     ///
-    /// Only [`Fault::RoamingDuplicate`](super::Fault::RoamingDuplicate) can come that late. What keeps the order is sent
-    /// directly before that reply.
+    /// Only for [`Fault::RoamingDuplicate`](super::Fault::RoamingDuplicate). Duplicates and second
+    /// answers that stay in order are sent directly before that reply.
     AfterNextReply {
-        /// The shortest.
+        /// Shortest time.
         min: Duration,
-        /// The longest.
+        /// Longest time.
         max: Duration,
-        /// This long after the reply, if there has been no other reply by then.
+        /// Time after the reply if no other reply has been sent by then.
         at_latest: Duration,
     },
 }
 
 impl Timing {
-    /// Directly behind the reply, without a pause. On a stream both are handed over at once, when the last byte has come
-    /// over the line; a copy that is handed over by itself comes [after](Self::After) at least a nanosecond.
+    /// Directly behind the reply, without a pause.
+    ///
+    /// On a stream both are delivered at once, after the last byte of both. For separate delivery,
+    /// use [`After`](Self::After) a nanosecond.
     pub const AT_ONCE: Self = Self::After { min: Duration::ZERO, max: Duration::ZERO };
 
-    pub(super) fn draw(self, dice: &mut Dice) -> DrawnTiming {
+    pub(super) fn draw(self, rng: &mut FaultRng) -> DrawnTiming {
         match self {
-            Self::After { min, max } => DrawnTiming::After(dice.between(min, max)),
+            Self::After { min, max } => DrawnTiming::After(rng.between(min, max)),
             Self::WithNextRequest { min_per_mille, max_per_mille, at_latest } => {
                 let span = u64::from(max_per_mille.saturating_sub(min_per_mille));
-                let extra = u16::try_from(dice.below(span + 1)).unwrap_or_default();
+                // At most the span of two u16, so it fits.
+                let extra = u16::try_from(rng.below(span + 1)).unwrap_or(u16::MAX);
                 let per_mille = min_per_mille.min(max_per_mille).saturating_add(extra).min(1000);
                 DrawnTiming::WithNextRequest { per_mille, at_latest }
             }
             Self::AfterNextReply { min, max, at_latest } => {
-                DrawnTiming::AfterNextReply { after: dice.between(min, max), at_latest }
+                DrawnTiming::AfterNextReply { after: rng.between(min, max), at_latest }
             }
         }
     }
 }
 
-/// A [`Timing`] without chance.
+/// A [`Timing`] with its times drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DrawnTiming {
     After(Duration),

@@ -18,7 +18,7 @@ fn a_word_of_relays_overlaps_its_bits() {
 }
 
 #[test]
-fn a_double_register_is_two_registers_the_low_word_first() {
+fn a_double_word_has_the_low_word_first() {
     let mut memory = Memory::default();
     memory.set_dword(register32!("DR100"), 10_000_000);
     assert_eq!((memory.word(register!("R100")), memory.word(register!("R101"))), (0x9680, 0x0098));
@@ -27,7 +27,7 @@ fn a_double_register_is_two_registers_the_low_word_first() {
 }
 
 #[test]
-fn a_timers_contact_and_its_value_are_apart() {
+fn contact_and_value_of_a_timer_are_separate() {
     let mut memory = Memory::default();
     memory.set_word(register!("WT0"), 0xFFFF);
     memory.set_word(register!("WC0"), 0x00FF);
@@ -37,7 +37,7 @@ fn a_timers_contact_and_its_value_are_apart() {
 }
 
 #[test]
-fn the_last_words_of_relays_reach_the_last_relay() {
+fn the_last_word_of_relays_includes_the_last_relay() {
     let mut memory = Memory::default();
     memory.set_word(register!("WM9984"), 0x8000);
     assert!(memory.bit(discrete!("M9999")));
@@ -47,7 +47,7 @@ fn the_last_words_of_relays_reach_the_last_relay() {
 }
 
 #[test]
-fn a_value_of_the_wrong_width_is_refused_and_writes_nothing() {
+fn a_value_of_the_wrong_width_is_not_written() {
     let mut memory = Memory::default();
     let element = element!("WM0");
     let value = Value::DWord(1);
@@ -56,7 +56,7 @@ fn a_value_of_the_wrong_width_is_refused_and_writes_nothing() {
 }
 
 #[test]
-fn nothing_is_allocated_before_something_is_written() {
+fn memory_is_allocated_on_the_first_write() {
     let mut memory = Memory::default();
     memory.set_dword(register32!("DD7"), 0);
     memory.set_bit(discrete!("M9999"), false);
@@ -68,7 +68,7 @@ fn nothing_is_allocated_before_something_is_written() {
 
 proptest! {
     #[test]
-    fn it_is_as_good_as_plain_arrays(steps in prop::collection::vec((any_element(), any::<u32>()), 1..40)) {
+    fn the_memory_behaves_like_plain_arrays(steps in prop::collection::vec((any_element(), any::<u32>()), 1..40)) {
         let mut memory = Memory::default();
         let mut reference = Reference::default();
         for &(element, bits) in &steps {
@@ -86,7 +86,7 @@ proptest! {
     }
 }
 
-/// Elements of a few addresses, at both ends of the memory, so that many of them overlap.
+/// Elements with few addresses, at both ends of the memory, so that many overlap.
 fn any_element() -> impl Strategy<Value = Element> {
     (prop::sample::select(Symbol::ALL), 0_u16..48, any::<bool>()).prop_map(|(symbol, offset, at_the_end)| {
         let address = if at_the_end { symbol.last_address() - offset } else { offset };
@@ -94,7 +94,7 @@ fn any_element() -> impl Strategy<Value = Element> {
     })
 }
 
-/// The memory as the manual's table has it: bits by letter, registers by letters.
+/// The memory as in the manual's table: bits and registers by letters.
 #[derive(Default)]
 struct Reference {
     bits: BTreeMap<&'static str, Vec<bool>>,
@@ -113,8 +113,8 @@ impl Reference {
 
     fn bit(&mut self, element: Element, n: u32) -> bool {
         match self.locate(element) {
-            Place::Bits(bits) => bits[n as usize],
-            Place::Words(words) => words[n as usize / 16] >> (n % 16) & 1 == 1,
+            BitsOrWords::Bits(bits) => bits[n as usize],
+            BitsOrWords::Words(words) => words[n as usize / 16] >> (n % 16) & 1 == 1,
         }
     }
 
@@ -122,8 +122,8 @@ impl Reference {
         for n in 0..element.width().bits() {
             let on = value >> n & 1 == 1;
             match self.locate(element) {
-                Place::Bits(bits) => bits[n as usize] = on,
-                Place::Words(words) => {
+                BitsOrWords::Bits(bits) => bits[n as usize] = on,
+                BitsOrWords::Words(words) => {
                     let word = &mut words[n as usize / 16];
                     *word = *word & !(1 << (n % 16)) | u16::from(on) << (n % 16);
                 }
@@ -131,20 +131,20 @@ impl Reference {
         }
     }
 
-    fn locate(&mut self, element: Element) -> Place<'_> {
+    fn locate(&mut self, element: Element) -> BitsOrWords<'_> {
         let letters = element.symbol().as_str();
         let address = usize::from(element.address());
         let letters = if element.width() == Width::DWord { &letters[1..] } else { letters };
         let letters = letters.strip_prefix('W').unwrap_or(letters);
         if ["X", "Y", "M", "S", "T", "C"].contains(&letters) {
-            Place::Bits(&mut self.bits.entry(letters).or_insert_with(|| vec![false; 10_000])[address..])
+            BitsOrWords::Bits(&mut self.bits.entry(letters).or_insert_with(|| vec![false; 10_000])[address..])
         } else {
-            Place::Words(&mut self.words.entry(letters).or_insert_with(|| vec![0; 65_536])[address..])
+            BitsOrWords::Words(&mut self.words.entry(letters).or_insert_with(|| vec![0; 65_536])[address..])
         }
     }
 }
 
-enum Place<'a> {
+enum BitsOrWords<'a> {
     Bits(&'a mut [bool]),
     Words(&'a mut [u16]),
 }

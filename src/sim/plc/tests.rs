@@ -13,32 +13,32 @@ fn clones_are_the_same_plc() {
 }
 
 #[test]
-fn a_disabled_discrete_does_not_follow_the_process() {
+fn a_disabled_discrete_ignores_the_process() {
     let plc = Plc::new();
     control(&plc, DiscreteControl::Disable, discrete!("X9"));
     plc.write(element!("WX0"), 0xFFFF_u16).unwrap();
     assert_eq!(plc.read(element!("WX0")), Value::Word(0xFDFF));
     assert!(plc.is_disabled(discrete!("X9")));
     assert!(!plc.is_disabled(discrete!("X8")));
-    // The same address of another area is another discrete.
+    // The same address in another area is another discrete.
     plc.write(discrete!("Y9"), true).unwrap();
     assert_eq!(plc.read(discrete!("Y9")), Value::Bit(true));
 }
 
 #[test]
-fn an_enabled_discrete_takes_what_the_process_wrote_meanwhile() {
+fn enabling_applies_the_last_write_of_the_process() {
     let plc = Plc::new();
     plc.write(discrete!("X0"), true).unwrap();
     control(&plc, DiscreteControl::Disable, discrete!("X0"));
     plc.write(discrete!("X0"), false).unwrap();
-    control(&plc, DiscreteControl::Disable, discrete!("X0")); // twice is as once
+    control(&plc, DiscreteControl::Disable, discrete!("X0")); // again, without effect
     assert_eq!(plc.read(discrete!("X0")), Value::Bit(true));
     control(&plc, DiscreteControl::Enable, discrete!("X0"));
     assert_eq!(plc.read(discrete!("X0")), Value::Bit(false));
 }
 
 #[test]
-fn an_enabled_discrete_keeps_its_forced_state_when_the_process_wrote_nothing() {
+fn enabling_keeps_the_forced_state_without_a_write() {
     let plc = Plc::new();
     control(&plc, DiscreteControl::Disable, discrete!("M5"));
     control(&plc, DiscreteControl::Set, discrete!("M5"));
@@ -47,7 +47,7 @@ fn an_enabled_discrete_keeps_its_forced_state_when_the_process_wrote_nothing() {
 }
 
 #[test]
-fn the_communication_reaches_disabled_discretes_by_every_command() {
+fn every_write_command_sets_disabled_discretes() {
     let plc = Plc::new();
     let relay = discrete!("M0");
     control(&plc, DiscreteControl::Disable, relay);
@@ -66,7 +66,7 @@ fn the_communication_reaches_disabled_discretes_by_every_command() {
 }
 
 #[test]
-fn disabled_discretes_are_told_as_1() {
+fn command_43_reports_disabled_discretes_as_1() {
     let plc = Plc::new();
     for output in [discrete!("Y10"), discrete!("Y12"), discrete!("Y16")] {
         control(&plc, DiscreteControl::Disable, output);
@@ -92,7 +92,7 @@ fn run_and_stop_show_in_the_status() {
 }
 
 #[test]
-fn a_plc_that_refuses_to_run_stays_stopped_and_can_still_be_stopped() {
+fn a_plc_that_refuses_run_still_accepts_stop() {
     let plc = Plc::new();
     plc.refuse_run(Some(ErrorCode::LadderChecksum));
     assert_eq!(plc.execute(&ControlPlc::Run), Err(ErrorCode::LadderChecksum));
@@ -127,14 +127,15 @@ fn the_default_model_is_the_one_of_the_manuals_example() {
     plc.set_id_set(true);
     plc.run();
     let status = plc.execute(&ReadDetailedStatus).unwrap();
-    let example = b"\x21\x01\x02\x31\x33\x80\x01\x00\x01\x00\x00\x64\x00\x64\x07\xD2\x03\xE8\x00\x00\x1F\x88\x0C\x00\x01\x00\x01\x00";
+    let example = b"\x21\x01\x02\x31\x33\x80\x01\x00\x01\x00\x00\x64\x00\x64\
+        \x07\xD2\x03\xE8\x00\x00\x1F\x88\x0C\x00\x01\x00\x01\x00";
     assert_eq!(status.raw().len(), 64);
     assert_eq!(status.raw()[..28], example[..]);
     assert!(status.raw()[28..].iter().all(|&byte| byte == 0));
 }
 
 #[test]
-fn a_model_says_what_it_was_told_to_say() {
+fn a_model_reports_the_status_that_was_set() {
     let model = Model::default()
         .program_capacity(0x40)
         .main_unit(0)
@@ -161,7 +162,7 @@ fn a_model_says_what_it_was_told_to_say() {
 }
 
 #[test]
-fn an_element_of_any_width_that_leaves_the_model_is_beyond_it() {
+fn the_last_element_limits_all_widths() {
     let plc = Plc::with_model(Model::default().last(element!("M2001")).last(element!("DR100")));
     for (element, value) in [
         (element!("M2001"), Value::Bit(true)),
@@ -185,7 +186,7 @@ fn an_element_of_any_width_that_leaves_the_model_is_beyond_it() {
 }
 
 #[test]
-fn a_request_that_reaches_beyond_the_model_changes_nothing() {
+fn a_request_beyond_the_model_changes_nothing() {
     let plc = Plc::with_model(Model::default().last(element!("M3")).last(element!("R3")));
     let refused = Err(ErrorCode::IllegalAddress);
     assert_eq!(plc.execute(&WriteDiscretes::new(discrete!("M2"), [true; 3]).unwrap()), refused);
@@ -218,7 +219,7 @@ fn the_header_is_built_from_the_ladder_size() {
 }
 
 #[test]
-fn a_program_is_written_to_a_stopped_plc_with_its_own_memory_only() {
+fn a_program_write_needs_stop_and_no_memory_card() {
     let plc = Plc::new();
     let content = ProgramPage::new([0x1234; PAGE_WORDS]);
     let write = |page| plc.execute(&WriteProgramPage::new(page, content.clone()));
@@ -241,7 +242,7 @@ fn a_program_is_written_to_a_stopped_plc_with_its_own_memory_only() {
 
 #[test]
 fn a_new_plc_takes_a_few_hundred_bytes() {
-    assert!(size_of::<State>() <= 320, "{}", size_of::<State>());
+    assert!(size_of::<PlcInner>() <= 320, "{}", size_of::<PlcInner>());
 }
 
 fn control(plc: &Plc, control: DiscreteControl, discrete: Discrete) {

@@ -16,7 +16,7 @@ const STOP_BINARY: &[u8] = b"\x51\x10\x00\x03\x01\x41\x00\x45\xD4\x55\xAA";
 const DONE_BINARY: &[u8] = b"\x52\x10\x00\x03\x01\x41\x00\x45\xD4\x55\xAA";
 
 #[tokio::test]
-async fn it_serves_a_stream_until_its_end() {
+async fn a_stream_is_served_until_its_end() {
     let plc = Plc::new();
     let (mut client, serving) = start(&plc, Framing::Ascii);
     send(&mut client, RUN).await;
@@ -27,7 +27,7 @@ async fn it_serves_a_stream_until_its_end() {
 }
 
 #[tokio::test]
-async fn requests_sent_at_once_are_answered_in_order() {
+async fn pipelined_requests_are_answered_in_order() {
     let plc = Plc::new();
     let (mut client, _serving) = start(&plc, Framing::Ascii);
     send(&mut client, b"\x02014701R0000012343B\x03\x02014601R0000070\x03").await;
@@ -50,15 +50,15 @@ async fn a_request_that_comes_byte_by_byte_is_answered_once() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_frame_that_stops_in_its_middle_does_not_swallow_the_next() {
-    // It announces 256 bytes, and only three come.
+async fn an_incomplete_frame_does_not_hide_the_next() {
+    // The header announces 256 bytes; 3 of them follow.
     let beginning = b"\x51\x10\x01\x00\x01\x47\x02";
     let (mut client, serving) = start(&Plc::new(), Framing::Binary);
     send(&mut client, beginning).await;
-    time::sleep(2 * SILENCE).await;
+    time::sleep(2 * FRAME_TIMEOUT).await;
     send(&mut client, STOP_BINARY).await;
     expect(&mut client, DONE_BINARY).await;
-    // Even when the next came so soon that it looked like the rest.
+    // The same without a pause: the next frame looks like the rest.
     send(&mut client, beginning).await;
     send(&mut client, STOP_BINARY).await;
     expect(&mut client, DONE_BINARY).await;
@@ -66,18 +66,18 @@ async fn a_frame_that_stops_in_its_middle_does_not_swallow_the_next() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_rest_of_a_frame_is_not_waited_for_longer_than_a_pause() {
+async fn an_incomplete_frame_is_discarded_after_the_timeout() {
     let plc = Plc::new();
     let (mut client, serving) = start(&plc, Framing::Ascii);
     send(&mut client, &RUN[..4]).await;
-    time::sleep(2 * SILENCE).await;
+    time::sleep(2 * FRAME_TIMEOUT).await;
     send(&mut client, &RUN[4..]).await;
     assert_ends(client, serving).await;
     assert!(!plc.is_running());
 }
 
 #[tokio::test]
-async fn garbage_without_end_is_passed_over() {
+async fn endless_garbage_is_discarded() {
     let (mut client, serving) = start(&Plc::new(), Framing::Ascii);
     for _ in 0..100 {
         send(&mut client, &[b'7'; 1000]).await;
@@ -91,7 +91,7 @@ async fn garbage_without_end_is_passed_over() {
 #[tokio::test]
 async fn a_server_answers_several_connections_over_tcp() {
     let plc = Plc::new();
-    let server = listen_on_tcp(&plc).await;
+    let server = bind_tcp(&plc).await;
     let mut clients = Vec::new();
     for _ in 0..8 {
         clients.push(TcpStream::connect(server.local_addr()).await.unwrap());
@@ -106,8 +106,8 @@ async fn a_server_answers_several_connections_over_tcp() {
 }
 
 #[tokio::test]
-async fn connections_past_the_limit_wait_for_their_turn() {
-    let server = listen_on_tcp(&Plc::new()).await;
+async fn connections_above_the_limit_wait() {
+    let server = bind_tcp(&Plc::new()).await;
     let mut clients = Vec::new();
     for _ in 0..MAX_CONNECTIONS {
         let mut client = TcpStream::connect(server.local_addr()).await.unwrap();
@@ -117,15 +117,15 @@ async fn connections_past_the_limit_wait_for_their_turn() {
     }
     let mut next = TcpStream::connect(server.local_addr()).await.unwrap();
     send(&mut next, RUN).await;
-    let waiting = time::timeout(SILENCE, next.read_u8()).await;
+    let waiting = time::timeout(FRAME_TIMEOUT, next.read_u8()).await;
     assert!(waiting.is_err(), "{waiting:?}");
     drop(clients.pop());
     expect(&mut next, DONE).await;
 }
 
 #[tokio::test]
-async fn after_shutdown_connections_are_closed_and_none_is_accepted() {
-    let server = listen_on_tcp(&Plc::new()).await;
+async fn shutdown_closes_connections_and_port() {
+    let server = bind_tcp(&Plc::new()).await;
     let address = server.local_addr();
     let mut client = TcpStream::connect(address).await.unwrap();
     send(&mut client, RUN).await;
@@ -133,13 +133,13 @@ async fn after_shutdown_connections_are_closed_and_none_is_accepted() {
     server.shutdown().await;
     assert_eq!(client.read(&mut [0]).await.unwrap(), 0);
     assert!(TcpStream::connect(address).await.is_err());
-    // The port is free for the next PLC.
+    // The port is free again.
     Server::bind(address, Bus::new(), Framing::Ascii).await.unwrap().shutdown().await;
 }
 
 #[tokio::test]
 async fn dropping_the_server_closes_its_connections() {
-    let server = listen_on_tcp(&Plc::new()).await;
+    let server = bind_tcp(&Plc::new()).await;
     let mut client = TcpStream::connect(server.local_addr()).await.unwrap();
     send(&mut client, RUN).await;
     expect(&mut client, DONE).await;
@@ -152,7 +152,7 @@ fn start(plc: &Plc, framing: Framing) -> (DuplexStream, JoinHandle<io::Result<()
     (client, tokio::spawn(serve(line, bus(plc), framing)))
 }
 
-async fn listen_on_tcp(plc: &Plc) -> Server {
+async fn bind_tcp(plc: &Plc) -> Server {
     Server::bind("127.0.0.1:0", bus(plc), Framing::Ascii).await.unwrap()
 }
 
@@ -170,7 +170,7 @@ async fn expect(client: &mut (impl AsyncRead + Unpin), bytes: &[u8]) {
     assert_eq!(reply.escape_ascii().to_string(), bytes.escape_ascii().to_string());
 }
 
-/// Nothing more is answered.
+/// Checks that no more replies come before the end of the stream.
 async fn assert_ends(mut client: DuplexStream, serving: JoinHandle<io::Result<()>>) {
     client.shutdown().await.unwrap();
     let mut rest = Vec::new();

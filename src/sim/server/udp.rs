@@ -13,23 +13,27 @@ use tokio::time::{self, Instant};
 use tokio_util::codec::Decoder;
 use tracing::debug;
 
-use super::SILENCE;
-use super::converse::pause;
+use super::FRAME_TIMEOUT;
+use super::session::sleep_until_due;
 use crate::sim::Bus;
-use crate::sim::fault::{Conditions, Conversation, Faults, Output};
+use crate::sim::fault::{Conditions, Faults, Output, Session};
 use crate::wire::{Codec, Framing, Side};
 
-/// A [`Bus`] behind a UDP port, as behind an Ethernet module or a serial device server.
+/// A UDP server for a [`Bus`], as an Ethernet module or a serial device server.
 ///
-/// A datagram has whole frames. Each reply is a datagram of its own to the address that asked, or, after
-/// [`answer_last_sender`](Self::answer_last_sender), to the address of the latest request.
+/// A datagram holds whole frames. Each reply is a datagram to the sender of its request, or, after
+/// [`answer_last_sender`](Self::answer_last_sender), to the sender of the latest request.
 ///
-/// Of the [faults](crate::sim::fault), [`Fault::Refuse`](crate::sim::Fault::Refuse) does nothing here, and
-/// [`Fault::Disconnect`](crate::sim::Fault::Disconnect) only has a request or its reply lost: there is no connection to
-/// close. Pieces of a reply are datagrams. A request from another address than the one before counts as a new connection
-/// for [`Faults::left_over`].
+/// Differences of [faults](crate::sim::fault) over UDP:
 ///
-/// Dropping it stops it, soon; [`shutdown`](Self::shutdown) waits until that is done.
+/// - [`Fault::Refuse`](crate::sim::Fault::Refuse) has no effect.
+/// - [`Fault::Disconnect`](crate::sim::Fault::Disconnect) loses the request or its reply; there is
+///   no connection to close.
+/// - The pieces of a reply are separate datagrams.
+/// - A request from another address than the last one counts as a new connection for
+///   [`Faults::left_over`].
+///
+/// Dropping it closes the socket; [`shutdown`](Self::shutdown) also waits for that.
 ///
 /// ```
 /// use fatek::sim::{Bus, Plc, UdpServer};
@@ -42,7 +46,7 @@ use crate::wire::{Codec, Framing, Side};
 /// let server = UdpServer::bind("127.0.0.1:0", bus, Framing::Ascii).await?;
 ///
 /// let client = UdpSocket::bind("127.0.0.1:0").await?;
-/// client.send_to(b"\x0201411F9\x03", server.local_addr()).await?; // station 1, run!
+/// client.send_to(b"\x0201411F9\x03", server.local_addr()).await?; // RUN to station 1
 /// let mut reply = [0; 9];
 /// client.recv(&mut reply).await?;
 /// assert_eq!(&reply, b"\x0201410F8\x03");
@@ -55,16 +59,16 @@ use crate::wire::{Codec, Framing, Side};
 pub struct UdpServer {
     local_addr: SocketAddr,
     to_last_sender: Arc<AtomicBool>,
-    /// Closes when this server is dropped, and that stops the task.
+    /// Stops the task when dropped.
     stop: oneshot::Sender<()>,
     task: JoinHandle<()>,
 }
 
 impl UdpServer {
-    /// Listens on an address, such as `127.0.0.1:0` for any free port of this machine.
+    /// Listens on an address, such as `127.0.0.1:0` for any free local port.
     ///
     /// # Errors
-    /// Those of binding the address.
+    /// The address cannot be bound.
     pub async fn bind(address: impl ToSocketAddrs, bus: Bus, framing: Framing) -> io::Result<Self> {
         let socket = UdpSocket::bind(address).await?;
         let local_addr = socket.local_addr()?;
@@ -78,13 +82,15 @@ impl UdpServer {
         Ok(Self { local_addr, to_last_sender, stop, task })
     }
 
-    /// Returns the address it listens on.
+    /// The address it listens on.
     #[must_use]
     pub fn local_addr(&self) -> SocketAddr {
         self.local_addr
     }
 
-    /// Sends replies to the address of the latest request, as serial device servers do, or to the one that asked.
+    /// Sets whether replies go to the sender of the latest request, as from serial device servers.
+    ///
+    /// Default: `false`, each reply goes to the sender of its request.
     pub fn answer_last_sender(&self, answer: bool) {
         self.to_last_sender.store(answer, Ordering::Relaxed);
     }
@@ -98,15 +104,15 @@ impl UdpServer {
     }
 }
 
-/// Never ends.
+/// Serves datagrams. Never returns.
 async fn serve_datagrams(socket: UdpSocket, bus: Bus, framing: Framing, to_last_sender: Arc<AtomicBool>) {
     let conditions = bus.conditions().cloned();
     let conditions = conditions.unwrap_or_else(|| Conditions::new(Faults::new(0).log_capacity(0).journal_capacity(0)));
-    let mut conversation = Conversation::of_datagrams(bus, conditions, framing);
+    let mut session = Session::of_datagrams(bus, conditions, framing);
     let mut last_sender = None;
     let mut buffer = vec![0; MAX_DATAGRAM_LEN];
     loop {
-        match conversation.next_to(Instant::now()) {
+        match session.next_addressed_output(Instant::now()) {
             Some((to, Output::Bytes(bytes))) => {
                 let to = to.filter(|_| !to_last_sender.load(Ordering::Relaxed)).or(last_sender);
                 if let Some(to) = to {
@@ -118,37 +124,38 @@ async fn serve_datagrams(socket: UdpSocket, bus: Bus, framing: Framing, to_last_
             Some((_, Output::Close)) => continue,
             None => {}
         }
-        let due = conversation.due();
+        let due = session.due();
         tokio::select! {
             biased;
-            () = pause(due) => {}
-            received = socket.recv_from(&mut buffer), if conversation.has_room() => match received {
+            () = sleep_until_due(due) => {}
+            received = socket.recv_from(&mut buffer), if session.has_room() => match received {
                 Ok((len, from)) => {
                     if last_sender.replace(from) != Some(from) {
-                        conversation.change_client(Instant::now());
+                        session.change_client(Instant::now());
                     }
-                    hear(&mut conversation, buffer.get(..len).unwrap_or_default(), from, framing);
+                    receive_datagram(&mut session, &buffer[..len], from, framing);
                 }
                 Err(error) => {
-                    // Such as one that an earlier datagram could not be delivered.
+                    // For instance an ICMP error for an earlier datagram.
                     debug!(%error, "cannot receive");
-                    time::sleep(SILENCE).await;
+                    time::sleep(FRAME_TIMEOUT).await;
                 }
             },
         }
     }
 }
 
-/// More than a datagram can have.
+/// Above the length of any datagram.
 const MAX_DATAGRAM_LEN: usize = 65_536;
 
-fn hear(conversation: &mut Conversation, datagram: &[u8], from: SocketAddr, framing: Framing) {
+fn receive_datagram(session: &mut Session, datagram: &[u8], from: SocketAddr, framing: Framing) {
     let now = Instant::now();
     let mut codec = Codec::new(framing, Side::Plc);
     let mut rest = BytesMut::from(datagram);
     let mut bytes = Bytes::copy_from_slice(datagram);
     while let Ok(Some(item)) = codec.decode_eof(&mut rest) {
-        let of_item = bytes.split_to(bytes.len().saturating_sub(rest.len()));
-        conversation.hear_from(item, of_item, Some(from), now);
+        // The codec only removes bytes, so `rest` is not longer than `bytes`.
+        let of_item = bytes.split_to(bytes.len() - rest.len());
+        session.receive_from(item, of_item, Some(from), now);
     }
 }

@@ -1,6 +1,6 @@
 use super::*;
 
-/// Gains and offsets as people choose them, and others.
+/// Gains and offsets: decimal ones, and any others.
 pub(super) fn scales() -> impl Strategy<Value = Scale> {
     let decimal = |most: i32| (-most..=most, 0..=6_i32).prop_map(|(n, e)| format!("{n}e-{e}").parse::<f64>().unwrap());
     let gain = prop_oneof![decimal(9999), Just(1.0), -1e200..1e200_f64, -1e-9..1e-9_f64, prop::num::f64::NORMAL];
@@ -13,7 +13,7 @@ fn scale(text: &str) -> Scale {
 }
 
 #[test]
-fn scaled_tags_print_as_they_are_parsed() {
+fn scaled_tags_display_as_they_are_parsed() {
     for (input, canonical) in [
         ("R5:i16*0.1", "R5:i16*0.1"),
         ("r5:I16*0.10-40.0", "R5:i16*0.1-40"),
@@ -37,7 +37,7 @@ fn scaled_tags_print_as_they_are_parsed() {
 }
 
 #[test]
-fn a_scaled_value_has_the_digits_of_gain_and_offset() {
+fn a_scaled_value_has_the_decimals_of_gain_and_offset() {
     for (text, raw, printed) in [
         ("R0:u16*0.1", 123, "12.3"),
         ("R0:u16*0.1", 3, "0.3"),
@@ -53,7 +53,7 @@ fn a_scaled_value_has_the_digits_of_gain_and_offset() {
     ] {
         assert_eq!(decode(text, &[Value::Word(raw)])[0].to_string(), printed, "{text} {raw}");
     }
-    // A float is the decimal that it prints as.
+    // A float counts as the decimal that it displays.
     let float = |text: &str, value: f32| decode(text, &[Value::DWord(value.to_bits())])[0].to_string();
     assert_eq!(float("DR0:f32*0.1", 12.3), "1.23");
     assert_eq!(float("DR0:f32*0.1-40", 12.3), "-38.77");
@@ -63,7 +63,7 @@ fn a_scaled_value_has_the_digits_of_gain_and_offset() {
 }
 
 #[test]
-fn a_scaled_value_is_written_as_the_nearest_raw_number() {
+fn a_scaled_value_is_encoded_as_the_nearest_raw_number() {
     for (text, raw) in [
         ("R0:u16*0.1=12.3", 123),
         ("R0:u16*0.1= +12.34 ", 123),
@@ -83,28 +83,25 @@ fn a_scaled_value_is_written_as_the_nearest_raw_number() {
 }
 
 #[test]
-fn a_scaled_value_that_no_raw_number_has_is_refused() {
+fn a_scaled_value_out_of_range_is_refused() {
     let message = |text: &str| text.parse::<Assignment>().unwrap_err().to_string();
     for (text, rule) in [
-        ("R0:u16*0.1=6553.55", "6553.55 comes from the raw number 65535.5, which does not fit: u16 takes 0 to 65535"),
-        ("R0:u16*0.1=-0.05", "-0.05 comes from the raw number -0.5, which does not fit: u16 takes 0 to 65535"),
-        (
-            "R0:i16+3=-32766",
-            "-32766.0 comes from the raw number -32769.0, which does not fit: i16 takes -32768 to 32767",
-        ),
+        ("R0:u16*0.1=6553.55", "the raw number of 6553.55 is 65535.5, out of range: u16 takes 0 to 65535"),
+        ("R0:u16*0.1=-0.05", "the raw number of -0.05 is -0.5, out of range: u16 takes 0 to 65535"),
+        ("R0:i16+3=-32766", "the raw number of -32766.0 is -32769.0, out of range: i16 takes -32768 to 32767"),
         (
             "DR0:i32+0.5=2147483648.0",
-            "2147483648.0 comes from the raw number 2147483647.5, which does not fit: i32 takes -2147483648 to 2147483647",
+            "the raw number of 2147483648.0 is 2147483647.5, out of range: i32 takes -2147483648 to 2147483647",
         ),
-        ("R0:u16*2=nan", "NaN comes from the raw number NaN, which does not fit: u16 takes 0 to 65535"),
-        ("R0:u16*2=-inf", "-inf comes from the raw number -inf, which does not fit: u16 takes 0 to 65535"),
+        ("R0:u16*2=nan", "the raw number of NaN is NaN, out of range: u16 takes 0 to 65535"),
+        ("R0:u16*2=-inf", "the raw number of -inf is -inf, out of range: u16 takes 0 to 65535"),
         (
             "DR0:f32*0.1=1e38",
-            "1e38 comes from the raw number 1e39, which does not fit: f32 takes -3.4028235e38 to 3.4028235e38, nan and inf",
+            "the raw number of 1e38 is 1e39, out of range: f32 takes -3.4028235e38 to 3.4028235e38, nan and inf",
         ),
         (
             "DR0:f32*1e-200=1e200",
-            "1e200 comes from the raw number inf, which does not fit: f32 takes -3.4028235e38 to 3.4028235e38, nan and inf",
+            "the raw number of 1e200 is inf, out of range: f32 takes -3.4028235e38 to 3.4028235e38, nan and inf",
         ),
         ("R0:u16*2=0x10", "a scaled value is a decimal number, such as 12.3 or -1e3"),
         ("R0:f32*2=1e999", "a scaled value is a decimal number, such as 12.3 or -1e3"),
@@ -120,14 +117,14 @@ fn a_scaled_value_that_no_raw_number_has_is_refused() {
 }
 
 #[test]
-fn what_is_no_scale_is_refused() {
+fn an_invalid_scale_is_refused() {
     let message = |text: &str| text.parse::<Tag>().unwrap_err().to_string();
     for (scale, rule) in [
-        ("*0", "the gain is 0.0, and it must be from 1e-200 to 1e200, or the same below 0"),
-        ("*-0+1", "the gain is -0.0, and it must be from 1e-200 to 1e200, or the same below 0"),
-        ("*1e999", "the gain is inf, and it must be from 1e-200 to 1e200, or the same below 0"),
-        ("*1e-201", "the gain is 1e-201, and it must be from 1e-200 to 1e200, or the same below 0"),
-        ("+1e999", "the offset is inf, and it must be a number"),
+        ("*0", "the gain is 0.0, and it must be from 1e-200 to 1e200, or from -1e200 to -1e-200"),
+        ("*-0+1", "the gain is -0.0, and it must be from 1e-200 to 1e200, or from -1e200 to -1e-200"),
+        ("*1e999", "the gain is inf, and it must be from 1e-200 to 1e200, or from -1e200 to -1e-200"),
+        ("*1e-201", "the gain is 1e-201, and it must be from 1e-200 to 1e200, or from -1e200 to -1e-200"),
+        ("+1e999", "the offset is inf, and it must be a finite number"),
         (
             "*0.1+1e14",
             "the offset 100000000000000.0 is more than 2.8e14 times the gain 0.1, so values could not be told apart",
@@ -143,7 +140,7 @@ fn what_is_no_scale_is_refused() {
         assert_eq!(message(&format!("R0:u16{scale}")), expected);
     }
     for (tag, name) in [("M0:bool*2", "bool"), ("R0:hex*2", "hex"), ("R0:text*2", "text")] {
-        let rule = format!("{name} takes neither gain nor offset (those that do: u16 i16 u32 i32 f32)");
+        let rule = format!("{name} takes neither gain nor offset (types that do: u16 i16 u32 i32 f32)");
         assert_eq!(message(tag), format!("`{tag}` is not a tag: {rule}"));
     }
     assert!(matches!(Scale::new(f64::NAN, 0.0), Err(ScaleError::Gain { .. })));
@@ -151,7 +148,7 @@ fn what_is_no_scale_is_refused() {
     assert_eq!(Scale::new(2.0, -0.0), Ok(scale("*2")));
 }
 
-/// What a raw number is after it has been read, printed, parsed and written; and the value that was printed.
+/// A raw number after decoding, display, parsing and encoding, with the displayed value.
 fn there_and_back(tag: Tag, raw: Value) -> (Value, f64) {
     let values = tag.decode(&[raw]).unwrap();
     let text = Assignment::new(tag, values.clone()).unwrap().to_string();
@@ -165,32 +162,37 @@ proptest! {
     }
 
     #[test]
-    fn an_integer_that_is_printed_and_written_back_is_the_same(scale in scales(), bits: u32, near in 0..9_u32) {
-        // Also near the ends of the ranges, where values are the least exact.
+    fn a_scaled_integer_round_trips_by_its_text(scale in scales(), bits: u32, near in 0..9_u32) {
+        // Also near the ends of the ranges, where values are least exact.
         for bits in [bits, near, u32::MAX - near, 0x7FFF_FFFF - near, 0x8000_0000 + near] {
             for text in ["DR0", "DR0:i32"] {
                 let raw = Value::DWord(bits);
                 prop_assert_eq!(there_and_back(tag(text).scaled(scale).unwrap(), raw).0, raw);
             }
             for text in ["R0", "R0:i16"] {
-                let raw = Value::Word(low(bits));
+                let raw = Value::Word(bits as u16);
                 prop_assert_eq!(there_and_back(tag(text).scaled(scale).unwrap(), raw).0, raw);
             }
         }
     }
 
     #[test]
-    fn decimal_scales_give_decimals(raw in -100_000_000..100_000_000_i32, gain in 1..10_000_i64, gain_decimals in 0..5_u32, offset in -9999..10_000_i64) {
+    fn decimal_scales_give_decimals(
+        raw in -100_000_000..100_000_000_i32,
+        gain in 1..10_000_i64,
+        gain_decimals in 0..5_u32,
+        offset in -9999..10_000_i64,
+    ) {
         let scale = format!("*{gain}e-{gain_decimals}{offset:+}e-2").parse().unwrap();
         let value = decode(&tag("DR0:i32").scaled(scale).unwrap().to_string(), &[Value::DWord(raw.cast_unsigned())]);
-        // In integers, then as text: another way to the nearest f64.
+        // The nearest f64 by another way: in integers, then as text.
         let hundred_thousandths = i64::from(raw) * gain * 10_i64.pow(5 - gain_decimals) + offset * 1000;
         let exact: f64 = format!("{hundred_thousandths}e-5").parse().unwrap();
         prop_assert_eq!(value, [TagValue::Scaled(exact + 0.0)]);
     }
 
     #[test]
-    fn a_float_that_is_printed_and_written_back_is_the_same(scale in scales(), bits: u32) {
+    fn a_scaled_float_round_trips_by_its_text(scale in scales(), bits: u32) {
         let (back, value) = there_and_back(tag("DR0:f32").scaled(scale).unwrap(), Value::DWord(bits));
         let raw = f32::from_bits(bits);
         let Value::DWord(back) = back else { panic!("{back:?}") };

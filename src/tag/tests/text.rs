@@ -14,7 +14,7 @@ fn ten_registers_are_one_text() {
 }
 
 #[test]
-fn text_tags_print_as_they_are_parsed() {
+fn text_tags_display_as_they_are_parsed() {
     for (input, canonical) in [
         ("r0-9:TEXT", "R0-R9:text"),
         ("R0-R9:Text-Hi", "R0-R9:text-hi"),
@@ -26,21 +26,21 @@ fn text_tags_print_as_they_are_parsed() {
 }
 
 #[test]
-fn the_low_byte_comes_first_unless_the_type_says_otherwise() {
+fn text_has_the_low_byte_first_and_text_hi_the_high() {
     let words = [0x4241, 0x0043, 0].map(Value::Word);
     assert_eq!(decode("R0-R2:text", &words), [text("ABC")]);
     assert_eq!(encode("R0-R2:text=ABC"), words);
     let words = [0x4142, 0x4300, 0].map(Value::Word);
     assert_eq!(decode("R0-R2:text-hi", &words), [text("ABC")]);
     assert_eq!(encode("R0-R2:text-hi=ABC"), words);
-    // NULs are characters, but for those at the end.
+    // NULs are characters, except at the end.
     assert_eq!(decode("R0-R2:text", &[0, 0x4100, 0].map(Value::Word)), [text("\0\0\0A")]);
     assert_eq!(decode("R0:text", &[Value::Word(0)]), [text("")]);
     assert_eq!(decode("R0:text", &[Value::Word(0xFFE9)]), [text("éÿ")]);
 }
 
 #[test]
-fn texts_are_written_bare_or_in_quotes_and_printed_in_quotes() {
+fn texts_parse_with_or_without_quotes_and_display_with() {
     for (input, value, printed) in [
         ("hello", "hello", r#""hello""#),
         (" two words ", "two words", r#""two words""#),
@@ -60,16 +60,16 @@ fn texts_are_written_bare_or_in_quotes_and_printed_in_quotes() {
 }
 
 #[test]
-fn a_text_that_cannot_be_held_is_refused() {
+fn a_text_that_does_not_fit_is_refused() {
     let message = |text: &str| text.parse::<Assignment>().unwrap_err().to_string();
     let bare =
-        r#"text with a comma, a quote, a backslash or a control character stands in double quotes, such as "a, b""#;
-    let quotes = "text in double quotes ends with one, and a quote within it stands behind a backslash";
-    let escape = r#"a backslash stands before one of " \ n r t 0, or before x and two hexadecimal digits"#;
+        r#"a text with a comma, a quote, a backslash or a control character needs double quotes, such as "a, b""#;
+    let quotes = "a text in double quotes must end with one, and a quote within it needs a backslash before it";
+    let escape = r#"a backslash must be followed by one of " \ n r t 0, or by x and two hexadecimal digits"#;
     for (input, rule) in [
         ("abcde", r#""abcde" has 5 characters, and 4 fit"#),
         ("\"abc\\0\\0\"", r#""abc\0\0" has 5 characters, and 4 fit"#),
-        ("1€", r#""1€" has the character '€', and only the 256 of Latin-1 can be held"#),
+        ("1€", r#""1€" has the character '€', which is not Latin-1"#),
         ("", "a value is missing"),
         ("a,b", bare),
         ("a\"b", bare),
@@ -86,7 +86,7 @@ fn a_text_that_cannot_be_held_is_refused() {
         assert_eq!(message(&format!("R0-R1:text={input}")), format!("`{input}` is not a value for R0-R1:text: {rule}"));
     }
     let error = tag("R0:text").encode(&[text("é€")]).unwrap_err();
-    assert_eq!(error.to_string(), "\"é€\" has the character '€', and only the 256 of Latin-1 can be held");
+    assert_eq!(error.to_string(), "\"é€\" has the character '€', which is not Latin-1");
     let error = tag("R0:text").encode(&[TagValue::U16(2)]).unwrap_err();
     assert_eq!(error.to_string(), "R0:text is text, and 2 is u16 of 16 bits");
     let error = tag("R0").encode(&[text("2")]).unwrap_err();
@@ -94,7 +94,7 @@ fn a_text_that_cannot_be_held_is_refused() {
 }
 
 #[test]
-fn a_text_tag_comes_from_one_request() {
+fn a_text_is_at_most_as_long_as_one_request() {
     let message = |text: &str| text.parse::<Tag>().unwrap_err().to_string();
     assert_eq!(tag("R0-R63:text").element_count(), 64);
     for (input, rule) in [
@@ -109,7 +109,7 @@ fn a_text_tag_comes_from_one_request() {
         assert_eq!(message(input), format!("`{input}` is not a tag: {rule}"));
     }
     let error = Tag::new(register!("R0"), TagType::Text, 2).unwrap_err();
-    assert_eq!(error.to_string(), "a tag has one text, as long as its range, and not several from R0 on");
+    assert_eq!(error.to_string(), "a tag has one text, as long as its range, not several from R0 on");
     assert_eq!(Tag::spanning(register!("R0"), TagType::TextHi, 0), Err(TagError::NoValues));
 }
 
@@ -125,7 +125,7 @@ proptest! {
     }
 
     #[test]
-    fn no_text_panics_and_what_is_printed_parses_to_the_same(value in "\\PC{0,9}|[\"\\\\,\u{0}-\u{20}a-c]{0,9}") {
+    fn no_text_panics_and_a_displayed_text_parses_to_the_same(value in "\\PC{0,9}|[\"\\\\,\u{0}-\u{20}a-c]{0,9}") {
         let printed = text(&value).to_string();
         let bytes = value.chars().all(|c| u32::from(c) < 256) && value.chars().count() <= 128;
         match tag("R0-R63:text").parse_values(&printed) {

@@ -3,7 +3,7 @@ use crate::command::{ReadStatus, WriteRegisters};
 use crate::register;
 
 #[tokio::test(start_paused = true)]
-async fn the_oldest_are_forgotten_and_counted() {
+async fn the_log_drops_and_counts_the_oldest_entries() {
     let log = Log::new();
     log.set_capacity(2);
     let numbers = [1, 2, 3].map(|station| arrive(&log, station));
@@ -19,16 +19,16 @@ async fn the_oldest_are_forgotten_and_counted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_log_without_room_only_counts() {
+async fn a_log_of_capacity_0_only_counts() {
     let log = Log::new();
     log.set_capacity(0);
-    let number = log.arrived(Instant::now(), &[], || panic!("nobody wants to know"));
+    let number = log.arrived(Instant::now(), &[], || panic!("not evaluated at capacity 0"));
     log.executed(number, 1, None);
     assert_eq!((log.entries(), log.arrivals(), log.forgotten()), (vec![], 1, 1));
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_becomes_of_an_arrival_is_told_of_that_arrival() {
+async fn results_are_added_to_the_entry_of_their_arrival() {
     let log = Log::new();
     let [first, second] = [1, 2].map(|station| arrive(&log, station));
     log.executed(second, 2, None);
@@ -36,7 +36,7 @@ async fn what_becomes_of_an_arrival_is_told_of_that_arrival() {
     let entries = log.entries();
     assert_eq!((entries[0].executed, entries[0].answer.as_deref()), (false, Some(&b"a"[..])));
     assert_eq!((entries[1].executed, entries[1].answer.as_deref()), (true, None));
-    // Also after the log has been cleared in between.
+    // Numbers stay valid after the log is cleared.
     log.clear();
     log.executed(first, 1, None);
     let third = arrive(&log, 3);
@@ -75,7 +75,7 @@ fn the_journal_is_bounded() {
 }
 
 fn arrive(log: &Log, station: u8) -> u64 {
-    log.arrived(Instant::now(), &[], || Heard::Request { station, request: Request::ReadStatus(ReadStatus) })
+    log.arrived(Instant::now(), &[], || Arrival::Request { station, request: Request::ReadStatus(ReadStatus) })
 }
 
 fn stations(log: &Log) -> Vec<u8> {

@@ -8,62 +8,62 @@ use crate::command::{
 use crate::{discrete, element, register, register32};
 
 #[test]
-fn without_a_scope_it_strikes_every_time() {
+fn a_rule_without_a_scope_always_applies() {
     let mut rule = Rule::new(Fault::DropReply);
-    assert_eq!(strikes(&mut rule, 5), [true; 5]);
-    assert_eq!(rule.struck(), 5);
+    assert_eq!(results(&mut rule, 5), [true; 5]);
+    assert_eq!(rule.times_applied(), 5);
 }
 
 #[test]
-fn it_skips_the_first_and_stops_after_the_last() {
+fn skip_and_times_limit_a_rule() {
     let mut rule = Rule::new(Fault::DropReply).skip(2).times(3);
-    assert_eq!(strikes(&mut rule, 7), [false, false, true, true, true, false, false]);
-    assert_eq!(rule.struck(), 3);
-    assert_eq!(strikes(&mut rule.afresh(), 3), [false, false, true]);
-    assert_eq!(strikes(&mut Rule::new(Fault::DropReply).times(0), 2), [false; 2]);
+    assert_eq!(results(&mut rule, 7), [false, false, true, true, true, false, false]);
+    assert_eq!(rule.times_applied(), 3);
+    assert_eq!(results(&mut rule.with_counts_reset(), 3), [false, false, true]);
+    assert_eq!(results(&mut Rule::new(Fault::DropReply).times(0), 2), [false; 2]);
 }
 
 #[test]
-fn only_what_is_in_the_scope_is_counted() {
+fn only_requests_in_the_scope_are_counted() {
     let mut rule = Rule::new(Fault::DropReply).station(1).skip(1);
-    let mut dice = Dice::new(0, 0, 0);
+    let mut rng = FaultRng::new(0, 0, 0);
     let other = Subject { station: Some(2), ..subject() };
-    assert!(!rule.strikes(&other, &mut dice));
-    assert!(!rule.strikes(&subject(), &mut dice), "the first one at station 1");
-    assert!(!rule.strikes(&other, &mut dice));
-    assert!(rule.strikes(&subject(), &mut dice));
+    assert!(!rule.matches(&other, &mut rng));
+    assert!(!rule.matches(&subject(), &mut rng), "skipped: the first request to station 1");
+    assert!(!rule.matches(&other, &mut rng));
+    assert!(rule.matches(&subject(), &mut rng));
 }
 
 #[test]
-fn chance_is_as_it_says() {
-    let struck = |rule: Rule| {
+fn chances_match_their_settings() {
+    let applied = |rule: Rule| {
         let mut rule = rule;
-        strikes(&mut rule, 20_000);
-        rule.struck()
+        results(&mut rule, 20_000);
+        rule.times_applied()
     };
     let rule = || Rule::new(Fault::DropReply);
-    assert!((900..=1100).contains(&struck(rule().per_mille(50))));
-    assert!((1850..=2150).contains(&struck(rule().one_in(10))));
-    assert_eq!(struck(rule().one_in(1)), 20_000);
-    assert_eq!(struck(rule().per_mille(1000)), 20_000);
-    assert_eq!(struck(rule().per_mille(u16::MAX)), 20_000);
-    assert_eq!(struck(rule().per_mille(0)), 0);
-    assert_eq!(struck(rule().one_in(0)), 0);
+    assert!((900..=1100).contains(&applied(rule().per_mille(50))));
+    assert!((1850..=2150).contains(&applied(rule().one_in(10))));
+    assert_eq!(applied(rule().one_in(1)), 20_000);
+    assert_eq!(applied(rule().per_mille(1000)), 20_000);
+    assert_eq!(applied(rule().per_mille(u16::MAX)), 20_000);
+    assert_eq!(applied(rule().per_mille(0)), 0);
+    assert_eq!(applied(rule().one_in(0)), 0);
 }
 
 #[test]
-fn the_command_is_that_of_the_frame() {
+fn a_rule_matches_the_command_of_the_frame() {
     let rule = Rule::new(Fault::DropReply).command(Code::WriteRegisters);
-    assert!(rule.covers(&Subject { command: Some(Code::WriteRegisters), request: None, ..subject() }));
-    assert!(!rule.covers(&Subject { command: Some(Code::ReadRegisters), ..subject() }));
-    assert!(!rule.covers(&Subject { command: None, ..subject() }));
+    assert!(rule.has_in_scope(&Subject { command: Some(Code::WriteRegisters), request: None, ..subject() }));
+    assert!(!rule.has_in_scope(&Subject { command: Some(Code::ReadRegisters), ..subject() }));
+    assert!(!rule.has_in_scope(&Subject { command: None, ..subject() }));
 }
 
 #[test]
-fn a_request_is_in_the_scope_if_it_touches_an_element_by_any_name() {
+fn a_rule_matches_an_element_by_any_symbol() {
     let r100 = Rule::new(Fault::DropReply).element(element!("R100"));
     let m8 = Rule::new(Fault::DropReply).elements(discrete!("M8"), 8); // M8 to M15
-    for (request, touches_r100, touches_m8) in [
+    for (request, in_r100, in_m8) in [
         (Request::ReadRegisters(ReadRegisters::new(register!("R100"), 1).unwrap()), true, false),
         (Request::ReadRegisters(ReadRegisters::new(register!("R90"), 11).unwrap()), true, false),
         (Request::ReadRegisters(ReadRegisters::new(register!("R90"), 10).unwrap()), false, false),
@@ -92,46 +92,51 @@ fn a_request_is_in_the_scope_if_it_touches_an_element_by_any_name() {
         (Request::ReadProgramPage(ReadProgramPage::new(100)), false, false),
     ] {
         let subject = Subject { request: Some(&request), ..subject() };
-        assert_eq!((r100.covers(&subject), m8.covers(&subject)), (touches_r100, touches_m8), "{request:?}");
+        assert_eq!((r100.has_in_scope(&subject), m8.has_in_scope(&subject)), (in_r100, in_m8), "{request:?}");
     }
-    assert!(!r100.covers(&subject()), "what cannot be read touches nothing");
+    assert!(!r100.has_in_scope(&subject()), "an unreadable request accesses no element");
 }
 
 #[test]
-fn a_range_of_elements_may_be_empty_or_end_with_the_area() {
+fn an_element_range_can_be_empty_or_reach_the_end() {
     let last = Request::ReadRegisters(ReadRegisters::new(register!("R65535"), 1).unwrap());
     let subject = Subject { request: Some(&last), ..subject() };
     for count in [1, 2, usize::MAX] {
-        assert!(Rule::new(Fault::DropReply).elements(register!("R65535"), count).covers(&subject));
+        assert!(Rule::new(Fault::DropReply).elements(register!("R65535"), count).has_in_scope(&subject));
     }
-    assert!(Rule::new(Fault::DropReply).elements(register32!("DR65534"), 1).covers(&subject));
-    assert!(!Rule::new(Fault::DropReply).elements(register!("R65535"), 0).covers(&subject));
-    assert!(!Rule::new(Fault::DropReply).elements(register!("R0"), 65_535).covers(&subject));
+    assert!(Rule::new(Fault::DropReply).elements(register32!("DR65534"), 1).has_in_scope(&subject));
+    assert!(!Rule::new(Fault::DropReply).elements(register!("R65535"), 0).has_in_scope(&subject));
+    assert!(!Rule::new(Fault::DropReply).elements(register!("R0"), 65_535).has_in_scope(&subject));
 }
 
 #[test]
-fn a_fault_befalls_only_those_whom_it_can() {
-    let befallen = |fault: Fault| {
-        let addressees =
-            [Addressee::Plc, Addressee::Nobody, Addressee::Everybody, Addressee::Listener, Addressee::Server];
-        addressees.map(|addressee| fault.befalls(addressee))
+fn each_fault_applies_to_its_targets_only() {
+    let targets_of = |fault: Fault| {
+        let targets = [
+            FaultTarget::Station,
+            FaultTarget::AbsentStation,
+            FaultTarget::Broadcast,
+            FaultTarget::BroadcastListener,
+            FaultTarget::Connection,
+        ];
+        targets.map(|target| fault.applies_to(target))
     };
     let time = Duration::ZERO;
-    assert_eq!(befallen(Fault::Echo), [true, true, true, false, false]);
-    assert_eq!(befallen(Fault::Disconnect(crate::sim::Moment::BeforeReply)), [true, true, true, false, false]);
-    assert_eq!(befallen(Fault::Ignore), [true, false, true, false, false]);
-    assert_eq!(befallen(Fault::BadChecksum), [true, false, false, false, false]);
-    assert_eq!(befallen(Fault::duplicate()), [true, false, false, false, false]);
-    assert_eq!(befallen(Fault::LeftOver { min: time, max: time }), [true, false, false, false, false]);
+    assert_eq!(targets_of(Fault::Echo), [true, true, true, false, false]);
+    assert_eq!(targets_of(Fault::Disconnect(crate::sim::DisconnectAt::BeforeReply)), [true, true, true, false, false]);
+    assert_eq!(targets_of(Fault::Ignore), [true, false, true, false, false]);
+    assert_eq!(targets_of(Fault::BadChecksum), [true, false, false, false, false]);
+    assert_eq!(targets_of(Fault::duplicate()), [true, false, false, false, false]);
+    assert_eq!(targets_of(Fault::LeftOver { min: time, max: time }), [true, false, false, false, false]);
     let answer = Fault::AnswerBroadcast { station: None, min: time, max: time, error: None };
-    assert_eq!(befallen(answer), [false, false, false, true, false]);
-    assert_eq!(befallen(Fault::Refuse), [false, false, false, false, true]);
+    assert_eq!(targets_of(answer), [false, false, false, true, false]);
+    assert_eq!(targets_of(Fault::Refuse), [false, false, false, false, true]);
 }
 
-fn strikes(rule: &mut Rule, requests: u64) -> Vec<bool> {
-    (0..requests).map(|nth| rule.strikes(&subject(), &mut Dice::new(7, 1, nth))).collect()
+fn results(rule: &mut Rule, requests: u64) -> Vec<bool> {
+    (0..requests).map(|nth| rule.matches(&subject(), &mut FaultRng::new(7, 1, nth))).collect()
 }
 
 fn subject() -> Subject<'static> {
-    Subject { addressee: Addressee::Plc, station: Some(1), command: Some(Code::ReadStatus), request: None }
+    Subject { target: FaultTarget::Station, station: Some(1), command: Some(Code::ReadStatus), request: None }
 }

@@ -1,13 +1,13 @@
-//! Streams and ports of a bus with faults.
+//! Streams and ports for a bus with faults.
 
 use super::*;
-use crate::sim::{Fault, Faults, Line, Moment, Rule};
+use crate::sim::{DisconnectAt, Fault, Faults, Line, Rule};
 
 pub(super) const RUN_2: &[u8] = b"\x0202411FA\x03";
 pub(super) const DONE_2: &[u8] = b"\x0202410F9\x03";
 
 #[tokio::test(start_paused = true)]
-async fn without_rules_and_line_it_takes_no_time() {
+async fn without_rules_and_line_no_time_passes() {
     let (mut client, serving) = start_with(&Faults::new(1), Framing::Ascii);
     let began = Instant::now();
     for _ in 0..1000 {
@@ -19,7 +19,7 @@ async fn without_rules_and_line_it_takes_no_time() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_late_station_holds_up_nobody_but_itself() {
+async fn a_late_station_delays_no_other_station() {
     let (mut client, serving) = start_with(&late(1000), Framing::Ascii);
     let began = Instant::now();
     send(&mut client, &[RUN, RUN].concat()).await;
@@ -35,7 +35,7 @@ async fn a_late_station_holds_up_nobody_but_itself() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_paced_exchange_takes_as_long_as_over_a_real_line() {
+async fn a_line_speed_gives_real_transmission_times() {
     let (mut client, serving) = start_with(&Faults::new(1).line(Line::new(9600)), Framing::Ascii);
     for _ in 0..10 {
         let began = Instant::now();
@@ -48,23 +48,23 @@ async fn a_paced_exchange_takes_as_long_as_over_a_real_line() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_rest_of_a_frame_may_pause_while_a_station_is_busy() {
+async fn a_frame_can_pause_while_a_station_is_busy() {
     let (mut client, serving) = start_with(&late(60), Framing::Ascii);
     send(&mut client, RUN).await;
     for part in [&RUN_2[..4], &RUN_2[4..6], &RUN_2[6..]] {
         send(&mut client, part).await;
-        time::sleep(SILENCE / 2).await;
+        time::sleep(FRAME_TIMEOUT / 2).await;
     }
     expect(&mut client, &[DONE, DONE_2].concat()).await;
-    // But not too long.
+    // A pause above the timeout discards it.
     send(&mut client, &RUN_2[..4]).await;
-    time::sleep(2 * SILENCE).await;
+    time::sleep(2 * FRAME_TIMEOUT).await;
     send(&mut client, &RUN_2[4..]).await;
     assert_ends(client, serving).await;
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_binary_frame_that_is_given_up_does_not_swallow_the_next() {
+async fn an_incomplete_binary_frame_does_not_hide_the_next() {
     let (mut client, serving) = start_with(&Faults::new(1), Framing::Binary);
     send(&mut client, b"\x51\x10\x01\x00\x01\x47\x02").await;
     send(&mut client, STOP_BINARY).await;
@@ -73,7 +73,7 @@ async fn a_binary_frame_that_is_given_up_does_not_swallow_the_next() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn more_requests_than_it_takes_at_once_wait_in_the_stream() {
+async fn requests_above_the_limit_wait_in_the_stream() {
     let (client, serving) = start_with(&late(10), Framing::Ascii);
     let (mut replies, mut requests) = tokio::io::split(client);
     let asking = tokio::spawn(async move {
@@ -89,7 +89,7 @@ async fn more_requests_than_it_takes_at_once_wait_in_the_stream() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_client_that_has_said_all_still_gets_its_replies() {
+async fn a_half_closed_connection_still_gets_its_replies() {
     let (mut client, serving) = start_with(&late(500), Framing::Ascii);
     send(&mut client, &[RUN, RUN].concat()).await;
     client.shutdown().await.unwrap();
@@ -100,7 +100,7 @@ async fn a_client_that_has_said_all_still_gets_its_replies() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_a_client_has_asked_for_is_done_after_it_has_gone() {
+async fn requests_are_executed_after_their_client_has_gone() {
     let faults = late(500);
     let (mut client, serving) = start_with(&faults, Framing::Ascii);
     send(&mut client, &[RUN, RUN, RUN].concat()).await;
@@ -112,21 +112,21 @@ async fn what_a_client_has_asked_for_is_done_after_it_has_gone() {
 }
 
 #[tokio::test]
-async fn over_tcp_a_connection_is_closed_at_its_moment() {
-    for (moment, heard) in [
-        (Moment::BeforeExecution, &b""[..]),
-        (Moment::BeforeReply, b""),
-        (Moment::WithinReply, &DONE[..DONE.len() / 2]),
-        (Moment::AfterReply, DONE),
+async fn over_tcp_disconnect_closes_at_the_given_point() {
+    for (point, received) in [
+        (DisconnectAt::BeforeExecution, &b""[..]),
+        (DisconnectAt::BeforeReply, b""),
+        (DisconnectAt::WithinReply, &DONE[..DONE.len() / 2]),
+        (DisconnectAt::AfterReply, DONE),
     ] {
-        let faults = Faults::new(1).rule(Rule::new(Fault::Disconnect(moment)).times(1));
-        let server = listen_with(&faults).await;
+        let faults = Faults::new(1).rule(Rule::new(Fault::Disconnect(point)).times(1));
+        let server = bind_tcp_with(&faults).await;
         let mut client = TcpStream::connect(server.local_addr()).await.unwrap();
         send(&mut client, RUN).await;
         let mut replies = Vec::new();
         client.read_to_end(&mut replies).await.unwrap();
-        assert_eq!(replies, heard, "{moment:?}");
-        assert_eq!(faults.log().entries()[0].executed, moment != Moment::BeforeExecution);
+        assert_eq!(replies, received, "{point:?}");
+        assert_eq!(faults.log().entries()[0].executed, point != DisconnectAt::BeforeExecution);
         // The next connection is served.
         let mut client = TcpStream::connect(server.local_addr()).await.unwrap();
         send(&mut client, RUN).await;
@@ -138,7 +138,7 @@ async fn over_tcp_a_connection_is_closed_at_its_moment() {
 #[tokio::test]
 async fn over_tcp_a_refused_connection_is_closed_at_once() {
     let faults = Faults::new(1).rule(Rule::new(Fault::Refuse).times(2));
-    let server = listen_with(&faults).await;
+    let server = bind_tcp_with(&faults).await;
     for _ in 0..2 {
         let mut client = TcpStream::connect(server.local_addr()).await.unwrap();
         assert_eq!(client.read(&mut [0]).await.unwrap(), 0);
@@ -150,7 +150,7 @@ async fn over_tcp_a_refused_connection_is_closed_at_once() {
 }
 
 #[tokio::test]
-async fn a_connector_opens_connections_and_fails_when_they_are_refused() {
+async fn a_connector_fails_when_a_rule_refuses() {
     let faults = Faults::new(1).rule(Rule::new(Fault::Refuse).skip(1).times(1));
     let mut open = connector(bus_with(&faults), Framing::Ascii);
     let mut first = open().await.unwrap();
@@ -168,7 +168,7 @@ fn a_connector_needs_a_runtime() {
     assert!(open().into_inner().is_err());
 }
 
-/// Station 1 is this late with every reply.
+/// All replies of station 1 have this delay.
 fn late(ms: u64) -> Faults {
     let delay = Duration::from_millis(ms);
     Faults::new(1).rule(Rule::new(Fault::Delay { min: delay, max: delay }).station(1))
@@ -179,7 +179,7 @@ fn start_with(faults: &Faults, framing: Framing) -> (DuplexStream, JoinHandle<io
     (client, tokio::spawn(serve(line, bus_with(faults), framing)))
 }
 
-pub(super) async fn listen_with(faults: &Faults) -> Server {
+pub(super) async fn bind_tcp_with(faults: &Faults) -> Server {
     Server::bind("127.0.0.1:0", bus_with(faults), Framing::Ascii).await.unwrap()
 }
 

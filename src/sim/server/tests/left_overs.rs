@@ -1,12 +1,12 @@
 //! Replies that outlive their connection, in memory and over TCP.
 
-use super::faults::{bus_with, listen_with};
+use super::faults::{bind_tcp_with, bus_with};
 use super::*;
 use crate::sim::{Fault, Faults, LeftOver, Rule, Timing};
 
 #[tokio::test(start_paused = true)]
-async fn in_memory_a_reply_comes_at_its_time_on_the_next_connection() {
-    // The second connection opens after the first has ended, and before that.
+async fn in_memory_a_left_over_reply_comes_at_its_time() {
+    // The second connection opens after the end of the first one, and before it.
     for overlap in [false, true] {
         let mut open = connector(bus_with(&left_over(500)), Framing::Ascii);
         let began = Instant::now();
@@ -25,7 +25,7 @@ async fn in_memory_a_reply_comes_at_its_time_on_the_next_connection() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn in_memory_a_reply_comes_when_the_next_connection_opens() {
+async fn in_memory_a_left_over_reply_comes_on_connection() {
     let mut open = connector(bus_with(&left_over(500)), Framing::Ascii);
     let mut first = open().await.unwrap();
     send(&mut first, RUN).await;
@@ -40,8 +40,8 @@ async fn in_memory_a_reply_comes_when_the_next_connection_opens() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_connection_that_is_lost_by_a_fault_leaves_its_replies_over() {
-    let faults = left_over(500).rule(Rule::new(Fault::Disconnect(crate::sim::Moment::AfterReply)).station(2));
+async fn a_connection_closed_by_a_fault_keeps_left_over_replies() {
+    let faults = left_over(500).rule(Rule::new(Fault::Disconnect(crate::sim::DisconnectAt::AfterReply)).station(2));
     let mut open = connector(bus_with(&faults), Framing::Ascii);
     let mut first = open().await.unwrap();
     send(&mut first, &[RUN, super::faults::RUN_2].concat()).await;
@@ -52,7 +52,7 @@ async fn a_connection_that_is_lost_by_a_fault_leaves_its_replies_over() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_first_connection_gets_what_an_earlier_run_has_left_over() {
+async fn the_first_connection_gets_replies_of_an_earlier_run() {
     let late = LeftOver::bytes(DONE).delay(Duration::from_millis(50));
     let faults = Faults::new(1).left_over(LeftOver::bytes(&b"noise"[..])).left_over(late);
     let mut open = connector(bus_with(&faults), Framing::Ascii);
@@ -66,12 +66,12 @@ async fn the_first_connection_gets_what_an_earlier_run_has_left_over() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_copy_comes_between_the_next_request_and_its_reply() {
+async fn a_duplicate_comes_between_a_request_and_its_reply() {
     let timing = Timing::WithNextRequest { min_per_mille: 500, max_per_mille: 500, at_latest: Duration::from_secs(9) };
-    let turnaround = Duration::from_millis(10);
+    let response_time = Duration::from_millis(10);
     let faults = Faults::new(1)
         .rule(Rule::new(Fault::Duplicate(timing)).times(1))
-        .line(crate::sim::Line::new(0).turnaround(turnaround, turnaround));
+        .line(crate::sim::Line::new(0).response_time(response_time, response_time));
     let mut client = connector(bus_with(&faults), Framing::Ascii)().await.unwrap();
     send(&mut client, RUN).await;
     expect(&mut client, DONE).await;
@@ -86,10 +86,10 @@ async fn a_copy_comes_between_the_next_request_and_its_reply() {
 }
 
 #[tokio::test]
-async fn over_tcp_a_reply_comes_on_the_next_connection() {
+async fn over_tcp_a_left_over_reply_comes_on_reconnection() {
     for wait_ms in [0, 300] {
         let faults = left_over(200);
-        let server = listen_with(&faults).await;
+        let server = bind_tcp_with(&faults).await;
         let mut first = TcpStream::connect(server.local_addr()).await.unwrap();
         send(&mut first, RUN).await;
         while faults.log().arrivals() == 0 {
@@ -104,14 +104,14 @@ async fn over_tcp_a_reply_comes_on_the_next_connection() {
 }
 
 #[tokio::test]
-async fn over_tcp_the_first_connection_gets_what_is_left_over() {
-    let server = listen_with(&Faults::new(1).left_over(LeftOver::bytes(DONE))).await;
+async fn over_tcp_the_first_connection_gets_left_over_replies() {
+    let server = bind_tcp_with(&Faults::new(1).left_over(LeftOver::bytes(DONE))).await;
     let mut first = TcpStream::connect(server.local_addr()).await.unwrap();
     expect(&mut first, DONE).await;
     server.shutdown().await;
 }
 
-/// The first reply of station 1 is this late, and outlives its connection.
+/// The first reply of station 1 has this delay and outlives its connection.
 fn left_over(ms: u64) -> Faults {
     let late = Duration::from_millis(ms);
     Faults::new(1).rule(Rule::new(Fault::LeftOver { min: late, max: late }).station(1).times(1))

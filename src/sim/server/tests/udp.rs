@@ -4,10 +4,10 @@ use tokio::net::UdpSocket;
 
 use super::faults::{DONE_2, RUN_2, bus_with};
 use super::*;
-use crate::sim::{Fault, Faults, LeftOver, Line, Moment, Rule, Timing, UdpServer};
+use crate::sim::{DisconnectAt, Fault, Faults, LeftOver, Line, Rule, Timing, UdpServer};
 
 #[tokio::test]
-async fn a_reply_is_a_datagram_to_the_address_that_asked() {
+async fn a_reply_is_a_datagram_to_the_sender_of_its_request() {
     let plc = Plc::new();
     let server = UdpServer::bind("127.0.0.1:0", bus(&plc), Framing::Ascii).await.unwrap();
     let [first, second] = [client(&server).await, client(&server).await];
@@ -17,7 +17,7 @@ async fn a_reply_is_a_datagram_to_the_address_that_asked() {
     second.send(b"noise").await.unwrap();
     second.send(RUN).await.unwrap();
     assert_next(&second, DONE).await;
-    // What a datagram begins the next does not end.
+    // A frame does not continue in the next datagram.
     second.send(&RUN[..4]).await.unwrap();
     second.send(&RUN[4..]).await.unwrap();
     second.send(RUN).await.unwrap();
@@ -30,13 +30,13 @@ async fn a_reply_is_a_datagram_to_the_address_that_asked() {
 }
 
 #[tokio::test]
-async fn copies_are_datagrams_of_their_own() {
+async fn duplicates_are_separate_datagrams() {
     let after = Duration::from_millis(50);
     for timing in [Timing::AT_ONCE, Timing::After { min: after, max: after }] {
         let (server, [first, second]) = start(&Faults::new(1).rule(Rule::new(Fault::Duplicate(timing)).times(1))).await;
         first.send(RUN).await.unwrap();
         assert_next(&first, DONE).await;
-        // In order, and to the address of its request.
+        // The duplicate precedes the reply, and goes to the sender of its request.
         second.send(RUN).await.unwrap();
         assert_next(&second, DONE).await;
         assert_now(&first, DONE);
@@ -46,12 +46,12 @@ async fn copies_are_datagrams_of_their_own() {
 }
 
 #[tokio::test]
-async fn a_copy_may_come_with_the_next_request_of_any_address() {
+async fn a_duplicate_can_come_with_a_request_of_any_address() {
     let timing = Timing::WithNextRequest { min_per_mille: 0, max_per_mille: 0, at_latest: Duration::from_secs(3600) };
-    let turnaround = Duration::from_millis(100);
+    let response_time = Duration::from_millis(100);
     let faults = Faults::new(1)
         .rule(Rule::new(Fault::Duplicate(timing)).times(1))
-        .line(Line::new(0).turnaround(turnaround, turnaround));
+        .line(Line::new(0).response_time(response_time, response_time));
     for to_last_sender in [false, true] {
         faults.set_rules(faults.rules());
         let (server, [first, second]) = start(&faults).await;
@@ -61,9 +61,9 @@ async fn a_copy_may_come_with_the_next_request_of_any_address() {
         second.send(RUN).await.unwrap();
         let asked = Instant::now();
         assert_next(if to_last_sender { &second } else { &first }, DONE).await;
-        assert!(asked.elapsed() < turnaround, "{:?}", asked.elapsed());
+        assert!(asked.elapsed() < response_time, "{:?}", asked.elapsed());
         assert_next(&second, DONE).await;
-        assert!(asked.elapsed() >= turnaround - Duration::from_millis(5), "{:?}", asked.elapsed());
+        assert!(asked.elapsed() >= response_time - Duration::from_millis(5), "{:?}", asked.elapsed());
         server.shutdown().await;
     }
 }
@@ -85,13 +85,13 @@ async fn a_reply_that_outlives_its_client_goes_to_the_latest_address() {
 }
 
 #[tokio::test]
-async fn the_first_request_brings_what_is_left_over() {
+async fn the_first_request_brings_left_over_replies() {
     let faults = Faults::new(1).left_over(LeftOver::bytes(DONE_2));
     let (server, [first, second]) = start(&faults).await;
     first.send(RUN).await.unwrap();
     assert_next(&first, DONE_2).await;
     assert_next(&first, DONE).await;
-    // Another address is another client.
+    // Another address counts as another client.
     faults.add_left_over(LeftOver::bytes(DONE_2));
     first.send(RUN).await.unwrap();
     assert_next(&first, DONE).await;
@@ -102,8 +102,8 @@ async fn the_first_request_brings_what_is_left_over() {
 }
 
 #[tokio::test]
-async fn a_lost_connection_is_a_lost_request() {
-    let faults = Faults::new(1).rule(Rule::new(Fault::Disconnect(Moment::BeforeExecution)).times(1));
+async fn disconnect_loses_the_request() {
+    let faults = Faults::new(1).rule(Rule::new(Fault::Disconnect(DisconnectAt::BeforeExecution)).times(1));
     let (server, [first, _]) = start(&faults).await;
     first.send(RUN).await.unwrap();
     assert_silent(&first).await;
@@ -115,7 +115,7 @@ async fn a_lost_connection_is_a_lost_request() {
 }
 
 #[tokio::test]
-async fn answers_to_a_broadcast_go_to_its_sender() {
+async fn broadcast_answers_go_to_the_sender() {
     let time = Duration::ZERO;
     let answer = Fault::AnswerBroadcast { station: None, min: time, max: time, error: None };
     let (server, [first, second]) = start(&Faults::new(1).rule(Rule::new(answer))).await;
@@ -145,7 +145,7 @@ async fn assert_next(client: &UdpSocket, bytes: &[u8]) {
     assert_eq!(datagram[..len].escape_ascii().to_string(), bytes.escape_ascii().to_string());
 }
 
-/// It has been received already.
+/// Expects a datagram that was received before.
 fn assert_now(client: &UdpSocket, bytes: &[u8]) {
     let mut datagram = [0; 2048];
     let len = client.try_recv(&mut datagram).unwrap();

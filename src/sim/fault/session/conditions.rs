@@ -1,4 +1,4 @@
-//! What all connections of a bus share: the line, its stations, and replies whose connection has ended.
+//! State that all sessions of a bus share: rules, the use of the line, and left-over replies.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,10 +8,10 @@ use tokio::sync::Notify;
 use tokio::time::Instant;
 use tracing::debug;
 
-use super::answers::{FollowUp, Piece, Speech};
+use super::replies::{FollowUp, OutgoingReply, ReplyPiece};
 use crate::sim::fault::Faults;
 
-/// What a bus that is not as it should be has besides its PLCs. Clones are the same.
+/// Conditions of a bus with faults. A handle: clones share the same state.
 #[derive(Clone, Debug)]
 pub(crate) struct Conditions {
     pub(super) faults: Faults,
@@ -38,7 +38,7 @@ impl Conditions {
     }
 }
 
-/// Until when the parts of a bus are taken.
+/// Ends of the current use of the two directions of the line, and of each station.
 #[derive(Debug, Default)]
 pub(super) struct Occupancy {
     incoming: Option<Instant>,
@@ -47,93 +47,93 @@ pub(super) struct Occupancy {
 }
 
 impl Occupancy {
-    /// When something that begins to come now has come.
-    pub(super) fn receive(&mut self, now: Instant, takes: Duration) -> Instant {
-        let end = later(free(self.incoming, now), takes);
+    /// Occupies the line for a request, and returns its time of arrival.
+    pub(super) fn receive(&mut self, now: Instant, transmission: Duration) -> Instant {
+        let end = later(free_at(self.incoming, now), transmission);
         self.incoming = Some(end);
         end
     }
 
-    /// When a station executes a request, and when it is ready with its reply.
+    /// Occupies a station for a request, and returns the times of its execution and of its reply.
     pub(super) fn serve(
         &mut self,
         station: u8,
         arrived: Instant,
-        turnaround: Duration,
+        response_time: Duration,
         delay: Duration,
     ) -> (Instant, Instant) {
-        let execute_at = later(free(self.stations.get(&station).copied(), arrived), turnaround);
+        let execute_at = later(free_at(self.stations.get(&station).copied(), arrived), response_time);
         let ready_at = later(execute_at, delay);
         self.stations.insert(station, ready_at);
         (execute_at, ready_at)
     }
 
-    /// When something that is ready begins to go out.
-    pub(super) fn send(&mut self, ready: Instant, takes: Duration) -> Instant {
-        let start = free(self.outgoing, ready);
-        self.outgoing = Some(later(start, takes));
+    /// Occupies the line for a reply, and returns the beginning of its transmission.
+    pub(super) fn send(&mut self, ready_at: Instant, transmission: Duration) -> Instant {
+        let start = free_at(self.outgoing, ready_at);
+        self.outgoing = Some(later(start, transmission));
         start
     }
 }
 
-fn free(taken_until: Option<Instant>, now: Instant) -> Instant {
-    taken_until.map_or(now, |until| until.max(now))
+fn free_at(occupied_until: Option<Instant>, now: Instant) -> Instant {
+    occupied_until.map_or(now, |until| until.max(now))
 }
 
-/// A day is longer than any test waits, and still within what a clock can hold.
+/// Adds a time of at most a day: longer than any test waits, and within the range of the clock.
 pub(super) fn later(at: Instant, by: Duration) -> Instant {
     at.checked_add(by.min(Duration::from_secs(86_400))).unwrap_or(at)
 }
 
-/// The replies whose connection has ended, for the next one.
+/// Replies whose connection has ended, for the next connection.
 #[derive(Debug, Default)]
 pub(crate) struct LeftOvers {
-    queue: Mutex<Queue>,
+    queue: Mutex<LeftOverQueue>,
     changed: Notify,
 }
 
 #[derive(Debug, Default)]
-struct Queue {
-    /// How many connections there were. The number of a connection is its place among them, from 1 on.
+struct LeftOverQueue {
+    /// Number of connections so far. The number of a connection is its place among them, from 1.
     connections: u64,
-    /// Each with the number of the connection that it comes from.
-    waiting: VecDeque<(u64, Instant, Remainder)>,
+    /// Each with the number of its connection, and its time.
+    waiting: VecDeque<(u64, Instant, LeftOverPart)>,
 }
 
-/// What is left of a reply.
+/// A reply, or the part of it that was not sent when its connection ended.
 #[derive(Debug)]
-pub(super) enum Remainder {
-    Reply(Box<Speech>),
+pub(super) enum LeftOverPart {
+    Reply(Box<OutgoingReply>),
     FollowUp(Box<FollowUp>),
-    Pieces(VecDeque<Piece>),
+    Pieces(VecDeque<ReplyPiece>),
 }
 
-/// How many replies wait for the next connection; further ones are lost.
+/// Maximum number of replies that wait for the next connection.
 pub(in crate::sim::fault) const MAX_LEFT_OVER: usize = 64;
 
 impl LeftOvers {
-    /// Counts a connection, and returns its number.
+    /// Counts a new connection, and returns its number.
     pub(super) fn connect(&self) -> u64 {
         let mut queue = self.lock();
         queue.connections += 1;
         queue.connections
     }
 
-    /// Keeps what the connection with this number has not sent.
-    pub(super) fn put(&self, from: u64, at: Instant, remainder: Remainder) {
+    /// Keeps a reply of a connection that has ended. Discards it if the queue is full.
+    pub(super) fn put(&self, connection: u64, at: Instant, part: LeftOverPart) {
         let mut queue = self.lock();
         if queue.waiting.len() < MAX_LEFT_OVER {
-            queue.waiting.push_back((from, at, remainder));
+            queue.waiting.push_back((connection, at, part));
         } else {
-            debug!("too many replies wait for the next connection");
+            debug!("the queue of replies for the next connection is full");
         }
         drop(queue);
         self.changed.notify_waiters();
     }
 
-    /// What the connection with this number sends for earlier ones, and when at the earliest: nothing, if it is not the
-    /// latest connection.
-    pub(super) fn take(&self, connection: u64) -> Vec<(Instant, Remainder)> {
+    /// Takes the replies of other connections, with their times. Empty unless `connection` is the
+    /// latest one.
+    pub(super) fn take(&self, connection: u64) -> Vec<(Instant, LeftOverPart)> {
         let mut queue = self.lock();
         if queue.connections != connection || queue.waiting.is_empty() {
             return Vec::new();
@@ -141,15 +141,15 @@ impl LeftOvers {
         let (own, others): (VecDeque<_>, VecDeque<_>) =
             queue.waiting.drain(..).partition(|&(from, ..)| from == connection);
         queue.waiting = own;
-        others.into_iter().map(|(_, at, remainder)| (at, remainder)).collect()
+        others.into_iter().map(|(_, at, part)| (at, part)).collect()
     }
 
-    /// Signals that something has been put.
+    /// Notifies of each [`put`](Self::put).
     pub(crate) fn changed(&self) -> &Notify {
         &self.changed
     }
 
-    fn lock(&self) -> MutexGuard<'_, Queue> {
+    fn lock(&self) -> MutexGuard<'_, LeftOverQueue> {
         // Nothing panics under the lock.
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,26 +1,26 @@
-//! What faults do to the bytes of a reply.
+//! Changes of the bytes of a reply by faults.
 
 use bytes::{BufMut, Bytes, BytesMut};
 use tokio_util::codec::Decoder;
 
-use super::dice::Dice;
-use super::{Fault, Moment};
+use super::rng::FaultRng;
+use super::{DisconnectAt, Fault};
 use crate::command::Code;
 use crate::wire::{Codec, FieldWriter, Frame, Framing, MAX_FRAME_LEN, Received, Side, ascii, binary};
 
-/// What goes out in the place of a reply.
+/// The bytes to send for a reply.
 #[derive(Debug, Default)]
-pub(super) struct Spoilt {
-    /// The bytes of the reply. Empty, if there is nothing to be heard.
+pub(super) struct CorruptedReply {
+    /// Empty if no reply is sent.
     pub(super) reply: Bytes,
-    /// What a copy of it has: all but the garbage before it.
-    pub(super) copy: Bytes,
+    /// The bytes of a duplicate: the same without the garbage before it.
+    pub(super) duplicate: Bytes,
 }
 
-/// Changes a reply from the frame outwards, whatever the order of the faults.
-pub(super) fn spoil(mut reply: BytesMut, framing: Framing, faults: &[Fault], dice: &mut Dice) -> Spoilt {
-    if faults.contains(&Fault::DropReply) || faults.contains(&Fault::Disconnect(Moment::BeforeReply)) {
-        return Spoilt::default();
+/// Changes a reply from the frame outwards; the order of the faults has no effect.
+pub(super) fn corrupt(mut reply: BytesMut, framing: Framing, faults: &[Fault], rng: &mut FaultRng) -> CorruptedReply {
+    if faults.contains(&Fault::DropReply) || faults.contains(&Fault::Disconnect(DisconnectAt::BeforeReply)) {
+        return CorruptedReply::default();
     }
     if let Some(frame) = reframed(&reply, framing, faults) {
         reply.clear();
@@ -32,28 +32,28 @@ pub(super) fn spoil(mut reply: BytesMut, framing: Framing, faults: &[Fault], dic
         }
     }
     if faults.contains(&Fault::BadChecksum) {
-        falsify(&mut reply, framing);
+        invalidate_checksum(&mut reply, framing);
     }
     if let Some(max_len) = faults.iter().find_map(|fault| fault.garbage_inside()) {
-        reply = garbled(&reply, framing, max_len, dice);
+        reply = with_garbage_inside(&reply, framing, max_len, rng);
     }
-    let copy = reply.freeze();
-    let mut reply = copy.clone();
+    let duplicate = reply.freeze();
+    let mut reply = duplicate.clone();
     if let Some(max_len) = faults.iter().find_map(|fault| fault.garbage_before()) {
-        reply = after_garbage(&reply, framing, max_len, dice).freeze();
+        reply = with_garbage_before(&reply, framing, max_len, rng).freeze();
     }
-    if faults.contains(&Fault::Disconnect(Moment::WithinReply)) {
+    if faults.contains(&Fault::Disconnect(DisconnectAt::WithinReply)) {
         reply.truncate(reply.len() / 2);
     }
-    Spoilt { reply, copy }
+    CorruptedReply { reply, duplicate }
 }
 
-/// The frame with another content, if a fault asks for it.
+/// The frame with other content, if a fault changes it.
 fn reframed(reply: &BytesMut, framing: Framing, faults: &[Fault]) -> Option<Frame> {
-    let changed = |fault: &Fault| {
+    let changes_content = |fault: &Fault| {
         matches!(fault, Fault::WrongStation | Fault::WrongCommand | Fault::Truncated { .. } | Fault::Extended { .. })
     };
-    if !faults.iter().any(changed) {
+    if !faults.iter().any(changes_content) {
         return None;
     }
     let mut frame = frames(reply, framing).pop()?;
@@ -89,7 +89,7 @@ fn reframed(reply: &BytesMut, framing: Framing, faults: &[Fault]) -> Option<Fram
     Some(frame)
 }
 
-/// The next one in the manuals' table.
+/// The next command in the manuals' table. The code after an unknown one is the next number.
 fn next_command(command: u8) -> u8 {
     let mut codes = Code::ALL.iter().copied().map(u8::from).cycle().skip_while(|&code| code != command).skip(1);
     match Code::from_u8(command) {
@@ -98,10 +98,10 @@ fn next_command(command: u8) -> u8 {
     }
 }
 
-/// Changes the last character or byte of the data to another that could stand there, and leaves the checksum as it is;
-/// or, if there is no data, the checksum.
-fn falsify(reply: &mut BytesMut, framing: Framing) {
-    // From the end of the frame: the last of the data, and the last of the checksum that can be changed.
+/// Replaces the last character or byte of the data by another valid one; without data, one of the
+/// checksum.
+fn invalidate_checksum(reply: &mut BytesMut, framing: Framing) {
+    // Positions from the end of the frame: the last of the data, and one of the checksum.
     let (empty, data, checksum) = match framing {
         Framing::Ascii => (EMPTY_ASCII, 4, 2),
         Framing::Binary => (EMPTY_BINARY, 5, 4),
@@ -109,7 +109,7 @@ fn falsify(reply: &mut BytesMut, framing: Framing) {
     let from_end = if reply.len() > empty { data } else { checksum };
     if let Some(byte) = reply.len().checked_sub(from_end).and_then(|at| reply.get_mut(at)) {
         *byte = match (framing, *byte) {
-            // The neighbours of these two are no digits.
+            // For these two, `^ 1` gives no hexadecimal digit.
             (Framing::Ascii, b'A') => b'F',
             (Framing::Ascii, b'F') => b'A',
             (_, byte) => byte ^ 1,
@@ -117,52 +117,51 @@ fn falsify(reply: &mut BytesMut, framing: Framing) {
     }
 }
 
-/// A frame without data: `STX station command LRC ETX`.
+/// Length of a frame without data: `STX station command LRC ETX`.
 const EMPTY_ASCII: usize = 8;
-/// A frame without data: header, id, length, station, command, CRC, terminator.
+/// Length of a frame without data: header, id, length, station, command, CRC, terminator.
 const EMPTY_BINARY: usize = 10;
 
-/// The frame with garbage somewhere between its first and its last byte.
-fn garbled(reply: &[u8], framing: Framing, max_len: usize, dice: &mut Dice) -> BytesMut {
-    for _ in 0..TRIES {
-        let garbage = garbage(max_len, dice);
-        let (head, tail) = reply.split_at((1 + dice.index(reply.len().saturating_sub(1))).min(reply.len()));
-        let garbled = BytesMut::from(&[head, &garbage, tail].concat()[..]);
-        if frames(&garbled, framing).is_empty() {
-            return garbled;
+/// The frame with garbage between its first and its last byte. Never a good frame.
+fn with_garbage_inside(reply: &[u8], framing: Framing, max_len: usize, rng: &mut FaultRng) -> BytesMut {
+    for _ in 0..GARBAGE_TRIES {
+        let garbage = garbage(max_len, rng);
+        let (head, tail) = reply.split_at((1 + rng.index(reply.len().saturating_sub(1))).min(reply.len()));
+        let corrupted = BytesMut::from(&[head, &garbage, tail].concat()[..]);
+        if frames(&corrupted, framing).is_empty() {
+            return corrupted;
         }
     }
-    // So much bad luck: what is no frame either is half of one.
+    // All tries gave a good frame; half of a frame is not one.
     BytesMut::from(reply.split_at(reply.len() / 2).0)
 }
 
-/// The reply behind garbage.
-fn after_garbage(reply: &[u8], framing: Framing, max_len: usize, dice: &mut Dice) -> BytesMut {
-    let said = frames(reply, framing);
-    for _ in 0..TRIES {
-        let garbage = garbage(max_len, dice);
-        let heard = BytesMut::from(&[&garbage, reply].concat()[..]);
-        // It may swallow the reply, but not become one.
-        if said.ends_with(&frames(&heard, framing)) {
-            return heard;
+/// The reply behind garbage. The garbage can hide the reply, but never adds a frame.
+fn with_garbage_before(reply: &[u8], framing: Framing, max_len: usize, rng: &mut FaultRng) -> BytesMut {
+    let sent = frames(reply, framing);
+    for _ in 0..GARBAGE_TRIES {
+        let garbage = garbage(max_len, rng);
+        let corrupted = BytesMut::from(&[&garbage, reply].concat()[..]);
+        if sent.ends_with(&frames(&corrupted, framing)) {
+            return corrupted;
         }
     }
     reply.into()
 }
 
-/// How often garbage is drawn anew that adds up to a frame, which one in some 256 may do.
-const TRIES: usize = 16;
+/// How often garbage is drawn. Up to one draw in 256 forms a good frame.
+const GARBAGE_TRIES: usize = 16;
 
-/// One to `max_len` bytes. Half of them are those that mean something in a frame.
-fn garbage(max_len: usize, dice: &mut Dice) -> Vec<u8> {
-    let len = 1 + dice.index(max_len.min(MAX_FRAME_LEN));
+/// One to `max_len` random bytes. Half of them have a meaning in a frame.
+fn garbage(max_len: usize, rng: &mut FaultRng) -> Vec<u8> {
+    let len = 1 + rng.index(max_len.min(MAX_FRAME_LEN));
     let byte = |_| {
-        if dice.below(2) == 0 { dice.byte() } else { MEANINGFUL[dice.index(MEANINGFUL.len())] }
+        if rng.below(2) == 0 { rng.byte() } else { FRAME_BYTES[rng.index(FRAME_BYTES.len())] }
     };
     (0..len).map(byte).collect()
 }
 
-const MEANINGFUL: [u8; 13] = [
+const FRAME_BYTES: [u8; 13] = [
     ascii::STX,
     ascii::ETX,
     b'0',
@@ -178,7 +177,7 @@ const MEANINGFUL: [u8; 13] = [
     0x15,
 ];
 
-/// All good frames that a client finds in these bytes.
+/// All good frames that a client decodes from these bytes.
 fn frames(bytes: &[u8], framing: Framing) -> Vec<Frame> {
     let mut codec = Codec::new(framing, Side::Client);
     let mut bytes = BytesMut::from(bytes);

@@ -7,44 +7,44 @@ use crate::wire::{Codec, Side};
 use crate::{ErrorCode, element, register};
 
 mod broadcasts;
-mod copies;
+mod duplicates;
 mod faults;
 mod left_overs;
 mod log;
 mod time;
 
-/// Sets R0 of station 1 to 5, and the reply.
+/// Write of 5 to R0 of station 1, and its reply.
 const SET: &[u8] = b"\x02014701R00000000536\x03";
 const IS_SET: &[u8] = b"\x0201470FE\x03";
-/// Reads it, and the replies to that.
+/// Read of R0 of station 1, and its replies.
 const READ: &[u8] = b"\x02014601R0000070\x03";
-const READS_0: &[u8] = b"\x02014600000BD\x03";
-const READS_5: &[u8] = b"\x02014600005C2\x03";
-/// The same of station 2.
+const IS_0: &[u8] = b"\x02014600000BD\x03";
+const IS_5: &[u8] = b"\x02014600005C2\x03";
+/// Read of R0 of station 2, and its reply.
 const READ_2: &[u8] = b"\x02024601R0000071\x03";
-const READS_2: &[u8] = b"\x02024600000BE\x03";
-/// Sets R0 of all stations to 7.
+const IS_0_OF_2: &[u8] = b"\x02024600000BE\x03";
+/// Write of 7 to R0 of all stations.
 const BROADCAST_7: &[u8] = b"\x02004701R00000000737\x03";
-/// Reads R0 of station 3, which is not there.
-const NOBODY: &[u8] = b"\x02034601R0000072\x03";
+/// Read of R0 of station 3, which is absent.
+const READ_ABSENT: &[u8] = b"\x02034601R0000072\x03";
 
-/// A bus with the stations 1 and 2, and everything that is said over one connection to it.
-struct Talk {
-    conversation: Conversation,
+/// A bus with stations 1 and 2, one connection to it, and its outputs.
+struct Bench {
+    session: Session,
     faults: Faults,
     plcs: [Plc; 2],
     began: Instant,
-    /// Each with its time since the beginning, in microseconds.
-    said: Vec<(u128, String)>,
+    /// Outputs with their times, in microseconds from the beginning.
+    sent: Vec<(u128, String)>,
 }
 
-impl Talk {
+impl Bench {
     fn new(faults: Faults) -> Self {
         let plcs = [Plc::new(), Plc::new()];
         let bus = Bus::new().with_station(1, plcs[0].clone()).unwrap().with_station(2, plcs[1].clone()).unwrap();
         let bus = bus.with_faults(faults.clone());
-        let conversation = Conversation::new(bus.clone(), bus.conditions().unwrap().clone(), Framing::Ascii);
-        Self { conversation, faults, plcs, began: Instant::now(), said: Vec::new() }
+        let session = Session::new(bus.clone(), bus.conditions().unwrap().clone(), Framing::Ascii);
+        Self { session, faults, plcs, began: Instant::now(), sent: Vec::new() }
     }
 
     fn of(rules: impl IntoIterator<Item = Rule>) -> Self {
@@ -57,50 +57,50 @@ impl Talk {
         Self::new(Faults::new(1).line(line))
     }
 
-    /// Another connection to the same bus.
-    fn join(&self) -> Self {
-        let Conversation { bus, conditions, framing, .. } = &self.conversation;
-        let conversation = Conversation::new(bus.clone(), conditions.clone(), *framing);
-        Self { conversation, faults: self.faults.clone(), plcs: self.plcs.clone(), began: self.began, said: Vec::new() }
+    /// Opens another connection to the same bus.
+    fn connect(&self) -> Self {
+        let Session { bus, conditions, framing, .. } = &self.session;
+        let session = Session::new(bus.clone(), conditions.clone(), *framing);
+        Self { session, faults: self.faults.clone(), plcs: self.plcs.clone(), began: self.began, sent: Vec::new() }
     }
 
-    /// The connection opens, or is to look for what other connections have left over.
+    /// Handles the opening of the connection, or a change of the left-over replies.
     fn open(&mut self, at_ms: u64) {
         self.wait(at_ms);
-        self.conversation.adopt_left_overs(self.after(at_ms));
+        self.session.take_left_over(self.after(at_ms));
         self.wait(at_ms);
     }
 
-    /// These bytes come this many milliseconds after the beginning; all that is due before them is done.
-    fn hear(&mut self, at_ms: u64, bytes: &[u8]) {
+    /// Receives bytes at a time in milliseconds, after all events that are due before.
+    fn receive(&mut self, at_ms: u64, bytes: &[u8]) {
         self.wait(at_ms);
         let mut codec = Codec::new(Framing::Ascii, Side::Plc);
         let mut src = BytesMut::from(bytes);
         let mut rest = Bytes::copy_from_slice(bytes);
         while let Some(item) = codec.decode_eof(&mut src).unwrap() {
             let of_item = rest.split_to(rest.len() - src.len());
-            self.conversation.hear(item, of_item, self.after(at_ms));
+            self.session.receive(item, of_item, self.after(at_ms));
         }
         self.wait(at_ms);
     }
 
     fn wait(&mut self, until_ms: u64) {
         let until = self.after(until_ms);
-        while let Some(due) = self.conversation.due().filter(|&due| due <= until) {
-            while let Some(output) = self.conversation.next(due) {
+        while let Some(due) = self.session.due().filter(|&due| due <= until) {
+            while let Some(output) = self.session.next_output(due) {
                 let output = match output {
                     Output::Bytes(bytes) => text(&bytes),
                     Output::Close => "closed".to_owned(),
                 };
-                self.said.push(((due - self.began).as_micros(), output));
+                self.sent.push(((due - self.began).as_micros(), output));
             }
         }
     }
 
-    /// All that is said from the beginning to the end.
+    /// All outputs until no more events are due.
     fn all(mut self) -> Vec<(u128, String)> {
         self.wait(10 * 86_400_000);
-        self.said
+        self.sent
     }
 
     fn after(&self, ms: u64) -> Instant {
@@ -115,22 +115,22 @@ impl Talk {
     }
 }
 
-/// What one request gives under one fault.
+/// The outputs for one request with one fault.
 fn under(fault: Fault, request: &[u8]) -> Vec<(u128, String)> {
-    let mut talk = Talk::of([Rule::new(fault)]);
-    talk.hear(0, request);
-    talk.all()
+    let mut bench = Bench::of([Rule::new(fault)]);
+    bench.receive(0, request);
+    bench.all()
 }
 
 fn delay_ms(min: u64, max: u64) -> Fault {
     Fault::Delay { min: Duration::from_millis(min), max: Duration::from_millis(max) }
 }
 
-/// Every PLC takes 5 ms.
-fn after_5_ms(rules: impl IntoIterator<Item = Rule>) -> Talk {
-    let talk = Talk::of(rules);
-    talk.faults.set_line(Line::new(0).turnaround(Duration::from_millis(5), Duration::from_millis(5)));
-    talk
+/// A bus with a response time of 5 ms.
+fn after_5_ms(rules: impl IntoIterator<Item = Rule>) -> Bench {
+    let bench = Bench::of(rules);
+    bench.faults.set_line(Line::new(0).response_time(Duration::from_millis(5), Duration::from_millis(5)));
+    bench
 }
 
 fn text(bytes: &[u8]) -> String {

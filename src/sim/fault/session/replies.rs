@@ -1,6 +1,7 @@
-//! Requests that are executed, the replies to them, and what follows a reply.
+//! Events of a session: requests to execute, replies to send, duplicates and second answers.
 
 use std::collections::VecDeque;
+use std::mem;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,40 +12,40 @@ use tokio::time::Instant;
 use super::conditions::later;
 use crate::command::{Class, Code, Request, RequestError};
 use crate::sim::fault::Line;
-use crate::sim::fault::faults::{Again, Verdict};
+use crate::sim::fault::faults::{Decision, DrawnFollowUp};
 use crate::sim::fault::timing::DrawnTiming;
 use crate::wire::Frame;
 
 #[derive(Debug)]
-pub(super) enum Event {
-    /// The station's turn has come.
-    Execute(Box<Job>),
-    /// A reply is ready to go out.
-    Speak(Box<Speech>),
-    /// Pieces of a reply have come, each at its time.
-    HandOver { pieces: VecDeque<Piece>, then_close: bool },
-    /// A request comes back, to where it came from.
+pub(super) enum SessionEvent {
+    /// The station executes the request.
+    Execute(Box<PendingRequest>),
+    /// The reply is ready; its transmission begins when the line is free.
+    SendReply(Box<OutgoingReply>),
+    /// The next piece of a reply is complete; the others follow, each at its time.
+    Deliver { pieces: VecDeque<ReplyPiece>, then_close: bool },
+    /// The request is sent back to its sender.
     Echo(Bytes, Option<SocketAddr>),
-    /// The connection ends.
+    /// The connection is closed.
     Close,
 }
 
-/// A request that a station is to execute.
+/// A request to a station, to be executed.
 #[derive(Debug)]
-pub(super) struct Job {
+pub(super) struct PendingRequest {
     /// The station that executes it.
     pub(super) station: u8,
-    /// The request, with the station number that its reply has.
+    /// The request, with the station number of its reply.
     pub(super) frame: Frame,
     pub(super) request: Arc<Result<Request, RequestError>>,
-    /// Which entry of the log it is.
-    pub(super) number: u64,
-    /// `None` for a broadcast that is not answered.
-    pub(super) answer: Option<Answer>,
+    /// Number of its entry in the log.
+    pub(super) log_number: u64,
+    /// `None` for a broadcast without a reply.
+    pub(super) reply: Option<PendingReply>,
 }
 
-impl Job {
-    /// The write or control request that it is, if it is one.
+impl PendingRequest {
+    /// The request, if it is a write or control request.
     pub(super) fn write(&self) -> Option<&Request> {
         self.request.as_ref().as_ref().ok().filter(|_| !self.is_read())
     }
@@ -53,60 +54,58 @@ impl Job {
         Code::from_u8(self.frame.command).is_some_and(|code| code.class() == Class::Read)
     }
 
-    /// The content of a second answer that is not an error: a read is executed again, all else repeats the `first`.
-    pub(super) fn again(&self, first: &Bytes) -> Content {
+    /// The content of a second answer without an error: reads are executed again, for all others
+    /// it is a duplicate of the first reply.
+    pub(super) fn second_answer(&self, duplicate: &Bytes) -> FollowUpContent {
         if self.is_read() && self.request.is_ok() {
-            Content::Read { frame: self.frame.clone(), request: self.request.clone() }
+            FollowUpContent::Read { frame: self.frame.clone(), request: self.request.clone() }
         } else {
-            Content::Bytes(first.clone())
+            FollowUpContent::Bytes(duplicate.clone())
         }
     }
 }
 
-/// What was decided about the answer to a request when it arrived.
+/// Decisions about the reply to a request, made on its arrival.
 #[derive(Debug)]
-pub(super) struct Answer {
-    /// What befalls it.
-    pub(super) verdict: Verdict,
+pub(super) struct PendingReply {
+    pub(super) decision: Decision,
     pub(super) ready_at: Instant,
-    /// What comes after the reply.
-    pub(super) again: Vec<Again>,
+    pub(super) follow_ups: Vec<DrawnFollowUp>,
     pub(super) delivery: Delivery,
 }
 
-/// How an answer is delivered.
+/// Destination and order of a reply.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Delivery {
-    /// The station whose order it keeps.
+    /// The station among whose replies it stays in order.
     pub(super) station: u8,
-    /// Which entry of the log it answers; `None` for bytes from elsewhere.
-    pub(super) number: Option<u64>,
+    /// Number of the request's entry in the log; `None` for bytes without a request.
+    pub(super) log_number: Option<u64>,
     pub(super) line: Line,
-    /// The address for datagrams; `None` for the latest client.
+    /// Address for datagrams; `None` is the latest client.
     pub(super) to: Option<SocketAddr>,
-    /// Whether it waits for the next connection when its own has ended.
+    /// Whether it is kept for the next connection when its own has ended.
     pub(super) outlives: bool,
 }
 
-/// A reply that goes out.
+/// A reply that is ready to be sent.
 #[derive(Debug)]
-pub(super) struct Speech {
+pub(super) struct OutgoingReply {
     pub(super) bytes: Bytes,
-    /// How many pieces, and the pause between them.
+    /// Number of pieces, and the pause between them.
     pub(super) split: (usize, Duration),
     pub(super) then_close: bool,
     pub(super) delivery: Delivery,
-    /// What comes after it.
     pub(super) follow_ups: Vec<FollowUp>,
 }
 
-impl Speech {
-    /// Bytes in one piece, with nothing after them.
+impl OutgoingReply {
+    /// Bytes in one piece, without follow-ups.
     pub(super) fn whole(bytes: Bytes, delivery: Delivery) -> Self {
         Self { bytes, split: (1, Duration::ZERO), then_close: false, delivery, follow_ups: Vec::new() }
     }
 
-    /// What is handed over at once, and how long after the beginning.
+    /// The pieces to deliver, with their times from the beginning of the transmission.
     pub(super) fn pieces(&self) -> Vec<(Duration, Bytes)> {
         let (count, pause) = self.split;
         let line = self.delivery.line;
@@ -128,33 +127,34 @@ impl Speech {
     }
 }
 
-/// Bytes that are handed over at once.
+/// Bytes that are delivered at once.
 #[derive(Debug)]
-pub(super) struct Piece {
+pub(super) struct ReplyPiece {
     pub(super) at: Instant,
     pub(super) bytes: Bytes,
     pub(super) to: Option<SocketAddr>,
     pub(super) outlives: bool,
 }
 
-/// A copy of a reply, or a second answer. It is sent at its time; one that keeps the order is sent before the next reply
-/// of its station.
+/// A duplicate of a reply, or a second answer.
+///
+/// Sent at its time, but before the next reply of its station unless it roams.
 #[derive(Debug)]
 pub(super) struct FollowUp {
-    pub(super) content: Content,
+    pub(super) content: FollowUpContent,
     pub(super) is_roaming: bool,
     pub(super) timing: DrawnTiming,
     pub(super) delivery: Delivery,
-    /// Whether its time depends on something that has not happened yet.
+    /// Whether its time depends on the next request or reply, which has not come yet.
     pub(super) waits: bool,
-    /// When the reply before it has gone out.
+    /// Time of the reply that it follows.
     pub(super) not_before: Instant,
 }
 
 #[derive(Debug)]
-pub(super) enum Content {
+pub(super) enum FollowUpContent {
     Bytes(Bytes),
-    /// A read that is executed when the answer is sent.
+    /// A read to execute at the time of sending.
     Read {
         frame: Frame,
         request: Arc<Result<Request, RequestError>>,
@@ -162,17 +162,17 @@ pub(super) enum Content {
 }
 
 impl FollowUp {
-    /// Whether it comes without a pause.
+    /// Whether it follows the reply without a pause.
     pub(super) fn is_at_once(&self) -> bool {
         self.timing == DrawnTiming::After(Duration::ZERO)
     }
 
-    /// Whether it is sent together with the next reply, where both are due at the same time.
+    /// Whether the next reply, if due at the same time, is handled first and sends both together.
     pub(super) fn yields_to_reply(&self) -> bool {
         !self.is_roaming && matches!(self.timing, DrawnTiming::WithNextRequest { per_mille: 1000, .. })
     }
 
-    /// The reply has gone out. Returns when this is sent, if nothing changes that.
+    /// Sets its time after its reply was sent, and returns it.
     pub(super) fn begin(&mut self, sent_at: Instant) -> Instant {
         self.not_before = sent_at;
         let (waits, after) = match self.timing {
@@ -185,21 +185,22 @@ impl FollowUp {
         later(sent_at, after)
     }
 
-    /// The next request has arrived, and its reply will be ready then. Returns when this is sent, if that changes it.
+    /// Handles the arrival of the next request, whose reply will be ready at `ready_at`. Returns
+    /// the new time, if it changes.
     pub(super) fn next_request(&mut self, arrived: Instant, ready_at: Instant) -> Option<Instant> {
         let DrawnTiming::WithNextRequest { per_mille, .. } = self.timing else { return None };
-        if !std::mem::replace(&mut self.waits, false) {
+        if !mem::replace(&mut self.waits, false) {
             return None;
         }
         let arrived = arrived.max(self.not_before);
         let wait = ready_at.saturating_duration_since(arrived);
-        // A wait is at most a few days.
+        // Does not overflow: a wait is at most a few days.
         Some(later(arrived, wait.saturating_mul(per_mille.into()) / 1000))
     }
 
-    /// The next reply has gone out. Returns when this is sent, if that changes it.
+    /// Handles the sending of the next reply. Returns the new time, if it changes.
     pub(super) fn next_reply(&mut self, sent_at: Instant) -> Option<Instant> {
         let DrawnTiming::AfterNextReply { after, .. } = self.timing else { return None };
-        std::mem::replace(&mut self.waits, false).then(|| later(sent_at, after))
+        mem::replace(&mut self.waits, false).then(|| later(sent_at, after))
     }
 }

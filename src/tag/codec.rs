@@ -1,0 +1,275 @@
+//! Codecs: the bits and the text of values.
+
+use std::fmt;
+use std::marker::PhantomData;
+use std::str::FromStr;
+
+use super::{TagType, ValueError};
+
+/// The bits and the text of the values of one format.
+///
+/// Every bit pattern has a value, so decoding cannot fail.
+pub(super) trait Codec {
+    /// The Rust type of a value.
+    type Value: Copy;
+
+    /// Number of bits of a value, at most 64.
+    const BITS: u32;
+
+    /// Whether values can have a fraction and a sign of 0.
+    const IS_FLOAT: bool = false;
+
+    /// Decodes a value from its bits, which are zero above [`BITS`](Self::BITS).
+    fn decode(bits: u64) -> Self::Value;
+
+    /// Encodes a value.
+    fn encode(value: Self::Value) -> u64;
+
+    /// The value as a number; `None` if it is not a number.
+    fn number(value: Self::Value) -> Option<f64>;
+
+    /// The value nearest to a number; `None` if it is out of range, or the type is not scalable.
+    fn nearest(number: f64) -> Option<Self::Value>;
+
+    /// Number of decimals of the shortest text of a value.
+    fn decimals(_value: Self::Value) -> u8 {
+        0
+    }
+
+    /// Displays a value as text that parses to it.
+    fn display(value: Self::Value, f: &mut fmt::Formatter<'_>) -> fmt::Result;
+
+    /// Parses a value that does not begin with `0x`.
+    fn parse_plain(text: &str, tag_type: TagType) -> Result<Self::Value, ValueError>;
+
+    /// Parses the digits behind `0x`: the bits of a value.
+    fn parse_bits(digits: &str, _tag_type: TagType) -> Result<u64, ValueError> {
+        let max = Self::BITS / 4;
+        let is_hex = (1..=max as usize).contains(&digits.len()) && digits.bytes().all(|b| b.is_ascii_hexdigit());
+        u64::from_str_radix(digits, 16).ok().filter(|_| is_hex).ok_or(ValueError::BadHex { max })
+    }
+
+    /// Parses a value.
+    fn parse(text: &str, tag_type: TagType) -> Result<Self::Value, ValueError> {
+        match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
+            Some(digits) => Ok(Self::decode(Self::parse_bits(digits, tag_type)?)),
+            None => Self::parse_plain(text, tag_type),
+        }
+    }
+}
+
+/// The state of a discrete: one bit.
+pub(super) struct Bit;
+
+impl Codec for Bit {
+    type Value = bool;
+    const BITS: u32 = 1;
+
+    fn decode(bits: u64) -> bool {
+        bits != 0
+    }
+
+    fn encode(on: bool) -> u64 {
+        on.into()
+    }
+
+    fn number(_on: bool) -> Option<f64> {
+        None
+    }
+
+    fn nearest(_number: f64) -> Option<bool> {
+        None
+    }
+
+    fn display(on: bool, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(&u8::from(on), f)
+    }
+
+    fn parse_plain(text: &str, tag_type: TagType) -> Result<bool, ValueError> {
+        match text.to_ascii_lowercase().as_str() {
+            "0" | "false" | "off" => Ok(false),
+            "1" | "true" | "on" => Ok(true),
+            _ => Err(ValueError::Malformed { tag_type }),
+        }
+    }
+
+    fn parse_bits(digits: &str, tag_type: TagType) -> Result<u64, ValueError> {
+        match digits {
+            "0" => Ok(0),
+            "1" => Ok(1),
+            _ => Err(ValueError::Malformed { tag_type }),
+        }
+    }
+}
+
+/// An integer, as decimal text.
+pub(super) struct Integer<T>(PhantomData<T>);
+
+impl<T: Primitive + fmt::Display + TryFrom<i64>> Codec for Integer<T> {
+    type Value = T;
+    const BITS: u32 = T::BITS;
+
+    fn decode(bits: u64) -> T {
+        T::from_raw(bits)
+    }
+
+    fn encode(value: T) -> u64 {
+        value.into_raw()
+    }
+
+    fn number(value: T) -> Option<f64> {
+        Some(value.into())
+    }
+
+    #[allow(clippy::cast_possible_truncation, reason = "within i64, and rounded")]
+    fn nearest(number: f64) -> Option<T> {
+        let rounded = number.round();
+        // False for NaN.
+        let fits = rounded.abs() < 1e18;
+        T::try_from(rounded as i64).ok().filter(|_| fits)
+    }
+
+    fn display(value: T, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        value.fmt(f)
+    }
+
+    fn parse_plain(text: &str, tag_type: TagType) -> Result<T, ValueError> {
+        let digits = text.strip_prefix(['-', '+']).unwrap_or(text);
+        if digits.is_empty() || !digits.bytes().all(|b| b.is_ascii_digit()) {
+            return Err(ValueError::Malformed { tag_type });
+        }
+        // These are digits, so the only error is that an i64 is too small.
+        let number: i64 = text.parse().map_err(|_| ValueError::OutOfRange { tag_type })?;
+        T::try_from(number).map_err(|_| ValueError::OutOfRange { tag_type })
+    }
+}
+
+/// A floating-point number, as decimal text.
+pub(super) struct Float<T>(PhantomData<T>);
+
+impl<T: Real> Codec for Float<T> {
+    type Value = T;
+    const BITS: u32 = T::BITS;
+    const IS_FLOAT: bool = true;
+
+    fn decode(bits: u64) -> T {
+        T::from_raw(bits)
+    }
+
+    fn encode(value: T) -> u64 {
+        value.into_raw()
+    }
+
+    fn number(value: T) -> Option<f64> {
+        Some(value.into())
+    }
+
+    fn nearest(number: f64) -> Option<T> {
+        let float = T::nearest(number);
+        let rounded: f64 = float.into();
+        (rounded.is_finite() || !number.is_finite()).then_some(float)
+    }
+
+    fn decimals(value: T) -> u8 {
+        decimals(value)
+    }
+
+    fn display(value: T, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // Debug uses an exponent where Display would write up to 309 digits.
+        write!(f, "{value:?}")
+    }
+
+    fn parse_plain(text: &str, tag_type: TagType) -> Result<T, ValueError> {
+        let number: T = text.parse().map_err(|_| ValueError::Malformed { tag_type })?;
+        if has_overflowed(number.into(), text) { Err(ValueError::OutOfRange { tag_type }) } else { Ok(number) }
+    }
+
+    fn parse_bits(digits: &str, tag_type: TagType) -> Result<u64, ValueError> {
+        let bits = Hex::<T>::parse_bits(digits, tag_type)?;
+        let all = Self::BITS / 4;
+        // Fewer digits would be a tiny number, which is hardly meant.
+        if digits.len() < all as usize { Err(ValueError::PartialBits { tag_type, digits: all }) } else { Ok(bits) }
+    }
+}
+
+/// Bits as hexadecimal digits.
+pub(super) struct Hex<T>(PhantomData<T>);
+
+impl<T: Primitive> Codec for Hex<T> {
+    type Value = T;
+    const BITS: u32 = T::BITS;
+
+    fn decode(bits: u64) -> T {
+        T::from_raw(bits)
+    }
+
+    fn encode(value: T) -> u64 {
+        value.into_raw()
+    }
+
+    fn number(value: T) -> Option<f64> {
+        Some(value.into())
+    }
+
+    fn nearest(_number: f64) -> Option<T> {
+        None
+    }
+
+    fn display(value: T, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "0x{:0digits$X}", value.into_raw(), digits = T::BITS as usize / 4)
+    }
+
+    fn parse_plain(_text: &str, _tag_type: TagType) -> Result<T, ValueError> {
+        Err(ValueError::NotMarked { bits: T::BITS })
+    }
+}
+
+/// A number of a fixed number of bits.
+pub(super) trait Primitive: Copy + Into<f64> {
+    const BITS: u32;
+
+    fn from_raw(bits: u64) -> Self;
+
+    fn into_raw(self) -> u64;
+}
+
+/// A floating-point number.
+pub(super) trait Real: Primitive + fmt::Debug + fmt::Display + FromStr {
+    /// The float nearest to a number.
+    fn nearest(number: f64) -> Self;
+}
+
+macro_rules! primitives {
+    ($($primitive:ty),*) => {
+        $(
+            impl Primitive for $primitive {
+                const BITS: u32 = 8 * size_of::<Self>() as u32;
+
+                fn from_raw(bits: u64) -> Self {
+                    let mut bytes = [0; size_of::<Self>()];
+                    bytes.copy_from_slice(&bits.to_le_bytes()[..size_of::<Self>()]);
+                    Self::from_le_bytes(bytes)
+                }
+
+                fn into_raw(self) -> u64 {
+                    let mut bytes = [0; 8];
+                    bytes[..size_of::<Self>()].copy_from_slice(&self.to_le_bytes());
+                    u64::from_le_bytes(bytes)
+                }
+            }
+        )*
+    };
+}
+pub(super) use primitives;
+
+/// Number of decimals of the shortest text of a number.
+pub(super) fn decimals(number: impl fmt::Display) -> u8 {
+    let text = number.to_string();
+    let digits = text.split_once('.').map_or(0, |(_, digits)| digits.len());
+    u8::try_from(digits).unwrap_or(u8::MAX)
+}
+
+/// Whether a text such as `1e39` was parsed to infinity; `inf` itself is valid.
+pub(super) fn has_overflowed(number: f64, text: &str) -> bool {
+    number.is_infinite() && text.bytes().any(|b| b.is_ascii_digit())
+}
