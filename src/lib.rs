@@ -126,6 +126,7 @@ pub mod sim;
 mod station;
 #[allow(clippy::arithmetic_side_effects, reason = "counts and digits are checked when a tag is parsed")]
 pub mod tag;
+mod transfer;
 pub mod wire;
 
 pub use backup::Backup;
