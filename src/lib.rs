@@ -83,7 +83,6 @@
     )
 )]
 
-#[allow(clippy::wildcard_enum_match_arm, reason = "its states are replaced by those of transfers")]
 pub mod backup;
 #[allow(
     clippy::arithmetic_side_effects,
@@ -110,7 +109,6 @@ pub mod link;
 pub mod plan;
 pub mod poll;
 pub mod pool;
-#[allow(clippy::wildcard_enum_match_arm, reason = "its states are replaced by those of transfers")]
 pub mod program;
 pub mod progress;
 mod random;

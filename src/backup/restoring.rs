@@ -343,24 +343,22 @@ impl Restoring {
 
     fn not_written(&mut self, chunk: Chunk, error: Error) -> Result<(), RestoreFailure> {
         let doing = Write.doing(chunk);
-        match error {
+        if let Error::Plc { error, repeated: false, .. } = error
             // The PLC takes no write at all: its elements need not be tried one by one.
-            Error::Plc { error: ErrorCode::WriteProhibited, repeated: false, .. } => {}
-            Error::Plc { error, repeated: false, .. } => {
-                self.unsent(chunk);
-                self.refused(ElementState::NotTaken(error));
-                return Ok(());
+            && error != ErrorCode::WriteProhibited
+        {
+            self.unsent(chunk);
+            self.refused(ElementState::NotTaken(error));
+            return Ok(());
+        }
+        if error.may_have_executed() {
+            // Counted up to the limit only.
+            self.tries = self.tries.saturating_add(1);
+            if self.tries >= self.options.attempts {
+                return Err(RestoreFailure::Call { doing, source: error });
             }
-            error if error.may_have_executed() => {
-                // Counted up to the limit only.
-                self.tries = self.tries.saturating_add(1);
-                if self.tries >= self.options.attempts {
-                    return Err(RestoreFailure::Call { doing, source: error });
-                }
-                self.stage = RestoreStage::Elements(Check);
-                return Ok(());
-            }
-            _ => {}
+            self.stage = RestoreStage::Elements(Check);
+            return Ok(());
         }
         self.unsent(chunk);
         Err(RestoreFailure::Call { doing, source: error })
