@@ -1,4 +1,4 @@
-//! Registers and discretes: read, saved, compared, written back.
+//! Registers and discretes: read, save, compare and restore them.
 //!
 //! ```
 //! # fatek::sim::doctest(|station| async move {
@@ -11,86 +11,91 @@
 //! assert_eq!(Backup::from_file(file.as_bytes())?, backup);
 //!
 //! station.write_registers(fatek::register!("R7"), &[1]).await?;
-//! let report = station.restore(&backup, RestoreOptions::new()).await?; // writes what differs, and reads it back
+//! let report = station.restore(&backup, RestoreOptions::new()).await?; // writes and verifies R7
 //! assert_eq!(report.written, ["R7".parse()?]);
 //! # Ok(()) });
 //! ```
 //!
-//! A range is a [`Tag`]: `R0-R3839`, `DR0-DR98`, `M0-M1911`, `WM0-WM96`. Of its type only one thing matters: whether a value
-//! takes two registers, as in `R0-R9:f32`. Such pairs, like the elements of 32 bits, are never split between two requests, are
-//! written whole where one half differs, and where the PLC refuses one half, the whole is missing. Two
-//! ranges of a backup must not share memory, as `R0-R9` and `DR4` would.
+//! A range is a [`Tag`]: `R0-R3839`, `DR0-DR98`, `M0-M1911`, `WM0-WM96`. Of its type only one thing
+//! matters: whether a value takes two registers, as in `R0-R9:f32`. Such pairs, like elements of 32
+//! bits, are never split between two requests. They are written whole if one half differs, and
+//! missing if the PLC refuses one half. Two ranges of a backup must not share memory, as `R0-R9` and
+//! `DR4` would.
 //!
-//! # What a backup is
+//! # Contents
 //!
-//! For each element of its ranges it has a value that the PLC has answered, or the reason why there is none: a [`Missing`].
-//! Nothing that could not be read is ever a zero. A request that the PLC refuses is taken apart until the elements that it does
-//! not give are found; all others are read.
+//! Each element of the ranges has a value from a reply of the PLC, or the reason why it has none: a
+//! [`Missing`]. An element that could not be read is never zero. A request that the PLC refuses is
+//! halved until the refused elements are found; all others are read.
 //!
-//! **Values are not of one moment.** A request brings up to 64 registers or 256 discretes from one scan of the PLC, and the next
-//! comes from a later one. If the values must fit together, stop the PLC before, or have its program hold them still.
+//! **Values are not of one moment.** A request reads up to 64 registers or 256 discretes of one scan
+//! cycle, and the next request reads a later one. If values must be consistent, stop the PLC before,
+//! or have its program hold them.
 //!
-//! [`Station::back_up`](crate::Station::back_up) reads it in one go. [`TakeBackup`] does the same, tells how far it has come, and
-//! goes on after a failure or when its future has been dropped. Its states are the cells of the backup: what is
-//! [`NotRead`](Missing::NotRead) is still to be read. A cell has a value only when a check has confirmed that the reply was no
-//! duplicate out of order.
+//! [`Station::back_up`](crate::Station::back_up) reads a backup in one run. [`TakeBackup`] also reports
+//! progress, and continues after a failure or a dropped future. Its states are the cells of the
+//! backup: those that are [`NotRead`](Missing::NotRead) are still to be read. A cell has a value only
+//! when a check (4E) has confirmed that the reply was no out-of-order duplicate.
 //!
-//! # What is restored
+//! # Restoring
 //!
-//! [`Station::restore`](crate::Station::restore), and [`Restore`], which tells how far it has come, can compare without writing,
-//! and can be run again:
+//! [`Station::restore`](crate::Station::restore) restores a backup in one run. [`Restore`] also reports
+//! progress, compares without writing, and can be run again:
 //!
 //! ```text
-//! Look (40) ─▶ Compare (44, 46) … ─▶ Forced? (43) … ─▶ [Ready (40)] ─▶ Write (45, 47) … ─▶ Verify (44, 46) … ─┐
-//!                 ▲                       something │ │ runs                │  ▲                                 │
-//!                 │ it has stopped     differs, and │ │ now                 │  │ what still differs              │
-//!                 │                   it is to stop ▼ ▼                     ▼  │                                 ▼
-//!         Stopped? (40) ⇄ Stop (41) ◀───────────────┴─┘      Check (44, 46), if there was no answer     [Last look (40)]
-//!                                                                                                                │
-//!                                                             Done ◀─ [Running? (40) ⇄ Run (41)] ◀───────────────┘
+//! Look (40) ─▶ Compare (44, 46) … ─▶ Forced (43) … ─▶ [Ready (40)] ─▶ Write (45, 47) … ─▶ Verify (44, 46) … ─┐
+//!                 ▲                  elements differ,  │ it runs       │  ▲                                  │
+//!                 │ it has stopped    PLC is to stop   ▼ now           ▼  │ elements that still differ       ▼
+//!            Stop (41, 40) ◀─────────────────────────────     Check (44, 46), if there was no reply  [LastLook (40)]
+//!                                                                                                            │
+//!                                                              Done ◀─ [Run (41, 40)] ◀──────────────────────┘
 //! ```
 //!
-//! Inputs are the replies of the PLC and the options. What must always hold:
-//! - Only values are written that are in the backup and were found to differ from it. Elements that are missing in
-//!   the backup are neither read nor written; [`RestoreReport::missing`] names them. By choice ([`RestoreOptions::bridge`]) equal elements of the backup between two
-//!   that differ are written, too, where that saves a request.
-//! - Nothing is written before all has been compared, and unless the PLC gives all elements.
-//! - Compare, Forced, Check and Verify are left only when a check (4E) has confirmed that no reply was a duplicate out of order;
-//!   if one was, they begin again, as often as reads are retried. Writes among which such a duplicate came are in doubt until
-//!   Verify has read them back.
-//! - A write that had no answer is not repeated before a read has shown that it still differs. Until it is settled, its elements
-//!   are [`in_doubt`](RestoreReport::in_doubt), and not among those that were never sent.
-//! - An element counts as written when the PLC has confirmed that, or a read has shown it.
-//! - When something was written, all is read once more. Success means: at that reading each element held what the backup holds,
-//!   save those that were left out. What did not stick, because a running program has its own mind, is an error that names
-//!   it.
-//! - A PLC is stopped only by choice, and only when something is to be written and the PLC has all of it; then all is compared
-//!   again. It is run again only by choice, if it ran before, and if all has been restored.
-//! - One that is to stand still ([`stop_first`](RestoreOptions::stop_first),
-//!   [`require_stopped`](RestoreOptions::require_stopped)) is looked at just before the first write, and once more when all is
-//!   read back. Success means that it was stopped both times; if somebody has set it running, that is
-//!   [`SetRunning`](RestoreFailure::SetRunning), and it is left so.
+//! Inputs are the replies of the PLC and the options. Invariants:
+//! - Only elements with a value in the backup that were found different are written. Elements that are
+//!   missing in the backup are neither read nor written; [`RestoreReport::missing`] names them. With
+//!   [`RestoreOptions::bridge`], equal elements between two that differ are written too, if that saves a
+//!   request.
+//! - Nothing is written before all elements have been compared, and unless the PLC has all of them.
+//! - Compare, Forced, Check and Verify end only when a check (4E) has confirmed that no reply was an
+//!   out-of-order duplicate. If one was, they begin again, as often as reads are retried. Writes with
+//!   such a duplicate among their replies are in doubt until Verify has read them back.
+//! - A write without a reply is repeated only after a read has shown that the elements still differ.
+//!   Until then they are [`in_doubt`](RestoreReport::in_doubt), and not among those never sent.
+//! - An element counts as written when the PLC has confirmed the write, or a read has shown it.
+//! - If a write was sent, all elements are read back. Success means that each element then held its
+//!   value, except those that were left out. Elements overwritten by the running program are reported
+//!   as errors.
+//! - A PLC is stopped only by option, and only if an element is to be written and the PLC has all
+//!   elements; all are compared again then. It is started again only by option, if it ran before, and
+//!   if all elements are restored.
+//! - With [`stop_first`](RestoreOptions::stop_first) and
+//!   [`require_stopped`](RestoreOptions::require_stopped) the status is read just before the first write
+//!   and after Verify. Success means that the PLC was stopped both times. If another client has started
+//!   it, that is [`SetRunning`](RestoreFailure::SetRunning), and the PLC keeps running.
 //!
-//! Running it again continues, in this process or another: what is written already does not differ any more.
+//! Running it again continues, in this process or another: elements that are written no longer differ.
 //!
-//! **What is left out.** Inputs `X` and the contacts `T` and `C` of timers and counters, also as words: what is written there is
-//! overwritten in the next scan. They are in a backup for comparing, and [`RestoreReport::left_out`] names them. All else can be
-//! restored: outputs `Y`, relays `M`, steps `S`, the values `RT` and `RC` of timers and counters, registers `R`, `D`, `F`. Think
-//! before you include some: outputs switch what is wired to them, even in a stopped PLC; and special relays and registers
-//! (by model, such as `M1912` on, `R3840` on) have effects of their own, or cannot be written.
+//! **Elements that are left out.** Inputs `X` and the contacts `T` and `C` of timers and counters, also
+//! as words, are overwritten in every scan cycle. A backup has them for comparing;
+//! [`RestoreReport::left_out`] names them. All others can be restored: outputs `Y`, relays `M`, steps
+//! `S`, the values `RT` and `RC` of timers and counters, registers `R`, `D`, `F`. Select them with
+//! care: outputs switch what is wired to them, even in a stopped PLC, and special relays and registers
+//! (by model, such as from `M1912` and `R3840` on) have effects of their own, or are read-only.
 //!
-//! **Forced discretes.** A discrete that is disabled (42) was forced to its state by somebody, perhaps for their safety. It stays
-//! as it is, and [`RestoreReport::forced`] names it; so does a word, or a value of two, with such a discrete in it. To write it all the same there is
-//! [`RestoreOptions::write_forced`].
+//! **Forced discretes.** A disabled discrete (42) was forced to its state, perhaps for safety. It stays
+//! as it is, and [`RestoreReport::forced`] names it, and words and values of two words with such a
+//! discrete. [`RestoreOptions::write_forced`] writes them.
 
 mod block;
 mod error;
 mod format;
-mod held;
+mod options;
 mod report;
 mod restore;
 mod restoring;
 mod take;
+mod taking;
 mod target;
 
 use std::fmt;
@@ -98,9 +103,11 @@ use std::path::Path;
 use std::time::SystemTime;
 
 pub use self::error::{BackupError, InvalidBackup, RestoreError, RestoreFailure};
+pub use self::options::RestoreOptions;
 pub use self::report::{RefusedRange, RestoreReport};
-pub use self::restore::{Restore, RestoreOptions};
+pub use self::restore::Restore;
 pub use self::take::TakeBackup;
+pub use crate::transfer::PlcState;
 
 use self::block::{Block, check_overlaps, part, plain, runs};
 use crate::command::{BriefStatus, DetailedStatus, Value};
@@ -109,16 +116,17 @@ use crate::error::ErrorCode;
 use crate::file::{self, FileError, FormatError};
 use crate::tag::Tag;
 
-/// What ranges of registers and discretes held, and what is known of the PLC that it comes from.
+/// Values of ranges of registers and discretes, and the status of the PLC they were read from.
 ///
 /// See [the module](self).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Backup {
     origin: Origin,
     blocks: Vec<Block>,
+    unknown_fields: Vec<String>,
 }
 
-/// What is known of the PLC and of the reading; nothing before it began.
+/// The PLC and time of the reading; all `None` before it begins.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Origin {
     station: Option<u8>,
@@ -128,13 +136,13 @@ struct Origin {
     detailed: Option<DetailedStatus>,
 }
 
-/// Why there is no value.
+/// Why an element has no value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Missing {
-    /// It has not been read, because the reading was broken off.
+    /// It has not been read: reading ended before.
     NotRead,
-    /// The PLC has refused to give it.
+    /// The PLC refused to read it.
     Refused(ErrorCode),
 }
 
@@ -147,25 +155,25 @@ impl fmt::Display for Missing {
     }
 }
 
-/// Consecutive elements that are missing for one reason.
+/// Consecutive elements that are missing for the same reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MissingRange {
-    /// Which ones.
+    /// The elements.
     pub range: Tag,
-    /// Why.
+    /// Why they are missing.
     pub reason: Missing,
 }
 
-/// An element that does not hold what it should.
+/// An element that does not hold the expected value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Difference {
-    /// Which one.
+    /// The element.
     pub element: Element,
-    /// What it should hold.
+    /// The expected value.
     pub expected: Value,
-    /// What it holds; `None` if that is not known.
+    /// The value that it holds; `None` if that is not known.
     pub found: Option<Value>,
 }
 
@@ -180,7 +188,7 @@ impl fmt::Display for Difference {
 }
 
 impl Backup {
-    /// A backup of these ranges, of which nothing has been read yet.
+    /// Makes a backup of these ranges, in which no element has been read.
     ///
     /// # Errors
     /// [`InvalidBackup::Empty`] and [`InvalidBackup::Overlap`].
@@ -190,10 +198,11 @@ impl Backup {
             return Err(InvalidBackup::Empty);
         }
         check_overlaps(&ranges)?;
-        Ok(Self { origin: Origin::default(), blocks: ranges.into_iter().map(Block::new).collect() })
+        let blocks = ranges.into_iter().map(Block::new).collect();
+        Ok(Self { origin: Origin::default(), blocks, unknown_fields: Vec::new() })
     }
 
-    /// Its ranges, in the order in which they were given. Those of pairs have the type `u32`.
+    /// Its ranges, in the given order. Those of pairs have the type `u32`.
     pub fn ranges(&self) -> impl Iterator<Item = Tag> {
         self.blocks.iter().map(|block| block.range)
     }
@@ -203,20 +212,20 @@ impl Backup {
         self.blocks.iter().flat_map(Block::elements)
     }
 
-    /// How many elements it has.
+    /// Number of elements.
     #[must_use]
     pub fn element_count(&self) -> usize {
         self.blocks.iter().map(|block| block.cells.len()).sum()
     }
 
-    /// What an element held; `None` if it is in none of the ranges, by this name.
+    /// The value of an element; `None` if no range has it under this symbol.
     #[must_use]
     pub fn value(&self, element: impl Into<Element>) -> Option<Result<Value, Missing>> {
         let element = element.into();
-        self.blocks.iter().find_map(|block| block.cells.get(block.place(element)?).copied())
+        self.blocks.iter().find_map(|block| block.cells.get(block.index(element)?).copied())
     }
 
-    /// What is missing, and why.
+    /// Elements that are missing, and why.
     #[must_use]
     pub fn missing(&self) -> Vec<MissingRange> {
         let mut missing = Vec::new();
@@ -236,28 +245,29 @@ impl Backup {
         missing
     }
 
-    /// Whether nothing is missing.
+    /// Whether no element is missing.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.value_count() == self.element_count()
     }
 
-    /// How many elements have a value.
+    /// Number of elements that have a value.
     #[must_use]
     pub fn value_count(&self) -> usize {
         self.blocks.iter().flat_map(|block| &block.cells).filter(|cell| cell.is_ok()).count()
     }
 
-    /// The same backup, with these parts of it alone.
+    /// Returns a backup of parts of this one.
     ///
     /// # Errors
-    /// [`InvalidBackup::NotIn`] for a range that is not wholly within one of its own, [`InvalidBackup::SplitsPair`] where a value
-    /// of two registers would be in it by half; [`InvalidBackup::Empty`] and [`InvalidBackup::Overlap`].
+    /// [`InvalidBackup::NotIn`] for a range that is not wholly within one of this backup,
+    /// [`InvalidBackup::SplitsPair`] for one that would split a value of two registers,
+    /// [`InvalidBackup::Empty`] and [`InvalidBackup::Overlap`].
     pub fn select(&self, ranges: impl IntoIterator<Item = Tag>) -> Result<Self, InvalidBackup> {
         let mut selected = Vec::new();
         for range in ranges {
             let cells = self.blocks.iter().find_map(|block| {
-                let start = block.place(range.first())?;
+                let start = block.index(range.first())?;
                 let end = start.checked_add(range.element_count())?;
                 Some((block.range, start, block.cells.get(start..end)?.to_vec()))
             });
@@ -273,11 +283,11 @@ impl Backup {
             return Err(InvalidBackup::Empty);
         }
         check_overlaps(&selected.iter().map(|block| block.range).collect::<Vec<_>>())?;
-        Ok(Self { origin: self.origin.clone(), blocks: selected })
+        Ok(Self { blocks: selected, ..self.clone() })
     }
 
-    /// Where the other one does not hold what this one holds. What is missing here is not compared; what is missing there, or
-    /// not in its ranges by the same name, is a difference.
+    /// Elements whose value differs in the other backup. Elements that are missing here are not
+    /// compared. Elements that are missing there, or in none of its ranges under the same symbol, differ.
     #[must_use]
     pub fn differences(&self, other: &Self) -> Vec<Difference> {
         let known = self.elements().filter_map(|(element, cell)| Some((element, cell.ok()?)));
@@ -288,45 +298,52 @@ impl Backup {
         compared.filter(|difference| difference.found != Some(difference.expected)).collect()
     }
 
-    /// The station number of the PLC that it was read from; `None` if nothing has been read.
+    /// The station number of the PLC that was read; `None` before reading.
     #[must_use]
     pub fn station(&self) -> Option<u8> {
         self.origin.station
     }
 
-    /// When the reading began, by the clock of the computer that did it, in whole seconds.
+    /// The time when reading began, by the clock of the computer, in whole seconds.
     #[must_use]
     pub fn read_at(&self) -> Option<SystemTime> {
         self.origin.read_at
     }
 
-    /// The brief status (40) of the PLC when the reading began.
+    /// The brief status (40) of the PLC when reading began.
     #[must_use]
     pub fn brief_status(&self) -> Option<BriefStatus> {
         self.origin.brief
     }
 
-    /// The detailed status (53) of the PLC when the reading began; `None`, too, if the PLC does not have it.
+    /// The detailed status (53) of the PLC when reading began; `None` also if the PLC does not have it.
     #[must_use]
     pub fn status(&self) -> Option<&DetailedStatus> {
         self.origin.detailed.as_ref()
     }
 
-    /// The content of a file with this backup: text, which people can read and tools can compare.
+    /// Names of the fields that this version of the library does not know, if the backup was read from
+    /// a file of a [newer version](crate::file#versions). They are ignored.
+    #[must_use]
+    pub fn unknown_fields(&self) -> &[String] {
+        &self.unknown_fields
+    }
+
+    /// The content of a file with this backup, as text for people and tools.
     ///
     /// ```text
     /// fatek file 1: backup
     /// length 257
     /// station 1
     /// read 2026-11-22T07:09:13Z
-    /// about RUN                                         what the next two mean, for people
-    /// brief 015400                                      the bytes of 40, or `-`
-    /// status -                                          the bytes of 53, or `-`
+    /// about RUN                                         for people; it follows from the next two
+    /// brief 015400                                      bytes of 40, or `-`
+    /// status -                                          bytes of 53, or `-`
     /// range R0-R9
-    /// R0 0001 0002 00FF 0000 0000 0000 0000 0000        eight registers a line, in hexadecimal digits
+    /// R0 0001 0002 00FF 0000 0000 0000 0000 0000        eight registers per line, in hexadecimal digits
     /// missing R8-R9 refused A
     /// range M0-M15
-    /// M0 00000000 00000001                              64 discretes a line, the first one first
+    /// M0 00000000 00000001                              64 discretes per line, the first one first
     /// crc32 1A2B3C4D
     /// ```
     #[must_use]
@@ -334,18 +351,19 @@ impl Backup {
         format::write(self)
     }
 
-    /// The backup in the content of a file.
+    /// Parses the content of a file, of this or an older [version](crate::file#versions), or of a newer
+    /// one with the same major version.
     ///
     /// # Errors
-    /// [`FormatError`], which names the line and the rule, for anything but exactly what [`to_file`](Self::to_file) has made: a
-    /// foreign file, a later version, one that is cut off, one in which a bit has changed.
+    /// [`FormatError`], which names the line and the rule, for a foreign file, another major version,
+    /// and a file that is cut off or changed in a single bit.
     pub fn from_file(content: &[u8]) -> Result<Self, FormatError> {
         format::read(content)
     }
 
-    /// Saves it. What was in the file before is there until all of the new is on the disk, and then none of it is.
+    /// Saves the backup. The old content of the file stays until the new one is complete on the disk.
     ///
-    /// This waits for the disk.
+    /// Blocks until the disk has written it.
     ///
     /// # Errors
     /// [`FileError`]; the file is as it was before.
@@ -353,10 +371,10 @@ impl Backup {
         file::save(path.as_ref(), self.to_file().as_bytes())
     }
 
-    /// Loads what [`save`](Self::save) has saved. This waits for the disk.
+    /// Loads a file of [`save`](Self::save). Blocks until the disk has read it.
     ///
     /// # Errors
-    /// [`FileError`], which names the file and what is wrong with it.
+    /// [`FileError`], which names the file and the fault.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, FileError> {
         file::load_as(path.as_ref(), Self::from_file)
     }

@@ -1,16 +1,28 @@
-//! What is saved in files: one frame around every kind of content, and saving that never leaves half a file.
+//! Files of programs and backups: one frame around every kind of content, and atomic saving.
 //!
-//! A file is text, so that people can look into it and tools can compare two of them:
+//! A file is text, so that people can read it and tools can compare two of them:
 //!
 //! ```text
-//! fatek file 1: program          the format's version, and what kind of content this is
-//! length 53214                   how many bytes lie between this line and the last
-//! …                              the content, lines of `name value`
-//! crc32 1A2B3C4D                 CRC-32 (ISO-HDLC) of all that stands before this line
+//! fatek file 1: program          version of the format, and kind of the content
+//! length 53214                   bytes between this line and the last
+//! …                              the content: lines of `name value`
+//! crc32 1A2B3C4D                 CRC-32 (ISO-HDLC) of all lines before this one
 //! ```
 //!
-//! Lines end with a line feed, and the last line is the end of the file. What has been saved is loaded again; a file
-//! that lacks anything, has anything more, or of which a single bit is another is refused, and the error says what is wrong.
+//! Lines end with a line feed, and the last line ends the file. A file that is cut off, longer, or
+//! different in a single bit is refused; the error names the line and the rule.
+//!
+//! # Versions
+//!
+//! The version is `major` or `major.minor`; this library writes 1.
+//!
+//! - Files of the same major version and an older minor version are read.
+//! - A newer minor version only adds fields. They are ignored, and `unknown_fields` of the
+//!   [program](crate::Program::unknown_fields) or [backup](crate::Backup::unknown_fields) names them.
+//! - Another major version is [`FormatError::Version`].
+//!
+//! To add a field: raise the minor version in `frame.rs`, write the field, and read it as unknown
+//! from files of older versions. The folder `tests/fixtures` has a file of each version.
 
 mod error;
 mod frame;
@@ -19,9 +31,9 @@ mod save;
 mod utc;
 
 pub use self::error::{FileError, FormatError};
-pub(crate) use self::frame::{Kind, frame, unframe};
-pub(crate) use self::lines::{Lines, in_form};
+pub(crate) use self::frame::{Content, Kind, frame, unframe};
+pub(crate) use self::lines::{Lines, UNKNOWN};
 pub use self::save::can_save;
 pub(crate) use self::save::{load, load_as, save};
-pub(crate) use self::utc::parse_utc;
 pub use self::utc::utc;
+pub(crate) use self::utc::{parse_utc, whole_seconds};

@@ -86,7 +86,6 @@
     )
 )]
 
-#[allow(clippy::wildcard_enum_match_arm, reason = "its states are replaced by those of transfers")]
 pub mod backup;
 #[allow(
     clippy::arithmetic_side_effects,
@@ -113,7 +112,6 @@ pub mod link;
 pub mod plan;
 pub mod poll;
 pub mod pool;
-#[allow(clippy::wildcard_enum_match_arm, reason = "its states are replaced by those of transfers")]
 pub mod program;
 pub mod progress;
 mod random;
@@ -129,6 +127,7 @@ pub mod sim;
 mod station;
 #[allow(clippy::arithmetic_side_effects, reason = "counts and digits are checked when a tag is parsed")]
 pub mod tag;
+mod transfer;
 pub mod wire;
 
 pub use backup::Backup;

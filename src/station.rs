@@ -4,7 +4,6 @@ mod any_length;
 mod backup;
 mod broadcast;
 mod job;
-mod place;
 mod program;
 
 // Declared last: rustdoc then lists its methods just before those below.
@@ -23,7 +22,6 @@ use crate::error::Error;
 pub use self::broadcast::Broadcast;
 pub use self::handle::Station;
 pub(crate) use self::job::{JobReply, Outcome, StationJob};
-pub(crate) use self::place::{BegunWith, OtherStation};
 
 /// One method for each command.
 impl Station {

@@ -109,10 +109,7 @@ fn what_the_plc_does_not_have_is_told_and_an_empty_backup_takes_no_files_place()
     let refused = sim.fatek(&["restore", &larger, "--yes"]);
     assert_eq!(refused.status, 3, "{refused:?}");
     assert!(refused.stderr.contains("\nR100-R109 was refused: illegal address (A)\n"), "{refused:?}");
-    assert!(
-        refused.stderr.contains("error: the PLC refuses to give 10 of the elements, so none was written"),
-        "{refused:?}"
-    );
+    assert!(refused.stderr.contains("error: the PLC refuses 10 of the elements, so none was written"), "{refused:?}");
     assert_eq!(values(&sim, &["R95"]), ["0"]);
 }
 
@@ -261,7 +258,7 @@ fn what_does_not_stick_is_told_with_status_7() {
     sim.fatek(&["backup", &file, "R0"]).ok();
     let stubborn = plc.fatek(&["restore", &file, "--yes", "--format", "csv"]);
     assert_eq!((stubborn.status, stubborn.stdout.as_str()), (7, "element,backup,plc\nR0,0,5\n"), "{stubborn:?}");
-    assert!(stubborn.stderr.contains("error: elements that do not hold what was to be restored: 1; "), "{stubborn:?}");
+    assert!(stubborn.stderr.contains("error: 1 elements do not hold their value of the backup: "), "{stubborn:?}");
 }
 
 #[test]
@@ -286,7 +283,7 @@ fn a_plc_that_was_set_running_meanwhile_is_told_with_status_7() {
     sim.fatek(&["backup", &file, "R0"]).ok();
     let ran = plc.fatek(&["restore", &file, "--yes", "--require-stopped", "-q"]);
     assert_eq!(ran.status, 7, "{ran:?}");
-    assert!(ran.stderr.starts_with("error: somebody has set the PLC running while it was restored; 1 "), "{ran:?}");
+    assert!(ran.stderr.starts_with("error: another client started the PLC while it was restored; 1 "), "{ran:?}");
 }
 
 #[test]

@@ -255,7 +255,7 @@ fn where_nothing_can_be_saved_nothing_is_asked() {
     for (file, message) in [
         (folder.file("none/a"), "none/a: cannot make a new file in its folder: No such file"),
         (folder.file("a/b"), "a/b: cannot find it: Not a directory"),
-        (folder.file("."), "this is not a regular file, and is left as it is"),
+        (folder.file("."), "not a regular file, so it is not replaced"),
     ] {
         for args in [&["program", "read", &file][..], &["backup", &file, "R0-R9"]] {
             // If anything were sent, the status would be 5.
@@ -366,4 +366,20 @@ mod terminal {
         assert_eq!(answer(&sim, &["write", "--raw", &raw, "--dry-run"], "").0, 0);
         assert_eq!(answer(&sim, &["write", "--raw", &raw, "--yes"], "").0, 0);
     }
+}
+
+#[test]
+fn a_file_of_a_newer_minor_version_is_read_with_a_warning() {
+    let fixture = |name: &str| format!("{}/tests/fixtures/{name}", env!("CARGO_MANIFEST_DIR"));
+    let ran = fatek(&["program", "info", &fixture("program-1.9.program")]);
+    assert!(
+        ran.stderr.ends_with(
+            "program-1.9.program has a newer format version; unknown fields are ignored: name, tool, comment\n"
+        ),
+        "{ran:?}"
+    );
+    assert!(ran.ok().contains("64"));
+    let refused = fatek(&["program", "info", &fixture("program-2.program")]);
+    assert_eq!(refused.status, 7);
+    assert!(refused.stderr.contains("format version 2 needs a newer version of this library"), "{refused:?}");
 }

@@ -1,4 +1,4 @@
-//! The ranges of a backup, and which parts of them one request names.
+//! The ranges of a backup, and the requests for them.
 
 use std::ops::Range;
 
@@ -7,11 +7,12 @@ use crate::command::{Value, most_in_one_request};
 use crate::element::{Element, MemoryArea};
 use crate::error::ErrorCode;
 use crate::tag::{Tag, TagType};
+use crate::transfer::Request;
 
-/// What is known of an element.
+/// The value of an element, or why it is missing.
 pub(super) type Cell = Result<Value, Missing>;
 
-/// One range, with a cell for each element.
+/// A range with a cell for each element.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Block {
     pub(super) range: Tag,
@@ -21,63 +22,80 @@ pub(super) struct Block {
 /// Consecutive elements of one block, few enough for one request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Chunk {
-    /// Which block, and its range.
+    /// The number of the block.
     pub(super) block: usize,
+    /// The range of the block.
     pub(super) range: Tag,
-    /// The first element, counted from the first of the block.
+    /// The index of the first element in the block.
     pub(super) start: usize,
     pub(super) count: usize,
 }
 
 impl Chunk {
-    pub(super) fn places(self) -> Range<usize> {
+    /// The indices of its elements in the block.
+    pub(super) fn indices(self) -> Range<usize> {
+        // A block has at most 65536 elements.
         self.start..self.start.saturating_add(self.count)
     }
 
-    /// Its elements, as people write them.
-    pub(super) fn names(self) -> Tag {
-        part(self.range, &self.places())
+    /// The indices in the block of a run of its elements.
+    pub(super) fn within(self, run: &Range<usize>) -> Range<usize> {
+        self.start.saturating_add(run.start)..self.start.saturating_add(run.end)
+    }
+
+    /// Its elements.
+    pub(super) fn tag(self) -> Tag {
+        part(self.range, &self.indices())
+    }
+
+    /// Its first elements, those of a shorter reply.
+    pub(super) fn first(self, count: usize) -> Self {
+        Self { count: self.count.min(count), ..self }
+    }
+
+    /// The request that reads it. `shorter`: the last element may be left to the next request, unless
+    /// that would split a value.
+    pub(super) fn read(self, shorter: bool) -> Request {
+        Request::Read { range: self.tag(), shorter: shorter && self.range.elements_per_value() == 1 }
     }
 }
 
-/// A range without what does not matter here: of its type there is left whether a value takes two registers.
+/// The range of a backup: of its type only the size of a value matters, one register or two.
 pub(super) fn plain(range: Tag) -> Tag {
     let pairs = !range.tag_type().is_text() && range.elements_per_value() == 2;
     let tag_type = if pairs { TagType::U32 } else { TagType::default_for(range.first().width()) };
-    // The elements are those of a tag, and so is their number.
+    // Elements and count are those of a tag.
     Tag::spanning(range.first(), tag_type, range.element_count()).unwrap_or(range)
 }
 
-/// These elements of a range, without a type.
-pub(super) fn part(range: Tag, places: &Range<usize>) -> Tag {
-    let first = range.first().nth(places.start).unwrap_or(range.first());
-    Tag::spanning(first, TagType::default_for(first.width()), places.len()).unwrap_or(range)
+/// The elements of a range with these indices, without a type.
+pub(super) fn part(range: Tag, indices: &Range<usize>) -> Tag {
+    let first = range.first().nth(indices.start).unwrap_or(range.first());
+    Tag::spanning(first, TagType::default_for(first.width()), indices.len()).unwrap_or(range)
 }
 
-/// Where an element, or a range, lies in the memory of a PLC: the symbol of its smallest parts, and their first and last
-/// addresses.
+/// The memory of a range: its area, and the first and last addresses of its smallest parts.
 fn memory(range: Tag) -> (MemoryArea, u16, u16) {
     let first = range.first();
     let last = first.nth(range.element_count().saturating_sub(1)).unwrap_or(first);
-    // Consecutive elements touch, so the step from one to the next is what each of them covers.
+    // Consecutive elements touch, so each covers one step.
     let end = last.address().saturating_add(last.symbol().step().saturating_sub(1));
     (first.symbol().area(), first.address(), end)
 }
 
-/// The discretes that these elements are: their first, and how many they are.
+/// The discretes of a range: the first, and their count. `None` for registers.
 pub(super) fn discretes(range: Tag) -> Option<(crate::Discrete, usize)> {
     let (area, first, last) = memory(range);
     let discrete = crate::Discrete::new(area.smallest(), first).ok()?;
     Some((discrete, usize::from(last.saturating_sub(first)).saturating_add(1)))
 }
 
-/// Whether the PLC itself says what these are, again and again: inputs follow what is wired to them, the contacts of timers
-/// and counters their values.
-pub(super) fn is_not_for_restoring(range: Tag) -> bool {
+/// Whether the PLC overwrites these in every scan: inputs, and the contacts of timers and counters.
+pub(super) fn is_never_restored(range: Tag) -> bool {
     range.first().symbol().area().is_derived()
 }
 
-/// That no two of these share memory, by whatever names.
+/// Checks that no two ranges share memory, under any names.
 pub(super) fn check_overlaps(ranges: &[Tag]) -> Result<(), InvalidBackup> {
     let mut sorted: Vec<_> = ranges.iter().map(|&range| (memory(range), range)).collect();
     sorted.sort_unstable_by_key(|&(memory, _)| memory);
@@ -89,21 +107,21 @@ pub(super) fn check_overlaps(ranges: &[Tag]) -> Result<(), InvalidBackup> {
     Ok(())
 }
 
-/// The longest runs of places where this holds.
+/// The longest runs of indices whose items fulfil a condition.
 pub(super) fn runs<T>(items: &[T], mut holds: impl FnMut(&T) -> bool) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
-    for (place, item) in items.iter().enumerate() {
+    for (index, item) in items.iter().enumerate() {
         if holds(item) {
             match runs.last_mut() {
-                Some(run) if run.end == place => run.end = place.saturating_add(1),
-                _ => runs.push(place..place.saturating_add(1)),
+                Some(run) if run.end == index => run.end = index.saturating_add(1),
+                Some(_) | None => runs.push(index..index.saturating_add(1)),
             }
         }
     }
     runs
 }
 
-/// The longest runs of values with an element where this holds. Values of so many elements are in them as a whole.
+/// The longest runs of whole values with an element that fulfils a condition.
 pub(super) fn runs_of_values<T>(
     items: &[T],
     per_value: usize,
@@ -115,28 +133,28 @@ pub(super) fn runs_of_values<T>(
     runs(&values, |&holds| holds).into_iter().map(|run| elements(run.start)..elements(run.end)).collect()
 }
 
-/// Requests that are still to be made, one after the other; what a request was refused for is found by halving it.
+/// A queue of requests. A refused request is halved until the elements are found that caused it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Chunks {
-    /// Runs of elements, of any length; the next one is the last.
+    /// Runs of elements of any length, the next one last.
     waiting: Vec<Chunk>,
 }
 
 impl Chunks {
-    /// As few requests as name all of these, in this order; no value of two registers is split.
+    /// The fewest requests for these runs, in this order. No value of two registers is split.
     pub(super) fn new(runs: impl IntoIterator<Item = (usize, Tag, Range<usize>)>) -> Self {
-        let run = |(block, range, places): (usize, Tag, Range<usize>)| Chunk {
+        let run = |(block, range, indices): (usize, Tag, Range<usize>)| Chunk {
             block,
             range,
-            start: places.start,
-            count: places.len(),
+            start: indices.start,
+            count: indices.len(),
         };
         let mut waiting: Vec<Chunk> = runs.into_iter().map(run).filter(|run| run.count > 0).collect();
         waiting.reverse();
         Self { waiting }
     }
 
-    /// The next request: as many elements as one holds.
+    /// The next request, with as many elements as it can hold.
     pub(super) fn next(&self) -> Option<Chunk> {
         self.waiting.last().map(|run| Chunk { count: most_at_once(*run), ..*run })
     }
@@ -146,7 +164,7 @@ impl Chunks {
         self.done_first(usize::MAX);
     }
 
-    /// The first elements of the next one are settled. The others of it come with the next request.
+    /// The first elements of the next one are settled. Its others come with the request after it.
     pub(super) fn done_first(&mut self, count: usize) {
         let Some(run) = self.waiting.last_mut() else { return };
         let count = count.min(most_at_once(*run));
@@ -157,7 +175,7 @@ impl Chunks {
         }
     }
 
-    /// The next one was refused: its halves come in its place. A single value, or what there is of it, is given back.
+    /// The next one was refused: its halves replace it. A single value is returned instead.
     pub(super) fn refused(&mut self) -> Option<Chunk> {
         let chunk = self.next()?;
         self.done();
@@ -173,12 +191,12 @@ impl Chunks {
         self.waiting.extend(other.waiting);
     }
 
-    /// These are asked for again, before the others.
+    /// These come again, before the others.
     pub(super) fn again(&mut self, chunks: impl IntoIterator<Item = Chunk>) {
         let mut runs: Vec<Chunk> = Vec::new();
         for chunk in chunks {
             match runs.last_mut() {
-                Some(run) if run.block == chunk.block && run.places().end == chunk.start => {
+                Some(run) if run.block == chunk.block && run.indices().end == chunk.start => {
                     run.count = run.count.saturating_add(chunk.count);
                 }
                 Some(_) | None => runs.push(chunk),
@@ -188,7 +206,7 @@ impl Chunks {
     }
 }
 
-/// How many elements of a run the next request names: values stay whole.
+/// The number of elements of a run in one request: values stay whole.
 fn most_at_once(run: Chunk) -> usize {
     let most = most_in_one_request(run.range.first());
     if run.count <= most {
@@ -199,7 +217,7 @@ fn most_at_once(run: Chunk) -> usize {
     most.saturating_sub(past)
 }
 
-/// How many elements the first half has; values stay whole, and a value alone has no halves.
+/// The number of elements in the first half: values stay whole, and a single value has no halves.
 fn half(chunk: Chunk) -> Option<usize> {
     let per_value = chunk.range.elements_per_value();
     let half = chunk.count.checked_div(2).filter(|&half| half > 0)?;
@@ -217,32 +235,32 @@ impl Block {
         Self { range, cells: vec![Err(Missing::NotRead); range.element_count()] }
     }
 
-    /// The values that a request for a part of it has brought.
+    /// Stores the values of a reply.
     pub(super) fn fill(&mut self, chunk: Chunk, values: &[Value]) {
-        let cells = self.cells.get_mut(chunk.places()).unwrap_or_default();
+        let cells = self.cells.get_mut(chunk.indices()).unwrap_or_default();
         cells.iter_mut().zip(values).for_each(|(cell, &value)| *cell = Ok(value));
     }
 
-    /// The PLC does not give these.
+    /// Stores a refusal.
     pub(super) fn refuse(&mut self, chunk: Chunk, error: ErrorCode) {
-        let cells = self.cells.get_mut(chunk.places()).unwrap_or_default();
+        let cells = self.cells.get_mut(chunk.indices()).unwrap_or_default();
         cells.fill(Err(Missing::Refused(error)));
     }
 
-    /// Its elements with what is known of them.
+    /// Its elements with their cells.
     pub(super) fn elements(&self) -> impl Iterator<Item = (Element, Cell)> {
         self.range.elements().zip(self.cells.iter().copied())
     }
 
-    /// The place of an element.
-    pub(super) fn place(&self, element: Element) -> Option<usize> {
+    /// The index of an element.
+    pub(super) fn index(&self, element: Element) -> Option<usize> {
         let first = self.range.first();
         if element.symbol() != first.symbol() {
             return None;
         }
         let (step, distance) = (first.symbol().step(), element.address().checked_sub(first.address())?);
-        let place = usize::from(distance.checked_div(step)?);
-        (distance.is_multiple_of(step) && place < self.cells.len()).then_some(place)
+        let index = usize::from(distance.checked_div(step)?);
+        (distance.is_multiple_of(step) && index < self.cells.len()).then_some(index)
     }
 }
 

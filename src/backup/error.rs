@@ -1,19 +1,18 @@
-use std::fmt;
-
 use super::{Backup, RestoreReport};
 use crate::command::DetailedStatus;
 use crate::error::Error;
 use crate::tag::Tag;
+use crate::transfer::{OtherStation, RunCause, RunCommand, RunFailure};
 
-/// Why ranges are no backup: the ranges, and the rule.
+/// Error: ranges are not a backup.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidBackup {
-    /// There is not a single range.
+    /// There is no range.
     #[error("there are no ranges: at least one was expected")]
     Empty,
     /// Two ranges share memory.
-    #[error("{first} and {second} share memory: which of them would be restored?")]
+    #[error("{first} and {second} share memory")]
     #[non_exhaustive]
     Overlap {
         /// One of them.
@@ -21,53 +20,53 @@ pub enum InvalidBackup {
         /// The other.
         second: Tag,
     },
-    /// A range is not in the backup.
+    /// A range is not part of one range of the backup.
     #[error("{range} is not wholly in one range of the backup")]
     #[non_exhaustive]
     NotIn {
-        /// Which one.
+        /// The range.
         range: Tag,
     },
-    /// A range has half a value of the backup.
+    /// A range would split a value of the backup.
     #[error("{range} would split a value of two registers: the backup has {whole}")]
     #[non_exhaustive]
     SplitsPair {
-        /// Which one.
+        /// The range.
         range: Tag,
-        /// What the backup has there.
+        /// The range of the backup.
         whole: Tag,
     },
 }
 
-/// Why there is no backup.
+/// Error: a backup cannot be read.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BackupError {
-    /// The ranges are none for a backup. Nothing was sent.
+    /// The ranges are not a backup. Nothing was sent.
     #[error(transparent)]
     Invalid(#[from] InvalidBackup),
-    /// A request failed, and it was not the PLC that refused it.
+    /// A request failed otherwise than by a refusal.
     #[error("{} of {} elements were read, and then: {source}", partial.value_count(), partial.element_count())]
     #[non_exhaustive]
     Call {
-        /// What has been read; the rest of it is [`NotRead`](super::Missing::NotRead).
-        /// [`TakeBackup::resume`](super::TakeBackup::resume) goes on with it.
+        /// The elements that have been read; all others are [`NotRead`](super::Missing::NotRead).
+        /// [`TakeBackup::resume`](super::TakeBackup::resume) continues with it.
         partial: Box<Backup>,
-        /// Why it went no further.
+        /// The error of the request.
         source: Error,
     },
-    /// The backup that is to go on was begun with another station. Nothing was sent.
-    #[error("the backup was begun with station {backup}, and cannot go on with station {station}")]
+    /// The backup was begun with another station. Nothing was sent.
+    #[error("the backup was begun with station {backup}, and cannot continue with station {station}")]
     #[non_exhaustive]
     OtherStation {
         /// The station of the backup.
         backup: u8,
-        /// The station that was to be read.
+        /// The station of this run.
         station: u8,
     },
-    /// The backup that is to go on was begun with a PLC of another model, by its status (53). Nothing else was asked.
+    /// The backup was begun with a PLC of another model, by its status (53). Nothing else was read.
     #[error(
-        "the backup was begun with another PLC ({}), and cannot go on with this one ({})",
+        "the backup was begun with another PLC ({}), and cannot continue with this one ({})",
         model(Some(backup)),
         model(plc.as_deref())
     )]
@@ -75,100 +74,110 @@ pub enum BackupError {
     OtherPlc {
         /// The status of the PLC that it was begun with.
         backup: Box<DetailedStatus>,
-        /// The status of this one; `None` if it refuses to tell, which the other one did not.
+        /// The status of this one; `None` if it refuses 53.
         plc: Option<Box<DetailedStatus>>,
     },
 }
 
 fn model(status: Option<&DetailedStatus>) -> String {
-    status.map_or("which does not tell its type".to_owned(), |status| {
+    status.map_or("which does not report its type".to_owned(), |status| {
         format!("main unit {}, I/O points code {}", status.main_unit(), status.io_points_code())
     })
 }
 
-/// Why a backup was not restored, or not wholly.
+/// The reason why a backup was not restored, or not completely.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RestoreFailure {
-    /// A request failed: no answer, no connection, a refusal.
+    /// A request failed: no reply, no connection, a refusal.
     #[error("{doing}: {source}")]
     #[non_exhaustive]
     Call {
-        /// What was asked.
+        /// The action that failed.
         doing: String,
-        /// Why it failed.
+        /// The error of the request.
         source: Error,
     },
-    /// An earlier run of this restoring has stopped another station, and has not ended well. Nothing was sent, and the report is
-    /// about the other one.
-    #[error("the restoring was begun with {begun}, and cannot go on with {station}")]
+    /// An earlier run has stopped another station, and did not succeed. Nothing was sent, and the
+    /// report is about the other station.
+    #[error("restoring was begun with {begun}, and cannot continue with {station}")]
     #[non_exhaustive]
     OtherStation {
         /// The station of the earlier run, and its endpoint.
         begun: String,
-        /// The one that was to be restored now.
+        /// The station of this run, and its endpoint.
         station: String,
     },
-    /// The PLC runs, and was to be stopped already. Nothing has been written.
+    /// The PLC runs, and had to be stopped already. Nothing was written.
     #[error("the PLC runs: stop it first, or choose `RestoreOptions::stop_first`")]
     Running,
-    /// The PLC has been told to stop, and runs all the same.
+    /// STOP was sent, and the PLC still runs.
     #[error("the PLC does not stop")]
     StillRunning,
-    /// Somebody else has set the PLC running while it was restored, though it was to stand still. It goes on running; its
-    /// program may have changed what was restored, before or after that was read back.
+    /// Another client started the PLC, which had to be stopped. It keeps running; its program may have
+    /// changed restored elements, before or after they were read back.
     #[error(
-        "somebody has set the PLC running while it was restored{}",
-        if *differing == 0 { String::new() } else { format!("; {differing} of the elements do not hold what they should") }
+        "another client started the PLC while it was restored{}",
+        if *differing == 0 { String::new() } else { format!("; {differing} of the elements do not hold their value") }
     )]
     #[non_exhaustive]
     SetRunning {
-        /// How many elements did not hold what they should when all was read back: see [`RestoreReport::remaining`].
+        /// The number of elements that differed when all were read back: see
+        /// [`RestoreReport::remaining`].
         differing: usize,
     },
     /// The PLC does not have all elements: see [`RestoreReport::refused`].
-    #[error(
-        "the PLC refuses to give {count} of the elements, so none was written; leave them out to restore the others"
-    )]
+    #[error("the PLC refuses {count} of the elements, so none was written; leave them out to restore the others")]
     #[non_exhaustive]
     NotThere {
-        /// How many.
+        /// The number of elements.
         count: usize,
     },
-    /// Elements do not hold what was to be restored: see [`RestoreReport::remaining`].
-    #[error(
-        "elements that do not hold what was to be restored: {count}; something changes them, or they cannot be written"
-    )]
+    /// Elements do not hold their value of the backup: see [`RestoreReport::remaining`].
+    #[error("{count} elements do not hold their value of the backup: the program changes them, or they are read-only")]
     #[non_exhaustive]
     Differs {
-        /// How many.
+        /// The number of elements.
         count: usize,
     },
-    /// All has been restored. The PLC has been told to run again, and does not.
-    #[error("all is restored, but the PLC does not run")]
+    /// All elements are restored. RUN was sent, and the PLC does not run.
+    #[error("all elements are restored, but the PLC does not run")]
     NotRunning,
 }
 
-/// Why a backup was not restored, and how far it came.
+impl From<OtherStation> for RestoreFailure {
+    fn from(OtherStation { begun, station }: OtherStation) -> Self {
+        Self::OtherStation { begun, station }
+    }
+}
+
+impl From<RunFailure> for RestoreFailure {
+    /// An error of STOP or RUN is the reason only if the request certainly had no effect.
+    fn from(RunFailure { cause, command_error }: RunFailure) -> Self {
+        let command_error = command_error.filter(|(_, error)| !error.may_have_executed());
+        let (doing, source) = match (cause, command_error) {
+            (RunCause::RunRefused { source, .. }, _) | (_, Some((RunCommand::Run, source))) => {
+                ("running the PLC, which is still stopped", source)
+            }
+            (_, Some((RunCommand::Stop, source))) => ("stopping the PLC, which still runs", source),
+            (RunCause::NoStatus(source), None) => ("reading the status", source),
+            (RunCause::NotConfirmed(source), None) => ("confirming what was read", source),
+            (RunCause::NotObeyed(RunCommand::Stop), None) => return Self::StillRunning,
+            (RunCause::NotObeyed(RunCommand::Run), None) => return Self::NotRunning,
+        };
+        Self::Call { doing: doing.to_owned(), source }
+    }
+}
+
+/// Error: a backup was not restored, or not completely; with the state of elements and PLC.
 ///
-/// Restoring it again compares all, and writes what still differs.
-#[derive(Clone, Debug)]
+/// Restoring it again compares all elements and writes those that still differ.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("{source}; {report}")]
 #[non_exhaustive]
 pub struct RestoreError {
-    /// Why it went no further.
+    /// The reason.
     pub source: RestoreFailure,
-    /// What was written and what was not.
+    /// How far the restoring has come.
     pub report: Box<RestoreReport>,
-}
-
-impl fmt::Display for RestoreError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}; {}", self.source, self.report)
-    }
-}
-
-impl std::error::Error for RestoreError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        Some(&self.source)
-    }
 }

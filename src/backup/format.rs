@@ -1,7 +1,6 @@
-//! How a backup stands in a file: see [`Backup::to_file`].
+//! The format of a backup in a file: see [`Backup::to_file`].
 //!
-//! One backup has one form. What has been read is written again and compared, so that nothing is taken that was written
-//! otherwise.
+//! A backup has one form: the parsed backup is written again and compared.
 
 use std::fmt::Write;
 
@@ -10,32 +9,27 @@ use super::{Backup, Missing, Origin};
 use crate::command::{BriefStatus, DetailedStatus, Value};
 use crate::element::{Element, Width};
 use crate::error::ErrorCode;
-use crate::file::{FormatError, Kind, Lines, frame, in_form, parse_utc, unframe, utc};
+use crate::file::{Content, FormatError, Kind, Lines, UNKNOWN, frame, parse_utc, unframe, utc};
 use crate::hex;
 use crate::tag::Tag;
 
 const BACKUP: Kind = Kind("backup");
 
-/// What stands for a value that is not known.
-const UNKNOWN: &str = "-";
 const RANGE: &str = "range";
 const MISSING: &str = "missing";
 const NOT_READ: &str = "not-read";
 const REFUSED: &str = "refused ";
 
 pub(super) fn write(backup: &Backup) -> String {
-    frame(BACKUP, &content(backup))
+    frame(BACKUP, &form(backup))
 }
 
 pub(super) fn read(file: &[u8]) -> Result<Backup, FormatError> {
-    let text = unframe(BACKUP, file)?;
-    let backup = parse(text)?;
-    in_form(text, &content(&backup))?;
-    Ok(backup)
+    parse(unframe(BACKUP, file)?)
 }
 
-fn content(backup: &Backup) -> String {
-    let Backup { origin, blocks } = backup;
+fn form(backup: &Backup) -> String {
+    let Backup { origin, blocks, .. } = backup;
     let field = |value: Option<String>| value.unwrap_or_else(|| UNKNOWN.to_owned());
     let mut lines = format!(
         "station {}\nread {}\nabout {}\nbrief {}\nstatus {}\n",
@@ -48,7 +42,7 @@ fn content(backup: &Backup) -> String {
     for block in blocks {
         lines += &format!("{RANGE} {}\n", block.range);
         let mut start = 0_usize;
-        // What is of one kind, and there of as much as goes into a line: no line crosses a multiple of that.
+        // One line for missing elements of one reason; values by the line, whose multiples no line crosses.
         let per_line = per_line(block.range.first().width());
         let kind = |cell: &Result<Value, Missing>| cell.err();
         for same in block.cells.chunk_by(|one, next| kind(one) == kind(next)) {
@@ -75,7 +69,7 @@ fn content(backup: &Backup) -> String {
     lines
 }
 
-/// What the bytes of the statuses mean, for people.
+/// For people: the model and state of the PLC.
 fn about(origin: &Origin) -> Option<String> {
     let flags = origin.brief.map(|status| status.flags().to_string());
     let unit = origin.detailed.as_ref().map(|status| {
@@ -89,7 +83,7 @@ fn about(origin: &Origin) -> Option<String> {
 fn value_line(first: Element, cells: &[Result<Value, Missing>]) -> String {
     let mut line = first.to_string();
     for (place, value) in cells.iter().flatten().enumerate() {
-        // Into a String nothing can fail.
+        // Writing to a string does not fail.
         let _ = match value {
             Value::Bit(on) if place.is_multiple_of(8) => write!(line, " {}", u8::from(*on)),
             Value::Bit(on) => write!(line, "{}", u8::from(*on)),
@@ -104,30 +98,35 @@ fn per_line(width: Width) -> usize {
     if width == Width::Bit { 64 } else { 8 }
 }
 
-fn parse(content: &str) -> Result<Backup, FormatError> {
-    let mut lines = Lines::new(content);
-    let station = field(&mut lines, "station", "a number from 1 to 254", |text| {
+/// Whether this version has such a field. Names of elements have upper-case letters, and names of
+/// fields do not.
+fn is_known(name: &str) -> bool {
+    let is_field = matches!(name, "station" | "read" | "about" | "brief" | "status" | RANGE | MISSING);
+    is_field || name.starts_with(|first: char| first.is_ascii_uppercase())
+}
+
+fn parse(content: Content<'_>) -> Result<Backup, FormatError> {
+    let mut lines = Lines::new(content, is_known);
+    let station = lines.optional("station", "a number from 1 to 254", |text| {
         text.parse().ok().filter(|number| (1..=254).contains(number))
     })?;
-    let read_at = field(&mut lines, "read", "a time such as 2026-11-22T07:09:13Z", parse_utc)?;
-    // It follows from the others, so it is compared in the end.
+    let read_at = lines.optional("read", "a time such as 2026-11-22T07:09:13Z", parse_utc)?;
     lines.field("about")?;
-    let brief = field(&mut lines, "brief", "three bytes in hexadecimal digits", |text| {
+    let brief = lines.optional("brief", "three bytes in hexadecimal digits", |text| {
         Some(BriefStatus::from_raw(hex::decode(text)?.try_into().ok()?))
     })?;
-    let detailed = field(&mut lines, "status", "28 to 249 bytes in hexadecimal digits", |text| {
+    let detailed = lines.optional("status", "28 to 249 bytes in hexadecimal digits", |text| {
         DetailedStatus::from_raw(hex::decode(text)?)
     })?;
-    let origin = Origin { station, read_at, brief, detailed };
-    let mut backup = Backup { blocks: empty(content)?.blocks, origin };
+    let mut backup = Backup { origin: Origin { station, read_at, brief, detailed }, ..empty(content)? };
     for block in &mut backup.blocks {
         let range = lines.field(RANGE)?;
         if range != block.range.to_string() {
             return Err(lines.error(format!("`{RANGE} {}` was expected", block.range)));
         }
-        let mut place = 0_usize;
-        while let Ok(next) = block.range.first().nth(place)
-            && place < block.cells.len()
+        let mut index = 0_usize;
+        while let Ok(next) = block.range.first().nth(index)
+            && index < block.cells.len()
         {
             let ended = format!("the range {} is not whole: {next} was expected", block.range);
             let Some((name, text)) = lines.any_field()? else { return Err(lines.error(ended)) };
@@ -144,22 +143,23 @@ fn parse(content: &str) -> Result<Backup, FormatError> {
             if !cells.len().is_multiple_of(block.range.elements_per_value()) {
                 return Err(lines.error("a value of two registers would be cut in two here"));
             }
-            let end = place.saturating_add(cells.len());
-            let Some(places) = block.cells.get_mut(place..end) else {
+            let end = index.saturating_add(cells.len());
+            let Some(known) = block.cells.get_mut(index..end) else {
                 return Err(lines.error(format!("these are more elements than the range {} has", block.range)));
             };
-            places.copy_from_slice(&cells);
-            place = end;
+            known.copy_from_slice(&cells);
+            index = end;
         }
     }
     lines.end()?;
+    backup.unknown_fields = lines.in_form(content, &form(&backup))?;
     Ok(backup)
 }
 
-/// A backup of all the ranges that the content names, before anything is kept for their elements: that they do not overlap is
-/// what bounds their number.
-fn empty(content: &str) -> Result<Backup, FormatError> {
-    let (mut ranges, mut lines): (Vec<Tag>, _) = (Vec::new(), Lines::new(content));
+/// A backup of the ranges in the content, without values. Ranges that do not overlap have a bounded
+/// number of elements, so this is checked before memory is allocated for them.
+fn empty(content: Content<'_>) -> Result<Backup, FormatError> {
+    let (mut ranges, mut lines): (Vec<Tag>, _) = (Vec::new(), Lines::new(content, is_known));
     while let Some((name, text)) = lines.any_field()? {
         if name == RANGE {
             ranges.push(text.parse().map_err(|error| lines.error(format!("{error}")))?);
@@ -168,20 +168,7 @@ fn empty(content: &str) -> Result<Backup, FormatError> {
     Backup::of(ranges).map_err(|error| lines.error(format!("{error}")))
 }
 
-fn field<T>(
-    lines: &mut Lines<'_>,
-    name: &str,
-    rule: &str,
-    parse: impl FnOnce(&str) -> Option<T>,
-) -> Result<Option<T>, FormatError> {
-    let text = lines.field(name)?;
-    if text == UNKNOWN {
-        return Ok(None);
-    }
-    parse(text).map(Some).ok_or_else(|| lines.error(format!("`{name}`: {rule} was expected, or `{UNKNOWN}`")))
-}
-
-/// As many cells as the elements from `next` on that this names.
+/// Cells of the missing elements from `next` on.
 fn missing(text: &str, next: Element, range: Tag) -> Option<Vec<Result<Value, Missing>>> {
     let (elements, reason) = text.split_once(' ')?;
     let elements: Tag = elements.parse().ok()?;
@@ -207,7 +194,7 @@ fn values(text: &str, width: Width) -> Option<Vec<Result<Value, Missing>>> {
         let bytes = hex::decode(digits)?;
         Some(Ok(match width {
             Width::DWord => Value::DWord(u32::from_be_bytes(bytes.try_into().ok()?)),
-            _ => Value::Word(u16::from_be_bytes(bytes.try_into().ok()?)),
+            Width::Word | Width::Bit => Value::Word(u16::from_be_bytes(bytes.try_into().ok()?)),
         }))
     };
     text.split(' ').map(value).collect()

@@ -2,55 +2,56 @@ use std::fmt;
 
 use super::{Difference, MissingRange};
 use crate::error::ErrorCode;
-use crate::program::PlcState;
 use crate::tag::Tag;
+use crate::transfer::PlcState;
 
-/// How far a restoring came: what was found, written, and left out.
+/// How far the restoring of a backup has come.
 ///
-/// Its `Display` is a line for people.
+/// Its `Display` is one line for people.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RestoreReport {
-    /// How many elements were compared.
+    /// The number of elements that were compared.
     pub compared: usize,
-    /// Those that were to be written, with what they held before.
+    /// Elements that differed before anything was written, with their values.
     pub differences: Vec<Difference>,
-    /// What was written for certain.
+    /// Elements that were certainly written.
     pub written: Vec<Tag>,
-    /// What may have been written: a request was sent, and not confirmed. Also what a read has then found to differ, until it is
-    /// written again: something else may have changed it since.
+    /// Elements that may have been written: they were sent, and not confirmed. Also those that a read
+    /// then found different, until they are written again: the program may have changed them since.
     pub in_doubt: Vec<Tag>,
-    /// What differs, with nothing known against it, and was never sent.
+    /// Elements that differ and were never sent.
     pub unwritten: Vec<Tag>,
-    /// What a run would write as it stands: what differs, the other half of a value of which one half does, and
-    /// what is [bridged](super::RestoreOptions::bridge).
+    /// Elements that a run would write now: those that differ, the other half of such a value, and
+    /// [bridged](super::RestoreOptions::bridge) ones.
     pub to_write: Vec<Tag>,
-    /// What the PLC refused to give when it was compared, or to take when it was written.
+    /// Elements that the PLC refused to read or to write.
     pub refused: Vec<RefusedRange>,
-    /// Forced discretes that differ, and were left as they are. Words, and values of two, with one in them, too.
+    /// Forced discretes that differ and were not written, and words and values of two words with such a
+    /// discrete.
     pub forced: Vec<Tag>,
     /// Inputs, and contacts of timers and counters, which are never written.
     pub left_out: Vec<Tag>,
-    /// Those of them that differ. Only [`Restore::compare`](super::Restore::compare) looks at them.
+    /// Those of them that differ. Only [`Restore::compare`](super::Restore::compare) reads them.
     pub left_out_differences: Vec<Difference>,
-    /// What the backup itself does not have. It was neither compared nor written.
+    /// Elements without a value in the backup. They were neither compared nor written.
     pub missing: Vec<MissingRange>,
-    /// Elements that did not hold what they should when all was read once more.
+    /// Elements that did not hold their value when all were read back.
     pub remaining: Vec<Difference>,
-    /// Whether the PLC was running and has been stopped, by this run or by earlier ones of the same
+    /// Whether the PLC ran and was stopped, by this run or an earlier one of the same
     /// [`Restore`](super::Restore) that failed.
     pub was_stopped: bool,
-    /// Whether it runs, as it last said: where it need not be stopped, in the beginning.
+    /// Whether the PLC runs, by its last status. If it need not be stopped, that is the first status.
     pub plc: PlcState,
 }
 
-/// Consecutive elements that a PLC has refused to give or to take.
+/// Consecutive elements that a PLC refused to read or to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RefusedRange {
-    /// Which ones.
+    /// The elements.
     pub range: Tag,
-    /// What it answered.
+    /// The reply of the PLC.
     pub error: ErrorCode,
 }
 

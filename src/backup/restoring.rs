@@ -1,414 +1,410 @@
-//! The states of restoring, as the [module](super) draws them. No I/O, and no clock.
+//! Restoring a backup as a [`Transfer`], as the [module](super) draws it: compare, write, verify.
 
-mod confirm;
-mod states;
+use std::ops::Range;
 
-use self::confirm::Then;
-pub(super) use self::states::{Goal, Reply, State, Step};
-use super::block::{Chunk, Chunks, discretes, is_not_for_restoring, runs, runs_of_values};
-use super::restore::{IfRunning, RestoreOptions};
-use super::target::{Mark, Slot, Target};
+use self::ControlStage::{LastLook, Look, Ready, Run, Stop};
+use self::ElementStage::{Check, Compare, Forced, Verify, Write};
+use super::block::{Chunk, Chunks, discretes, is_never_restored, runs, runs_of_values};
+use super::options::{IfRunning, RestoreOptions};
+use super::target::{ElementState, Target, TargetElement};
 use super::{Backup, Difference, MissingRange, RestoreFailure, RestoreReport};
 use crate::command::Value;
 use crate::error::{Error, ErrorCode};
-use crate::program::PlcState;
 use crate::progress::Phase;
+use crate::tag::Tag;
+use crate::transfer::{PlcState, Position, Reply, Request, RunControl, RunEvent, Step, Transfer};
 
-/// A backup that is being restored.
+/// The purpose of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum RestoreGoal {
+    /// Change nothing.
+    Compare,
+    Restore,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum RestoreStage {
+    Control(ControlStage),
+    Elements(ElementStage),
+    Done,
+}
+
+/// A stage whose requests are those of run control.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ControlStage {
+    Look,
+    Stop,
+    /// Just before the first write: is the PLC still stopped?
+    Ready,
+    /// Was the PLC stopped all the time?
+    LastLook,
+    Run,
+}
+
+/// A stage that reads or writes elements.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ElementStage {
+    Compare,
+    Forced,
+    Write,
+    /// The result of a write without a reply.
+    Check,
+    Verify,
+}
+
+impl ElementStage {
+    /// Whether it is left only when all replies are confirmed. Replies may be shorter.
+    fn only_reads(self) -> bool {
+        matches!(self, Self::Compare | Self::Forced | Self::Verify)
+    }
+
+    /// The action on a chunk, for an error.
+    fn doing(self, chunk: Chunk) -> String {
+        match self {
+            Self::Compare | Self::Check | Self::Verify => format!("reading {}", chunk.tag()),
+            Self::Forced => format!("reading which of {} are forced", chunk.tag()),
+            Self::Write => format!("writing {}", chunk.tag()),
+        }
+    }
+}
+
+/// An action that waits for a check, besides a status of run control.
+#[derive(Clone, Debug)]
+enum Pending {
+    /// The stage is to be left.
+    Leave,
+    /// A write without a reply has been read back.
+    Checked(Vec<Value>),
+}
+
+/// The restoring of one backup, for all its runs.
 #[derive(Clone, Debug)]
 pub(super) struct Restoring {
     options: RestoreOptions,
     targets: Vec<Target>,
-    /// What is compared, and never written.
+    /// Ranges that are compared and never written.
     left_out: Vec<Target>,
     missing: Vec<MissingRange>,
-    goal: Goal,
-    state: State,
-    /// What this state has still to ask for.
+    goal: RestoreGoal,
+    stage: RestoreStage,
+    control: RunControl,
+    /// The requests that are left in this stage.
     chunks: Chunks,
-    /// Elements that this state has settled, and all that it has to.
-    done: usize,
+    /// Elements of this stage, and those that are settled.
     total: usize,
-    /// What the elements that were sent last were before.
-    before: Vec<Mark>,
-    /// How often in a row the same was tried without an answer, or without effect.
+    done: usize,
+    /// States of the elements before the last write of them was sent.
+    before: Vec<ElementState>,
+    /// Attempts at the same write without a reply or an effect.
     tries: u32,
-    /// All that was read is to be confirmed, and this follows.
-    confirms: Option<Then>,
-    /// Whether the PLC was running before it was stopped, and whether it was: also by earlier runs.
-    ran: bool,
-    was_stopped: bool,
-    plc: PlcState,
+    to_confirm: Option<Pending>,
     remaining: Vec<Difference>,
 }
 
 impl Restoring {
     pub(super) fn new(backup: &Backup, options: RestoreOptions) -> Self {
-        let (left_out, taken): (Vec<_>, Vec<_>) =
-            backup.blocks.iter().partition(|block| is_not_for_restoring(block.range));
+        let (left_out, restored): (Vec<_>, Vec<_>) =
+            backup.blocks.iter().partition(|block| is_never_restored(block.range));
         Self {
             options,
-            targets: taken.into_iter().map(Target::new).collect(),
+            targets: restored.into_iter().map(Target::new).collect(),
             left_out: left_out.into_iter().map(Target::new).collect(),
             missing: backup.missing(),
-            goal: Goal::Compare,
-            state: State::Done,
+            goal: RestoreGoal::Compare,
+            stage: RestoreStage::Done,
+            control: RunControl::new(options.attempts),
             chunks: Chunks::default(),
-            done: 0,
             total: 0,
+            done: 0,
             before: Vec::new(),
             tries: 0,
-            confirms: None,
-            ran: false,
-            was_stopped: false,
-            plc: PlcState::Unknown,
+            to_confirm: None,
             remaining: Vec::new(),
         }
     }
 
-    /// A run begins: the first, or another after a failure.
-    pub(super) fn begin(&mut self, goal: Goal) {
-        // What has come to its end is over: whoever stops the PLC afterwards does not want it run by the next run.
-        if self.goal == Goal::Restore && self.state == State::Done {
-            (self.ran, self.was_stopped) = (false, false);
-        }
-        self.targets.iter_mut().chain(&mut self.left_out).for_each(Target::forget);
+    /// Begins a run. Unless the last one succeeded, it inherits whether the PLC was stopped.
+    pub(super) fn begin(&mut self, goal: RestoreGoal) {
+        self.control.begin(self.is_over());
+        self.forget();
         self.remaining.clear();
-        self.confirms = None;
-        self.plc = PlcState::Unknown;
+        self.to_confirm = None;
         self.goal = goal;
-        match goal {
-            // It is no matter whether it runs.
-            Goal::Compare if self.options.if_running == IfRunning::GoOn => self.enter(State::Compare),
-            _ => self.enter(State::Look),
+        // A comparison does not depend on whether the PLC runs.
+        let looks = goal == RestoreGoal::Restore || self.options.if_running != IfRunning::Continue;
+        if looks {
+            self.control(Look);
+        } else {
+            self.read_or_write(Compare);
         }
     }
 
-    /// Whether the last runs have left something that belongs to this one PLC: that it was told to stop.
+    /// Whether earlier runs have left something in their PLC: a STOP.
     pub(super) fn is_bound(&self) -> bool {
-        self.was_stopped && (self.goal, self.state) != (Goal::Restore, State::Done)
+        self.control.was_stopped() && !self.is_over()
     }
 
-    pub(super) fn next(&mut self) -> Result<Step, RestoreFailure> {
-        loop {
-            if self.confirms.is_some() {
-                return Ok(Step::Confirm);
-            }
-            let Some(step) = self.step() else {
-                if self.state.reads() && self.total > 0 {
-                    self.confirms = Some(Then::Leave);
-                } else {
-                    self.leave()?;
-                }
-                continue;
-            };
-            // What is sent may be done, whether anybody waits for the answer or not.
-            match (&step, self.chunks.next()) {
-                (Step::Write(..), Some(chunk)) => {
-                    let slots = self.slots(chunk).iter_mut();
-                    self.before = slots.map(|slot| std::mem::replace(&mut slot.mark, Mark::Doubt)).collect();
-                }
-                (Step::Stop, _) => (self.was_stopped, self.plc) = (true, PlcState::Unknown),
-                (Step::Run, _) => self.plc = PlcState::Unknown,
-                _ => {}
-            }
-            return Ok(step);
+    fn is_over(&self) -> bool {
+        self.goal == RestoreGoal::Restore && self.stage == RestoreStage::Done
+    }
+
+    /// Enters a stage of run control.
+    fn control(&mut self, stage: ControlStage) {
+        self.stage = RestoreStage::Control(stage);
+        match stage {
+            Look => self.control.first_look(),
+            Ready | LastLook => self.control.look(),
+            Stop => self.control.stop(),
+            Run => self.control.run(),
         }
+        self.queue(Vec::new());
     }
 
-    /// What this state asks for; `None` if it has nothing left to ask for.
-    fn step(&self) -> Option<Step> {
-        match self.state {
-            State::Look | State::Stopped | State::Ready | State::LastLook | State::Running => Some(Step::Status),
-            State::Stop => Some(Step::Stop),
-            State::Run => Some(Step::Run),
-            State::PauseToStop | State::PauseToRun => Some(Step::Pause),
-            State::Done => Some(Step::Done),
-            State::Compare | State::Check | State::Verify => self.chunks.next().map(Step::Read),
-            State::Forced => {
-                let (first, count) = discretes(self.chunks.next()?.names())?;
-                Some(Step::ReadForced(first, count))
-            }
-            State::Write => {
-                let chunk = self.chunks.next()?;
-                let slots = self.targets.get(chunk.block)?.slots.get(chunk.places())?;
-                Some(Step::Write(chunk.names(), slots.iter().filter_map(|slot| slot.wanted).collect()))
-            }
-        }
+    /// Enters a stage that reads or writes elements.
+    fn read_or_write(&mut self, stage: ElementStage) {
+        self.stage = RestoreStage::Elements(stage);
+        self.control.cancel();
+        let is_unknown = |element: &TargetElement| element.state == ElementState::Unknown;
+        let is_verified = |element: &TargetElement| element.wanted.is_some() && element.state != ElementState::Forced;
+        let wanted = |target: &Target| match stage {
+            Compare => runs(&target.elements, is_unknown),
+            Forced if self.options.write_forced || discretes(target.range).is_none() => Vec::new(),
+            Forced => target.differing(),
+            Write | Check => target.to_write(self.options.bridge),
+            Verify => runs(&target.elements, is_verified),
+        };
+        // They come after the others, as in `all`, whose numbers chunks have.
+        let left_out = self.left_out.iter().filter(|_| (stage, self.goal) == (Compare, RestoreGoal::Compare));
+        let targets = self.targets.iter().chain(left_out).enumerate();
+        let runs =
+            targets.flat_map(|(block, target)| wanted(target).into_iter().map(move |run| (block, target.range, run)));
+        self.queue(runs.collect());
     }
 
-    /// All that this state had to ask for is settled.
-    fn leave(&mut self) -> Result<(), RestoreFailure> {
-        match self.state {
-            State::Compare => {
-                let count = self.count(|mark| matches!(mark, Mark::NotGiven(_)));
+    fn queue(&mut self, runs: Vec<(usize, Tag, Range<usize>)>) {
+        (self.tries, self.done) = (0, 0);
+        self.total = runs.iter().map(|(_, _, run)| run.len()).sum();
+        self.chunks = Chunks::new(runs);
+    }
+
+    /// Leaves a stage whose elements are settled.
+    fn leave(&mut self, stage: ElementStage) -> Result<(), RestoreFailure> {
+        let runs = self.control.plc() == PlcState::Running;
+        let must_be_stopped = self.options.if_running != IfRunning::Continue;
+        match stage {
+            Compare => {
+                let count = self.count(|state| matches!(state, ElementState::NotGiven(_)));
                 if count > 0 {
                     return Err(RestoreFailure::NotThere { count });
                 }
-                self.enter(State::Forced);
+                self.read_or_write(Forced);
             }
-            State::Forced if self.goal == Goal::Compare => self.enter(State::Done),
-            State::Forced if self.options.if_running == IfRunning::GoOn || self.count(Mark::differs) == 0 => {
-                self.enter(State::Write);
+            Forced if self.goal == RestoreGoal::Compare => self.stage = RestoreStage::Done,
+            Forced if must_be_stopped && self.count(ElementState::differs) > 0 => {
+                // The comparison has taken time: a PLC that was stopped may run now.
+                self.control(if runs { Stop } else { Ready });
             }
-            // Only now it is known that there is something to write, and that it can be.
-            State::Forced if self.plc == PlcState::Running => self.enter(State::Stop),
-            // The comparing has taken its time.
-            State::Forced => self.enter(State::Ready),
-            // What was sent is looked at, whatever came of it.
-            State::Write if self.has_sent() => self.enter(State::Verify),
-            State::Write | State::Verify
-                if self.options.if_running != IfRunning::GoOn && self.plc != PlcState::Running =>
-            {
-                self.enter(State::LastLook);
-            }
-            State::Write | State::Verify => self.end()?,
-            _ => self.enter(State::Done),
+            Forced => self.read_or_write(Write),
+            Write | Check if self.has_sent() => self.read_or_write(Verify),
+            Write | Check | Verify if must_be_stopped && !runs => self.control(LastLook),
+            Write | Check | Verify => self.end()?,
         }
         Ok(())
     }
 
-    /// Whether anything was sent that is settled.
+    /// Whether a write was sent in this run, and its elements are settled.
     fn has_sent(&self) -> bool {
-        self.count(|mark| matches!(mark, Mark::Written | Mark::Doubt | Mark::NotTaken(_))) > 0
+        let sent = |state| matches!(state, ElementState::Written | ElementState::InDoubt | ElementState::NotTaken(_));
+        self.count(sent) > 0
     }
 
-    /// All is read back, and what is known of the PLC is so.
+    /// All elements are read back, and the state of the PLC is as it should be.
     fn end(&mut self) -> Result<(), RestoreFailure> {
         if !self.remaining.is_empty() {
             return Err(RestoreFailure::Differs { count: self.remaining.len() });
         }
-        let run = self.options.run_again && self.ran && self.was_stopped && self.plc != PlcState::Running;
-        self.enter(if run { State::Run } else { State::Done });
+        let run = self.options.run_again && self.control.is_run_due();
+        if run {
+            self.control(Run);
+        } else {
+            self.stage = RestoreStage::Done;
+        }
         Ok(())
     }
 
-    /// Somebody has set it running, who wants it to run: it is not stopped again. Nor is it run again by a later run, should
-    /// they have stopped it by then.
-    fn set_running(&mut self) -> RestoreFailure {
-        self.ran = false;
-        RestoreFailure::SetRunning { differing: self.remaining.len() }
-    }
+    // Run control.
 
-    fn enter(&mut self, state: State) {
-        self.state = state;
-        (self.tries, self.done) = (0, 0);
-        let bridge = self.options.bridge;
-        let wanted = |target: &Target| match state {
-            State::Compare => runs(&target.slots, |slot| slot.mark == Mark::Unknown),
-            State::Forced if self.options.write_forced || discretes(target.range).is_none() => Vec::new(),
-            State::Forced => target.differing(),
-            State::Write => target.to_write(bridge),
-            State::Verify => runs(&target.slots, |slot| slot.wanted.is_some() && slot.mark != Mark::Forced),
-            _ => Vec::new(),
-        };
-        // They come behind the others, and so do their numbers.
-        let compared_only = self.left_out.iter().filter(|_| (state, self.goal) == (State::Compare, Goal::Compare));
-        let all = self
-            .targets
-            .iter()
-            .chain(compared_only)
-            .enumerate()
-            .flat_map(|(block, target)| wanted(target).into_iter().map(move |run| (block, target.range, run)));
-        let all: Vec<_> = all.collect();
-        self.total = all.iter().map(|(_, _, run)| run.len()).sum();
-        self.chunks = Chunks::new(all);
-    }
-
-    pub(super) fn handle(&mut self, reply: Result<Reply, Error>) -> Result<(), RestoreFailure> {
-        match self.state {
-            State::Look => {
-                let running = self.running(reply)?;
+    fn controlled(&mut self, stage: ControlStage, event: RunEvent) -> Result<(), RestoreFailure> {
+        match (stage, event) {
+            (Look, RunEvent::Seen(running)) => {
                 if running {
-                    // If it was stopped by an earlier run, somebody has run it since.
-                    (self.ran, self.was_stopped) = (true, false);
+                    self.control.forget_stop();
                 }
                 if running && self.options.if_running == IfRunning::Refuse {
                     return Err(RestoreFailure::Running);
                 }
-                self.enter(State::Compare);
+                self.read_or_write(Compare);
             }
-            State::Stop => {
-                // It runs, so it is known what it means if this was refused, or not sent.
-                self.was_stopped = reply.as_ref().err().is_none_or(Error::may_have_executed);
-                self.told("stopping the PLC, which still runs", reply, PlcState::Running, State::Stopped)?;
+            (Stop, RunEvent::Obeyed) => {
+                // Elements may have changed until the PLC stopped.
+                self.targets.iter_mut().for_each(Target::forget);
+                self.read_or_write(Compare);
             }
-            State::Stopped => match self.running(reply)? {
-                true => {
-                    self.was_stopped = false;
-                    self.again(State::PauseToStop, RestoreFailure::StillRunning)?;
-                }
-                false => {
-                    // What was compared may have changed until it stood still.
-                    self.targets.iter_mut().for_each(Target::forget);
-                    self.enter(State::Compare);
-                }
+            (Ready, RunEvent::Seen(false)) => self.read_or_write(Write),
+            (Ready, RunEvent::Seen(true)) => match self.options.if_running {
+                IfRunning::Stop if self.control.was_stopped() => return Err(self.set_running()),
+                IfRunning::Stop => self.control(Stop),
+                IfRunning::Continue | IfRunning::Refuse => return Err(RestoreFailure::Running),
             },
-            State::PauseToStop => self.state = State::Stop,
-            State::Ready | State::LastLook | State::Running => match reply {
-                Ok(reply) => self.confirms = Some(Then::Look(reply)),
-                Err(error) => self.look(Err(error))?,
-            },
-            State::Run => {
-                self.told("running the PLC, which is still stopped", reply, PlcState::Stopped, State::Running)?;
+            (LastLook, RunEvent::Seen(true)) if self.has_sent() => return Err(self.set_running()),
+            (LastLook, RunEvent::Seen(true)) if self.options.if_running == IfRunning::Refuse => {
+                return Err(RestoreFailure::Running);
             }
-            State::PauseToRun => self.state = State::Run,
-            State::Compare | State::Forced | State::Write | State::Check | State::Verify => {
-                if let Some(chunk) = self.chunks.next() {
-                    return self.handle_chunk(chunk, reply);
-                }
+            // A PLC that runs holds all elements, and this run has written none.
+            (LastLook, RunEvent::Seen(_)) => self.end()?,
+            (LastLook, RunEvent::Failed(failure)) => {
+                self.control.forget_status();
+                // Of two failures the first one is reported.
+                return Err(match self.remaining.len() {
+                    0 => failure.into(),
+                    count => RestoreFailure::Differs { count },
+                });
             }
-            State::Done => {}
+            (Run, RunEvent::Obeyed) => self.stage = RestoreStage::Done,
+            (_, RunEvent::Failed(failure)) => return Err(failure.into()),
+            (stage, event @ (RunEvent::Seen(_) | RunEvent::Obeyed | RunEvent::Secured)) => {
+                debug_assert!(false, "{event:?} in {stage:?}");
+            }
         }
         Ok(())
     }
 
-    /// 41 was sent: whatever came of it, the status tells; unless nothing can have, and it is as it was.
-    fn told(
+    /// Another client has started the PLC and may need it: it is not stopped again, and not started by
+    /// a later run.
+    fn set_running(&mut self) -> RestoreFailure {
+        self.control.leave_to_others();
+        RestoreFailure::SetRunning { differing: self.remaining.len() }
+    }
+
+    // Compare, write, verify.
+
+    fn handle_chunk(
         &mut self,
-        doing: &str,
+        stage: ElementStage,
+        chunk: Chunk,
         reply: Result<Reply, Error>,
-        before: PlcState,
-        next: State,
     ) -> Result<(), RestoreFailure> {
-        if let Err(error) = reply
-            && !error.may_have_executed()
-        {
-            self.plc = before;
-            return Err(RestoreFailure::Call { doing: doing.to_owned(), source: error });
-        }
-        self.state = next;
-        Ok(())
-    }
-
-    fn running(&mut self, reply: Result<Reply, Error>) -> Result<bool, RestoreFailure> {
-        let reply = reply.map_err(|source| RestoreFailure::Call { doing: "reading the status".to_owned(), source })?;
-        let running = reply == Reply::Running(true);
-        self.plc = if running { PlcState::Running } else { PlcState::Stopped };
-        Ok(running)
-    }
-
-    fn again(&mut self, state: State, failure: RestoreFailure) -> Result<(), RestoreFailure> {
-        self.tries = self.tries.saturating_add(1);
-        if self.tries >= self.options.attempts {
-            return Err(failure);
-        }
-        self.state = state;
-        Ok(())
-    }
-
-    fn handle_chunk(&mut self, chunk: Chunk, reply: Result<Reply, Error>) -> Result<(), RestoreFailure> {
-        match (self.state, reply) {
-            (State::Compare, Ok(Reply::Values(values))) => {
-                let chunk = first(chunk, &values);
-                for (slot, value) in self.slots(chunk).iter_mut().zip(values) {
-                    slot.found = Some(value);
-                    slot.mark = if slot.wanted == Some(value) { Mark::Same } else { Mark::Differs };
+        match (stage, reply) {
+            (Compare, Ok(Reply::Values(values))) => {
+                let chunk = chunk.first(values.len());
+                for (element, value) in self.elements(chunk).iter_mut().zip(values) {
+                    let is_same = element.wanted == Some(value);
+                    element.found = Some(value);
+                    element.state = if is_same { ElementState::Same } else { ElementState::Differs };
                 }
                 self.settled(chunk);
             }
-            (State::Compare, Err(Error::Plc { error, .. })) => self.refused(Mark::NotGiven(error)),
-            (State::Forced, Ok(Reply::Forced(forced))) => {
+            (Compare, Err(Error::Plc { error, .. })) => self.refused(ElementState::NotGiven(error)),
+            (Forced, Ok(Reply::Disabled(disabled))) => {
                 let per_value = chunk.range.elements_per_value().max(1);
                 let values = chunk.count.div_ceil(per_value);
-                let discretes = forced.len().checked_div(values).unwrap_or(1).max(1);
-                for (value, forced) in self.slots(chunk).chunks_mut(per_value).zip(forced.chunks(discretes)) {
-                    if forced.contains(&true) {
-                        value.iter_mut().for_each(|slot| slot.mark = Mark::Forced);
+                // Discretes of one value.
+                let discretes = disabled.len().checked_div(values).unwrap_or(1).max(1);
+                for (value, disabled) in self.elements(chunk).chunks_mut(per_value).zip(disabled.chunks(discretes)) {
+                    if disabled.contains(&true) {
+                        value.iter_mut().for_each(|element| element.state = ElementState::Forced);
                     }
                 }
                 self.settled(chunk);
             }
-            (State::Write, Ok(_)) => {
-                self.slots(chunk).iter_mut().for_each(|slot| slot.mark = Mark::Written);
+            (Write, Ok(_)) => {
+                self.elements(chunk).iter_mut().for_each(|element| element.state = ElementState::Written);
                 self.tries = 0;
                 self.settled(chunk);
             }
-            (State::Write, Err(error)) => return self.not_written(chunk, error),
-            (State::Check, Ok(Reply::Values(values))) => self.confirms = Some(Then::Checked(values)),
-            (State::Verify, Ok(Reply::Values(values))) => {
-                let chunk = first(chunk, &values);
-                self.verified(chunk, &values.into_iter().map(Some).collect::<Vec<_>>());
+            (Write, Err(error)) => return self.not_written(chunk, error),
+            (Check, Ok(Reply::Values(values))) => self.to_confirm = Some(Pending::Checked(values)),
+            (Verify, Ok(Reply::Values(values))) => {
+                let chunk = chunk.first(values.len());
+                self.verified(chunk, values.into_iter().map(Some));
                 self.settled(chunk);
             }
-            (State::Verify, Err(Error::Plc { .. })) => {
+            (Verify, Err(Error::Plc { .. })) => {
                 if let Some(single) = self.chunks.refused() {
-                    self.verified(single, &vec![None; single.count]);
+                    self.verified(single, std::iter::repeat(None));
                     self.done = self.done.saturating_add(single.count);
                 }
             }
-            (_, Err(source)) => {
-                return Err(RestoreFailure::Call { doing: self.state.doing(chunk), source });
-            }
-            // No step has such a reply.
-            (_, Ok(_)) => self.settled(chunk),
+            (stage, Err(source)) => return Err(RestoreFailure::Call { doing: stage.doing(chunk), source }),
+            (stage, Ok(reply)) => debug_assert!(false, "{reply:?} in {stage:?}"),
         }
         Ok(())
     }
 
     fn not_written(&mut self, chunk: Chunk, error: Error) -> Result<(), RestoreFailure> {
-        let doing = self.state.doing(chunk);
-        match error {
-            // Nothing in this PLC can be written: no need to try each.
-            Error::Plc { error: ErrorCode::WriteProhibited, repeated: false, .. } => {}
-            Error::Plc { error, repeated: false, .. } => {
-                self.unsent(chunk);
-                self.refused(Mark::NotTaken(error));
-                return Ok(());
+        let doing = Write.doing(chunk);
+        if let Error::Plc { error, repeated: false, .. } = error
+            // The PLC takes no write at all: its elements need not be tried one by one.
+            && error != ErrorCode::WriteProhibited
+        {
+            self.unsent(chunk);
+            self.refused(ElementState::NotTaken(error));
+            return Ok(());
+        }
+        if error.may_have_executed() {
+            // Counted up to the limit only.
+            self.tries = self.tries.saturating_add(1);
+            if self.tries >= self.options.attempts {
+                return Err(RestoreFailure::Call { doing, source: error });
             }
-            error if error.may_have_executed() => {
-                return self.again(State::Check, RestoreFailure::Call { doing, source: error });
-            }
-            _ => {}
+            self.stage = RestoreStage::Elements(Check);
+            return Ok(());
         }
         self.unsent(chunk);
         Err(RestoreFailure::Call { doing, source: error })
     }
 
-    /// A write that was not confirmed has been read back.
+    /// A write without a reply has been read back.
     fn checked(&mut self, chunk: Chunk, values: &[Value]) {
-        for (slot, &value) in self.slots(chunk).iter_mut().zip(values) {
-            slot.mark = if slot.wanted == Some(value) { Mark::Written } else { Mark::Again };
+        for (element, &value) in self.elements(chunk).iter_mut().zip(values) {
+            element.state = if element.wanted == Some(value) { ElementState::Written } else { ElementState::ToRepeat };
         }
-        let tries = self.tries;
-        let per_value = chunk.range.elements_per_value();
-        let differing = runs_of_values(self.slots(chunk), per_value, |slot| slot.mark.differs());
-        let shifted = differing.into_iter().map(|run| {
-            let shift = |place: usize| place.saturating_add(chunk.start);
-            (chunk.block, chunk.range, shift(run.start)..shift(run.end))
-        });
-        let shifted: Vec<_> = shifted.collect();
-        let left: usize = shifted.iter().map(|(_, _, run)| run.len()).sum();
+        let differing =
+            runs_of_values(self.elements(chunk), chunk.range.elements_per_value(), |element| element.state.differs());
+        let differing: Vec<_> =
+            differing.into_iter().map(|run| (chunk.block, chunk.range, chunk.within(&run))).collect();
+        let left: usize = differing.iter().map(|(_, _, run)| run.len()).sum();
         self.chunks.done();
-        self.chunks.prepend(Chunks::new(shifted));
+        self.chunks.prepend(Chunks::new(differing));
         self.done = self.done.saturating_add(chunk.count.saturating_sub(left));
-        self.tries = if left == 0 { 0 } else { tries };
-        self.state = State::Write;
+        if left == 0 {
+            self.tries = 0;
+        }
+        self.stage = RestoreStage::Elements(Write);
     }
 
-    fn verified(&mut self, chunk: Chunk, values: &[Option<Value>]) {
-        let elements = chunk.names().elements();
-        let slots = self.targets.get(chunk.block).and_then(|target| target.slots.get(chunk.places()));
-        let differences =
-            elements.zip(slots.unwrap_or_default()).zip(values).filter_map(|((element, slot), &found)| {
-                let expected = slot.wanted?;
-                (found != Some(expected)).then_some(Difference { element, expected, found })
-            });
-        self.remaining.extend(differences);
+    fn verified(&mut self, chunk: Chunk, values: impl Iterator<Item = Option<Value>>) {
+        let targets = self.targets.get(chunk.block).and_then(|target| target.elements.get(chunk.indices()));
+        let expected = targets.unwrap_or_default().iter().map(|element| element.wanted);
+        for ((element, expected), found) in chunk.tag().elements().zip(expected).zip(values) {
+            if let Some(expected) = expected.filter(|&expected| found != Some(expected)) {
+                self.remaining.push(Difference { element, expected, found });
+            }
+        }
     }
 
-    /// The request for these was refused: its halves come next, and a single element is marked.
-    fn refused(&mut self, mark: Mark) {
+    /// A chunk was refused: its halves come next, and a single element gets this state.
+    fn refused(&mut self, state: ElementState) {
         if let Some(single) = self.chunks.refused() {
-            self.slots(single).iter_mut().for_each(|slot| slot.mark = mark);
+            self.elements(single).iter_mut().for_each(|element| element.state = state);
             self.done = self.done.saturating_add(single.count);
         }
     }
 
-    /// This time it has not been written, for certain: all is as it was before.
+    /// The write of a chunk certainly had no effect.
     fn unsent(&mut self, chunk: Chunk) {
         let before = std::mem::take(&mut self.before);
-        self.slots(chunk).iter_mut().zip(before).for_each(|(slot, mark)| slot.mark = mark);
+        self.elements(chunk).iter_mut().zip(before).for_each(|(element, state)| element.state = state);
     }
 
     fn settled(&mut self, chunk: Chunk) {
@@ -416,55 +412,212 @@ impl Restoring {
         self.done = self.done.saturating_add(chunk.count);
     }
 
-    /// What it is about, how many of its elements are settled, and how many there are.
-    pub(super) fn progress(&self) -> (Phase, usize, usize) {
-        let phase = match self.state {
-            State::Write | State::Check | State::Forced => Phase::Writing,
-            State::Verify => Phase::Verifying,
-            _ => Phase::Comparing,
-        };
-        (phase, self.done, self.total)
+    // Duplicates.
+
+    /// No element has been compared.
+    fn forget(&mut self) {
+        self.targets.iter_mut().chain(&mut self.left_out).for_each(Target::forget);
     }
 
+    /// Written elements are in doubt: the replies may belong to other requests.
+    fn doubt(&mut self) {
+        let elements = self.targets.iter_mut().flat_map(|target| &mut target.elements);
+        let written = elements.filter(|element| element.state == ElementState::Written);
+        written.for_each(|element| element.state = ElementState::InDoubt);
+    }
+
+    /// All elements are read back and confirmed: those in doubt that do not differ are written.
+    fn settle_doubts(&mut self) {
+        for target in &mut self.targets {
+            for (element, known) in target.range.elements().zip(&mut target.elements) {
+                let differs = || self.remaining.iter().any(|difference| difference.element == element);
+                if known.state == ElementState::InDoubt && !differs() {
+                    known.state = ElementState::Written;
+                }
+            }
+        }
+    }
+
+    fn verify_again(&mut self) {
+        if self.goal == RestoreGoal::Restore {
+            self.doubt();
+            self.remaining.clear();
+            self.read_or_write(Verify);
+        }
+    }
+
+    // Elements.
+
     pub(super) fn report(&self) -> RestoreReport {
-        let ranges = |holds: fn(Mark) -> bool| self.targets.iter().flat_map(|target| target.ranges(holds)).collect();
+        let ranges =
+            |holds: fn(ElementState) -> bool| self.targets.iter().flat_map(|target| target.ranges(holds)).collect();
+        let compared = self.all().flat_map(|target| &target.elements).filter(|element| element.found.is_some());
         RestoreReport {
-            compared: self.all().flat_map(|target| &target.slots).filter(|slot| slot.found.is_some()).count(),
+            compared: compared.count(),
             differences: self.targets.iter().flat_map(Target::differences).collect(),
-            written: ranges(|mark| mark == Mark::Written),
-            in_doubt: ranges(|mark| matches!(mark, Mark::Doubt | Mark::Again)),
-            unwritten: ranges(|mark| mark == Mark::Differs),
+            written: ranges(|state| state == ElementState::Written),
+            in_doubt: ranges(|state| matches!(state, ElementState::InDoubt | ElementState::ToRepeat)),
+            unwritten: ranges(|state| state == ElementState::Differs),
             to_write: self.targets.iter().flat_map(|target| target.ranges_to_write(self.options.bridge)).collect(),
             refused: self.all().flat_map(Target::refused).collect(),
-            forced: ranges(|mark| mark == Mark::Forced),
+            forced: ranges(|state| state == ElementState::Forced),
             left_out: self.left_out.iter().map(|target| target.range).collect(),
             left_out_differences: self.left_out.iter().flat_map(Target::differences).collect(),
             missing: self.missing.clone(),
             remaining: self.remaining.clone(),
-            was_stopped: self.was_stopped,
-            plc: self.plc,
+            was_stopped: self.control.was_stopped(),
+            plc: self.control.plc(),
         }
     }
 
-    /// Those that are never written come last.
+    /// All targets by number; those that are never written come last.
     fn all(&self) -> impl Iterator<Item = &Target> {
         self.targets.iter().chain(&self.left_out)
     }
 
-    fn count(&self, holds: impl Fn(Mark) -> bool) -> usize {
-        self.targets.iter().flat_map(|target| &target.slots).filter(|slot| holds(slot.mark)).count()
+    fn count(&self, holds: impl Fn(ElementState) -> bool) -> usize {
+        self.targets.iter().flat_map(|target| &target.elements).filter(|element| holds(element.state)).count()
     }
 
-    fn slots(&mut self, chunk: Chunk) -> &mut [Slot] {
+    fn elements(&mut self, chunk: Chunk) -> &mut [TargetElement] {
         let target = self.targets.iter_mut().chain(&mut self.left_out).nth(chunk.block);
-        let slots = target.and_then(|target| target.slots.get_mut(chunk.places()));
-        slots.unwrap_or_default()
+        let elements = target.and_then(|target| target.elements.get_mut(chunk.indices()));
+        debug_assert!(elements.is_some(), "{chunk:?} is no part of a target");
+        elements.unwrap_or_default()
+    }
+
+    /// The request for the next chunk of a stage.
+    fn request(&self, stage: ElementStage, chunk: Chunk) -> Option<Request> {
+        match stage {
+            Compare | Check | Verify => Some(chunk.read(stage.only_reads())),
+            Forced => discretes(chunk.tag()).map(|(first, count)| Request::ReadDisabled(first, count)),
+            Write => {
+                let elements = self.all().nth(chunk.block)?.elements.get(chunk.indices())?;
+                Some(Request::Write(chunk.tag(), elements.iter().filter_map(|element| element.wanted).collect()))
+            }
+        }
     }
 }
 
-/// The part of a chunk that a reply has values of.
-fn first(chunk: Chunk, values: &[Value]) -> Chunk {
-    Chunk { count: chunk.count.min(values.len()), ..chunk }
+impl Transfer for Restoring {
+    /// A stage begins again as a whole after an out-of-order duplicate.
+    type Mark = RestoreStage;
+    type Failure = RestoreFailure;
+
+    fn next(&mut self) -> Result<Step, RestoreFailure> {
+        loop {
+            if self.to_confirm.is_some() || self.control.must_confirm() {
+                return Ok(Step::Confirm);
+            }
+            let stage = match (self.stage, self.control.next()) {
+                (RestoreStage::Done, _) => return Ok(Step::Done),
+                (_, Some(request)) => return Ok(Step::Send(request)),
+                (RestoreStage::Elements(stage), None) => stage,
+                (RestoreStage::Control(stage), None) => {
+                    debug_assert!(false, "{stage:?} is a stage of run control, which is idle");
+                    return Err(RestoreFailure::StillRunning);
+                }
+            };
+            let chunk = self.chunks.next();
+            match chunk.zip(chunk.and_then(|chunk| self.request(stage, chunk))) {
+                Some((chunk, request)) => {
+                    if stage == Write {
+                        // The future may be dropped while it is sent.
+                        let elements = self.elements(chunk).iter_mut();
+                        let sent = elements.map(|element| std::mem::replace(&mut element.state, ElementState::InDoubt));
+                        self.before = sent.collect();
+                    }
+                    return Ok(Step::Send(request));
+                }
+                None if stage.only_reads() && self.total > 0 => self.to_confirm = Some(Pending::Leave),
+                None => self.leave(stage)?,
+            }
+        }
+    }
+
+    fn mark(&self) -> RestoreStage {
+        self.stage
+    }
+
+    fn handle(&mut self, result: Result<Reply, Error>) -> Result<(), RestoreFailure> {
+        match (self.stage, self.chunks.next()) {
+            (RestoreStage::Control(stage), _) => {
+                self.control.handle(result).map_or(Ok(()), |event| self.controlled(stage, event))
+            }
+            (RestoreStage::Elements(stage), Some(chunk)) => self.handle_chunk(stage, chunk, result),
+            (RestoreStage::Elements(_), None) | (RestoreStage::Done, _) => Ok(()),
+        }
+    }
+
+    fn confirmed(&mut self, result: Result<(), Error>) -> Result<(), RestoreFailure> {
+        match (self.stage, self.to_confirm.take(), result) {
+            (RestoreStage::Control(stage), _, result) => {
+                self.control.confirmed(result).map_or(Ok(()), |event| self.controlled(stage, event))
+            }
+            (RestoreStage::Elements(stage), Some(Pending::Leave), Ok(())) => {
+                if stage == Verify {
+                    self.settle_doubts();
+                }
+                self.leave(stage)
+            }
+            (RestoreStage::Elements(_), Some(Pending::Checked(values)), Ok(())) => {
+                if let Some(chunk) = self.chunks.next() {
+                    self.checked(chunk, &values);
+                }
+                Ok(())
+            }
+            (RestoreStage::Elements(_), Some(_), Err(source)) => {
+                Err(RestoreFailure::Call { doing: "confirming what was read".to_owned(), source })
+            }
+            (RestoreStage::Elements(_), None, _) | (RestoreStage::Done, ..) => Ok(()),
+        }
+    }
+
+    fn rewind(&mut self, mark: RestoreStage) {
+        self.to_confirm = None;
+        let wrote = mark == RestoreStage::Elements(Write);
+        match self.stage {
+            RestoreStage::Elements(Compare) => {
+                self.forget();
+                // The status before the comparison is not certain either.
+                if matches!(mark, RestoreStage::Control(_)) {
+                    self.control(Look);
+                } else {
+                    self.read_or_write(Compare);
+                }
+            }
+            RestoreStage::Elements(Forced) => {
+                self.targets.iter_mut().for_each(Target::unforce);
+                self.read_or_write(Forced);
+            }
+            // The reply to the write may be that of another. Verify shows the result.
+            RestoreStage::Elements(Write) => {
+                self.doubt();
+                if let Some(chunk) = self.chunks.next() {
+                    self.settled(chunk);
+                }
+            }
+            RestoreStage::Elements(Check) if wrote => self.doubt(),
+            RestoreStage::Elements(Verify) => self.verify_again(),
+            RestoreStage::Control(LastLook) if wrote || mark == RestoreStage::Elements(Verify) => self.verify_again(),
+            RestoreStage::Control(_) => self.control.rewind(),
+            RestoreStage::Elements(Check) | RestoreStage::Done => {}
+        }
+    }
+
+    /// Written elements are in doubt.
+    fn distrust(&mut self, _: RestoreStage) {
+        self.doubt();
+    }
+
+    fn position(&self) -> Position {
+        let phase = match self.stage {
+            RestoreStage::Elements(Forced | Write | Check) => Phase::Writing,
+            RestoreStage::Elements(Verify) => Phase::Verifying,
+            RestoreStage::Elements(Compare) | RestoreStage::Control(_) | RestoreStage::Done => Phase::Comparing,
+        };
+        Position { phase, done: self.done, total: self.total }
+    }
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What is known of the elements that are to be restored.
+//! The elements that are to be restored, and their states.
 
 use std::ops::Range;
 
@@ -8,90 +8,108 @@ use crate::command::{Value, most_in_one_request};
 use crate::error::ErrorCode;
 use crate::tag::Tag;
 
-/// What is known of an element.
+/// The state of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Mark {
+pub(super) enum ElementState {
     /// The backup has no value of it.
     Absent,
     /// It is still to be compared.
     Unknown,
-    /// The PLC refuses to give it.
+    /// The PLC refused to read it.
     NotGiven(ErrorCode),
     Same,
     Differs,
-    /// It differs, and is to stay as it is.
+    /// It differs and stays as it is.
     Forced,
-    /// It has been sent, and not confirmed.
-    Doubt,
-    /// That, and a read has found that it differs: it is to be sent again.
-    Again,
+    /// It was sent, and is not confirmed.
+    InDoubt,
+    /// It was sent, and a read found that it differs: it is to be sent again.
+    ToRepeat,
     Written,
-    /// The PLC refuses to take it.
+    /// The PLC refused to write it.
     NotTaken(ErrorCode),
 }
 
-impl Mark {
+impl ElementState {
     /// Whether it is to be written.
     pub(super) fn differs(self) -> bool {
-        matches!(self, Self::Differs | Self::Again)
+        matches!(self, Self::Differs | Self::ToRepeat)
     }
 }
 
+/// An element of a range.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Slot {
+pub(super) struct TargetElement {
+    /// Its value in the backup.
     pub(super) wanted: Option<Value>,
-    /// What it held before it was written.
+    /// Its value in the PLC before it was written.
     pub(super) found: Option<Value>,
-    pub(super) mark: Mark,
+    pub(super) state: ElementState,
 }
 
+/// A range of the backup, with what is known of its elements in the PLC.
 #[derive(Clone, Debug)]
 pub(super) struct Target {
     pub(super) range: Tag,
-    pub(super) slots: Vec<Slot>,
+    pub(super) elements: Vec<TargetElement>,
 }
 
 impl Target {
     pub(super) fn new(block: &Block) -> Self {
-        // Half a value is none.
+        // A value with a missing half is missing.
         let values = block.cells.chunks(block.range.elements_per_value().max(1));
-        let slots = values.flat_map(|value| {
+        let elements = values.flat_map(|value| {
             let whole = value.iter().all(Cell::is_ok);
-            value.iter().map(move |cell| Slot { wanted: cell.ok().filter(|_| whole), found: None, mark: Mark::Absent })
+            let wanted = move |cell: &Cell| cell.ok().filter(|_| whole);
+            value.iter().map(move |cell| TargetElement {
+                wanted: wanted(cell),
+                found: None,
+                state: ElementState::Absent,
+            })
         });
-        Self { range: block.range, slots: slots.collect() }
+        Self { range: block.range, elements: elements.collect() }
     }
 
-    /// Nothing has been compared.
+    /// Before the comparison.
     pub(super) fn forget(&mut self) {
-        for slot in &mut self.slots {
-            slot.found = None;
-            slot.mark = if slot.wanted.is_some() { Mark::Unknown } else { Mark::Absent };
+        for element in &mut self.elements {
+            element.found = None;
+            element.state = if element.wanted.is_some() { ElementState::Unknown } else { ElementState::Absent };
         }
     }
 
-    /// The elements whose mark is such.
-    pub(super) fn ranges(&self, holds: impl Fn(Mark) -> bool) -> Vec<Tag> {
-        runs(&self.slots, |slot| holds(slot.mark)).iter().map(|run| part(self.range, run)).collect()
+    /// After the comparison, before forced discretes are read.
+    pub(super) fn unforce(&mut self) {
+        for element in self.elements.iter_mut().filter(|element| element.state == ElementState::Forced) {
+            let is_same = element.found == element.wanted;
+            element.state = if is_same { ElementState::Same } else { ElementState::Differs };
+        }
     }
 
-    /// The values that differ in some element, whole.
+    /// The elements in such a state.
+    pub(super) fn ranges(&self, holds: impl Fn(ElementState) -> bool) -> Vec<Tag> {
+        runs(&self.elements, |element| holds(element.state)).iter().map(|run| part(self.range, run)).collect()
+    }
+
+    /// The values with an element that differs, whole.
     pub(super) fn differing(&self) -> Vec<Range<usize>> {
-        runs_of_values(&self.slots, self.range.elements_per_value(), |slot| slot.mark.differs())
+        runs_of_values(&self.elements, self.range.elements_per_value(), |element| element.state.differs())
     }
 
-    /// What differs, and what is equal and stands between, as far as that may be written to save a request.
+    /// The values that differ, with up to `bridge` equal elements between two of them if that saves a
+    /// request.
     pub(super) fn to_write(&self, bridge: usize) -> Vec<Range<usize>> {
         let most = most_in_one_request(self.range.first());
         let mut merged: Vec<Range<usize>> = Vec::new();
         for run in self.differing() {
             match merged.last_mut() {
+                // Runs ascend, so the end of a run is behind the start of the one before.
                 Some(last)
                     if self.bridges(last.end..run.start, bridge) && run.end.saturating_sub(last.start) <= most =>
                 {
                     last.end = run.end;
                 }
-                _ => merged.push(run),
+                Some(_) | None => merged.push(run),
             }
         }
         merged
@@ -102,26 +120,30 @@ impl Target {
     }
 
     fn bridges(&self, gap: Range<usize>, most: usize) -> bool {
-        gap.len() <= most && self.slots.get(gap).is_some_and(|slots| slots.iter().all(|slot| slot.mark == Mark::Same))
+        let is_same = |element: &TargetElement| element.state == ElementState::Same;
+        gap.len() <= most && self.elements.get(gap).is_some_and(|elements| elements.iter().all(is_same))
     }
 
     pub(super) fn differences(&self) -> Vec<Difference> {
-        let slots = self.range.elements().zip(&self.slots);
-        let differences = slots.filter_map(|(element, slot)| {
-            let (expected, found) = (slot.wanted?, slot.found?);
+        let elements = self.range.elements().zip(&self.elements);
+        let differences = elements.filter_map(|(element, known)| {
+            let (expected, found) = (known.wanted?, known.found?);
             (expected != found).then_some(Difference { element, expected, found: Some(found) })
         });
         differences.collect()
     }
 
     pub(super) fn refused(&self) -> Vec<RefusedRange> {
-        let error = |slot: &Slot| match slot.mark {
-            Mark::NotGiven(error) | Mark::NotTaken(error) => Some(error),
-            _ => None,
+        let error = |element: &TargetElement| {
+            if let ElementState::NotGiven(error) | ElementState::NotTaken(error) = element.state {
+                Some(error)
+            } else {
+                None
+            }
         };
         let mut refused = Vec::new();
         let mut start = 0_usize;
-        for same in self.slots.chunk_by(|one, next| error(one) == error(next)) {
+        for same in self.elements.chunk_by(|one, next| error(one) == error(next)) {
             let end = start.saturating_add(same.len());
             if let Some(error) = same.first().and_then(error) {
                 refused.push(RefusedRange { range: part(self.range, &(start..end)), error });

@@ -2,72 +2,72 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Why the content of a file was not taken.
+/// Error: the content of a file cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FormatError {
-    /// It was not written by this library.
-    #[error("this is no file of this kind: it does not begin with `fatek file`")]
+    /// The file was not written by this library.
+    #[error("not a file of this kind: it does not begin with `fatek file`")]
     Foreign,
-    /// It was written by a later version of this library.
-    #[error("the format's version is {found}, and only version {known} is known here")]
+    /// The file has another major version.
+    #[error("format version {found} needs a newer version of this library, which reads version {known}")]
     #[non_exhaustive]
     Version {
-        /// What the file says.
+        /// The version of the file.
         found: String,
-        /// What this library knows.
+        /// The major version that this library reads.
         known: u32,
     },
-    /// It holds something else.
+    /// The file has another kind of content.
     #[error("it holds `{found}`, where `{expected}` was expected")]
     #[non_exhaustive]
     Kind {
-        /// What it holds.
+        /// The kind of its content.
         found: String,
-        /// What was asked for.
+        /// The kind that was expected.
         expected: &'static str,
     },
-    /// Its end is missing.
+    /// The end of the file is missing.
     #[error("it is cut off: {expected} bytes were expected, and there are {found}")]
     #[non_exhaustive]
     CutOff {
-        /// How long it must be.
+        /// Its length, as it states.
         expected: u64,
-        /// How long it is.
+        /// Its length.
         found: u64,
     },
-    /// Something follows its end.
+    /// The file goes on after its last line.
     #[error("it is too long: {expected} bytes were expected, and there are {found}")]
     #[non_exhaustive]
     TooLong {
-        /// How long it must be.
+        /// Its length, as it states.
         expected: u64,
-        /// How long it is.
+        /// Its length.
         found: u64,
     },
-    /// Something in it has been changed.
-    #[error("it is damaged: its checksum is {computed:08X}, and it says {stated:08X}")]
+    /// The file was changed.
+    #[error("it is damaged: its checksum is {computed:08X}, and it states {stated:08X}")]
     #[non_exhaustive]
     Checksum {
-        /// What the file says.
+        /// The checksum that it states.
         stated: u32,
-        /// What was computed.
+        /// The checksum of its content.
         computed: u32,
     },
-    /// What it holds makes no sense.
+    /// The content breaks a rule that is not about one line.
     #[error("{rule}")]
     #[non_exhaustive]
     Content {
-        /// Which rule it breaks.
+        /// The rule.
         rule: String,
     },
     /// A line breaks a rule of the format.
     #[error("line {line}: {rule}")]
     #[non_exhaustive]
     Line {
-        /// Which one, from 1.
+        /// The number of the line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// The rule.
         rule: String,
     },
 }
@@ -78,9 +78,7 @@ impl FormatError {
     }
 }
 
-/// Why a file could not be saved or loaded.
-///
-/// A file that could not be saved is as it was before.
+/// Error: a file cannot be saved or loaded. A file that cannot be saved is as it was before.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FileError {
@@ -88,36 +86,36 @@ pub enum FileError {
     #[error("{}: cannot {doing}: {source}", path.display())]
     #[non_exhaustive]
     Io {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// What was tried.
+        /// The action that failed.
         doing: &'static str,
-        /// Why not.
+        /// The error of the system.
         source: Arc<io::Error>,
     },
-    /// There is something under this name that is no file, and it is not replaced by one.
-    #[error("{}: this is not a regular file, and is left as it is", path.display())]
+    /// The name belongs to a folder, a device or a broken link, which is not replaced.
+    #[error("{}: not a regular file, so it is not replaced", path.display())]
     #[non_exhaustive]
     NotAFile {
-        /// Which name.
+        /// The name.
         path: PathBuf,
     },
-    /// It is larger than any file of this library.
-    #[error("{}: it has more than {limit} bytes, which is no file of this kind", path.display())]
+    /// The file is larger than any file of this library.
+    #[error("{}: not a file of this kind: it has more than {limit} bytes", path.display())]
     #[non_exhaustive]
     TooLarge {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// How many bytes it can have.
+        /// The largest size in bytes.
         limit: u64,
     },
-    /// Its content is wrong.
+    /// The content of the file is wrong.
     #[error("{}: {source}", path.display())]
     #[non_exhaustive]
     Format {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The fault.
         source: FormatError,
     },
 }

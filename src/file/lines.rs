@@ -1,37 +1,60 @@
 use super::FormatError;
+use super::frame::Content;
 
-/// The lines of a file's content, one field each: `name value`.
+/// The lines of a content, one field each: `name value`.
+///
+/// In a content of a newer version, lines with an unknown name are skipped.
 #[derive(Debug)]
 pub(crate) struct Lines<'a> {
     rest: &'a str,
-    /// Of the line that was taken last, in the whole file.
+    /// The number of the last line in the file.
     number: usize,
+    is_known: fn(&str) -> bool,
+    is_newer: bool,
+    unknown: Vec<String>,
 }
 
-/// The content begins behind the two lines of the frame.
+/// Lines of the frame before the content.
 const LINES_BEFORE: usize = 2;
+/// The field for people. It follows from other fields by rules that differ between versions.
+const ABOUT: &str = "about";
 
 impl<'a> Lines<'a> {
-    pub(crate) fn new(content: &'a str) -> Self {
-        Self { rest: content, number: LINES_BEFORE }
+    pub(crate) fn new(content: Content<'a>, is_known: fn(&str) -> bool) -> Self {
+        let Content { text, is_newer } = content;
+        Self { rest: text, number: LINES_BEFORE, is_known, is_newer, unknown: Vec::new() }
     }
 
-    /// Takes the next line, which must have this name, and gives its value.
+    /// Takes the next line, which must have this name, and returns its value.
     pub(crate) fn field(&mut self, name: &str) -> Result<&'a str, FormatError> {
         let line = self.line().ok_or_else(|| self.error(format!("`{name}` was expected, and the content ends")))?;
         match line.split_once(' ') {
             Some((found, value)) if found == name => Ok(value),
-            _ => Err(self.error(format!("`{name}` was expected"))),
+            Some(_) | None => Err(self.error(format!("`{name}` was expected"))),
         }
     }
 
-    /// Takes the next line whatever its name, split into name and value; `None` at the end.
+    /// Takes the next line, which must have this name, and parses its value; `-` is `None`.
+    pub(crate) fn optional<T>(
+        &mut self,
+        name: &str,
+        rule: &str,
+        parse: impl FnOnce(&str) -> Option<T>,
+    ) -> Result<Option<T>, FormatError> {
+        let text = self.field(name)?;
+        if text == UNKNOWN {
+            return Ok(None);
+        }
+        parse(text).map(Some).ok_or_else(|| self.error(format!("`{name}`: {rule}, or `{UNKNOWN}`, was expected")))
+    }
+
+    /// Takes the next line, split into name and value; `None` at the end.
     pub(crate) fn any_field(&mut self) -> Result<Option<(&'a str, &'a str)>, FormatError> {
         let Some(line) = self.line() else { return Ok(None) };
         line.split_once(' ').map(Some).ok_or_else(|| self.error("a name, a blank and a value were expected"))
     }
 
-    /// Nothing may be left.
+    /// Checks that no line is left.
     pub(crate) fn end(&mut self) -> Result<(), FormatError> {
         match self.line() {
             None => Ok(()),
@@ -39,64 +62,112 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// What is wrong with the line that was taken last.
+    /// Checks that the content has its only form: the same fields, written again.
+    ///
+    /// Returns the names of the fields that were skipped.
+    pub(crate) fn in_form(self, content: Content<'_>, form: &str) -> Result<Vec<String>, FormatError> {
+        let mut lines = Lines::new(content, self.is_known);
+        for expected in form.lines() {
+            let (found, wanted) = (lines.any_field()?, expected.split_once(' '));
+            let is_about = |field: Option<(&str, &str)>| field.is_some_and(|(name, _)| name == ABOUT);
+            if found != wanted && !(is_about(found) && is_about(wanted)) {
+                return Err(lines.error(format!("`{expected}` was expected")));
+            }
+        }
+        lines.end()?;
+        if content.text.ends_with('\n') {
+            Ok(self.unknown)
+        } else {
+            Err(lines.error("the last line should end with a line feed"))
+        }
+    }
+
+    /// An error of the line that was taken last.
     pub(crate) fn error(&self, rule: impl Into<String>) -> FormatError {
         FormatError::line(self.number, rule)
     }
 
     fn line(&mut self) -> Option<&'a str> {
-        self.number = self.number.saturating_add(1);
-        if self.rest.is_empty() {
-            return None;
+        loop {
+            // A file has fewer lines than bytes.
+            self.number = self.number.saturating_add(1);
+            if self.rest.is_empty() {
+                return None;
+            }
+            let (line, rest) = self.rest.split_once('\n').unwrap_or((self.rest, ""));
+            self.rest = rest;
+            let (name, _) = line.split_once(' ').unwrap_or((line, ""));
+            if !self.is_newer || (self.is_known)(name) {
+                return Some(line);
+            }
+            if !self.unknown.iter().any(|unknown| unknown == name) {
+                self.unknown.push(name.to_owned());
+            }
         }
-        let (line, rest) = self.rest.split_once('\n').unwrap_or((self.rest, ""));
-        self.rest = rest;
-        Some(line)
     }
 }
 
-/// That a content stands in the one form that it has: what has been read of it, written again, is this.
-pub(crate) fn in_form(content: &str, form: &str) -> Result<(), FormatError> {
-    let mut lines = Lines::new(content);
-    for expected in form.lines() {
-        if lines.any_field()? != expected.split_once(' ') {
-            return Err(lines.error(format!("`{expected}` was expected")));
-        }
-    }
-    lines.end()?;
-    if content == form { Ok(()) } else { Err(lines.error("the last line should end with a line feed")) }
-}
+/// Stands for a value that is not known.
+pub(crate) const UNKNOWN: &str = "-";
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn content(text: &str) -> Content<'_> {
+        Content { text, is_newer: false }
+    }
+
+    fn lines(text: &str) -> Lines<'_> {
+        Lines::new(content(text), |name| name.len() == 1)
+    }
+
+    fn in_form(text: &str, form: &str) -> Result<Vec<String>, FormatError> {
+        lines(text).in_form(content(text), form)
+    }
+
     #[test]
     fn lines_are_counted_as_in_the_file() {
-        let mut lines = Lines::new("a 1\nb two words\nc\n");
-        assert_eq!(lines.field("a"), Ok("1"));
-        assert_eq!(lines.any_field(), Ok(Some(("b", "two words"))));
-        assert_eq!(lines.field("c").unwrap_err().to_string(), "line 5: `c` was expected");
-        assert_eq!(lines.end(), Ok(()));
-        assert_eq!(
-            Lines::new("x y\n").end().unwrap_err().to_string(),
-            "line 3: the content should end before this line"
-        );
-        assert!(Lines::new("").field("a").unwrap_err().to_string().contains("`a` was expected, and the content ends"));
+        let mut three = lines("a 1\nb two words\nc\n");
+        assert_eq!(three.field("a"), Ok("1"));
+        assert_eq!(three.any_field(), Ok(Some(("b", "two words"))));
+        assert_eq!(three.field("c").unwrap_err().to_string(), "line 5: `c` was expected");
+        assert_eq!(three.end(), Ok(()));
+        let error = lines("x y\n").end().unwrap_err();
+        assert_eq!(error.to_string(), "line 3: the content should end before this line");
+        assert!(lines("").field("a").unwrap_err().to_string().contains("`a` was expected, and the content ends"));
     }
 
     #[test]
     fn a_content_in_another_form_is_refused_by_line() {
         let form = "a 1\nb two words\n";
-        assert_eq!(in_form(form, form), Ok(()));
-        for (content, message) in [
+        assert_eq!(in_form(form, form), Ok(vec![]));
+        for (text, message) in [
             ("a 01\nb two words\n", "line 3: `a 1` was expected"),
             ("a 1\nb two  words\n", "line 4: `b two words` was expected"),
             ("a 1\n", "line 4: `b two words` was expected"),
             ("a 1\nb two words\nc 3\n", "line 5: the content should end before this line"),
             ("a 1\nb two words", "line 5: the last line should end with a line feed"),
         ] {
-            assert_eq!(in_form(content, form).unwrap_err().to_string(), message);
+            assert_eq!(in_form(text, form).unwrap_err().to_string(), message);
         }
+        // The field for people may differ, but not be missing.
+        assert_eq!(in_form("about x\na 1\n", "about y\na 1\n"), Ok(vec![]));
+        assert_eq!(in_form("a 1\n", "about y\na 1\n").unwrap_err().to_string(), "line 3: `about y` was expected");
+    }
+
+    #[test]
+    fn unknown_fields_are_skipped_in_a_newer_content_only() {
+        let text = "new\na 1\nnewer 2\nnewer 3\nb 2\nlast 4\n";
+        let newer = Content { text, is_newer: true };
+        let mut skipping = Lines::new(newer, |name| name.len() == 1);
+        assert_eq!((skipping.field("a"), skipping.field("b")), (Ok("1"), Ok("2")));
+        assert_eq!(skipping.error("x").to_string(), "line 7: x");
+        assert_eq!(skipping.end(), Ok(()));
+        let unknown = skipping.in_form(newer, "a 1\nb 2\n").unwrap();
+        assert_eq!(unknown, ["new", "newer", "last"]);
+        assert_eq!(lines(text).field("a").unwrap_err().to_string(), "line 3: `a` was expected");
+        let wrong = Lines::new(newer, |name| name.len() == 1);
+        assert_eq!(wrong.in_form(newer, "a 1\nb 3\n").unwrap_err().to_string(), "line 7: `b 3` was expected");
     }
 }

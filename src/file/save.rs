@@ -6,19 +6,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::{FileError, FormatError};
 
-/// More than any file of this library takes.
+/// The largest file that is read; those of this library are smaller.
 const MAX_LEN: u64 = 16 * 1024 * 1024;
 
-/// Puts these bytes into a file, in the place of what it held.
+/// Replaces the content of a file, or makes the file.
 ///
-/// They go into a new file in the same folder first, and only when all of them are on the disk does that take the other's
-/// name. So whoever opens the file finds the old content or the new, whole, whatever happens in between. It keeps the
-/// permissions of the old one, and a symbolic link goes on pointing to it.
+/// The bytes are written to a new file in the same folder, which is renamed when all of them are on
+/// the disk. So the file has the old or the new content at any time, and never a part. The file
+/// keeps its permissions; a symbolic link to it stays.
 pub(crate) fn save(path: &Path, content: &[u8]) -> Result<(), FileError> {
     save_with(path, |file| file.write_all(content))
 }
 
-/// The bytes of a file.
+/// Reads the bytes of a file.
 pub(crate) fn load(path: &Path) -> Result<Vec<u8>, FileError> {
     let failed = failed(path, "read it");
     let file = File::open(path).map_err(&failed)?;
@@ -31,52 +31,52 @@ pub(crate) fn load(path: &Path) -> Result<Vec<u8>, FileError> {
     }
 }
 
-/// What the content of a file stands for.
+/// Reads a file and parses its content.
 pub(crate) fn load_as<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, FormatError>) -> Result<T, FileError> {
     parse(&load(path)?).map_err(|source| FileError::Format { path: path.to_owned(), source })
 }
 
-/// Finds out whether something could be saved there: that nothing but a file has this name, and that a new file can be made
-/// beside it. Whoever is to work long for what he saves wants to know that before.
+/// Checks whether a file can be saved there: nothing but a file has this name, and a new file can be
+/// made beside it. Call this before a long transfer.
 ///
-/// Nothing is left there, and what is in the file stays in it.
+/// The file and its folder stay as they are.
 ///
 /// # Errors
-/// [`FileError`], the same that saving would meet.
+/// [`FileError`], as saving would return.
 pub fn can_save(path: impl AsRef<Path>) -> Result<(), FileError> {
-    Begun::at(path.as_ref()).map(drop)
+    NewFile::create(path.as_ref()).map(drop)
 }
 
 fn save_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<(), FileError> {
-    let Begun { target, old, mut temporary, mut file } = Begun::at(path)?;
-    // First of all: what the old one hides is never to be seen in the new one.
+    let NewFile { target, old, mut temporary, mut file } = NewFile::create(path)?;
+    // Before the first byte: a secret of the old file must not be readable in the new one.
     let permitted = old.map_or(Ok(()), |old| file.set_permissions(old.permissions()));
     let written = permitted.and_then(|()| write(&mut file)).and_then(|()| file.sync_all());
     drop(file);
     written.map_err(failed(path, "write it"))?;
     fs::rename(&temporary.path, &target).map_err(failed(path, "replace it"))?;
-    temporary.gone = true;
+    temporary.renamed = true;
     sync_folder(&target);
     Ok(())
 }
 
-/// The empty file that is to take the place of another, or of none.
-struct Begun {
-    /// What is replaced: behind symbolic links the file, not the link to it.
+/// A new file that has still to replace another one, if there is one.
+struct NewFile {
+    /// The file to replace; of a symbolic link, the file that it points to.
     target: PathBuf,
     old: Option<Metadata>,
     temporary: Temporary,
     file: File,
 }
 
-impl Begun {
-    fn at(path: &Path) -> Result<Self, FileError> {
+impl NewFile {
+    fn create(path: &Path) -> Result<Self, FileError> {
         let (target, old) = match fs::metadata(path) {
             Ok(old) if old.is_file() => (fs::canonicalize(path).map_err(failed(path, "find it"))?, Some(old)),
             Ok(_) => return Err(FileError::NotAFile { path: path.to_owned() }),
-            // A link to nothing cannot be followed, and must not be replaced.
+            // A broken link cannot be followed, and must not be replaced.
             Err(_) if path.is_symlink() => return Err(FileError::NotAFile { path: path.to_owned() }),
-            // Nothing but a folder can have such a name.
+            // Only a folder can have such a name.
             Err(_) if path.as_os_str().as_encoded_bytes().last().is_some_and(|&last| is_separator(last.into())) => {
                 return Err(FileError::NotAFile { path: path.to_owned() });
             }
@@ -92,13 +92,13 @@ fn failed(path: &Path, doing: &'static str) -> impl Fn(io::Error) -> FileError {
     move |source| FileError::Io { path: path.to_owned(), doing, source: Arc::new(source) }
 }
 
-/// How many names are tried for a new file.
+/// The number of names to try for a new file.
 const NAMES: u32 = 1000;
 
-/// A file that is not there any more when this is dropped, unless it has been given another name.
+/// A file that is removed when this is dropped, unless it was renamed.
 struct Temporary {
     path: PathBuf,
-    gone: bool,
+    renamed: bool,
 }
 
 impl Temporary {
@@ -106,13 +106,13 @@ impl Temporary {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         target.file_name().ok_or(io::ErrorKind::InvalidFilename)?;
         for _ in 0..NAMES {
-            // Without the target's name, which may be as long as names can be.
+            // Not derived from the target's name, which may have the maximum length.
             let hidden = format!(".fatek-{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
             let path = target.with_file_name(hidden);
             match OpenOptions::new().write(true).create_new(true).open(&path) {
-                // Left by a process of this number that was killed: in a container they are often the same.
+                // Left by a killed process with this number: in containers numbers repeat.
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-                result => return result.map(|file| (Self { path, gone: false }, file)),
+                result => return result.map(|file| (Self { path, renamed: false }, file)),
             }
         }
         Err(io::ErrorKind::AlreadyExists.into())
@@ -121,14 +121,14 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        if !self.gone {
-            // If it cannot be removed, nothing is to be done about that; it is nobody's file.
+        if !self.renamed {
+            // A file that cannot be removed stays; the next save ignores it.
             let _ = fs::remove_file(&self.path);
         }
     }
 }
 
-/// Has the new name on the disk, too. Not all systems can do that, and none needs it for the file to be whole.
+/// Writes the new name to the disk. Not all systems can do that; the file is whole without it.
 fn sync_folder(target: &Path) {
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if let Ok(folder) = File::open(folder) {

@@ -1,14 +1,16 @@
-//! How long a transfer takes, in exact simulated time: the states and the link on one end, the simulated PLC on the other.
-#![allow(clippy::print_stdout, reason = "the figures are what it is for")]
+//! Duration of transfers in exact simulated time: transfer and link on one end, the simulated PLC on
+//! the other.
+#![allow(clippy::print_stdout, reason = "the test prints its figures")]
 
 use std::time::{Duration, SystemTime};
 
-use super::reading::{self, Reading};
-use super::writing::{self, Goal, Told, Writing};
-use super::{PAGE_WORDS, Program, ProgramPage, WriteOptions};
+use super::reading::Reading;
+use super::writing::{WriteGoal, Writing};
+use super::{PAGE_WORDS, Program, ProgramError, ProgramPage, WriteOptions};
 use crate::command::{ControlPlc, LoopBack, ReadDetailedStatus, ReadProgramPage, ReadStatus, WriteProgramPage};
 use crate::link::bus_time::{RESPONSE_TIME, World};
 use crate::sim::{Bus, Model, Plc};
+use crate::transfer::{Reply, Request, Step, Transfer};
 use crate::wire::Framing;
 
 /// STX, station, command, page, LRC, ETX.
@@ -17,7 +19,7 @@ const READ_REQUEST: usize = 1 + 2 + 2 + 4 + 2 + 1;
 const READ_REPLY: usize = 1 + 2 + 2 + 1 + 4 * PAGE_WORDS + 2 + 1;
 const WRITE_REQUEST: usize = READ_REQUEST + 4 * PAGE_WORDS;
 const WRITE_REPLY: usize = 1 + 2 + 2 + 1 + 2 + 1;
-/// The most that all else may take: checks, statuses, looking whether the PLC is stopped, pauses between two requests.
+/// The limit for all else: checks, statuses, and the time between two requests.
 const MOST: f64 = 0.03;
 
 fn world(ladder_words: u16, baud: u32) -> (World, Plc) {
@@ -36,49 +38,42 @@ fn check(world: &mut World) {
 fn read(world: &mut World) -> Program {
     let mut reading = Reading::default();
     reading.begin();
-    loop {
-        match reading.next() {
-            reading::Step::Brief => reading.brief(world.call(1, ReadStatus).unwrap()),
-            reading::Step::Status => reading.status(world.call(1, ReadDetailedStatus).unwrap()),
-            reading::Step::Page(page) => reading.page(world.call(1, ReadProgramPage::new(page)).unwrap()),
-            reading::Step::Confirm => {
-                check(world);
-                reading.confirmed().unwrap();
-            }
-            reading::Step::Done => return reading.finish(SystemTime::UNIX_EPOCH).unwrap(),
-        }
-    }
+    drive(world, &mut reading);
+    reading.finish(SystemTime::UNIX_EPOCH).unwrap()
 }
 
 fn write(world: &mut World, program: &Program, options: WriteOptions) -> usize {
     let mut writing = Writing::new(program.clone(), options);
-    writing.begin(Goal::Write);
+    writing.begin(WriteGoal::Write);
+    drive(world, &mut writing);
+    writing.report().written.len()
+}
+
+fn drive<T: Transfer<Failure = ProgramError>>(world: &mut World, transfer: &mut T) {
     loop {
-        let told = match writing.next() {
-            writing::Step::Status => world.call(1, ReadDetailedStatus).map(Told::Status),
-            writing::Step::Flags => world.call(1, ReadStatus).map(|status| Told::Flags(status.flags())),
-            writing::Step::Read(page) => world.call(1, ReadProgramPage::new(page)).map(Told::Page),
-            writing::Step::Write(page) => {
-                let content = program.page(page).unwrap().clone();
-                world.call(1, WriteProgramPage::new(page, content)).map(|()| Told::Done)
+        let result = match transfer.next().unwrap() {
+            Step::Send(Request::DetailedStatus) => world.call(1, ReadDetailedStatus).map(Reply::DetailedStatus),
+            Step::Send(Request::Status) => world.call(1, ReadStatus).map(Reply::Status),
+            Step::Send(Request::ReadPage(page)) => world.call(1, ReadProgramPage::new(page)).map(Reply::Page),
+            Step::Send(Request::WritePage { page, content, .. }) => {
+                world.call(1, WriteProgramPage::new(page, content)).map(|()| Reply::Done)
             }
-            writing::Step::Stop => world.call(1, ControlPlc::Stop).map(|()| Told::Done),
-            writing::Step::Run => world.call(1, ControlPlc::Run).map(|()| Told::Done),
-            writing::Step::Pause => unreachable!("this PLC obeys at once"),
-            writing::Step::Confirm => {
+            Step::Send(Request::Stop) => world.call(1, ControlPlc::Stop).map(|()| Reply::Done),
+            Step::Send(Request::Run) => world.call(1, ControlPlc::Run).map(|()| Reply::Done),
+            Step::Send(request) => unreachable!("this PLC obeys at once: {request:?}"),
+            Step::Confirm => {
                 check(world);
-                writing.confirmed(Ok(None));
+                transfer.confirmed(Ok(())).unwrap();
                 continue;
             }
-            writing::Step::Done => return writing.report().written.len(),
-            writing::Step::Failed => panic!("{}", writing.failure()),
+            Step::Done => return,
         };
-        writing.told(told);
+        transfer.handle(result).unwrap();
     }
 }
 
 #[test]
-fn a_program_is_read_and_written_within_3_percent_of_what_its_bytes_and_the_turnaround_take() {
+fn a_transfer_takes_at_most_3_percent_more_than_its_bytes() {
     for baud in [9600, 115_200] {
         for ladder_words in [8192, 13_184] {
             let (mut world, plc) = world(ladder_words, baud);
@@ -91,13 +86,13 @@ fn a_program_is_read_and_written_within_3_percent_of_what_its_bytes_and_the_turn
             limit("reading", ladder_words, baud, world.now - start, read_page * pages);
             assert_eq!(program.pages().len(), usize::from(plc.pages()));
 
-            // Every page but the header is another now, and the PLC runs.
+            // Every page but the header differs now, and the PLC runs.
             let blank = |page: u16| ProgramPage::new([!page; PAGE_WORDS]);
             (1..plc.pages()).for_each(|page| plc.set_page(page, blank(page)).unwrap());
             plc.run();
             let start = world.now;
             let written = write(&mut world, &program, WriteOptions::new().stop_first().run_again());
-            // All are compared, and all but the header written and read back.
+            // All pages are compared, and all but the header written and read back.
             let least = read_page * pages + (write_page + read_page) * (pages - 1);
             limit("writing what differs", ladder_words, baud, world.now - start, least);
             assert_eq!(written, usize::from(plc.pages()) - 1);

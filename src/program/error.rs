@@ -1,21 +1,22 @@
 use std::fmt;
 
 use super::header::ProgramKind;
-use super::state::WriteState;
+use super::write_state::WriteState;
 use crate::error::{Error, ErrorCode};
+use crate::transfer::{OtherStation, RunCause, RunCommand, RunFailure};
 
-/// Why some pages are no program: the page, and the rule.
+/// Error: pages are not a program.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidProgram {
-    /// Page 0 is no header.
+    /// Page 0 is not a header.
     #[error("page 0: it begins with {:02X} {:02X}, where `FB` or `FM` was expected", found[0], found[1])]
     #[non_exhaustive]
     Mark {
         /// Its bytes 0 and 1.
         found: [u8; 2],
     },
-    /// Page 0 is no header.
+    /// Page 0 is not a header.
     #[error("page 0: bytes 2 and 3 are {:02X} {:02X}, where two digits were expected", found[0], found[1])]
     #[non_exhaustive]
     Digits {
@@ -26,35 +27,35 @@ pub enum InvalidProgram {
     #[error("page 0: the header states a ladder of {header} words, and the status (53) one of {status}")]
     #[non_exhaustive]
     Size {
-        /// What page 0 says.
+        /// The size in page 0.
         header: u16,
-        /// What 53 says.
+        /// The size in 53.
         status: u16,
     },
     /// Pages are missing, or there are too many.
     #[error("{found} pages, where {expected} were expected: page 0 states a ladder of {ladder_words} words, 64 a page")]
     #[non_exhaustive]
     Pages {
-        /// How many there are.
+        /// The number of pages.
         found: usize,
-        /// How many there must be, the header included.
+        /// The number that the header requires, itself included.
         expected: usize,
-        /// What page 0 says.
+        /// The size in page 0.
         ladder_words: u16,
     },
-    /// No whole pages.
+    /// The bytes are not whole pages.
     #[error("{bytes} bytes are no whole pages: a page has 128")]
     #[non_exhaustive]
     Length {
-        /// How many there are.
+        /// The number of bytes.
         bytes: usize,
     },
-    /// There is not even a header.
+    /// There is no header.
     #[error("there is no page 0")]
     Empty,
 }
 
-/// What was asked of the PLC in a transfer.
+/// A request of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ProgramAction {
@@ -68,7 +69,7 @@ pub enum ProgramAction {
     Stop,
     /// 41, run.
     Run,
-    /// 4E: confirm that no reply was a duplicate out of order.
+    /// 4E: confirm that no reply was an out-of-order duplicate.
     Confirm,
 }
 
@@ -85,120 +86,143 @@ impl fmt::Display for ProgramAction {
     }
 }
 
-/// Why a program could not be read or written.
+/// Error: a program cannot be read or written.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ProgramError {
-    /// A request failed: no answer, no connection, a refusal.
+    /// A request failed: no reply, no connection, a refusal.
     #[error("cannot {action}: {source}")]
     #[non_exhaustive]
     Call {
-        /// What was asked.
+        /// The request.
         action: ProgramAction,
-        /// Why it failed.
+        /// Its error.
         source: Error,
     },
-    /// What the PLC holds is no program.
+    /// The PLC does not hold a program.
     #[error("the PLC holds no program that this library knows: {0}")]
     Invalid(#[from] InvalidProgram),
-    /// Somebody has changed the program while it was read, or between two runs. What was read is thrown away; the next run
-    /// begins anew.
+    /// The program changed while it was read, or between two runs. The pages are dropped; the next
+    /// run starts from the beginning.
     #[error(
-        "the program was changed while it was read: {} was another before",
+        "the program changed while it was read: {} is different now",
         page.map_or("the PLC's type, version or ladder size".to_owned(), |page| format!("page {page}"))
     )]
     #[non_exhaustive]
     Changed {
-        /// The page that is another now; `None` for the PLC's type, version or ladder size.
+        /// The page that changed; `None` for the PLC's type, version or ladder size.
         page: Option<u16>,
     },
-    /// An earlier run has read pages of another station, or has stopped or written it, and has not ended well. Nothing was sent,
-    /// and a [`WriteState`] is that of the other one.
-    #[error("this was begun with {begun}, and cannot go on with {station}")]
+    /// An earlier run has read pages of another station, or has stopped or written it, and did not
+    /// succeed. Nothing was sent, and a [`WriteState`] is that of the other station.
+    #[error("this was begun with {begun}, and cannot continue with {station}")]
     #[non_exhaustive]
     OtherStation {
         /// The station of the earlier run, and its endpoint.
         begun: String,
-        /// The one that was to be written now.
+        /// The station of this run, and its endpoint.
         station: String,
     },
-    /// The program is not as large as the PLC's.
+    /// The program has another size than that of the PLC.
     #[error("the program has a ladder of {program} words, and the PLC one of {plc}")]
     #[non_exhaustive]
     SizeMisfit {
-        /// What the program has.
+        /// Words of the program.
         program: u16,
-        /// What the PLC has.
+        /// Words of the PLC.
         plc: u16,
     },
     /// The program is for another kind of PLC.
     #[error("the program is of the kind {program}, and that of the PLC of the kind {plc}")]
     #[non_exhaustive]
     KindMisfit {
-        /// What the program is for.
+        /// The kind of the program.
         program: ProgramKind,
-        /// What the PLC holds.
+        /// The kind of the program in the PLC.
         plc: ProgramKind,
     },
-    /// The PLC has a ROM pack or memory card in use, and would refuse every page.
+    /// The PLC uses a ROM pack or memory card, and would refuse every page.
     #[error("the PLC has a ROM pack or memory card in use, which cannot be written")]
     MemoryCard,
-    /// The PLC runs, and was not to be stopped.
-    #[error("the PLC runs: stop it first, or have it stopped")]
+    /// The PLC runs, and [`WriteOptions::stop_first`](super::WriteOptions::stop_first) was not chosen.
+    #[error("the PLC runs: stop it first, or choose to have it stopped")]
     Running,
-    /// The PLC has been told to stop, and runs all the same.
+    /// STOP was sent, and the PLC still runs.
     #[error("the PLC does not stop")]
     StillRunning,
-    /// Somebody else has set the PLC running while it was written.
-    #[error("somebody has set the PLC running while its program was written")]
+    /// Another client started the PLC while its program was written.
+    #[error("another client started the PLC while its program was written")]
     SetRunning,
-    /// A page was written, and is not what was written.
-    #[error("page {page} reads back as something else than was written")]
+    /// A page was written, and reads back differently.
+    #[error("page {page} reads back differently from what was written")]
     #[non_exhaustive]
     NotTaken {
-        /// Which one.
+        /// The page.
         page: u16,
     },
-    /// Pages that were the program's are so no more; [`WriteState::unwritten`] has them, too.
-    #[error("{} pages are not the program's any more, the first of them page {}", pages.len(), pages.first().unwrap_or(&0))]
+    /// Pages were equal to the program's and no longer are; they are in [`WriteState::unwritten`].
+    #[error(
+        "{} pages are no longer those of the program, the first is page {}",
+        pages.len(),
+        pages.first().unwrap_or(&0)
+    )]
     #[non_exhaustive]
     Differs {
-        /// Which ones.
+        /// The pages.
         pages: Vec<u16>,
     },
-    /// The PLC has refused to run the program: it has found a fault in it (5, 7), it has another id (6), or lacks a function
-    /// (9).
+    /// The PLC refuses to run the program: it is faulty (5, 7), has another id (6), or needs a
+    /// function that the PLC lacks (9).
     #[error("the PLC refuses to run the program: {error}")]
     #[non_exhaustive]
     RunRefused {
-        /// What it answered.
+        /// The reply of the PLC.
         error: ErrorCode,
     },
-    /// The PLC has been told to run, and does not.
+    /// RUN was sent, and the PLC does not run.
     #[error("the PLC does not run")]
     NotRunning,
 }
 
 impl ProgramError {
-    /// The request that failed, if that is the error: whether the connection is at fault, or what the PLC answered.
+    /// The error of the request that failed, if that is the reason.
     #[must_use]
     pub fn call_error(&self) -> Option<&Error> {
-        match self {
-            Self::Call { source, .. } => Some(source),
-            _ => None,
-        }
+        if let Self::Call { source, .. } = self { Some(source) } else { None }
     }
 }
 
-/// Why a program was not written, how far it came, and in what state the PLC is.
+impl From<OtherStation> for ProgramError {
+    fn from(OtherStation { begun, station }: OtherStation) -> Self {
+        Self::OtherStation { begun, station }
+    }
+}
+
+impl From<RunFailure> for ProgramError {
+    /// An error of STOP or RUN explains best why the PLC did not obey.
+    fn from(RunFailure { cause, command_error }: RunFailure) -> Self {
+        let (action, source) = match (cause, command_error) {
+            (RunCause::RunRefused { error, .. }, _) => return Self::RunRefused { error },
+            (_, Some((RunCommand::Stop, source))) => (ProgramAction::Stop, source),
+            (_, Some((RunCommand::Run, source))) => (ProgramAction::Run, source),
+            (RunCause::NoStatus(source), None) => (ProgramAction::ReadStatus, source),
+            (RunCause::NotConfirmed(source), None) => (ProgramAction::Confirm, source),
+            (RunCause::NotObeyed(RunCommand::Stop), None) => return Self::StillRunning,
+            (RunCause::NotObeyed(RunCommand::Run), None) => return Self::NotRunning,
+        };
+        Self::Call { action, source }
+    }
+}
+
+/// Error: a program was not written, or not completely; with the state of the PLC.
 ///
-/// Writing it again compares all pages and writes those that are not yet the program's.
+/// Writing it again compares all pages and writes those that still differ.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct WriteProgramError {
-    /// Why it went no further.
+    /// The reason.
     pub source: Box<ProgramError>,
-    /// How far it came.
+    /// How far the writing has come.
     pub state: Box<WriteState>,
 }
 

@@ -1,57 +1,64 @@
-//! A program in a file.
+//! The format of a program in a file.
 //!
 //! ```text
-//! read 2026-11-22T07:09:13Z      when, or `-` if that is not known
-//! about FB00, 13184 words, …     for people; it follows from the rest
-//! brief 005400                   the bytes of 40, or `-`
-//! status 00010231 …              the bytes of 53, or `-`
+//! read 2026-11-22T07:09:13Z      time, or `-` if it is not known
+//! about FB00, 13184 words, …     for people; it follows from the other fields
+//! brief 005400                   bytes of 40, or `-`
+//! status 00010231 …              bytes of 53, or `-`
 //! pages 207
 //! page 0 4642 …                  256 digits each, in ascending order
 //! ```
 //!
-//! One program has one form. What has been read is written again and compared, so that nothing is taken that was written
-//! otherwise.
-
-use std::fmt::Write;
+//! A program has one form: the parsed program is written again and compared.
 
 use super::{Origin, PAGE_BYTES, Program};
 use crate::command::{BriefStatus, DetailedStatus, ProgramPage};
-use crate::file::{FormatError, Kind, Lines, frame, in_form, parse_utc, unframe, utc};
+use crate::file::{Content, FormatError, Kind, Lines, UNKNOWN, frame, parse_utc, unframe, utc};
 use crate::hex;
 
 const PROGRAM: Kind = Kind("program");
-/// What stands for a value that is not known.
-const UNKNOWN: &str = "-";
 
 pub(super) fn write(program: &Program) -> String {
-    frame(PROGRAM, &content(program))
+    frame(PROGRAM, &form(program))
 }
 
 pub(super) fn read(file: &[u8]) -> Result<Program, FormatError> {
-    let text = unframe(PROGRAM, file)?;
-    let program = parse(text)?;
-    in_form(text, &content(&program))?;
-    Ok(program)
+    parse(unframe(PROGRAM, file)?)
 }
 
-fn content(program: &Program) -> String {
+fn form(program: &Program) -> String {
     let origin = program.origin.as_ref();
-    let field = |value: Option<String>| value.unwrap_or_else(|| UNKNOWN.to_owned());
-    let mut content = String::new();
-    push(&mut content, "read", &field(origin.map(|origin| utc(origin.read_at))));
-    push(&mut content, "about", &about(program));
-    push(&mut content, "brief", &field(origin.map(|origin| hex::encode(&origin.brief.raw()))));
-    push(&mut content, "status", &field(origin.map(|origin| hex::encode(origin.status.raw()))));
-    push(&mut content, "pages", &program.pages.len().to_string());
+    let field = |value: fn(&Origin) -> String| origin.map_or_else(|| UNKNOWN.to_owned(), value);
+    let mut form = format!(
+        "read {}\nabout {}\nbrief {}\nstatus {}\npages {}\n",
+        field(|origin| utc(origin.read_at)),
+        about(program),
+        field(|origin| hex::encode(&origin.brief.raw())),
+        field(|origin| hex::encode(origin.status.raw())),
+        program.pages.len(),
+    );
     for (number, page) in program.pages.iter().enumerate() {
-        push(&mut content, "page", &format!("{number} {}", hex::encode(&page.to_bytes())));
+        form += &format!("page {number} {}\n", hex::encode(&page.to_bytes()));
     }
-    content
+    form
 }
 
-fn parse(content: &str) -> Result<Program, FormatError> {
-    let mut lines = Lines::new(content);
-    let origin = read_origin(&mut lines)?;
+/// For people: the program, and the model of the PLC.
+fn about(program: &Program) -> String {
+    let header = program.header;
+    program.origin.as_ref().map_or_else(
+        || header.to_string(),
+        |Origin { brief, status, .. }| {
+            let (major, minor) = status.os_version();
+            format!("{header}, from {}, main unit {}, OS {major}.{minor}", brief.capacity(), status.main_unit())
+        },
+    )
+}
+
+fn parse(content: Content<'_>) -> Result<Program, FormatError> {
+    let is_known = |name: &str| matches!(name, "read" | "about" | "brief" | "status" | "pages" | "page");
+    let mut lines = Lines::new(content, is_known);
+    let origin = parse_origin(&mut lines)?;
     let count: usize = lines.field("pages")?.parse().map_err(|_| lines.error("a number of pages was expected"))?;
     let mut pages = Vec::new();
     for expected in 0..count {
@@ -64,51 +71,31 @@ fn parse(content: &str) -> Result<Program, FormatError> {
         pages.push(ProgramPage::from_bytes(&bytes));
     }
     lines.end()?;
-    let program = Program::from_pages(pages).map_err(|error| FormatError::Content { rule: error.to_string() })?;
-    Ok(Program { origin, ..program })
+    let program = Program::from_pages(pages).map_err(|error| FormatError::Content { rule: error.to_string() });
+    let program = Program { origin, ..program? };
+    let unknown_fields = lines.in_form(content, &form(&program))?;
+    Ok(Program { unknown_fields, ..program })
 }
 
-/// All of it is known, or none.
-fn read_origin(lines: &mut Lines<'_>) -> Result<Option<Origin>, FormatError> {
-    let read_at = known(lines.field("read")?);
-    let read_at = read_at.map(|text| parse_utc(text).ok_or_else(|| lines.error("a time was expected"))).transpose()?;
-    // It follows from the others, so it is compared in the end.
+/// All three fields are known, or none.
+fn parse_origin(lines: &mut Lines<'_>) -> Result<Option<Origin>, FormatError> {
+    let read_at = lines.optional("read", "a time such as 2026-11-22T07:09:13Z", parse_utc)?;
     lines.field("about")?;
-    let brief = known(lines.field("brief")?);
-    let brief =
-        brief.map(|text| parse_brief(text).ok_or_else(|| lines.error("three bytes were expected"))).transpose()?;
-    let status = known(lines.field("status")?);
-    let parse = |text| hex::decode(text).and_then(DetailedStatus::from_raw);
-    let status =
-        status.map(|text| parse(text).ok_or_else(|| lines.error("28 to 249 bytes were expected"))).transpose()?;
+    let brief = lines.optional("brief", "three bytes in hexadecimal digits", parse_brief)?;
+    let status = lines.optional("status", "28 to 249 bytes in hexadecimal digits", parse_status)?;
     match (read_at, brief, status) {
         (Some(read_at), Some(brief), Some(status)) => Ok(Some(Origin { brief, status, read_at })),
         (None, None, None) => Ok(None),
-        _ => Err(lines.error("`read`, `brief` and `status` must be known together")),
+        (Some(_) | None, Some(_) | None, Some(_) | None) => {
+            Err(lines.error("`read`, `brief` and `status` must be known together"))
+        }
     }
 }
 
 fn parse_brief(text: &str) -> Option<BriefStatus> {
-    hex::decode(text)?.try_into().ok().map(BriefStatus::from_raw)
+    Some(BriefStatus::from_raw(hex::decode(text)?.try_into().ok()?))
 }
 
-fn known(value: &str) -> Option<&str> {
-    (value != UNKNOWN).then_some(value)
-}
-
-fn push(content: &mut String, name: &str, value: &str) {
-    // Writing to a string does not fail.
-    let _ = writeln!(content, "{name} {value}");
-}
-
-/// What a person wants to know: the program, and the model of the PLC.
-fn about(program: &Program) -> String {
-    let header = program.header;
-    program.origin.as_ref().map_or_else(
-        || header.to_string(),
-        |Origin { brief, status, .. }| {
-            let (major, minor) = status.os_version();
-            format!("{header}, from {}, main unit {}, OS {major}.{minor}", brief.capacity(), status.main_unit())
-        },
-    )
+fn parse_status(text: &str) -> Option<DetailedStatus> {
+    DetailedStatus::from_raw(hex::decode(text)?)
 }

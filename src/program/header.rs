@@ -3,17 +3,18 @@ use std::fmt;
 use super::InvalidProgram;
 use crate::command::{PAGE_WORDS, ProgramPage};
 
-/// What page 0 of a program says.
+/// Page 0 of a program.
 ///
 /// ```text
 /// 0      F
 /// 1      B or M
-/// 2, 3   a digit each
+/// 2, 3   one digit each
 /// 4, 5   the size of the ladder in words, the high byte first
 /// 6..127 FF
 /// ```
 ///
-/// Bytes 6 and up are kept as they are, and not looked at. Source: protocol reference, section 6 (manual 000, command 4F).
+/// Bytes from 6 on are kept and not interpreted. Source: protocol reference, section 6 (manual 000,
+/// command 4F).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ProgramHeader {
     kind: ProgramKind,
@@ -22,7 +23,7 @@ pub struct ProgramHeader {
 }
 
 impl ProgramHeader {
-    /// What this page says, if it is a header.
+    /// Parses a page.
     ///
     /// # Errors
     /// [`InvalidProgram::Mark`] and [`InvalidProgram::Digits`].
@@ -41,34 +42,35 @@ impl ProgramHeader {
         }
     }
 
-    /// What kind of PLC the program is for.
+    /// The kind of PLC that the program is for.
     #[must_use]
     pub fn kind(&self) -> ProgramKind {
         self.kind
     }
 
-    /// The two digits behind the kind, whose meaning the manual does not tell.
+    /// The two digits after the kind. The manual does not explain them.
     #[must_use]
     pub fn digits(&self) -> [char; 2] {
         self.digits.map(char::from)
     }
 
-    /// The size of the ladder, in words.
+    /// Size of the ladder in words.
     #[must_use]
     pub fn ladder_words(&self) -> u16 {
         self.ladder_words
     }
 
-    /// How many pages the program has, this one included: 207 for 13184 words.
+    /// Number of pages of the program, this one included: 207 for 13184 words.
     #[must_use]
     pub fn page_count(&self) -> u16 {
         page_count(self.ladder_words)
     }
 }
 
-/// Pages of a program with so large a ladder: the header, and one for every 64 words.
+/// Pages of a program with a ladder of this size: the header, and one for every 64 words.
 pub(super) fn page_count(ladder_words: u16) -> u16 {
-    usize::from(ladder_words).div_ceil(PAGE_WORDS).saturating_add(1).try_into().unwrap_or(u16::MAX)
+    // At most 1024 of 64 words each, and the header.
+    ladder_words.div_ceil(PAGE_WORDS as u16).saturating_add(1)
 }
 
 impl fmt::Display for ProgramHeader {
@@ -78,7 +80,7 @@ impl fmt::Display for ProgramHeader {
     }
 }
 
-/// The first two bytes of a program: what kind of PLC it is for.
+/// The kind of PLC that a program is for: its first two bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ProgramKind {

@@ -1,75 +1,119 @@
-//! The states of writing a program, as the [module](super) draws them. No I/O, and no clock.
+//! Writing a program as a [`Transfer`], as the [module](super) draws it: compare, write, verify.
 
 mod confirm;
-mod failing;
 mod outcome;
-mod states;
 
 use std::collections::BTreeSet;
 
-pub(super) use self::confirm::Mark;
-use self::confirm::Then;
-use self::states::State;
-pub(super) use self::states::{Goal, Step, Told};
-use super::{PlcState, Program, ProgramAction, ProgramError, ProgramHeader, WriteOptions};
+use self::confirm::Pending;
+use super::{Program, ProgramAction, ProgramError, ProgramHeader, WriteOptions};
 use crate::command::{DetailedStatus, ProgramPage};
 use crate::error::Error;
 use crate::progress::Phase;
+use crate::transfer::{PlcState, Position, Reply, Request, RunControl, RunEvent, Step, Transfer};
 
-/// How often the PLC is told to stop or to run before that is given up.
-const CONTROL_TRIES: u32 = 5;
-/// After how many written pages it is looked at whether the PLC is still stopped.
-const CHECK_EVERY: usize = 16;
+/// How often STOP and RUN are sent.
+const CONTROL_ATTEMPTS: u32 = 5;
+/// After this number of written pages the status is read: is the PLC still stopped?
+const LOOK_EVERY: usize = 16;
 
-/// A program that is being written.
+/// The purpose of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum WriteGoal {
+    /// Find the pages that differ.
+    Compare,
+    /// Find the pages that would be written, or the refusal.
+    DryRun,
+    Write,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum WriteStage {
+    /// Does the program fit the PLC (53)?
+    Fit,
+    /// Page 0: is the program of the PLC's kind?
+    Kind,
+    Compare(u16),
+    Look(LookAt),
+    Stop,
+    Write {
+        page: u16,
+        left: u32,
+    },
+    ReadBack {
+        page: u16,
+        left: u32,
+    },
+    Verify(u16),
+    Run,
+    Done,
+    /// Failed; the PLC may hold a half-written program and must not run.
+    Secure,
+    Failed,
+}
+
+/// When the status is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum LookAt {
+    /// All pages are compared.
+    Start,
+    BetweenPages,
+    /// The PLC refused a page.
+    Refusal,
+    /// All pages are written.
+    End,
+}
+
+/// Where a request stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct WriteMark {
+    stage: WriteStage,
+    compared: usize,
+    written: usize,
+}
+
+/// The writing of one program, for all its runs.
 #[derive(Debug)]
 pub(super) struct Writing {
     program: Program,
     options: WriteOptions,
-    goal: Goal,
-    state: State,
-    /// Whether it ran before it was first stopped here: of all runs of this writing.
-    ran_before: bool,
-    /// Whether it has been told to stop: of all runs of this writing.
-    told_to_stop: bool,
-    /// Whether it has been seen to obey: then these two stay so.
-    has_stopped: bool,
-    /// Whether a page has been written, or perhaps, since all were last found to be the program's: in all runs of this writing.
+    goal: WriteGoal,
+    stage: WriteStage,
+    control: RunControl,
+    /// A page was or may have been written since the last time all pages were found equal: any run.
     touched: bool,
-    /// The pages that earlier runs of this writing have written and read back, or that were found written since.
+    /// Pages that earlier runs wrote and read back, or that were found written since.
     written_before: BTreeSet<u16>,
-    /// The pages that earlier runs have sent without having seen what became of them.
-    doubted: BTreeSet<u16>,
-    plc: PlcState,
-    /// Whether it runs, and an earlier run of this writing has left a half there, stopped: unless somebody else has written the
-    /// rest, it is to be stopped.
+    /// Pages that earlier runs sent, with unknown result.
+    sent_before: BTreeSet<u16>,
+    /// The PLC runs although an earlier run left it half-written and stopped.
     suspect: bool,
-    /// The page whose comparison is likely to tell that soonest: one that no earlier run has written.
+    /// The page to compare first, because it shows soonest whether a suspect PLC is half-written.
     telling: u16,
-    /// The pages that are still to be compared, the next one last.
+    /// Pages still to compare, the next one last.
     uncompared: Vec<u16>,
-    /// Whether all pages have been compared in this run.
+    /// Pages that were compared, and whether they differ; used when all of them are confirmed.
+    comparisons: Vec<(u16, bool)>,
+    /// All pages have been compared in this run.
     compared: bool,
-    /// The pages that are still to be written, the next one last.
+    /// Pages still to write, the next one last.
     pending: Vec<u16>,
-    /// The pages that have been compared in this run, and whether they differ. What follows from it waits until all are confirmed.
-    looked_at: Vec<(u16, bool)>,
-    /// All that was read is to be confirmed, and this follows.
-    confirms: Option<Then>,
-    /// The pages that have been written and read back in this run.
+    /// The action that waits for a check.
+    to_confirm: Option<Pending>,
+    /// Pages written and read back in this run.
     written: Vec<u16>,
-    /// Pages that were read back since the last check.
+    /// A page was read back since the last check.
     unconfirmed: bool,
-    /// Pages that have been written, and whose reading back may have brought another page: they are read back again before they are
-    /// written again.
+    /// Written pages that must be read back again before they are written again.
     to_read_back: BTreeSet<u16>,
+    /// The page whose write was sent last, until it is read back.
     in_doubt: Option<u16>,
-    /// Pages that were found to be others in the end.
+    /// Pages that differed when all were verified.
     differing: Vec<u16>,
-    /// Why the last attempt, to write a page, to stop or to run, had no answer; told if no further one does better.
-    excuse: Option<ProgramError>,
+    /// The error of the last write of the current page. It is reported if no attempt succeeds.
+    page_error: Option<ProgramError>,
     failure: Option<ProgramError>,
-    progress: (Phase, usize, usize),
+    position: Position,
 }
 
 impl Writing {
@@ -77,59 +121,59 @@ impl Writing {
         Self {
             program,
             options,
-            goal: Goal::Write,
-            state: State::Fit,
-            ran_before: false,
-            told_to_stop: false,
-            has_stopped: false,
+            goal: WriteGoal::Write,
+            stage: WriteStage::Fit,
+            control: RunControl::new(CONTROL_ATTEMPTS),
             touched: false,
             written_before: BTreeSet::new(),
-            doubted: BTreeSet::new(),
-            plc: PlcState::Unknown,
+            sent_before: BTreeSet::new(),
             suspect: false,
             telling: 0,
             uncompared: Vec::new(),
+            comparisons: Vec::new(),
             compared: false,
             pending: Vec::new(),
-            looked_at: Vec::new(),
-            confirms: None,
+            to_confirm: None,
             written: Vec::new(),
             unconfirmed: false,
             to_read_back: BTreeSet::new(),
             in_doubt: None,
             differing: Vec::new(),
-            excuse: None,
+            page_error: None,
             failure: None,
-            progress: (Phase::Comparing, 0, 0),
+            position: Position { phase: Phase::Comparing, done: 0, total: 0 },
         }
     }
 
-    /// A run begins: the first, or another after a failure or when the last one was abandoned. It knows of those before
-    /// whether the PLC ran, and what they have done to it; unless one has ended well, for then all is over.
-    pub(super) fn begin(&mut self, goal: Goal) {
+    /// Begins a run. Unless the last one succeeded, it inherits whether the PLC was stopped and
+    /// which pages were written.
+    pub(super) fn begin(&mut self, goal: WriteGoal) {
         let fresh = Self::new(self.program.clone(), self.options);
         let last = std::mem::replace(self, fresh);
         self.goal = goal;
-        if last.goal == Goal::Write && last.state == State::Done {
+        if last.is_over() {
             return;
         }
-        let unwritten = last.unwritten().first().copied();
-        self.telling =
-            if last.compared { unwritten.or(last.in_doubt().first().copied()).unwrap_or(0) } else { last.telling };
-        (self.ran_before, self.told_to_stop) = (last.ran_before, last.told_to_stop);
-        self.has_stopped = last.has_stopped;
-        self.touched = last.touched || !last.in_doubt().is_empty();
-        self.doubted.extend(last.in_doubt());
-        self.doubted.extend(last.doubted);
+        let in_doubt = last.in_doubt();
+        self.telling = if last.compared {
+            last.unwritten().first().or(in_doubt.first()).copied().unwrap_or(0)
+        } else {
+            last.telling
+        };
+        self.touched = last.touched || !in_doubt.is_empty();
+        self.sent_before = last.sent_before;
+        self.sent_before.extend(in_doubt);
         self.written_before = last.written_before;
         self.written_before.extend(last.written);
+        self.control = last.control;
+        self.control.begin(false);
     }
 
-    /// Whether the last runs have left something that belongs to this one PLC: that it was told to stop, or written.
+    /// Whether earlier runs have left something in their PLC: a STOP or a page.
     pub(super) fn is_bound(&self) -> bool {
-        let over = self.goal == Goal::Write && self.state == State::Done;
         let written = !self.written.is_empty() || !self.written_before.is_empty();
-        !over && (self.told_to_stop || self.touched || !self.in_doubt().is_empty() || written)
+        let touched = self.touched || !self.in_doubt().is_empty();
+        !self.is_over() && (self.control.was_stopped() || touched || written)
     }
 
     pub(super) fn program(&self) -> &Program {
@@ -140,117 +184,53 @@ impl Writing {
         &self.options
     }
 
-    /// What it is about, how many of its steps are done, and how many there are.
-    pub(super) fn progress(&self) -> (Phase, usize, usize) {
-        self.progress
+    fn is_over(&self) -> bool {
+        self.goal == WriteGoal::Write && self.stage == WriteStage::Done
     }
 
-    pub(super) fn next(&self) -> Step {
-        if self.confirms.is_some() {
-            return Step::Confirm;
-        }
-        match self.state {
-            State::Fit => Step::Status,
-            State::Kind => Step::Read(0),
-            State::Compare(page) | State::Verify(page) => Step::Read(page),
-            State::Look
-            | State::Stopped { .. }
-            | State::Refused
-            | State::Check
-            | State::Final
-            | State::Running { .. }
-            | State::LastLook
-            | State::StoppedAgain { .. } => Step::Flags,
-            State::Stop { .. } | State::StopAgain { .. } => Step::Stop,
-            State::StopPause { .. } | State::RunPause { .. } | State::StopAgainPause { .. } => Step::Pause,
-            State::Write { .. } => self.pending.last().map_or(Step::Failed, |&page| Step::Write(page)),
-            State::ReadBack { .. } => self.pending.last().map_or(Step::Failed, |&page| Step::Read(page)),
-            State::Run { .. } => Step::Run,
-            State::Done => Step::Done,
-            State::Failed => Step::Failed,
-        }
-    }
-
-    /// Takes what came of the [next step](Self::next).
-    pub(super) fn told(&mut self, result: Result<Told, Error>) {
-        match (self.state, result) {
-            (State::Write { left }, result) => self.wrote(left, result.map(drop)),
-            // Whether it has obeyed is asked, whatever it has answered.
-            (State::Stop { left }, result) => self.stopping(left, result.map(drop)),
-            (State::StopAgain { left }, result) => {
-                self.controlled(&result.map(drop));
-                self.state = State::StoppedAgain { left };
-            }
-            (State::Run { left }, result) => self.ran(left, result.map(drop)),
-            (State::StopPause { left }, _) => self.stop(left),
-            (State::RunPause { left }, _) => self.state = State::Run { left },
-            (State::StopAgainPause { left }, _) => self.state = State::StopAgain { left },
-            (_, Ok(Told::Status(status))) => self.fits(&status),
-            (_, Ok(Told::Flags(flags))) => self.confirms = Some(Then::Flags(flags.running())),
-            (_, Ok(Told::Page(page))) => self.read(&page),
-            (_, Ok(Told::Done)) => {}
-            (_, Err(error)) => self.lost(error),
-        }
-    }
-
-    /// Whether all pages have been found to be the program's, in this run.
+    /// Whether all pages were found to be those of the program, in this run.
     fn whole(&self) -> bool {
-        let good = self.pending.is_empty() && self.looked_at.is_empty() && self.differing.is_empty();
-        self.compared && good && !self.unconfirmed
+        let equal = self.pending.is_empty() && self.comparisons.is_empty() && self.differing.is_empty();
+        self.compared && equal && !self.unconfirmed
     }
 
-    /// Whether the PLC may hold a part of the new program and a part of the old one, by this writing.
+    /// Whether the PLC may hold parts of two programs because of this writing.
     fn half_written(&self) -> bool {
         self.touched && !self.whole()
     }
 
-    // What the replies mean.
+    // Compare.
 
     fn fits(&mut self, status: &DetailedStatus) {
         let (program, plc) = (self.program.ladder_words(), status.ladder_words());
-        self.saw(status.flags().running());
+        self.control.saw(status.flags().running());
         if program != plc {
-            return self.fail(ProgramError::SizeMisfit { program, plc });
+            return self.refuse(ProgramError::SizeMisfit { program, plc });
         }
-        if status.flags().memory_card() && self.goal != Goal::Compare {
-            return self.fail(ProgramError::MemoryCard);
+        if status.flags().memory_card() && self.goal != WriteGoal::Compare {
+            return self.refuse(ProgramError::MemoryCard);
         }
-        self.suspect = self.plc == PlcState::Running && self.touched;
-        if !self.may_go_on_while_running() {
-            self.fail(ProgramError::Running);
-        } else {
-            self.state = State::Kind;
+        let runs = self.control.plc() == PlcState::Running;
+        self.suspect = runs && self.touched;
+        if runs && !self.suspect && !self.options.stop_first && self.goal != WriteGoal::Compare {
+            return self.refuse(ProgramError::Running);
         }
+        self.stage = WriteStage::Kind;
     }
 
-    /// Whether it is no obstacle that the PLC runs, if it does.
-    fn may_go_on_while_running(&self) -> bool {
-        self.plc != PlcState::Running || self.suspect || self.options.stop_first || self.goal == Goal::Compare
-    }
-
-    fn read(&mut self, content: &ProgramPage) {
-        match self.state {
-            State::Kind => self.kind(content),
-            State::Compare(page) => self.compare(page, content),
-            State::ReadBack { left } => self.read_back(left, content),
-            State::Verify(page) => self.verify(page, content),
-            _ => {}
-        }
-    }
-
-    /// A PLC whose own header is none cannot say what kind it is; it is just what a program may be written for.
+    /// A PLC whose page 0 is no header has no kind, and may be given any program.
     fn kind(&mut self, content: &ProgramPage) {
         let program = self.program.header().kind();
         match ProgramHeader::parse(content) {
             Ok(header) if header.kind() != program => {
-                self.fail(ProgramError::KindMisfit { program, plc: header.kind() });
+                self.refuse(ProgramError::KindMisfit { program, plc: header.kind() });
             }
-            // What an earlier run has written may be another since: that is compared.
-            _ if self.writes_all() && self.written_before.is_empty() => {
+            // Pages that an earlier run wrote may have changed since: those are compared.
+            Ok(_) | Err(_) if self.writes_all() && self.written_before.is_empty() => {
                 self.pending = (0..self.program.header().page_count()).collect();
-                self.confirms = Some(Then::Compared);
+                self.to_confirm = Some(Pending::AllCompared);
             }
-            _ => {
+            Ok(_) | Err(_) => {
                 self.uncompared = (1..self.program.header().page_count()).rev().collect();
                 self.uncompared.sort_by_key(|&page| page >= self.telling);
                 self.compare(0, content);
@@ -259,44 +239,45 @@ impl Writing {
     }
 
     fn writes_all(&self) -> bool {
-        self.options.all_pages && self.goal != Goal::Compare && !self.suspect
+        self.options.all_pages && self.goal != WriteGoal::Compare && !self.suspect
     }
 
     fn compare(&mut self, page: u16, content: &ProgramPage) {
         let differs = self.program.page(page) != Some(content);
-        self.looked_at.push((page, differs));
-        let count = usize::from(self.program.header().page_count());
-        self.progress = (Phase::Comparing, count.saturating_sub(self.uncompared.len()), count);
-        if differs && self.suspect && self.goal != Goal::Compare {
-            self.confirms = Some(Then::SetRunning);
+        self.comparisons.push((page, differs));
+        let total = usize::from(self.program.header().page_count());
+        let done = total.saturating_sub(self.uncompared.len());
+        self.position = Position { phase: Phase::Comparing, done, total };
+        if differs && self.suspect && self.goal != WriteGoal::Compare {
+            self.to_confirm = Some(Pending::HalfRuns);
             return;
         }
         match self.uncompared.pop() {
             Some(next) => {
-                self.state = State::Compare(next);
+                self.stage = WriteStage::Compare(next);
                 self.confirm_between(page, next);
             }
-            None => self.confirms = Some(Then::Compared),
+            None => self.to_confirm = Some(Pending::AllCompared),
         }
     }
 
-    fn is_to_be_written(&self, (page, differs): (u16, bool)) -> bool {
+    fn is_to_be_written(&self, page: u16, differs: bool) -> bool {
         differs || self.writes_all() && !self.written_before.contains(&page)
     }
 
-    /// Two pages in a row that should be equal are read with a check between them.
+    /// A check separates two pages that should be equal: a duplicate of one would pass as the other.
     fn confirm_between(&mut self, page: u16, next: u16) {
         if self.program.page(page) == self.program.page(next) {
-            self.confirms = Some(Then::NextPage);
+            self.to_confirm = Some(Pending::NextPage);
         }
     }
 
-    /// What was compared is confirmed.
+    /// Uses the confirmed comparisons.
     fn sort_out(&mut self) {
-        for (page, differs) in std::mem::take(&mut self.looked_at) {
-            if self.is_to_be_written((page, differs)) {
+        for (page, differs) in std::mem::take(&mut self.comparisons) {
+            if self.is_to_be_written(page, differs) {
                 self.pending.push(page);
-            } else if self.doubted.remove(&page) {
+            } else if self.sent_before.remove(&page) {
                 self.written_before.insert(page);
             }
         }
@@ -305,154 +286,118 @@ impl Writing {
     fn all_compared(&mut self) {
         self.sort_out();
         self.compared = true;
-        // Found whole, by whomever.
+        // The PLC holds the program, if another client has written the rest.
         self.touched &= !self.pending.is_empty();
-        // Taken from the end: the ladder in ascending order, and the header last.
+        // Taken from the end: the ladder in ascending order, then the header.
         self.pending.sort_unstable_by(|page, next| next.cmp(page));
         if self.pending.last() == Some(&0) {
             self.pending.rotate_right(1);
         }
-        self.state = match (self.goal, self.pending.is_empty()) {
-            (Goal::Compare | Goal::DryRun, _) => State::Done,
-            (Goal::Write, false) => State::Look,
-            // An earlier run has stopped it, and may have got no further than the last page.
-            (Goal::Write, true) if self.told_to_stop => State::Final,
-            (Goal::Write, true) => State::Done,
-        };
-    }
-
-    fn flags(&mut self, running: bool) {
-        self.saw(running);
-        match self.state {
-            State::Look if !running => self.write_next(),
-            State::Look if self.touched && !self.options.stop_first => self.stop_again(),
-            State::Look if !self.options.stop_first => self.fail(ProgramError::Running),
-            State::Look => {
-                self.stop(CONTROL_TRIES);
-            }
-            State::Stopped { .. } if !running => self.write_next(),
-            State::Stopped { left } => match left.checked_sub(1) {
-                Some(left @ 1..) => self.state = State::StopPause { left },
-                _ => self.give_up(ProgramError::StillRunning),
-            },
-            State::Refused if running && self.touched => self.stop_again(),
-            // It runs the old program, whole: that is left alone.
-            State::Refused if running => self.fail(ProgramError::SetRunning),
-            State::Refused => {
-                self.failure = self.excuse.take();
-                self.state = State::Failed;
-            }
-            State::Check if !running => self.state = self.write_or_read_back(),
-            State::Check => self.stop_again(),
-            // Nothing was written in this run: somebody has set the whole program running.
-            State::Final if running && self.written.is_empty() => self.state = State::Done,
-            State::Final if running => self.stop_again(),
-            // After a duplicate some are read back again.
-            State::Final if !self.pending.is_empty() => self.write_next(),
-            State::Final if self.options.run_again && self.ran_before => {
-                self.state = State::Run { left: CONTROL_TRIES };
-            }
-            State::Final => self.state = State::Done,
-            State::Running { .. } if running => self.state = State::Done,
-            State::Running { left } => match left.checked_sub(1) {
-                Some(left @ 1..) => self.state = State::RunPause { left },
-                _ => self.give_up(ProgramError::NotRunning),
-            },
-            State::LastLook if !running => self.state = State::Failed,
-            State::LastLook => self.state = State::StopAgain { left: CONTROL_TRIES },
-            State::StoppedAgain { left } => {
-                let left = left.saturating_sub(1);
-                self.state = if running && left > 0 { State::StopAgainPause { left } } else { State::Failed };
-            }
-            _ => {}
+        match (self.goal, self.pending.is_empty()) {
+            (WriteGoal::Compare | WriteGoal::DryRun, _) => self.stage = WriteStage::Done,
+            (WriteGoal::Write, false) => self.look(LookAt::Start),
+            // An earlier run stopped the PLC and may have written all pages.
+            (WriteGoal::Write, true) if self.control.was_stopped() => self.look(LookAt::End),
+            (WriteGoal::Write, true) => self.stage = WriteStage::Done,
         }
     }
 
-    fn saw(&mut self, running: bool) {
-        self.plc = if running { PlcState::Running } else { PlcState::Stopped };
-        if running {
-            self.not_stopped();
-        } else {
-            self.has_stopped |= self.told_to_stop;
+    // Run control.
+
+    fn look(&mut self, at: LookAt) {
+        self.stage = WriteStage::Look(at);
+        self.control.look();
+    }
+
+    fn controlled(&mut self, event: RunEvent) {
+        match (self.stage, event) {
+            (WriteStage::Look(at), RunEvent::Seen(running)) => self.seen(at, running),
+            (WriteStage::Stop, RunEvent::Obeyed) => self.write_next(),
+            (WriteStage::Run, RunEvent::Obeyed) => self.stage = WriteStage::Done,
+            (WriteStage::Secure, _) => self.stage = WriteStage::Failed,
+            (_, RunEvent::Failed(failure)) => self.give_up(failure.into()),
+            (stage, event @ (RunEvent::Seen(_) | RunEvent::Obeyed | RunEvent::Secured)) => {
+                debug_assert!(false, "{event:?} in {stage:?}");
+            }
         }
     }
 
-    fn stop(&mut self, left: u32) {
-        // Said before it is told to: whoever drops the future then does not know whether it has heard that.
-        (self.told_to_stop, self.ran_before) = (true, true);
-        self.state = State::Stop { left };
-    }
-
-    /// The last STOP did nothing: who has stopped it if it is stopped later was somebody else.
-    fn not_stopped(&mut self) {
-        (self.told_to_stop, self.ran_before) = (self.has_stopped, self.has_stopped);
-    }
-
-    /// It was told to stop or to run. Unless that has certainly done nothing, its state is not known now.
-    fn controlled(&mut self, result: &Result<(), Error>) {
-        if result.as_ref().err().is_none_or(Error::may_have_executed) {
-            self.plc = PlcState::Unknown;
+    fn seen(&mut self, at: LookAt, running: bool) {
+        match (at, running) {
+            (LookAt::Start, false) => self.write_next(),
+            (LookAt::Start, true) if self.options.stop_first => {
+                self.stage = WriteStage::Stop;
+                self.control.stop();
+            }
+            (LookAt::Start, true) if self.touched => self.set_running(),
+            (LookAt::Start, true) => self.fail(ProgramError::Running),
+            (LookAt::Refusal, true) if self.touched => self.set_running(),
+            // It runs the old program, whole: it is left alone.
+            (LookAt::Refusal, true) => self.fail(ProgramError::SetRunning),
+            (LookAt::Refusal, false) => {
+                self.failure = self.page_error.take();
+                self.stage = WriteStage::Failed;
+            }
+            (LookAt::BetweenPages, false) => self.write_or_read_back(),
+            (LookAt::BetweenPages, true) => self.set_running(),
+            // This run has written nothing: another client has started the whole program.
+            (LookAt::End, true) if self.written.is_empty() => self.stage = WriteStage::Done,
+            (LookAt::End, true) => self.set_running(),
+            // After a duplicate some pages are read back again.
+            (LookAt::End, false) if !self.pending.is_empty() => self.write_next(),
+            (LookAt::End, false) if self.options.run_again && self.control.is_run_due() => {
+                self.stage = WriteStage::Run;
+                self.control.run();
+            }
+            (LookAt::End, false) => self.stage = WriteStage::Done,
         }
     }
 
-    fn stopping(&mut self, left: u32, result: Result<(), Error>) {
-        self.controlled(&result);
-        if result.as_ref().is_err_and(|error| !error.may_have_executed()) {
-            self.not_stopped();
-        }
-        self.excuse = result.err().map(|source| ProgramError::Call { action: ProgramAction::Stop, source });
-        self.state = State::Stopped { left };
-    }
+    // Write.
 
     fn write_next(&mut self) {
-        self.excuse = None;
-        let all = self.written.len().saturating_add(self.pending.len());
-        self.state = match self.pending.last() {
-            None if self.options.verify_all => State::Verify(0),
-            None => State::Final,
-            Some(_) if !self.written.is_empty() && self.written.len().is_multiple_of(CHECK_EVERY) => State::Check,
-            Some(_) => self.write_or_read_back(),
-        };
-        self.progress = (Phase::Writing, self.written.len(), all);
+        self.page_error = None;
+        let done = self.written.len();
+        // Limit: both count pages, of which there are at most 1025.
+        let total = done.saturating_add(self.pending.len());
+        self.position = Position { phase: Phase::Writing, done, total };
+        if done > 0 && done.is_multiple_of(LOOK_EVERY) && !self.pending.is_empty() {
+            self.look(LookAt::BetweenPages);
+        } else if self.pending.is_empty() && self.options.verify_all {
+            self.stage = WriteStage::Verify(0);
+        } else {
+            self.write_or_read_back();
+        }
     }
 
-    /// The next page is written, unless it has been and only its reading back was not good.
-    fn write_or_read_back(&self) -> State {
+    /// Writes the next page, or reads it back if only that was not reliable.
+    fn write_or_read_back(&mut self) {
         let left = self.options.attempts;
         match self.pending.last() {
-            Some(page) if self.to_read_back.contains(page) => State::ReadBack { left },
-            Some(_) | None => State::Write { left },
+            Some(&page) if self.to_read_back.contains(&page) => self.stage = WriteStage::ReadBack { page, left },
+            Some(&page) => self.stage = WriteStage::Write { page, left },
+            None => self.look(LookAt::End),
         }
     }
 
-    fn wrote(&mut self, left: u32, result: Result<(), Error>) {
-        let page = self.pending.last().copied().unwrap_or_default();
-        let sent = result.as_ref().err().is_none_or(Error::may_have_executed);
-        if sent {
+    fn wrote(&mut self, page: u16, left: u32, error: Option<Error>) {
+        if error.as_ref().is_none_or(Error::may_have_executed) {
             (self.touched, self.in_doubt) = (true, Some(page));
         }
-        match result {
-            Ok(()) => self.excuse = None,
-            Err(source) => {
-                let refused = !source.may_have_executed() && source.error_code().is_some();
-                let invalid = matches!(source, Error::Invalid(_));
-                let error = ProgramError::Call { action: ProgramAction::WritePage(page), source };
-                if invalid {
-                    return self.fail(error);
-                }
-                self.excuse = Some(error);
-                if refused {
-                    self.state = State::Refused;
-                    return;
-                }
-            }
+        // Whether it was written, the page itself shows.
+        self.stage = WriteStage::ReadBack { page, left };
+        let is_invalid = matches!(error, Some(Error::Invalid(_)));
+        let is_refused = error.as_ref().is_some_and(|error| !error.may_have_executed() && error.error_code().is_some());
+        self.page_error = error.map(|source| ProgramError::Call { action: ProgramAction::WritePage(page), source });
+        if is_invalid {
+            let error = self.page_error.take();
+            self.fail(error.unwrap_or(ProgramError::NotTaken { page }));
+        } else if is_refused {
+            self.look(LookAt::Refusal);
         }
-        // What has become of it, the page itself tells.
-        self.state = State::ReadBack { left };
     }
 
-    fn read_back(&mut self, left: u32, content: &ProgramPage) {
-        let Some(&page) = self.pending.last() else { return };
+    fn read_back(&mut self, page: u16, left: u32, content: &ProgramPage) {
         if self.program.page(page) == Some(content) {
             self.in_doubt = self.in_doubt.filter(|&in_doubt| in_doubt != page);
             self.pending.pop();
@@ -462,53 +407,161 @@ impl Writing {
             return self.write_next();
         }
         match left.checked_sub(1) {
-            Some(left @ 1..) => self.state = State::Write { left },
-            _ => self.give_up(ProgramError::NotTaken { page }),
+            Some(left @ 1..) => self.stage = WriteStage::Write { page, left },
+            Some(0) | None => self.give_up(ProgramError::NotTaken { page }),
         }
     }
+
+    // Verify.
 
     fn verify(&mut self, page: u16, content: &ProgramPage) {
         if self.program.page(page) != Some(content) {
-            self.looked_at.push((page, true));
+            self.comparisons.push((page, true));
         }
-        let (next, count) = (page.saturating_add(1), self.program.header().page_count());
-        self.progress = (Phase::Verifying, next.into(), count.into());
-        if next < count {
-            self.state = State::Verify(next);
+        let total = self.program.header().page_count();
+        // A page number is below the count of pages.
+        let next = page.saturating_add(1);
+        self.position = Position { phase: Phase::Verifying, done: next.into(), total: total.into() };
+        if next < total {
+            self.stage = WriteStage::Verify(next);
             self.confirm_between(page, next);
         } else {
-            self.confirms = Some(Then::Verified);
+            self.to_confirm = Some(Pending::AllVerified);
         }
     }
 
-    /// All have been read once more, and that is confirmed.
-    fn verified(&mut self) {
-        for (page, _) in std::mem::take(&mut self.looked_at) {
+    fn all_verified(&mut self) {
+        for (page, _) in std::mem::take(&mut self.comparisons) {
             self.differing.push(page);
             self.written.retain(|&written| written != page);
             self.touched = true;
         }
         if self.differing.is_empty() {
-            self.state = State::Final;
+            self.look(LookAt::End);
         } else {
             let pages = self.differing.clone();
             self.fail(ProgramError::Differs { pages });
         }
     }
 
-    fn ran(&mut self, left: u32, result: Result<(), Error>) {
-        match result {
-            Err(Error::Plc { error, repeated: false, .. }) => {
-                self.failure = Some(ProgramError::RunRefused { error });
-                self.state = State::Failed;
-            }
-            // An answer or none: its status tells.
-            result => {
-                self.controlled(&result);
-                self.excuse = result.err().map(|source| ProgramError::Call { action: ProgramAction::Run, source });
-                self.state = State::Running { left };
-            }
+    // Fail.
+
+    /// The program does not fit this PLC, which therefore is not a half-written one.
+    fn refuse(&mut self, error: ProgramError) {
+        self.failure = Some(error);
+        self.stage = WriteStage::Failed;
+    }
+
+    /// The run cannot continue. A half-written PLC is left only after its status was read again.
+    fn fail(&mut self, error: ProgramError) {
+        self.refuse(error);
+        if self.goal == WriteGoal::Write && self.half_written() {
+            self.stage = WriteStage::Secure;
+            self.control.secure(false);
         }
+    }
+
+    /// No attempt succeeded: for the reason of the last one, or else for this one.
+    fn give_up(&mut self, error: ProgramError) {
+        let error = self.page_error.take().unwrap_or(error);
+        self.fail(error);
+    }
+
+    /// Another client has started the PLC, which holds a part of the program.
+    fn set_running(&mut self) {
+        self.refuse(ProgramError::SetRunning);
+        if self.goal == WriteGoal::Write {
+            self.stage = WriteStage::Secure;
+            self.control.secure(true);
+        }
+    }
+
+    fn take_failure(&mut self) -> ProgramError {
+        debug_assert!(self.failure.is_some(), "no failure in {:?}", self.stage);
+        self.failure.take().unwrap_or(ProgramError::NotRunning)
+    }
+}
+
+impl Transfer for Writing {
+    type Mark = WriteMark;
+    type Failure = ProgramError;
+
+    fn next(&mut self) -> Result<Step, ProgramError> {
+        if self.to_confirm.is_some() || self.control.must_confirm() {
+            return Ok(Step::Confirm);
+        }
+        if let Some(request) = self.control.next() {
+            return Ok(Step::Send(request));
+        }
+        let request = match self.stage {
+            WriteStage::Fit => Request::DetailedStatus,
+            WriteStage::Kind => Request::ReadPage(0),
+            WriteStage::Compare(page) | WriteStage::Verify(page) | WriteStage::ReadBack { page, .. } => {
+                Request::ReadPage(page)
+            }
+            WriteStage::Write { page, .. } => match self.program.page(page) {
+                Some(content) => {
+                    Request::WritePage { page, content: content.clone(), timeout: self.options.page_timeout }
+                }
+                None => return Err(self.take_failure()),
+            },
+            WriteStage::Done => return Ok(Step::Done),
+            // Run control has a request in the first four.
+            WriteStage::Look(_) | WriteStage::Stop | WriteStage::Run | WriteStage::Secure | WriteStage::Failed => {
+                return Err(self.take_failure());
+            }
+        };
+        Ok(Step::Send(request))
+    }
+
+    fn mark(&self) -> WriteMark {
+        WriteMark { stage: self.stage, compared: self.comparisons.len(), written: self.written.len() }
+    }
+
+    fn handle(&mut self, result: Result<Reply, Error>) -> Result<(), ProgramError> {
+        if self.control.next().is_some() {
+            if let Some(event) = self.control.handle(result) {
+                self.controlled(event);
+            }
+            return Ok(());
+        }
+        match (self.stage, result) {
+            (WriteStage::Write { page, left }, result) => self.wrote(page, left, result.err()),
+            (WriteStage::Kind, Ok(Reply::Page(content))) => self.kind(&content),
+            (WriteStage::Compare(page), Ok(Reply::Page(content))) => self.compare(page, &content),
+            (WriteStage::ReadBack { page, left }, Ok(Reply::Page(content))) => self.read_back(page, left, &content),
+            (WriteStage::Verify(page), Ok(Reply::Page(content))) => self.verify(page, &content),
+            (_, Ok(Reply::DetailedStatus(status))) => self.fits(&status),
+            (stage, Ok(reply)) => debug_assert!(false, "{reply:?} in {stage:?}"),
+            (WriteStage::Compare(page) | WriteStage::ReadBack { page, .. } | WriteStage::Verify(page), Err(source)) => {
+                self.give_up(ProgramError::Call { action: ProgramAction::ReadPage(page), source });
+            }
+            (WriteStage::Kind, Err(source)) => {
+                self.give_up(ProgramError::Call { action: ProgramAction::ReadPage(0), source });
+            }
+            (_, Err(source)) => self.give_up(ProgramError::Call { action: ProgramAction::ReadStatus, source }),
+        }
+        Ok(())
+    }
+
+    fn confirmed(&mut self, result: Result<(), Error>) -> Result<(), ProgramError> {
+        self.take_confirmation(result);
+        Ok(())
+    }
+
+    fn rewind(&mut self, mark: WriteMark) {
+        self.go_back(mark);
+    }
+
+    /// Pages written since the mark are in doubt.
+    fn distrust(&mut self, first_held: WriteMark) {
+        if self.goal == WriteGoal::Write {
+            self.take_back(first_held.written);
+        }
+    }
+
+    fn position(&self) -> Position {
+        self.position
     }
 }
 

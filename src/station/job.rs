@@ -1,4 +1,4 @@
-//! The requests of a job, sent one after the other: see [`Job`].
+//! Sending the requests of a job: see [`Job`].
 
 use super::Station;
 use crate::command::{Command, LoopBack};
@@ -10,16 +10,16 @@ use crate::link::{CallOutcome, Purpose};
 pub(crate) struct StationJob<'s, M> {
     station: &'s Station,
     job: Job<M>,
-    /// Where the results begin that were given up.
+    /// The mark of the first result that was given up.
     given_up: Option<M>,
 }
 
-/// What came of a request of a job.
+/// The result of a request of a job.
 #[derive(Debug)]
 pub(crate) enum Outcome<M, T> {
-    /// Its reply, which is held: it is good once the job is confirmed.
+    /// Its reply, which is held until the job is confirmed.
     Reply(JobReply<T>),
-    /// The results from this mark on are to be asked for again.
+    /// The requests from this mark on are to be repeated.
     Rewind(M),
 }
 
@@ -27,7 +27,7 @@ pub(crate) enum Outcome<M, T> {
 #[derive(Debug)]
 pub(crate) struct JobReply<T> {
     pub(crate) reply: T,
-    /// Elements that were named: fewer than the request has, if it was a part of a longer read or write.
+    /// Elements of the request that was sent: fewer than asked for, if it is part of a longer read or write.
     pub(crate) count: usize,
 }
 
@@ -41,26 +41,26 @@ impl<M, T> Outcome<M, T> {
 }
 
 impl<'s, M: Copy> StationJob<'s, M> {
-    /// A job that asks again as often as a read of the station is retried.
+    /// A job that rewinds as often as a read of the station is retried.
     pub(crate) fn new(station: &'s Station) -> Self {
         Self { station, job: Job::new(station.options.retries), given_up: None }
     }
 
-    /// A job of writes. They are not repeated, so the first rewind is the end.
+    /// A job of writes. They are not repeated, so the first rewind ends it.
     pub(crate) fn of_writes(station: &'s Station) -> Self {
         Self { station, job: Job::new(1), given_up: None }
     }
 
-    /// The first result that is not confirmed: those from there on are not to be used if the job ends now.
+    /// The mark of the first result that is not confirmed. It and later ones are lost if the job ends now.
     pub(crate) fn first_held(&self) -> Option<M> {
         self.given_up.or(self.job.first_held())
     }
 
-    /// Sends a request that stands at this mark. `longer`: it may leave elements to the next request.
+    /// Sends the request at this mark. `longer`: it may leave elements to the next request.
     ///
     /// # Errors
-    /// As for every method of [`Station`]; [`Error::OutOfStep`] when the job has been rewound too often. A refusal of a read is
-    /// confirmed before it is given out.
+    /// As for every method of [`Station`]; [`Error::Duplicates`] if the job was rewound too often. A
+    /// refusal is confirmed before it is returned.
     pub(crate) async fn call<C: Command>(
         &mut self,
         mark: M,
@@ -93,17 +93,20 @@ impl<'s, M: Copy> StationJob<'s, M> {
         }
     }
 
-    /// Ends a job of requests of one user: as [`confirm`](Self::confirm), but not if the last exchange has shown that no copy is
-    /// left over within the job.
+    /// Ends a job of requests of one user: as [`confirm`](Self::confirm), unless the last exchange has
+    /// shown that no copy is left over within the job.
+    ///
+    /// # Errors
+    /// As for [`confirm`](Self::confirm).
     pub(crate) async fn end(&mut self) -> Result<Option<M>, Error> {
         if self.job.must_confirm() { self.confirm().await } else { Ok(None) }
     }
 
-    /// Confirms all results that are held; `Some`: those from this mark on are to be asked for again.
+    /// Confirms all held results; `Some`: requests from this mark on are to be repeated.
     ///
     /// # Errors
-    /// As for every method of [`Station`]; [`Error::OutOfStep`] when the job has been rewound too often. Then the results that
-    /// are [held](Self::first_held) are not good.
+    /// As for every method of [`Station`]; [`Error::Duplicates`] if the job was rewound too often. Then
+    /// the [held](Self::first_held) results are not reliable.
     pub(crate) async fn confirm(&mut self) -> Result<Option<M>, Error> {
         let Some(first) = self.job.first_held() else { return Ok(None) };
         let proof = self.check().await?;
@@ -124,10 +127,7 @@ impl<'s, M: Copy> StationJob<'s, M> {
         match progress {
             JobProgress::Go => Ok(mark),
             JobProgress::Rewind(first) => {
-                tracing::debug!(
-                    station = number,
-                    "an unexpected frame came within a job: its results are asked for again"
-                );
+                tracing::debug!(station = number, "unexpected frame within a job: its requests are repeated");
                 Ok(first)
             }
             JobProgress::Failed(first) => {

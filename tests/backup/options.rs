@@ -288,7 +288,7 @@ async fn a_plc_that_does_not_tell_what_is_forced_is_not_written() {
     let backup = prepare(&bench, ["R0-R9", "M0-M9"]).await;
     bench.faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ReadDisabled)]);
     let error = bench.station().restore(&backup, RestoreOptions::new()).await.unwrap_err();
-    assert!(error.to_string().starts_with("asking which of M"), "{error}");
+    assert!(error.to_string().starts_with("reading which of M"), "{error}");
     assert_eq!(bench.faults.log().writes(), 0);
     bench.station().restore(&backup, RestoreOptions::new().write_forced()).await.unwrap();
 }

@@ -10,8 +10,8 @@ use crate::bench::{Bench, FRAMINGS, model, tags};
 /// Half a backup of a PLC of this model, from a file.
 async fn partial(framing: Framing, model: Model) -> Backup {
     let bench = Bench::with_model(framing, Faults::new(1), model);
-    // The PLC is gone behind the check of the new connection, the status and a request.
-    bench.faults.set_rules([Rule::new(Fault::Ignore).skip(4)]);
+    // The second request has no reply; the check of the first one has.
+    bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::ReadRegisters).skip(1)]);
     let error = bench.station().back_up(tags(["R0-R99"])).await.unwrap_err();
     let BackupError::Call { partial, .. } = error else { panic!("{error}") };
     assert_eq!(partial.value_count(), 64);
@@ -27,7 +27,7 @@ async fn a_backup_does_not_go_on_with_another_station() {
         let mut taking = TakeBackup::resume(partial.clone());
         let error = taking.run(&other).await.unwrap_err();
         assert!(matches!(error, BackupError::OtherStation { backup: 1, station: 2, .. }), "{error}");
-        assert_eq!(error.to_string(), "the backup was begun with station 1, and cannot go on with station 2");
+        assert_eq!(error.to_string(), "the backup was begun with station 1, and cannot continue with station 2");
         assert_eq!((bench.faults.log().arrivals(), taking.partial()), (0, &partial));
         // With the right one it does.
         assert!(taking.run(&bench.station()).await.unwrap().is_complete());
@@ -50,7 +50,7 @@ async fn a_backup_does_not_go_on_with_a_plc_of_another_model() {
             let error = taking.run(&bench.station()).await.unwrap_err();
             assert!(matches!(error, BackupError::OtherPlc { .. }), "{error}");
             let begun =
-                "the backup was begun with another PLC (main unit MC, I/O points code 3), and cannot go on with";
+                "the backup was begun with another PLC (main unit MC, I/O points code 3), and cannot continue with";
             assert_eq!(error.to_string(), format!("{begun} this one ({message})"));
             // The check of the new connection, and 53.
             assert_eq!((bench.faults.log().arrivals(), taking.partial()), (2, &partial));
@@ -59,7 +59,10 @@ async fn a_backup_does_not_go_on_with_a_plc_of_another_model() {
         let bench = Bench::new(framing, Faults::new(1));
         bench.faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ReadDetailedStatus)]);
         let error = TakeBackup::resume(partial.clone()).run(&bench.station()).await.unwrap_err();
-        assert!(error.to_string().ends_with("cannot go on with this one (which does not tell its type)"), "{error}");
+        assert!(
+            error.to_string().ends_with("cannot continue with this one (which does not report its type)"),
+            "{error}"
+        );
         // A later version of the same is the same.
         let same = model().main_unit(1).io_points_code(3).os_version(4, 2);
         let bench = Bench::with_model(framing, Faults::new(1), same);

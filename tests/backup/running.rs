@@ -49,7 +49,7 @@ async fn a_plc_that_is_set_running_between_two_writes_or_while_it_is_verified_is
                 let mut restore = disturbed(&bench, &backup, options, phase, requests);
                 let error = restore.run(&bench.station()).await.expect_err(&note);
                 let text = error.to_string();
-                assert!(text.starts_with("somebody has set the PLC running while it was restored"), "{text}, {note}");
+                assert!(text.starts_with("another client started the PLC while it was restored"), "{text}, {note}");
                 assert_eq!(error.report.plc, PlcState::Running, "{note}");
                 assert_eq!(error.report.written, tags(["R3", "R70"]), "{note}");
                 // What is done about that is up to whoever asked for it.
@@ -75,7 +75,7 @@ async fn what_a_program_has_changed_after_the_plc_was_set_running_is_told_with_t
     });
     let error = restore.run(&bench.station()).await.unwrap_err();
     let text = error.to_string();
-    assert!(text.starts_with("somebody has set the PLC running while it was restored; 1 of the elements do"), "{text}");
+    assert!(text.starts_with("another client started the PLC while it was restored; 1 of the elements do"), "{text}");
     assert_eq!((error.report.remaining.len(), error.report.remaining[0].element), (1, element!("R5")));
 }
 
@@ -100,7 +100,7 @@ async fn nothing_is_written_to_a_plc_that_is_set_running_while_it_is_compared() 
         bench.plc.run();
         let mut restore = disturbed(&bench, &backup, options, Phase::Comparing, 4);
         let error = restore.run(&bench.station()).await.unwrap_err();
-        assert!(error.to_string().starts_with("somebody has set the PLC running"), "{error}");
+        assert!(error.to_string().starts_with("another client started the PLC"), "{error}");
         assert!(error.to_string().ends_with("; it was stopped, and the PLC runs"), "{error}");
         assert_eq!((bench.writes(), bench.plc.is_running()), (vec![], true));
     }

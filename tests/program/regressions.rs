@@ -66,7 +66,7 @@ async fn a_second_failure_does_not_forget_that_the_plc_holds_a_half() {
     assert!(second.state.is_half_written() && second.state.written_before == [1, 2, 3], "{second:?}");
     assert!(
         second.to_string().ends_with(
-            "; this run has written no page, and earlier ones 1-3: the PLC may hold a half of the program, \
+            "; this run has written no page, and earlier ones 1-3: the PLC may hold a part of the program, \
              and the PLC ran before, and whether it runs now is not known: write the rest before it runs"
         ),
         "{second}"
@@ -331,7 +331,7 @@ async fn a_reading_does_not_go_on_with_another_plc() {
     for another in stations {
         let error = read.run(&another).await.expect_err("one program of two PLCs");
         assert!(matches!(error, ProgramError::OtherStation { .. }) && other.faults.log().arrivals() == 0, "{error}");
-        assert!(error.to_string().starts_with("this was begun with station 1 on in memory, and cannot go on with "));
+        assert!(error.to_string().starts_with("this was begun with station 1 on in memory, and cannot continue with "));
     }
     assert_eq!(read.pages_done(), 5);
     bench.faults.set_rules([]);

@@ -12,7 +12,7 @@ fn isolate(range: Tag, refused: &[usize]) -> (Vec<Chunk>, Vec<Chunk>) {
     let mut chunks = Chunks::new([(0, range, 0..range.element_count())]);
     let (mut answered, mut found) = (Vec::new(), Vec::new());
     while let Some(chunk) = chunks.next() {
-        if refused.iter().any(|place| chunk.places().contains(place)) {
+        if refused.iter().any(|place| chunk.indices().contains(place)) {
             found.extend(chunks.refused());
         } else {
             answered.push(chunk);
@@ -56,7 +56,7 @@ fn words_and_double_words_name_their_discretes() {
     }
     let left_out: Vec<_> = Symbol::ALL
         .iter()
-        .filter(|&&symbol| is_not_for_restoring(Element::new(symbol, 0).unwrap().into()))
+        .filter(|&&symbol| is_never_restored(Element::new(symbol, 0).unwrap().into()))
         .map(|symbol| symbol.as_str())
         .collect();
     assert_eq!(left_out, ["X", "T", "C", "WX", "WT", "WC", "DWX", "DWT", "DWC"]);
@@ -81,7 +81,7 @@ proptest! {
         let values: std::collections::BTreeSet<_> = refused.iter().map(|place| place / per_value * per_value).collect();
         let found_values: Vec<_> = found.iter().map(|chunk| (chunk.start, chunk.count)).collect();
         prop_assert_eq!(found_values, values.into_iter().map(|start| (start, per_value)).collect::<Vec<_>>());
-        let mut covered: Vec<usize> = answered.iter().chain(&found).flat_map(|chunk| chunk.places()).collect();
+        let mut covered: Vec<usize> = answered.iter().chain(&found).flat_map(|chunk| chunk.indices()).collect();
         covered.sort_unstable();
         prop_assert!(covered.into_iter().eq(0..range.element_count()), "each once");
         for chunk in answered {

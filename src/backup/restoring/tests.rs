@@ -1,19 +1,20 @@
-//! The states of restoring against a PLC of a few lines: what is said of each element is what has become of it.
+//! Restoring against a model of a PLC: the report of each element must be true.
 //!
-//! `FATEK_RESTORING_SEEDS=100000` runs so many seeds, `FATEK_RESTORING_SEED=n` one.
+//! `FATEK_RESTORING_SEEDS=100000` runs 100000 seeds, `FATEK_RESTORING_SEED=n` one.
 
 use super::*;
 use crate::backup::{Block, Origin};
+use crate::command::BriefStatus;
 use crate::element::Element;
 use crate::tag::Tag;
 
-/// A backup of these, in which all is 0.
+/// A backup of these ranges with the value 0 everywhere.
 fn backup(ranges: &[&str]) -> Backup {
     let block = |range: &&str| {
         let range: Tag = range.parse().unwrap();
         Block { range, cells: vec![Ok(Value::Word(0)); range.element_count()] }
     };
-    Backup { origin: Origin::default(), blocks: ranges.iter().map(block).collect() }
+    Backup { origin: Origin::default(), blocks: ranges.iter().map(block).collect(), unknown_fields: Vec::new() }
 }
 
 fn lost() -> Error {
@@ -37,53 +38,59 @@ fn words(values: &[u16]) -> Result<Reply, Error> {
     Ok(Reply::Values(values.iter().copied().map(Value::Word).collect()))
 }
 
+/// The reply to 40.
+fn status(running: bool) -> Reply {
+    Reply::Status(BriefStatus::from_raw([running.into(), 0, 0]))
+}
+
 fn names(ranges: &[Tag]) -> Vec<String> {
     ranges.iter().map(ToString::to_string).collect()
 }
 
-/// Restores 0 to such elements, which hold this, and goes as far as the first write.
+/// Restores 0 to elements that hold these values, up to the first write.
 fn until_write(range: &str, held: &[u16]) -> Restoring {
     let mut restoring = Restoring::new(&backup(&[range]), RestoreOptions::new());
-    restoring.begin(Goal::Restore);
-    assert_eq!(restoring.next().unwrap(), Step::Status);
-    restoring.handle(Ok(Reply::Running(false))).unwrap();
-    assert!(matches!(restoring.next().unwrap(), Step::Read(_)));
+    restoring.begin(RestoreGoal::Restore);
+    assert_eq!(next(&mut restoring), Request::Status);
+    restoring.handle(Ok(status(false))).unwrap();
+    assert!(matches!(next(&mut restoring), Request::Read { .. }));
     restoring.handle(words(held)).unwrap();
     restoring
 }
 
-/// What is asked for next. What was read is confirmed.
-fn next(restoring: &mut Restoring) -> Step {
+/// The next request, after all checks.
+fn next(restoring: &mut Restoring) -> Request {
     loop {
         match restoring.next().unwrap() {
-            Step::Confirm => restoring.confirmed(Ok(None)).unwrap(),
-            step => return step,
+            Step::Confirm => restoring.confirmed(Ok(())).unwrap(),
+            Step::Send(request) => return request,
+            Step::Done => panic!("there is no further request"),
         }
     }
 }
 
-/// What is to be written next.
+/// The range of the next request, a write.
 fn write(restoring: &mut Restoring) -> String {
     match next(restoring) {
-        Step::Write(range, _) => range.to_string(),
-        step => panic!("{step:?}"),
+        Request::Write(range, _) => range.to_string(),
+        request => panic!("{request:?}"),
     }
 }
 
-/// The write just asked for is lost, and a read then finds this.
+/// The last write is lost, and a read then finds these values.
 fn lose(restoring: &mut Restoring, found: &[u16]) {
     restoring.handle(Err(lost())).unwrap();
-    assert!(matches!(restoring.next().unwrap(), Step::Read(_)));
+    assert!(matches!(next(restoring), Request::Read { .. }));
     restoring.handle(words(found)).unwrap();
 }
 
 #[test]
-fn half_a_value_that_a_lost_write_has_changed_is_not_said_to_be_unwritten() {
+fn half_a_value_of_a_lost_write_is_not_unwritten() {
     let mut restoring = until_write("R0-R1:u32", &[7, 7]);
     assert_eq!(write(&mut restoring), "R0-R1");
-    // Somebody has changed the second half since.
+    // Another client has changed the second half since.
     lose(&mut restoring, &[0, 9]);
-    // The value is written again, as a whole, and that is not even sent.
+    // The whole value is written again, and that is not sent.
     assert_eq!(write(&mut restoring), "R0-R1");
     assert_eq!(names(&restoring.report().in_doubt), ["R0-R1"]);
     restoring.handle(Err(unsent())).unwrap_err();
@@ -93,13 +100,13 @@ fn half_a_value_that_a_lost_write_has_changed_is_not_said_to_be_unwritten() {
 }
 
 #[test]
-fn of_several_elements_those_of_a_lost_write_are_told_from_those_never_sent() {
+fn elements_of_a_lost_write_differ_from_those_never_sent() {
     let held = [[7_u16; 64], [7; 64]].concat();
     let mut restoring = Restoring::new(&backup(&["R0-R127"]), RestoreOptions::new());
-    restoring.begin(Goal::Restore);
-    restoring.handle(Ok(Reply::Running(false))).unwrap();
+    restoring.begin(RestoreGoal::Restore);
+    restoring.handle(Ok(status(false))).unwrap();
     for half in held.chunks(64) {
-        assert!(matches!(restoring.next().unwrap(), Step::Read(_)));
+        assert!(matches!(next(&mut restoring), Request::Read { .. }));
         restoring.handle(words(half)).unwrap();
     }
     assert_eq!(write(&mut restoring), "R0-R63");
@@ -115,7 +122,7 @@ fn of_several_elements_those_of_a_lost_write_are_told_from_those_never_sent() {
 }
 
 #[test]
-fn an_equal_half_that_was_not_sent_stays_what_it_was() {
+fn an_equal_half_that_was_not_sent_stays_equal() {
     let mut restoring = until_write("R0-R3:u32", &[0, 7, 7, 7]);
     assert_eq!(write(&mut restoring), "R0-R3");
     restoring.handle(Err(refused())).unwrap();
@@ -127,9 +134,9 @@ fn an_equal_half_that_was_not_sent_stays_what_it_was() {
 }
 
 /// `SplitMix64`.
-struct Dice(u64);
+struct SplitMix(u64);
 
-impl Dice {
+impl SplitMix {
     fn below(&mut self, limit: u64) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -138,20 +145,21 @@ impl Dice {
     }
 }
 
-/// What has become of an element, as whoever sends the requests knows it.
+/// The fate of an element, as far as the client can know it.
 #[derive(Clone, Copy, Debug, Default)]
 struct Fate {
     /// A write of it was sent, in this run.
     sent: bool,
-    /// The last write of it that was sent was confirmed, or a read behind it has found what was to be written.
+    /// The last write that was sent was confirmed, or a later read has found its value.
     shown: bool,
 }
 
 const RANGES: [&str; 3] = ["R0-R9", "R20-R29:u32", "R100-R230"];
 
-/// A PLC whose program runs now and then, and whose line loses much. Gives how many elements were in doubt at the end of a run.
+/// A PLC whose program runs now and then, and whose line loses requests and replies. Returns the
+/// number of elements that were in doubt at the ends of runs.
 fn model(seed: u64) -> usize {
-    let dice = &mut Dice(seed);
+    let dice = &mut SplitMix(seed);
     let mut options = RestoreOptions::new().bridge(dice.below(4) as usize).attempts(1 + dice.below(4) as u32);
     options = match dice.below(3) {
         0 => options.stop_first().run_again(),
@@ -163,41 +171,45 @@ fn model(seed: u64) -> usize {
     let place = |element: Element| usize::from(element.address());
     for _ in 0..4 {
         let mut fates = vec![Fate::default(); memory.len()];
-        restoring.begin(Goal::Restore);
-        // What the PLC was last seen to be, since it was last told something.
+        restoring.begin(RestoreGoal::Restore);
+        // The last status since STOP or RUN was sent.
         let mut seen: Option<bool> = None;
-        // What reads have shown that are not confirmed yet, and the first of these.
+        // Elements that unconfirmed reads have shown, and the mark of the first of these reads.
         let (mut read, mut held) = (Vec::new(), None);
         let ended = loop {
-            let step = match restoring.next() {
+            let request = match restoring.next() {
                 Ok(Step::Done) => break Ok(()),
-                Ok(step) => step,
+                Ok(Step::Send(request)) => Some(request),
+                Ok(Step::Confirm) => None,
                 Err(failure) => break Err(failure),
             };
             let mark = restoring.mark();
-            // A check finds that a duplicate came out of order.
-            if let Some(mark) = held.filter(|_| matches!(step, Step::Read(_) | Step::Confirm) && dice.below(40) == 0) {
-                if mark == State::Write || matches!(restoring.state, State::Verify | State::LastLook) {
+            // A check finds an out-of-order duplicate.
+            let shows = matches!(request, Some(Request::Read { .. }) | None);
+            if let Some(mark) = held.filter(|_| shows && dice.below(40) == 0) {
+                if mark == RestoreStage::Elements(Write)
+                    || matches!(restoring.stage, RestoreStage::Elements(Verify) | RestoreStage::Control(LastLook))
+                {
                     fates.iter_mut().for_each(|fate| fate.shown = false);
                 }
                 (read, held) = (Vec::new(), None);
                 restoring.rewind(mark);
                 continue;
             }
-            if step == Step::Confirm {
+            let Some(request) = request else {
                 let good = dice.below(20) > 0;
                 if good {
                     read.drain(..).for_each(|at: usize| fates[at].shown = true);
                     held = None;
                 }
-                if let Err(failure) = restoring.confirmed(if good { Ok(None) } else { Err(lost()) }) {
+                if let Err(failure) = restoring.confirmed(if good { Ok(()) } else { Err(lost()) }) {
                     break Err(failure);
                 }
                 continue;
-            }
-            // The future is dropped, and nobody knows whether that was sent.
+            };
+            // The future is dropped: the request may have been sent.
             if dice.below(400) == 0 {
-                if let Step::Write(range, _) = &step {
+                if let Request::Write(range, _) = &request {
                     range.elements().for_each(|element| fates[place(element)] = Fate { sent: true, shown: false });
                 }
                 break Err(RestoreFailure::NotRunning);
@@ -216,25 +228,25 @@ fn model(seed: u64) -> usize {
                 _ => (None, true),
             };
             let sent = is_lost.as_ref().is_none_or(Error::may_have_executed);
-            let reply = match &step {
-                Step::Status => {
+            let reply = match &request {
+                Request::Status => {
                     seen = if is_lost.is_none() { Some(running) } else { seen };
-                    Reply::Running(running)
+                    status(running)
                 }
-                Step::Stop | Step::Run => {
-                    running = if is_done { step == Step::Run } else { running };
+                Request::Stop | Request::Run => {
+                    running = if is_done { request == Request::Run } else { running };
                     seen = if sent { None } else { seen };
                     Reply::Done
                 }
-                Step::Read(chunk) => {
-                    let elements: Vec<_> = chunk.names().elements().map(place).collect();
+                Request::Read { range, .. } => {
+                    let elements: Vec<_> = range.elements().map(place).collect();
                     if is_lost.is_none() {
                         held.get_or_insert(mark);
                         read.extend(elements.iter().filter(|&&at| fates[at].sent && memory[at] == 0));
                     }
                     Reply::Values(elements.iter().map(|&at| Value::Word(memory[at])).collect())
                 }
-                Step::Write(range, values) => {
+                Request::Write(range, values) => {
                     assert!(values.iter().all(|&value| value == Value::Word(0)), "seed {seed}");
                     for at in range.elements().map(place) {
                         held.get_or_insert(mark);
@@ -247,7 +259,8 @@ fn model(seed: u64) -> usize {
                     }
                     Reply::Done
                 }
-                _ => Reply::Done,
+                Request::Pause => Reply::Done,
+                request => unreachable!("{request:?}"),
             };
             if let Err(failure) = restoring.handle(is_lost.map_or(Ok(reply), Err)) {
                 break Err(failure);
@@ -276,7 +289,7 @@ fn model(seed: u64) -> usize {
 }
 
 #[test]
-fn what_is_said_of_each_element_is_what_has_become_of_it() {
+fn the_report_of_each_element_is_true() {
     let number = |name| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
     let seeds = match number("FATEK_RESTORING_SEED") {
         Some(seed) => seed..seed + 1,
@@ -285,4 +298,55 @@ fn what_is_said_of_each_element_is_what_has_become_of_it() {
     let many = seeds.end - seeds.start > 100;
     let doubts: usize = seeds.map(model).sum();
     assert!(!many || doubts > 100, "{doubts}");
+}
+
+#[test]
+fn elements_are_in_doubt_after_too_many_duplicates() {
+    let mut restoring = until_write("R0-R3", &[7, 7, 0, 7]);
+    assert_eq!(write(&mut restoring), "R0-R1");
+    restoring.handle(Ok(Reply::Done)).unwrap();
+    assert_eq!(write(&mut restoring), "R3");
+    let mark = restoring.mark();
+    assert_eq!(names(&restoring.report().written), ["R0-R1"]);
+    restoring.distrust(mark);
+    let duplicates = Error::Duplicates { station: 1, sent: true };
+    restoring.handle(Err(duplicates)).unwrap();
+    let report = restoring.report();
+    assert_eq!((report.written, names(&report.in_doubt)), (vec![], vec!["R0-R1".to_owned(), "R3".to_owned()]));
+}
+
+#[cfg(feature = "sim")]
+#[test]
+fn restoring_keeps_the_contract_of_a_transfer() {
+    use crate::random::Random;
+    use crate::sim::Plc;
+    use crate::transfer::contract::{self, End};
+
+    for seed in 0..300 {
+        let mut random = Random::new(seed);
+        let (plc, backup) = (Plc::new(), backup(&RANGES));
+        for element in backup.ranges().flat_map(|range| range.elements().collect::<Vec<_>>()) {
+            plc.write(element, Value::Word(u16::from(random.next().is_multiple_of(3)))).unwrap();
+        }
+        let ran = random.next().is_multiple_of(2);
+        if ran {
+            plc.run();
+        }
+        let mut options = RestoreOptions::new().bridge(random.next() as usize % 4);
+        if random.next().is_multiple_of(2) {
+            options = options.stop_first().run_again();
+        }
+        let mut restoring = Restoring::new(&backup, options);
+        for run in 0.. {
+            assert!(run < 300, "seed {seed}: it does not end");
+            restoring.begin(RestoreGoal::Restore);
+            if let End::Done = contract::run(&mut restoring, &plc, &mut random, 10) {
+                break;
+            }
+        }
+        for element in backup.ranges().flat_map(|range| range.elements().collect::<Vec<_>>()) {
+            assert_eq!(plc.read(element), Value::Word(0), "seed {seed}: {element}");
+        }
+        assert_eq!(plc.is_running(), ran, "seed {seed}: {}", restoring.report());
+    }
 }

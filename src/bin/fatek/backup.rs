@@ -9,15 +9,16 @@ use fatek::backup::{
 };
 use fatek::program::PlcState;
 use fatek::tag::Tag;
-use fatek::{Element, Error, Station, Value};
+use fatek::{Element, Station, Value};
 
 use crate::args::{BackupArgs, Plc, RestoreArgs};
 use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Output, Rows, complain};
+use crate::retry::{Direction, is_line_failure, retry, write_progress};
 use crate::signal;
-use crate::transfer::{GoingOn, Reporter};
+use crate::transfer::{Reporter, warn_of_unknown_fields};
 
 /// The ranges, or the file, are looked at before the station: nothing is sent for what is no good.
 pub(crate) async fn backup(
@@ -47,18 +48,17 @@ pub(crate) async fn backup(
     let reporter = Reporter::new(output);
     let mut taking = taking.on_progress(reporter.callback());
     let station = connect::station(plc, timeout)?;
-    let mut before = 0;
-    let result = loop {
-        let result = taking.run(&station).await;
-        reporter.end_line();
-        match result {
-            Err(BackupError::Call { source, .. }) if may_go_on(&source) && taking.partial().value_count() > before => {
-                before = taking.partial().value_count();
-                output.remark(format_args!("{source}; {before} elements are there, going on"));
-            }
-            result => break result,
-        }
+    let progress = |taking: &TakeBackup, error: &BackupError| {
+        let BackupError::Call { source, .. } = error else { return None };
+        is_line_failure(source).then(|| taking.partial().value_count())
     };
+    let note = |taking: &TakeBackup, error: &BackupError| {
+        let cause = std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string);
+        format!("{cause}; {} elements are there", taking.partial().value_count())
+    };
+    let run = async |taking: &mut TakeBackup| taking.run(&station).await;
+    let result = retry(&mut taking, Direction::Read, (&reporter, output), run, progress, note).await;
+    reporter.end_line();
     let backup = result.map_err(|error| match error {
         BackupError::Call { source, partial, .. } if partial.value_count() > 0 => {
             let (values, all) = (partial.value_count(), partial.element_count());
@@ -126,7 +126,7 @@ pub(crate) async fn restore(
     let ended = tokio::select! {
         biased;
         _ = stopped => None,
-        ended = until_done(&mut restore, &station, &mut before, &reporter, output) => Some(ended),
+        ended = restore_with_retries(&mut restore, &station, &mut before, (&reporter, output)) => Some(ended),
     };
     reporter.end_line();
     // A report is that of the last attempt.
@@ -157,46 +157,31 @@ fn explain(error: RestoreError, output: &Output) -> Result<RestoreReport, Failur
     Err(error.into())
 }
 
-/// Goes on after a failure of the line, as long as that brings something. Adds up what the attempts but the last have written.
-async fn until_done(
+/// Restores the backup, in several runs if the line fails. Adds to `before` the elements that all runs
+/// but the last have written.
+async fn restore_with_retries(
     restore: &mut Restore,
     station: &Station,
     before: &mut usize,
-    reporter: &Reporter,
-    output: &Output,
+    display: (&Reporter, &Output),
 ) -> Result<RestoreReport, RestoreError> {
-    let mut going_on = GoingOn::new();
-    loop {
-        match restore.run(station).await {
-            Err(error) => match &error.source {
-                RestoreFailure::Call { source, .. }
-                    if may_go_on(source)
-                        && !error.report.written.is_empty()
-                        && going_on.may(count(&error.report.unwritten) + count(&error.report.in_doubt)) =>
-                {
-                    reporter.end_line();
-                    output.remark(format_args!("{error}; going on"));
-                    *before += count(&error.report.written);
-                    GoingOn::pause().await;
-                }
-                RestoreFailure::Call { .. }
-                | RestoreFailure::OtherStation { .. }
-                | RestoreFailure::Running
-                | RestoreFailure::StillRunning
-                | RestoreFailure::SetRunning { .. }
-                | RestoreFailure::NotThere { .. }
-                | RestoreFailure::Differs { .. }
-                | RestoreFailure::NotRunning
-                | _ => return Err(error),
-            },
-            Ok(report) => return Ok(report),
-        }
-    }
+    let run = async |restore: &mut Restore| restore.run(station).await;
+    let progress = |_: &Restore, error: &RestoreError| {
+        let RestoreError { source: RestoreFailure::Call { source, .. }, report, .. } = error else { return None };
+        let left = count(&report.unwritten) + count(&report.in_doubt);
+        write_progress(count(&report.written), left).filter(|_| is_line_failure(source))
+    };
+    let note = |_: &Restore, error: &RestoreError| {
+        *before += count(&error.report.written);
+        error.to_string()
+    };
+    retry(restore, Direction::Write, display, run, progress, note).await
 }
 
 /// The parts of the backup in a file. To restore nothing, or to compare with nothing, would only look like a success.
 fn load(file: &Path, ranges: &[Tag]) -> Result<Backup, Failure> {
     let mut backup = Backup::load(file)?;
+    warn_of_unknown_fields(file, backup.unknown_fields());
     if !ranges.is_empty() {
         backup = backup.select(ranges.iter().copied()).map_err(Failure::usage)?;
     }
@@ -299,9 +284,4 @@ fn question(plc: &Plc, report: &RestoreReport, args: &RestoreArgs) -> String {
         report.compared,
         args.file.display()
     )
-}
-
-/// Whether it was the line that failed, and not the PLC that refused.
-fn may_go_on(error: &Error) -> bool {
-    matches!(error, Error::Timeout { .. } | Error::BadReply { .. } | Error::Disconnected { .. } | Error::Connect { .. })
 }

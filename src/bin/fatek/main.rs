@@ -14,6 +14,7 @@ mod plan;
 mod program;
 mod progress;
 mod read;
+mod retry;
 mod scan;
 mod signal;
 mod sim;

@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
+use fatek::Station;
 use fatek::file::{FileError, FormatError, can_save, utc};
 use fatek::program::{
     PlcState, Program, ProgramError, ReadProgram, WriteOptions, WriteProgram, WriteProgramError, WriteReport,
 };
-use fatek::{Error, Station};
 use serde_json::{Map, Value};
 
 use crate::args::{Plc, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
@@ -14,8 +14,9 @@ use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Format, Output, Rows};
+use crate::retry::{Direction, is_line_failure, retry, write_progress};
 use crate::signal;
-use crate::transfer::{GoingOn, Reporter};
+use crate::transfer::{Reporter, warn_of_unknown_fields};
 
 /// The file is looked at before the station: nothing is read that could not be saved.
 pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Output) -> Result<(), Failure> {
@@ -29,7 +30,7 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     let ended = tokio::select! {
         biased;
         _ = stopped => None,
-        ended = until_read(&mut read, station, &reporter, output) => Some(ended),
+        ended = read_with_retries(&mut read, station, (&reporter, output)) => Some(ended),
     };
     reporter.end_line();
     let Some(program) = ended.transpose()? else {
@@ -41,24 +42,18 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     Ok(())
 }
 
-/// Goes on after a failure of the line, as long as that brings something.
-async fn until_read(
+/// Reads the program, in several runs if the line fails.
+async fn read_with_retries(
     read: &mut ReadProgram,
     station: &Station,
-    reporter: &Reporter,
-    output: &Output,
+    display: (&Reporter, &Output),
 ) -> Result<Program, ProgramError> {
-    let mut before = 0;
-    loop {
-        match read.run(station).await {
-            Err(error) if may_go_on(&error) && read.pages_done() > before => {
-                before = read.pages_done();
-                reporter.end_line();
-                output.remark(format_args!("{error}; {before} pages are there, going on"));
-            }
-            result => return result,
-        }
-    }
+    let run = async |read: &mut ReadProgram| read.run(station).await;
+    let progress = |read: &ReadProgram, error: &ProgramError| {
+        error.call_error().filter(|error| is_line_failure(error)).map(|_| read.pages_done())
+    };
+    let note = |read: &ReadProgram, error: &ProgramError| format!("{error}; {} pages are there", read.pages_done());
+    retry(read, Direction::Read, display, run, progress, note).await
 }
 
 /// The file is looked at before the station: nothing is sent for one that is no good.
@@ -81,7 +76,7 @@ pub(crate) async fn write(
     let ended = tokio::select! {
         biased;
         _ = stopped => None,
-        ended = until_written(&mut write, &station, &reporter, output) => Some(ended),
+        ended = write_with_retries(&mut write, &station, (&reporter, output)) => Some(ended),
     };
     reporter.end_line();
     let Some(report) = ended.transpose()? else {
@@ -100,26 +95,20 @@ pub(crate) async fn write(
     Ok(())
 }
 
-/// Goes on after a failure of the line, as long as that brings something.
-async fn until_written(
+/// Writes the program, in several runs if the line fails.
+async fn write_with_retries(
     write: &mut WriteProgram,
     station: &Station,
-    reporter: &Reporter,
-    output: &Output,
+    display: (&Reporter, &Output),
 ) -> Result<WriteReport, WriteProgramError> {
-    let mut going_on = GoingOn::new();
-    loop {
-        match write.run(station).await {
-            Err(error)
-                if may_go_on(&error.source) && !error.state.written.is_empty() && going_on.may(error.state.left()) =>
-            {
-                reporter.end_line();
-                output.remark(format_args!("{error}; going on"));
-                GoingOn::pause().await;
-            }
-            result => return result,
-        }
-    }
+    let run = async |write: &mut WriteProgram| write.run(station).await;
+    let progress = |_: &WriteProgram, error: &WriteProgramError| {
+        let state = &error.state;
+        let repeats = error.source.call_error().is_some_and(is_line_failure);
+        write_progress(state.written.len(), state.left()).filter(|_| repeats)
+    };
+    let note = |_: &WriteProgram, error: &WriteProgramError| error.to_string();
+    retry(write, Direction::Write, display, run, progress, note).await
 }
 
 /// Ends as the writing would, as far as that can be told without changing anything.
@@ -198,10 +187,12 @@ fn fields(program: &Program) -> Vec<(&'static str, Cell)> {
 
 fn load(file: &ProgramFile) -> Result<Program, Failure> {
     let loaded = if file.raw { Program::load_raw(&file.file) } else { Program::load(&file.file) };
-    loaded.map_err(|error| {
+    let program = loaded.map_err(|error| {
         let foreign = matches!(error, FileError::Format { source: FormatError::Foreign, .. });
         if foreign { Failure::NotRaw(error) } else { error.into() }
-    })
+    })?;
+    warn_of_unknown_fields(&file.file, program.unknown_fields());
+    Ok(program)
 }
 
 async fn differing(station: &Station, program: &Program, output: &Output) -> Result<Vec<u16>, Failure> {
@@ -238,12 +229,4 @@ fn question(plc: &Plc, program: &Program, args: &ProgramWriteArgs) -> String {
     let (file, header) = (args.file.file.display(), program.header());
     let (station, link) = (plc.station.as_deref().unwrap_or_default(), plc.link.as_deref().unwrap_or_default());
     format!("Write {file} ({header}) to station {station} on {link}?{stopped}")
-}
-
-/// Whether it was the line that failed, and not the PLC that refused.
-fn may_go_on(error: &ProgramError) -> bool {
-    matches!(
-        error.call_error(),
-        Some(Error::Timeout { .. } | Error::BadReply { .. } | Error::Disconnected { .. } | Error::Connect { .. })
-    )
 }

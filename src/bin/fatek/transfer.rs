@@ -1,8 +1,8 @@
 //! How far a transfer has come: a bar on a terminal, a line now and then elsewhere.
 
 use std::io::{self, IsTerminal, Write};
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
 use fatek::progress::{Phase, Progress};
 
@@ -33,32 +33,11 @@ impl Reporter {
     }
 }
 
-/// How often a transfer that writes goes on after a failure of the line.
-const GOING_ON: u32 = 5;
-/// How long the line gets before that.
-const PAUSE: Duration = Duration::from_millis(500);
-
-/// Whether a transfer that writes may go on after a failure: only a few times, and only when less is left than ever before.
-#[derive(Debug)]
-pub(crate) struct GoingOn {
-    times: u32,
-    least: usize,
-}
-
-impl GoingOn {
-    pub(crate) fn new() -> Self {
-        Self { times: GOING_ON, least: usize::MAX }
-    }
-
-    /// After a run that has written something, and has left so much.
-    pub(crate) fn may(&mut self, left: usize) -> bool {
-        let may = self.times > 0 && left < self.least;
-        (self.times, self.least) = (self.times.saturating_sub(1), self.least.min(left));
-        may
-    }
-
-    pub(crate) async fn pause() {
-        tokio::time::sleep(PAUSE).await;
+/// A file of a newer version may have fields that are ignored here.
+pub(crate) fn warn_of_unknown_fields(file: &Path, fields: &[String]) {
+    if !fields.is_empty() {
+        let (file, fields) = (file.display(), fields.join(", "));
+        complain(format_args!("warning: {file} has a newer format version; unknown fields are ignored: {fields}"));
     }
 }
 

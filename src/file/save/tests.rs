@@ -1,6 +1,6 @@
 use super::*;
 
-/// A folder of its own, which is removed at the end.
+/// A folder for one test, removed at the end.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -26,7 +26,7 @@ impl Drop for Folder {
 }
 
 #[test]
-fn a_file_is_made_and_replaced_and_nothing_else_is_left() {
+fn a_file_is_made_and_replaced_and_no_other_is_left() {
     let folder = Folder::new("replace");
     let path = folder.0.join("a.program");
     for content in [&b"one"[..], b"another, which is longer", b""] {
@@ -45,7 +45,7 @@ fn a_failure_at_any_byte_leaves_the_old_file_whole() {
     for written in 0..=new.len() {
         let error = save_with(&path, |file| {
             file.write_all(&new[..written])?;
-            // As anybody sees it at this moment.
+            // As another process sees it at this moment.
             assert_eq!(load(&path).unwrap(), b"the old one");
             Err(io::ErrorKind::StorageFull.into())
         });
@@ -57,7 +57,7 @@ fn a_failure_at_any_byte_leaves_the_old_file_whole() {
 }
 
 #[test]
-fn what_is_no_file_is_left_as_it_is() {
+fn folders_are_not_replaced() {
     let folder = Folder::new("folder");
     let error = save(&folder.0, b"x").unwrap_err();
     assert!(matches!(error, FileError::NotAFile { .. }), "{error}");
@@ -67,7 +67,7 @@ fn what_is_no_file_is_left_as_it_is() {
 }
 
 #[test]
-fn whether_a_file_can_be_saved_is_found_out_before_and_changes_nothing() {
+fn checking_whether_a_file_can_be_saved_changes_nothing() {
     let folder = Folder::new("before");
     let path = folder.0.join("a");
     can_save(&path).unwrap();
@@ -79,7 +79,7 @@ fn whether_a_file_can_be_saved_is_found_out_before_and_changes_nothing() {
     for (name, found) in [
         ("none/a", "cannot make a new file in its folder: "),
         ("a/b", "cannot find it: "),
-        ("folder/", "this is not a regular file"),
+        ("folder/", "not a regular file"),
     ] {
         let path = folder.0.join(name);
         let (before, saving) = (can_save(&path).unwrap_err().to_string(), save(&path, b"x").unwrap_err().to_string());
@@ -88,9 +88,9 @@ fn whether_a_file_can_be_saved_is_found_out_before_and_changes_nothing() {
 }
 
 #[test]
-fn a_name_as_long_as_names_can_be_is_saved_too() {
+fn a_name_of_the_maximum_length_can_be_saved() {
     let folder = Folder::new("long");
-    // So long is the longest name on most systems.
+    // The maximum on most systems.
     let path = folder.0.join("n".repeat(255));
     save(&path, b"one").unwrap();
     save(&path, b"two").unwrap();
@@ -98,7 +98,7 @@ fn a_name_as_long_as_names_can_be_is_saved_too() {
 }
 
 #[test]
-fn what_a_killed_process_has_left_is_no_obstacle() {
+fn files_of_a_killed_process_are_no_obstacle() {
     let folder = Folder::new("left");
     let path = folder.0.join("a");
     for number in 0..200 {

@@ -1,9 +1,10 @@
-//! The states of reading against a PLC in memory, without a link.
+//! Reading from a PLC in memory, without a link.
 
 use super::*;
 use crate::command::{ReadDetailedStatus, ReadProgramPage, ReadStatus};
 use crate::random::Random;
 use crate::sim::{Model, Plc};
+use crate::transfer::contract::{self, End};
 
 fn plc(ladder_words: u16, random: &mut Random) -> Plc {
     let plc = Plc::with_model(Model::default().ladder_words(ladder_words));
@@ -17,29 +18,35 @@ fn pages(plc: &Plc) -> Vec<ProgramPage> {
     (0..plc.pages()).map(|page| plc.page(page).unwrap()).collect()
 }
 
-/// Goes on for so many requests: the program, or nothing yet.
+/// Continues for this number of requests; `None` if the program is not complete then.
 fn run(reading: &mut Reading, plc: &Plc, requests: usize) -> Result<Option<Program>, ProgramError> {
     for _ in 0..requests {
-        match reading.next() {
-            Step::Brief => reading.brief(plc.execute(&ReadStatus).unwrap()),
-            Step::Status => reading.status(plc.execute(&ReadDetailedStatus).unwrap()),
-            Step::Page(page) => reading.page(plc.execute(&ReadProgramPage::new(page)).unwrap()),
-            Step::Confirm => {}
+        let reply = match reading.next()? {
+            Step::Send(Request::Status) => Some(Reply::Status(plc.execute(&ReadStatus).unwrap())),
+            Step::Send(Request::DetailedStatus) => {
+                Some(Reply::DetailedStatus(plc.execute(&ReadDetailedStatus).unwrap()))
+            }
+            Step::Send(Request::ReadPage(page)) => Some(Reply::Page(plc.execute(&ReadProgramPage::new(page)).unwrap())),
+            Step::Send(request) => panic!("{request:?}"),
+            Step::Confirm => None,
             Step::Done => return reading.finish(SystemTime::UNIX_EPOCH).map(Some),
+        };
+        if let Some(reply) = reply {
+            reading.handle(Ok(reply))?;
         }
         // Every reply is confirmed at once.
-        reading.confirmed()?;
+        reading.confirmed(Ok(()))?;
     }
     Ok(None)
 }
 
 #[test]
-fn a_program_of_any_size_is_read_whole_and_asks_for_each_page_once() {
+fn every_page_of_a_program_of_any_size_is_read_once() {
     for (words, count) in [(0, 1), (1, 2), (64, 2), (65, 3), (8192, 129), (13_184, 207), (u16::MAX, 1025)] {
         let plc = plc(words, &mut Random::new(words.into()));
         let mut reading = Reading::default();
         reading.begin();
-        // 40, 53, the pages, the header and 53 once more. Each is confirmed, so no request is one for that.
+        // 40, 53, the pages, and header and 53 again. Each is confirmed at once, without a request.
         assert_eq!(run(&mut reading, &plc, count + 4).unwrap(), None);
         let program = run(&mut reading, &plc, 1).unwrap().unwrap();
         assert_eq!((program.pages(), program.ladder_words()), (&pages(&plc)[..], words));
@@ -48,7 +55,7 @@ fn a_program_of_any_size_is_read_whole_and_asks_for_each_page_once() {
 }
 
 #[test]
-fn a_reading_that_is_interrupted_anywhere_goes_on_where_it_was() {
+fn a_reading_interrupted_anywhere_continues_there() {
     let plc = plc(320, &mut Random::new(1));
     for twice in [false, true] {
         for interrupted_after in 0..20 {
@@ -71,7 +78,7 @@ fn a_reading_that_is_interrupted_anywhere_goes_on_where_it_was() {
 }
 
 #[test]
-fn a_change_of_any_pages_at_any_time_is_noticed_or_read_when_all_are_read_twice() {
+fn reading_twice_notices_any_change_of_two_pages() {
     for seed in 0..2000 {
         let mut random = Random::new(seed);
         let plc = plc(320, &mut random);
@@ -80,7 +87,7 @@ fn a_change_of_any_pages_at_any_time_is_noticed_or_read_when_all_are_read_twice(
         reading.begin();
         let at = random.next() as usize % 17;
         let done = run(&mut reading, &plc, at).unwrap();
-        // Two at once: of one alone, the old program or the new is read whole in any case.
+        // Two at once: with one, either program is read whole in any case.
         let changed = [random.next() as u16 % 3, 3 + random.next() as u16 % 3];
         for page in changed {
             let mut bytes = plc.page(page).unwrap().to_bytes();
@@ -96,7 +103,7 @@ fn a_change_of_any_pages_at_any_time_is_noticed_or_read_when_all_are_read_twice(
             }
             Err(ProgramError::Changed { page: Some(found) }) => {
                 assert!(changed.contains(&found), "seed {seed}: {found}");
-                // Nothing of it is kept, and the next run brings the new one.
+                // No page is kept, and the next run reads the new program.
                 assert_eq!(reading.pages_done(), 0);
                 reading.begin();
                 assert_eq!(run(&mut reading, &plc, 100).unwrap().unwrap().pages(), pages(&plc), "seed {seed}");
@@ -107,14 +114,14 @@ fn a_change_of_any_pages_at_any_time_is_noticed_or_read_when_all_are_read_twice(
 }
 
 #[test]
-fn another_plc_or_another_size_in_the_middle_is_noticed() {
+fn another_plc_or_size_in_the_middle_is_noticed() {
     let small = plc(320, &mut Random::new(1));
     for other in [
         Plc::with_model(Model::default().ladder_words(640)),
         Plc::with_model(Model::default().ladder_words(320).os_version(4, 0)),
         Plc::with_model(Model::default().ladder_words(320).main_unit(0)),
     ] {
-        // Before the program's first request there is nothing to differ from.
+        // There must be a status to compare with.
         for at in 2..10 {
             let mut reading = Reading::default();
             reading.begin();
@@ -133,11 +140,11 @@ fn another_plc_or_another_size_in_the_middle_is_noticed() {
     reading.begin();
     assert!(run(&mut reading, &small, 5).unwrap().is_none());
     let error = run(&mut reading, &other_program, 100).unwrap_err();
-    assert_eq!(error.to_string(), "the program was changed while it was read: page 0 was another before");
+    assert_eq!(error.to_string(), "the program changed while it was read: page 0 is different now");
 }
 
 #[test]
-fn a_header_that_is_none_or_of_another_size_is_refused_by_name() {
+fn a_bad_header_is_refused_with_its_fault() {
     for (at, bytes, message) in [
         (0, *b"XB", "page 0: it begins with 58 42, where `FB` or `FM` was expected"),
         (1, *b"X0", "page 0: it begins with 46 58, where `FB` or `FM` was expected"),
@@ -156,5 +163,26 @@ fn a_header_that_is_none_or_of_another_size_is_refused_by_name() {
         plc.set_page(0, good).unwrap();
         reading.begin();
         assert!(run(&mut reading, &plc, 100).unwrap().is_some());
+    }
+}
+
+#[test]
+fn reading_keeps_the_contract_of_a_transfer() {
+    for seed in 0..100 {
+        let mut random = Random::new(seed);
+        // A second reading begins again in each run.
+        let twice = random.next().is_multiple_of(2);
+        let plc = plc(if twice { 320 } else { 6400 }, &mut random);
+        let mut reading = Reading { twice, ..Reading::default() };
+        let mut done = 0;
+        loop {
+            reading.begin();
+            if let End::Done = contract::run(&mut reading, &plc, &mut random, 10) {
+                break;
+            }
+            assert!(reading.pages_done() >= done, "seed {seed}: confirmed pages are lost");
+            done = reading.pages_done();
+        }
+        assert_eq!(reading.finish(SystemTime::UNIX_EPOCH).unwrap().pages(), pages(&plc), "seed {seed}");
     }
 }

@@ -1,55 +1,40 @@
-//! How far a writing has come: after it has ended, and when it was abandoned.
+//! How far a writing has come: after its end, or when its future was dropped.
 
 use std::collections::BTreeSet;
 
-use super::states::State;
-use super::{PlcState, ProgramError, Writing};
-use crate::program::{WriteProgramError, WriteReport, WriteState};
+use super::{WriteStage, Writing};
+use crate::program::{WriteReport, WriteState};
+use crate::transfer::PlcState;
 
 impl Writing {
-    /// What was done, after [`Step::Done`](super::Step::Done).
+    /// The report of a run that succeeded.
     pub(in crate::program) fn report(&self) -> WriteReport {
-        let WriteState { written, written_before, .. } = self.state();
-        WriteReport {
-            written,
-            written_before,
-            pages: self.program.header().page_count(),
-            was_stopped: self.ran_before,
-            running: self.plc == PlcState::Running,
-        }
+        let WriteState { written, written_before, was_stopped, plc, .. } = self.state();
+        let pages = self.program.header().page_count();
+        WriteReport { written, written_before, pages, was_stopped, running: plc == PlcState::Running }
     }
 
-    /// Why it went no further, after [`Step::Failed`](super::Step::Failed).
-    pub(in crate::program) fn failure(&mut self) -> WriteProgramError {
-        let source = self.failure.take().unwrap_or(ProgramError::NotRunning);
-        WriteProgramError { source: Box::new(source), state: Box::new(self.state()) }
-    }
-
-    /// At any time.
+    /// The state at any time.
     pub(in crate::program) fn state(&self) -> WriteState {
-        let unwritten = self.unwritten();
+        let (unwritten, in_doubt) = (self.unwritten(), self.in_doubt());
         let before = self.written_before.iter().copied();
         WriteState {
             written: self.written.clone(),
             written_before: before.filter(|page| !self.written.contains(page) && !unwritten.contains(page)).collect(),
             unwritten,
-            in_doubt: self.in_doubt().into_iter().collect(),
-            touched: self.touched || !self.in_doubt().is_empty(),
+            touched: self.touched || !in_doubt.is_empty(),
+            in_doubt: in_doubt.into_iter().collect(),
             whole: self.whole(),
-            was_stopped: self.ran_before,
-            plc: match self.state {
-                // Abandoned there, it may have been sent.
-                State::Stop { .. } | State::StopAgain { .. } | State::Run { .. } => PlcState::Unknown,
-                _ => self.plc,
-            },
+            was_stopped: self.control.was_stopped(),
+            plc: self.control.plc(),
         }
     }
 
-    /// The pages that are to be written, without those in doubt. Before all have been compared, those that were found by then.
+    /// Pages to write, without those in doubt; before all are compared, those found by then.
     pub(super) fn unwritten(&self) -> Vec<u16> {
         let in_doubt = self.in_doubt();
-        let found =
-            self.looked_at.iter().filter(|_| !self.compared).filter(|&&looked_at| self.is_to_be_written(looked_at));
+        let comparisons = self.comparisons.iter().filter(|_| !self.compared);
+        let found = comparisons.filter(|&&(page, differs)| self.is_to_be_written(page, differs));
         let pending = self.pending.iter().chain(found.map(|(page, _)| page)).copied();
         let pending = pending.filter(|page| !in_doubt.contains(page));
         let mut pages: Vec<u16> = pending.chain(self.differing.iter().copied()).collect();
@@ -57,13 +42,10 @@ impl Writing {
         pages
     }
 
-    /// The pages whose write was sent, or is being sent, and that are not known to be as they should be.
+    /// Pages whose write was or is being sent, and whose content is not known.
     pub(super) fn in_doubt(&self) -> BTreeSet<u16> {
-        let current = match self.state {
-            // Abandoned there, it may have been sent.
-            State::Write { .. } => self.pending.last().copied(),
-            _ => self.in_doubt,
-        };
+        // The future may be dropped while a page is sent.
+        let current = if let WriteStage::Write { page, .. } = self.stage { Some(page) } else { self.in_doubt };
         self.to_read_back.iter().copied().chain(current).collect()
     }
 }

@@ -1,6 +1,6 @@
-//! The states of writing against a PLC in memory, without a link: a line that loses requests and answers, pages that do not
-//! take, others who start the PLC, and a writer that is abandoned at any step. `FATEK_SEEDS=n` runs so many seeds,
-//! `FATEK_SEED=n` one.
+//! Writing against a PLC in memory, without a link: a line that loses requests and replies, pages that
+//! are not taken, other clients that start the PLC, and futures dropped at any step. `FATEK_SEEDS=n`
+//! runs n seeds, `FATEK_SEED=n` one.
 
 mod steps;
 
@@ -12,28 +12,29 @@ use crate::command::{Code, ControlPlc, ReadDetailedStatus, ReadProgramPage, Read
 use crate::program::{WriteProgramError, WriteReport, WriteState};
 use crate::random::Random;
 use crate::sim::{Execute, Model, Plc};
+use crate::transfer::contract::{self, End};
 
 const LADDER_WORDS: u16 = 320;
 const PAGES: u16 = 6;
 
-/// What goes wrong, in thousandths.
+/// Chances of faults, in thousandths.
 #[derive(Clone, Copy, Debug, Default)]
 struct Chances {
     /// The request does not arrive.
     lost: u64,
-    /// It is done, and its answer does not arrive.
+    /// It is executed, and its reply does not arrive.
     unanswered: u64,
-    /// A page is taken, and is another.
+    /// A page is written with other content.
     spoilt: u64,
     /// A page is refused.
     refused: u64,
-    /// The link has sent it twice: it was done the first time, and refused the second.
+    /// The link has sent it twice: executed the first time, refused the second.
     repeated: u64,
     /// STOP or RUN is refused.
     disobeyed: u64,
-    /// Somebody else sets the PLC running.
+    /// Another client starts the PLC.
     started: u64,
-    /// A check finds that a duplicate came out of order: what was read since the last one is not good.
+    /// A check finds an out-of-order duplicate: replies since the last check are not reliable.
     doubted: u64,
 }
 
@@ -43,16 +44,16 @@ struct World {
     new: Program,
     chances: Chances,
     random: Random,
-    /// Whether the PLC was started by somebody else since its status was last told.
+    /// Another client started the PLC since its status was last read.
     started_since: bool,
     started: bool,
-    /// Whether the last request asked for its status.
+    /// The last request read its status.
     looked: bool,
-    /// What it held when the run began.
+    /// Its pages when the run began.
     before: Vec<ProgramPage>,
     runs: u32,
     /// The first read since the last check.
-    held: Option<Mark>,
+    held: Option<WriteMark>,
     seed: u64,
 }
 
@@ -72,7 +73,7 @@ impl World {
         Self { plc, old, new, chances, random, started_since, started, looked, before, runs: 0, held: None, seed }
     }
 
-    /// The pages as they are: these may be no program.
+    /// The pages of the PLC, which may not be a program.
     fn holds(&self) -> Vec<ProgramPage> {
         (0..PAGES).map(|page| self.plc.page(page).unwrap()).collect()
     }
@@ -81,18 +82,18 @@ impl World {
         self.random.next() % 1000 < chance
     }
 
-    /// Does a step, and looks at what must always hold.
-    fn ask(&mut self, step: Step, program: &Program) -> Result<Told, Error> {
+    /// Executes a request, and checks the invariants.
+    fn send(&mut self, request: Request) -> Result<Reply, Error> {
         if self.happens(self.chances.started) {
             self.plc.run();
             (self.started, self.started_since) = (true, true);
         }
-        let result = match step {
-            Step::Status => self.execute(&ReadDetailedStatus).map(Told::Status),
-            Step::Flags => self.execute(&ReadStatus).map(|status| Told::Flags(status.flags())),
-            Step::Read(page) => self.execute(&ReadProgramPage::new(page)).map(Told::Page),
-            Step::Write(page) => {
-                let mut content = program.page(page).unwrap().clone();
+        self.looked = request == Request::Status;
+        let result = match request {
+            Request::DetailedStatus => self.execute(&ReadDetailedStatus).map(Reply::DetailedStatus),
+            Request::Status => self.execute(&ReadStatus).map(Reply::Status),
+            Request::ReadPage(page) => self.execute(&ReadProgramPage::new(page)).map(Reply::Page),
+            Request::WritePage { page, mut content, .. } => {
                 if self.happens(self.chances.spoilt) {
                     content = ProgramPage::new([0xDEAD; 64]);
                 }
@@ -100,14 +101,14 @@ impl World {
                 if refused {
                     Err(refusal(Code::WriteProgramPage, ErrorCode::WriteProhibited))
                 } else {
-                    self.execute(&WriteProgramPage::new(page, content)).map(|()| Told::Done)
+                    self.execute(&WriteProgramPage::new(page, content)).map(|()| Reply::Done)
                 }
             }
-            Step::Stop | Step::Run if self.happens(self.chances.disobeyed) => {
+            Request::Stop | Request::Run if self.happens(self.chances.disobeyed) => {
                 Err(refusal(Code::ControlPlc, ErrorCode::IllegalFormat))
             }
-            Step::Stop => self.execute(&ControlPlc::Stop).map(|()| Told::Done),
-            Step::Run => {
+            Request::Stop => self.execute(&ControlPlc::Stop).map(|()| Reply::Done),
+            Request::Run => {
                 self.runs += 1;
                 assert_eq!(
                     self.holds(),
@@ -115,41 +116,43 @@ impl World {
                     "seed {}: RUN is sent for a program that is not whole",
                     self.seed
                 );
-                self.execute(&ControlPlc::Run).map(|()| Told::Done)
+                self.execute(&ControlPlc::Run).map(|()| Reply::Done)
             }
-            Step::Pause => Ok(Told::Done),
-            Step::Confirm | Step::Done | Step::Failed => unreachable!("these are no requests"),
+            Request::Pause => Ok(Reply::Done),
+            Request::Read { .. } | Request::ReadDisabled(..) | Request::Write(..) => {
+                unreachable!("no program has these")
+            }
         };
-        self.looked = step == Step::Flags;
-        self.started_since &= !matches!(result, Ok(Told::Flags(_) | Told::Status(_)));
+        self.started_since &= !matches!(result, Ok(Reply::Status(_) | Reply::DetailedStatus(_)));
         self.check();
         result
     }
 
-    /// Does what is to be done next.
-    fn go(&mut self, writing: &mut Writing, program: &Program) {
-        let (step, mark) = (writing.next(), writing.mark());
-        if matches!(step, Step::Status | Step::Flags | Step::Read(_)) {
+    /// Does the next step.
+    fn go(&mut self, writing: &mut Writing) {
+        let (step, mark) = (writing.next().unwrap(), writing.mark());
+        let is_read = |step: &Step| matches!(step, Step::Send(request) if !is_command(request));
+        if is_read(&step) {
             self.held.get_or_insert(mark);
         }
-        let result = if step == Step::Confirm {
-            if self.happens(self.chances.lost) {
-                return writing.confirmed(Err(timeout(Code::LoopBack)));
+        let result = match step.clone() {
+            Step::Confirm if self.happens(self.chances.lost) => {
+                return writing.confirmed(Err(timeout(Code::LoopBack))).unwrap();
             }
-            None
-        } else {
-            Some(self.ask(step, program))
+            Step::Confirm => None,
+            Step::Send(request) => Some(self.send(request)),
+            Step::Done => unreachable!("there is no step after the end"),
         };
-        let doubted = self.held.filter(|_| !matches!(step, Step::Write(_) | Step::Stop | Step::Run | Step::Pause));
+        let doubted = self.held.filter(|_| step == Step::Confirm || is_read(&step));
         if let Some(mark) = doubted.filter(|_| self.happens(self.chances.doubted)) {
             self.held = None;
             return writing.rewind(mark);
         }
         match result {
-            Some(told) => writing.told(told),
+            Some(result) => writing.handle(result).unwrap(),
             None => {
                 self.held = None;
-                writing.confirmed(Ok(None));
+                writing.confirmed(Ok(())).unwrap();
             }
         }
     }
@@ -179,29 +182,36 @@ impl World {
         reply.map_err(|error| refusal(C::CODE, error))
     }
 
-    /// Runs a writing until it ends, or is abandoned at so many steps; `None` then.
+    /// Runs a writing until it ends; `None` if its future is dropped after this number of steps.
     fn run(&mut self, writing: &mut Writing, steps: usize) -> Option<Result<WriteReport, WriteProgramError>> {
-        let program = self.new.clone();
-        writing.begin(Goal::Write);
+        writing.begin(WriteGoal::Write);
         self.before = self.holds();
         self.held = None;
         let mut steps = 0..steps;
         loop {
             match writing.next() {
-                // Nobody can abandon it behind its last step.
-                Step::Done => return Some(Ok(writing.report())),
-                Step::Failed => return Some(Err(writing.failure())),
-                // Abandoned with a request on its way: it is done, and nobody hears of it.
-                step if steps.next().is_none() => {
-                    if step != Step::Confirm {
-                        let _ = self.ask(step, &program);
+                Ok(Step::Done) => return Some(Ok(writing.report())),
+                Err(source) => return Some(Err(failed(writing, source))),
+                // The request is on its way: it is executed, and its reply is dropped.
+                Ok(step) if steps.next().is_none() => {
+                    if let Step::Send(request) = step {
+                        let _ = self.send(request);
                     }
                     return None;
                 }
-                _ => self.go(writing, &program),
+                Ok(_) => self.go(writing),
             }
         }
     }
+}
+
+fn failed(writing: &Writing, source: ProgramError) -> WriteProgramError {
+    WriteProgramError { source: Box::new(source), state: Box::new(writing.state()) }
+}
+
+/// Requests that are sent outside of the job.
+fn is_command(request: &Request) -> bool {
+    matches!(request, Request::WritePage { .. } | Request::Stop | Request::Run | Request::Pause)
 }
 
 fn timeout(code: Code) -> Error {
@@ -212,7 +222,7 @@ fn refusal(code: Code, error: ErrorCode) -> Error {
     Error::Plc { station: 1, code, error, repeated: false }
 }
 
-/// Like another one but for some pages, or random throughout. Some differ from it in the header's digits, too.
+/// A random program, or a copy of another one with some pages changed, now and then the header, too.
 fn random_program(plc: &Plc, random: &mut Random, like: Option<&Program>) -> Program {
     let mut pages: Vec<ProgramPage> = like
         .map_or_else(|| (0..PAGES).map(|page| plc.page(page).unwrap()).collect(), |program| program.pages().to_vec());
@@ -255,7 +265,7 @@ fn options(random: &mut Random) -> WriteOptions {
 const MANY: usize = 2000;
 
 #[test]
-fn a_writing_without_faults_writes_what_differs_and_nothing_else() {
+fn a_writing_without_faults_writes_only_what_differs() {
     for seed in seeds(500) {
         let mut world = World::new(seed, Chances::default());
         let (ran, mut random) = (world.plc.is_running(), Random::new(seed));
@@ -279,7 +289,7 @@ fn a_writing_without_faults_writes_what_differs_and_nothing_else() {
 }
 
 #[test]
-fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the_next_run_ends_it() {
+fn no_fault_or_dropped_future_runs_a_half_written_program() {
     let mut failures = 0;
     for seed in seeds(4000) {
         let chances = Chances {
@@ -300,7 +310,7 @@ fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the
         let to_write = if options.all_pages { (0..PAGES).collect() } else { world.old.differing_pages(&world.new) };
         let mut one_process = true;
         for attempt in 0.. {
-            assert!(attempt < 200, "seed {seed}: it does not come to an end");
+            assert!(attempt < 200, "seed {seed}: it does not end");
             let steps = if random.next().is_multiple_of(2) { random.next() as usize % 40 } else { MANY };
             match world.run(&mut writing, steps) {
                 Some(Ok(report)) => {
@@ -309,7 +319,7 @@ fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the
                     let mut written = [&report.written[..], &report.written_before].concat();
                     written.sort_unstable();
                     assert!(!one_process || written == to_write, "seed {seed}: {report:?}, {to_write:?}");
-                    // Whoever has stopped it knows that it ran.
+                    // Only the process that stopped it knows that it ran.
                     let untouched = report.written.is_empty() && !report.was_stopped;
                     let expected = ran && (options.run_again || untouched);
                     assert!(!one_process || report.running == expected, "seed {seed}: {report:?}");
@@ -327,7 +337,7 @@ fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the
             }
             let half = holds != world.old.pages() && holds != world.new.pages();
             assert!(!half || !one_process || state.is_half_written(), "seed {seed}: {state}");
-            // The process may be another one, which knows nothing of the first.
+            // Another process knows nothing of the first.
             if random.next().is_multiple_of(2) {
                 writing = Writing::new(world.new.clone(), options);
                 one_process = false;
@@ -338,22 +348,22 @@ fn whatever_goes_wrong_and_wherever_it_is_abandoned_no_half_program_runs_and_the
 }
 
 #[test]
-fn a_plc_that_others_start_is_stopped_again_or_the_error_does_not_say_that_it_is_stopped() {
+fn a_plc_that_others_start_is_not_reported_as_stopped() {
     let mut set_running = 0;
     for seed in seeds(4000) {
         let chances = Chances { lost: 10, unanswered: 10, spoilt: 200, started: 30, ..Chances::default() };
         let mut world = World::new(seed, chances);
         let mut random = Random::new(!seed);
         let mut writing = Writing::new(world.new.clone(), options(&mut random));
-        // Until it is done, or somebody has stopped it often enough.
+        // Until it succeeds, or four times.
         for _ in 0..4 {
             let Some(Err(error)) = world.run(&mut writing, MANY) else { break };
             expect(&world, &error.state);
             if error.state.is_half_written() {
-                // It is looked at before it is left alone, or the error says that it could not be.
+                // Its status is read before the end, or the error says that this failed.
                 assert!(world.looked, "seed {seed}: {error}");
                 assert!(error.state.plc != PlcState::Stopped || !world.plc.is_running(), "seed {seed}: {error}");
-                // It takes as many STOP as needed: five that are lost or undone are too rare to be seen here.
+                // Five STOP that are lost or undone in a row are too rare to occur here.
                 assert_ne!(error.state.plc, PlcState::Running, "seed {seed}: {error}");
             }
             set_running += usize::from(matches!(*error.source, ProgramError::SetRunning));
@@ -363,21 +373,20 @@ fn a_plc_that_others_start_is_stopped_again_or_the_error_does_not_say_that_it_is
 }
 
 #[test]
-fn a_plc_that_is_started_when_all_is_written_is_stopped_again_too() {
+fn a_plc_started_after_the_last_page_is_stopped_again() {
     for (options, seed) in [WriteOptions::new(), WriteOptions::new().run_again()].into_iter().zip(1..) {
         let mut world = World::new(seed, Chances::default());
         world.plc.stop();
         let mut writing = Writing::new(world.new.clone(), options);
-        let program = world.new.clone();
         let error = loop {
             match writing.next() {
-                Step::Done => panic!("it may have run a half-written program"),
-                Step::Failed => break writing.failure(),
-                _ => {
-                    if writing.state == State::Final {
+                Ok(Step::Done) => panic!("it may have run a half-written program"),
+                Err(source) => break failed(&writing, source),
+                Ok(_) => {
+                    if writing.stage == WriteStage::Look(LookAt::End) {
                         world.plc.run();
                     }
-                    world.go(&mut writing, &program);
+                    world.go(&mut writing);
                     world.started = true;
                 }
             }
@@ -388,7 +397,7 @@ fn a_plc_that_is_started_when_all_is_written_is_stopped_again_too() {
     }
 }
 
-/// What is said of how far it came must be so.
+/// The state of a writing must be true.
 fn expect(world: &World, state: &WriteState) {
     let seed = world.seed;
     match state.plc {
@@ -405,32 +414,31 @@ fn expect(world: &World, state: &WriteState) {
         assert_eq!(holds.get(usize::from(page)), world.new.page(page), "seed {seed}: {state}");
     }
     for page in (0..PAGES).filter(|&page| holds.get(usize::from(page)) != world.new.page(page)) {
-        // Nothing is known of the pages before they have been compared.
+        // Before the comparison no page is known.
         let known = state.unwritten.contains(&page)
             || state.in_doubt.contains(&page)
             || state.written.is_empty() && state.in_doubt.is_empty();
-        assert!(known, "seed {seed}: page {page} differs, and it is not said: {state:?}");
+        assert!(known, "seed {seed}: page {page} differs, and and is not reported: {state:?}");
     }
 }
 
 #[test]
-fn a_page_that_changes_behind_the_back_is_found_when_all_are_verified() {
+fn a_page_that_another_client_changes_fails_verify_all() {
     for seed in seeds(200) {
         let mut world = World::new(seed, Chances::default());
         let mut writing = Writing::new(world.new.clone(), WriteOptions::new().stop_first().run_again().verify_all());
-        let program = world.new.clone();
         let mut changed = None;
         let end = loop {
             match writing.next() {
-                Step::Done => break Ok(writing.report()),
-                Step::Failed => break Err(writing.failure()),
-                _ => {
-                    if matches!(writing.state, State::Verify(0)) && changed.is_none() {
+                Ok(Step::Done) => break Ok(writing.report()),
+                Err(source) => break Err(failed(&writing, source)),
+                Ok(_) => {
+                    if writing.stage == WriteStage::Verify(0) && changed.is_none() {
                         let page = 1 + (seed % 5) as u16;
                         world.plc.set_page(page, ProgramPage::new([0xBAD; 64])).unwrap();
                         changed = Some(page);
                     }
-                    world.go(&mut writing, &program);
+                    world.go(&mut writing);
                 }
             }
         };
@@ -452,7 +460,7 @@ fn a_page_that_changes_behind_the_back_is_found_when_all_are_verified() {
                 assert_eq!(world.runs, 0);
                 assert!(!world.plc.is_running());
             }
-            // Nothing differed, so there was no need to verify.
+            // No page differed, so none was verified.
             (None, Ok(report)) => assert!(report.written.is_empty(), "seed {seed}"),
             (changed, end) => panic!("seed {seed}: {changed:?}, {end:?}"),
         }
@@ -460,7 +468,7 @@ fn a_page_that_changes_behind_the_back_is_found_when_all_are_verified() {
 }
 
 #[test]
-fn what_does_not_fit_is_refused_before_anything_is_changed() {
+fn a_misfit_is_refused_before_anything_is_changed() {
     let mut world = World::new(1, Chances::default());
     world.plc.run();
     let error = |world: &mut World, program: &Program, options: WriteOptions| {
@@ -477,7 +485,7 @@ fn what_does_not_fit_is_refused_before_anything_is_changed() {
     let stop = WriteOptions::new().stop_first();
     assert_eq!(
         error(&mut world, &new, WriteOptions::new()),
-        "the PLC runs: stop it first, or have it stopped; nothing was written, and the PLC runs"
+        "the PLC runs: stop it first, or choose to have it stopped; nothing was written, and the PLC runs"
     );
     let mut bytes = new.to_bytes();
     bytes[1] = b'M';
@@ -496,7 +504,7 @@ fn what_does_not_fit_is_refused_before_anything_is_changed() {
 }
 
 #[test]
-fn a_plc_that_refuses_to_run_has_the_program_and_is_stopped() {
+fn a_plc_that_refuses_run_holds_the_program_and_is_stopped() {
     for code in [ErrorCode::LadderChecksum, ErrorCode::IdMismatch, ErrorCode::Syntax, ErrorCode::NotSupported] {
         let mut world = World::new(1, Chances::default());
         world.plc.run();
@@ -510,9 +518,31 @@ fn a_plc_that_refuses_to_run_has_the_program_and_is_stopped() {
         );
         assert_eq!((world.holds(), world.runs, world.plc.is_running()), (world.new.pages().to_vec(), 1, false));
         assert!(error.to_string().ends_with("; the program is written, and the PLC ran before and is stopped now"));
-        // It still knows that it ran, once the reason is gone.
+        // The writing remembers that it ran, when the reason is gone.
         world.plc.refuse_run(None);
         let report = world.run(&mut writing, MANY).unwrap().unwrap();
         assert!(report.written.is_empty() && report.was_stopped && report.running && world.plc.is_running());
+    }
+}
+
+#[test]
+fn writing_keeps_the_contract_of_a_transfer() {
+    for seed in seeds(300) {
+        let world = World::new(seed, Chances::default());
+        let mut random = Random::new(!seed);
+        let mut writing = Writing::new(world.new.clone(), options(&mut random));
+        for run in 0.. {
+            assert!(run < 200, "seed {seed}: it does not end");
+            writing.begin(WriteGoal::Write);
+            if let End::Done = contract::run(&mut writing, &world.plc, &mut random, 10) {
+                break;
+            }
+            assert!(
+                !world.plc.is_running() || [world.old.pages(), world.new.pages()].contains(&&*world.holds()),
+                "{seed}"
+            );
+        }
+        assert_eq!(world.holds(), world.new.pages(), "seed {seed}");
+        assert_eq!(writing.report().running, world.plc.is_running(), "seed {seed}");
     }
 }

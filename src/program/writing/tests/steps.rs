@@ -1,28 +1,29 @@
-//! One step at a time: what a STOP or RUN leaves that does not do as it should, and a dry run.
+//! Single steps: STOP and RUN that fail, and dry runs.
 
 use super::*;
 
-/// A writing that has come to this step, with all answered before.
-fn at(world: &mut World, options: WriteOptions, step: Step) -> Writing {
+/// A writing whose next step is such a request, with replies to all before.
+fn at(world: &mut World, options: WriteOptions, is_next: impl Fn(&Request) -> bool) -> Writing {
     let mut writing = Writing::new(world.new.clone(), options);
-    writing.begin(Goal::Write);
-    let program = world.new.clone();
-    while writing.next() != step {
-        assert!(!matches!(writing.next(), Step::Done | Step::Failed), "{step:?} never comes");
-        world.go(&mut writing, &program);
+    writing.begin(WriteGoal::Write);
+    loop {
+        match writing.next().unwrap() {
+            Step::Send(request) if is_next(&request) => return writing,
+            Step::Send(_) | Step::Confirm => world.go(&mut writing),
+            Step::Done => panic!("the request never comes"),
+        }
     }
-    writing
 }
 
 #[test]
-fn what_a_refused_or_unsent_stop_or_run_leaves_is_known_though_nothing_is_answered_any_more() {
+fn a_refused_or_unsent_stop_or_run_leaves_a_known_state() {
     let unsent = Error::Timeout { station: 1, code: Code::ControlPlc, after: Duration::ZERO, sent: false };
     let twice = Error::Plc { station: 1, code: Code::ControlPlc, error: ErrorCode::IllegalFormat, repeated: true };
     let refused = refusal(Code::ControlPlc, ErrorCode::IllegalFormat);
     let options = WriteOptions::new().stop_first().run_again();
-    for (step, before, left) in [
-        (Step::Stop, PlcState::Running, "nothing was written, and the PLC runs"),
-        (Step::Run, PlcState::Stopped, "the program is written, and the PLC ran before and is stopped now"),
+    for (command, before, left) in [
+        (Request::Stop, PlcState::Running, "nothing was written, and the PLC runs"),
+        (Request::Run, PlcState::Stopped, "the program is written, and the PLC ran before and is stopped now"),
     ] {
         for (result, known) in [
             (refused.clone(), true),
@@ -32,15 +33,16 @@ fn what_a_refused_or_unsent_stop_or_run_leaves_is_known_though_nothing_is_answer
         ] {
             let mut world = World::new(1, Chances::default());
             world.plc.run();
-            let mut writing = at(&mut world, options, step);
-            assert_eq!(writing.state().plc, PlcState::Unknown, "abandoned here, it may be on its way");
-            writing.told(Err(result));
-            // A RUN that was refused is not followed by a question.
-            if writing.next() != Step::Failed {
-                writing.told(Err(timeout(Code::ReadStatus)));
-            }
-            assert_eq!(writing.next(), Step::Failed);
-            let error = writing.failure();
+            let mut writing = at(&mut world, options, |request| *request == command);
+            assert_eq!(writing.state().plc, PlcState::Unknown, "dropped here, it may be on its way");
+            writing.handle(Err(result)).unwrap();
+            // No status is read after a RUN that was refused.
+            let failure = writing.next().err();
+            let source = failure.unwrap_or_else(|| {
+                writing.handle(Err(timeout(Code::ReadStatus))).unwrap();
+                writing.next().unwrap_err()
+            });
+            let error = failed(&writing, source);
             assert_eq!(error.state.plc, if known { before } else { PlcState::Unknown }, "{error}");
             assert_eq!(error.to_string().ends_with(left), known, "{error}");
         }
@@ -48,29 +50,30 @@ fn what_a_refused_or_unsent_stop_or_run_leaves_is_known_though_nothing_is_answer
 }
 
 #[test]
-fn a_stop_that_is_refused_leaves_a_half_that_somebody_runs_running_and_the_error_says_so() {
+fn a_refused_stop_leaves_a_half_written_plc_running() {
     let mut world = World::new(2, Chances::default());
     world.plc.stop();
-    let mut writing = at(&mut world, WriteOptions::new(), Step::Write(3));
-    let program = world.new.clone();
+    let mut writing =
+        at(&mut world, WriteOptions::new(), |request| matches!(request, Request::WritePage { page: 3, .. }));
     world.plc.run();
     world.started = true;
-    // The page is lost, and so is the question for it: whether the PLC runs is asked, and that is answered.
-    writing.told(Err(timeout(Code::WriteProgramPage)));
-    writing.told(Err(timeout(Code::ReadProgramPage)));
-    world.go(&mut writing, &program);
-    assert_eq!(writing.next(), Step::Confirm);
-    world.go(&mut writing, &program);
-    assert_eq!(writing.next(), Step::Stop);
-    writing.told(Err(refusal(Code::ControlPlc, ErrorCode::IllegalFormat)));
-    writing.told(Err(timeout(Code::ReadStatus)));
-    let error = writing.failure();
+    // The page is lost, and so is its read. The status has a reply.
+    writing.handle(Err(timeout(Code::WriteProgramPage))).unwrap();
+    writing.handle(Err(timeout(Code::ReadProgramPage))).unwrap();
+    world.go(&mut writing);
+    assert_eq!(writing.next().unwrap(), Step::Confirm);
+    world.go(&mut writing);
+    assert_eq!(writing.next().unwrap(), Step::Send(Request::Stop));
+    writing.handle(Err(refusal(Code::ControlPlc, ErrorCode::IllegalFormat))).unwrap();
+    writing.handle(Err(timeout(Code::ReadStatus))).unwrap();
+    let source = writing.next().unwrap_err();
+    let error = failed(&writing, source);
     assert_eq!((error.state.plc, &error.state.in_doubt), (PlcState::Running, &vec![3]), "{error}");
     assert!(error.to_string().contains(", page 3 perhaps, and the PLC runs: write the rest before it runs"), "{error}");
 }
 
 #[test]
-fn a_dry_run_tells_what_a_run_writes_and_fails_where_it_is_refused() {
+fn a_dry_run_ends_as_a_run_would() {
     let mut refused = 0;
     for seed in seeds(500) {
         let mut world = World::new(seed, Chances::default());
@@ -80,26 +83,27 @@ fn a_dry_run_tells_what_a_run_writes_and_fails_where_it_is_refused() {
         world.plc.set_memory_card(random.next().is_multiple_of(8));
         let (program, ran) = (world.new.clone(), world.plc.is_running());
         let mut dry = Writing::new(program.clone(), options);
-        dry.begin(Goal::DryRun);
-        while !matches!(dry.next(), Step::Done | Step::Failed) {
-            assert!(
-                matches!(dry.next(), Step::Status | Step::Read(_) | Step::Confirm),
-                "seed {seed}: {:?}",
-                dry.next()
-            );
-            world.go(&mut dry, &program);
-        }
+        dry.begin(WriteGoal::DryRun);
+        let dry_end = loop {
+            match dry.next() {
+                Ok(Step::Done) => break Ok(dry.state().unwritten),
+                Ok(Step::Send(request)) if is_command(&request) || request == Request::Status => {
+                    panic!("seed {seed}: {request:?}")
+                }
+                Ok(Step::Send(_) | Step::Confirm) => world.go(&mut dry),
+                Err(source) => break Err(failed(&dry, source)),
+            }
+        };
         let mut real = Writing::new(program, options);
         match world.run(&mut real, MANY).unwrap() {
             Ok(report) => {
                 let mut written = report.written;
                 written.sort_unstable();
-                assert_eq!((dry.next(), dry.state().unwritten), (Step::Done, written), "seed {seed}");
+                assert_eq!(dry_end.unwrap(), written, "seed {seed}");
             }
             Err(error) => {
                 refused += 1;
-                assert_eq!(dry.next(), Step::Failed, "seed {seed}: {error}");
-                assert_eq!(dry.failure().to_string(), error.to_string(), "seed {seed}");
+                assert_eq!(dry_end.unwrap_err().to_string(), error.to_string(), "seed {seed}");
                 assert_eq!(world.plc.is_running(), ran);
             }
         }

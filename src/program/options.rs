@@ -1,0 +1,92 @@
+use std::time::Duration;
+
+/// Options for writing a program.
+///
+/// By default a running PLC is refused, only pages that differ are written, each written page is
+/// read back, and the PLC stays stopped.
+///
+/// ```
+/// use std::time::Duration;
+/// use fatek::program::WriteOptions;
+///
+/// let options = WriteOptions::new().stop_first().run_again().page_timeout(Duration::from_secs(5));
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct WriteOptions {
+    pub(super) stop_first: bool,
+    pub(super) run_again: bool,
+    pub(super) all_pages: bool,
+    pub(super) verify_all: bool,
+    pub(super) attempts: u32,
+    pub(super) page_timeout: Option<Duration>,
+}
+
+impl WriteOptions {
+    /// The defaults.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            stop_first: false,
+            run_again: false,
+            all_pages: false,
+            verify_all: false,
+            attempts: 3,
+            page_timeout: None,
+        }
+    }
+
+    /// Stops a running PLC if a page is to be written, and confirms that by its status. Without this
+    /// option a running PLC is [`ProgramError::Running`](super::ProgramError::Running), before
+    /// anything is written.
+    #[must_use]
+    pub fn stop_first(mut self) -> Self {
+        self.stop_first = true;
+        self
+    }
+
+    /// Starts the PLC when all pages are written, if it ran before, and confirms that by its status.
+    #[must_use]
+    pub fn run_again(mut self) -> Self {
+        self.run_again = true;
+        self
+    }
+
+    /// Writes all pages, not only those that differ. The first run reads no page before it is
+    /// written. Further runs of the same [`WriteProgram`](super::WriteProgram) compare all pages and
+    /// do not repeat those that an earlier run has written.
+    #[must_use]
+    pub fn all_pages(mut self) -> Self {
+        self.all_pages = true;
+        self
+    }
+
+    /// Reads and compares all pages at the end, also those that were not written.
+    #[must_use]
+    pub fn verify_all(mut self) -> Self {
+        self.verify_all = true;
+        self
+    }
+
+    /// How often a page is written at most, if its write has no reply or it reads back differently.
+    /// Default: 3; at least 1.
+    #[must_use]
+    pub fn attempts(mut self, attempts: u32) -> Self {
+        self.attempts = attempts.max(1);
+        self
+    }
+
+    /// Response timeout of the write of a page. Default: that of the station. A PLC that keeps its
+    /// program in flash memory may need more.
+    #[must_use]
+    pub fn page_timeout(mut self, timeout: Duration) -> Self {
+        self.page_timeout = Some(timeout);
+        self
+    }
+}
+
+impl Default for WriteOptions {
+    fn default() -> Self {
+        Self::new()
+    }
+}
