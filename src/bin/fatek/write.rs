@@ -10,7 +10,7 @@ pub(crate) async fn write(station: &Station, assignments: &[Assignment], output:
     for assignment in assignments {
         send(station, assignment).await.map_err(|error| {
             let tag = assignment.tag();
-            // A partial write itself says what was written.
+            // The error of a partial write names the elements that were written.
             let in_doubt = !matches!(error, Error::PartlyWritten { .. }) && error.may_have_executed();
             let doubt = if in_doubt { " (it may have been written)" } else { "" };
             Failure::of(format_args!("{tag}{doubt}"))(error)
@@ -30,7 +30,8 @@ async fn send(station: &Station, assignment: &Assignment) -> Result<(), Error> {
     }
 }
 
-// An assignment's raw values are as wide as its elements: each of these takes all that it is given.
+// Invariant: the raw values of an assignment are as wide as its elements, so no value is filtered
+// out.
 
 fn bits(values: &[Value]) -> Vec<bool> {
     values.iter().filter_map(|value| if let Value::Bit(on) = *value { Some(on) } else { None }).collect()
