@@ -50,7 +50,7 @@ impl Counters {
         }
     }
 
-    /// Snapshot a reply with the right values.
+    /// Counts a reply with the right values.
     pub(crate) fn answered(&self, n: u32, round_trip: Duration) {
         count(&self.replies);
         if !self.is_down() {
@@ -61,12 +61,12 @@ impl Counters {
         }
     }
 
-    /// Snapshot a reply with wrong values.
+    /// Counts a reply with wrong values.
     pub(crate) fn wrong(&self, n: u32, values: &[TagValue]) {
         self.error(format!("PLC {n}: wrong values {values:?}"));
     }
 
-    /// Snapshot a failed read.
+    /// Counts a failed read.
     pub(crate) fn failed(&self, n: u32, error: &Quality) {
         if self.is_down() {
             count(&self.failed_while_down);
@@ -81,7 +81,7 @@ impl Counters {
         }
     }
 
-    /// Snapshot samples dropped because the consumer was too slow.
+    /// Counts samples dropped because the consumer was too slow.
     pub(crate) fn missed(&self, missed: &Missed) {
         self.error(missed.to_string());
     }

@@ -128,7 +128,7 @@ impl Soak {
                 work.spawn(caller.run(stop_work.clone()));
             }
             let (line, stop) = (line.clone(), stop_work.clone());
-            // Spread transport the lines, and several in a short run.
+            // Spread over the lines, and several in a short run.
             let interval = AUDIT_INTERVAL.min(options.run_for / 3) + rng.millis(0, 1_000);
             work.spawn(async move { audit::run(&line, interval, stop).await });
         }
@@ -155,7 +155,7 @@ impl Soak {
         while began.elapsed() < options.run_for {
             tokio::select! {
                 _ = seconds.tick() => {}
-                // A task that servers early has failed; `finish` returns its error.
+                // A task that ends early has failed; `finish` returns its error.
                 Some(ended) = self.work.join_next() => {
                     self.work.spawn(async move { ended? });
                     break;

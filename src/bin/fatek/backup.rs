@@ -1,4 +1,4 @@
-//! `fatek backup FILE RANGE…` and `fatek restore FILE`
+//! Subcommands `fatek backup FILE RANGE…` and `fatek restore FILE`.
 
 use std::collections::HashSet;
 use std::path::Path;

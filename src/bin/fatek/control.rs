@@ -1,4 +1,4 @@
-//! `fatek run`, `stop`, and `enable`, `disable`, `set` and `reset DISCRETE…`
+//! Subcommands `fatek run`, `stop`, and `enable`, `disable`, `set` and `reset DISCRETE…`.
 
 use std::fmt;
 

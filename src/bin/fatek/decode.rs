@@ -1,4 +1,4 @@
-//! `fatek decode HEX`
+//! Subcommand `fatek decode HEX`.
 
 mod explain;
 mod field;

@@ -1,4 +1,4 @@
-//! `fatek ping`
+//! Subcommand `fatek ping`.
 
 use std::time::{Duration, Instant};
 

@@ -1,4 +1,4 @@
-//! `fatek plan TAG…`
+//! Subcommand `fatek plan TAG…`.
 
 use fatek::endpoint::{SerialSettings, Transport};
 use fatek::wire::Framing;

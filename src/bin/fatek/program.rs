@@ -1,4 +1,4 @@
-//! `fatek program read|write|verify|info FILE`
+//! Subcommands `fatek program read|write|verify|info FILE`.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! `fatek read TAG…`
+//! Subcommand `fatek read TAG…`.
 
 use fatek::tag::Tag;
 use fatek::{Element, Error, Station, Value};

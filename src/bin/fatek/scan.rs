@@ -1,4 +1,4 @@
-//! `fatek scan [FROM-TO]`
+//! Subcommand `fatek scan [FROM-TO]`.
 //!
 //! Reads the status (40) of each station. A loop-back would not do: on a line with echo, the echo
 //! looks like its reply.

@@ -1,4 +1,4 @@
-//! `fatek sim`
+//! Subcommand `fatek sim`.
 
 use fatek::sim::{Bus, Model, Plc, Server};
 

@@ -1,4 +1,4 @@
-//! `fatek status`
+//! Subcommand `fatek status`.
 
 use fatek::command::{BriefStatus, DetailedStatus};
 use fatek::{Error, Station};

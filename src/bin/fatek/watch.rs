@@ -1,4 +1,4 @@
-//! `fatek watch TAG…`
+//! Subcommand `fatek watch TAG…`.
 
 use std::time::SystemTime;
 

@@ -1,4 +1,4 @@
-//! `fatek write TAG=VALUE…`
+//! Subcommand `fatek write TAG=VALUE…`.
 
 use fatek::tag::Assignment;
 use fatek::{Element, Error, Station, Value};

@@ -1,7 +1,6 @@
 //! Parser of hexadecimal bytes: `0246`, `02 46`, `02:46`, `0x02, 0x46`.
 
-/// Parses bytes. Each group of digits must be whole bytes. Errors name the character, counted from
-/// 1.
+/// Parses groups of digits, each a number of whole bytes. Errors name the character, from 1 on.
 pub(super) fn parse(text: &str) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let mut high = None;
