@@ -110,13 +110,14 @@ impl Explanation {
         }
         // Without a good reading the longest one is shown; of two equal ones, the first.
         let consumed = |reading: &DataReading| reading.fields.iter().map(|field| field.bytes.len()).sum::<usize>();
-        let Some((part, DataReading { fields, fault })) = readings.into_iter().rev().max_by_key(|(_, r)| consumed(r))
+        let Some((part, DataReading { fields, fault: Some(fault) })) =
+            readings.into_iter().rev().max_by_key(|(_, r)| consumed(r))
         else {
             return;
         };
         let rest = data.get(fields.iter().map(|field| field.bytes.len()).sum()..).unwrap_or_default().to_vec();
         self.fields.extend(fields);
-        let meaning = format!("BAD: {}", fault.unwrap_or_default());
+        let meaning = format!("BAD: {fault}");
         self.fields.push(Field { part, name: "rest".to_owned(), bytes: rest, meaning });
     }
 }

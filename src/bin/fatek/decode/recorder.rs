@@ -50,11 +50,9 @@ impl<'a, R: FieldReader + Clone> Recorder<'a, R> {
         read: impl FnOnce(&mut R) -> Result<T, FieldError>,
         meaning: impl FnOnce(&T) -> String,
     ) -> Result<T, FieldError> {
-        let before = self.left();
+        let begin = self.position();
         let value = read(&mut self.inner)?;
-        let begin = self.data.len().saturating_sub(before);
-        let end = self.data.len().saturating_sub(self.left());
-        let bytes = self.data.get(begin..end).unwrap_or_default().to_vec();
+        let bytes = self.data[begin..self.position()].to_vec();
         self.fields.push(Field { part: self.part, name: name.to_owned(), bytes, meaning: meaning(&value) });
         Ok(value)
     }
@@ -64,8 +62,9 @@ impl<'a, R: FieldReader + Clone> Recorder<'a, R> {
         self.fields.push(Field { part: self.part, name: name.to_owned(), bytes: Vec::new(), meaning });
     }
 
-    fn left(&self) -> usize {
-        self.inner.clone().rest().len()
+    /// Number of bytes read. Invariant: the rest of `inner` is a suffix of `data`.
+    fn position(&self) -> usize {
+        self.data.len() - self.inner.clone().rest().len()
     }
 
     /// Name of the next value.
