@@ -85,6 +85,7 @@ Examples:
 
 /// Options of every subcommand, accepted before and after its name.
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Common options")]
 pub(crate) struct Common {
     /// Output format [default: table]
     #[arg(long, global = true, value_enum, value_name = "FORMAT")]
@@ -199,4 +200,26 @@ pub(crate) struct Consent {
     /// Dry run: print what would be written, change nothing
     #[arg(short = 'n', long)]
     pub(crate) dry_run: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::Cli;
+
+    fn check(command: &clap::Command) {
+        for text in [command.get_after_help(), command.get_after_long_help()].into_iter().flatten() {
+            for line in text.to_string().lines() {
+                assert!(line.len() <= 80, "{}: {line}", command.get_name());
+            }
+        }
+        command.get_subcommands().for_each(check);
+    }
+
+    #[test]
+    fn help_texts_fit_80_columns() {
+        Cli::command().debug_assert();
+        check(&Cli::command());
+    }
 }

@@ -14,13 +14,13 @@ use super::{Consent, Plc};
 /// file is saved.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  fatek backup plant.backup R0-R3839 D0-D2047 M0-M1911 --link tcp://192.168.2.3 --station 1
+  fatek backup plant.backup R0-R3839 D0-D2047 M0-M1911
   fatek backup plant.backup R0-R99:f32 DR200-DR298 WM0-WM96
   fatek backup plant.backup --compare
 
-A 32-bit value, such as f32, is always read in one request; other types have no effect.
-Values of different requests come from different scan cycles: for a consistent
-backup, stop the PLC first.
+A 32-bit value, such as f32, is always read in one request; other types have no
+effect. Values of different requests come from different scan cycles: for a
+consistent backup, stop the PLC first.
 With --compare the exit status is 0 if all values are equal, 7 if not.")]
 pub(crate) struct BackupArgs {
     /// Backup file
@@ -36,19 +36,19 @@ pub(crate) struct BackupArgs {
     pub(crate) plc: Plc,
 }
 
-/// Write the values of a backup file that differ to the PLC
+/// Restore a backup file to the PLC, only the values that differ
 ///
 /// Compares all values, writes those that differ, and verifies all. Asks for confirmation before
 /// the first write; without a terminal --yes is required. After a failure, repeat the command to
 /// write the rest.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  fatek restore plant.backup --dry-run --link tcp://192.168.2.3 --station 1
+  fatek restore plant.backup --dry-run
   fatek restore plant.backup D0-D99 M0-M15 --stop --run
 
-Elements overwritten by the running program are reported as errors, exit status 7.
-Inputs X and contacts T and C are never written. Disabled discretes keep their
-forced state unless --forced is given.
+Elements overwritten by the running program are reported as errors, with exit
+status 7. Inputs X and contacts T and C are never written. Disabled discretes
+keep their forced state unless --forced is given.
 CAUTION: outputs Y switch the connected loads, also in a stopped PLC.")]
 pub(crate) struct RestoreArgs {
     /// Backup file

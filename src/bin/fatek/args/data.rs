@@ -76,9 +76,10 @@ pub(crate) struct DiscreteArgs {
   fatek watch R0-R9 R100:f32 --interval 500ms --on-change
   fatek watch R5:i16*0.1-40 --deadband 0.5 --format csv --count 1000
 
-The time is that of the reply, in UTC. A value without quality good has its reason
-in parentheses: (stale: ...) follows the last good value, (bad: ...) stands alone.
-JSON: one object per line with time, tag, value and quality; without a value null.")]
+The time is that of the reply, in UTC. A value whose quality is not good is
+printed with the reason: (stale: ...) after the last good value, or (bad: ...)
+without a value.
+JSON: one object per line with time, tag, value and quality; no value is null.")]
 pub(crate) struct WatchArgs {
     /// Element or range, with an optional type, as for read
     #[arg(required = true, value_name = "TAG")]
@@ -122,8 +123,7 @@ pub(crate) struct PlanArgs {
     /// Speed of the serial line, also behind a network module, in bit/s
     #[arg(long, value_name = "BAUD")]
     pub(crate) baud: Option<u32>,
-    /// Time per request besides its bytes, up to 1m: network round trip, or response time of the
-    /// PLC
+    /// Time per request besides its bytes: network round trip, or response time of the PLC
     #[arg(long, default_value = "5ms", value_parser = duration::parse, value_name = "TIME")]
     pub(crate) round_trip: Duration,
     /// One request for all tags, so that all values come from one scan cycle

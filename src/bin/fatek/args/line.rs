@@ -36,7 +36,8 @@ pub(crate) struct PingArgs {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   fatek scan --link tcp://192.168.2.3
-  fatek scan 1-16 --timeout 1s --retries 2 --link 'serial:/dev/ttyUSB0?baud=19200'
+  fatek scan 1-16 --timeout 1s --retries 2
+  fatek scan --link 'serial:/dev/ttyUSB0?baud=19200'
 
 The default of --timeout is 200ms: all 254 stations take up to 51 s.
 

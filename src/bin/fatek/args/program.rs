@@ -51,7 +51,7 @@ pub(crate) struct ProgramReadArgs {
 /// write the rest. --dry-run makes the same checks and changes nothing.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  fatek program write pump.program --dry-run --link tcp://192.168.2.3 --station 1
+  fatek program write pump.program --stop --dry-run
   fatek program write pump.program --stop --run")]
 pub(crate) struct ProgramWriteArgs {
     #[command(flatten)]
