@@ -353,7 +353,7 @@ fn at_a_terminal_what_differs_is_shown_and_only_a_yes_writes_it() {
     }
     let (status, shown) = at_terminal(&sim, &["restore", &file], "y\n");
     assert_eq!(status, 0, "{shown}");
-    assert!(shown.contains("[##############################] verifying: 110 of 110, 202 bytes"), "{shown}");
+    assert!(shown.contains("[####################] verifying: 110 of 110, 202 bytes"), "{shown}");
     assert!(shown.ends_with("\r\n110 elements compared, 1 differed, 1 written\r\n"), "{shown}");
     assert_eq!(values(&sim, &["R5"]), ["7"]);
     // Nothing is asked when nothing is to be changed, or when it was said before.

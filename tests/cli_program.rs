@@ -352,8 +352,8 @@ mod terminal {
         }
         let (status, shown) = answer(&sim, &write, "y\n");
         assert_eq!(status, 0, "{shown}");
-        assert!(shown.contains("[##>---------------------------] comparing: 1 of 11, 128 bytes"), "{shown}");
-        assert!(shown.contains("[##############################] writing: 2 of 2, 512 bytes"), "{shown}");
+        assert!(shown.contains("[#>------------------] comparing: 1 of 11, 128 bytes"), "{shown}");
+        assert!(shown.contains("[####################] writing: 2 of 2, 512 bytes"), "{shown}");
         assert!(shown.ends_with("\r\n2 of 11 pages written and compared; the PLC is stopped\r\n"), "{shown}");
         assert_eq!(program(&sim, &["verify", "--raw", &raw]).status, 0);
 

@@ -99,7 +99,7 @@ impl TransferDisplay {
             }
             None => {
                 let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::stderr())
-                    .with_style(style("[{bar:30}] {wide_msg}"))
+                    .with_style(style("[{bar:20}] {wide_msg}"))
                     .with_message(progress.to_string())
                     .with_position(done);
                 bar.tick();
