@@ -26,7 +26,7 @@ async fn send(station: &Station, assignment: &Assignment) -> Result<(), Error> {
     match tag.first() {
         Element::Discrete(first) => station.write_discretes(first, &bits(&raw)).await,
         Element::Register(first) => station.write_registers(first, &words(&raw)).await,
-        Element::Register32(first) => station.write_registers32(first, &doubles(&raw)).await,
+        Element::Register32(first) => station.write_registers32(first, &dwords(&raw)).await,
     }
 }
 
@@ -41,6 +41,6 @@ fn words(values: &[Value]) -> Vec<u16> {
     values.iter().filter_map(|value| if let Value::Word(word) = *value { Some(word) } else { None }).collect()
 }
 
-fn doubles(values: &[Value]) -> Vec<u32> {
+fn dwords(values: &[Value]) -> Vec<u32> {
     values.iter().filter_map(|value| if let Value::DWord(double) = *value { Some(double) } else { None }).collect()
 }

@@ -127,8 +127,8 @@ fn registers<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<(),
         words.push(fields.word()?);
     }
     if words.len().is_multiple_of(2) {
-        let doubles = words.chunks_exact(2).map(|pair| text::dword(u32::from(pair[0]) << 16 | u32::from(pair[1])));
-        fields.remark("as 32 bits", doubles.collect::<Vec<_>>().join("; "));
+        let dwords = words.chunks_exact(2).map(|pair| text::dword(u32::from(pair[0]) << 16 | u32::from(pair[1])));
+        fields.remark("as 32 bits", dwords.collect::<Vec<_>>().join("; "));
     }
     Ok(())
 }
