@@ -1,4 +1,4 @@
-//! How long planning takes, for the second table of docs/PLAN.md.
+//! Time to build plans, for the second table of docs/PLAN.md.
 //!
 //! ```text
 //! cargo bench -p fatek-benches --bench plan
@@ -36,7 +36,7 @@ fn planning(c: &mut Criterion) {
     }
 }
 
-/// So many tags.
+/// Returns this number of tags.
 type Tags = fn(usize) -> Vec<Tag>;
 
 fn clustered(n: usize) -> Vec<Tag> {
@@ -47,7 +47,7 @@ fn random(n: usize) -> Vec<Tag> {
     tags::random(n, 65_535, 65_535, 10_000).expect("good tags")
 }
 
-/// The same, one in ten of the registers a text of up to 32.
+/// Random tags, one in ten replaced by a text of up to 32 registers.
 fn texts(n: usize) -> Vec<Tag> {
     let text = |(n, tag): (usize, Tag)| {
         let spanning = Tag::spanning(tag.first(), TagType::Text, n % 32 + 1);

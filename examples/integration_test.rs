@@ -1,13 +1,14 @@
-//! How to test code that talks to a PLC, without a PLC.
+//! Tests of code that uses a PLC, without a PLC.
 //!
 //! ```text
 //! cargo test --example integration_test --features sim   # the tests, at the end of this file
-//! cargo run --example integration_test --features sim    # the last of them, told as a story
+//! cargo run --example integration_test --features sim    # prints the events of the last test
 //! ```
 //!
-//! The code under test is a controller that keeps a tank's level between two marks. It knows a [`Station`] and nothing of
-//! what lies behind it: in the plant a link to `tcp://192.168.2.3:500`, here one to a simulated PLC in memory. Time is
-//! Tokio's paused clock, so an hour of the plant takes a moment and comes out the same each time.
+//! The code under test is a controller that keeps the level of a tank between two marks. It has a
+//! [`Station`], and no code for the line: in the plant a link to `tcp://192.168.2.3:500`, here a
+//! link to a simulated PLC in memory. The clock is Tokio's paused clock: an hour of the plant takes
+//! milliseconds, and each run gives the same result.
 
 use std::error::Error;
 use std::time::Duration;
@@ -20,7 +21,8 @@ use tokio::time::{Instant, sleep};
 
 // ---- The code under test.
 
-/// In the PLC: the level in millimetres and the marks, whether the lid is closed, and the pump that fills the tank.
+/// Elements of the PLC: level and marks in millimetres, contact of the closed lid, and the pump
+/// that fills the tank.
 const LEVEL: Register = register!("R0");
 const LOW_MARK: Register = register!("R1");
 const HIGH_MARK: Register = register!("R2");
@@ -31,7 +33,7 @@ struct TankController {
     station: Station,
 }
 
-/// What a cycle has done.
+/// Result of a cycle.
 #[derive(Debug, PartialEq, Eq)]
 enum Action {
     Nothing,
@@ -39,9 +41,9 @@ enum Action {
     SwitchedOff,
 }
 
-/// Why a cycle has not done its work.
+/// Error of a cycle.
 #[derive(Debug, thiserror::Error)]
-enum Trouble {
+enum CycleError {
     #[error("the PLC is stopped")]
     Stopped,
     #[error(transparent)]
@@ -49,15 +51,16 @@ enum Trouble {
 }
 
 impl TankController {
-    /// Looks once, and switches the pump if it has to be.
+    /// Reads the inputs once, and switches the pump if necessary.
     ///
-    /// It remembers nothing. A command whose answer was lost may have been executed or not
-    /// ([`fatek::Error::may_have_executed`]); the next cycle sees which, and needs not repeat it blindly.
-    async fn cycle(&self) -> Result<Action, Trouble> {
+    /// Keeps no state. A command whose reply was lost may have been executed or not
+    /// ([`fatek::Error::may_have_executed`]). The next cycle reads the actual state, so no command
+    /// is repeated blindly.
+    async fn cycle(&self) -> Result<Action, CycleError> {
         if !self.station.read_status().await?.flags().running() {
-            return Err(Trouble::Stopped);
+            return Err(CycleError::Stopped);
         }
-        // All in one request: values from different scans of the PLC need not fit together.
+        // One request for all values, so that they come from one scan cycle of the PLC.
         let elements = [LEVEL.into(), LOW_MARK.into(), HIGH_MARK.into(), LID_CLOSED.into(), PUMP.into()];
         let values = self.station.read_mixed(&elements).await?;
         let [Value::Word(level), Value::Word(low), Value::Word(high), Value::Bit(lid_closed), Value::Bit(is_on)] =
@@ -69,13 +72,13 @@ impl TankController {
         match (is_on, should_be_on) {
             (false, true) => self.station.set(PUMP).await.map(|()| Action::SwitchedOn),
             (true, false) => self.station.reset(PUMP).await.map(|()| Action::SwitchedOff),
-            _ => Ok(Action::Nothing),
+            (true, true) | (false, false) => Ok(Action::Nothing),
         }
-        .map_err(Trouble::from)
+        .map_err(CycleError::from)
     }
 }
 
-// ---- The bench: a PLC to look at, the line's faults to play with, and the controller.
+// ---- The test bench: simulated PLC, faults of the line, and controller.
 
 struct Bench {
     plc: Plc,
@@ -84,7 +87,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// A tank that is half full, and all is well.
+    /// Bench with a half full tank and no faults.
     fn new() -> Result<Self, Box<dyn Error>> {
         let plc = Plc::new();
         plc.run();
@@ -92,7 +95,7 @@ impl Bench {
             plc.write(register, value)?;
         }
         plc.write(LID_CLOSED, true)?;
-        let faults = Faults::new(1); // the seed: equal seeds, equal faults
+        let faults = Faults::new(1); // seed: equal seeds give equal faults
         let bus = Bus::new().with_station(1, plc.clone())?.with_faults(faults.clone());
         let link = Link::connector_builder("the plant", Framing::Ascii, sim::connector(bus, Framing::Ascii))
             .response_timeout(Duration::from_millis(200))
@@ -111,12 +114,12 @@ impl Bench {
         self.plc.read(PUMP) == Value::Bit(true)
     }
 
-    /// How often the pump has been switched.
+    /// Number of switching operations of the pump.
     fn switched(&self) -> u64 {
         self.faults.log().writes()
     }
 
-    /// A second of the plant: the pump brings 8 mm, and 3 mm are used.
+    /// Simulates one second: the pump adds 8 mm, the consumers take 3 mm.
     async fn second(&self) -> Result<(), sim::Error> {
         sleep(Duration::from_secs(1)).await;
         let inflow = if self.pump_is_on() { 8 } else { 0 };
@@ -124,8 +127,8 @@ impl Bench {
     }
 }
 
-/// What goes wrong in this second.
-fn happen(bench: &Bench, second: u32) -> Result<Option<&'static str>, sim::Error> {
+/// Applies the event of this second, if any, and returns its description.
+fn apply_event(bench: &Bench, second: u32) -> Result<Option<&'static str>, sim::Error> {
     Ok(Some(match second {
         60 => {
             bench.faults.set_rules([Rule::new(Fault::GarbageInside { max_len: 4 }).per_mille(150)]);
@@ -133,7 +136,7 @@ fn happen(bench: &Bench, second: u32) -> Result<Option<&'static str>, sim::Error
         }
         120 => {
             bench.faults.set_rules([Rule::new(Fault::DropReply).command(Code::ControlDiscrete).times(1)]);
-            "- the noise is over, and the next answer to a command will be lost"
+            "- no more noise; the next reply to a command will be lost"
         }
         160 => {
             bench.plc.write(LID_CLOSED, false)?;
@@ -149,7 +152,7 @@ fn happen(bench: &Bench, second: u32) -> Result<Option<&'static str>, sim::Error
         }
         330 => {
             bench.faults.set_rules([]);
-            "- the cable is mended"
+            "- the cable is repaired"
         }
         450 => {
             bench.plc.stop();
@@ -163,19 +166,19 @@ fn happen(bench: &Bench, second: u32) -> Result<Option<&'static str>, sim::Error
     }))
 }
 
-/// Ten minutes of a bad day, a cycle each second. Gives the lowest and the highest level.
-async fn bad_day(bench: &Bench) -> Result<(u16, u16), Box<dyn Error>> {
+/// Runs ten minutes with faults, one cycle per second. Returns the lowest and the highest level.
+async fn ten_minutes_with_faults(bench: &Bench) -> Result<(u16, u16), Box<dyn Error>> {
     let (mut lowest, mut highest) = (u16::MAX, 0);
     let mut last = String::new();
     for second in 0..600 {
-        if let Some(event) = happen(bench, second)? {
+        if let Some(event) = apply_event(bench, second)? {
             println!("{second:4} s           {event}");
         }
         let result = match bench.controller.cycle().await {
             Ok(action) => format!("{action:?}"),
-            // The times in an error differ from one to the next.
-            Err(Trouble::Plc(fatek::Error::Offline { .. })) => "the station is offline".to_owned(),
-            Err(trouble) => trouble.to_string(),
+            // The full message contains a time, which differs in each cycle.
+            Err(CycleError::Plc(fatek::Error::Offline { .. })) => "the station is offline".to_owned(),
+            Err(error) => error.to_string(),
         };
         if result != last {
             println!("{second:4} s  {:4} mm  {result}", bench.level());
@@ -191,12 +194,12 @@ async fn bad_day(bench: &Bench) -> Result<(u16, u16), Box<dyn Error>> {
 async fn main() -> Result<(), Box<dyn Error>> {
     let bench = Bench::new()?;
     let began = Instant::now();
-    let (lowest, highest) = bad_day(&bench).await?;
+    let (lowest, highest) = ten_minutes_with_faults(&bench).await?;
     let link = bench.controller.station.link().stats();
     println!("\nafter {:.0?}: the level was between {lowest} and {highest} mm", began.elapsed());
     println!("the pump was switched {} times, never twice for one command", bench.switched());
-    println!("the link repeated {} reads and met {} timeouts", link.stations.retries, link.stations.timeouts);
-    println!("\nthe last that the PLC was asked:");
+    println!("the link had {} retries and {} timeouts", link.stations.retries, link.stations.timeouts);
+    println!("\nlast requests to the PLC:");
     let entries = bench.faults.log().entries();
     for entry in entries.iter().rev().take(4).rev() {
         let at = entry.at.duration_since(began);
@@ -212,7 +215,7 @@ mod tests {
     use super::*;
 
     #[tokio::test(start_paused = true)]
-    async fn the_pump_goes_on_below_the_low_mark_and_off_at_the_high_one() {
+    async fn pump_switches_at_the_low_and_the_high_mark() {
         let bench = Bench::new().unwrap();
         for (level, action) in [
             (400_u16, Action::Nothing),
@@ -228,7 +231,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn an_open_lid_stops_the_pump_whatever_the_level() {
+    async fn open_lid_stops_the_pump_at_any_level() {
         let bench = Bench::new().unwrap();
         bench.plc.write(LEVEL, 100_u16).unwrap();
         bench.controller.cycle().await.unwrap();
@@ -239,39 +242,39 @@ mod tests {
         assert!(!bench.pump_is_on());
     }
 
-    /// The log is a record of all that the PLC was asked.
+    /// The log records all requests to the PLC.
     #[tokio::test(start_paused = true)]
-    async fn nothing_is_written_while_the_level_is_between_the_marks() {
+    async fn nothing_is_written_between_the_marks() {
         let bench = Bench::new().unwrap();
         for _ in 0..100 {
             bench.controller.cycle().await.unwrap();
         }
-        // Two requests a cycle, and before them the check with which a connection begins.
+        // Two requests per cycle, and the check at the start of the connection.
         assert_eq!((bench.faults.log().arrivals(), bench.switched()), (201, 0));
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_stopped_plc_is_not_controlled() {
+    async fn stopped_plc_is_not_controlled() {
         let bench = Bench::new().unwrap();
         bench.plc.write(LEVEL, 100_u16).unwrap();
         bench.plc.stop();
-        assert!(matches!(bench.controller.cycle().await, Err(Trouble::Stopped)));
+        assert!(matches!(bench.controller.cycle().await, Err(CycleError::Stopped)));
         assert_eq!(bench.switched(), 0);
     }
 
-    /// The PLC has switched the pump, and its answer is lost: nobody tells the controller, and it finds out.
+    /// The PLC switches the pump, but its reply is lost: the next cycle reads the actual state.
     #[tokio::test(start_paused = true)]
-    async fn a_lost_answer_does_not_make_it_switch_twice() {
+    async fn lost_reply_does_not_switch_the_pump_twice() {
         let bench = Bench::new().unwrap();
         bench.plc.write(LEVEL, 100_u16).unwrap();
         bench.faults.add_rule(Rule::new(Fault::DropReply).command(Code::ControlDiscrete).times(1));
-        let Err(Trouble::Plc(error)) = bench.controller.cycle().await else { panic!("the answer came") };
+        let Err(CycleError::Plc(error)) = bench.controller.cycle().await else { panic!("the reply was not lost") };
         assert!(error.may_have_executed(), "{error}");
         assert_eq!(bench.controller.cycle().await.unwrap(), Action::Nothing);
         assert_eq!(bench.switched(), 1);
     }
 
-    /// The link gives right values or errors, so the controller needs no checks of its own against a bad line.
+    /// The link returns correct values or errors, so the controller needs no checks of its own.
     #[tokio::test(start_paused = true)]
     async fn wrong_replies_never_switch_the_pump() {
         let bench = Bench::new().unwrap();
@@ -284,39 +287,39 @@ mod tests {
             Fault::Extended { by: 4 },
         ];
         bench.faults.set_rules(wrong.map(|fault| Rule::new(fault).per_mille(50)));
-        let mut looked = 0;
+        let mut good_cycles = 0;
         for _ in 0..500 {
             match bench.controller.cycle().await {
                 Ok(action) => assert_eq!(action, Action::Nothing),
                 Err(_) => continue,
             }
-            looked += 1;
+            good_cycles += 1;
         }
         assert!(bench.faults.rules().iter().all(|rule| rule.times_applied() > 0));
-        assert!(looked > 250, "the reads are repeated: {looked}");
+        assert!(good_cycles > 250, "reads are retried: {good_cycles}");
         assert_eq!(bench.switched(), 0);
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_dead_plc_is_noticed_in_time_and_found_again() {
+    async fn dead_plc_is_detected_and_recovers() {
         let bench = Bench::new().unwrap();
         bench.controller.cycle().await.unwrap();
         bench.faults.set_rules([Rule::new(Fault::Ignore)]);
         let began = Instant::now();
-        assert!(matches!(bench.controller.cycle().await, Err(Trouble::Plc(fatek::Error::Timeout { .. }))));
+        assert!(matches!(bench.controller.cycle().await, Err(CycleError::Plc(fatek::Error::Timeout { .. }))));
         assert!(began.elapsed() < Duration::from_secs(1), "three attempts of 200 ms: {:?}", began.elapsed());
         let began = Instant::now();
-        assert!(matches!(bench.controller.cycle().await, Err(Trouble::Plc(fatek::Error::Offline { .. }))));
-        assert_eq!(began.elapsed(), Duration::ZERO, "from now on it is not waited for");
+        assert!(matches!(bench.controller.cycle().await, Err(CycleError::Plc(fatek::Error::Offline { .. }))));
+        assert_eq!(began.elapsed(), Duration::ZERO, "calls to an offline station fail at once");
 
         bench.faults.set_rules([]);
-        sleep(Duration::from_secs(10)).await; // within this time it is asked whether it is there again
+        sleep(Duration::from_secs(10)).await; // a probe succeeds within this time
         assert_eq!(bench.controller.cycle().await.unwrap(), Action::Nothing);
     }
 
     #[tokio::test(start_paused = true)]
-    async fn on_a_bad_day_the_tank_neither_overflows_nor_runs_dry() {
-        let (lowest, highest) = bad_day(&Bench::new().unwrap()).await.unwrap();
+    async fn level_stays_within_limits_despite_faults() {
+        let (lowest, highest) = ten_minutes_with_faults(&Bench::new().unwrap()).await.unwrap();
         assert!(lowest > 300 && highest < 800, "{lowest} to {highest} mm");
     }
 }

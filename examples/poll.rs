@@ -1,8 +1,8 @@
-//! Polls a PLC over TCP and prints what it reads.
+//! Polls a PLC over TCP and prints the values.
 //!
 //! ```text
 //! cargo run --example poll --features sim                            # an embedded simulated PLC
-//! cargo run --example poll --features sim -- tcp://192.168.2.3:500   # a PLC of yours, station 1 (only reads)
+//! cargo run --example poll --features sim -- tcp://192.168.2.3:500   # a real PLC, station 1 (reads only)
 //! ```
 
 use std::error::Error;
@@ -22,16 +22,16 @@ async fn main() -> Result<(), Box<dyn Error>> {
             let plc = Plc::new();
             let server = Server::bind("127.0.0.1:0", Bus::new().with_station(1, plc.clone())?, Framing::Ascii).await?;
             println!("simulated PLC at {}", Endpoint::from(server.local_addr()));
-            let process = tokio::spawn(simulate(plc));
+            let machine = tokio::spawn(simulate(plc));
             let polled = poll(server.local_addr().into()).await;
-            process.abort();
+            machine.abort();
             server.shutdown().await;
             polled
         }
     }
 }
 
-/// Reads a few elements of station 1, time and again.
+/// Reads some elements of station 1, [`POLLS`] times.
 async fn poll(endpoint: Endpoint) -> Result<(), Box<dyn Error>> {
     let link = Link::builder(endpoint).response_timeout(Duration::from_millis(500)).build();
     let station = link.station(1)?;
@@ -55,7 +55,7 @@ async fn print(station: &Station, round: u32) -> Result<(), fatek::Error> {
     Ok(())
 }
 
-/// What the machine does that the PLC controls.
+/// Simulates the machine behind the PLC.
 async fn simulate(plc: Plc) -> Result<(), fatek::sim::Error> {
     plc.run();
     for tick in 0_u16.. {

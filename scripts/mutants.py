@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Runs all mutants that `cargo mutants --list` names out of one build.
+"""Runs all mutants of `cargo mutants --list` from one build.
 
-cargo-mutants builds the crate anew for each mutant, which takes hours here. This script asks it for its list, writes every mutant of
-a function into that function as one more branch, chosen by the environment variable MUTANT, builds once, notes which tests reach
-which function, and runs those tests for each mutant, the fastest first, until one fails.
+cargo-mutants builds the crate once per mutant, which takes hours. This script writes every mutant of a
+function into that function as a branch selected by the environment variable MUTANT. It builds once, and records the
+functions that each test reaches. For each mutant it runs the tests of its function, fastest first, until one fails.
 
-    scripts/mutants.py build [-f GLOB]...   copy the sources, write the branches, build, note what each test reaches
-    scripts/mutants.py run [-f GLOB]...     run the tests for each mutant that has no result yet; --budget SECONDS of test time each
-    scripts/mutants.py report               count what became of them, for each file, and list what was missed
+    scripts/mutants.py build                copy the sources, write the branches, build, trace the tests
+    scripts/mutants.py run [-f GLOB]...     run the tests for each mutant without a result; --budget SECONDS per mutant
+    scripts/mutants.py report [-f GLOB]...  print the results by file, and the missed mutants
 
-A mutant outside of functions, or one whose branch does not compile here though it does alone, is left to
-`cargo mutants --re NAME`. All that is written goes to the folder MUTANTS_DIR (default: target/mutants-in-one-build).
+Mutants outside of functions, and mutants that compile only alone, are left to `cargo mutants --re NAME`. All files are
+written to the directory MUTANTS_DIR (default: target/mutants-in-one-build).
 """
 
 import argparse
@@ -36,11 +36,11 @@ OUT = pathlib.Path(os.environ.get("MUTANTS_DIR", ROOT / "target/mutants-in-one-b
 TREE = OUT / "tree"
 GLOBS = ["src/wire/**", "src/command/**", "src/link/**"]
 FEATURES = ["--features", "serial,sim"]
-# Their tests do not come to these folders by a way that others do not take, or need the command line.
-LEFT_OUT = re.compile(r"^(cli.*|gateway|plan|program|backup|peers)$")
-# These go by the clock of the wall: a failure counts only if it happens again.
+# Tests that need the command line, or reach these folders only by paths of other tests.
+SKIPPED_TESTS = re.compile(r"^(cli.*|gateway|plan|program|backup|peers)$")
+# Tests in real time: a failure counts only if it is repeated.
 WALL_CLOCK = {"tcp", "udp", "serial", "pool"}
-SWITCH = """//! Which mutant is on.
+SWITCH = """//! The active mutant.
 use std::io::Write as _;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::OnceLock;
@@ -62,7 +62,7 @@ pub(crate) fn on(function: usize) -> u32 {
 
 
 def listed():
-    """The mutants as cargo-mutants lists them, with its own settings."""
+    """Returns the mutants of cargo-mutants, with its settings."""
     command = ["cargo", "mutants", "--list", "--json", *FEATURES]
     for glob in GLOBS:
         command += ["-f", glob]
@@ -72,13 +72,13 @@ def listed():
     return mutants
 
 
-def alone(mutant):
-    """Whether it is left to cargo-mutants: outside of functions, or in one whose branches would be of several types."""
+def is_left_out(mutant):
+    """Returns whether the mutant is left to cargo-mutants: outside of functions, or with branches of several types."""
     return not mutant.get("function") or "-> impl " in mutant["function"]["return_type"]
 
 
 class Text:
-    """A source file, by line and column."""
+    """Source file with access by line and column."""
 
     def __init__(self, path):
         self.text = path.read_text()
@@ -94,7 +94,7 @@ class Text:
 
 
 def body_of(text, start, end):
-    """The offsets of the braces of the function whose item goes from start to end."""
+    """Returns the offsets of the braces of the function from start to end."""
     at = start
     match = re.compile(r"\bfn\s+\w+").search(text, start, end)
     at = match.end()
@@ -107,16 +107,16 @@ def body_of(text, start, end):
         elif text[at] == "{" and depth == 0:
             return at, end - 1
         at += 1
-    raise ValueError("a function without a body")
+    raise ValueError("function without a body")
 
 
 def branches(path, mutants, functions):
-    """The file with a branch for each mutant, and the lines that each of them has there."""
+    """Returns the file with a branch for each mutant, and the lines of each branch."""
     source = Text(path)
     by_function = collections.defaultdict(list)
     for mutant in mutants:
         by_function[source.span(mutant["function"]["span"])].append(mutant)
-    # What is inside another function belongs to the outer one.
+    # Nested functions belong to the outer one.
     outer = {}
     for span in sorted(by_function, key=lambda s: (s[0], -s[1])):
         home = next((o for o in outer if o[0] <= span[0] and span[1] <= o[1]), span)
@@ -155,9 +155,10 @@ def cargo(*arguments):
 
 
 def lay_out(mutants):
-    """Copies what has changed, with the branches in it."""
+    """Copies the changed files, with the branches."""
     TREE.mkdir(parents=True, exist_ok=True)
-    tracked = subprocess.run(["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\n")
+    listing = ["git", "ls-files", "-co", "--exclude-standard"]
+    tracked = subprocess.run(listing, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\n")
     by_file = collections.defaultdict(list)
     for mutant in mutants:
         by_file[mutant["file"]].append(mutant)
@@ -187,19 +188,20 @@ def lay_out(mutants):
 
 
 def test_targets():
-    names = [p.stem for p in (TREE / "tests").glob("*.rs")] + [p.parent.name for p in (TREE / "tests").glob("*/main.rs")]
-    return sorted(n for n in names if not LEFT_OUT.match(n))
+    tests = TREE / "tests"
+    names = [p.stem for p in tests.glob("*.rs")] + [p.parent.name for p in tests.glob("*/main.rs")]
+    return sorted(n for n in names if not SKIPPED_TESTS.match(n))
 
 
-def build(mutants, left):
-    """Builds, taking out the mutants that do not compile, until the rest does. `left` has the ones that went before."""
+def build(mutants, unviable):
+    """Builds without the mutants that do not compile. `unviable` has those of earlier builds, and gets the new ones."""
     while True:
-        kept = [m for m in mutants if m["name"] not in left and not alone(m)]
+        kept = [m for m in mutants if m["name"] not in unviable and not is_left_out(m)]
         functions, lines = lay_out(kept)
         arguments = ["test", "--profile", "mutants", *FEATURES, "--no-run", "--lib", "--message-format", "json"]
         for name in test_targets():
             arguments += ["--test", name]
-        # The profile that is checked first is the cheap one: most errors show without code being made.
+        # A check finds most errors without code generation.
         checked = cargo("check", "--profile", "mutants", *FEATURES, "--lib", "--message-format", "json")
         done = checked if checked.returncode else cargo(*arguments)
         if done.returncode == 0:
@@ -214,19 +216,18 @@ def build(mutants, left):
             for span in message["spans"]:
                 if not span["is_primary"]:
                     continue
-                # A span of a macro leads to where it was called.
+                # The error in a macro counts at the call of the macro.
                 while span.get("expansion") and span["file_name"] not in lines:
                     span = span["expansion"]["span"]
                 for number, (first, last) in lines.get(span["file_name"], {}).items():
                     if first <= span["line_start"] and span["line_end"] <= last:
                         found[names[number]] = message["message"]
         if not found:
-            sys.exit(f"does not build, and it is no mutant's fault:\n{done.stderr[-4000:]}\n" + "\n".join(
-                json.loads(l)["message"]["rendered"] for l in done.stdout.splitlines()
-                if '"level":"error"' in l)[:6000])
+            errors = [json.loads(l)["message"]["rendered"] for l in done.stdout.splitlines() if '"level":"error"' in l]
+            sys.exit(f"build error outside of mutants:\n{done.stderr[-4000:]}\n" + "\n".join(errors)[:6000])
         print(f"{len(found)} do not compile", flush=True)
-        left.update(found)
-        (OUT / "unviable.json").write_text(json.dumps(left, indent=1))
+        unviable.update(found)
+        (OUT / "unviable.json").write_text(json.dumps(unviable, indent=1))
     binaries = {}
     for line in done.stdout.splitlines():
         message = json.loads(line)
@@ -238,12 +239,12 @@ def build(mutants, left):
 def limits():
     resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    # A group of its own, to be ended as a whole; no session of its own, which would take a pseudo-terminal for its terminal.
+    # A process group of its own, killed as a whole. Not a session: it would take a pseudo-terminal as its terminal.
     os.setpgid(0, 0)
 
 
 def cpu_ticks(pid):
-    """How much processor time a process has used; a test in paused time that uses none any more waits for ever."""
+    """Returns the processor time of a process. A test in paused time that uses none is hung."""
     try:
         fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
         return int(fields[11]) + int(fields[12])
@@ -252,23 +253,24 @@ def cpu_ticks(pid):
 
 
 def run_tests(binary, tests, mutant, timeout, trace=None, idle=math.inf):
-    """What happened unless they passed, and how much processor time they took."""
+    """Returns the failure, or None if all tests passed, and their processor time."""
     env = dict(os.environ, MUTANT=str(mutant), RUST_BACKTRACE="0", PROPTEST_FAILURE_PERSISTENCE="off")
     if trace:
         env["MUTANT_TRACE"] = trace
-    process = subprocess.Popen([binary, "--exact", "--test-threads", "2", *tests], cwd=TREE, env=env, stdout=subprocess.PIPE,
-                               stderr=subprocess.STDOUT, text=True, errors="replace", preexec_fn=limits)
+    process = subprocess.Popen(
+        [binary, "--exact", "--test-threads", "2", *tests], cwd=TREE, env=env, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True, errors="replace", preexec_fn=limits)
     output = []
     reader = threading.Thread(target=lambda: output.append(process.stdout.read()))
     reader.start()
-    began = stirred = time.monotonic()
+    began = last_active = time.monotonic()
     spent = None
     while reader.is_alive():
         reader.join(0.2)
         now = time.monotonic()
         before, spent = spent, cpu_ticks(process.pid)
-        stirred = now if spent != before else stirred
-        if now - began > timeout or now - stirred > idle:
+        last_active = now if spent != before else last_active
+        if now - began > timeout or now - last_active > idle:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             reader.join()
@@ -283,7 +285,7 @@ def run_tests(binary, tests, mutant, timeout, trace=None, idle=math.inf):
 
 
 def trace(binaries, known):
-    """What each test reaches and how long it takes, alone. A test whose binary is as it was is not run again."""
+    """Records the functions and the time of each test, alone. Tests of unchanged binaries are not run again."""
     jobs = []
     for name, binary in binaries.items():
         stamp = f"{binary} {os.stat(binary).st_mtime}"
@@ -296,10 +298,10 @@ def trace(binaries, known):
     def one(job):
         name, binary, test = job
         with tempfile.NamedTemporaryFile() as file:
-            what, seconds = run_tests(binary, [test], 0, 400, trace=file.name)
+            failure, seconds = run_tests(binary, [test], 0, 400, trace=file.name)
             reached = sorted({int(n) for n in open(file.name).read().split()})
-        if what:
-            print(f"left out, it fails without a mutant: {name} {test}: {what}", flush=True)
+        if failure:
+            print(f"skipped, fails without a mutant: {name} {test}: {failure}", flush=True)
         else:
             known[name]["tests"][test] = {"s": round(seconds, 4), "reached": reached}
 
@@ -309,9 +311,11 @@ def trace(binaries, known):
 
 
 def schedule(function, known, budget):
-    """The tests that reach the function, in batches of one binary each, fastest first, up to so many seconds."""
-    tests = [(t["s"] + (1 if name in WALL_CLOCK else 0), name, test) for name, b in known.items() for test, t in b["tests"].items()
-             if function in t["reached"]]
+    """Returns the tests that reach a function, in batches per binary, fastest first, up to budget seconds."""
+    tests = [
+        (t["s"] + (1 if name in WALL_CLOCK else 0), name, test)
+        for name, b in known.items() for test, t in b["tests"].items() if function in t["reached"]
+    ]
     tests.sort()
     batches, total, share = [], 0, 0.3
     while tests:
@@ -332,11 +336,11 @@ def schedule(function, known, budget):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["build", "run", "report"])
-    parser.add_argument("-f", "--file", action="append", default=[], help="only files that this pattern fits")
-    parser.add_argument("--budget", type=float, default=10, help="seconds of tests for each mutant, as they took without one")
-    parser.add_argument("--again", action="store_true", help="those that were missed or timed out once more")
-    parser.add_argument("-j", "--jobs", type=int, default=2)
+    parser.add_argument("command", choices=["build", "run", "report"])
+    parser.add_argument("-f", "--file", action="append", default=[], help="only files that match this pattern")
+    parser.add_argument("--budget", type=float, default=10, help="test time per mutant in seconds [default: 10]")
+    parser.add_argument("--again", action="store_true", help="run missed and timed out mutants again")
+    parser.add_argument("-j", "--jobs", type=int, default=2, help="parallel jobs [default: 2]")
     options = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
     results_path, known_path = OUT / "results.json", OUT / "known.json"
@@ -344,16 +348,19 @@ def main():
     unviable_path = OUT / "unviable.json"
     unviable = json.loads(unviable_path.read_text()) if unviable_path.exists() else {}
 
-    if options.what == "build":
+    if options.command == "build":
         mutants = listed()
         functions, binaries = build(mutants, unviable)
         known = json.loads(known_path.read_text())["known"] if known_path.exists() else {}
         known = trace(binaries, {n: k for n, k in known.items() if n in binaries})
-        known_path.write_text(json.dumps({"known": known, "functions": functions, "binaries": binaries, "mutants": mutants}))
+        state = {"known": known, "functions": functions, "binaries": binaries, "mutants": mutants}
+        known_path.write_text(json.dumps(state))
         return
     state = json.loads(known_path.read_text())
-    mutants = [m for m in state["mutants"] if not options.file or any(fnmatch.fnmatch(m["file"], f) for f in options.file)]
-    if options.what == "run":
+    mutants = [
+        m for m in state["mutants"] if not options.file or any(fnmatch.fnmatch(m["file"], f) for f in options.file)
+    ]
+    if options.command == "run":
         home = {number: f for f, numbers in enumerate(state["functions"]) for number in numbers}
         lock = threading.Lock()
 
@@ -363,13 +370,14 @@ def main():
                 return
             verdict = ["missed", ""]
             for name, tests, seconds in schedule(home[mutant["number"]], state["known"], options.budget):
-                patience = 20 + 10 * seconds
+                timeout = 20 + 10 * seconds
                 idle = math.inf if name in WALL_CLOCK else 3
-                what, _ = run_tests(state["binaries"][name], tests, mutant["number"], patience, idle=idle)
-                if what and name in WALL_CLOCK:
-                    what, _ = run_tests(state["binaries"][name], tests, mutant["number"], patience)
-                if what:
-                    verdict = ["timeout" if what == "timeout" else "caught", f"{name} {what}"]
+                binary, number = state["binaries"][name], mutant["number"]
+                failure, _ = run_tests(binary, tests, number, timeout, idle=idle)
+                if failure and name in WALL_CLOCK:
+                    failure, _ = run_tests(binary, tests, number, timeout)
+                if failure:
+                    verdict = ["timeout" if failure == "timeout" else "caught", f"{name} {failure}"]
                     break
             with lock:
                 results[mutant["name"]] = verdict
@@ -383,7 +391,8 @@ def main():
         return
     count, missed = collections.defaultdict(collections.Counter), []
     for mutant in mutants:
-        verdict = "unviable" if mutant["name"] in unviable and not alone(mutant) else results.get(mutant["name"], ["not run"])[0]
+        is_unviable = mutant["name"] in unviable and not is_left_out(mutant)
+        verdict = "unviable" if is_unviable else results.get(mutant["name"], ["not run"])[0]
         count[mutant["file"]][verdict] += 1
         if verdict in ("missed", "not run"):
             missed.append(f"{verdict} {mutant['name']}")
@@ -393,7 +402,8 @@ def main():
     for file, counter in count.items():
         print(f"| {file} | " + " | ".join(str(counter[k]) for k in kinds) + " |")
     found = count["all"]["caught"] + count["all"]["timeout"]
-    print(f"\n{found} of {found + count['all']['missed']} caught: {100 * found / max(1, found + count['all']['missed']):.1f} %\n")
+    total = found + count["all"]["missed"]
+    print(f"\n{found} of {total} caught: {100 * found / max(1, total):.1f} %\n")
     print("\n".join(missed))
 
 

@@ -224,8 +224,8 @@ fn the_environment_gives_the_defaults() {
     with("tcp://127.0.0.1:1", "9", &["--link", &sim.url, "read", "--station", "7", "R0"]).ok();
     with("tcp://127.0.0.1:1", "9", &["read", "R0", "--station", "7", "--link", &sim.url]).ok();
     with(&sim.url, "9", &["--station", "8", "read", "R0", "--station", "7"]).ok();
-    assert!(with("", "1", &["read", "R0"]).usage().contains("Give --link URL, or set FATEK_LINK"));
-    assert!(with(&sim.url, "", &["read", "R0"]).usage().contains("Give --station N, or set FATEK_STATION"));
+    assert!(with("", "1", &["read", "R0"]).usage().contains("give --link URL, or set FATEK_LINK"));
+    assert!(with(&sim.url, "", &["read", "R0"]).usage().contains("give --station N, or set FATEK_STATION"));
     assert!(with(&sim.url, "seven", &["read", "R0"]).usage().contains("`seven` is not a station"));
     with("nonsense", "nonsense", &["decode", "02 30 31 34 30 43 37 03"]).ok();
 }
@@ -300,17 +300,19 @@ fn nothing_is_sent_on_bad_input() {
         (&["write", "R0-R1:text=hello"], "\"hello\" has 5 characters, and 4 fit"),
         (&["read", "R0:u16*0"], "`R0:u16*0` is not a tag: the gain is 0.0, and it must be from 1e-200 to 1e200"),
         (&["set", "M0", "R0"], "`R0` is not an element: R is a 16-bit register, not a discrete"),
-        (&["ping", "-c", "0"], "invalid value '0' for '--count <COUNT>'"),
+        (&["ping", "-c", "0"], "invalid value '0' for '--count <N>'"),
         (&["ping", "-s", "257"], "257 is not in 0..=256"),
-        (&["read", "R0", "--timeout", "5"], "it must be a number and a unit"),
+        (&["read", "R0", "--timeout", "5"], "expected a number with a unit"),
+        (&["read", "R0", "--timeout", "25h"], "the limit is 24h"),
+        (&["watch", "R0", "--interval", "0h"], "it must be more than 0"),
         (&["read", "R0", "--format", "xml"], "invalid value 'xml' for '--format <FORMAT>'"),
         (&["read", "R0", "--station", "0"], "`0` is not a station: it must be a number from 1 to 254"),
         (&["read", "R0", "--station", "255"], "`255` is not a station: it must be a number from 1 to 254"),
         (&["read", "R0", "--station", "+1"], "`+1` is not a station: it must be a number from 1 to 254"),
         (&["read", "R0", "--link", "http://plc"], "`http://plc` is not an endpoint: unknown transport `http`"),
         (&["decode", "02 4"], "it ends with a single digit"),
-        (&["decode", "02 4G"], "character 5, 'G', is no hexadecimal digit"),
-        (&["sim", "--listen", "127.0.0.1:0"], "`127.0.0.1:0` is not where to listen: it must begin with `tcp://`"),
+        (&["decode", "02 4G"], "character 5, 'G', is not a hexadecimal digit"),
+        (&["sim", "--listen", "127.0.0.1:0"], "cannot listen on `127.0.0.1:0`: it must begin with `tcp://`"),
         (&["sim", "--listen", "tcp://127.0.0.1"], "it must have a host and a port"),
         (&["sim", "--station", "255"], "255 is not in 1..=254"),
         (&["sim", "--set", "R0"], "`R0` is not an assignment"),
@@ -341,7 +343,7 @@ fn pings_are_timed_and_lost_ones_are_status_4() {
     for framing in FRAMINGS {
         let sim = Sim::start(&["--framing", framing]);
         let ping = sim.fatek(&["ping", "-c", "3", "-i", "0s"]);
-        assert!(ping.stderr.starts_with("3 sent, 3 answered\nshortest "), "{ping:?}");
+        assert!(ping.stderr.starts_with("3 sent, 3 received\nround trip: min "), "{ping:?}");
         let lines = ping.ok();
         assert_eq!(lines.lines().count(), 3);
         assert!(lines.starts_with("1: 16 bytes in "), "{lines}");
@@ -354,7 +356,7 @@ fn pings_are_timed_and_lost_ones_are_status_4() {
     let sim = Sim::start(&[]);
     let lost = fatek(&["--link", &sim.url, "--station", "9", "ping", "-c", "2", "-i", "0s", "--timeout", "50ms"]);
     assert_eq!(lost.status, 4, "{lost:?}");
-    assert!(lost.stderr.contains("2 sent, 0 answered\nerror: 2 of 2 had no answer\n"), "{lost:?}");
+    assert!(lost.stderr.contains("2 sent, 0 received\nerror: 2 of 2 requests had no reply\n"), "{lost:?}");
 }
 
 #[test]
@@ -365,9 +367,9 @@ fn decode_explains_good_frames_and_bad_ones() {
 
     let bad = fatek(&["decode", "51 10 00 02 01 40 A1 85 55 AA"]);
     assert_eq!(bad.status, 6);
-    assert!(bad.stdout.contains("frame  CRC         A1 85  BAD: A1 85 is stated, A1 84 is computed\n"), "{bad:?}");
+    assert!(bad.stdout.contains("frame  CRC         A1 85  BAD: found A1 85, computed A1 84\n"), "{bad:?}");
     assert!(bad.stdout.contains("frame  command     40     read brief status (40)\n"), "{bad:?}");
-    assert!(bad.stderr.contains("fault: CRC: A1 85 is stated"), "{bad:?}");
+    assert!(bad.stderr.contains("fault: CRC: found A1 85"), "{bad:?}");
 
     let query = "51 10 00 02 01 40 A1 84 55 AA";
     fatek(&["decode", "--framing", "binary", query]).ok();

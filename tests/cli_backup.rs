@@ -34,7 +34,7 @@ fn what_was_saved_is_compared_and_restored_in_both_framings() {
         assert!(text.contains("\nrange R0-R99\nR0 0000 0000 0000 0000 0000 0007 0000 0000\n"), "{text}");
 
         let same = sim.fatek(&["backup", &file, "--compare"]);
-        assert!(same.stderr.ends_with("the PLC holds what the file says: all 114 elements are the same\n"), "{same:?}");
+        assert!(same.stderr.ends_with("all 114 elements are equal\n"), "{same:?}");
         assert_eq!(same.ok(), "ELEMENT  BACKUP  PLC\n");
         sim.fatek(&["write", "R5=9", "R6=1", "M3=0", "R100=5"]).ok();
         let differs = sim.fatek(&["backup", &file, "--compare", "--format", "json"]);
@@ -80,7 +80,7 @@ fn a_restoring_that_goes_on_tells_what_the_attempts_before_have_written() {
     let ran = plc.fatek(&["--timeout", "50ms", "restore", &file, "--yes"]);
     assert_eq!(ran.status, 0, "{ran:?}");
     assert!(
-        ran.stderr.ends_with("\n110 elements compared, 0 differed, 0 written; the attempts before have written 2\n"),
+        ran.stderr.ends_with("\n110 elements compared, 0 differed, 0 written; 2 written by earlier attempts\n"),
         "{ran:?}"
     );
     assert_eq!(values(&sim, &["R5", "R80"]), ["0", "0"]);
@@ -93,14 +93,14 @@ fn what_the_plc_does_not_have_is_told_and_an_empty_backup_takes_no_files_place()
     let ran = sim.fatek(&["backup", &file, "R90-R109", "M0-M9"]);
     assert_eq!((ran.status, ran.stdout.as_str()), (3, ""), "{ran:?}");
     assert!(ran.stderr.contains("\nR100-R109 is missing: refused: illegal address (A)\n"), "{ran:?}");
-    assert!(ran.stderr.contains("error: 10 of 30 elements are missing; the others are in "), "{ran:?}");
+    assert!(ran.stderr.contains("error: 10 of 30 elements are missing; the others were saved to "), "{ran:?}");
     let text = fs::read_to_string(&file).unwrap();
     assert!(text.contains("\nmissing R100-R109 refused A\n") && !text.contains("R100 "), "{text}");
     sim.fatek(&["backup", &file, "--compare"]).ok();
 
     let nothing = sim.fatek(&["backup", &file, "R100-R109"]);
     assert_eq!(nothing.status, 3, "{nothing:?}");
-    assert!(nothing.stderr.ends_with("error: 10 of 10 elements are missing; nothing is saved\n"), "{nothing:?}");
+    assert!(nothing.stderr.ends_with("error: 10 of 10 elements are missing; nothing was saved\n"), "{nothing:?}");
     assert_eq!(fs::read_to_string(&file).unwrap(), text);
 
     let large = Sim::start(&["--set", "R95=3"]);
@@ -174,7 +174,7 @@ fn a_dry_run_tells_what_the_real_run_does() {
         (&[][..], 4, ""),
         (&["--bridge", "1"], 5, ""),
         (&["--stop"], 4, "; the PLC runs, and would be stopped"),
-        (&["--stop", "--run"], 4, "; the PLC runs, and would be stopped, and run again"),
+        (&["--stop", "--run"], 4, "; the PLC runs, and would be stopped and started again"),
     ] {
         let dry = restore(&[&["--dry-run"], args].concat());
         assert!(dry.stderr.ends_with(&format!("\n{written} of 30 elements would be written{stopped}\n")), "{dry:?}");
@@ -205,8 +205,8 @@ fn ranges_of_which_the_file_has_nothing_are_refused_before_anything_is_sent() {
     let nobody = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat());
     for args in [&["restore", &file, "R100-R109", "--yes"][..], &["backup", &file, "R101", "--compare"]] {
         let said = nobody(args).usage();
-        assert!(said.contains("plant.backup has no value of what is asked for: R10"), "{said}");
-        assert!(said.contains(" is missing there, refused: illegal address (A)"), "{said}");
+        assert!(said.contains("plant.backup has no value in these ranges: R10"), "{said}");
+        assert!(said.contains(" is missing, refused: illegal address (A)"), "{said}");
     }
 }
 
@@ -218,8 +218,11 @@ fn what_is_forced_and_what_is_an_input_is_left_out_and_told() {
     sim.fatek(&["disable", "M3"]).ok();
     sim.fatek(&["set", "M3", "M4", "X0"]).ok();
     let restored = sim.fatek(&["restore", &file, "--yes"]);
-    assert!(restored.stderr.contains("\nX0-X9 is left out: "), "{restored:?}");
-    assert!(restored.stderr.contains("\nM3 differs, and stays as it is forced\n"), "{restored:?}");
+    assert!(restored.stderr.contains("\nX0-X9 skipped: "), "{restored:?}");
+    assert!(
+        restored.stderr.contains("\nM3 skipped: it differs, but is disabled; to write it give --forced\n"),
+        "{restored:?}"
+    );
     restored.ok();
     assert_eq!(values(&sim, &["M3", "M4", "X0"]), ["1", "0", "1"]);
     sim.fatek(&["restore", &file, "--yes", "--forced"]).ok();
@@ -292,7 +295,7 @@ fn nothing_is_sent_without_a_yes_or_with_a_file_that_is_no_good() {
     let file = saved(&sim, &folder);
     // Nobody listens there; if anything were sent, the status would be 5.
     let nobody = |args: &[&str]| -> Ran { fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat()) };
-    assert!(nobody(&["restore", &file]).usage().contains("there is no terminal to ask at: say --yes (or --dry-run)"));
+    assert!(nobody(&["restore", &file]).usage().contains("there is no terminal: give --yes or --dry-run"));
     assert!(
         nobody(&["restore", &file, "R0-R100", "-y"])
             .usage()
@@ -339,14 +342,15 @@ fn at_a_terminal_what_differs_is_shown_and_only_a_yes_writes_it() {
         let (status, shown) = at_terminal(&sim, &["restore", &file, "--stop"], no);
         assert_eq!(status, 1, "{shown}");
         assert!(shown.contains("\r\nR5       7       9\r\n"), "{shown}");
-        let asked = format!("plant.backup to station 1 on {}? It is stopped for that, and stays so. [y/N] ", sim.url);
+        let asked =
+            format!("plant.backup to station 1 on {}? The PLC is stopped first and stays stopped. [y/N] ", sim.url);
         assert!(shown.contains("\nWrite 1 of 110 elements of ") && shown.contains(&asked), "{shown}");
         assert!(shown.ends_with("error: not confirmed: nothing was changed\r\n"), "{shown}");
         assert_eq!(values(&sim, &["R5"]), ["9"]);
     }
     let (status, shown) = at_terminal(&sim, &["restore", &file], "y\n");
     assert_eq!(status, 0, "{shown}");
-    assert!(shown.contains("\r[##############################] verifying: 110 of 110, 202 bytes"), "{shown}");
+    assert!(shown.contains("[####################] verifying: 110 of 110, 202 bytes"), "{shown}");
     assert!(shown.ends_with("\r\n110 elements compared, 1 differed, 1 written\r\n"), "{shown}");
     assert_eq!(values(&sim, &["R5"]), ["7"]);
     // Nothing is asked when nothing is to be changed, or when it was said before.

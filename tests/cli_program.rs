@@ -43,7 +43,7 @@ fn a_program_is_read_looked_into_written_and_verified() {
     );
     let info = fatek(&["program", "info", "--raw", &raw]).ok();
     assert!(info.starts_with("FIELD             VALUE\nkind              FB\n"), "{info}");
-    assert!(info.contains("\nread_at           not known\n"), "{info}");
+    assert!(info.contains("\nread_at           unknown\n"), "{info}");
 
     let differs = program(&sim, &["verify", "--raw", &raw]);
     assert_eq!((differs.status, differs.stdout.as_str()), (7, "PAGE\n3\n7\n"), "{differs:?}");
@@ -57,7 +57,7 @@ fn a_program_is_read_looked_into_written_and_verified() {
     assert!(written.stderr.ends_with("2 of 11 pages written and compared; the PLC is stopped\n"), "{written:?}");
     assert_eq!(written.ok(), "");
     let same = program(&sim, &["verify", "--raw", &raw]);
-    assert!(same.stderr.ends_with("the PLC holds this program: all 11 pages are the same\n"), "{same:?}");
+    assert!(same.stderr.ends_with("all 11 pages are equal\n"), "{same:?}");
     assert_eq!(same.ok(), "PAGE\n");
     program(&sim, &["read", "--raw", "--twice", &read, "-q"]).ok();
     assert_eq!(fs::read(&read).unwrap(), raw_program());
@@ -74,7 +74,7 @@ fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
 
     let refused = program(&sim, &["write", "--raw", &raw, "--yes"]);
     assert_eq!(refused.status, 7, "{refused:?}");
-    assert!(refused.stderr.contains("the PLC runs, and nothing was written: stop it first"), "{refused:?}");
+    assert!(refused.stderr.contains("the PLC runs, nothing was written: stop it first"), "{refused:?}");
     assert!(runs());
 
     let written = program(&sim, &["write", "--raw", &raw, "--yes", "--stop", "--run", "--all", "--verify"]);
@@ -85,17 +85,14 @@ fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
 
     let written = program(&sim, &["write", "--raw", &old, "-y", "--stop"]);
     assert!(
-        written.stderr.ends_with("2 of 11 pages written and compared; the PLC ran before and is stopped now\n"),
+        written.stderr.ends_with("2 of 11 pages written and compared; the PLC ran before and is now stopped\n"),
         "{written:?}"
     );
     assert!(!runs());
     let same = program(&sim, &["write", "--raw", &old, "-y", "-n"]);
     assert!(same.stderr.ends_with("\n0 of 11 pages would be written\n"), "{same:?}");
     let same = program(&sim, &["write", "--raw", &old, "-y"]);
-    assert!(
-        same.stderr.ends_with("\nall 11 pages were the same: nothing was written; the PLC is stopped\n"),
-        "{same:?}"
-    );
+    assert!(same.stderr.ends_with("\nall 11 pages are equal, nothing was written; the PLC is stopped\n"), "{same:?}");
 }
 
 #[test]
@@ -107,7 +104,7 @@ fn a_dry_run_is_that_of_the_options_and_is_refused_where_the_writing_would_be() 
         |args: &[&str]| program(&sim, &[&["write", "--raw", &raw, "--dry-run", "--format", "csv"], args].concat());
     let all = dry(&["--all"]);
     assert!(
-        all.stderr.ends_with("11 of 11 pages would be written; the PLC is stopped, and would stay so\n"),
+        all.stderr.ends_with("11 of 11 pages would be written; the PLC is stopped, and would stay stopped\n"),
         "{all:?}"
     );
     assert_eq!(all.ok(), "page\n0\n1\n2\n3\n4\n5\n6\n7\n8\n9\n10\n");
@@ -118,12 +115,10 @@ fn a_dry_run_is_that_of_the_options_and_is_refused_where_the_writing_would_be() 
     assert_eq!((refused.status, refused.stdout.as_str()), (7, ""), "{refused:?}");
     assert_eq!((real.status, &real.stderr), (refused.status, &refused.stderr));
     assert!(
-        refused
-            .stderr
-            .ends_with("error: the PLC runs, and nothing was written: stop it first, or have it stopped with --stop\n"),
+        refused.stderr.ends_with("error: the PLC runs, nothing was written: stop it first, or give --stop\n"),
         "{refused:?}"
     );
-    for (args, would) in [(&["--stop"][..], "stopped and stay so"), (&["--stop", "--run"], "stopped and run again")] {
+    for (args, would) in [(&["--stop"][..], "stopped"), (&["--stop", "--run"], "stopped and started again")] {
         let dry = dry(args);
         let said = format!("2 of 11 pages would be written; the PLC runs, and would be {would}\n");
         assert!(dry.stderr.ends_with(&said), "{dry:?}");
@@ -167,8 +162,8 @@ fn a_writing_that_is_interrupted_tells_which_pages_are_written_and_how_to_go_on(
     assert!(
         said.ends_with(
             "error: interrupted: 3 of the 11 pages that differ are written (1-3), page 4 perhaps, and the PLC ran before \
-             and is stopped now: write the rest before it runs; the same command again does that, and then `fatek run` \
-             runs it\n"
+             and is stopped now: write the rest before it runs; repeat the command, then start the PLC with `fatek \
+             run`\n"
         ),
         "{said}"
     );
@@ -192,8 +187,8 @@ fn a_reading_that_is_interrupted_leaves_the_file_as_it_was_and_nothing_beside_it
     let (status, said) = interrupted(&plc, &["program", "read", &file], |received| count(received, b"4F") == 6);
     assert_eq!(status, 1, "{said}");
     // The pages are blank, and one that equals the page before it is asked for twice. Those that a check has confirmed count.
-    assert!(said.contains("\nerror: interrupted: "), "{said}");
-    assert!(said.ends_with(" pages were read; nothing is saved\n"), "{said}");
+    assert!(said.contains("\nerror: interrupted after "), "{said}");
+    assert!(said.ends_with(" pages: nothing was saved\n"), "{said}");
     assert_eq!(fs::read_to_string(&file).unwrap(), "the old one");
     assert_eq!(fs::read_dir(&folder.0).unwrap().count(), 1);
 }
@@ -216,17 +211,17 @@ fn a_writing_goes_on_five_times_when_the_line_fails_and_then_no_more() {
     });
     let write = ["--timeout", "50ms", "program", "write", "--raw", &raw, "--yes", "--all"];
     let ran = plc.fatek(&write);
-    assert_eq!((ran.status, ran.stderr.matches("; going on\n").count()), (4, 5), "{ran:?}");
+    assert_eq!((ran.status, ran.stderr.matches("; resuming\n").count()), (4, 5), "{ran:?}");
     assert_eq!(count(&plc.received(), b"53"), 6, "{ran:?}");
     let last = ran.stderr.lines().last().unwrap();
     assert!(last.contains("1 of the 6 pages that differ are written (6), page 7 perhaps, and "), "{ran:?}");
-    assert!(last.ends_with("write the rest before it runs; the same command again does that"), "{ran:?}");
+    assert!(last.ends_with("write the rest before it runs; repeat the command"), "{ran:?}");
 
     // Nothing gets through: there is no use in going on.
     let sim = Sim::start(&["--ladder-words", "640"]);
     let plc = Fake::before(&sim, |request| !is(request, b"50"));
     let ran = plc.fatek(&write[..7]);
-    assert_eq!((ran.status, ran.stderr.matches("going on").count()), (4, 0), "{ran:?}");
+    assert_eq!((ran.status, ran.stderr.matches("resuming").count()), (4, 0), "{ran:?}");
 }
 
 #[test]
@@ -276,7 +271,7 @@ fn without_a_terminal_writing_needs_a_yes_and_nothing_is_sent_without() {
     // Nobody listens there; if anything were sent, the status would be 5.
     let nobody = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1", "program"], args].concat());
     let usage = nobody(&["write", "--raw", &raw]).usage();
-    assert!(usage.contains("there is no terminal to ask at: say --yes (or --dry-run)"), "{usage}");
+    assert!(usage.contains("there is no terminal: give --yes or --dry-run"), "{usage}");
     assert_eq!(nobody(&["write", "--raw", &raw, "--yes"]).status, 5);
     assert!(nobody(&["write", "--raw", &raw, "--yes", "--run"]).usage().contains("--stop"));
 }
@@ -316,7 +311,7 @@ fn a_bad_file_is_refused_before_anything_is_sent_and_a_failed_reading_leaves_the
     fs::write(&file, raw_program()).unwrap();
     let bare = fatek(&["program", "info", &file]);
     assert_eq!(bare.status, 7, "{bare:?}");
-    assert!(bare.stderr.ends_with("; a file of bytes and nothing else is taken with --raw\n"), "{bare:?}");
+    assert!(bare.stderr.ends_with("; for a raw file give --raw\n"), "{bare:?}");
 }
 
 #[test]
@@ -348,7 +343,7 @@ mod terminal {
             let (status, shown) = answer(&sim, &write, no);
             assert_eq!(status, 1, "{shown}");
             let question = format!(
-                "new.bin (FB00, 640 words) to station 1 on {}? It is stopped for that, and stays so. [y/N] ",
+                "new.bin (FB00, 640 words) to station 1 on {}? The PLC is stopped first and stays stopped. [y/N] ",
                 sim.url
             );
             assert!(shown.contains(&question), "{shown}");
@@ -357,8 +352,8 @@ mod terminal {
         }
         let (status, shown) = answer(&sim, &write, "y\n");
         assert_eq!(status, 0, "{shown}");
-        assert!(shown.contains("\r[##----------------------------] comparing: 1 of 11, 128 bytes"), "{shown}");
-        assert!(shown.contains("\r[##############################] writing: 2 of 2, 512 bytes"), "{shown}");
+        assert!(shown.contains("[#>------------------] comparing: 1 of 11, 128 bytes"), "{shown}");
+        assert!(shown.contains("[####################] writing: 2 of 2, 512 bytes"), "{shown}");
         assert!(shown.ends_with("\r\n2 of 11 pages written and compared; the PLC is stopped\r\n"), "{shown}");
         assert_eq!(program(&sim, &["verify", "--raw", &raw]).status, 0);
 

@@ -26,7 +26,7 @@ fn the_stations_that_answer_are_found_in_both_framings_and_all_formats() {
         let sim = Sim::start(&["--framing", framing, "--station", "1", "--station", "3", "--station", "6"]);
         fatek(&["--link", &sim.url, "--station", "3", "run"]).ok();
         let found = scan(&sim.url, &["1-6", "--format", "json"]);
-        assert!(found.stderr.ends_with("6 asked, 3 answered, 0 of them badly\n"), "{found:?}");
+        assert!(found.stderr.ends_with("6 stations scanned, 3 answered, 0 with bad replies\n"), "{found:?}");
         let found: Vec<Value> = documents(&found);
         let what = |key: &str| found.iter().map(|found| found[key].clone()).collect::<Vec<_>>();
         assert_eq!(what("station"), [1, 3, 6]);
@@ -49,7 +49,7 @@ fn the_stations_that_answer_are_found_in_both_framings_and_all_formats() {
 fn what_is_found_is_told_line_by_line_where_stderr_is_no_terminal() {
     let sim = Sim::start(&["--station", "2", "--station", "4"]);
     let found = scan(&sim.url, &["1-4"]);
-    assert_eq!(found.stderr, "station 2: ok\nstation 4: ok\n4 asked, 2 answered, 0 of them badly\n");
+    assert_eq!(found.stderr, "station 2: ok\nstation 4: ok\n4 stations scanned, 2 answered, 0 with bad replies\n");
     assert_eq!(scan(&sim.url, &["1-4", "--quiet"]).stderr, "");
 }
 
@@ -62,7 +62,7 @@ fn where_nobody_answers_the_status_is_4() {
     assert_eq!(scan(&sim.url, &["8"]).status, 4);
     // By default all are asked.
     let all = fatek(&["--link", &sim.url, "scan", "--timeout", "5ms"]);
-    assert!(all.stderr.contains("254 asked, "), "{all:?}");
+    assert!(all.stderr.contains("254 stations scanned, "), "{all:?}");
 }
 
 #[test]
@@ -74,12 +74,12 @@ fn without_a_connection_the_status_is_5() {
 #[test]
 fn nothing_is_sent_on_bad_input() {
     let plc = Fake::start(|_| ascii("01400010000"));
-    let rule = "it must be a number from 1 to 254, or two of them, the lower one first: 1-16";
+    let rule = "expected a station or a range of stations from 1 to 254, such as 5 or 1-16";
     for range in ["0", "0-9", "1-255", "9-1", "1-", "-", "+1", "1-2-3", "a", "1–9", "999"] {
         let usage = scan(&plc.url, &["--", range]).usage();
         assert!(usage.contains(rule), "{range}: {usage}");
     }
-    assert!(fatek(&["scan"]).usage().contains("Give --link URL, or set FATEK_LINK"));
+    assert!(fatek(&["scan"]).usage().contains("give --link URL, or set FATEK_LINK"));
     assert!(scan(&plc.url, &["--retries", "11"]).usage().contains("11 is not in 0..=10"));
     assert_eq!((plc.connections(), plc.received()), (0, vec![]));
 }
@@ -107,7 +107,12 @@ async fn each_way_to_answer_badly_is_told_and_the_status_is_6() {
         let url = format!("tcp://{}?framing={framing}", server.local_addr());
         let found = tokio::task::spawn_blocking(move || scan(&url, &["1-9", "--format", "json"])).await.unwrap();
         assert_eq!(found.status, 6, "{found:?}");
-        assert!(found.stderr.ends_with("9 asked, 8 answered, 5 of them badly\nerror: 5 answered badly\n"), "{found:?}");
+        assert!(
+            found
+                .stderr
+                .ends_with("9 stations scanned, 8 answered, 5 with bad replies\nerror: stations with bad replies: 5\n"),
+            "{found:?}"
+        );
         let found = documents(&found);
         let what = |key: &str| found.iter().map(|found| found[key].clone()).collect::<Vec<_>>();
         assert_eq!(what("station"), [1, 2, 3, 4, 5, 6, 7, 8]);
@@ -115,10 +120,10 @@ async fn each_way_to_answer_badly_is_told_and_the_status_is_6() {
         let note = |station: usize| found[station - 1]["note"].as_str().unwrap_or_default().to_owned();
         assert_eq!(found[0]["note"], Value::Null);
         assert!(note(2).contains("read brief status (40): "), "{}", note(2));
-        assert!(note(3).contains("more than asked for: another station with this number?"), "{}", note(3));
-        assert!(note(4).contains(" bytes of garbage"), "{}", note(4));
+        assert!(note(3).contains("; second station with this number?"), "{}", note(3));
+        assert!(note(4).contains("garbage: "), "{}", note(4));
         assert!(note(5).contains("read brief status (40): illegal format"), "{}", note(5));
-        assert!(note(6).contains("when nobody waited for them: a longer --timeout may help"), "{}", note(6));
+        assert!(note(6).contains("frames after the timeout: "), "{}", note(6));
         assert!(note(7).contains("a reply to command"), "{}", note(7));
         assert!(note(8).contains("did not answer read detailed status (53)"), "{}", note(8));
         assert_eq!((&found[7]["running"], &found[7]["main_unit"]), (&json!(false), &Value::Null));

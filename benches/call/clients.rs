@@ -1,4 +1,4 @@
-//! The ways of reading 64 registers, and the callers that do it.
+//! Methods of reading 64 registers, and their callers.
 
 use std::io;
 use std::net::SocketAddr;
@@ -16,22 +16,24 @@ use tokio_modbus::client::{Context, Reader, tcp};
 use crate::server::{REGISTERS, Script, Servers};
 use crate::{Result, Setting};
 
-/// A way of reading 64 registers.
+/// Method of reading 64 registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Way {
+    /// [`Station`], which allocates the values.
     Fatek(Bytes),
-    /// As [`Fatek`](Self::Fatek), into memory of the caller.
+    /// [`Station`], into memory of the caller.
     Into(Bytes),
-    /// A bare write and read of the same bytes.
+    /// Bare write and read of the same bytes.
     Bare(Bytes),
-    /// The same, done by a task that owns the connection; callers and task talk through channels.
+    /// Bare write and read by a task that owns the connection, with channels to the callers.
     Task(Bytes),
+    /// tokio-modbus.
     Modbus,
-    /// The same, each call within a timeout, as every call of a `Station` is.
+    /// tokio-modbus with a timeout per call, as with each call of a `Station`.
     Timed,
 }
 
-/// Whose bytes.
+/// Framing of the bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Bytes {
     Ascii,
@@ -67,28 +69,28 @@ impl Way {
     }
 }
 
-/// One caller.
+/// Caller.
 pub(crate) enum Client {
     Fatek(Station),
     Into(Station, [u16; REGISTERS]),
     Bare(Bare),
     Task(mpsc::Sender<oneshot::Sender<io::Result<usize>>>),
-    /// Within this time, if there is one.
+    /// tokio-modbus, with a timeout if given.
     Modbus(Context, Option<Duration>),
-    /// One context for many callers, as its users do it.
+    /// tokio-modbus with one context for all callers, as is usual.
     Shared(Arc<Mutex<Context>>, Option<Duration>),
 }
 
-/// As long as a call of a `Station` may take, unless it is said otherwise.
+/// Default deadline of a call of a `Station`.
 const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A connection and what is sent and received over it.
+/// Connection with its request and reply.
 pub(crate) struct Bare {
     stream: TcpStream,
     script: Script,
 }
 
-/// Makes the callers of a setting, all connected.
+/// Connects the callers of a setting.
 pub(crate) async fn connect(way: Way, setting: Setting, servers: &Servers) -> Result<Vec<Client>> {
     let mut clients = Vec::new();
     for _ in 0..setting.links {
@@ -103,7 +105,7 @@ pub(crate) async fn connect(way: Way, setting: Setting, servers: &Servers) -> Re
                     _ => Client::Fatek(station.clone()),
                 }));
             }
-            // A bare connection cannot be shared: its limit is one caller that never pauses.
+            // A bare connection cannot be shared: its limit is one caller without pauses.
             Way::Bare(bytes) => clients.push(Client::Bare(Bare::connect(server(bytes, servers)).await?)),
             Way::Task(bytes) => {
                 let (requests, task) = mpsc::channel(64);
@@ -111,13 +113,13 @@ pub(crate) async fn connect(way: Way, setting: Setting, servers: &Servers) -> Re
                 clients.extend((0..setting.callers).map(|_| Client::Task(requests.clone())));
             }
             Way::Modbus | Way::Timed => {
-                let within = (way == Way::Timed).then_some(TIMEOUT);
+                let limit = (way == Way::Timed).then_some(TIMEOUT);
                 let context = tcp::attach_slave(open(servers.modbus.0).await?, Slave(1));
                 if setting.callers == 1 {
-                    clients.push(Client::Modbus(context, within));
+                    clients.push(Client::Modbus(context, limit));
                 } else {
                     let shared = Arc::new(Mutex::new(context));
-                    clients.extend((0..setting.callers).map(|_| Client::Shared(shared.clone(), within)));
+                    clients.extend((0..setting.callers).map(|_| Client::Shared(shared.clone(), limit)));
                 }
             }
         }
@@ -142,7 +144,7 @@ async fn open(address: SocketAddr) -> io::Result<TcpStream> {
 }
 
 impl Client {
-    /// Makes so many requests, one after the other.
+    /// Makes requests, one at a time.
     pub(crate) async fn call(&mut self, requests: usize) -> Result<()> {
         for _ in 0..requests {
             let registers = match self {
@@ -153,19 +155,19 @@ impl Client {
                 }
                 Self::Bare(bare) => bare.call().await?,
                 Self::Task(task) => {
-                    let (answer, answered) = oneshot::channel();
-                    task.send(answer).await?;
-                    answered.await??
+                    let (sender, reply) = oneshot::channel();
+                    task.send(sender).await?;
+                    reply.await??
                 }
                 Self::Modbus(context, None) => read(context).await?,
-                Self::Modbus(context, Some(within)) => timeout(*within, read(context)).await??,
+                Self::Modbus(context, Some(limit)) => timeout(*limit, read(context)).await??,
                 Self::Shared(context, None) => read(&mut *context.lock().await).await?,
-                Self::Shared(context, Some(within)) => {
-                    timeout(*within, async { read(&mut *context.lock().await).await }).await??
+                Self::Shared(context, Some(limit)) => {
+                    timeout(*limit, async { read(&mut *context.lock().await).await }).await??
                 }
             };
             if registers != REGISTERS {
-                return Err(format!("{registers} registers were read, not {REGISTERS}").into());
+                return Err(format!("{registers} registers read, expected {REGISTERS}").into());
             }
         }
         Ok(())
@@ -183,7 +185,7 @@ impl Bare {
 
     async fn call(&mut self) -> io::Result<usize> {
         self.stream.write_all(&self.script.request).await?;
-        // Longer than what comes: a read that fills its buffer is followed by one more, which finds nothing.
+        // Longer than the reply: after a read that fills its buffer Tokio reads once more in vain.
         let mut buffer = [0; 1024];
         let mut filled = 0;
         while filled < self.script.reply.len() {
@@ -196,8 +198,8 @@ impl Bare {
     }
 
     async fn serve(mut self, mut requests: mpsc::Receiver<oneshot::Sender<io::Result<usize>>>) {
-        while let Some(answer) = requests.recv().await {
-            let _ = answer.send(self.call().await);
+        while let Some(sender) = requests.recv().await {
+            let _ = sender.send(self.call().await);
         }
     }
 }

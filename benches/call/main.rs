@@ -1,21 +1,22 @@
-//! How fast calls are, end to end over loopback TCP, beside the least that they can cost and beside a peer.
+//! Call rates over loopback TCP, compared with a lower limit of the cost and with a peer.
 //!
 //! ```text
 //! cargo bench -p fatek-benches --bench call                      # a table
 //! cargo bench -p fatek-benches --bench call -- --csv             # and docs/performance/call.csv
-//! cargo bench -p fatek-benches --bench call -- --test            # a few requests of each, to see that it works
+//! cargo bench -p fatek-benches --bench call -- --test            # a few requests of each, as a test
 //! ```
 //!
-//! In each setting the ways of reading 64 registers take turns, round by round, so that whatever else the machine does hits
-//! all of them:
+//! In each setting the methods of reading 64 registers take turns, so that other load of the
+//! machine affects all of them:
 //!
 //! - a [`Station`](fatek::Station) of this crate;
-//! - the limit: a bare `write` and `read` of exactly the same bytes;
-//! - the peer: tokio-modbus, which reads as many registers; once as it is, and once within a timeout, which each call of a
-//!   `Station` has.
+//! - the limit: a bare `write` and `read` of the same bytes;
+//! - the peer: tokio-modbus with the same number of registers; without a timeout, and with one as
+//!   in each call of a `Station`.
 //!
-//! Each round gives a ratio of two rates; the table has their median and the middle half of them. The [`server`] is the same
-//! for all: a thread of its own that answers every request with the same prepared bytes. [`clients`] are the ways.
+//! Each round gives a ratio of two rates; the table has their median and quartiles. The [`server`]
+//! is the same for all: a thread that answers every request with the same prepared bytes.
+//! [`clients`] has the methods.
 
 mod clients;
 mod options;
@@ -35,11 +36,11 @@ use self::table::{Row, Table};
 
 type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
-/// Who calls, over how many links.
+/// Number of links and callers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Setting {
     pub(crate) links: usize,
-    /// On each of them.
+    /// Callers per link.
     pub(crate) callers: usize,
 }
 
@@ -63,8 +64,8 @@ fn main() -> ExitCode {
             print!("{}", options::HELP);
             ExitCode::SUCCESS
         }
-        Err(wrong) => {
-            eprintln!("{wrong}\n\n{}", options::HELP);
+        Err(error) => {
+            eprintln!("{error}\n\n{}", options::HELP);
             ExitCode::from(2)
         }
     }
@@ -95,7 +96,7 @@ fn threads() -> Builder {
     builder
 }
 
-/// All ways in one setting, in turns.
+/// Measures all methods in one setting, in turns.
 fn measure(
     runtime: &Runtime,
     name: &'static str,
@@ -107,7 +108,7 @@ fn measure(
     for way in Way::ALL.into_iter().filter(|way| options.selects_way(*way)) {
         ways.push((way, runtime.block_on(clients::connect(way, setting, servers))?, Vec::new()));
     }
-    // What is opened, grown and learned once is none of a call's cost.
+    // Warm-up: connects and buffers are not part of the cost of a call.
     let mut requests = Vec::new();
     for (_, clients, _) in &mut ways {
         let few = options.requests.unwrap_or(500_usize.div_ceil(clients.len()));
@@ -117,7 +118,7 @@ fn measure(
         requests.push(options.requests.unwrap_or(by_time.max(1)));
     }
     for n in 0..options.rounds {
-        // Whoever comes first after a pause, or last, is not always the same.
+        // The order rotates, so that no method is always the first or the last.
         let mut order: Vec<usize> = (0..ways.len()).collect();
         let first = n % order.len().max(1);
         order.rotate_left(first);
@@ -131,7 +132,7 @@ fn measure(
     Ok(table::rows(name, setting, &rates))
 }
 
-/// Every client makes so many requests, all at the same time; says how long that takes.
+/// Runs all clients concurrently, with `requests` each. Returns the time taken.
 fn round(runtime: &Runtime, clients: &mut Vec<Client>, requests: usize) -> Result<Duration> {
     runtime.block_on(async {
         let began = Instant::now();

@@ -1,4 +1,4 @@
-//! The command line.
+//! Command line options.
 
 use std::time::Duration;
 
@@ -6,16 +6,16 @@ use crate::Setting;
 use crate::clients::Way;
 
 pub(crate) const HELP: &str = "\
-Measures calls over loopback TCP beside a bare write and read, and beside tokio-modbus.
+Measures calls over loopback TCP, compared with a bare write and read and with tokio-modbus.
 
-  --rounds N        how often each way has its turn [default: 41]
-  --round-ms N      how long a turn is, about [default: 60]
-  --requests N      how many requests a caller makes in a turn, instead of by time
-  --runtime NAME    only current_thread, or multi_thread
-  --setting L,C     only L links with C callers each, such as 64,1
-  --way NAME        only this way; can be given several times
-  --csv             writes docs/performance/call.csv
-  --test            a few requests of each way, to see that it works
+  --rounds N        number of rounds [default: 41]
+  --round-ms N      approximate duration of a round per method, in ms [default: 60]
+  --requests N      requests per caller and round [default: by --round-ms]
+  --runtime NAME    runtime: current_thread or multi_thread [default: both]
+  --setting L,C     setting: L links with C callers each, such as 64,1 [default: all]
+  --way NAME        method; repeat for more [default: all]
+  --csv             write docs/performance/call.csv
+  --test            test run with a few requests of each method
 ";
 
 #[derive(Debug)]
@@ -30,7 +30,7 @@ pub(crate) struct Options {
 }
 
 impl Options {
-    /// `None`: help is wanted.
+    /// Returns `None` for `--help`.
     pub(crate) fn parse(mut args: impl Iterator<Item = String>) -> Result<Option<Self>, String> {
         let mut options = Self {
             rounds: 41,
@@ -52,14 +52,14 @@ impl Options {
                 "--way" => options.ways.push(value()?),
                 "--csv" => options.csv = true,
                 "--test" => (options.rounds, options.requests) = (2, Some(1)),
-                // Cargo says that this is a benchmark.
+                // Given by Cargo.
                 "--bench" => {}
                 "--help" | "-h" => return Ok(None),
-                _ => return Err(format!("`{name}` is not known")),
+                _ => return Err(format!("unknown option `{name}`")),
             }
         }
         match options.ways.iter().find(|name| !Way::ALL.iter().any(|way| way.name() == *name)) {
-            Some(unknown) => Err(format!("there is no way `{unknown}`")),
+            Some(unknown) => Err(format!("unknown method `{unknown}`")),
             None => Ok(Some(options)),
         }
     }

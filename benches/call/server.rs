@@ -1,5 +1,6 @@
-//! The other end: answers each request with prepared bytes. It compares a request with those that it knows, and decodes only
-//! the checks of a link.
+//! Server that answers each request with prepared bytes.
+//!
+//! It compares requests with the prepared ones, and decodes only the checks of a link.
 
 use std::io;
 use std::net::SocketAddr;
@@ -14,21 +15,21 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use crate::Result;
 
-/// What is read by each call.
+/// Number of registers per call.
 pub(crate) const REGISTERS: usize = 64;
 
-/// A request and the reply to it, as bytes.
+/// Bytes of a request and of its reply.
 #[derive(Clone, Debug)]
 pub(crate) struct Script {
     pub(crate) request: Vec<u8>,
     pub(crate) reply: Vec<u8>,
-    /// The same elements in the other spelling that a link uses in turn (48), and its reply.
+    /// Other spelling of the request (48), which a link uses in turn, and its reply.
     other: Option<(Vec<u8>, Vec<u8>)>,
-    /// `None`: Modbus, whose reply begins with the transaction id of its request.
+    /// `None` for Modbus, whose reply begins with the transaction id of its request.
     framing: Option<Framing>,
 }
 
-/// Where they are, and what they say.
+/// Addresses and scripts of the servers.
 #[derive(Debug)]
 pub(crate) struct Servers {
     pub(crate) ascii: (SocketAddr, Script),
@@ -37,7 +38,7 @@ pub(crate) struct Servers {
 }
 
 impl Servers {
-    /// Starts them in a thread of their own, which ends with the process.
+    /// Starts the servers in one thread, which ends with the process.
     pub(crate) fn start() -> Result<Self> {
         let (started, addresses) = std::sync::mpsc::channel();
         let scripts = [fatek(Framing::Ascii)?, fatek(Framing::Binary)?, modbus()];
@@ -89,7 +90,7 @@ async fn answer(mut stream: TcpStream, mut script: Script) -> io::Result<()> {
 }
 
 impl Script {
-    /// Answers the first request of these bytes; returns its length, if it is whole.
+    /// Answers the first request of these bytes. Returns its length, or `None` if it is incomplete.
     async fn answer(&mut self, bytes: &[u8], stream: &mut TcpStream) -> io::Result<Option<usize>> {
         let Some(framing) = self.framing else {
             let Some(request) = bytes.get(..self.request.len()) else { return Ok(None) };
@@ -110,15 +111,15 @@ impl Script {
                 return Ok(None);
             }
         }
-        self.check(framing, bytes, stream).await
+        self.answer_check(framing, bytes, stream).await
     }
 
-    /// The same for the checks of a link: loop-backs (4E), whose reply is their data.
-    async fn check(&self, framing: Framing, bytes: &[u8], stream: &mut TcpStream) -> io::Result<Option<usize>> {
+    /// Answers the check of a link: a loop-back (4E), whose reply is its data.
+    async fn answer_check(&self, framing: Framing, bytes: &[u8], stream: &mut TcpStream) -> io::Result<Option<usize>> {
         let mut left = BytesMut::from(bytes);
         let mut codec = Codec::new(framing, Side::Plc);
         let Some(frame) = codec.decode(&mut left)?.and_then(|item| item.frame()) else { return Ok(None) };
-        assert_eq!(frame.command, 0x4E, "a request that this server does not know");
+        assert_eq!(frame.command, 0x4E, "unknown request");
         let mut echo = BytesMut::new();
         codec.encode(&frame, &mut echo).map_err(io::Error::other)?;
         stream.write_all(&echo).await?;
@@ -131,21 +132,24 @@ fn values() -> Vec<u16> {
 }
 
 fn fatek(framing: Framing) -> Result<Script> {
-    let asked = ReadRegisters::new(register!("R0"), REGISTERS)?;
+    let command = ReadRegisters::new(register!("R0"), REGISTERS)?;
     let (mut request, mut reply) = (BytesMut::new(), BytesMut::new());
-    encode_request(&asked, framing, 1, &mut request)?;
-    encode_reply(&asked, Ok(&values()), framing, 1, &mut reply);
+    encode_request(&command, framing, 1, &mut request)?;
+    encode_reply(&command, Ok(&values()), framing, 1, &mut reply);
     let first = Element::from(register!("R0"));
     let elements = (0..REGISTERS).map(|n| first.nth(n)).collect::<std::result::Result<Vec<_>, _>>()?;
-    let asked = ReadMixed::new(elements)?;
+    let command = ReadMixed::new(elements)?;
     let (mut mixed, mut mixed_reply) = (BytesMut::new(), BytesMut::new());
-    encode_request(&asked, framing, 1, &mut mixed)?;
-    encode_reply(&asked, Ok(&values().into_iter().map(Into::into).collect()), framing, 1, &mut mixed_reply);
+    encode_request(&command, framing, 1, &mut mixed)?;
+    encode_reply(&command, Ok(&values().into_iter().map(Into::into).collect()), framing, 1, &mut mixed_reply);
     let other = Some((mixed.to_vec(), mixed_reply.to_vec()));
     Ok(Script { request: request.to_vec(), reply: reply.to_vec(), other, framing: Some(framing) })
 }
 
-/// 03, read holding registers: id, protocol 0, length, unit, function, then address and count, or bytes and values.
+/// Script of Modbus function 03, read holding registers.
+///
+/// Id, protocol 0, length, unit and function, followed by address and count, or by byte count and
+/// values.
 fn modbus() -> Script {
     let request = vec![0, 0, 0, 0, 0, 6, 1, 3, 0, 0, 0, REGISTERS as u8];
     let mut reply = vec![0, 0, 0, 0, 0, 3 + 2 * REGISTERS as u8, 1, 3, 2 * REGISTERS as u8];

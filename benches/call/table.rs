@@ -1,4 +1,4 @@
-//! What comes out: a line for each way and setting, on the terminal and in a file.
+//! Output: a row per method and setting, on stdout and in a CSV file.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -6,19 +6,19 @@ use std::fs;
 use crate::clients::Way;
 use crate::{Result, Setting};
 
-/// One way in one setting.
+/// Result of one method in one setting.
 pub(crate) struct Row {
     runtime: &'static str,
     setting: Setting,
     way: Way,
-    /// Requests a second: the median of all rounds.
+    /// Requests per second, median of all rounds.
     rate: f64,
     limit: Option<Ratio>,
     peer: Option<Ratio>,
     timed: Option<Ratio>,
 }
 
-/// Of two rates of the same round: quartiles.
+/// Quartiles of the ratios of two rates of the same round.
 #[derive(Clone, Copy)]
 struct Ratio {
     low: f64,
@@ -93,7 +93,7 @@ impl Table {
         self.rows.push(row);
     }
 
-    /// Writes them to docs/performance/call.csv.
+    /// Writes docs/performance/call.csv.
     pub(crate) fn save(&self) -> Result<()> {
         let mut text = String::from(
             "runtime,links,callers,way,requests_per_s,\

@@ -1,4 +1,4 @@
-//! What is measured: each frame of two reads in both framings, and all that is done with it.
+//! Cases of the benchmark: the frames of two reads in both framings, and the jobs done with them.
 
 use std::hint::black_box;
 
@@ -12,34 +12,34 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use crate::limit;
 
-/// One thing that is done with one frame.
+/// One job with one frame.
 pub(crate) struct Case {
     framing: Framing,
     read: Read,
-    /// Who sends the frame: a request comes from the client, a reply from the PLC.
+    /// Sender of the frame: the client of a request, the PLC of a reply.
     sender: Side,
     pub(crate) job: Job,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Read {
-    /// As many registers as one request takes.
+    /// 64 registers, the limit of a request.
     Registers,
-    /// As many discretes as one request takes.
+    /// 256 discretes, the limit of a request.
     Discretes,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Job {
-    /// A [`Frame`] becomes bytes.
+    /// From a [`Frame`] to bytes.
     Encode,
-    /// Bytes, copied into the receive buffer, become a [`Frame`].
+    /// From bytes, copied into the receive buffer, to a [`Frame`].
     Decode,
-    /// What a client does: a command becomes the bytes of its request, or the bytes of a reply become values.
+    /// Work of a client: from a command to bytes, or from the bytes of a reply to values.
     Client,
-    /// The bytes are copied, and their checksum is computed.
+    /// Copy and checksum of the bytes.
     Limit,
-    /// The same, and the data of the reply is turned into values.
+    /// Copy and checksum of the bytes, and decoding of the values.
     LimitOfValues,
 }
 
@@ -55,7 +55,7 @@ impl Job {
     }
 }
 
-/// Warm buffers are as large as those of a link.
+/// Size of the buffers, as in a link.
 const BUFFER: usize = 1024;
 const STATION: u8 = 1;
 const FIRST: Register = register!("R1000");
@@ -73,7 +73,7 @@ impl Case {
             .filter(|case| case.job != Job::LimitOfValues || case.sender == Side::Plc)
     }
 
-    /// The frame, as its name.
+    /// Name of the frame.
     pub(crate) fn group(&self) -> String {
         let read = match self.read {
             Read::Registers => "64-registers",
@@ -83,12 +83,12 @@ impl Case {
         format!("{}/{read}-{frame}", self.framing)
     }
 
-    /// How long the frame is.
+    /// Length of the frame.
     pub(crate) fn bytes(&self) -> u64 {
         self.frame_bytes().len() as u64
     }
 
-    /// What is measured. Buffers are warm, and what comes out has been looked at once.
+    /// Work to measure, with warm buffers and a checked result.
     pub(crate) fn work(&self) -> Box<dyn FnMut()> {
         let framing = self.framing;
         let bytes = self.frame_bytes();
@@ -204,12 +204,12 @@ fn discretes() -> ReadDiscretes {
     ReadDiscretes::new(discrete!("M100"), MAX_POINTS).expect("a good request")
 }
 
-/// What the registers hold: all digits.
+/// Register values with all hexadecimal digits.
 fn words() -> [u16; MAX_UNITS] {
     std::array::from_fn(|n| (n as u16).wrapping_mul(0x9E37))
 }
 
-/// What the discretes hold.
+/// States of the discretes.
 fn states() -> [bool; MAX_POINTS] {
     std::array::from_fn(|n| n.wrapping_mul(0x9E37) & 0x40 != 0)
 }

@@ -1,11 +1,13 @@
-//! The least that must be done with the bytes of a frame: they are copied and summed up; of a reply, the values are made
-//! of its characters. No frame is looked for, no field is compared, nothing is counted, nothing is allocated.
+//! Lower limit of the work with the bytes of a frame: copy, checksum, and decoding of the values of
+//! a reply.
+//!
+//! No search for frames, no comparison of fields, no counters, no allocation.
 
 use crc::{CRC_16_MODBUS, Crc, Table};
 use fatek::command::{MAX_POINTS, MAX_UNITS};
 use fatek::wire::Framing;
 
-/// Copies a frame; says whether its checksum is right.
+/// Copies a frame. Returns whether its checksum is correct.
 pub(crate) fn copy_and_check(framing: Framing, frame: &[u8], copy: &mut [u8]) -> bool {
     copy.copy_from_slice(frame);
     match framing {
@@ -23,7 +25,7 @@ pub(crate) fn copy_and_check(framing: Framing, frame: &[u8], copy: &mut [u8]) ->
     }
 }
 
-/// Makes registers of the data of a reply; says whether all of it is what it must be.
+/// Decodes the registers of a reply. Returns whether all digits are valid.
 pub(crate) fn registers(framing: Framing, frame: &[u8], words: &mut [u16; MAX_UNITS]) -> bool {
     let data = values(framing, frame);
     if framing == Framing::Binary {
@@ -40,7 +42,7 @@ pub(crate) fn registers(framing: Framing, frame: &[u8], words: &mut [u16; MAX_UN
     data.iter().fold(true, |good, digit| good & digit.is_ascii_hexdigit())
 }
 
-/// Makes discretes of the data of a reply; says whether all of it is what it must be.
+/// Decodes the discretes of a reply. Returns whether all states are valid.
 pub(crate) fn discretes(framing: Framing, frame: &[u8], states: &mut [bool; MAX_POINTS]) -> bool {
     let data = values(framing, frame);
     let off = if framing == Framing::Binary { 0 } else { b'0' };
@@ -50,7 +52,7 @@ pub(crate) fn discretes(framing: Framing, frame: &[u8], states: &mut [bool; MAX_
     data.iter().fold(true, |good, character| good & (character & !1 == off))
 }
 
-/// The data of a reply behind its error code.
+/// Data of a reply after its error code.
 fn values(framing: Framing, frame: &[u8]) -> &[u8] {
     match framing {
         Framing::Ascii => &frame[6..frame.len() - 3],

@@ -1,13 +1,14 @@
-//! How long the codecs take for the largest reads, and how far that is from a plain copy and a checksum of the same
-//! bytes: the figures of docs/PERFORMANCE.md.
+//! Time of the codecs for the largest reads, compared with a copy and a checksum of the same bytes.
+//!
+//! These are the figures of docs/PERFORMANCE.md.
 //!
 //! ```text
 //! cargo bench -p fatek-benches --bench codec
 //! FATEK_CODEC_CASE=ascii/64-registers-reply/decode FATEK_CODEC_TIMES=1000 cargo bench -p fatek-benches --bench codec
 //! ```
 //!
-//! The second does one thing so many times and nothing else, for tools that count instructions. `docs/performance/codec.py`
-//! does both for all of them.
+//! The second command repeats one case, for tools that count instructions.
+//! `docs/performance/codec.py` runs both for all cases.
 
 mod cases;
 mod limit;
@@ -46,7 +47,7 @@ fn measure(criterion: &mut Criterion) {
 
 fn repeat(id: &str) {
     let case = Case::all().find(|case| format!("{}/{}", case.group(), case.job.name()) == id);
-    let mut work = case.unwrap_or_else(|| panic!("there is no case {id}")).work();
+    let mut work = case.unwrap_or_else(|| panic!("unknown case {id}")).work();
     let times = std::env::var("FATEK_CODEC_TIMES").map_or(1000, |times| times.parse().expect("a number of times"));
     for _ in 0_u32..times {
         work();

@@ -1,4 +1,5 @@
-//! Prints the first table of docs/PLAN.md: plans against one request per tag and against gap merging.
+//! Prints the first table of docs/PLAN.md: plans, compared with one request per tag and with gap
+//! merging.
 //!
 //! ```text
 //! cargo run --release --example plan_table
@@ -26,7 +27,7 @@ fn main() -> Result<()> {
     for (name, tags) in &sets {
         for (line, cost) in [("9600 baud", serial), ("TCP, 10 ms", network)] {
             row(name, line, "one request per tag", &one_by_one(tags, cost)?);
-            // Gap merging is a plan without mixed reads: runs, with the gaps that are worth reading through.
+            // Gap merging: a plan without mixed reads, with runs that read through short gaps.
             let merged =
                 Plan::builder(cost).limits(Limits::new().no_mixed_reads()).tags(tags.iter().copied()).build()?;
             row(name, line, "gap merging", &[merged]);
@@ -36,18 +37,18 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-fn row(name: &str, line: &str, how: &str, plans: &[Plan]) {
+fn row(name: &str, line: &str, method: &str, plans: &[Plan]) {
     let requests: usize = plans.iter().map(|plan| plan.requests().len()).sum();
     let bytes: usize = plans.iter().map(Plan::bytes).sum();
     let time: Duration = plans.iter().map(Plan::time).sum();
-    println!("| {name} | {line} | {how} | {requests} | {bytes} | {:.1} |", time.as_secs_f64() * 1e3);
+    println!("| {name} | {line} | {method} | {requests} | {bytes} | {:.1} |", time.as_secs_f64() * 1e3);
 }
 
 fn one_by_one(tags: &[Tag], cost: CostModel) -> Result<Vec<Plan>> {
     tags.iter().map(|&tag| Ok(Plan::builder(cost).tag(tag).build()?)).collect()
 }
 
-/// Long ranges of each kind, and a few values far from them.
+/// Long ranges of each symbol, and some single values far apart.
 fn wide() -> Result<Vec<Tag>> {
     let texts = ["R0-R999", "D100-D399:f32", "M0-M799", "WX0-WX240", "X0-X99", "RT0-RT63", "R5000", "D9000:i32", "Y7"];
     texts.iter().map(|text| Ok(text.parse()?)).collect()

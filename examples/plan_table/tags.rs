@@ -1,4 +1,4 @@
-//! The tags that docs/PLAN.md speaks of, the same each time.
+//! Tag sets of docs/PLAN.md, the same in each run.
 
 use std::error::Error;
 
@@ -7,16 +7,16 @@ use fatek::{Discrete, Element, Register, Symbol};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-/// So many tags: five of six in clusters of twenty values, a quarter of them floats, with gaps of one to seven registers
-/// between them; the others are relays. Beyond 9000 they begin anew.
+/// Returns `n` clustered tags: five sixths are values in clusters of 20, a quarter of them floats,
+/// with gaps of one to seven registers. The others are relays. From 9000 on the addresses repeat.
 pub(crate) fn clustered(n: usize) -> Result<Vec<Tag>> {
     let mut seed = 1;
     let mut tags = Vec::new();
     let relays = n / 6;
     let mut address = 0;
     for value in 0..n - relays {
-        let (cluster, place) = (value / 20, value % 20);
-        if place == 0 {
+        let (cluster, index) = (value / 20, value % 20);
+        if index == 0 {
             address = u16::try_from(cluster % 130)? * 500;
         }
         let register = match cluster / 130 % 3 {
@@ -24,7 +24,7 @@ pub(crate) fn clustered(n: usize) -> Result<Vec<Tag>> {
             1 => Register::d(address),
             _ => Register::f(address),
         };
-        let tag_type = if place % 4 == 0 { TagType::F32 } else { TagType::U16 };
+        let tag_type = if index % 4 == 0 { TagType::F32 } else { TagType::U16 };
         tags.push(Tag::new(register, tag_type, 1)?);
         address += 2 + below(&mut seed, 7);
     }
@@ -35,7 +35,7 @@ pub(crate) fn clustered(n: usize) -> Result<Vec<Tag>> {
     Ok(tags)
 }
 
-/// So many values anywhere in the first so many `R`, `D` and `M`.
+/// Returns `n` random tags in the first `r`, `d` and `m` elements of `R`, `D` and `M`.
 pub(crate) fn random(n: usize, r: u16, d: u16, m: u16) -> Result<Vec<Tag>> {
     let mut seed = 2;
     let one = |_| {
@@ -49,7 +49,7 @@ pub(crate) fn random(n: usize, r: u16, d: u16, m: u16) -> Result<Vec<Tag>> {
     (0..n).map(one).collect()
 }
 
-/// SplitMix64.
+/// Returns a random number below `n`, by SplitMix64.
 fn below(seed: &mut u64, n: u16) -> u16 {
     *seed = seed.wrapping_add(0x9E37_79B9_7F4A_7C15);
     let mut z = *seed;

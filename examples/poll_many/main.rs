@@ -1,18 +1,19 @@
-//! Polls thousands of simulated PLCs, which run in a second process, and says what that costs.
+//! Polls thousands of simulated PLCs in a second process, and prints the time and memory used.
 //!
 //! ```text
 //! cargo run --release --example poll_many --features sim -- --plcs 10000 --interval 1s --for 60s
 //! cargo run --release --example poll_many --features sim -- --plcs 1000 --for 60s --restart-at 10s
 //! ```
 //!
-//! Each PLC holds its own number, so that a reply from the wrong one is an error. All errors count, but for calls that
-//! fail while the simulator is away; the exit status is not 0 if there was one.
+//! Each PLC holds its own number, so a reply from the wrong PLC is detected. The exit status is 1
+//! after any error, except for failed calls while the simulator is down.
 //!
-//! - [`poller`] is the polling itself, the part that a program of yours would have;
-//! - [`simulator`] is the second process, and [`plc`] what its PLCs hold and where they are;
-//! - [`idle`] weighs the links before they are polled;
-//! - [`tally`] counts, [`process`] asks the system what the process uses, [`summary`] prints both.
+//! - [`poller`]: the poller and its consumer, the part that an application would have;
+//! - [`simulator`]: the second process, and [`plc`]: contents and addresses of its PLCs;
+//! - [`idle`]: memory of links before the poll begins;
+//! - [`counters`]: events, [`process`]: resources of a process, [`summary`]: the output.
 
+mod counters;
 mod idle;
 mod options;
 mod plc;
@@ -20,7 +21,6 @@ mod poller;
 mod process;
 mod simulator;
 mod summary;
-mod tally;
 
 use std::error::Error;
 use std::process::ExitCode;
@@ -31,10 +31,10 @@ use fatek::Pool;
 use tokio::runtime::Handle;
 use tokio::time::{Instant, interval, sleep, sleep_until};
 
+use self::counters::Counters;
 use self::options::Options;
 use self::simulator::Simulator;
 use self::summary::Summary;
-use self::tally::Tally;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -49,8 +49,8 @@ async fn main() -> ExitCode {
             print!("{}", options::HELP);
             ExitCode::SUCCESS
         }
-        Err(wrong) => {
-            eprintln!("{wrong}\n\n{}", options::HELP);
+        Err(error) => {
+            eprintln!("{error}\n\n{}", options::HELP);
             ExitCode::from(2)
         }
     }
@@ -67,14 +67,14 @@ fn exit_code(result: Result<bool>) -> ExitCode {
     }
 }
 
-/// Says whether all went well.
+/// Polls and prints the results. Returns whether there were no errors.
 async fn run(options: Options) -> Result<bool> {
-    // A connection each, and what the program has open besides.
+    // One connection per PLC, and the other files of the program.
     process::allow_open_files(options.plcs as u64 + 100)?;
     let mut simulator = Simulator::start(&options).await?;
     let endpoints = simulator.endpoints();
     println!("{options}");
-    println!("process {} polls, process {} is the PLCs", std::process::id(), simulator.process());
+    println!("poller: process {}, PLCs: process {}", std::process::id(), simulator.process());
 
     let (memory_before, files_before) = (process::memory(), process::open_files());
     let backoff = options.backoff;
@@ -85,40 +85,40 @@ async fn run(options: Options) -> Result<bool> {
         .links(move |link| link.connect_backoff(backoff.0, backoff.1))
         .build();
     let idle = idle::measure(&pool, simulator.endpoints(), &options, memory_before).await?;
-    let tally = Arc::new(Tally::new(options.plcs));
-    let pollers = poller::start(&pool, endpoints, &options, &tally)?;
+    let counters = Arc::new(Counters::new(options.plcs));
+    let polling = poller::start(&pool, endpoints, &options, &counters)?;
     let mut summary =
-        Summary::new(&options, pool.clone(), pollers.handle(), tally.clone(), memory_before, simulator.process());
+        Summary::new(&options, pool.clone(), polling.handle(), counters.clone(), memory_before, simulator.process());
 
-    summary.idle(idle);
+    summary.set_idle(idle);
 
-    // All must be connected before anything is measured.
-    let most = options.longest_start();
-    let up = show_until(&mut summary, Instant::now() + most, || tally.all_answered()).await;
+    // The measurement begins when all links are connected.
+    let limit = options.start_timeout();
+    let up = show_until(&mut summary, Instant::now() + limit, || counters.all_answered()).await;
     if !up {
-        return Err(format!("not all PLCs have answered within {most:?}").into());
+        return Err(format!("not all PLCs answered within {limit:?}").into());
     }
     summary.begin();
     let (began, ends_at) = (Instant::now(), Instant::now() + options.run_for);
     if let Some(at) = options.restart_at {
         show_until(&mut summary, began + at, || false).await;
-        let back = restart(&mut simulator, &mut summary, &tally, &options).await?;
-        summary.restarted(back);
+        let recovery = restart(&mut simulator, &mut summary, &counters, &options).await?;
+        summary.set_recovery(recovery);
     }
     show_until(&mut summary, ends_at, || false).await;
     summary.end();
 
-    pollers.stop().await?;
-    let all_back = tally.all_answered();
+    polling.stop().await?;
+    let all_up = counters.all_answered();
     pool.close().await;
     drop(pool);
-    let (tasks, files) = left(files_before).await;
-    summary.left(tasks, files);
+    let (tasks, files) = leaked(files_before).await;
+    summary.set_leaked(tasks, files);
     summary.print();
-    Ok(tally.errors() == 0 && all_back && (tasks, files) == (0, 0))
+    Ok(counters.errors() == 0 && all_up && (tasks, files) == (0, 0))
 }
 
-/// Shows a line a second until then, or until it is done; says whether it is.
+/// Prints a line per second until `until` or until `done`. Returns whether it is done.
 async fn show_until(summary: &mut Summary, until: Instant, done: impl Fn() -> bool) -> bool {
     let mut ticks = interval(Duration::from_secs(1));
     ticks.tick().await;
@@ -133,43 +133,44 @@ async fn show_until(summary: &mut Summary, until: Instant, done: impl Fn() -> bo
     }
 }
 
-/// Kills all PLCs and starts them again; says how long it then takes until each has answered.
+/// Kills all PLCs and starts them again. Returns the time until all have answered, or `None` after
+/// a timeout.
 async fn restart(
     simulator: &mut Simulator,
     summary: &mut Summary,
-    tally: &Tally,
+    counters: &Counters,
     options: &Options,
 ) -> Result<Option<Duration>> {
-    summary.note("the simulator is killed");
-    tally.away(true);
+    summary.note("simulator killed");
+    counters.set_down(true);
     simulator.kill()?;
     show_until(summary, Instant::now() + options.down_for, || false).await;
-    simulator.start_again(options).await?;
-    summary.simulator_is(simulator.process());
-    summary.note("the simulator is there again");
-    tally.forget_answers();
+    simulator.restart(options).await?;
+    summary.set_simulator(simulator.process());
+    summary.note("simulator restarted");
+    counters.forget_answers();
     let began = Instant::now();
-    let most = options.longest_start();
-    while !tally.all_answered() && began.elapsed() < most {
-        let soon = Instant::now() + Duration::from_secs(1);
+    let limit = options.start_timeout();
+    while !counters.all_answered() && began.elapsed() < limit {
+        let next_line = Instant::now() + Duration::from_secs(1);
         let mut ticks = interval(Duration::from_millis(10));
-        while !tally.all_answered() && Instant::now() < soon {
+        while !counters.all_answered() && Instant::now() < next_line {
             ticks.tick().await;
         }
         summary.show();
     }
-    let back = tally.all_answered().then(|| began.elapsed());
-    tally.away(false);
-    Ok(back)
+    let recovery = counters.all_answered().then(|| began.elapsed());
+    counters.set_down(false);
+    Ok(recovery)
 }
 
-/// How many tasks and open files there are that were not there before.
-async fn left(files_before: Option<usize>) -> (usize, usize) {
+/// Number of tasks and of open files that were not there at the start.
+async fn leaked(files_before: Option<usize>) -> (usize, usize) {
     let now = || {
         let files = process::open_files().zip(files_before).map_or(0, |(now, before)| now.saturating_sub(before));
         (Handle::current().metrics().num_alive_tasks(), files)
     };
-    // Tasks are told to end, which takes them a moment.
+    // Aborted tasks need a moment to end.
     for _ in 0..100 {
         if now() == (0, 0) {
             break;

@@ -1,20 +1,20 @@
-//! The command line.
+//! Command line options.
 
 use std::fmt;
 use std::time::Duration;
 
 pub(crate) const HELP: &str = "\
-Polls simulated PLCs, which run in a second process, and says what that costs.
+Polls simulated PLCs in a second process, and prints the time and memory used.
 
-  --plcs N                  how many PLCs [default: 1000]
-  --interval TIME           how often each is polled [default: 1s]
-  --for TIME                for how long, once all are up [default: 60s]
-  --connects-per-second N   how many connections are begun a second [default: 1000; a pool's own: 200]
-  --restart-at TIME         then the simulator is killed and started again
-  --down-for TIME           after this long [default: 5s]
-  --one-port-each           PLCs differ by port and not by loopback address; the default where only 127.0.0.1 is one
+  --plcs N                  number of PLCs, 1 to 1000000 [default: 1000]
+  --interval TIME           poll interval [default: 1s]
+  --for TIME                duration of the measurement [default: 60s]
+  --connects-per-second N   rate limit of connection attempts [default: 1000; default of a pool: 200]
+  --restart-at TIME         time at which the simulator is killed [default: never]
+  --down-for TIME           time from the kill to the restart [default: 5s]
+  --one-port-each           one TCP port per PLC, not one loopback address [default: off on Linux, else on]
 
-Times are such as 500ms, 2s or 1m.
+TIME: number and unit, such as 500ms, 2s, 1m or 2h; 1ms to 24h.
 ";
 
 #[derive(Clone, Debug)]
@@ -26,12 +26,12 @@ pub(crate) struct Options {
     pub(crate) restart_at: Option<Duration>,
     pub(crate) down_for: Duration,
     pub(crate) one_port_each: bool,
-    /// The shortest and the longest pause after a failed attempt to connect: the link's own.
+    /// Shortest and longest back-off of a link: the defaults.
     pub(crate) backoff: (Duration, Duration),
 }
 
 impl Options {
-    /// `None`: help is wanted.
+    /// Returns `None` for `--help`.
     pub(crate) fn parse(mut args: impl Iterator<Item = String>) -> Result<Option<Self>, String> {
         let mut options = Self {
             plcs: 1000,
@@ -55,33 +55,30 @@ impl Options {
                 "--down-for" => options.down_for = time(&name, &value()?)?,
                 "--one-port-each" => options.one_port_each = true,
                 "--help" | "-h" => return Ok(None),
-                _ => return Err(format!("`{name}` is not known")),
+                _ => return Err(format!("unknown option `{name}`")),
             }
         }
         if options.restart_at.is_some_and(|at| at >= options.run_for) {
-            return Err("--restart-at must be before the end, which --for says".to_owned());
+            return Err("--restart-at must be less than --for".to_owned());
         }
         Ok(Some(options))
     }
 
-    /// How long all connections take to be opened at the gate's pace.
-    pub(crate) fn start(&self) -> Duration {
+    /// Time to open all connections at the rate limit.
+    pub(crate) fn connect_time(&self) -> Duration {
         Duration::from_secs_f64(f64::from(self.plcs) / f64::from(self.connects_per_second))
     }
 
-    /// After how long it has failed: the back-off, the gate, and a call.
-    pub(crate) fn longest_start(&self) -> Duration {
-        self.start().max(self.backoff.1) * 2 + self.interval + Duration::from_secs(20)
+    /// Time limit for all PLCs to answer: rate limit, back-off and one call.
+    pub(crate) fn start_timeout(&self) -> Duration {
+        self.connect_time().max(self.backoff.1) * 2 + self.interval + Duration::from_secs(20)
     }
 }
 
 impl fmt::Display for Options {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { plcs, interval, run_for, connects_per_second, .. } = self;
-        write!(
-            f,
-            "{plcs} PLCs, each polled every {interval:?}, for {run_for:?}; {connects_per_second} connects a second"
-        )
+        write!(f, "{plcs} PLCs, poll interval {interval:?}, for {run_for:?}; {connects_per_second} connects/s")
     }
 }
 
@@ -94,18 +91,10 @@ fn number(name: &str, text: &str) -> Result<u32, String> {
 }
 
 fn time(name: &str, text: &str) -> Result<Duration, String> {
-    let unit_at = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
-    let (number, unit) = text.split_at(unit_at);
-    let seconds_per_unit = match unit {
-        "ms" => 0.001,
-        "s" => 1.0,
-        "m" => 60.0,
-        _ => return Err(format!("{name} must be a time such as 500ms, 2s or 1m, not `{text}`")),
-    };
-    match number.parse::<f64>() {
-        Ok(number) if (0.001..=86_400.0).contains(&(number * seconds_per_unit)) => {
-            Ok(Duration::from_secs_f64(number * seconds_per_unit))
-        }
-        _ => Err(format!("{name} must be from 1ms to a day, not `{text}`")),
+    let limits = Duration::from_millis(1)..=Duration::from_secs(24 * 3600);
+    match humantime::parse_duration(text) {
+        Ok(time) if limits.contains(&time) => Ok(time),
+        Ok(_) => Err(format!("{name} must be from 1ms to 24h, not `{text}`")),
+        Err(error) => Err(format!("{name} must be a time such as 500ms, 2s or 2h, not `{text}`: {error}")),
     }
 }

@@ -1,4 +1,4 @@
-//! What a simulated PLC holds, and where it is.
+//! Contents and address of each simulated PLC.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
@@ -7,13 +7,13 @@ use fatek::{Register, register};
 
 use crate::Result;
 
-/// Where the registers begin that are polled.
+/// First polled register.
 pub(crate) const FIRST: Register = register!("R0");
 
-/// How many registers are polled.
+/// Number of polled registers.
 pub(crate) const COUNT: usize = 10;
 
-/// What the registers of PLC `n` hold: its number, and what follows from it.
+/// Register values of PLC `n`: its number, and values derived from it.
 pub(crate) fn values(n: u32) -> [u16; COUNT] {
     std::array::from_fn(|i| match i {
         0 => (n & 0xFFFF) as u16,
@@ -22,7 +22,7 @@ pub(crate) fn values(n: u32) -> [u16; COUNT] {
     })
 }
 
-/// PLC `n`, alone on its line as station 1.
+/// Returns PLC `n` as station 1 of a bus of its own.
 pub(crate) fn bus(n: u32) -> Result<Bus> {
     let plc = Plc::new();
     for (i, value) in values(n).into_iter().enumerate() {
@@ -31,7 +31,7 @@ pub(crate) fn bus(n: u32) -> Result<Bus> {
     Ok(Bus::new().with_station(1, plc)?)
 }
 
-/// Where PLC `n` is: behind a port of its own, or behind the one port at a loopback address of its own.
+/// Address of PLC `n`: a port of its own, or a loopback address of its own with the common port.
 pub(crate) fn address(n: u32, ports: &[u16]) -> SocketAddr {
     match ports {
         [port] => (Ipv4Addr::from(FIRST_ADDRESS + n), *port).into(),
@@ -39,10 +39,10 @@ pub(crate) fn address(n: u32, ports: &[u16]) -> SocketAddr {
     }
 }
 
-/// Which PLC is meant by a connection to this address.
+/// Number of the PLC with this loopback address.
 pub(crate) fn number(at: Ipv4Addr) -> Option<u32> {
     u32::from(at).checked_sub(FIRST_ADDRESS)
 }
 
-/// 127.1.0.0
+/// Address 127.1.0.0 of PLC 0.
 const FIRST_ADDRESS: u32 = 0x7F01_0000;

@@ -1,10 +1,10 @@
-//! What a process uses, and may use, as far as the system tells.
+//! Resources of a process, from `/proc`, and its limit of open files.
 
 use std::time::Duration;
 
 use crate::Result;
 
-/// The resident memory of this process in bytes. `None`, here and below, where the system has no `/proc`.
+/// Resident memory of this process in bytes. `None`, here and below, on systems without `/proc`.
 pub(crate) fn memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
@@ -12,15 +12,15 @@ pub(crate) fn memory() -> Option<u64> {
     Some(kib * 1024)
 }
 
-/// How many files this process has open, sockets among them.
+/// Number of open files of this process, including sockets.
 pub(crate) fn open_files() -> Option<usize> {
     Some(std::fs::read_dir("/proc/self/fd").ok()?.count())
 }
 
-/// How long a process has had a processor so far, its threads together.
+/// Processor time of a process, all threads together.
 pub(crate) fn processor_time(process: u32) -> Option<Duration> {
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    // The second field is the name in parentheses, with spaces perhaps; the fields after it begin with the third.
+    // Field 2 is the name in parentheses, which may contain spaces; field 3 follows it.
     let (_, fields) = stat.rsplit_once(") ")?;
     let ticks = |n: usize| fields.split(' ').nth(n - 3)?.parse::<u64>().ok();
     let (user, system) = (ticks(14)?, ticks(15)?);
@@ -37,7 +37,7 @@ fn ticks_per_second() -> u64 {
     100
 }
 
-/// Lets the process have so many files open at once.
+/// Raises the limit of open files to `needed`.
 pub(crate) fn allow_open_files(needed: u64) -> Result<()> {
     #[cfg(unix)]
     {
@@ -47,8 +47,8 @@ pub(crate) fn allow_open_files(needed: u64) -> Result<()> {
             return Ok(());
         }
         if maximum.is_some_and(|maximum| maximum < needed) {
-            let most = maximum.unwrap_or_default();
-            return Err(format!("{needed} open files are needed, and the system allows {most} (`ulimit -Hn`)").into());
+            let limit = maximum.unwrap_or_default();
+            return Err(format!("{needed} open files are needed, the system limit is {limit} (`ulimit -Hn`)").into());
         }
         setrlimit(Resource::Nofile, Rlimit { current: Some(needed), maximum })?;
     }

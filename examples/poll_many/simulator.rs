@@ -1,5 +1,5 @@
-//! The second process: the PLCs. It ends with the process that has started it, however that ends, because its standard
-//! input does.
+//! The second process with the PLCs. It exits at the end of its standard input, so it never
+//! outlives its parent.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -13,30 +13,30 @@ use tokio::net::{TcpListener, TcpSocket};
 use crate::options::Options;
 use crate::{Result, plc, process};
 
-/// Makes this program the simulator.
+/// Argument that starts this program as the simulator.
 pub(crate) const FLAG: &str = "--simulator";
 
-/// The simulator, as seen from the process that polls. Dropping it kills it.
+/// Handle of the simulator process, killed on drop.
 pub(crate) struct Simulator {
     child: Child,
     plcs: u32,
-    /// One for all PLCs, or one each.
+    /// One port for all PLCs, or one per PLC.
     ports: Vec<u16>,
 }
 
 impl Simulator {
     pub(crate) async fn start(options: &Options) -> Result<Self> {
         let listeners = if options.one_port_each { options.plcs } else { 1 };
-        Self::start_at(options, vec![0; listeners as usize]).await
+        Self::spawn(options, vec![0; listeners as usize]).await
     }
 
-    /// Starts it again where it was.
-    pub(crate) async fn start_again(&mut self, options: &Options) -> Result<()> {
-        *self = Self::start_at(options, self.ports.clone()).await?;
+    /// Starts the simulator again with the same ports.
+    pub(crate) async fn restart(&mut self, options: &Options) -> Result<()> {
+        *self = Self::spawn(options, self.ports.clone()).await?;
         Ok(())
     }
 
-    async fn start_at(options: &Options, ports: Vec<u16>) -> Result<Self> {
+    async fn spawn(options: &Options, ports: Vec<u16>) -> Result<Self> {
         let plcs = options.plcs;
         let starting = tokio::task::spawn_blocking(move || -> std::io::Result<_> {
             let program = std::env::current_exe()?;
@@ -53,9 +53,9 @@ impl Simulator {
             Ok((child, line))
         });
         let (child, line) = starting.await??;
-        // From here on, it is killed whatever happens.
+        // From here on the child is killed on drop.
         let mut simulator = Self { child, plcs, ports: Vec::new() };
-        simulator.ports = split(&line).map_err(|_| "the simulator has not started")?;
+        simulator.ports = split(&line).map_err(|_| "the simulator did not start")?;
         Ok(simulator)
     }
 
@@ -63,12 +63,12 @@ impl Simulator {
         self.child.id()
     }
 
-    /// Where the PLCs are.
+    /// Addresses of the PLCs.
     pub(crate) fn endpoints(&self) -> impl Iterator<Item = SocketAddr> {
         (0..self.plcs).map(|n| plc::address(n, &self.ports))
     }
 
-    /// Kills it, so that it has no time to say good-bye to anybody.
+    /// Kills the process without an orderly end of its connections.
     pub(crate) fn kill(&mut self) -> std::io::Result<()> {
         self.child.kill()?;
         self.child.wait().map(drop)
@@ -77,14 +77,14 @@ impl Simulator {
 
 impl Drop for Simulator {
     fn drop(&mut self) {
-        // If it has ended by itself, all is well.
+        // Fails if the process has already exited, which is no problem.
         let _ = self.kill();
     }
 }
 
-/// The simulator itself.
+/// Runs the simulator until the end of standard input.
 pub(crate) async fn run() -> Result<()> {
-    let plcs: u32 = std::env::args().nth(2).ok_or("how many PLCs?")?.parse()?;
+    let plcs: u32 = std::env::args().nth(2).ok_or("the number of PLCs is missing")?.parse()?;
     let mut line = String::new();
     std::io::stdin().lock().read_line(&mut line)?;
     let ports = split(&line)?;
@@ -98,37 +98,37 @@ pub(crate) async fn run() -> Result<()> {
         tokio::spawn(accept(listener, (!shared).then_some(n as u32), plcs));
     }
     println!("{}", join(&bound));
-    // Nothing is written to it any more, so this waits for its end.
+    // Nothing more is written to standard input, so this waits for the end of the parent.
     tokio::task::spawn_blocking(|| std::io::stdin().lock().read_to_end(&mut Vec::new())).await??;
     Ok(())
 }
 
 fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
     let socket = TcpSocket::new_v4()?;
-    // The connections of a simulator that was killed linger for a while.
+    // Connections of the killed simulator stay in TIME_WAIT for a while.
     socket.set_reuseaddr(true)?;
     socket.bind(address)?;
     socket.listen(4096)
 }
 
-/// Serves the connections of one PLC, or of all, which differ by the address that was dialled.
+/// Serves the connections of one PLC, or of all PLCs, distinguished by the destination address.
 async fn accept(listener: TcpListener, only: Option<u32>, plcs: u32) {
     loop {
         let Ok((stream, peer)) = listener.accept().await else {
-            // Such as too many open files: it takes a moment to pass.
+            // A temporary error, such as too many open files.
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
-        let dialled = stream.local_addr().map(|address| address.ip());
-        let number = match (only, dialled) {
+        let destination = stream.local_addr().map(|address| address.ip());
+        let number = match (only, destination) {
             (Some(n), _) => Some(n),
             (None, Ok(IpAddr::V4(address))) => plc::number(address),
-            _ => None,
+            (None, Ok(IpAddr::V6(_)) | Err(_)) => None,
         };
-        // The port is open to the network, and the PLCs are not.
+        // The port is reachable from the network; only local clients are served.
         let Some(n) = number.filter(|&n| n < plcs && peer.ip().is_loopback()) else { continue };
         let Ok(bus) = plc::bus(n) else { continue };
-        // A reply is one small segment, and the client waits for it.
+        // A reply is one small segment that must not be delayed.
         let _ = stream.set_nodelay(true);
         tokio::spawn(sim::serve(stream, bus, Framing::Ascii));
     }

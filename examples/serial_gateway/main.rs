@@ -1,19 +1,21 @@
-//! Many TCP clients in front of one FATEK bus.
+//! Gateway from many TCP clients to one FATEK bus.
 //!
-//! The clients speak the FATEK protocol, in ASCII or in binary, as they would to an Ethernet module; their first byte tells
-//! which. The gateway gives their requests to one [`Link`], so that one is on the bus at a time, in a fair order, and a
-//! station that does not answer costs the others little. [`proxy`] says what becomes of each request, [`server`] what a
-//! client may do.
+//! The clients use the FATEK protocol, in ASCII or binary framing, as with an Ethernet module. The
+//! framing of a client is detected by its first byte. All requests go through one [`Link`]: one
+//! request at a time on the bus, in a fair order, with little delay by a station that does not
+//! answer. [`proxy`] handles requests, [`server`] handles clients.
 //!
 //! ```text
-//! cargo run --example serial_gateway --features cli                               # a simulated bus, to try it
+//! cargo run --example serial_gateway --features cli                               # with a simulated bus
 //! cargo run --example serial_gateway --features cli -- "serial:/dev/ttyUSB0?baud=19200" --listen 0.0.0.0:500
 //! cargo run --example serial_gateway --features cli -- tcp://192.168.2.3:500 --read-only --stations 1-8
 //! ```
 //!
-//! and then, for instance, `fatek --link tcp://127.0.0.1:5000 --station 3 read R0-R9`. `RUST_LOG=debug` logs every request.
+//! To test it: `fatek --link tcp://127.0.0.1:5000 --station 3 read R0-R9`. `RUST_LOG=debug` logs
+//! every request.
 //!
-//! There are no passwords in the protocol, and none here: whoever reaches the port can write, unless it is `--read-only`.
+//! The protocol has no authentication. Any client that can connect to the port can write, unless
+//! `--read-only` is given.
 
 mod proxy;
 mod server;
@@ -21,7 +23,7 @@ mod server;
 use std::error::Error;
 use std::future::Future;
 use std::io::IsTerminal;
-use std::num::{NonZeroU32, NonZeroUsize};
+use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::time::Duration;
@@ -37,31 +39,33 @@ use tracing_subscriber::EnvFilter;
 use crate::proxy::{Proxy, Rules};
 use crate::server::Limits;
 
-/// Many TCP clients in front of one FATEK bus.
+/// Gateway from many TCP clients to one FATEK bus.
 #[derive(Parser)]
 struct Args {
-    /// The bus: serial:/dev/ttyUSB0?baud=19200&frame=7E1, tcp://HOST:500 or udp://HOST:500, each with ?framing=ascii or
-    /// binary. Without it: eight simulated PLCs at 9600 baud.
+    /// Bus: serial:/dev/ttyUSB0?baud=19200&frame=7E1, tcp://HOST:500 or udp://HOST:500, each with
+    /// ?framing=ascii or binary [default: eight simulated PLCs at 9600 baud]
     bus: Option<Endpoint>,
-    /// Where clients connect.
+    /// Listening address for clients
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:5000")]
     listen: String,
-    /// Answer writes, RUN, STOP and forcing with an error, and keep them and all broadcasts from the bus.
+    /// Read-only mode: writes, RUN, STOP and forcing are refused, and no broadcast is sent
     #[arg(long)]
     read_only: bool,
-    /// The stations that are served; broadcasts are if 0 is among them.
+    /// Stations served, 0 to 254; 0: broadcasts
     #[arg(long, value_name = "FIRST-LAST", default_value = "0-254", value_parser = stations)]
     stations: RangeInclusive<u8>,
-    /// How many clients there may be at a time.
-    #[arg(long, value_name = "COUNT", default_value = "64")]
+    /// Limit of connected clients
+    #[arg(long, value_name = "N", default_value = "64")]
     max_clients: NonZeroUsize,
-    /// After how long without a request a client is sent away.
-    #[arg(long, value_name = "SECONDS", default_value = "60")]
-    idle: NonZeroU32,
-    /// How long a request may take, its turn included, before it is left unanswered. Make it less than the clients' own
-    /// timeouts: an answer that comes later looks to them like the one to their next request.
-    #[arg(long, value_name = "MILLISECONDS", default_value = "2000")]
-    patience: NonZeroU32,
+    /// Idle timeout of a client, such as 60s or 2h
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = humantime::parse_duration)]
+    idle: Duration,
+    /// Deadline of a request, queueing included, such as 2s
+    ///
+    /// Use less than the timeout of the clients: a client takes a late reply for that of its next
+    /// request.
+    #[arg(long, value_name = "TIME", default_value = "2s", value_parser = humantime::parse_duration)]
+    deadline: Duration,
 }
 
 #[tokio::main]
@@ -79,8 +83,8 @@ async fn main() -> Result<(), Box<dyn Error>> {
         }
     };
     let link = builder
-        .call_timeout(Duration::from_millis(args.patience.get().into()))
-        // A client has one request under way.
+        .call_timeout(args.deadline)
+        // Each client has at most one request in the queue.
         .queue_capacity(args.max_clients.get())
         .build();
     let listener = TcpListener::bind(&args.listen).await?;
@@ -90,7 +94,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
 
     let proxy = Arc::new(Proxy::new(link, rules));
     let reports = tokio::spawn(report(Arc::clone(&proxy)));
-    let limits = Limits { clients: args.max_clients.get(), idle: Duration::from_secs(args.idle.get().into()) };
+    let limits = Limits { clients: args.max_clients.get(), idle: args.idle };
     server::serve(listener, Arc::clone(&proxy), limits, interrupted()).await;
     reports.abort();
     if let Some(process) = process {
@@ -102,20 +106,20 @@ async fn main() -> Result<(), Box<dyn Error>> {
 
 async fn interrupted() {
     if let Err(error) = tokio::signal::ctrl_c().await {
-        tracing::error!(%error, "cannot wait for Ctrl-C");
+        tracing::error!(%error, "no handler for Ctrl-C");
     }
 }
 
-/// `3` or `1-8`.
+/// Parses `3` or `1-8`.
 fn stations(text: &str) -> Result<RangeInclusive<u8>, String> {
     let (first, last) = text.split_once('-').unwrap_or((text, text));
     match (first.parse(), last.parse()) {
         (Ok(first), Ok(last)) if first <= last && last < u8::MAX => Ok(first..=last),
-        _ => Err("it must be a number from 0 to 254, or two, as in `1-8`".to_owned()),
+        _ => Err("expected a station or a range from 0 to 254, such as 3 or 1-8".to_owned()),
     }
 }
 
-/// Says every ten seconds what has happened, if anything has.
+/// Logs the counters every ten seconds if they have changed.
 async fn report(proxy: Arc<Proxy>) {
     let mut ticks = interval(Duration::from_secs(10));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -125,13 +129,13 @@ async fn report(proxy: Arc<Proxy>) {
         let (now, bus) = (proxy.counts(), proxy.link().stats());
         if now != last {
             let (timeouts, retries) = (bus.stations.timeouts, bus.stations.retries);
-            tracing::info!(requests = ?now, timeouts, retries, checksum_errors = bus.checksum_errors, "so far");
+            tracing::info!(requests = ?now, timeouts, retries, checksum_errors = bus.checksum_errors, "counters");
             last = now;
         }
     }
 }
 
-/// Eight PLCs on a line, and what goes on in them: `R0` counts seconds, from a hundred times the station's number on.
+/// Bus with eight simulated PLCs. `R0` counts seconds, from 100 times the station number on.
 fn simulated_bus() -> Result<(LinkBuilder, impl Future<Output = ()>), Box<dyn Error>> {
     let plcs: Vec<_> = (1..=8).map(|station| (station, Plc::new())).collect();
     let line = Line::new(9600).response_time(Duration::from_millis(1), Duration::from_millis(10));

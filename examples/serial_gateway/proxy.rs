@@ -1,25 +1,26 @@
-//! What becomes of a frame that a client sends.
+//! Handling of the frames of clients.
 //!
-//! | the frame | the bus | the client gets |
+//! | frame | to the bus | to the client |
 //! |---|---|---|
-//! | a good request | is asked, in the bus's own framing | the reply, or the PLC's error code, in the client's framing |
-//! | the same, and nobody answers | is asked, reads up to three times; not at all while the station is offline | nothing, as on the bus itself |
-//! | a request that no PLC can read | hears nothing | the error code that a PLC has for it: 2, 4 or A |
-//! | one that the bus's framing cannot carry | hears nothing | error 4, "the command cannot be executed" |
-//! | a write or control command, in read-only mode | hears nothing | error 3 in ASCII, 4 in binary |
-//! | a broadcast that writes or controls | obeys it, unless in read-only mode | nothing: nobody answers a broadcast |
-//! | any other broadcast | hears nothing | nothing |
-//! | for a station that is not served | hears nothing | nothing |
+//! | good request | request in the framing of the bus | reply or error code, in the framing of the client |
+//! | good request, no reply | reads up to three times; nothing while the station is offline | nothing |
+//! | request that no PLC can read | nothing | error code of a PLC for it: 2, 4 or A |
+//! | request without form in the framing of the bus | nothing | error 4, "the command cannot be executed" |
+//! | write or control command, in read-only mode | nothing | error 3 in ASCII, 4 in binary |
+//! | broadcast that writes or controls | request, unless in read-only mode | nothing |
+//! | any other broadcast | nothing | nothing |
+//! | request to a station not served | nothing | nothing |
 //!
-//! What a framing cannot carry: program pages (4F, 50) in binary; loop-backs with unprintable bytes in ASCII; and the few
-//! mixed lists (48, 49) that can be read in two ways in binary, in which the gateway takes none from its clients either.
+//! Requests without form in a framing: program pages (4F, 50) in binary; loop-backs with
+//! unprintable bytes in ASCII; and the few mixed lists (48, 49) that are ambiguous in binary, which
+//! are refused from binary clients, too.
 //!
-//! Error 3 says "write prohibited". That is what read-only mode is, though the manual means a ROM pack by it; the binary
-//! framing does not have it, so that 4 must do. A broadcast that is held back is only counted: its sender expects no
-//! answer, and would take one for the reply to its next request.
+//! Error 3 is "write prohibited": in the manual, of a ROM pack. The binary framing has no such
+//! code, so error 4 is used. A blocked broadcast has no reply: its sender would take one for the
+//! reply to its next request.
 //!
-//! What is sent on is what was understood, not the bytes: hexadecimal digits become upper-case, and a program page has its
-//! error digit even where the PLC leaves it out.
+//! Requests are encoded anew, not copied: hexadecimal digits become upper-case, and a program page
+//! has its error digit even if the PLC omits it.
 
 use std::ops::RangeInclusive;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -29,43 +30,42 @@ use fatek::command::{Class, Request, encode_refusal};
 use fatek::wire::{Frame, Framing};
 use fatek::{Error, ErrorCode, Link};
 
-/// One bus, for all clients. All of them share its link, and with it the order of requests and what is known of each
-/// station.
+/// Bus shared by all clients: one link, with its queue and its station health.
 pub(crate) struct Proxy {
     link: Link,
     rules: Rules,
     counts: Mutex<Counts>,
 }
 
-/// What is let through.
+/// Rules for requests of clients.
 #[derive(Clone, Debug)]
 pub(crate) struct Rules {
-    /// The stations that are served; broadcasts are if 0 is among them.
+    /// Stations served; 0: broadcasts.
     pub(crate) stations: RangeInclusive<u8>,
-    /// Only what changes nothing.
+    /// Whether only reads are allowed.
     pub(crate) read_only: bool,
 }
 
-/// What the requests came to, one of these each.
+/// Number of requests by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
-    /// Answered by a PLC: done.
+    /// Executed: the PLC has replied.
     pub(crate) done: u64,
-    /// Answered by a PLC: an error.
+    /// Refused by the PLC with an error code.
     pub(crate) refused: u64,
-    /// Not answered by the PLC: no reply, or the station is offline, or there is no connection to the bus.
+    /// No reply: timeout, station offline, or no connection to the bus.
     pub(crate) silent: u64,
-    /// Sent to all.
+    /// Sent as broadcast.
     pub(crate) broadcast: u64,
-    /// Held back in read-only mode.
+    /// Blocked by read-only mode.
     pub(crate) held_back: u64,
-    /// Answered by an error of the gateway's own: not to be read, or not to be sent in the bus's framing.
+    /// Refused by the gateway: malformed, or without form in the framing of the bus.
     pub(crate) faulty: u64,
-    /// For a station that is not served, or a broadcast that nobody would answer.
+    /// Ignored: for a station not served, or a broadcast that only reads.
     pub(crate) ignored: u64,
 }
 
-/// The same as an event.
+/// Outcome of one request.
 #[derive(Clone, Copy, Debug)]
 enum Outcome {
     Done,
@@ -92,9 +92,9 @@ impl Proxy {
         *self.lock()
     }
 
-    /// Does what a frame asks, and appends the reply, if there is one.
+    /// Handles a frame of a client and appends the reply to `reply`, if there is one.
     pub(crate) async fn answer(&self, frame: &Frame, framing: Framing, reply: &mut BytesMut) {
-        let outcome = self.pass_on(frame, framing, reply).await;
+        let outcome = self.forward(frame, framing, reply).await;
         let refusal = match outcome {
             Outcome::Refused(error) | Outcome::Faulty(error) => Some(error),
             Outcome::HeldBack if frame.station != BROADCAST => Some(write_prohibited(framing)),
@@ -106,14 +106,14 @@ impl Proxy {
         self.lock().note(outcome);
         let (station, command) = (frame.station, format_args!("{:02X}", frame.command));
         if matches!(outcome, Outcome::HeldBack) {
-            tracing::warn!(station, command, "held back");
+            tracing::warn!(station, command, "blocked by read-only mode");
         } else {
             tracing::debug!(station, command, ?outcome, "request");
         }
     }
 
-    async fn pass_on(&self, frame: &Frame, framing: Framing, reply: &mut BytesMut) -> Outcome {
-        // 255 is no station.
+    async fn forward(&self, frame: &Frame, framing: Framing, reply: &mut BytesMut) -> Outcome {
+        // 255 is not a station.
         if frame.station == u8::MAX || !self.rules.stations.contains(&frame.station) {
             return Outcome::Ignored;
         }
@@ -137,9 +137,9 @@ impl Proxy {
             Err(Error::Invalid(_)) if frame.station == BROADCAST => Outcome::Ignored,
             Err(Error::Invalid(_)) => Outcome::Faulty(ErrorCode::IllegalFormat),
             Err(Error::Plc { error, .. }) => Outcome::Refused(error),
-            // Whatever it was, nothing is known that could be told.
+            // No error code fits: as on the bus, the client sees a timeout.
             Err(error) => {
-                tracing::debug!(%error, "no answer");
+                tracing::debug!(%error, "no reply");
                 Outcome::Silent
             }
         }
@@ -165,7 +165,7 @@ impl Counts {
     }
 }
 
-/// What read-only mode answers to everything that is not only read.
+/// Error code of read-only mode.
 fn write_prohibited(framing: Framing) -> ErrorCode {
     match framing {
         Framing::Ascii => ErrorCode::WriteProhibited,

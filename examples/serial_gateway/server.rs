@@ -1,13 +1,13 @@
-//! The clients: who comes in, how long each may stay, and how their bytes become requests.
+//! Clients: their connections and limits, and the decoding of their requests.
 //!
-//! A client's requests are answered one after the other, in the order in which they came. While one is under way nothing
-//! more is read from that client, so one that sends faster than the bus can answer fills the buffers of its own connection
-//! and no other. What the gateway holds for a client is a frame each way.
+//! The requests of a client are handled one at a time, in order of arrival. During a request
+//! nothing is read from that client, so its own connection has the backpressure. The gateway
+//! buffers one frame per client and direction.
 //!
-//! A client is sent away when
-//! - it is one too many ([`Limits::clients`]);
-//! - it has sent no request for too long, or does not take its replies ([`Limits::idle`]);
-//! - it sends nothing but noise ([`MAX_NOISE`]).
+//! A client is disconnected
+//! - above the limit of clients ([`Limits::clients`]);
+//! - after no request, or no read of a reply, for the idle timeout ([`Limits::idle`]);
+//! - after too much noise ([`MAX_NOISE`]).
 
 use std::future::Future;
 use std::io;
@@ -26,25 +26,26 @@ use tokio_util::codec::Decoder;
 
 use crate::proxy::Proxy;
 
-/// What clients may do.
+/// Limits of clients.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
-    /// How many there may be at a time.
+    /// Limit of connected clients.
     pub(crate) clients: usize,
-    /// How long one may go without a request, and how long it may take to accept a reply.
+    /// Idle timeout: time without a request, and time to accept a reply.
     pub(crate) idle: Duration,
 }
 
-/// How many bytes that are no request may come before the next one.
+/// Limit of noise bytes between two requests.
 pub(crate) const MAX_NOISE: usize = 16 * 1024;
 
-/// How long a frame may pause in its middle.
-const PAUSE: Duration = Duration::from_secs(1);
+/// Longest gap within a frame.
+const MAX_GAP: Duration = Duration::from_secs(1);
 
-/// How long clients have to take their last replies.
-const FAREWELL: Duration = Duration::from_secs(1);
+/// Time for clients to accept their last replies.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Serves everybody who connects, until `stop`; then ends what is under way, closes the link, and returns.
+/// Serves clients until `stop`. Then completes the request on the wire, closes the link, and
+/// returns.
 pub(crate) async fn serve(listener: TcpListener, proxy: Arc<Proxy>, limits: Limits, stop: impl Future<Output = ()>) {
     let (stopping, stopped) = watch::channel(());
     let mut clients = JoinSet::new();
@@ -54,21 +55,21 @@ pub(crate) async fn serve(listener: TcpListener, proxy: Arc<Proxy>, limits: Limi
             () = &mut stop => break,
             Some(_) = clients.join_next() => {}
             accepted = listener.accept() => match accepted {
-                Ok((_, peer)) if clients.len() >= limits.clients => tracing::debug!(%peer, "one too many"),
+                Ok((_, peer)) if clients.len() >= limits.clients => tracing::debug!(%peer, "client limit reached"),
                 Ok((stream, peer)) => {
-                    // A reply is one small segment, and the client waits for it.
+                    // A reply is one small segment that must not be delayed.
                     let _ = stream.set_nodelay(true);
                     let (proxy, stopped) = (Arc::clone(&proxy), stopped.clone());
                     clients.spawn(async move {
                         tracing::info!(%peer, "connected");
                         match serve_client(stream, &proxy, limits, stopped).await {
-                            Ok(parting) => tracing::info!(%peer, ?parting, "gone"),
-                            Err(error) => tracing::info!(%peer, %error, "gone"),
+                            Ok(reason) => tracing::info!(%peer, ?reason, "disconnected"),
+                            Err(error) => tracing::info!(%peer, %error, "disconnected"),
                         }
                     });
                 }
                 Err(error) => {
-                    // Such as too many open files: it takes a moment to pass.
+                    // A temporary error, such as too many open files.
                     tracing::warn!(%error, "cannot accept");
                     sleep(Duration::from_millis(100)).await;
                 }
@@ -77,34 +78,34 @@ pub(crate) async fn serve(listener: TcpListener, proxy: Arc<Proxy>, limits: Limi
     }
     drop(listener);
     drop(stopping);
-    // What is on the wire is still answered; what waits for its turn is not.
+    // The request on the wire is completed, queued ones fail.
     proxy.link().close().await;
-    let _ = timeout(FAREWELL, async { while clients.join_next().await.is_some() {} }).await;
+    let _ = timeout(SHUTDOWN_TIMEOUT, async { while clients.join_next().await.is_some() {} }).await;
     clients.shutdown().await;
 }
 
-/// Why a client is served no more.
+/// Reason for the end of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Parting {
-    /// It has closed the connection.
-    HungUp,
-    /// It has sent no request for too long.
+pub(crate) enum DisconnectReason {
+    /// The client has closed the connection.
+    ClosedByClient,
+    /// No request within the idle timeout.
     Idle,
-    /// It does not take its replies.
+    /// Reply not accepted within the idle timeout.
     NotReading,
-    /// It sends something else.
+    /// Too many bytes that are not requests.
     Noise,
-    /// The gateway stops.
+    /// The gateway was stopped.
     Stopped,
 }
 
-/// Serves one client, until it goes, is sent away, or the sender of `stopped` is gone.
+/// Serves one client until it disconnects, breaks a limit, or the sender of `stopped` is dropped.
 pub(crate) async fn serve_client(
     mut stream: impl AsyncRead + AsyncWrite + Unpin,
     proxy: &Proxy,
     limits: Limits,
     mut stopped: watch::Receiver<()>,
-) -> io::Result<Parting> {
+) -> io::Result<DisconnectReason> {
     let mut requests = Requests::new();
     let mut reply = BytesMut::with_capacity(MAX_FRAME_LEN);
     let mut deadline = Instant::now() + limits.idle;
@@ -113,41 +114,41 @@ pub(crate) async fn serve_client(
             proxy.answer(&frame, framing, &mut reply).await;
             match timeout(limits.idle, stream.write_all(&reply)).await {
                 Ok(written) => written?,
-                Err(_) => return Ok(Parting::NotReading),
+                Err(_) => return Ok(DisconnectReason::NotReading),
             }
             reply.clear();
             deadline = Instant::now() + limits.idle;
         }
         if requests.noise > MAX_NOISE {
-            return Ok(Parting::Noise);
+            return Ok(DisconnectReason::Noise);
         }
-        // Asked for by name: as long as there are bytes, a timeout does not strike.
+        // Checked here, because `timeout_at` does not expire while bytes are available.
         if Instant::now() >= deadline {
-            return Ok(Parting::Idle);
+            return Ok(DisconnectReason::Idle);
         }
-        let until = if requests.received.is_empty() { deadline } else { deadline.min(Instant::now() + PAUSE) };
+        let until = if requests.received.is_empty() { deadline } else { deadline.min(Instant::now() + MAX_GAP) };
         tokio::select! {
-            _ = stopped.changed() => return Ok(Parting::Stopped),
+            _ = stopped.changed() => return Ok(DisconnectReason::Stopped),
             read = timeout_at(until, stream.read_buf(&mut requests.received)) => {
                 requests.silence = read.is_err();
                 if let Ok(len) = read
                     && len? == 0
                 {
-                    return Ok(Parting::HungUp);
+                    return Ok(DisconnectReason::ClosedByClient);
                 }
             }
         }
     }
 }
 
-/// From bytes to requests.
+/// Decoder of requests.
 struct Requests {
     received: BytesMut,
-    /// That of the framing that the client speaks, which its first byte has told.
+    /// Codec of the client's framing, set by its first byte.
     codec: Option<Codec>,
-    /// The line has fallen silent: what has begun and not ended never will.
+    /// Whether the last read timed out: an incomplete frame is then discarded.
     silence: bool,
-    /// How many bytes were no request, since the last one.
+    /// Bytes outside requests since the last request.
     noise: usize,
 }
 
@@ -156,18 +157,18 @@ impl Requests {
         Self { received: BytesMut::with_capacity(MAX_FRAME_LEN), codec: None, silence: false, noise: 0 }
     }
 
-    /// The next request; `None`: more bytes are needed.
+    /// Returns the next request, or `None` if more bytes are needed.
     ///
-    /// A frame with a bad checksum is noise, and no PLC answers noise.
+    /// A frame with a bad checksum counts as noise: no PLC replies to it.
     fn next(&mut self) -> io::Result<Option<(Frame, Framing)>> {
         let codec = match &mut self.codec {
             Some(codec) => codec,
             None => {
-                let begin = self.received.iter().position(|&byte| framing_that_begins_with(byte).is_some());
+                let begin = self.received.iter().position(|&byte| framing_by_first_byte(byte).is_some());
                 let noise = begin.unwrap_or(self.received.len());
                 self.received.advance(noise);
                 self.noise += noise;
-                let framing = self.received.first().and_then(|&byte| framing_that_begins_with(byte));
+                let framing = self.received.first().and_then(|&byte| framing_by_first_byte(byte));
                 let Some(framing) = framing else { return Ok(None) };
                 self.codec.insert(Codec::new(framing, Side::Plc))
             }
@@ -186,7 +187,7 @@ impl Requests {
     }
 }
 
-fn framing_that_begins_with(byte: u8) -> Option<Framing> {
+fn framing_by_first_byte(byte: u8) -> Option<Framing> {
     match byte {
         ascii::STX => Some(Framing::Ascii),
         binary::QUERY => Some(Framing::Binary),

@@ -1,4 +1,4 @@
-//! What the process uses, second by second, and whether that grows.
+//! Resources of the process, sampled once per second, and their growth.
 
 use std::fmt;
 use std::time::Duration;
@@ -7,20 +7,20 @@ use tokio::runtime::Handle;
 
 use crate::process;
 
-/// What the process uses.
+/// Resource usage of the process.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Use {
-    /// Resident memory, in bytes. This and the next are 0 where the system does not tell.
+pub(crate) struct Usage {
+    /// Resident memory in bytes. Memory, heap and files are 0 on systems without `/proc`.
     pub(crate) memory: u64,
-    /// How much of it is not of files: the heap, and the stacks.
+    /// Anonymous part of it in bytes: heap and stacks.
     pub(crate) heap: u64,
-    /// Open files, sockets among them.
+    /// Open files, including sockets.
     pub(crate) files: u64,
     /// Tasks of the runtime.
     pub(crate) tasks: u64,
 }
 
-impl Use {
+impl Usage {
     pub(crate) fn now() -> Self {
         Self {
             memory: process::memory().unwrap_or_default(),
@@ -38,50 +38,50 @@ fn heap() -> Option<u64> {
     Some(kib * 1024)
 }
 
-/// What may be more at the end than after the warm-up.
+/// Allowed growth after the warm-up.
 const BOUNDS: [Bound; 4] = [
-    Bound { what: "resident memory", of: |used| used.memory, bytes: true, most: MEMORY_GROWTH },
-    Bound { what: "heap", of: |used| used.heap, bytes: true, most: MEMORY_GROWTH },
-    // Links and ports come and go all the time.
-    Bound { what: "open files", of: |used| used.files, bytes: false, most: 25 },
-    Bound { what: "tasks", of: |used| used.tasks, bytes: false, most: 30 },
+    Bound { resource: "resident memory", of: |used| used.memory, bytes: true, limit: MEMORY_GROWTH },
+    Bound { resource: "heap", of: |used| used.heap, bytes: true, limit: MEMORY_GROWTH },
+    // The number of links and ports varies all the time.
+    Bound { resource: "open files", of: |used| used.files, bytes: false, limit: 25 },
+    Bound { resource: "tasks", of: |used| used.tasks, bytes: false, limit: 30 },
 ];
 
-/// What the allocator, the logs and the memories of the simulated PLCs may need more by chance; it takes a leak of four bytes a
-/// call to exceed that in half an hour.
+/// Allowance for allocator, logs and simulated memories. A leak of four bytes per call exceeds it
+/// in half an hour.
 const MEMORY_GROWTH: u64 = 2 << 20;
 
 struct Bound {
-    what: &'static str,
-    of: fn(&Use) -> u64,
+    resource: &'static str,
+    of: fn(&Usage) -> u64,
     bytes: bool,
-    most: u64,
+    limit: u64,
 }
 
-/// The shortest run of which it is judged whether it grows.
-pub(crate) const SHORTEST: Duration = Duration::from_secs(60);
+/// Shortest run with a check of growth.
+pub(crate) const MIN_RUN: Duration = Duration::from_secs(60);
 
-/// Two medians of one thing that is used.
+/// Growth of one resource, as two medians.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Growth {
-    what: &'static str,
+    resource: &'static str,
     bytes: bool,
     from: u64,
     to: u64,
-    most: u64,
+    limit: u64,
 }
 
 impl Growth {
     pub(crate) fn is_too_much(&self) -> bool {
-        self.to > self.from + self.most
+        self.to > self.from + self.limit
     }
 }
 
 impl fmt::Display for Growth {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let amount = |n| if self.bytes { mebibytes(n) } else { n.to_string() };
-        let (from, to, most) = (amount(self.from), amount(self.to), amount(self.most));
-        write!(f, "{}: {from} after the warm-up, {to} at the end (at most {most} more)", self.what)
+        let (from, to, limit) = (amount(self.from), amount(self.to), amount(self.limit));
+        write!(f, "{}: {from} after the warm-up, {to} at the end (limit: {limit} more)", self.resource)
     }
 }
 
@@ -89,19 +89,21 @@ pub(crate) fn mebibytes(bytes: u64) -> String {
     format!("{:.1} MiB", bytes as f64 / f64::from(1 << 20))
 }
 
-/// Compares the median of the first sixth after the warm-up, which is a third but no more than five minutes, with that of
-/// the last sixth. One use a second.
-pub(crate) fn growth(uses: &[Use]) -> Vec<Growth> {
-    let warm_up = (uses.len() / 3).min(300);
-    let uses = &uses[warm_up..];
-    let window = (uses.len() / 6).max(1).min(uses.len());
-    let (first, last) = (&uses[..window], &uses[uses.len() - window..]);
+/// Compares the medians of the first and the last sixth after the warm-up, for one sample per
+/// second.
+///
+/// The warm-up is a third of the samples, at most five minutes.
+pub(crate) fn growth(samples: &[Usage]) -> Vec<Growth> {
+    let warm_up = (samples.len() / 3).min(300);
+    let samples = &samples[warm_up..];
+    let window = (samples.len() / 6).max(1).min(samples.len());
+    let (first, last) = (&samples[..window], &samples[samples.len() - window..]);
     let growth = |bound: &Bound| Growth {
-        what: bound.what,
+        resource: bound.resource,
         bytes: bound.bytes,
         from: median(first.iter().map(bound.of)),
         to: median(last.iter().map(bound.of)),
-        most: bound.most,
+        limit: bound.limit,
     };
     BOUNDS.iter().map(growth).collect()
 }
@@ -118,13 +120,13 @@ mod tests {
 
     const MIB: u64 = 1 << 20;
 
-    fn too_much(uses: &[Use]) -> Vec<&'static str> {
-        growth(uses).iter().filter(|growth| growth.is_too_much()).map(|growth| growth.what).collect()
+    fn too_much(samples: &[Usage]) -> Vec<&'static str> {
+        growth(samples).iter().filter(|growth| growth.is_too_much()).map(|growth| growth.resource).collect()
     }
 
     #[test]
-    fn noise_and_a_warm_up_are_no_growth() {
-        let noisy = |second: u64| Use {
+    fn noise_and_a_warm_up_are_not_growth() {
+        let noisy = |second: u64| Usage {
             memory: 10 * MIB.min(second * MIB / 10) + second * 7919 % MIB,
             heap: 5 * MIB,
             files: 40 + second % 10,
@@ -136,21 +138,21 @@ mod tests {
     }
 
     #[test]
-    fn a_leak_is_growth() {
-        let leaking = |second: u64| Use {
+    fn leak_is_growth() {
+        let leaking = |second: u64| Usage {
             memory: 10 * MIB + second * 100_000,
             heap: 5 * MIB + second * 100_000,
             files: 40 + second,
             tasks: 100 + second,
         };
-        let uses: Vec<_> = (0..60).map(leaking).collect();
-        assert_eq!(too_much(&uses), ["resident memory", "heap", "open files", "tasks"]);
+        let samples: Vec<_> = (0..60).map(leaking).collect();
+        assert_eq!(too_much(&samples), ["resident memory", "heap", "open files", "tasks"]);
     }
 
     #[test]
-    fn a_peak_is_no_growth() {
-        let mut uses = vec![Use { memory: 10 * MIB, heap: MIB, files: 10, tasks: 10 }; 600];
-        uses[590] = Use { memory: 100 * MIB, heap: 100 * MIB, files: 100, tasks: 100 };
-        assert_eq!(too_much(&uses), [""; 0]);
+    fn peak_is_not_growth() {
+        let mut samples = vec![Usage { memory: 10 * MIB, heap: MIB, files: 10, tasks: 10 }; 600];
+        samples[590] = Usage { memory: 100 * MIB, heap: 100 * MIB, files: 100, tasks: 100 };
+        assert_eq!(too_much(&samples), [""; 0]);
     }
 }

@@ -1,10 +1,10 @@
-//! What the PLCs hold, and where.
+//! Memory layout of the PLCs.
 //!
-//! Every value names its place: line, station, owner, cell and version. So a value that comes from another PLC, from another
-//! register or from another time is not the one that is expected.
+//! Every value contains its place: line, station, owner, cell and version. So a value of another
+//! PLC, another register or another time differs from the expected one.
 //!
 //! - The *constants*, `R0` to `R127` and `M0` to `M127`, are never written.
-//! - The *cells* are written, each by one caller only, its owner; anybody may read them.
+//! - The *cells* are each written by one caller only, the owner, and read by all.
 
 use fatek::command::{PAGE_WORDS, ProgramPage};
 use fatek::sim::Plc;
@@ -12,29 +12,29 @@ use fatek::{Discrete, Register, Register32, Symbol, Value};
 
 use crate::Result;
 
-/// How many lines there can be, how many stations on each, and how many callers: what the values have room for.
+/// Limits of lines, stations per line and callers per line, by the bits of the values.
 pub(crate) const MAX_LINES: usize = 16;
 pub(crate) const MAX_STATIONS: usize = 31;
 pub(crate) const MAX_CALLERS: usize = 16;
 
-/// How many registers, and as many discretes, are constants.
+/// Number of constant registers, and of constant discretes.
 pub(crate) const CONSTANTS: u16 = 128;
 
-/// How many cells of two registers each owner has.
-pub(crate) const DOUBLES: u16 = 4;
+/// Number of 32-bit cells per owner.
+pub(crate) const DWORDS: u16 = 4;
 
-/// What a cell is.
+/// Kind of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Kind {
-    /// Two registers `D`; this one of [`DOUBLES`].
-    Double(u16),
+    /// Two registers `D`, with an index below [`DWORDS`].
+    DWord(u16),
     /// 32 relays `M`.
     Bits,
-    /// A page of the program.
+    /// Program page.
     Page,
     /// Two registers `F`, written by broadcasts.
-    Cast,
-    /// An output `Y`, set and reset.
+    Broadcast,
+    /// Output `Y`, set and reset.
     Switch,
     /// Whether an input `X` is disabled.
     Force,
@@ -42,27 +42,27 @@ pub(crate) enum Kind {
     Running,
 }
 
-/// Where a cell is on its line.
+/// Place of a cell on its line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Place {
-    /// Which of the stations, counted from 0: not its number.
+    /// Index of the station, from 0; not the station number.
     pub(crate) station: usize,
     pub(crate) owner: usize,
     pub(crate) kind: Kind,
 }
 
 impl Kind {
-    /// Those that hold 32 bits, and so a version.
+    /// Kinds of 32 bits, which contain a version.
     pub(crate) const VERSIONED: [Self; 7] =
-        [Self::Double(0), Self::Double(1), Self::Double(2), Self::Double(3), Self::Bits, Self::Page, Self::Cast];
+        [Self::DWord(0), Self::DWord(1), Self::DWord(2), Self::DWord(3), Self::Bits, Self::Page, Self::Broadcast];
     pub(crate) const ALL: [Self; 10] = [
-        Self::Double(0),
-        Self::Double(1),
-        Self::Double(2),
-        Self::Double(3),
+        Self::DWord(0),
+        Self::DWord(1),
+        Self::DWord(2),
+        Self::DWord(3),
         Self::Bits,
         Self::Page,
-        Self::Cast,
+        Self::Broadcast,
         Self::Switch,
         Self::Force,
         Self::Running,
@@ -70,10 +70,10 @@ impl Kind {
 
     pub(crate) fn index(self) -> usize {
         match self {
-            Self::Double(n) => usize::from(n),
+            Self::DWord(n) => usize::from(n),
             Self::Bits => 4,
             Self::Page => 5,
-            Self::Cast => 6,
+            Self::Broadcast => 6,
             Self::Switch => 7,
             Self::Force => 8,
             Self::Running => 9,
@@ -82,19 +82,19 @@ impl Kind {
 }
 
 impl Place {
-    /// What the cell holds when this version has been written; before anything was, that of 0.
+    /// Value of the cell with this version. The initial version is 0.
     ///
-    /// A broadcast is the same for all stations.
+    /// A broadcast value is the same for all stations.
     pub(crate) fn value(self, line: usize, version: u16) -> u32 {
         if !Kind::VERSIONED.contains(&self.kind) {
             return 0;
         }
-        let station = if self.kind == Kind::Cast { MAX_STATIONS } else { self.station };
+        let station = if self.kind == Kind::Broadcast { MAX_STATIONS } else { self.station };
         let place = line << 28 | station << 23 | self.owner << 19 | self.kind.index() << 16;
         place as u32 | u32::from(version)
     }
 
-    /// What a PLC holds here.
+    /// Reads the cell from the memory of a PLC.
     pub(crate) fn read(self, plc: &Plc) -> Result<u32> {
         let word = |value: Value| match value {
             Value::Bit(on) => u32::from(on),
@@ -102,36 +102,36 @@ impl Place {
             Value::DWord(double) => double,
         };
         Ok(match self.kind {
-            Kind::Double(n) => word(plc.read(double(self.owner, n)?)),
+            Kind::DWord(n) => word(plc.read(dword(self.owner, n)?)),
             Kind::Bits => word(plc.read(Register32::new(Symbol::DWM, bits(self.owner)?.address())?)),
-            Kind::Page => value_of_page(&plc.page(page(self.owner)).ok_or("there is no such page")?)?,
-            Kind::Cast => word(plc.read(cast(self.owner)?)),
+            Kind::Page => value_of_page(&plc.page(page(self.owner)).ok_or("the page does not exist")?)?,
+            Kind::Broadcast => word(plc.read(broadcast_register(self.owner)?)),
             Kind::Switch => word(plc.read(switch(self.owner)?)),
             Kind::Force => u32::from(plc.is_disabled(force(self.owner)?)),
             Kind::Running => u32::from(plc.is_running()),
         })
     }
 
-    /// Prepares a PLC that is new.
+    /// Writes the initial value to a PLC.
     pub(crate) fn prepare(self, plc: &Plc, line: usize) -> Result<()> {
         let value = self.value(line, 0);
         match self.kind {
-            Kind::Double(n) => plc.write(double(self.owner, n)?, value)?,
+            Kind::DWord(n) => plc.write(dword(self.owner, n)?, value)?,
             Kind::Bits => plc.write(Register32::new(Symbol::DWM, bits(self.owner)?.address())?, value)?,
             Kind::Page => plc.set_page(page(self.owner), page_of(value))?,
-            Kind::Cast => plc.write(cast(self.owner)?, value)?,
+            Kind::Broadcast => plc.write(broadcast_register(self.owner)?, value)?,
             Kind::Switch | Kind::Force | Kind::Running => {}
         }
         Ok(())
     }
 }
 
-/// What a constant register holds.
+/// Value of a constant register.
 pub(crate) fn constant(line: usize, station: usize, address: u16) -> u16 {
     (line << 12 | station << 7) as u16 | address
 }
 
-/// What a constant relay holds.
+/// State of a constant relay.
 pub(crate) fn constant_bit(line: usize, station: usize, address: u16) -> bool {
     u32::from(constant(line, station, address)).wrapping_mul(0x9E37_79B9) >> 24 & 1 == 1
 }
@@ -140,11 +140,11 @@ pub(crate) fn relay(address: u16) -> Result<Discrete> {
     Ok(Discrete::new(Symbol::M, address)?)
 }
 
-pub(crate) fn double(owner: usize, n: u16) -> Result<Register32> {
-    Ok(Register32::new(Symbol::DD, 2 * (owner as u16 * DOUBLES + n))?)
+pub(crate) fn dword(owner: usize, n: u16) -> Result<Register32> {
+    Ok(Register32::new(Symbol::DD, 2 * (owner as u16 * DWORDS + n))?)
 }
 
-/// The first of 32.
+/// First of the 32 relays of an owner.
 pub(crate) fn bits(owner: usize) -> Result<Discrete> {
     relay(1000 + 32 * owner as u16)
 }
@@ -157,16 +157,16 @@ pub(crate) fn force(owner: usize) -> Result<Discrete> {
     Ok(Discrete::new(Symbol::X, owner as u16)?)
 }
 
-pub(crate) fn cast(owner: usize) -> Result<Register32> {
+pub(crate) fn broadcast_register(owner: usize) -> Result<Register32> {
     Ok(Register32::new(Symbol::DF, 2 * owner as u16)?)
 }
 
-/// Page 0 is the header.
+/// Page of an owner. Page 0 is the header.
 pub(crate) fn page(owner: usize) -> u16 {
     1 + owner as u16
 }
 
-/// Prepares the constants of a PLC that is new.
+/// Writes the constants to a PLC.
 pub(crate) fn prepare_constants(plc: &Plc, line: usize, station: usize) -> Result<()> {
     for address in 0..CONSTANTS {
         plc.write(Register::r(address), constant(line, station, address))?;
@@ -175,7 +175,7 @@ pub(crate) fn prepare_constants(plc: &Plc, line: usize, station: usize) -> Resul
     Ok(())
 }
 
-/// Whether nobody has written to the constants.
+/// Whether all constants have their initial values.
 pub(crate) fn constants_are_whole(plc: &Plc, line: usize, station: usize) -> Result<bool> {
     for address in 0..CONSTANTS {
         let register = plc.read(Register::r(address)) == constant(line, station, address).into();
@@ -186,7 +186,7 @@ pub(crate) fn constants_are_whole(plc: &Plc, line: usize, station: usize) -> Res
     Ok(true)
 }
 
-/// The value in the first two words, and in the others what follows from it.
+/// Page with `value` in its first two words, and words derived from it.
 pub(crate) fn page_of(value: u32) -> ProgramPage {
     let word = |i: usize| match i {
         0 => (value >> 16) as u16,
@@ -196,14 +196,14 @@ pub(crate) fn page_of(value: u32) -> ProgramPage {
     ProgramPage::new(std::array::from_fn::<_, PAGE_WORDS, _>(word))
 }
 
-/// Fails when the page is not one that was written as a whole.
+/// Value of a page. Fails if the page mixes two writes.
 pub(crate) fn value_of_page(page: &ProgramPage) -> Result<u32> {
     let [high, low, ..] = *page.words();
     let value = u32::from(high) << 16 | u32::from(low);
-    if *page == page_of(value) { Ok(value) } else { Err(format!("the page of {value:08X} is not whole").into()) }
+    if *page == page_of(value) { Ok(value) } else { Err(format!("the page of {value:08X} is inconsistent").into()) }
 }
 
-/// One value of two registers, the low one first.
+/// Joins words to 32-bit values, low word first.
 pub(crate) fn join(words: &[u16]) -> Vec<u32> {
     words.chunks(2).map(|pair| pair.iter().rev().fold(0, |value, &word| value << 16 | u32::from(word))).collect()
 }
@@ -227,12 +227,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_two_places_hold_the_same() {
+    fn all_places_have_different_values() {
         let mut seen = HashSet::new();
         for line in 0..MAX_LINES {
             for station in 0..MAX_STATIONS {
                 for owner in 0..MAX_CALLERS {
-                    for kind in Kind::VERSIONED.into_iter().filter(|&kind| kind != Kind::Cast) {
+                    for kind in Kind::VERSIONED.into_iter().filter(|&kind| kind != Kind::Broadcast) {
                         assert!(
                             seen.insert(Place { station, owner, kind }.value(line, 0)),
                             "{line} {station} {kind:?}"
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_prepared_is_what_is_read() {
+    fn prepared_values_are_read_back() {
         let plc = Plc::new();
         prepare_constants(&plc, 3, 5).unwrap();
         for owner in 0..MAX_CALLERS {
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_split_is_joined_again() {
+    fn split_values_are_joined_again() {
         for value in [0, 1, 0x1234_5678, u32::MAX] {
             assert_eq!(join(&split(&[value, !value])), [value, !value]);
             assert_eq!(join_bits(&split_bits(value)), value);

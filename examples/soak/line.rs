@@ -1,4 +1,4 @@
-//! One line: its PLCs, what goes wrong with them, where they are, and the link to them.
+//! One line: its PLCs, their faults and their server, and the link to them.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -12,65 +12,65 @@ use fatek::{Endpoint, ErrorCode, Link, LinkBuilder};
 use tokio::sync::RwLock;
 
 use crate::Result;
-use crate::dice::Dice;
-use crate::ends::End;
+use crate::counters::Counters;
+use crate::expected::ExpectedMemory;
 use crate::layout::{self, Kind, Place};
 use crate::options::Options;
-use crate::shadow::Shadow;
-use crate::tally::Tally;
+use crate::rng::Rng;
+use crate::server::PlcServer;
 
-/// What a line goes over.
+/// Transport of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Over {
+pub(crate) enum Transport {
     Tcp,
     Serial,
     Udp,
 }
 
-/// What the lines are, as often as it takes.
-const KINDS: [(Over, Framing); 6] = [
-    (Over::Tcp, Framing::Ascii),
-    (Over::Tcp, Framing::Binary),
-    (Over::Serial, Framing::Ascii),
-    (Over::Serial, Framing::Binary),
-    (Over::Udp, Framing::Ascii),
-    (Over::Udp, Framing::Binary),
+/// Transport and framing of the lines, in turn.
+const KINDS: [(Transport, Framing); 6] = [
+    (Transport::Tcp, Framing::Ascii),
+    (Transport::Tcp, Framing::Binary),
+    (Transport::Serial, Framing::Ascii),
+    (Transport::Serial, Framing::Binary),
+    (Transport::Udp, Framing::Ascii),
+    (Transport::Udp, Framing::Binary),
 ];
 
-/// A serial port is a pseudo-terminal here. macOS refuses a baud rate for them.
+/// Whether there are serial ports, which are pseudo-terminals. macOS refuses their baud rate.
 const HAS_SERIAL: bool = cfg!(all(target_os = "linux", feature = "serial"));
 
 pub(crate) struct Line {
     pub(crate) number: usize,
-    pub(crate) over: Over,
+    pub(crate) transport: Transport,
     pub(crate) framing: Framing,
-    /// How many callers the line has, and how many with the guests: each owns its cells.
+    /// Number of callers, and of callers and guests; each owns its cells.
     pub(crate) callers: usize,
     pub(crate) owners: usize,
-    /// The stations' numbers.
+    /// Station numbers.
     pub(crate) stations: Vec<u8>,
     pub(crate) bus: Bus,
     pub(crate) faults: Faults,
     pub(crate) endpoint: Endpoint,
     pub(crate) link: Link,
-    pub(crate) tally: Tally,
+    pub(crate) counters: Counters,
     /// Held for reading by each call, for writing by an audit.
     pub(crate) calls: RwLock<()>,
-    shadow: Mutex<Shadow>,
+    expected: Mutex<ExpectedMemory>,
 }
 
 impl Line {
-    /// The line, and the end that its PLCs are to be served at.
-    pub(crate) async fn new(number: usize, options: &Options) -> Result<(Self, End)> {
-        let mut dice = Dice::new(options.seed ^ (number as u64) << 32);
+    /// Returns the line, and the server of its PLCs.
+    pub(crate) async fn new(number: usize, options: &Options) -> Result<(Self, PlcServer)> {
+        let mut rng = Rng::new(options.seed ^ (number as u64) << 32);
         let stations = options.stations;
-        let (over, framing) = match KINDS[number % KINDS.len()] {
-            (Over::Serial, framing) if !HAS_SERIAL => (Over::Tcp, framing),
+        let (transport, framing) = match KINDS[number % KINDS.len()] {
+            (Transport::Serial, framing) if !HAS_SERIAL => (Transport::Tcp, framing),
             kind => kind,
         };
         let numbers: Vec<u8> =
             (1..=stations as u8).map(|n| if n == stations as u8 { n + MISNUMBERED } else { n }).collect();
-        let faults = faults(&numbers, over, framing, dice.roll());
+        let faults = faults(&numbers, transport, framing, rng.next_u64());
         let mut bus = Bus::new();
         for (station, &station_number) in numbers.iter().enumerate() {
             let plc = Plc::with_model(Model::default().pages_while_running(true));
@@ -83,25 +83,25 @@ impl Line {
             bus = bus.with_station(station_number, plc)?;
         }
         let bus = bus.with_faults(faults.clone());
-        let end = match over {
-            Over::Tcp => End::tcp(bus.clone(), framing).await?,
-            Over::Udp => End::udp(bus.clone(), framing).await?,
-            Over::Serial => End::serial(bus.clone(), framing, path_of_port(number))?,
+        let server = match transport {
+            Transport::Tcp => PlcServer::tcp(bus.clone(), framing).await?,
+            Transport::Udp => PlcServer::udp(bus.clone(), framing).await?,
+            Transport::Serial => PlcServer::serial(bus.clone(), framing, path_of_port(number))?,
         };
-        let endpoint = match over {
-            Over::Tcp => Endpoint::from(end.address()?).with_framing(framing),
-            Over::Udp => Endpoint::udp("127.0.0.1", end.address()?.port()).with_framing(framing),
-            Over::Serial => {
+        let endpoint = match transport {
+            Transport::Tcp => Endpoint::from(server.address()?).with_framing(framing),
+            Transport::Udp => Endpoint::udp("127.0.0.1", server.address()?.port()).with_framing(framing),
+            Transport::Serial => {
                 let port = path_of_port(number);
                 let settings = SerialSettings::new(framing).with_baud(115_200)?;
-                let path = port.to_str().ok_or("the path of the port is no text")?;
+                let path = port.to_str().ok_or("the path of the port is not UTF-8")?;
                 Endpoint::serial(path).with_framing(framing).with_serial(settings)?
             }
         };
-        let link = configure(Link::builder(endpoint.clone())).seed(dice.roll()).build();
+        let link = configure(Link::builder(endpoint.clone())).seed(rng.next_u64()).build();
         let line = Self {
             number,
-            over,
+            transport,
             framing,
             callers: options.callers,
             owners: options.callers + options.guests,
@@ -110,29 +110,29 @@ impl Line {
             faults,
             endpoint,
             link,
-            tally: Tally::default(),
+            counters: Counters::default(),
             calls: RwLock::new(()),
-            shadow: Mutex::new(Shadow::new(number, options.stations, options.callers + options.guests)),
+            expected: Mutex::new(ExpectedMemory::new(number, options.stations, options.callers + options.guests)),
         };
-        Ok((line, end))
+        Ok((line, server))
     }
 
-    pub(crate) fn shadow(&self) -> MutexGuard<'_, Shadow> {
-        self.shadow.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn expected(&self) -> MutexGuard<'_, ExpectedMemory> {
+        self.expected.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(crate) fn plc(&self, station: usize) -> Result<&Plc> {
-        Ok(self.bus.plc(self.stations[station]).ok_or("every station has a PLC")?)
+        Ok(self.bus.plc(self.stations[station]).ok_or("the station has no PLC")?)
     }
 
     pub(crate) fn name(&self) -> String {
-        format!("line {} ({:?}, {})", self.number, self.over, self.framing)
+        format!("line {} ({:?}, {})", self.number, self.transport, self.framing)
     }
 
-    /// A value that cannot be, or a write that went wrong; and what the PLCs have last heard of that station.
-    pub(crate) fn wrong(&self, station: usize, what: &str) {
+    /// Reports a wrong value or a wrong write, with the last requests to that station.
+    pub(crate) fn wrong(&self, station: usize, error: &str) {
         let number = self.stations[station];
-        let mut text = format!("{}, station {number}: {what}", self.name());
+        let mut text = format!("{}, station {number}: {error}", self.name());
         let entries = self.faults.log().entries();
         let latest = entries.iter().rev().filter(|entry| entry.station() == Some(number)).take(6);
         for entry in latest.collect::<Vec<_>>().into_iter().rev() {
@@ -144,11 +144,11 @@ impl Line {
                 "\n    {ago:.1?} ago: {request:.300}; executed: {executed}, {faults:?}, answer: {answer:.200}"
             );
         }
-        self.tally.wrong(text);
+        self.counters.wrong(text);
     }
 }
 
-/// How all links to the lines are set. Impatient, so that there are many late replies.
+/// Settings of all links. The short timeouts cause many late replies.
 pub(crate) fn configure(link: LinkBuilder) -> LinkBuilder {
     link.response_timeout(RESPONSE_TIMEOUT)
         .connect_backoff(Duration::from_millis(20), Duration::from_millis(500))
@@ -157,13 +157,15 @@ pub(crate) fn configure(link: LinkBuilder) -> LinkBuilder {
 
 pub(crate) const RESPONSE_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// The last station of a line sometimes answers under the next number, which is nobody's: a reply that is late *and* under
-/// the number of another station is beyond what a client of this protocol can tell, and on a busy machine any reply is late
-/// now and then.
+/// Offset of the number of the last station, which sometimes replies with a wrong number.
+///
+/// The wrong number is that of no station: a reply that is late *and* has the number of another
+/// station cannot be detected in this protocol, and on a busy machine any reply may be late.
 const MISNUMBERED: u8 = 100;
 
-/// Faults of every kind, but for refused loop-backs: without them a client has to rely on time, and here time is no measure.
-fn faults(stations: &[u8], over: Over, framing: Framing, seed: u64) -> Faults {
+/// Rules for all faults except refused loop-backs, without which a client depends on time. Here
+/// time is not reliable.
+fn faults(stations: &[u8], transport: Transport, framing: Framing, seed: u64) -> Faults {
     let ms = Duration::from_millis;
     let some = |fault: Fault, per_mille: u16| Rule::new(fault).per_mille(per_mille);
     let mut faults = Faults::new(seed)
@@ -176,7 +178,8 @@ fn faults(stations: &[u8], over: Over, framing: Framing, seed: u64) -> Faults {
         .rule(some(Fault::GarbageBefore { max_len: 40 }, 8))
         .rule(some(Fault::GarbageInside { max_len: 10 }, 4))
         .rule(some(Fault::WrongCommand, 3))
-        // A page that lacks one character is one in the other of its two forms, with every digit in the wrong place.
+        // By 2: a page without one character would be valid in its other form, with all digits
+        // shifted.
         .rule(some(Fault::Truncated { by: 2 }, 3))
         .rule(some(Fault::Extended { by: 4 }, 3))
         .rule(some(Fault::BadChecksum, 4))
@@ -192,7 +195,8 @@ fn faults(stations: &[u8], over: Over, framing: Framing, seed: u64) -> Faults {
         faults = if n + 1 == stations.len() {
             faults.rule(some(Fault::WrongStation, 20).station(station))
         } else {
-            // Later than anybody waits; most of all the first few, which are asked most.
+            // Longer than the response timeout, most often for the first stations, which are called
+            // most.
             let late = Fault::Delay { min: ms(210), max: ms(600) };
             let often = if n < OFTEN_LATE { 25 } else { 5 };
             faults
@@ -200,13 +204,13 @@ fn faults(stations: &[u8], over: Over, framing: Framing, seed: u64) -> Faults {
                 .rule(some(Fault::Delay { min: ms(1), max: ms(30) }, 50).station(station))
         };
     }
-    if over == Over::Serial && framing == Framing::Ascii {
+    if transport == Transport::Serial && framing == Framing::Ascii {
         faults = faults.rule(Rule::new(Fault::Echo));
     }
     faults
 }
 
-/// How many stations are often late.
+/// Number of stations with many late replies.
 pub(crate) const OFTEN_LATE: usize = 3;
 
 fn path_of_port(number: usize) -> PathBuf {

@@ -1,30 +1,31 @@
-//! A soak: links to simulated PLCs over real sockets and pseudo-terminals, for half an hour and with faults of every kind.
+//! Soak test: links to simulated PLCs over real sockets and pseudo-terminals, with all faults, for
+//! half an hour.
 //!
 //! ```text
 //! cargo run --release --example soak --features sim
 //! cargo run --release --example soak --features sim -- --for 10m --seed 7 --links 12
 //! ```
 //!
-//! It ends with status 1 after
-//! - a value that this PLC could not hold at that time: every value names its place and its version ([`layout`]), and
-//!   [`shadow`] knows which version may be where;
-//! - a write that was confirmed and is not there, or one that was executed more often than called for: from time to time the
-//!   memory and the journal of the PLCs are looked at themselves ([`audit`]);
-//! - a call past its deadline, or a line without a reply, by more than a minute or so. There are no other limits on time, so that
-//!   it can run beside other work;
-//! - memory, open files or tasks that grow ([`health`]), or are left when all is closed.
+//! The exit status is 1 after
+//! - a value that the PLC cannot have had at that time: every value contains its place and its
+//!   version ([`layout`]), and [`expected`] has the possible versions of each place;
+//! - a confirmed write that is missing, or a write executed more often than called: the memory and
+//!   the journal of the PLCs are audited periodically ([`audit`]);
+//! - a call more than about a minute past its deadline, or a line without a reply for so long.
+//!   There are no other limits of time, so the test can run beside other work;
+//! - growth of memory, open files or tasks ([`health`]), or a leak after the close.
 //!
-//! The faults are those of the simulator ([`line`]); besides the ports go away and come back ([`ends`]). All of them depend on
-//! the seed, but what happens meanwhile does not: time is real, and so is the order in which things happen. For runs that
-//! can be repeated exactly there is `tests/simulation.rs`.
+//! The simulator injects the faults ([`line`]), and the ports are interrupted ([`server`]). Their
+//! choice depends on the seed alone. Time and order of events are real and differ between runs;
+//! `tests/simulation.rs` is exactly reproducible.
 //!
-//! The callers are in [`caller`], what they ask in [`calls`], the poller beside them in [`polling`].
+//! The load is made by callers ([`caller`], [`calls`]) and a poller ([`polling`]).
 
 mod audit;
 mod caller;
 mod calls;
-mod dice;
-mod ends;
+mod counters;
+mod expected;
 mod health;
 mod layout;
 mod line;
@@ -34,8 +35,8 @@ mod polling;
 #[allow(dead_code, reason = "this example needs few open files")]
 mod process;
 mod report;
-mod shadow;
-mod tally;
+mod rng;
+mod server;
 
 use std::error::Error;
 use std::process::ExitCode;
@@ -48,13 +49,13 @@ use tokio::time::{Instant, interval, sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
 use self::audit::HANG;
-use self::caller::{Caller, Way};
-use self::dice::Dice;
-use self::health::Use;
-use self::line::{Line, Over};
+use self::caller::{Access, Caller};
+use self::counters::{MAX_FINDINGS, load};
+use self::health::Usage;
+use self::line::{Line, Transport};
 use self::options::Options;
 use self::report::Report;
-use self::tally::{MAX_FINDINGS, load};
+use self::rng::Rng;
 
 type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
@@ -66,8 +67,8 @@ async fn main() -> ExitCode {
             print!("{}", options::HELP);
             return ExitCode::SUCCESS;
         }
-        Err(wrong) => {
-            eprintln!("{wrong}\n\n{}", options::HELP);
+        Err(error) => {
+            eprintln!("{error}\n\n{}", options::HELP);
             return ExitCode::from(2);
         }
     };
@@ -79,72 +80,73 @@ async fn main() -> ExitCode {
     ExitCode::FAILURE
 }
 
-/// Says whether all is well.
+/// Runs the test. Returns whether it has passed.
 async fn run(options: &Options) -> Result<bool> {
-    let before = Use::now();
+    let before = Usage::now();
     println!("{options}");
-    let mut soak = Soak::begin(options).await?;
-    let uses = soak.watch(options).await;
-    let well = soak.end(options, &uses).await?;
+    let mut soak = Soak::start(options).await?;
+    let samples = soak.watch(options).await;
+    let passed = soak.finish(options, &samples).await?;
     drop(soak);
-    if !well {
+    if !passed {
         return Ok(false);
     }
-    let left = left(before).await;
-    println!("left when all is closed: {} tasks, {} open files", left.tasks, left.files);
-    Ok((left.tasks, left.files) == (0, 0))
+    let leaked = leaked(before).await;
+    println!("leaked: {} tasks, {} open files", leaked.tasks, leaked.files);
+    Ok((leaked.tasks, leaked.files) == (0, 0))
 }
 
-/// All that is under way.
+/// Running test.
 struct Soak {
     lines: Vec<Arc<Line>>,
     report: Report,
     /// Callers, audits and the poller.
     work: JoinSet<Result<()>>,
-    ends: Vec<JoinHandle<Result<u64>>>,
+    servers: Vec<JoinHandle<Result<u64>>>,
     stop_work: CancellationToken,
-    stop_ends: CancellationToken,
+    stop_servers: CancellationToken,
 }
 
-/// How long it is from one audit of a line to the next.
-const BETWEEN_AUDITS: Duration = Duration::from_secs(15);
+/// Interval of the audits of a line.
+const AUDIT_INTERVAL: Duration = Duration::from_secs(15);
 
 impl Soak {
-    async fn begin(options: &Options) -> Result<Self> {
-        let mut dice = Dice::new(options.seed);
-        let (stop_work, stop_ends) = (CancellationToken::new(), CancellationToken::new());
-        let (mut lines, mut ends) = (Vec::new(), Vec::new());
+    async fn start(options: &Options) -> Result<Self> {
+        let mut rng = Rng::new(options.seed);
+        let (stop_work, stop_servers) = (CancellationToken::new(), CancellationToken::new());
+        let (mut lines, mut servers) = (Vec::new(), Vec::new());
         for number in 0..options.links {
-            let (line, end) = Line::new(number, options).await?;
+            let (line, server) = Line::new(number, options).await?;
             lines.push(Arc::new(line));
-            ends.push(tokio::spawn(end.serve(dice.fork(number as u64), stop_ends.clone())));
+            servers.push(tokio::spawn(server.serve(rng.fork(number as u64), stop_servers.clone())));
         }
         let mut work = JoinSet::new();
         for line in &lines {
             for number in 0..options.callers {
-                let (lines, dice) = (vec![line.clone()], dice.fork(number as u64));
-                let caller = Caller { lines, way: Way::Link, number, pause: options.pause, dice };
+                let (lines, rng) = (vec![line.clone()], rng.fork(number as u64));
+                let caller = Caller { lines, access: Access::Link, number, pause: options.pause, rng };
                 work.spawn(caller.run(stop_work.clone()));
             }
             let (line, stop) = (line.clone(), stop_work.clone());
-            // Not all at the same time, and in short runs, too.
-            let every = BETWEEN_AUDITS.min(options.run_for / 3) + dice.millis(0, 1_000);
-            work.spawn(async move { audit::run(&line, every, stop).await });
+            // Spread over the lines, and several in a short run.
+            let interval = AUDIT_INTERVAL.min(options.run_for / 3) + rng.millis(0, 1_000);
+            work.spawn(async move { audit::run(&line, interval, stop).await });
         }
-        let tcp: Vec<_> = lines.iter().filter(|line| line.over == Over::Tcp).cloned().collect();
+        let tcp: Vec<_> = lines.iter().filter(|line| line.transport == Transport::Tcp).cloned().collect();
         for guest in 0..options.guests {
-            let (number, mut dice) = (options.callers + guest, dice.fork(guest as u64));
-            let way = Way::pool(dice.roll());
-            let caller = Caller { lines: tcp.clone(), way, number, pause: options.pause, dice };
+            let (number, mut rng) = (options.callers + guest, rng.fork(guest as u64));
+            let access = Access::pool(rng.next_u64());
+            let caller = Caller { lines: tcp.clone(), access, number, pause: options.pause, rng };
             work.spawn(caller.run(stop_work.clone()));
         }
-        work.spawn(polling::run(lines.clone(), dice.fork(0), stop_work.clone()));
-        Ok(Self { report: Report::new(&lines), lines, work, ends, stop_work, stop_ends })
+        work.spawn(polling::run(lines.clone(), rng.fork(0), stop_work.clone()));
+        Ok(Self { report: Report::new(&lines), lines, work, servers, stop_work, stop_servers })
     }
 
-    /// Looks on until the time is over, or there is nothing more to be learned; gives what was used, second by second.
-    async fn watch(&mut self, options: &Options) -> Vec<Use> {
-        let mut uses = Vec::new();
+    /// Watches the test until its end, or until there are enough findings. Returns the resource
+    /// usage per second.
+    async fn watch(&mut self, options: &Options) -> Vec<Usage> {
+        let mut samples = Vec::new();
         let mut seconds = interval(Duration::from_secs(1));
         seconds.tick().await;
         let began = Instant::now();
@@ -153,14 +155,14 @@ impl Soak {
         while began.elapsed() < options.run_for {
             tokio::select! {
                 _ = seconds.tick() => {}
-                // Before the end it is a failure of some kind, which `end` meets again.
+                // A task that ends early has failed; `finish` returns its error.
                 Some(ended) = self.work.join_next() => {
                     self.work.spawn(async move { ended? });
                     break;
                 }
             }
-            let used = Use::now();
-            uses.push(used);
+            let used = Usage::now();
+            samples.push(used);
             for (line, (replies, since)) in self.lines.iter().zip(&mut progress) {
                 let now = line.link.stats().stations.replies;
                 if now != *replies {
@@ -178,14 +180,14 @@ impl Soak {
                 reported = Instant::now();
             }
         }
-        uses
+        samples
     }
 
-    /// Ends it all and says whether all was well.
-    async fn end(&mut self, options: &Options, uses: &[Use]) -> Result<bool> {
-        self.report.show(Use::now());
+    /// Ends the test. Returns whether it has passed.
+    async fn finish(&mut self, options: &Options, samples: &[Usage]) -> Result<bool> {
+        self.report.show(Usage::now());
         if self.report.findings() >= MAX_FINDINGS {
-            // Whatever it is, it need not end by itself.
+            // After these errors the tasks may hang.
             self.work.shutdown().await;
             self.report.summary(0, &[]);
             return Ok(false);
@@ -199,45 +201,46 @@ impl Soak {
         }
         for line in &self.lines {
             if timeout(HANG, line.link.close()).await.is_err() {
-                line.wrong(0, "its link cannot be closed");
+                line.wrong(0, "the link cannot be closed");
             }
         }
-        self.stop_ends.cancel();
+        self.stop_servers.cancel();
         let mut interruptions = 0;
-        for end in self.ends.drain(..) {
-            interruptions += end.await??;
+        for server in self.servers.drain(..) {
+            interruptions += server.await??;
         }
-        let mut growth = health::growth(uses);
-        if options.run_for < health::SHORTEST {
-            println!("too short to say whether anything grows");
+        let mut growth = health::growth(samples);
+        if options.run_for < health::MIN_RUN {
+            println!("run too short for a check of growth");
             growth.clear();
         }
         let findings = self.report.findings();
         self.report.summary(interruptions, &growth);
-        // All callers are answered now and then, and no call breaks a rule.
-        let idle = self.lines.iter().any(|line| load(&line.tally.confirmed) == 0 || load(&line.tally.samples) == 0);
+        // Every line must have had at least one good call and one good sample.
+        let idle =
+            self.lines.iter().any(|line| load(&line.counters.confirmed) == 0 || load(&line.counters.samples) == 0);
         if idle {
-            println!("some line has had no good call or no good sample at all");
+            println!("a line had no good call or no good sample");
         }
         Ok(findings == 0 && !idle && !growth.iter().any(|growth| growth.is_too_much()))
     }
 }
 
-/// How many tasks and open files there are that were not there before.
-async fn left(before: Use) -> Use {
-    let mut left = Use::default();
-    // Connections that were closed take a moment to end.
+/// Number of tasks and of open files that were not there at the start.
+async fn leaked(before: Usage) -> Usage {
+    let mut leaked = Usage::default();
+    // Closed connections need a moment to end.
     for _ in 0..500 {
-        let now = Use::now();
-        left = Use {
+        let now = Usage::now();
+        leaked = Usage {
             files: now.files.saturating_sub(before.files),
             tasks: now.tasks.saturating_sub(before.tasks),
-            ..Use::default()
+            ..Usage::default()
         };
-        if (left.tasks, left.files) == (0, 0) {
+        if (leaked.tasks, leaked.files) == (0, 0) {
             break;
         }
         sleep(Duration::from_millis(20)).await;
     }
-    left
+    leaked
 }

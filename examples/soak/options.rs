@@ -1,4 +1,4 @@
-//! The command line.
+//! Command line options.
 
 use std::fmt;
 use std::hash::{BuildHasher, RandomState};
@@ -7,20 +7,20 @@ use std::time::Duration;
 use crate::layout::{MAX_CALLERS, MAX_LINES, MAX_STATIONS};
 
 pub(crate) const HELP: &str = "\
-Puts load on links to simulated PLCs, over real sockets and pseudo-terminals and with faults of every kind, and compares
-every value with what that PLC may hold.
+Soak test: puts load on links to simulated PLCs over real sockets and pseudo-terminals, with all faults, and checks
+every value.
 
-  --for TIME       for how long [default: 30m]
-  --seed N         what everything depends on that is left to chance [default: another one each time]
-  --links N        how many lines there are, each with a link: TCP, serial and UDP in both framings [default: 8]
-  --stations N     how many PLCs each has [default: 16]
-  --callers N      how many callers each has [default: 4]
-  --guests N       how many callers come by pools of their own to all TCP lines in turn [default: 4]
-  --pause TIME     how long a caller pauses between two calls, on average [default: 20ms]
-  --report TIME    how often a line of figures is printed [default: 1m]
+  --for TIME       duration [default: 30m]
+  --seed N         seed of all random choices [default: random]
+  --links N        number of lines, 1 to 16, each with a link: TCP, serial and UDP in both framings [default: 8]
+  --stations N     PLCs per line, 2 to 31 [default: 16]
+  --callers N      callers per line, 1 to 8 [default: 4]
+  --guests N       callers with pools of their own, which call all TCP lines, 0 to 8 [default: 4]
+  --pause TIME     mean pause between two calls of a caller [default: 20ms]
+  --report TIME    interval of the printed figures [default: 1m]
 
-Times are such as 500ms, 10s or 30m. The exit status is 1 after a wrong value, a lost or repeated write, a hang, growth or
-a leak.
+TIME: number and unit, such as 500ms, 10s, 30m or 2h; 1ms to 7d. The exit status is 1 after a wrong value, a lost or
+repeated write, a hang, growth or a leak.
 ";
 
 #[derive(Clone, Debug)]
@@ -36,7 +36,7 @@ pub(crate) struct Options {
 }
 
 impl Options {
-    /// `None`: help is wanted.
+    /// Returns `None` for `--help`.
     pub(crate) fn parse(mut args: impl Iterator<Item = String>) -> Result<Option<Self>, String> {
         let mut options = Self {
             run_for: Duration::from_secs(30 * 60),
@@ -60,7 +60,7 @@ impl Options {
                 "--pause" => options.pause = time(&name, &value()?)?,
                 "--report" => options.report = time(&name, &value()?)?,
                 "--help" | "-h" => return Ok(None),
-                _ => return Err(format!("`{name}` is not known")),
+                _ => return Err(format!("unknown option `{name}`")),
             }
         }
         Ok(Some(options))
@@ -73,34 +73,26 @@ impl fmt::Display for Options {
         write!(
             f,
             "{links} lines of {stations} stations, {callers} callers each and {guests} guests, for {run_for:?}; \
-             --seed {seed} has the same faults planned, but not the same moments: time is real"
+             --seed {seed}: same faults, other times of events"
         )
     }
 }
 
-fn number(name: &str, text: &str, most: u64) -> Result<u64, String> {
-    let number = text.parse().ok().filter(|&number| number <= most);
-    number.ok_or_else(|| format!("{name} must be a number up to {most}, not `{text}`"))
+fn number(name: &str, text: &str, max: u64) -> Result<u64, String> {
+    let number = text.parse().ok().filter(|&number| number <= max);
+    number.ok_or_else(|| format!("{name} must be a number up to {max}, not `{text}`"))
 }
 
-fn count(name: &str, text: &str, least: usize, most: usize) -> Result<usize, String> {
-    let number = text.parse().ok().filter(|number| (least..=most).contains(number));
-    number.ok_or_else(|| format!("{name} must be a number from {least} to {most}, not `{text}`"))
+fn count(name: &str, text: &str, min: usize, max: usize) -> Result<usize, String> {
+    let number = text.parse().ok().filter(|number| (min..=max).contains(number));
+    number.ok_or_else(|| format!("{name} must be a number from {min} to {max}, not `{text}`"))
 }
 
 fn time(name: &str, text: &str) -> Result<Duration, String> {
-    let unit_at = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(unit_at);
-    let millis_per_unit = match unit {
-        "ms" => 1,
-        "s" => 1_000,
-        "m" => 60_000,
-        "h" => 3_600_000,
-        _ => return Err(format!("{name} must be a time such as 500ms, 10s or 30m, not `{text}`")),
-    };
-    let millis = number.parse::<u64>().ok().and_then(|number| number.checked_mul(millis_per_unit));
-    match millis {
-        Some(millis @ 1..=604_800_000) => Ok(Duration::from_millis(millis)),
-        _ => Err(format!("{name} must be from 1ms to a week, not `{text}`")),
+    let limits = Duration::from_millis(1)..=Duration::from_secs(7 * 24 * 3600);
+    match humantime::parse_duration(text) {
+        Ok(time) if limits.contains(&time) => Ok(time),
+        Ok(_) => Err(format!("{name} must be from 1ms to 7d, not `{text}`")),
+        Err(error) => Err(format!("{name} must be a time such as 500ms, 10s or 2h, not `{text}`: {error}")),
     }
 }

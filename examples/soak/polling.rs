@@ -1,4 +1,4 @@
-//! The poller that runs beside the callers: it reads what they write, and its samples are compared, too.
+//! Poller that runs beside the callers. It reads the cells they write, and its samples are checked.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,98 +12,97 @@ use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 
 use crate::Result;
-use crate::dice::Dice;
-use crate::layout::{self, DOUBLES, Kind, Place};
+use crate::counters::count;
+use crate::layout::{self, DWORDS, Kind, Place};
 use crate::line::{self, Line};
-use crate::tally::count;
+use crate::rng::Rng;
 
-/// Polls all lines until it is stopped.
-pub(crate) async fn run(lines: Vec<Arc<Line>>, mut dice: Dice, stop: CancellationToken) -> Result<()> {
-    let poller = Poller::builder().seed(dice.roll()).build();
+/// Polls all lines until `stop`.
+pub(crate) async fn run(lines: Vec<Arc<Line>>, mut rng: Rng, stop: CancellationToken) -> Result<()> {
+    let poller = Poller::builder().seed(rng.next_u64()).build();
     let handle = poller.handle();
     let consumer: JoinHandle<Result<()>> = tokio::spawn(consume(poller, lines.clone()));
     let mut polled = Vec::new();
     for line in &lines {
         for n in 0..line.stations.len() {
-            polled.push((line.clone(), n, begin(&handle, line, n)?));
+            polled.push((line.clone(), n, start(&handle, line, n)?));
         }
     }
-    // Stations come and go.
+    // Stations are removed and added again at random.
     loop {
         tokio::select! {
             () = stop.cancelled() => break,
-            () = sleep(dice.millis(500, 3_000)) => {}
+            () = sleep(rng.millis(500, 3_000)) => {}
         }
-        let which = dice.below(polled.len());
+        let which = rng.below(polled.len());
         let (line, n, old) = &mut polled[which];
         old.stop();
-        *old = begin(&handle, line, *n)?;
+        *old = start(&handle, line, *n)?;
     }
     handle.close().await;
     consumer.await?
 }
 
-const PERIOD: Duration = Duration::from_secs(2);
+const POLL_INTERVAL: Duration = Duration::from_secs(2);
 
-/// How many constants are polled.
+/// Number of polled constants.
 const CONSTANTS: u16 = 16;
 
-fn begin(poller: &PollerHandle, line: &Line, n: usize) -> Result<PolledStation> {
-    let options = CallOptions::new().response_timeout(line::RESPONSE_TIMEOUT).call_timeout(PERIOD);
+fn start(poller: &PollerHandle, line: &Line, n: usize) -> Result<PolledStation> {
+    let options = CallOptions::new().response_timeout(line::RESPONSE_TIMEOUT).call_timeout(POLL_INTERVAL);
     let station = line.link.station(line.stations[n])?.with_options(options);
     let polled = poller.station(&station)?;
-    let doubles = usize::from(DOUBLES) * line.callers;
+    let dwords = usize::from(DWORDS) * line.callers;
     let tags = [
         (CONSTANTS_NAME, Tag::new(Register::r(0), TagType::U16, CONSTANTS.into())?),
-        (DOUBLES_NAME, Tag::new(layout::double(0, 0)?, TagType::U32, doubles)?),
+        (DWORDS_NAME, Tag::new(layout::dword(0, 0)?, TagType::U32, dwords)?),
     ];
-    let name = |what| format!("{}/{n}/{what}", line.number);
-    polled.add(ScanClass::every(PERIOD), tags.map(|(what, tag)| PollTag::new(name(what), tag)))?;
+    let name = |part| format!("{}/{n}/{part}", line.number);
+    polled.add(ScanClass::every(POLL_INTERVAL), tags.map(|(part, tag)| PollTag::new(name(part), tag)))?;
     Ok(polled)
 }
 
 const CONSTANTS_NAME: &str = "constants";
-const DOUBLES_NAME: &str = "doubles";
+const DWORDS_NAME: &str = "dwords";
 
 async fn consume(mut poller: Poller, lines: Vec<Arc<Line>>) -> Result<()> {
     while let Some(sample) = poller.next().await {
         match sample {
-            Ok(sample) => look(&sample, &lines)?,
+            Ok(sample) => check_sample(&sample, &lines)?,
             Err(missed @ Missed { .. }) => return Err(missed.to_string().into()),
         }
     }
     Ok(())
 }
 
-/// How long before its reply came a request may have been sent. Its timeout is far shorter, but counts from when the
-/// machine found the time.
-const MOST: Duration = Duration::from_secs(10);
+/// Longest time from request to reply. Larger than the timeout, for a busy machine.
+const MAX_ROUND_TRIP: Duration = Duration::from_secs(10);
 
-fn look(sample: &Sample, lines: &[Arc<Line>]) -> Result<()> {
+fn check_sample(sample: &Sample, lines: &[Arc<Line>]) -> Result<()> {
     let mut name = sample.name.split('/');
-    let mut next = || name.next().ok_or("a name has three parts");
-    let (line, n, what) = (&lines[next()?.parse::<usize>()?], next()?.parse::<usize>()?, next()?);
+    let mut next = || name.next().ok_or("bad name of a tag");
+    let (line, n, part) = (&lines[next()?.parse::<usize>()?], next()?.parse::<usize>()?, next()?);
     if !matches!(sample.quality, Quality::Good) {
-        count(&line.tally.not_good, 1);
+        count(&line.counters.not_good, 1);
         return Ok(());
     }
-    count(&line.tally.samples, 1);
-    count(&line.tally.values, sample.values().len());
-    if what == CONSTANTS_NAME {
+    count(&line.counters.samples, 1);
+    count(&line.counters.values, sample.values().len());
+    if part == CONSTANTS_NAME {
         let right = (0..CONSTANTS).map(|address| TagValue::U16(layout::constant(line.number, n, address)));
         if !sample.values().iter().cloned().eq(right) {
-            line.wrong(n, &format!("a sample of constants cannot be {:?}", sample.values()));
+            line.wrong(n, &format!("sample with wrong constants {:?}", sample.values()));
         }
         return Ok(());
     }
-    let began = sample.at.instant.checked_sub(MOST).unwrap_or(sample.at.instant);
+    let began = sample.at.instant.checked_sub(MAX_ROUND_TRIP).unwrap_or(sample.at.instant);
     for (i, value) in sample.values().iter().enumerate() {
-        let TagValue::U32(value) = *value else { return Err("the tag is of another type".into()) };
-        let per_owner = usize::from(DOUBLES);
-        let place = Place { station: n, owner: i / per_owner, kind: Kind::Double((i % per_owner) as u16) };
-        let checked = line.shadow().check(place, value, began);
-        if let Err(wrong) = checked {
-            line.wrong(n, &format!("a sample: {wrong}"));
+        let TagValue::U32(value) = *value else { return Err("sample of another type".into()) };
+        let per_owner = usize::from(DWORDS);
+        let place = Place { station: n, owner: i / per_owner, kind: Kind::DWord((i % per_owner) as u16) };
+        let checked = line.expected().check(place, value, began);
+        if let Err(error) = checked {
+            line.wrong(n, &format!("sample: {error}"));
         }
     }
     Ok(())

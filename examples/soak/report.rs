@@ -1,4 +1,4 @@
-//! What is printed: a line of figures now and then, each finding at once, and a summary.
+//! Output: figures at intervals, each finding at once, and a summary.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,10 +7,10 @@ use std::time::Duration;
 use fatek::{LinkStats, StationStats};
 use tokio::time::Instant;
 
-use crate::health::{Growth, Use, mebibytes};
+use crate::counters::load;
+use crate::health::{Growth, Usage, mebibytes};
 use crate::line::Line;
 use crate::process;
-use crate::tally::load;
 
 pub(crate) struct Report {
     lines: Vec<Arc<Line>>,
@@ -18,7 +18,7 @@ pub(crate) struct Report {
     last: Figures,
 }
 
-/// All lines together.
+/// Sums of all lines.
 #[derive(Clone, Copy, Debug)]
 struct Figures {
     at: Instant,
@@ -32,16 +32,16 @@ impl Report {
         Self { lines: lines.to_vec(), began: Instant::now(), last: Figures::take(lines) }
     }
 
-    /// Prints what has been found since the last time; says how much there was in all.
+    /// Prints new findings. Returns the number of all findings.
     pub(crate) fn findings(&self) -> u64 {
-        for finding in self.lines.iter().flat_map(|line| line.tally.take_findings()) {
+        for finding in self.lines.iter().flat_map(|line| line.counters.take_findings()) {
             println!("WRONG after {:.1?}: {finding}", self.began.elapsed());
         }
-        self.sum(|line| load(&line.tally.wrong))
+        self.sum(|line| load(&line.counters.wrong))
     }
 
-    /// Prints a line of figures, all of them since the beginning but for those a second.
-    pub(crate) fn show(&mut self, used: Use) {
+    /// Prints a line of figures: totals since the start, and rates since the last line.
+    pub(crate) fn show(&mut self, used: Usage) {
         let now = Figures::take(&self.lines);
         let seconds = (now.at - self.last.at).as_secs_f64();
         let per_second = |now: u64, before: u64| (now - before) as f64 / seconds;
@@ -56,7 +56,7 @@ impl Report {
             per_second(now.requests, self.last.requests),
             per_second(now.calls, self.last.calls),
             garbage_bytes + stale_bytes,
-            self.sum(|line| load(&line.tally.wrong)),
+            self.sum(|line| load(&line.counters.wrong)),
             mebibytes(used.memory),
             mebibytes(used.heap),
             used.files,
@@ -69,42 +69,42 @@ impl Report {
     pub(crate) fn summary(&self, interruptions: u64, growth: &[Growth]) {
         let seconds = self.began.elapsed().as_secs_f64();
         let stats = self.link_stats();
-        let calls = self.sum(|line| load(&line.tally.calls));
+        let calls = self.sum(|line| load(&line.counters.calls));
         println!();
         for line in &self.lines {
-            let tally = &line.tally;
-            let failed: Vec<_> = tally.failures().iter().map(|(kind, times)| format!("{times} {kind}")).collect();
+            let counters = &line.counters;
+            let failed: Vec<_> = counters.failures().iter().map(|(kind, times)| format!("{times} {kind}")).collect();
             println!(
-                "{}: {} calls, {} well, {} cancelled, failed: {}; {} good samples, {} others; {} writes in {} audits",
+                "{}: {} calls, {} good, {} cancelled, failed: {}; {} good samples, {} others; {} writes in {} audits",
                 line.name(),
-                load(&tally.calls),
-                load(&tally.confirmed),
-                load(&tally.cancelled),
+                load(&counters.calls),
+                load(&counters.confirmed),
+                load(&counters.cancelled),
                 failed.join(", "),
-                load(&tally.samples),
-                load(&tally.not_good),
-                load(&tally.writes),
-                load(&tally.audits),
+                load(&counters.samples),
+                load(&counters.not_good),
+                load(&counters.writes),
+                load(&counters.audits),
             );
         }
-        let mut struck: BTreeMap<String, u64> = BTreeMap::new();
+        let mut applied: BTreeMap<String, u64> = BTreeMap::new();
         for rule in self.lines.iter().flat_map(|line| line.faults.rules()) {
             let fault = format!("{:?}", rule.fault());
             let kind = fault.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();
-            *struck.entry(kind.to_owned()).or_default() += rule.times_applied();
+            *applied.entry(kind.to_owned()).or_default() += rule.times_applied();
         }
-        println!("faults: {} {struck:?}, and {interruptions} interruptions", struck.values().sum::<u64>());
+        println!("faults: {} {applied:?}, and {interruptions} interruptions", applied.values().sum::<u64>());
         println!("links: {stats:?}");
         for growth in growth {
             println!("{growth}{}", if growth.is_too_much() { ": TOO MUCH" } else { "" });
         }
         println!(
-            "{:.0} s, {calls} calls ({:.0}/s), {} requests by the links of the lines, {} values compared: {} wrong",
+            "{:.0} s, {calls} calls ({:.0}/s), {} requests by the links of the lines, {} values checked: {} wrong",
             seconds,
             calls as f64 / seconds,
             stats.stations.requests,
-            self.sum(|line| load(&line.tally.values)),
-            self.sum(|line| load(&line.tally.wrong)),
+            self.sum(|line| load(&line.counters.values)),
+            self.sum(|line| load(&line.counters.wrong)),
         );
     }
 
@@ -140,7 +140,7 @@ impl Figures {
     fn take(lines: &[Arc<Line>]) -> Self {
         Self {
             at: Instant::now(),
-            calls: lines.iter().map(|line| load(&line.tally.calls)).sum(),
+            calls: lines.iter().map(|line| load(&line.counters.calls)).sum(),
             requests: lines.iter().map(|line| line.link.stats().stations.requests).sum(),
             processor_time: process::processor_time(std::process::id()),
         }

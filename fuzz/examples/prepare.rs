@@ -1,5 +1,6 @@
-//! Writes what the fuzzer begins with: `cargo run --example prepare` the dictionaries, with `seeds DIR` behind it the seeds of
-//! all targets, each in a directory of its own.
+//! Writes the dictionaries: `cargo run --example prepare`.
+//!
+//! With `seeds DIR` it writes the seeds of all targets, each to a directory of its own.
 
 use std::error::Error;
 use std::fs;

@@ -1,4 +1,4 @@
-//! The ASCII decoder: [`codec`](crate::codec) says what must hold.
+//! ASCII decoder, with the invariants of [`codec`](crate::codec).
 
 use fatek::wire::Framing;
 

@@ -1,4 +1,4 @@
-//! Backups in files: one backup has one form, and anything else is refused.
+//! Backup files. Invariant: a backup has one form, all other input is refused.
 
 use fatek::Backup;
 

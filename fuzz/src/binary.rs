@@ -1,4 +1,4 @@
-//! The binary decoder, on both sides: [`codec`](crate::codec) says what must hold.
+//! Binary decoder of both sides, with the invariants of [`codec`](crate::codec).
 
 use fatek::wire::Framing;
 

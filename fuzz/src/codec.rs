@@ -1,5 +1,8 @@
-//! A decoder is total: every byte comes out once, in order, however the input is cut into pieces; the frames are those
-//! of the book, and what was decoded encodes to what stood there. It never keeps more than the longest frame.
+//! Decoders.
+//!
+//! Invariants: every byte is returned once and in order, for any split of the input; the frames are
+//! those of the reference decoder; a decoded frame encodes to the same bytes; at most one frame of
+//! the longest length is buffered.
 
 use bytes::BytesMut;
 use fatek::wire::{AsciiCodec, BinaryCodec, Codec, EncodeError, Framing, MAX_FRAME_LEN, Received, Side};
@@ -9,13 +12,13 @@ use crate::book::{carried, decode_within, drain, places, places_by_the_book};
 use crate::input::{Flags, Input};
 use crate::repair::repair;
 
-/// Which bit of the first byte chooses what.
+/// Bits of the first byte.
 const REPAIR: u8 = 0;
 const PLC: u8 = 1;
 const SHORT: u8 = 2;
-const ONE_BY_ONE: u8 = 3;
+const SINGLE_BYTES: u8 = 3;
 
-/// A limit that short inputs pass.
+/// Frame limit that short inputs exceed.
 const SHORT_LIMIT: usize = 24;
 
 pub(crate) fn run(framing: Framing, input: &[u8]) {
@@ -31,9 +34,9 @@ pub(crate) fn run(framing: Framing, input: &[u8]) {
 
     let whole = decode_within(limit, &mut codec(framing, receiver, limit), bytes.chunks(limit.max(1)));
     let found = places(framing, &bytes, &whole).unwrap();
-    assert_eq!(found, places_by_the_book(framing, receiver, &bytes, limit), "frames that the book has");
+    assert_eq!(found, places_by_the_book(framing, receiver, &bytes, limit), "frames of the reference decoder");
 
-    let pieces = if flags.has(ONE_BY_ONE) { 1 } else { usize::from(cuts % 61) + 2 };
+    let pieces = if flags.has(SINGLE_BYTES) { 1 } else { usize::from(cuts % 61) + 2 };
     let cut = decode_within(limit, &mut codec(framing, receiver, limit), bytes.chunks(pieces.min(limit)));
     assert_eq!(places(framing, &bytes, &cut).unwrap(), found, "pieces of {pieces} bytes");
     assert_eq!(frames(&cut), frames(&whole));
@@ -56,7 +59,8 @@ fn frames(items: &[Received]) -> Vec<&fatek::wire::Frame> {
     items.iter().filter_map(|item| if let Received::Frame(frame) = item { Some(frame) } else { None }).collect()
 }
 
-/// A line that falls silent now and then: other frames may be found, but no byte is lost or comes twice.
+/// Decodes with silences between the pieces: other frames may be found, but every byte is returned
+/// once.
 fn silences(framing: Framing, receiver: Side, limit: usize, bytes: &[u8], pieces: usize) {
     let mut codec = codec(framing, receiver, limit);
     let (mut buffer, mut items) = (BytesMut::new(), Vec::new());
@@ -78,7 +82,7 @@ fn encodes_to_itself(framing: Framing, receiver: Side, bytes: &[u8]) {
     let sender = if receiver == Side::Client { Side::Plc } else { Side::Client };
     let mut encoded = BytesMut::new();
     match Codec::new(framing, sender).encode(&frame, &mut encoded) {
-        // Digits of either case are understood, upper case is what is sent.
+        // Digits of either case are accepted, upper case is sent.
         Ok(()) if framing == Framing::Ascii => {
             assert!(encoded.eq_ignore_ascii_case(bytes) || lower_case_checksum(bytes), "{frame:?}");
         }
@@ -95,7 +99,8 @@ fn encodes_to_itself(framing: Framing, receiver: Side, bytes: &[u8]) {
     }
 }
 
-/// Whether station or command were sent in lower case: then the sum of what is sent differs, too.
+/// Whether station or command have lower case digits, so that the checksum of the encoded frame
+/// differs.
 fn lower_case_checksum(bytes: &[u8]) -> bool {
     bytes.iter().skip(1).take(4).any(u8::is_ascii_lowercase)
 }

@@ -1,11 +1,11 @@
-//! The words that the fuzzer puts into its inputs, made from the tables of commands and elements.
+//! Dictionaries of the fuzzer, generated from the tables of commands and elements.
 
 use fatek::command::{Class, Code};
 use fatek::tag::TagType;
 use fatek::wire::{ascii, binary};
 use fatek::{Element, Symbol};
 
-/// The dictionary of a target in libFuzzer's format; empty if it has none.
+/// Returns the dictionary of a target in the format of libFuzzer; empty if it has none.
 pub fn of(target: &str) -> String {
     let words = match target {
         "ascii" => ascii_words(),
@@ -61,13 +61,13 @@ fn texts(of: &[&str]) -> Vec<Vec<u8>> {
         .collect()
 }
 
-/// Each command, alone and behind the beginning of a frame; as a PLC accepts it, too.
+/// Each command alone, and after the start of a frame; also as a confirmation.
 fn ascii_words() -> Vec<Vec<u8>> {
     let commands = Code::ALL.iter().flat_map(|&code| {
         let digits = format!("{:02X}", u8::from(code));
         let end = char::from(ascii::ETX);
         let frame = format!("{}01{digits}", char::from(ascii::STX));
-        // What it answers when it has nothing to say.
+        // Confirmation without data.
         let done = (code.class() != Class::Read).then(|| format!("{frame}000{end}"));
         [Some(digits), Some(format!("{frame}00{end}")), Some(frame), done].into_iter().flatten()
     });
@@ -88,12 +88,12 @@ fn types() -> Vec<Vec<u8>> {
     TagType::ALL.iter().map(|tag_type| format!(":{tag_type}").into_bytes()).collect()
 }
 
-/// The first and the last element of each symbol, as the ASCII framing has it.
+/// First and last element of each symbol in the ASCII framing.
 fn addresses() -> Vec<Vec<u8>> {
     ends().map(|element| format!("{element:#}").into_bytes()).collect()
 }
 
-/// The same in the binary framing.
+/// First and last element of each symbol in the binary framing.
 fn binary_elements() -> Vec<Vec<u8>> {
     ends().map(|e| [e.symbol().as_str().as_bytes(), &e.address().to_be_bytes()].concat()).collect()
 }

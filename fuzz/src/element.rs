@@ -1,4 +1,4 @@
-//! Elements as people write them, and as they stand in a request.
+//! Elements as text, and as fields of a request.
 
 use bytes::BytesMut;
 use fatek::wire::{AsciiReader, AsciiWriter, BinaryReader, BinaryWriter, FieldReader, FieldWriter};
@@ -10,7 +10,7 @@ pub fn run(input: &[u8]) {
     from_the_wire(input);
     let text = String::from_utf8_lossy(input);
     let element = round_trip::<Element>(&text);
-    // As an element of one width it is the same, or none.
+    // Parsed as an element of one width, the result is the same element or an error.
     let narrow = [
         round_trip::<Discrete>(&text).map(Element::from),
         round_trip::<Register>(&text).map(Element::from),
@@ -21,7 +21,7 @@ pub fn run(input: &[u8]) {
         assert_eq!(narrow, element.filter(|_| width == Some(of)));
     }
     let Some(element) = element else { return };
-    assert_eq!(format!("{element:#}").parse(), Ok(element), "as the protocol writes it");
+    assert_eq!(format!("{element:#}").parse(), Ok(element), "form of the protocol");
     let symbol = element.symbol();
     assert!(element.address() <= symbol.last_address() && element.address().is_multiple_of(symbol.alignment()));
     let mut field = BytesMut::new();
@@ -35,21 +35,21 @@ pub fn run(input: &[u8]) {
     assert_eq!(fields.element(), Ok(element));
 }
 
-/// What is read as an element is written as the same bytes, but for the case of letters.
+/// Invariant: an element that is read is written as the same bytes, except for the case of letters.
 fn from_the_wire(bytes: &[u8]) {
     let mut fields = AsciiReader::new(bytes);
     if let Ok(element) = fields.element() {
         let mut field = BytesMut::new();
         AsciiWriter::new(&mut field).element(element);
-        let came = bytes.strip_suffix(fields.rest()).unwrap();
-        assert!(field.eq_ignore_ascii_case(came), "{came:?} is read as {element}");
+        let read = bytes.strip_suffix(fields.rest()).unwrap();
+        assert!(field.eq_ignore_ascii_case(read), "{read:?} is read as {element}");
     }
     let count = usize::from(bytes.len().is_multiple_of(2)) + 1;
     let mut fields = BinaryReader::new(bytes);
     if fields.layout(count, 0).is_ok() {
         let mut written = BytesMut::new();
         for _ in 0..count {
-            // The layout knows symbols; an address past the last one is found when it is read.
+            // The layout checks symbols, the read checks addresses.
             let Ok(element) = fields.element() else { return };
             BinaryWriter::new(&mut written).element(element);
         }

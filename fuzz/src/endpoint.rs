@@ -1,4 +1,4 @@
-//! Endpoints as URLs.
+//! Endpoint URLs.
 
 use fatek::Endpoint;
 use fatek::endpoint::{DataBits, Transport};
@@ -19,6 +19,6 @@ pub fn run(input: &[u8]) {
             assert!(!path.is_empty());
             assert!(settings.data_bits() == DataBits::Eight || endpoint.framing() == Framing::Ascii);
         }
-        other => panic!("a transport that no target knows: {other:?}"),
+        other => panic!("transport not covered by this target: {other:?}"),
     }
 }

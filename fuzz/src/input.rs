@@ -1,4 +1,4 @@
-/// Takes choices off the front of an input. At its end, every choice is 0.
+/// Reader of the choices at the front of an input. Missing choices are 0.
 pub(crate) struct Input<'a> {
     rest: &'a [u8],
 }
@@ -14,7 +14,7 @@ impl<'a> Input<'a> {
         first
     }
 
-    /// The next `len` bytes, or as many as there are.
+    /// Returns the next `len` bytes, or all that are left.
     pub(crate) fn take(&mut self, len: usize) -> &'a [u8] {
         let (taken, rest) = self.rest.split_at(len.min(self.rest.len()));
         self.rest = rest;
@@ -26,7 +26,7 @@ impl<'a> Input<'a> {
     }
 }
 
-/// The bits of a byte, each a choice.
+/// Bits of a byte, one choice each.
 #[derive(Clone, Copy)]
 pub(crate) struct Flags(pub(crate) u8);
 

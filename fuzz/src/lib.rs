@@ -1,10 +1,12 @@
-//! What the fuzz targets do with their input, and what must hold.
+//! Fuzz targets and their invariants.
 //!
-//! Each module is a target: its `run` takes any bytes and panics where a promise is broken. libFuzzer calls it from
-//! `targets/`, the tests replay the corpus through it. The first bytes of an input choose how the others are used, so that
-//! the fuzzer can turn a whole case over by one bit; `Input` takes them off.
+//! Each public module with a `run` is a target: `run` takes any bytes and panics if an invariant is
+//! broken. libFuzzer calls it from `targets/`, the tests replay the corpus through it. The first
+//! bytes of an input are flags, read by `Input`, so that the fuzzer can change the whole case by
+//! one bit.
 //!
-//! Checksums and lengths would keep nearly all random bytes out. Where a choice says so, [`repair`] sets them right first.
+//! Checksums and lengths reject nearly all random bytes. One of the flags corrects them first, by
+//! [`repair`].
 
 pub mod ascii;
 pub mod backup_file;
@@ -26,14 +28,14 @@ pub mod seeds;
 pub mod tag;
 mod text;
 
-/// A target: its name, what it does with an input, and the inputs it begins with.
+/// Target: its name, its function, and its first inputs.
 pub struct Target {
     pub name: &'static str,
     pub run: fn(&[u8]),
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
-/// All of them.
+/// All targets.
 pub const TARGETS: &[Target] = &[
     Target { name: "ascii", run: ascii::run, seeds: seeds::ascii },
     Target { name: "backup_file", run: backup_file::run, seeds: seeds::backup_file },

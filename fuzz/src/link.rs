@@ -1,5 +1,6 @@
-//! Drives a link, its callers and the other end of its line by the input, in paused time, and compares the link with the
-//! model of `tests/model`.
+//! Drives a link, its callers and the PLCs by the input, in paused time.
+//!
+//! The link is compared with the model of `tests/model`.
 
 use fatek::wire::Framing;
 
@@ -24,7 +25,7 @@ mod witness;
 #[path = "../../tests/model/world.rs"]
 mod world;
 
-/// As many as give the fuzzer room, and no more: each takes as long as a whole input of another target.
+/// Limit of steps: each takes as long as a whole input of another target.
 const MAX_STEPS: usize = 64;
 
 pub fn run(input: &[u8]) {

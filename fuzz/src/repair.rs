@@ -1,8 +1,8 @@
-//! Checksums and lengths that are set right, so that what stands around them is what is tried.
+//! Correction of checksums and lengths, so that the decoders accept the frames.
 
 use fatek::wire::{Framing, ascii, binary};
 
-/// Gives all that begins and ends like a frame a good checksum, and in the binary framing a length that fits.
+/// Corrects the checksums of all frames, and in the binary framing their lengths.
 pub fn repair(framing: Framing, bytes: &mut [u8]) {
     match framing {
         Framing::Binary => repair_binary(bytes),
@@ -10,7 +10,7 @@ pub fn repair(framing: Framing, bytes: &mut [u8]) {
     }
 }
 
-/// From each STX to the next ETX, if no other STX comes before it.
+/// Corrects from each STX to the next ETX without an STX between.
 fn repair_ascii(bytes: &mut [u8]) {
     let mut start = None;
     for at in 0..bytes.len() {
@@ -27,7 +27,7 @@ fn repair_ascii(bytes: &mut [u8]) {
     }
 }
 
-/// From each header as far as its length says; or, if there is not so much, to the end.
+/// Corrects from each header over its stated length, limited by the end of the bytes.
 fn repair_binary(bytes: &mut [u8]) {
     const HEAD: usize = 4;
     const TAIL: usize = 4;
@@ -38,8 +38,8 @@ fn repair_binary(bytes: &mut [u8]) {
             continue;
         }
         let stated = usize::from(u16::from_be_bytes([bytes[at + 2], bytes[at + 3]]));
-        let most = bytes.len() - at - HEAD - TAIL;
-        let payload = if stated < 2 { most } else { stated.min(most) };
+        let max = bytes.len() - at - HEAD - TAIL;
+        let payload = if stated < 2 { max } else { stated.min(max) };
         if let Ok(length) = u16::try_from(payload) {
             bytes[at + 2..at + HEAD].copy_from_slice(&length.to_be_bytes());
             let tail = at + HEAD + payload;

@@ -1,5 +1,7 @@
-//! Requests and replies as data: a request that is read is sent as it came, in either framing; a reply that is taken for
-//! one to a request is, encoded again, the very data that came.
+//! Data of requests and replies.
+//!
+//! Invariants: a decoded request encodes to the same data, and to the same request in the other
+//! framing; an accepted reply encodes to the same data.
 
 use bytes::{Bytes, BytesMut};
 use fatek::command::{Code, Command, ErrorField, InvalidRequest, ReplyError, Request, decode_reply, encode_reply};
@@ -10,11 +12,11 @@ use crate::input::{Flags, Input};
 
 const STATION: u8 = 1;
 
-/// Which bit of the first byte chooses what.
+/// Bits of the first byte.
 const BINARY: u8 = 0;
 const ACCEPTED: u8 = 1;
 
-/// The input: choices, command, how long the request's data is, that data, the reply's data.
+/// Runs an input: flags, command, length of the request data, request data, reply data.
 pub fn run(input: &[u8]) {
     let mut input = Input::new(input);
     let flags = Flags(input.byte());
@@ -27,17 +29,17 @@ pub fn run(input: &[u8]) {
     let data = Bytes::copy_from_slice(input.take(len));
     let mut reply = input.rest().to_vec();
     if flags.has(ACCEPTED) {
-        // Past the error code, where most bytes would end.
+        // Without error, so that the data after the error code is read.
         reply.insert(0, if framing == Framing::Ascii { b'0' } else { 0 });
     }
     let frame = Frame { station: STATION, command, data };
     if let Ok(request) = Request::decode(&frame, framing) {
-        is_sent_as_it_came(&request, &frame, framing);
-        is_understood(&request, &reply, framing);
+        check_request(&request, &frame, framing);
+        accepts(&request, &reply, framing);
     }
 }
 
-fn is_sent_as_it_came(request: &Request, frame: &Frame, framing: Framing) {
+fn check_request(request: &Request, frame: &Frame, framing: Framing) {
     assert_eq!(u8::from(request.code()), frame.command);
     for to in [framing, other(framing)] {
         let mut encoded = BytesMut::new();
@@ -45,10 +47,10 @@ fn is_sent_as_it_came(request: &Request, frame: &Frame, framing: Framing) {
             Ok(()) => {
                 let again = carried(to, &encoded);
                 assert_eq!(Request::decode(&again, to).as_ref(), Ok(request), "{frame:?} in {to}");
-                assert!(to != framing || same(framing, &again.data, &frame.data), "{frame:?} was sent as {again:?}");
+                assert!(to != framing || same(framing, &again.data, &frame.data), "{frame:?} is encoded as {again:?}");
             }
             Err(InvalidRequest::NotInFraming { .. }) => assert_ne!(to, framing),
-            // What came over a line of 8 bits, or in the other framing.
+            // Data of an 8-bit line, or of the other framing.
             Err(InvalidRequest::NotPrintable { .. }) => {
                 assert_eq!((to, request.code()), (Framing::Ascii, Code::LoopBack))
             }
@@ -59,18 +61,18 @@ fn is_sent_as_it_came(request: &Request, frame: &Frame, framing: Framing) {
     }
 }
 
-/// Panics unless the client takes the data for a reply, or a refusal, of this request.
+/// Panics unless the client accepts the data as a reply or a refusal of this request.
 pub(crate) fn is_a_reply(request: &Request, data: &[u8], framing: Framing) {
-    assert!(is_understood(request, data, framing), "{request:?} was answered with {data:?}");
+    assert!(accepts(request, data, framing), "{request:?} has the bad reply {data:?}");
 }
 
-/// Whether the data is taken for a reply, or a refusal.
-fn is_understood(request: &Request, data: &[u8], framing: Framing) -> bool {
+/// Whether the client accepts the data as a reply or a refusal.
+fn accepts(request: &Request, data: &[u8], framing: Framing) -> bool {
     macro_rules! each {
         ($($command:ident),*) => {
             match request {
-                $(Request::$command(command) => understood(command, data, framing),)*
-                other => panic!("a request that no target knows: {other:?}"),
+                $(Request::$command(command) => check_reply(command, data, framing),)*
+                other => panic!("request not covered by this target: {other:?}"),
             }
         };
     }
@@ -94,7 +96,7 @@ fn is_understood(request: &Request, data: &[u8], framing: Framing) -> bool {
     )
 }
 
-fn understood<C: Command>(request: &C, data: &[u8], framing: Framing) -> bool {
+fn check_reply<C: Command>(request: &C, data: &[u8], framing: Framing) -> bool {
     let reply = decode_reply(request, framing, data);
     let encoded = match &reply {
         Ok(reply) => Ok(reply),
@@ -105,21 +107,22 @@ fn understood<C: Command>(request: &C, data: &[u8], framing: Framing) -> bool {
     let mut frame = BytesMut::new();
     encode_reply(request, encoded, framing, STATION, &mut frame);
     let again = carried(framing, &frame);
-    // Of a program page (4F) there are two forms; the one with the digit is what is sent.
+    // A program page (4F) has two forms; the one with the error digit is sent.
     let digit_missing = C::CODE.error_field() == ErrorField::ByLength && again.data.len() == data.len() + 1;
-    let came = if digit_missing { &again.data[1..] } else { &again.data[..] };
-    assert!(same(framing, came, data), "{request:?}: {reply:?} came as {data:?}");
+    let sent = if digit_missing { &again.data[1..] } else { &again.data[..] };
+    assert!(same(framing, sent, data), "{request:?}: {reply:?} of {data:?}");
     match (decode_reply(request, framing, &again.data), reply) {
         (Ok(again), Ok(reply)) => assert_eq!(again, reply),
         (Err(ReplyError::Plc(again)), Err(ReplyError::Plc(error))) => assert_eq!(again, error),
-        // `d` refuses a loop-back of `D`; written again, in upper case, the digit is the echo. The protocol has no way out of that.
+        // `d` refuses a loop-back of `D`; encoded in upper case, it is the echo. The protocol is
+        // ambiguous here.
         (Ok(_), Err(ReplyError::Plc(_))) if C::CODE.error_field() == ErrorField::Absent && data.len() == 1 => {}
         (again, _) => panic!("{request:?}: {again:?}"),
     }
     true
 }
 
-/// The same bytes; in ASCII, digits may be of either case.
+/// Whether the bytes are equal; in ASCII without regard to case.
 fn same(framing: Framing, one: &[u8], other: &[u8]) -> bool {
     if framing == Framing::Ascii { one.eq_ignore_ascii_case(other) } else { one == other }
 }

@@ -1,5 +1,7 @@
-//! The simulator's side: whatever comes, a PLC answers good frames to its own number, each once, with something that the
-//! client understands, and nothing else.
+//! Simulated PLCs.
+//!
+//! Invariants: each good frame to a present station has one reply, which the client accepts;
+//! nothing else has a reply.
 
 use bytes::BytesMut;
 use fatek::command::Request;
@@ -10,11 +12,11 @@ use tokio_util::codec::Decoder;
 use crate::input::{Flags, Input};
 use crate::repair::repair;
 
-/// Which bit of the first byte chooses what.
+/// Bits of the first byte.
 const REPAIR: u8 = 0;
 const BINARY: u8 = 1;
 
-/// The PLCs on the line.
+/// Stations of the PLCs on the line.
 const STATIONS: [u8; 2] = [1, 2];
 
 pub fn run(input: &[u8]) {
@@ -34,7 +36,7 @@ pub fn run(input: &[u8]) {
         assert!(reply.len() <= MAX_FRAME_LEN);
         match item {
             Received::Frame(frame) if STATIONS.contains(&frame.station) => is_a_reply(&frame, framing, reply),
-            item => assert!(reply.is_empty(), "{item:?} was answered"),
+            item => assert!(reply.is_empty(), "{item:?} has a reply"),
         }
     }
 }
@@ -42,21 +44,21 @@ pub fn run(input: &[u8]) {
 fn is_a_reply(request: &Frame, framing: Framing, mut reply: BytesMut) {
     let mut client = Codec::new(framing, Side::Client);
     let Some(Received::Frame(frame)) = client.decode(&mut reply).unwrap() else {
-        panic!("{request:?} was answered with no frame");
+        panic!("the reply to {request:?} is not a frame");
     };
-    assert!(reply.is_empty(), "one frame for one frame");
+    assert!(reply.is_empty(), "more than one reply frame");
     assert_eq!((frame.station, frame.command), (request.station, request.command));
     match Request::decode(request, framing) {
         Ok(request) => crate::reply::is_a_reply(&request, &frame.data, framing),
         Err(fault) => {
-            // Refused, with the code that belongs to the fault.
+            // Refused, with the error code of the fault.
             let code = u8::from(fault.error_code());
-            let said = match (&frame.data[..], framing) {
+            let found = match (&frame.data[..], framing) {
                 (&[code], Framing::Binary) => code,
                 (&[digit], _) => char::from(digit).to_digit(16).and_then(|code| u8::try_from(code).ok()).unwrap(),
-                (data, _) => panic!("{request:?}, which is none ({fault}), was answered with {data:?}"),
+                (data, _) => panic!("bad request {request:?} ({fault}) has the reply {data:?}"),
             };
-            assert_eq!(said, code);
+            assert_eq!(found, code);
         }
     }
 }

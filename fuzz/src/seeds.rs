@@ -1,4 +1,4 @@
-//! What the fuzzer begins with: the manuals' examples, as the tests have them, and what the targets' texts look like.
+//! First inputs of the fuzzer: the examples of the manuals, and typical texts.
 
 use fatek::tag::Tag;
 use fatek::wire::{Framing, Side};
@@ -12,7 +12,7 @@ pub fn ascii() -> Vec<Vec<u8>> {
 }
 
 pub fn binary() -> Vec<Vec<u8>> {
-    // The receiver is the other side.
+    // The flag is that of the receiver, the other side.
     frames(Framing::Binary, |vector| if vector.sender == Side::Client { 0b11 } else { 0b01 })
 }
 
@@ -28,18 +28,18 @@ pub fn request() -> Vec<Vec<u8>> {
         .collect()
 }
 
-/// Each reply behind the request that stands before it.
+/// Each reply after its request.
 pub fn reply() -> Vec<Vec<u8>> {
     let mut seeds = Vec::new();
     let mut request: Option<Vector> = None;
     for vector in vectors() {
         match (&request, vector.sender) {
-            (Some(asked), Side::Plc) if (asked.framing, asked.command) == (vector.framing, vector.command) => {
-                let (asked_data, data) = (asked.frame().data, vector.frame().data);
-                // Long data is counted in twos, and that makes one byte too many harmful.
-                let Ok(len) = u8::try_from(asked_data.len()) else { continue };
+            (Some(request), Side::Plc) if (request.framing, request.command) == (vector.framing, vector.command) => {
+                let (request_data, data) = (request.frame().data, vector.frame().data);
+                // Lengths over 255 are counted in units of two, which does not fit all data.
+                let Ok(len) = u8::try_from(request_data.len()) else { continue };
                 let flags = u8::from(vector.framing == Framing::Binary);
-                seeds.push([&[flags, 0x80 | vector.command, len][..], &asked_data, &data].concat());
+                seeds.push([&[flags, 0x80 | vector.command, len][..], &request_data, &data].concat());
             }
             (_, Side::Client) => request = Some(vector),
             _ => {}
@@ -102,20 +102,20 @@ pub fn backup_file() -> Vec<Vec<u8>> {
     contents.chain([[b"\0", backups[0].as_bytes()].concat()]).collect()
 }
 
-/// A framing, then steps: calls, answers of many kinds, silence and lost connections.
+/// Framing, followed by steps: calls, replies of many kinds, silence and disconnects.
 pub fn link() -> Vec<Vec<u8>> {
     let runs: [&[u8]; 8] = [
         &[0, 1, 0, 4],
         &[0, 1, 12, 1, 0, 4, 4],
-        // Nobody answers, then somebody does.
+        // No reply, followed by a reply.
         &[0, 1, 3, 12, 50, 4, 4, 4],
-        // Late, doubled, begun and ended, spoilt.
+        // Late, duplicate, split and corrupt replies.
         &[0, 1, 0, 12, 26, 6, 1, 4, 0xA7, 1, 0xC7, 5, 9, 0x87, 1],
         &[0, 1, 2, 13, 4, 1, 2, 14, 4],
         &[0, 15, 1, 0, 12, 40, 0x4F, 12, 40, 4],
-        // Until the station is offline, and back.
+        // Station offline, and online again.
         &[0, 1, 3, 12, 100, 1, 1, 12, 20, 4, 1, 0, 4],
-        // An echo that was not expected, and then is.
+        // Echo, unexpected and expected.
         &[0, 1, 0, 10, 4, 1, 24, 10, 4, 1, 0, 10, 4],
     ];
     runs.iter().flat_map(|run| [run.to_vec(), [&[1], &run[1..]].concat()]).collect()

@@ -1,4 +1,4 @@
-//! Tags, and values for them, as people write them.
+//! Tags and assignments as text.
 
 use fatek::Value;
 use fatek::tag::{Assignment, Tag, TagType};
@@ -12,25 +12,25 @@ pub fn run(input: &[u8]) {
     if let Some(tag) = round_trip::<Tag>(name) {
         assert_eq!(tag.elements().count(), tag.element_count());
         assert_eq!(tag.value_count() * tag.elements_per_value(), tag.element_count());
-        // A long tag takes long to read, and says nothing new.
+        // Longer tags are slow and cover nothing new.
         if tag.element_count() <= 64 {
             any_memory_is_a_value(tag, input);
         }
     }
-    // NaN is not equal to itself, so the values are compared by the memory that they stand for.
+    // Compared by encoded memory, because NaN is not equal to itself.
     let Ok(assignment) = text.parse::<Assignment>() else { return };
     let printed = assignment.to_string();
     match printed.parse::<Assignment>() {
         Ok(again) => assert_eq!(again.encode(), assignment.encode(), "`{text}` prints as `{printed}`"),
-        Err(error) => panic!("`{text}` prints as `{printed}`, and that is not parsed: {error}"),
+        Err(error) => panic!("`{text}` prints as `{printed}`, which does not parse: {error}"),
     }
     let tag = assignment.tag();
     assert_eq!(tag.encode(assignment.values()), Ok(assignment.encode()));
     assert_eq!(assignment.encode().len(), tag.element_count());
 }
 
-/// Whatever stands in the elements has a value, and the value leads back to it: whatever the scale if it is an integer,
-/// and bit by bit if there is no scale, but for which NaN it is.
+/// Invariant: any memory decodes to values, which encode to the same memory. Floats may differ, as
+/// scaled numbers and NaN.
 fn any_memory_is_a_value(tag: Tag, bytes: &[u8]) {
     let mut bytes = bytes.iter().rev().copied().chain(std::iter::repeat(0));
     let mut next = || bytes.next().unwrap_or_default();

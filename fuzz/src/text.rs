@@ -1,9 +1,10 @@
-//! What is parsed prints itself so that it is parsed as the same; what is not parsed is named by the error.
+//! Round trip of texts. Invariants: a parsed value prints a text of the same value; an error names
+//! the text.
 
 use std::fmt::{Debug, Display};
 use std::str::FromStr;
 
-/// Parses, prints and parses again. Gives what was parsed.
+/// Parses, prints and parses again. Returns the parsed value.
 pub(crate) fn round_trip<T>(text: &str) -> Option<T>
 where
     T: FromStr + Display + Debug + PartialEq,
@@ -14,9 +15,9 @@ where
             let printed = value.to_string();
             match printed.parse::<T>() {
                 Ok(again) => assert_eq!(again, value, "`{text}` prints as `{printed}`"),
-                Err(error) => panic!("`{text}` prints as `{printed}`, and that is not parsed: {error}"),
+                Err(error) => panic!("`{text}` prints as `{printed}`, which does not parse: {error}"),
             }
-            assert_eq!(printed, printed.parse::<T>().unwrap().to_string(), "one value has one form");
+            assert_eq!(printed, printed.parse::<T>().unwrap().to_string(), "the printed form is not stable");
             Some(value)
         }
         Err(error) => {

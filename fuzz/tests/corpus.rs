@@ -1,4 +1,4 @@
-//! What is kept, replayed without libFuzzer: each input of the corpus, each seed, and the dictionaries.
+//! Replay without libFuzzer: the corpus, the seeds, and the dictionaries.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use fatek_fuzz::{TARGETS, Target, dictionary};
 
 #[test]
-fn every_input_that_is_kept_passes() {
+fn every_input_of_the_corpus_passes() {
     for target in TARGETS {
         let kept = inputs(target);
-        assert!(!kept.is_empty(), "{} has a corpus", target.name);
+        assert!(!kept.is_empty(), "{} has no corpus", target.name);
         for file in kept {
-            // Said first, for a panic does not say it.
+            // Printed first, because a panic does not name the file.
             println!("{}", file.display());
             (target.run)(&fs::read(file).unwrap());
         }
@@ -22,18 +22,18 @@ fn every_input_that_is_kept_passes() {
 fn every_seed_passes() {
     for target in TARGETS {
         let seeds = (target.seeds)();
-        assert!(!seeds.is_empty(), "{} has seeds", target.name);
+        assert!(!seeds.is_empty(), "{} has no seeds", target.name);
         seeds.iter().for_each(|seed| (target.run)(seed));
     }
 }
 
 #[test]
-fn dictionaries_are_those_of_the_tables() {
+fn dictionaries_are_up_to_date() {
     for target in TARGETS {
         let file = root().join("dict").join(format!("{}.dict", target.name));
         let kept = fs::read_to_string(&file).unwrap_or_default();
         let current = dictionary::of(target.name);
-        assert_eq!(kept, current, "{}: write it anew with `cargo run --example prepare`", file.display());
+        assert_eq!(kept, current, "{}: update it with `cargo run --example prepare`", file.display());
     }
 }
 

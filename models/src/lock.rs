@@ -1,4 +1,4 @@
-//! A lock that can be tried. loom's own does not explore a try that fails.
+//! Lock with `try_lock`. The mutex of loom does not explore a failed `try_lock`.
 
 use std::cell::UnsafeCell;
 use std::ops::{Deref, DerefMut};
@@ -11,7 +11,7 @@ pub(crate) struct Lock<T> {
     value: UnsafeCell<T>,
 }
 
-// SAFETY: only whoever has set `locked` has the value, as with any lock.
+// SAFETY: only the thread that has set `locked` accesses the value.
 unsafe impl<T: Send> Sync for Lock<T> {}
 
 pub(crate) struct Guard<'a, T>(&'a Lock<T>);
@@ -52,7 +52,7 @@ impl<T> Deref for Guard<'_, T> {
 
 impl<T> DerefMut for Guard<'_, T> {
     fn deref_mut(&mut self) -> &mut T {
-        // SAFETY: the lock is held, and by this guard alone.
+        // SAFETY: the lock is held, by this guard alone.
         unsafe { &mut *self.0.value.get() }
     }
 }

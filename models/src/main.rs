@@ -1,4 +1,5 @@
-//! Takes the models through every interleaving up to a bound; then sees whether they find faults. See the README.
+//! Explores all interleavings of the models up to a bound, and checks that they detect planted
+//! faults. See the README.
 
 mod lock;
 mod shared;
@@ -7,7 +8,7 @@ use std::process::{Command, ExitCode, Stdio};
 
 use self::shared::{Ending, Fault, Model};
 
-/// How often a thread is interrupted at most, other than where it waits.
+/// Limit of preemptions per interleaving, besides waits.
 const BOUND: usize = 2;
 
 fn main() -> ExitCode {
@@ -22,7 +23,7 @@ fn main() -> ExitCode {
                 return ExitCode::from(2);
             }
         },
-        // One run, in a process of its own: where loom finds something, it aborts.
+        // One run, in a process of its own, because loom aborts at an error.
         ["--one", model, ending, fault, bound] => {
             let (Some(model), Some(ending)) = (named(&Model::ALL, model), named(&Ending::ALL, ending)) else {
                 return ExitCode::from(2);
@@ -44,7 +45,7 @@ fn all(bound: usize) -> bool {
         for ending in Ending::ALL {
             let holds = one(model, ending, None, bound);
             good &= holds;
-            println!("{model:?}, {ending:?}: {}", if holds { "all interleavings are right" } else { "NOT RIGHT" });
+            println!("{model:?}, {ending:?}: {}", if holds { "all interleavings are correct" } else { "WRONG" });
         }
     }
     for fault in Fault::ALL {
@@ -52,23 +53,23 @@ fn all(bound: usize) -> bool {
         let found = runs().find(|&(model, ending)| !one(model, ending, Some(fault), bound));
         good &= found.is_some();
         match found {
-            Some((model, ending)) => println!("{fault:?}: found by {model:?}, {ending:?}"),
-            None => println!("{fault:?}: NOT FOUND"),
+            Some((model, ending)) => println!("{fault:?}: detected by {model:?}, {ending:?}"),
+            None => println!("{fault:?}: NOT DETECTED"),
         }
     }
     good
 }
 
-/// Whether all interleavings of a run are right. It says why not when it is the only one.
+/// Whether all interleavings of a run are correct. A run without a planted fault prints its error.
 fn one(model: Model, ending: Ending, fault: Option<Fault>, bound: usize) -> bool {
-    let own = std::env::current_exe().expect("it runs");
+    let own = std::env::current_exe().expect("path of this program");
     let fault = fault.map_or_else(String::new, |fault| format!("{fault:?}"));
     let mut run = Command::new(own);
     run.args(["--one", &format!("{model:?}"), &format!("{ending:?}"), &fault, &bound.to_string()]);
     if !fault.is_empty() {
         run.stderr(Stdio::null());
     }
-    run.status().expect("it can be run again").success()
+    run.status().expect("start of this program").success()
 }
 
 fn named<T: Copy + std::fmt::Debug>(all: &[T], name: &str) -> Option<T> {

@@ -1,5 +1,7 @@
-//! The state that the threads of a link share: `src/link/shared.rs` and `src/link/io_waker.rs`.
-//! Of the core there is only this: one request is on the wire at a time, the others are queued.
+//! Model of the state that the threads of a link share: `src/link/shared.rs` and
+//! `src/link/io_waker.rs`.
+//!
+//! Of the core it has one rule: one request is on the wire at a time, the others are queued.
 
 use std::future::poll_fn;
 use std::task::{Poll, Waker};
@@ -12,40 +14,42 @@ use loom::thread;
 
 use crate::lock::Lock;
 
+/// Model, as described in the README.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Model {
     Callers,
     Wire,
 }
 
-/// How the task ends.
+/// End of the link task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ending {
-    /// When all calls are done. A wake-up that is lost is a deadlock.
+    /// After all calls. A lost wake-up is a deadlock.
     Done,
-    /// The link is closed by a caller.
+    /// A caller closes the link.
     Closed,
-    /// It is dropped after its first turn.
+    /// The task is dropped after its first poll.
     Dropped,
 }
 
+/// Planted fault, which the model must detect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Fault {
-    /// A caller that has had the driver does not look into the inbox again.
+    /// A caller does not check the inbox after it has released the driver.
     InboxForgotten,
-    /// Nor does the task.
-    LastLookForgotten,
-    /// The task says how it is woken when it has looked, not before.
+    /// The task does not check the inbox after it has released the driver.
+    LastCheckForgotten,
+    /// The task registers its waker after its work, not before.
     WakerLate,
-    /// The flag of the inbox is not set.
+    /// The inbox flag is not set.
     NotPosted,
-    /// The end relies on the flag of the inbox.
+    /// The end of the task relies on the inbox flag.
     EndByFlag,
     /// The task is woken before the ready flag is set.
     WokenBeforeReady,
     /// The ready flag is cleared after the read.
     ReadyClearedLate,
-    /// Nothing is read before a request.
+    /// Stale bytes are not read before a request.
     NothingRead,
 }
 
@@ -60,7 +64,7 @@ impl Ending {
 impl Fault {
     pub(crate) const ALL: [Self; 8] = [
         Self::InboxForgotten,
-        Self::LastLookForgotten,
+        Self::LastCheckForgotten,
         Self::WakerLate,
         Self::NotPosted,
         Self::EndByFlag,
@@ -70,7 +74,7 @@ impl Fault {
     ];
 }
 
-/// Of which call; or what came before any.
+/// Bytes on the line: the reply to a call, or stale bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bytes {
     Stale,
@@ -82,18 +86,18 @@ struct Shared {
     fault: Option<Fault>,
     inbox: Mutex<Vec<usize>>,
     posted: AtomicBool,
-    /// Until the task has ended.
+    /// `None` after the end of the task.
     slot: Lock<Option<DriverSlot>>,
     closed: AtomicBool,
     line: Arc<Line>,
-    /// How often each call has ended.
+    /// Number of ends of each call; each must be 1.
     ended: Vec<AtomicUsize>,
 }
 
 struct Line {
     fault: Option<Fault>,
-    /// What has come, and whether somebody is to be woken when more does.
-    came: Mutex<(Vec<Bytes>, bool)>,
+    /// Received bytes, and whether the reader waits for more.
+    received: Mutex<(Vec<Bytes>, bool)>,
     io_waker: IoWaker,
 }
 
@@ -110,21 +114,21 @@ struct DriverSlot {
 
 impl Line {
     fn read(&self) -> Option<Bytes> {
-        let mut came = self.came.lock().unwrap();
-        if came.0.is_empty() {
-            came.1 = true;
+        let mut received = self.received.lock().unwrap();
+        if received.0.is_empty() {
+            received.1 = true;
             return None;
         }
-        Some(came.0.remove(0))
+        Some(received.0.remove(0))
     }
 
-    /// Something comes: whoever found nothing is woken, as a socket does it.
-    fn come(&self, bytes: Bytes) {
-        let mut came = self.came.lock().unwrap();
-        came.0.push(bytes);
-        let wakes = std::mem::take(&mut came.1);
-        drop(came);
-        if !wakes {
+    /// Receives bytes, and wakes a waiting reader, as a socket does.
+    fn receive(&self, bytes: Bytes) {
+        let mut received = self.received.lock().unwrap();
+        received.0.push(bytes);
+        let waiting = std::mem::take(&mut received.1);
+        drop(received);
+        if !waiting {
             return;
         }
         if self.fault == Some(Fault::WokenBeforeReady) {
@@ -203,10 +207,10 @@ impl Shared {
         }
     }
 
-    /// As the driver does, for the task or a caller.
+    /// Advances the driver, for the task or a caller.
     fn advance(&self, slot: &mut DriverSlot) {
-        slot.read_armed = slot.read_armed && !self.line.io_waker.ready.load(Acquire)
-            || self.has(Fault::NothingRead) && slot.active.is_none();
+        let ready = self.line.io_waker.ready.load(Acquire);
+        slot.read_armed = slot.read_armed && !ready || self.has(Fault::NothingRead) && slot.active.is_none();
         loop {
             if !slot.read_armed {
                 self.read_all(slot);
@@ -218,10 +222,10 @@ impl Shared {
             let call = slot.queue.remove(0);
             slot.active = Some(call);
             match self.model {
-                Model::Callers => self.line.come(Bytes::ReplyTo(call)),
+                Model::Callers => self.line.receive(Bytes::ReplyTo(call)),
                 Model::Wire => {
                     let peer = self.line.clone();
-                    thread::spawn(move || peer.come(Bytes::ReplyTo(call)));
+                    thread::spawn(move || peer.receive(Bytes::ReplyTo(call)));
                 }
             }
         }
@@ -233,9 +237,9 @@ impl Shared {
         }
         while let Some(bytes) = self.line.read() {
             match slot.active.take() {
-                None => assert_eq!(bytes, Bytes::Stale, "nobody has asked for it"),
+                None => assert_eq!(bytes, Bytes::Stale, "a reply without a request"),
                 Some(call) => {
-                    assert_eq!(bytes, Bytes::ReplyTo(call), "a call gets what is not its reply");
+                    assert_eq!(bytes, Bytes::ReplyTo(call), "a call has the reply to another one");
                     self.end_call(call);
                 }
             }
@@ -245,7 +249,7 @@ impl Shared {
         }
     }
 
-    /// A turn of the task.
+    /// Polls the task once.
     fn poll(&self, waker: &Waker) -> Poll<()> {
         if !self.has(Fault::WakerLate) {
             self.line.io_waker.task.register(waker.clone());
@@ -263,7 +267,7 @@ impl Shared {
                 return Poll::Ready(());
             }
             drop(guard);
-            if self.has(Fault::LastLookForgotten) || self.inbox.lock().unwrap().is_empty() {
+            if self.has(Fault::LastCheckForgotten) || self.inbox.lock().unwrap().is_empty() {
                 break;
             }
         }
@@ -308,7 +312,7 @@ pub(crate) fn run(model: Model, ending: Ending, fault: Option<Fault>, bound: usi
             closed: AtomicBool::new(false),
             line: Arc::new(Line {
                 fault,
-                came: Mutex::new((Vec::new(), false)),
+                received: Mutex::new((Vec::new(), false)),
                 io_waker: IoWaker { task: AtomicWaker::new(), ready: AtomicBool::new(false) },
             }),
             ended: (0..CALLS).map(|_| AtomicUsize::new(0)).collect(),
@@ -332,11 +336,11 @@ pub(crate) fn run(model: Model, ending: Ending, fault: Option<Fault>, bound: usi
             shared.end();
         }
         others.into_iter().for_each(|thread| thread.join().unwrap());
-        assert!(shared.all_ended(), "a call is left");
+        assert!(shared.all_ended(), "a call has not ended");
     });
 }
 
-/// Two callers; the last one closes the link when it has called.
+/// Two callers. The last one closes the link after its call.
 fn callers(shared: &Arc<Shared>, ending: Ending) -> Vec<thread::JoinHandle<()>> {
     let caller = |call| {
         let shared = shared.clone();
@@ -350,11 +354,11 @@ fn callers(shared: &Arc<Shared>, ending: Ending) -> Vec<thread::JoinHandle<()>> 
     (0..CALLS).map(caller).collect()
 }
 
-/// One caller. Something has come before it calls.
+/// One caller, with stale bytes before its calls.
 fn caller(shared: &Arc<Shared>, ending: Ending) -> Vec<thread::JoinHandle<()>> {
     let caller = shared.clone();
     let caller = thread::spawn(move || {
-        caller.line.come(Bytes::Stale);
+        caller.line.receive(Bytes::Stale);
         (0..CALLS).for_each(|call| caller.submit(call));
         if ending == Ending::Closed {
             caller.close();

@@ -10,7 +10,7 @@ use tokio::time::{Instant, sleep, timeout};
 
 use crate::bench::{Bench, LIMITS, OPEN, PATIENCE, word};
 use crate::common::{FRAMINGS, Rng, framed};
-use crate::server::{MAX_NOISE, Parting};
+use crate::server::{DisconnectReason, MAX_NOISE};
 
 /// How long a good client takes for a hundred reads.
 async fn a_hundred_reads(bench: &Bench) -> Duration {
@@ -78,7 +78,7 @@ async fn a_client_that_sends_garbage_for_ever_is_sent_away_in_both_framings() {
                 sent += noise.len();
                 assert!(sent < 4 * MAX_NOISE, "seed {seed}: it goes on and on");
             }
-            assert_eq!(serving.await.unwrap().unwrap(), Parting::Noise, "seed {seed}");
+            assert_eq!(serving.await.unwrap().unwrap(), DisconnectReason::Noise, "seed {seed}");
             sent
         });
         assert!(flood.await.unwrap() > MAX_NOISE);
@@ -98,7 +98,7 @@ async fn a_client_that_is_silent_is_sent_away_and_one_that_asks_now_and_then_is_
         assert_eq!(seldom.ask(1, &read).await.unwrap(), [word(1, 0)]);
     }
     assert!(silent.is_closed().await);
-    assert_eq!(silence.await.unwrap().unwrap(), Parting::Idle);
+    assert_eq!(silence.await.unwrap().unwrap(), DisconnectReason::Idle);
     assert!(began.elapsed() > LIMITS.idle && !seldom_served.is_finished());
     // A byte now and then is no request.
     let (mut dribbling, served) = bench.client_with(Framing::Ascii, 4096);
@@ -106,7 +106,7 @@ async fn a_client_that_is_silent_is_sent_away_and_one_that_asks_now_and_then_is_
         let _ = dribbling.try_send(b"\x02").await;
         sleep(LIMITS.idle / 7).await;
     }
-    assert_eq!(served.await.unwrap().unwrap(), Parting::Idle);
+    assert_eq!(served.await.unwrap().unwrap(), DisconnectReason::Idle);
 }
 
 #[tokio::test(start_paused = true)]
@@ -122,7 +122,7 @@ async fn a_client_that_does_not_take_its_replies_is_sent_away_and_stops_asking_u
     // The check of the new connection, and the read.
     assert_eq!(bench.faults.log().arrivals(), 2, "nothing more is asked for one who does not listen");
     assert_eq!(a_hundred_reads(&bench).await, Duration::ZERO);
-    assert_eq!(served.await.unwrap().unwrap(), Parting::NotReading);
+    assert_eq!(served.await.unwrap().unwrap(), DisconnectReason::NotReading);
     flood.await.unwrap();
 }
 
@@ -159,7 +159,7 @@ async fn every_client_is_told_when_the_gateway_stops() {
     let (mut second, second_served) = bench.client_with(Framing::Binary, 4096);
     second.ask(1, &ReadRegisters::new(register!("D7"), 1).unwrap()).await.unwrap();
     let proxy = bench.stop();
-    assert_eq!(first_served.await.unwrap().unwrap(), Parting::Stopped);
-    assert_eq!(second_served.await.unwrap().unwrap(), Parting::Stopped);
+    assert_eq!(first_served.await.unwrap().unwrap(), DisconnectReason::Stopped);
+    assert_eq!(second_served.await.unwrap().unwrap(), DisconnectReason::Stopped);
     assert_eq!(proxy.counts().done, 1);
 }

@@ -17,7 +17,7 @@ use tokio::time::timeout;
 use tokio_util::codec::Decoder;
 
 use crate::proxy::{Proxy, Rules};
-use crate::server::{Limits, Parting, serve_client};
+use crate::server::{DisconnectReason, Limits, serve_client};
 
 /// How many PLCs there are, from 1 on.
 pub(crate) const STATIONS: u8 = 8;
@@ -62,7 +62,11 @@ impl Bench {
     }
 
     /// A client whose connection holds so many bytes each way, and what becomes of it at the gateway.
-    pub(crate) fn client_with(&self, framing: Framing, buffer: usize) -> (Client, JoinHandle<io::Result<Parting>>) {
+    pub(crate) fn client_with(
+        &self,
+        framing: Framing,
+        buffer: usize,
+    ) -> (Client, JoinHandle<io::Result<DisconnectReason>>) {
         let (near, far) = duplex(buffer);
         let (proxy, stopped) = (Arc::clone(&self.proxy), self.stopping.subscribe());
         let serving = tokio::spawn(async move { serve_client(far, &proxy, LIMITS, stopped).await });

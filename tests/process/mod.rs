@@ -196,6 +196,7 @@ pub(crate) fn at_terminal(sim: &Sim, args: &[&str], answer: &str) -> (i32, Strin
     let side = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
     let mut command = Command::new(FATEK);
     command.args(["--link", &sim.url, "--station", "1"]).args(args);
+    command.env("TERM", "xterm");
     let mut child = command.stdin(side()).stdout(side()).stderr(side()).spawn().unwrap();
     // The child alone has the other side now: when it ends, so does what is read here.
     drop(command);

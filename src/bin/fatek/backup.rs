@@ -1,4 +1,4 @@
-//! `fatek backup FILE RANGE…` and `fatek restore FILE`
+//! Subcommands `fatek backup FILE RANGE…` and `fatek restore FILE`.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -20,7 +20,7 @@ use crate::retry::{Direction, is_line_failure, retry, write_progress};
 use crate::signal;
 use crate::transfer::{Reporter, warn_of_unknown_fields};
 
-/// The ranges, or the file, are looked at before the station: nothing is sent for what is no good.
+/// Checks ranges and file before the first request.
 pub(crate) async fn backup(
     plc: &Plc,
     timeout: Option<Duration>,
@@ -31,19 +31,19 @@ pub(crate) async fn backup(
         let backup = load(&args.file, &args.ranges)?;
         let report = compare(&connect::station(plc, timeout)?, &backup, RestoreOptions::new(), output).await?;
         output.rows(&rows(report.differences.iter().chain(&report.left_out_differences)))?;
-        // What the PLC does not give of the inputs is not as in the file either.
+        // A refused input counts as different.
         let refused: usize = report.refused.iter().map(|refused| refused.range.element_count()).sum();
-        say_refused(&report);
+        report_refused(&report);
         let differing = report.differences.len() + report.left_out_differences.len() + refused;
         let all = report.compared + refused;
         if differing == 0 {
-            output.remark(format_args!("the PLC holds what the file says: all {all} elements are the same"));
+            output.remark(format_args!("all {all} elements are equal"));
             return Ok(());
         }
-        return Err(Failure::Differs { what: "elements", differing, all });
+        return Err(Failure::Differs { parts: "elements", differing, all });
     }
     let taking = TakeBackup::new(args.ranges.iter().copied()).map_err(Failure::usage)?;
-    // To find out only when all has been read would be a pity.
+    // Before the transfer, which may be long.
     fatek::file::can_save(&args.file)?;
     let reporter = Reporter::new(output);
     let mut taking = taking.on_progress(reporter.callback());
@@ -62,7 +62,7 @@ pub(crate) async fn backup(
     let backup = result.map_err(|error| match error {
         BackupError::Call { source, partial, .. } if partial.value_count() > 0 => {
             let (values, all) = (partial.value_count(), partial.element_count());
-            Failure::of(format_args!("nothing is saved, as {values} of {all} elements were read, and then"))(source)
+            Failure::of(format_args!("nothing was saved, {values} of {all} elements read"))(source)
         }
         BackupError::Call { source, .. } => source.into(),
         BackupError::Invalid(_) | BackupError::OtherStation { .. } | BackupError::OtherPlc { .. } | _ => {
@@ -85,7 +85,7 @@ pub(crate) async fn backup(
     }
 }
 
-/// The file is looked at before the station: nothing is sent for one that is no good.
+/// Loads and checks the file before the first request.
 pub(crate) async fn restore(
     plc: &Plc,
     timeout: Option<Duration>,
@@ -102,7 +102,7 @@ pub(crate) async fn restore(
         output.rows(&rows(to_be_written(&report)))?;
         let (written, all) = (count(&report.to_write), report.compared);
         let stopped = match (is_to_stop(&report, args), args.run) {
-            (true, true) => "; the PLC runs, and would be stopped, and run again",
+            (true, true) => "; the PLC runs, and would be stopped and started again",
             (true, false) => "; the PLC runs, and would be stopped",
             (false, _) => "",
         };
@@ -110,7 +110,7 @@ pub(crate) async fn restore(
         return Ok(());
     }
     if !args.consent.yes {
-        // So that the answer is about something.
+        // The differences are shown before the prompt.
         let report = compare(&station, &backup, options(args), output).await?;
         output.rows(&rows(to_be_written(&report)))?;
         if report.to_write.is_empty() {
@@ -129,36 +129,37 @@ pub(crate) async fn restore(
         ended = restore_with_retries(&mut restore, &station, &mut before, (&reporter, output)) => Some(ended),
     };
     reporter.end_line();
-    // A report is that of the last attempt.
-    let before = if before > 0 { format!("the attempts before have written {before}") } else { String::new() };
+    // The report covers the last attempt only.
+    let before = if before > 0 { format!("{before} written by earlier attempts") } else { String::new() };
     let report = match ended {
         Some(Ok(report)) => report,
         failed => {
             if !before.is_empty() {
                 complain(format_args!("{before}"));
             }
-            let broken_off = || Err(Failure::BrokenOff(Box::new(restore.report())));
-            return failed.map_or_else(broken_off, |ended| ended.or_else(|error| explain(error, output)).map(drop));
+            let interrupted = || Err(Failure::RestoreInterrupted(Box::new(restore.report())));
+            return failed.map_or_else(interrupted, |ended| ended.or_else(|error| explain(error, output)).map(drop));
         }
     };
-    say_left_out(&report, output);
+    report_skipped(&report, output);
     let separator = if before.is_empty() { "" } else { "; " };
     output.remark(format_args!("{report}{separator}{before}"));
     Ok(())
 }
 
-/// Says which elements it is about.
+/// Prints the elements of a failed restore.
 fn explain(error: RestoreError, output: &Output) -> Result<RestoreReport, Failure> {
     let report = &error.report;
-    say_refused(report);
+    report_refused(report);
     if !report.remaining.is_empty() {
         output.rows(&rows(report.remaining.iter()))?;
     }
     Err(error.into())
 }
 
-/// Restores the backup, in several runs if the line fails. Adds to `before` the elements that all runs
-/// but the last have written.
+/// Restores the backup. Resumes after a line failure, while less is left each time.
+///
+/// Adds to `before` the elements written by all attempts but the last.
 async fn restore_with_retries(
     restore: &mut Restore,
     station: &Station,
@@ -178,7 +179,7 @@ async fn restore_with_retries(
     retry(restore, Direction::Write, display, run, progress, note).await
 }
 
-/// The parts of the backup in a file. To restore nothing, or to compare with nothing, would only look like a success.
+/// Loads the given ranges of a backup file. A selection without any value is an error.
 fn load(file: &Path, ranges: &[Tag]) -> Result<Backup, Failure> {
     let mut backup = Backup::load(file)?;
     warn_of_unknown_fields(file, backup.unknown_fields());
@@ -187,7 +188,7 @@ fn load(file: &Path, ranges: &[Tag]) -> Result<Backup, Failure> {
     }
     match backup.missing().first() {
         Some(missing) if backup.value_count() == 0 => Err(Failure::Usage(format!(
-            "{} has no value of what is asked for: {} is missing there, {}",
+            "{} has no value in these ranges: {} is missing, {}",
             file.display(),
             missing.range,
             missing.reason
@@ -196,7 +197,7 @@ fn load(file: &Path, ranges: &[Tag]) -> Result<Backup, Failure> {
     }
 }
 
-/// What differs and may be written. Of the second half of a value, or of what is bridged, there is nothing to show.
+/// Differences that would be written. Equal elements written along with them are not included.
 fn to_be_written(report: &RestoreReport) -> impl Iterator<Item = &Difference> {
     let written: HashSet<Element> = report.to_write.iter().flat_map(Tag::elements).collect();
     report.differences.iter().filter(move |difference| written.contains(&difference.element))
@@ -210,7 +211,7 @@ fn count(ranges: &[Tag]) -> usize {
     ranges.iter().map(Tag::element_count).sum()
 }
 
-/// Finds out what differs.
+/// Compares PLC and backup.
 async fn compare(
     station: &Station,
     backup: &Backup,
@@ -222,7 +223,7 @@ async fn compare(
     let report = restore.compare(station).await;
     reporter.end_line();
     let report = report.or_else(|error| explain(error, output))?;
-    say_left_out(&report, output);
+    report_skipped(&report, output);
     Ok(report)
 }
 
@@ -242,21 +243,21 @@ fn cell(value: Value) -> Cell {
     }
 }
 
-fn say_refused(report: &RestoreReport) {
+fn report_refused(report: &RestoreReport) {
     for refused in &report.refused {
         complain(format_args!("{} was refused: {}", refused.range, refused.error));
     }
 }
 
-fn say_left_out(report: &RestoreReport, output: &Output) {
+fn report_skipped(report: &RestoreReport, output: &Output) {
     for missing in &report.missing {
         complain(format_args!("{} is missing in the backup: {}", missing.range, missing.reason));
     }
     for range in &report.left_out {
-        output.remark(format_args!("{range} is left out: inputs and contacts cannot be restored"));
+        output.remark(format_args!("{range} skipped: inputs and contacts cannot be restored"));
     }
     for range in &report.forced {
-        complain(format_args!("{range} differs, and stays as it is forced"));
+        complain(format_args!("{range} skipped: it differs, but is disabled; to write it give --forced"));
     }
 }
 
@@ -273,8 +274,8 @@ fn options(args: &RestoreArgs) -> RestoreOptions {
 
 fn question(plc: &Plc, report: &RestoreReport, args: &RestoreArgs) -> String {
     let stopped = match (is_to_stop(report, args), args.run) {
-        (true, true) => " It is stopped for that, and runs again afterwards.",
-        (true, false) => " It is stopped for that, and stays so.",
+        (true, true) => " The PLC is stopped first and started again afterwards.",
+        (true, false) => " The PLC is stopped first and stays stopped.",
         (false, _) => "",
     };
     let written = count(&report.to_write);

@@ -1,32 +1,32 @@
-//! Asking before a PLC is changed.
+//! Confirmation before a PLC is changed.
 
 use std::io::{self, BufRead, IsTerminal, Write};
 
 use crate::failure::Failure;
 
-/// Whether what would be confirmed can be: with `--yes`, or by somebody at a terminal. To be asked before anything is sent.
+/// Fails without `--yes` and without a terminal. Call it before the first request.
 pub(crate) fn can_be_confirmed(yes: bool) -> Result<(), Failure> {
     if yes || (io::stdin().is_terminal() && io::stderr().is_terminal()) {
         return Ok(());
     }
-    Err(Failure::Usage("this changes the PLC, and there is no terminal to ask at: say --yes (or --dry-run)".to_owned()))
+    Err(Failure::Usage("confirmation required, but there is no terminal: give --yes or --dry-run".to_owned()))
 }
 
-/// Asks, unless `--yes` was said.
+/// Prompts for confirmation, unless `--yes` was given.
 pub(crate) fn confirm(question: &str, yes: bool) -> Result<(), Failure> {
     can_be_confirmed(yes)?;
     if yes {
         return Ok(());
     }
     let mut stderr = io::stderr().lock();
-    let asked = write!(stderr, "{question} [y/N] ").and_then(|()| stderr.flush());
-    let mut answer = String::new();
-    asked.and_then(|()| io::stdin().lock().read_line(&mut answer)).map_err(Failure::Runtime)?;
-    if means_yes(&answer) { Ok(()) } else { Err(Failure::Declined) }
+    let prompted = write!(stderr, "{question} [y/N] ").and_then(|()| stderr.flush());
+    let mut line = String::new();
+    prompted.and_then(|()| io::stdin().lock().read_line(&mut line)).map_err(Failure::Runtime)?;
+    if means_yes(&line) { Ok(()) } else { Err(Failure::Declined) }
 }
 
-fn means_yes(answer: &str) -> bool {
-    matches!(answer.trim(), "y" | "Y" | "yes" | "Yes" | "YES")
+fn means_yes(line: &str) -> bool {
+    matches!(line.trim(), "y" | "Y" | "yes" | "Yes" | "YES")
 }
 
 #[cfg(test)]
@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_yes_is_a_yes() {
+    fn only_y_and_yes_confirm() {
         for yes in ["y\n", "Y", " yes\r\n"] {
             assert!(means_yes(yes), "{yes:?}");
         }

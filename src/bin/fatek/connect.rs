@@ -1,4 +1,4 @@
-//! From `--link` and `--station` to an endpoint, a link and a station.
+//! Endpoint, link and station of `--link` and `--station`.
 
 use std::time::Duration;
 
@@ -7,11 +7,11 @@ use fatek::{CallOptions, Endpoint, Link, Station};
 use crate::args::Plc;
 use crate::failure::Failure;
 
-/// The station that the command line names. Nothing is sent, and no connection opened, before its first call.
+/// Station of the command line. No connection is opened before its first call.
 pub(crate) fn station(plc: &Plc, timeout: Option<Duration>) -> Result<Station, Failure> {
     let endpoint = endpoint(plc.link.as_deref())?;
     let Some(station) = &plc.station else {
-        return Err(Failure::Usage("which station? Give --station N, or set FATEK_STATION".to_owned()));
+        return Err(Failure::Usage("no station: give --station N, or set FATEK_STATION".to_owned()));
     };
     let number = station.parse().ok().filter(|number| (1..=254).contains(number));
     let Some(number) = number.filter(|_| station.bytes().all(|b| b.is_ascii_digit())) else {
@@ -20,16 +20,16 @@ pub(crate) fn station(plc: &Plc, timeout: Option<Duration>) -> Result<Station, F
     link(endpoint, options(timeout), timeout).station(number).map_err(Failure::usage)
 }
 
-/// The endpoint that `--link` names.
+/// Endpoint of `--link`.
 pub(crate) fn endpoint(link: Option<&str>) -> Result<Endpoint, Failure> {
     let Some(link) = link else {
-        return Err(Failure::Usage("which PLC? Give --link URL, or set FATEK_LINK".to_owned()));
+        return Err(Failure::Usage("no link: give --link URL, or set FATEK_LINK".to_owned()));
     };
     link.parse().map_err(Failure::usage)
 }
 
-/// A link for one who waits: nobody waits at a prompt for a connection that has been refused, nor for a probe of an
-/// offline station.
+/// Link for interactive use: a refused connection fails at once, and no station is treated as
+/// offline.
 pub(crate) fn link(endpoint: Endpoint, options: CallOptions, connect_timeout: Option<Duration>) -> Link {
     let builder = Link::builder(endpoint).options(options).fail_fast(true).offline_after(0);
     match connect_timeout {
@@ -38,9 +38,9 @@ pub(crate) fn link(endpoint: Endpoint, options: CallOptions, connect_timeout: Op
     }
 }
 
-/// How calls are treated.
+/// Call options of `--timeout`.
 pub(crate) fn options(timeout: Option<Duration>) -> CallOptions {
     let Some(timeout) = timeout else { return CallOptions::new() };
-    // Long enough for a connection, for three attempts and for a loop-back before each of them.
+    // One connection and three attempts with a loop-back before each need at most 7 timeouts.
     CallOptions::new().response_timeout(timeout).call_timeout(timeout.saturating_mul(8))
 }

@@ -1,4 +1,4 @@
-//! `fatek run`, `stop`, and `enable`, `disable`, `set` and `reset DISCRETE…`
+//! Subcommands `fatek run`, `stop`, and `enable`, `disable`, `set` and `reset DISCRETE…`.
 
 use std::fmt;
 
@@ -45,7 +45,7 @@ pub(crate) async fn reset(station: &Station, discretes: &[Discrete], output: &Ou
 
 fn done(result: Result<(), Error>, what: fmt::Arguments<'_>, output: &Output) -> Result<(), Failure> {
     result.map_err(|error| {
-        let doubt = if error.may_have_executed() { " (it may have been done)" } else { "" };
+        let doubt = if error.may_have_executed() { " (it may have been executed)" } else { "" };
         Failure::of(format_args!("{what}{doubt}"))(error)
     })?;
     output.remark(format_args!("{what}: done"));

@@ -1,16 +1,18 @@
-//! `fatek decode HEX`
+//! Subcommand `fatek decode HEX`.
 
-mod cut;
 mod explain;
+mod field;
 mod hex;
 mod recorder;
 mod reply;
 mod request;
+mod split;
 mod text;
 
 use serde_json::{Map, Value, json};
 
-use self::explain::{Explanation, Field};
+use self::explain::Explanation;
+use self::field::Field;
 use crate::args::DecodeArgs;
 use crate::failure::Failure;
 use crate::output::{Format, Output, Rows, complain, print};
@@ -18,7 +20,7 @@ use crate::output::{Format, Output, Rows, complain, print};
 pub(crate) fn decode(args: &DecodeArgs, output: &Output) -> Result<(), Failure> {
     let bytes = hex::parse(&args.hex.join(" ")).map_err(Failure::usage)?;
     let explanations: Vec<Explanation> =
-        cut::pieces(&bytes, args.framing).into_iter().map(|piece| explain::explain(&piece)).collect();
+        split::pieces(&bytes, args.framing).into_iter().map(|piece| explain::explain(&piece)).collect();
     match output.format {
         Format::Table => print_tables(&explanations)?,
         Format::Json => output.json(&explanations.iter().map(json).collect())?,
@@ -47,7 +49,10 @@ fn print_tables(explanations: &[Explanation]) -> Result<(), Failure> {
 }
 
 fn json(explanation: &Explanation) -> Value {
-    let field = |Field { part, name, bytes, meaning }: &Field| json!({ "part": part.as_str(), "field": name, "bytes": spaced(bytes), "meaning": meaning });
+    let field = |Field { part, name, bytes, meaning }: &Field| {
+        let bytes = spaced(bytes);
+        json!({ "part": part.as_str(), "field": name, "bytes": bytes, "meaning": meaning })
+    };
     let mut object = Map::new();
     object.insert("framing".to_owned(), explanation.framing.map_or(Value::Null, |framing| framing.to_string().into()));
     object.insert("length".to_owned(), explanation.length.into());

@@ -1,37 +1,34 @@
-//! Why a subcommand failed, and the exit status that says so.
+//! Errors of subcommands, with their messages and exit statuses.
 
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
-use std::process::ExitCode;
 
 use fatek::backup::{RestoreError, RestoreFailure, RestoreReport};
 use fatek::file::FileError;
 use fatek::program::{PlcState, ProgramError, WriteProgramError, WriteState};
 
-use crate::output::complain;
-
 #[derive(Debug)]
 pub(crate) enum Failure {
-    /// The command line has an error. Nothing was sent.
+    /// Error in the command line. Nothing was sent.
     Usage(String),
-    /// A call failed; what it was for, if there can be a doubt.
-    Call { what: Option<String>, error: fatek::Error },
-    /// So many pings stayed without an answer.
+    /// Failed call, with its subject if there are several calls.
+    Call { subject: Option<String>, error: fatek::Error },
+    /// Pings without a reply.
     Lost { lost: u32, sent: u32 },
-    /// So many pings had a bad answer.
-    Spoilt { spoilt: u32, sent: u32 },
-    /// Of so many stations, none answered.
-    Nobody { asked: usize },
-    /// So many of the stations that were asked answered badly, or too late.
+    /// Pings with a bad reply.
+    BadReplies { bad: u32, sent: u32 },
+    /// No station of the scanned range answered.
+    NoStation { scanned: usize },
+    /// Stations with bad or late replies.
     BadStations { bad: usize },
-    /// So many frames, of all, are bad.
+    /// Bad frames, and bytes outside frames.
     BadFrames { bad: usize, all: usize },
-    /// Somebody was asked, and has not said yes. Nothing was changed.
+    /// The user did not confirm. Nothing was changed.
     Declined,
-    /// A file could not be saved, or is not what it should be.
+    /// A file cannot be saved or loaded.
     File(FileError),
-    /// A file is none of this program, and may be one of bytes and nothing else.
+    /// A file without the header of saved files: perhaps a raw file.
     NotRaw(FileError),
     /// A program could not be read.
     Program(ProgramError),
@@ -39,21 +36,21 @@ pub(crate) enum Failure {
     WriteProgram(WriteProgramError),
     /// A backup could not be restored.
     Restore(RestoreError),
-    /// A restoring was stopped by the user; how far it has come.
-    BrokenOff(Box<RestoreReport>),
-    /// The PLC has refused to give so many elements, of all; the others are saved, if there are any.
+    /// Restore interrupted by the user.
+    RestoreInterrupted(Box<RestoreReport>),
+    /// Elements refused by the PLC. `file` has the others, if there are any.
     Missing { missing: usize, all: usize, file: Option<PathBuf> },
-    /// The writing of a program was stopped by the user; how far it has come.
-    WriteBrokenOff(Box<WriteState>),
-    /// A reading was stopped by the user, after so many pages.
-    ReadBrokenOff { pages: usize },
-    /// So many parts of what the PLC holds, of all, are not as in the file.
-    Differs { what: &'static str, differing: usize, all: usize },
+    /// Program download interrupted by the user.
+    WriteInterrupted(Box<WriteState>),
+    /// Program upload interrupted by the user.
+    ReadInterrupted { pages: usize },
+    /// Contents of PLC and file differ. `parts` is pages or elements.
+    Differs { parts: &'static str, differing: usize, all: usize },
     /// The simulator cannot listen.
     Listen { url: String, error: io::Error },
-    /// Stdout cannot be written to.
+    /// Stdout cannot be written.
     Output(io::Error),
-    /// There is no runtime.
+    /// The runtime, a signal handler or the terminal failed.
     Runtime(io::Error),
 }
 
@@ -62,31 +59,22 @@ impl Failure {
         Self::Usage(error.to_string())
     }
 
-    /// A failed call for this.
-    pub(crate) fn of(what: impl fmt::Display) -> impl FnOnce(fatek::Error) -> Self {
-        move |error| Self::Call { what: Some(what.to_string()), error }
+    /// Returns a constructor of [`Failure::Call`] with this subject.
+    pub(crate) fn of(subject: impl fmt::Display) -> impl FnOnce(fatek::Error) -> Self {
+        move |error| Self::Call { subject: Some(subject.to_string()), error }
     }
 
-    /// Tells it on stderr, and gives the exit status.
-    pub(crate) fn report(&self) -> ExitCode {
-        // Who has closed our stdout does not want to know more: `fatek read … | head -1` went well.
-        if let Self::Output(error) = self
-            && error.kind() == io::ErrorKind::BrokenPipe
-        {
-            return ExitCode::SUCCESS;
-        }
-        complain(format_args!("error: {self}"));
-        if let Self::Usage(_) = self {
-            complain(format_args!("\nFor more information, try '--help'."));
-        }
-        ExitCode::from(self.exit_status())
+    /// Whether the reader of stdout has closed it.
+    pub(crate) fn is_broken_pipe(&self) -> bool {
+        matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::BrokenPipe)
     }
 
-    fn exit_status(&self) -> u8 {
+    /// Exit status, as listed in `fatek --help`.
+    pub(crate) fn exit_status(&self) -> u8 {
         match self {
             Self::Output(_) | Self::Runtime(_) | Self::Declined => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
-            Self::BrokenOff(_) | Self::WriteBrokenOff(_) | Self::ReadBrokenOff { .. } => 1,
+            Self::RestoreInterrupted(_) | Self::WriteInterrupted(_) | Self::ReadInterrupted { .. } => 1,
             Self::Usage(_) => 2,
             Self::Missing { .. } => 3,
             Self::Restore(error) => of_restore(&error.source),
@@ -94,21 +82,21 @@ impl Failure {
             Self::Program(error) => of_program(error),
             Self::WriteProgram(error) => of_program(&error.source),
             Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } => 7,
-            Self::Lost { .. } | Self::Nobody { .. } => 4,
+            Self::Lost { .. } | Self::NoStation { .. } => 4,
             Self::Listen { .. } => 5,
-            Self::Spoilt { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,
+            Self::BadReplies { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,
         }
     }
 }
 
-/// How the writing of a program that has ended in the middle is brought to its end.
-fn go_on(state: &WriteState, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-    // Another process does not know that it ran.
-    let run = state.was_stopped && state.plc != PlcState::Running;
-    f.write_str(match (state.is_half_written(), run) {
-        (true, true) => "; the same command again does that, and then `fatek run` runs it",
-        (true, false) => "; the same command again does that",
-        (false, true) => "; `fatek run` runs it",
+/// Writes the commands that complete an interrupted program download.
+fn write_remedy(state: &WriteState, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    // A repeated command finds a stopped PLC, and does not start it.
+    let must_run = state.was_stopped && state.plc != PlcState::Running;
+    f.write_str(match (state.is_half_written(), must_run) {
+        (true, true) => "; repeat the command, then start the PLC with `fatek run`",
+        (true, false) => "; repeat the command",
+        (false, true) => "; start the PLC with `fatek run`",
         (false, false) => "",
     })
 }
@@ -159,7 +147,7 @@ fn of_restore(error: &RestoreFailure) -> u8 {
     }
 }
 
-/// Why a call failed; of a write in several requests, why it went no further.
+/// Cause of a failed call; for a write of several requests, that of the first failed request.
 fn cause(error: &fatek::Error) -> &fatek::Error {
     if let fatek::Error::PartlyWritten { source, .. } = error { cause(source) } else { error }
 }
@@ -190,7 +178,7 @@ impl From<RestoreError> for Failure {
 
 impl From<fatek::Error> for Failure {
     fn from(error: fatek::Error) -> Self {
-        Self::Call { what: None, error }
+        Self::Call { subject: None, error }
     }
 }
 
@@ -198,22 +186,22 @@ impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Usage(message) => f.write_str(message),
-            Self::Call { what: Some(what), error } => write!(f, "{what}: {error}"),
-            Self::Call { what: None, error } => error.fmt(f),
-            Self::Lost { lost, sent } => write!(f, "{lost} of {sent} had no answer"),
-            Self::Spoilt { spoilt, sent } => write!(f, "{spoilt} of {sent} had a bad answer"),
-            Self::Nobody { asked: 1 } => f.write_str("the station did not answer"),
-            Self::Nobody { asked } => write!(f, "none of {asked} stations answered"),
-            Self::BadStations { bad } => write!(f, "{bad} answered badly"),
-            Self::BadFrames { bad: 1, all: 1 } => f.write_str("this is no good frame"),
-            Self::BadFrames { bad, all } => write!(f, "{bad} of {all} are no good frames"),
+            Self::Call { subject: Some(subject), error } => write!(f, "{subject}: {error}"),
+            Self::Call { subject: None, error } => error.fmt(f),
+            Self::Lost { lost, sent } => write!(f, "{lost} of {sent} requests had no reply"),
+            Self::BadReplies { bad, sent } => write!(f, "{bad} of {sent} requests had a bad reply"),
+            Self::NoStation { scanned: 1 } => f.write_str("the station did not answer"),
+            Self::NoStation { scanned } => write!(f, "none of {scanned} stations answered"),
+            Self::BadStations { bad } => write!(f, "stations with bad replies: {bad}"),
+            Self::BadFrames { bad: 1, all: 1 } => f.write_str("bad frame"),
+            Self::BadFrames { bad, all } => write!(f, "bad frames: {bad} of {all}"),
             Self::Declined => f.write_str("not confirmed: nothing was changed"),
             Self::File(error) => error.fmt(f),
-            Self::NotRaw(error) => write!(f, "{error}; a file of bytes and nothing else is taken with --raw"),
+            Self::NotRaw(error) => write!(f, "{error}; for a raw file give --raw"),
             Self::Program(error) => error.fmt(f),
             Self::WriteProgram(error) => match *error.source {
                 ProgramError::Running => {
-                    f.write_str("the PLC runs, and nothing was written: stop it first, or have it stopped with --stop")
+                    f.write_str("the PLC runs, nothing was written: stop it first, or give --stop")
                 }
                 ProgramError::RunRefused { .. } => error.fmt(f),
                 ProgramError::Call { .. }
@@ -230,23 +218,23 @@ impl fmt::Display for Failure {
                 | ProgramError::NotRunning
                 | _ => {
                     error.fmt(f)?;
-                    go_on(&error.state, f)
+                    write_remedy(&error.state, f)
                 }
             },
             Self::Restore(error) => error.fmt(f),
-            Self::BrokenOff(report) => write!(f, "interrupted: {report}"),
-            Self::WriteBrokenOff(state) => {
+            Self::RestoreInterrupted(report) => write!(f, "interrupted: {report}"),
+            Self::WriteInterrupted(state) => {
                 write!(f, "interrupted: {state}")?;
-                go_on(state, f)
+                write_remedy(state, f)
             }
-            Self::ReadBrokenOff { pages } => write!(f, "interrupted: {pages} pages were read; nothing is saved"),
+            Self::ReadInterrupted { pages } => write!(f, "interrupted after {pages} pages: nothing was saved"),
             Self::Missing { missing, all, file: None } => {
-                write!(f, "{missing} of {all} elements are missing; nothing is saved")
+                write!(f, "{missing} of {all} elements are missing; nothing was saved")
             }
             Self::Missing { missing, all, file: Some(file) } => {
-                write!(f, "{missing} of {all} elements are missing; the others are in {}", file.display())
+                write!(f, "{missing} of {all} elements are missing; the others were saved to {}", file.display())
             }
-            Self::Differs { what, differing, all } => write!(f, "{differing} of {all} {what} differ"),
+            Self::Differs { parts, differing, all } => write!(f, "{differing} of {all} {parts} differ"),
             Self::Listen { url, error } => write!(f, "cannot listen on {url}: {error}"),
             Self::Output(error) => write!(f, "cannot write to stdout: {error}"),
             Self::Runtime(error) => write!(f, "cannot start: {error}"),

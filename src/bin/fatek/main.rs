@@ -1,4 +1,4 @@
-//! The `fatek` command line: reads and writes FATEK PLCs, plays one, and explains frames.
+//! The `fatek` command line: client for FATEK PLCs, simulator, and frame decoder.
 
 mod args;
 mod backup;
@@ -31,20 +31,33 @@ use tracing_subscriber::EnvFilter;
 
 use self::args::{Cli, Command, ProgramCommand};
 use self::failure::Failure;
-use self::output::Output;
+use self::output::{Output, complain};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
     let output = Output::new(cli.common.format.unwrap_or_default(), cli.common.quiet);
     match run(&cli, &output) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => failure.report(),
+        Err(failure) => report(&failure),
     }
+}
+
+/// Prints the error to stderr and returns the exit status.
+fn report(failure: &Failure) -> ExitCode {
+    // Success for `fatek read … | head -1`: the reader has closed the pipe on purpose.
+    if failure.is_broken_pipe() {
+        return ExitCode::SUCCESS;
+    }
+    complain(format_args!("error: {failure}"));
+    if let Failure::Usage(_) = failure {
+        complain(format_args!("\nFor more information, try '--help'."));
+    }
+    ExitCode::from(failure.exit_status())
 }
 
 fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     trace(cli.common.verbose);
-    // One task talks to one PLC: one thread is enough, even for the simulator.
+    // All requests go to one link, so one thread is enough, also for the simulator.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Failure::Runtime)?;
     let timeout = cli.common.timeout;
     let station = |plc| connect::station(&cli.plc.or(plc), timeout);
@@ -61,7 +74,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             Command::Set(args) => control::set(&station(&args.plc)?, &args.discretes, output).await,
             Command::Reset(args) => control::reset(&station(&args.plc)?, &args.discretes, output).await,
             Command::Ping(args) => {
-                // What is lost shall show: nothing is sent again.
+                // A retry would hide a lost reply.
                 let station = station(&args.plc)?.with_options(connect::options(timeout).retries(0));
                 ping::ping(&station, args, output).await
             }
@@ -86,7 +99,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     })
 }
 
-/// Shows what the library does, on stderr: as `RUST_LOG` says, else as `-v` says.
+/// Logs to stderr at the level of `-v`, or without it by the filter in `RUST_LOG`.
 fn trace(verbose: u8) {
     let filter = match (std::env::var("RUST_LOG"), verbose) {
         (Ok(filter), 0) if !filter.is_empty() => EnvFilter::new(filter),

@@ -1,4 +1,4 @@
-//! Data on stdout as a table, JSON or CSV; remarks on stderr.
+//! Data on stdout as a table, JSON or CSV, and messages on stderr.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -11,15 +11,15 @@ use serde_json::{Map, Value};
 
 use crate::failure::Failure;
 
-/// How data is printed.
+/// Output format.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Format {
-    /// Columns for people
+    /// Aligned columns
     #[default]
     Table,
     /// One JSON document
     Json,
-    /// Comma-separated values with a header
+    /// Comma-separated values with a header line
     Csv,
 }
 
@@ -39,7 +39,7 @@ impl Output {
         match self.format {
             Format::Table => print(format_args!("{}", rows.table())),
             Format::Json => self.json(&rows.json()),
-            Format::Csv => print_csv(rows).map_err(Failure::Output),
+            Format::Csv => print_csv(rows.records().iter().map(Vec::as_slice)).map_err(Failure::Output),
         }
     }
 
@@ -48,7 +48,7 @@ impl Output {
         print(format_args!("{document:#}"))
     }
 
-    /// Says on stderr what has been done, unless `--quiet` was given.
+    /// Prints a message to stderr, unless `--quiet` was given.
     pub(crate) fn remark(&self, text: fmt::Arguments<'_>) {
         if !self.quiet {
             complain(text);
@@ -64,23 +64,20 @@ pub(crate) fn print(line: fmt::Arguments<'_>) -> Result<(), Failure> {
 
 /// Prints a line of comma-separated values on stdout.
 pub(crate) fn csv_line<const N: usize>(values: [&str; N]) -> Result<(), Failure> {
-    let line = || {
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        writer.write_record(values)?;
-        let line = writer.into_inner().map_err(|error| error.into_error())?;
-        let mut stdout = io::stdout().lock();
-        stdout.write_all(&line)?;
-        stdout.flush()
-    };
-    line().map_err(Failure::Output)
+    print_csv([&values[..]].into_iter()).map_err(Failure::Output)
 }
 
-/// Prints a line on stderr. If nobody can read it, nothing is to be done about that.
+/// Prints a line on stderr. A write error is ignored: there is no other place to report it.
 pub(crate) fn complain(line: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr().lock(), "{line}");
 }
 
-/// Rows under columns.
+/// Bytes as hexadecimal digits.
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
+}
+
+/// Table with a header.
 #[derive(Debug)]
 pub(crate) struct Rows {
     columns: Vec<&'static str>,
@@ -97,7 +94,7 @@ impl Rows {
         self.rows.push(row.into());
     }
 
-    /// Columns for people; the last column is not padded.
+    /// Table of aligned columns; the last column is not padded.
     pub(crate) fn table(&self) -> String {
         let mut table = comfy_table::Table::new();
         table.load_preset(NOTHING);
@@ -112,6 +109,12 @@ impl Rows {
         text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n")
     }
 
+    /// Header and rows as texts.
+    fn records(&self) -> Vec<Vec<&str>> {
+        let rows = self.rows.iter().map(|row| row.iter().map(Cell::csv).collect());
+        std::iter::once(self.columns.clone()).chain(rows).collect()
+    }
+
     pub(crate) fn json(&self) -> Value {
         let object = |row: &Vec<Cell>| {
             let keys = self.columns.iter().map(|&column| column.to_owned());
@@ -121,12 +124,11 @@ impl Rows {
     }
 }
 
-fn print_csv(rows: &Rows) -> io::Result<()> {
+fn print_csv<'a>(records: impl Iterator<Item = &'a [&'a str]>) -> io::Result<()> {
     // Written to memory first: `csv` would hide that an error is a broken pipe.
     let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(&rows.columns)?;
-    for row in &rows.rows {
-        writer.write_record(row.iter().map(Cell::csv))?;
+    for record in records {
+        writer.write_record(record)?;
     }
     let text = writer.into_inner().map_err(|error| error.into_error())?;
     let mut stdout = io::stdout().lock();
@@ -134,7 +136,7 @@ fn print_csv(rows: &Rows) -> io::Result<()> {
     stdout.flush()
 }
 
-/// What stands in a row: as text for the table, and as JSON.
+/// Cell of a row: text for the table, and JSON.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Cell {
     pub(crate) text: String,
@@ -142,7 +144,7 @@ pub(crate) struct Cell {
 }
 
 impl Cell {
-    /// CSV has its own quotes, so a text stands in it as in JSON.
+    /// Text for CSV: a JSON string without its quotes, else the text of the table.
     pub(crate) fn csv(&self) -> &str {
         self.json.as_str().unwrap_or(&self.text)
     }
@@ -181,15 +183,15 @@ impl From<Duration> for Cell {
 }
 
 impl<T: Into<Cell>> From<Option<T>> for Cell {
-    /// What is not known is nothing, and `null`.
+    /// Unknown values are empty in the table and `null` in JSON.
     fn from(cell: Option<T>) -> Self {
         cell.map_or(Self { text: String::new(), json: Value::Null }, Into::into)
     }
 }
 
 impl From<TagValue> for Cell {
-    /// JSON has no hexadecimal numbers, no NaN and no infinity: those are strings, as in the table, so that what was
-    /// read can be told apart, and be written back. A text is its characters in JSON, and in quotes in the table.
+    /// Hexadecimal numbers, NaN and infinities are JSON strings with the text of the table, which
+    /// `write` accepts. Texts have quotes in the table only.
     fn from(value: TagValue) -> Self {
         let text = value.to_string();
         let json = match value {
@@ -198,7 +200,7 @@ impl From<TagValue> for Cell {
             TagValue::I16(number) => number.into(),
             TagValue::U32(number) => number.into(),
             TagValue::I32(number) => number.into(),
-            // By way of its shortest text: 0.1 shall not become 0.10000000149011612.
+            // By its shortest text: 0.1, not 0.10000000149011612.
             TagValue::F32(number) if number.is_finite() => text.parse::<f64>().map_or(Value::Null, Value::from),
             TagValue::Scaled(number) if number.is_finite() => number.into(),
             TagValue::Text(characters) => characters.into(),
@@ -214,7 +216,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn json_has_values_of_the_types_they_have() {
+    fn json_values_have_the_type_of_the_tag() {
         for (value, json) in [
             (TagValue::Bool(true), "true"),
             (TagValue::U32(u32::MAX), "4294967295"),
@@ -233,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_has_upper_case_headers_and_no_trailing_blanks() {
+    fn table_headers_are_upper_case_and_lines_have_no_trailing_blanks() {
         let mut rows = Rows::new(["tag", "value"]);
         rows.push(["R0".into(), 5_u32.into()]);
         rows.push(["R10".into(), "long text".into()]);
@@ -243,12 +245,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_float_survives_json(bits: u32) {
+        fn floats_round_trip_through_json(bits: u32) {
             let number = f32::from_bits(bits);
             prop_assume!(number.is_finite());
             let json = Cell::from(TagValue::F32(number)).json.to_string();
             prop_assert_eq!(json.parse::<f32>().unwrap().to_bits(), bits);
-            // Even read as f64 and rounded, as most programs do.
+            // Also when parsed as f64 and rounded, as by most programs.
             prop_assert_eq!((json.parse::<f64>().unwrap() as f32).to_bits(), bits);
         }
     }

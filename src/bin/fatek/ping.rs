@@ -1,4 +1,4 @@
-//! `fatek ping`
+//! Subcommand `fatek ping`.
 
 use std::time::{Duration, Instant};
 
@@ -37,8 +37,8 @@ pub(crate) async fn ping(station: &Station, args: &PingArgs, output: &Output) ->
     result?;
     match tally {
         Tally { sent, lost: lost @ 1.., .. } => Err(Failure::Lost { lost, sent }),
-        Tally { sent, spoilt: spoilt @ 1.., .. } => Err(Failure::Spoilt { spoilt, sent }),
-        _ => Ok(()),
+        Tally { sent, bad: bad @ 1.., .. } => Err(Failure::BadReplies { bad, sent }),
+        Tally { lost: 0, bad: 0, .. } => Ok(()),
     }
 }
 
@@ -46,17 +46,17 @@ pub(crate) async fn ping(station: &Station, args: &PingArgs, output: &Output) ->
 struct Tally {
     sent: u32,
     lost: u32,
-    spoilt: u32,
+    bad: u32,
     times: Vec<Duration>,
 }
 
 impl Tally {
-    /// Counts an answer, or its absence. Any other error ends it all: it is not the line that is at fault.
+    /// Counts a reply, a bad reply or a timeout. Any other error is returned and ends the command.
     fn count(&mut self, echo: Result<(), Error>, time: Duration) -> Result<Result<Duration, Error>, Error> {
         match echo {
             Ok(()) => self.times.push(time),
             Err(Error::Timeout { .. }) => self.lost += 1,
-            Err(Error::BadReply { .. }) => self.spoilt += 1,
+            Err(Error::BadReply { .. }) => self.bad += 1,
             Err(error) => return Err(error),
         }
         self.sent += 1;
@@ -65,12 +65,12 @@ impl Tally {
 
     fn summarize(&self, output: &Output) {
         let Self { sent, times, .. } = self;
-        output.remark(format_args!("{sent} sent, {} answered", times.len()));
+        output.remark(format_args!("{sent} sent, {} received", times.len()));
         let total: Duration = times.iter().sum();
         if let (Some(shortest), Some(longest)) = (times.iter().min(), times.iter().max()) {
             let mean = total.as_secs_f64() / times.len() as f64 * 1000.0;
             output.remark(format_args!(
-                "shortest {:.3} ms, mean {mean:.3} ms, longest {:.3} ms",
+                "round trip: min {:.3} ms, mean {mean:.3} ms, max {:.3} ms",
                 millis(*shortest),
                 millis(*longest)
             ));
@@ -89,7 +89,7 @@ fn millis(time: Duration) -> f64 {
     time.as_secs_f64() * 1000.0
 }
 
-/// Printable, because the ASCII framing carries nothing else, and another one each time.
+/// Data of one request: printable, for the ASCII framing, and different each time.
 fn payload(sequence: u32, size: usize) -> String {
     format!("{sequence:08X} fatek ping ").chars().cycle().take(size).collect()
 }

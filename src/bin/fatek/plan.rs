@@ -1,6 +1,4 @@
-//! `fatek plan TAG…`
-
-use std::time::Duration;
+//! Subcommand `fatek plan TAG…`.
 
 use fatek::endpoint::{SerialSettings, Transport};
 use fatek::wire::Framing;
@@ -24,14 +22,14 @@ pub(crate) fn plan(link: Option<&str>, args: &PlanArgs, output: &Output) -> Resu
     }
 }
 
-/// What requests cost on the link, as far as one is given, and by what the options say about it.
+/// Cost model of the link, or of a network, with the settings of the options.
 fn cost(link: Option<&str>, args: &PlanArgs) -> Result<CostModel, Failure> {
     let endpoint = link.map(|link| connect::endpoint(Some(link))).transpose()?;
-    let of_link = endpoint.as_ref().map_or(Framing::Ascii, |endpoint| endpoint.framing());
-    let framing = args.framing.unwrap_or(of_link);
+    let link_framing = endpoint.as_ref().map_or(Framing::Ascii, |endpoint| endpoint.framing());
+    let framing = args.framing.unwrap_or(link_framing);
     let settings = match endpoint.as_ref().map(|endpoint| endpoint.transport()) {
         Some(Transport::Serial { settings, .. }) => Some(*settings),
-        _ => None,
+        Some(_) | None => None,
     };
     let settings = match args.baud {
         Some(baud) => {
@@ -40,10 +38,9 @@ fn cost(link: Option<&str>, args: &PlanArgs) -> Result<CostModel, Failure> {
         }
         None => settings,
     };
-    Ok(match (settings, args.round_trip) {
-        (Some(settings), None) => CostModel::serial(settings, framing),
-        (Some(settings), Some(response_time)) => CostModel::serial(settings, framing).with_response_time(response_time),
-        (None, round_trip) => CostModel::network(framing, round_trip.unwrap_or(Duration::from_millis(5))),
+    Ok(match settings {
+        Some(settings) => CostModel::serial(settings, framing).with_response_time(args.round_trip),
+        None => CostModel::network(framing, args.round_trip),
     })
 }
 

@@ -1,4 +1,4 @@
-//! `fatek program read|write|verify|info FILE`
+//! Subcommands `fatek program read|write|verify|info FILE`.
 
 use std::time::Duration;
 
@@ -13,12 +13,12 @@ use crate::args::{Plc, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramW
 use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
 use crate::failure::Failure;
-use crate::output::{Cell, Format, Output, Rows};
+use crate::output::{Cell, Format, Output, Rows, hex};
 use crate::retry::{Direction, is_line_failure, retry, write_progress};
 use crate::signal;
 use crate::transfer::{Reporter, warn_of_unknown_fields};
 
-/// The file is looked at before the station: nothing is read that could not be saved.
+/// Checks that the file can be saved before the first request.
 pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Output) -> Result<(), Failure> {
     can_save(&args.file.file)?;
     let stopped = signal::stopped().map_err(Failure::Runtime)?;
@@ -34,7 +34,7 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     };
     reporter.end_line();
     let Some(program) = ended.transpose()? else {
-        return Err(Failure::ReadBrokenOff { pages: read.pages_done() });
+        return Err(Failure::ReadInterrupted { pages: read.pages_done() });
     };
     let path = &args.file.file;
     if args.file.raw { program.save_raw(path) } else { program.save(path) }?;
@@ -42,7 +42,8 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     Ok(())
 }
 
-/// Reads the program, in several runs if the line fails.
+/// Uploads the program. Resumes after a line failure, while each attempt reads at least one more
+/// page.
 async fn read_with_retries(
     read: &mut ReadProgram,
     station: &Station,
@@ -56,7 +57,7 @@ async fn read_with_retries(
     retry(read, Direction::Read, display, run, progress, note).await
 }
 
-/// The file is looked at before the station: nothing is sent for one that is no good.
+/// Loads and checks the file before the first request.
 pub(crate) async fn write(
     plc: &Plc,
     timeout: Option<Duration>,
@@ -80,22 +81,22 @@ pub(crate) async fn write(
     };
     reporter.end_line();
     let Some(report) = ended.transpose()? else {
-        return Err(Failure::WriteBrokenOff(Box::new(write.state())));
+        return Err(Failure::WriteInterrupted(Box::new(write.state())));
     };
     let state = match (report.was_stopped, report.running) {
         (_, true) => "the PLC runs",
-        (true, false) => "the PLC ran before and is stopped now",
+        (true, false) => "the PLC ran before and is now stopped",
         (false, false) => "the PLC is stopped",
     };
-    // The attempts that went before are those of this command, too.
+    // The sum of all attempts of this command.
     match (report.written.len() + report.written_before.len(), report.pages) {
-        (0, all) => output.remark(format_args!("all {all} pages were the same: nothing was written; {state}")),
+        (0, all) => output.remark(format_args!("all {all} pages are equal, nothing was written; {state}")),
         (written, all) => output.remark(format_args!("{written} of {all} pages written and compared; {state}")),
     }
     Ok(())
 }
 
-/// Writes the program, in several runs if the line fails.
+/// Downloads the program. Resumes after a line failure, while less is left each time.
 async fn write_with_retries(
     write: &mut WriteProgram,
     station: &Station,
@@ -111,7 +112,7 @@ async fn write_with_retries(
     retry(write, Direction::Write, display, run, progress, note).await
 }
 
-/// Ends as the writing would, as far as that can be told without changing anything.
+/// Makes the checks of a download and prints the pages that it would write.
 async fn dry_run(
     station: &Station,
     program: &Program,
@@ -126,9 +127,9 @@ async fn dry_run(
     print_pages(&pages, output)?;
     let stopped = match (args.run, write.state().plc) {
         _ if pages.is_empty() => "",
-        (true, PlcState::Running) => "; the PLC runs, and would be stopped and run again",
-        (false, PlcState::Running) => "; the PLC runs, and would be stopped and stay so",
-        _ => "; the PLC is stopped, and would stay so",
+        (true, PlcState::Running) => "; the PLC runs, and would be stopped and started again",
+        (false, PlcState::Running) => "; the PLC runs, and would be stopped",
+        _ => "; the PLC is stopped, and would stay stopped",
     };
     output.remark(format_args!("{} of {} pages would be written{stopped}", pages.len(), program.pages().len()));
     Ok(())
@@ -144,10 +145,10 @@ pub(crate) async fn verify(
     let pages = differing(&connect::station(plc, timeout)?, &program, output).await?;
     print_pages(&pages, output)?;
     if pages.is_empty() {
-        output.remark(format_args!("the PLC holds this program: all {} pages are the same", program.pages().len()));
+        output.remark(format_args!("all {} pages are equal", program.pages().len()));
         Ok(())
     } else {
-        Err(Failure::Differs { what: "pages", differing: pages.len(), all: program.pages().len() })
+        Err(Failure::Differs { parts: "pages", differing: pages.len(), all: program.pages().len() })
     }
 }
 
@@ -164,7 +165,7 @@ pub(crate) fn info(file: &ProgramFile, output: &Output) -> Result<(), Failure> {
 
 fn fields(program: &Program) -> Vec<(&'static str, Cell)> {
     let header = program.header();
-    let unknown = || Cell { text: "not known".to_owned(), json: Value::Null };
+    let unknown = || Cell { text: "unknown".to_owned(), json: Value::Null };
     let known = |text: Option<String>| text.map_or_else(unknown, Cell::from);
     let status = program.status();
     let version = status.map(|status| {
@@ -181,7 +182,7 @@ fn fields(program: &Program) -> Vec<(&'static str, Cell)> {
         ("main_unit", known(status.map(|status| status.main_unit().to_string()))),
         ("os_version", known(version)),
         ("ran", status.map_or_else(unknown, |status| status.flags().running().into())),
-        ("status", known(status.map(|status| status.raw().iter().map(|byte| format!("{byte:02X}")).collect()))),
+        ("status", known(status.map(|status| hex(status.raw())))),
     ]
 }
 
@@ -222,8 +223,8 @@ fn options(args: &ProgramWriteArgs) -> WriteOptions {
 
 fn question(plc: &Plc, program: &Program, args: &ProgramWriteArgs) -> String {
     let stopped = match (args.stop, args.run) {
-        (true, true) => " It is stopped for that, and runs again afterwards.",
-        (true, false) => " It is stopped for that, and stays so.",
+        (true, true) => " The PLC is stopped first and started again afterwards.",
+        (true, false) => " The PLC is stopped first and stays stopped.",
         (false, _) => "",
     };
     let (file, header) = (args.file.file.display(), program.header());

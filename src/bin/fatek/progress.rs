@@ -1,57 +1,72 @@
-//! How far a long command has come, on stderr: one line that is written over on a terminal, else a line for each event.
+//! Progress of long commands on stderr: one line that is redrawn on a terminal, a line per event
+//! elsewhere.
 
 use std::fmt;
-use std::io::{self, IsTerminal, Write};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::output::{Output, complain};
 
-#[derive(Debug)]
-pub(crate) struct Progress {
-    mode: Mode,
-}
-
+/// Kind of display, by `--quiet` and by the terminal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Mode {
-    /// One line, which goes when all is done.
-    Line,
-    /// Only what has happened.
-    Events,
+pub(crate) enum Display {
+    Terminal,
+    Lines,
     Quiet,
 }
 
-impl Progress {
+impl Display {
     pub(crate) fn new(output: &Output) -> Self {
-        let mode = match output.quiet {
-            true => Mode::Quiet,
-            false if io::stderr().is_terminal() => Mode::Line,
-            false => Mode::Events,
+        match output.quiet {
+            true => Self::Quiet,
+            // Also for a terminal that cannot move the cursor.
+            false if ProgressDrawTarget::stderr().is_hidden() => Self::Lines,
+            false => Self::Terminal,
+        }
+    }
+}
+
+/// Status of a command without a known amount of work, cleared at its end.
+#[derive(Debug)]
+pub(crate) struct StatusLine {
+    display: Display,
+    line: ProgressBar,
+}
+
+impl StatusLine {
+    pub(crate) fn new(output: &Output) -> Self {
+        let display = Display::new(output);
+        let line = match display {
+            Display::Terminal => ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()),
+            Display::Lines | Display::Quiet => ProgressBar::hidden(),
         };
-        Self { mode }
+        Self { display, line: line.with_style(style("{wide_msg}")) }
     }
 
-    /// Says where it stands.
-    pub(crate) fn stand(&self, text: fmt::Arguments<'_>) {
-        if self.mode == Mode::Line {
-            let mut stderr = io::stderr().lock();
-            let _ = write!(stderr, "\r{CLEAR}{text}").and_then(|()| stderr.flush());
+    /// Shows the current status, on a terminal only.
+    pub(crate) fn show(&self, text: fmt::Arguments<'_>) {
+        if self.display == Display::Terminal {
+            self.line.set_message(text.to_string());
         }
     }
 
-    /// Says that something has happened.
+    /// Reports an event, unless there is a terminal.
     pub(crate) fn event(&self, text: fmt::Arguments<'_>) {
-        if self.mode == Mode::Events {
+        if self.display == Display::Lines {
             complain(text);
         }
     }
 }
 
-impl Drop for Progress {
+impl Drop for StatusLine {
     fn drop(&mut self) {
-        if self.mode == Mode::Line {
-            let _ = write!(io::stderr().lock(), "\r{CLEAR}");
-        }
+        self.line.finish_and_clear();
     }
 }
 
-/// Clears the line from the cursor on.
-const CLEAR: &str = "\x1b[K";
+/// Style of this template; the default style if it has an error.
+pub(crate) fn style(template: &str) -> ProgressStyle {
+    let style = ProgressStyle::with_template(template);
+    debug_assert!(style.is_ok(), "bad template {template}");
+    style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("#>-")
+}

@@ -1,4 +1,4 @@
-//! `fatek read TAG…`
+//! Subcommand `fatek read TAG…`.
 
 use fatek::tag::Tag;
 use fatek::{Element, Error, Station, Value};
@@ -18,7 +18,7 @@ pub(crate) async fn read(station: &Station, tags: &[Tag], output: &Output) -> Re
     output.rows(&rows)
 }
 
-/// The tag without its type: what is left to say where a text is as long as its range.
+/// Elements of a tag, without its type.
 pub(crate) fn elements(tag: &Tag) -> String {
     let text = tag.to_string();
     text.split_once(':').map_or(text.clone(), |(elements, _)| elements.to_owned())
@@ -29,7 +29,7 @@ pub(crate) fn type_name(tag: &Tag) -> String {
     tag.scale().map_or_else(|| name.to_string(), |scale| format!("{name}{scale}"))
 }
 
-/// What the elements of a tag hold.
+/// Reads the raw values of a tag.
 async fn fetch(station: &Station, tag: &Tag) -> Result<Vec<Value>, Error> {
     let count = tag.element_count();
     Ok(match tag.first() {

@@ -1,8 +1,8 @@
-//! How the user stops what goes on until it is stopped.
+//! Interruption of a command by the user.
 
 use std::io;
 
-/// Waits for Ctrl-C, or for SIGTERM where there is one. From now on both stop the program in order.
+/// Installs handlers for Ctrl-C and SIGTERM, and waits for the first of them.
 #[cfg(unix)]
 pub(crate) fn stopped() -> io::Result<impl Future<Output = io::Result<()>>> {
     use tokio::signal::unix::{SignalKind, signal};

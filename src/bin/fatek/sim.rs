@@ -1,4 +1,4 @@
-//! `fatek sim`
+//! Subcommand `fatek sim`.
 
 use fatek::sim::{Bus, Model, Plc, Server};
 
@@ -19,7 +19,7 @@ pub(crate) async fn sim(args: &SimArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A PLC at each station, each holding what `--set` says.
+/// Bus with one PLC per `--station`, each with the values of `--set`.
 fn bus(args: &SimArgs) -> Result<Bus, Failure> {
     let mut bus = Bus::new();
     for &station in &args.stations {
@@ -42,12 +42,12 @@ fn model(args: &SimArgs) -> Model {
     }
 }
 
-/// `HOST:PORT` of `tcp://HOST:PORT`.
+/// Returns `HOST:PORT` of `tcp://HOST:PORT`.
 fn address(url: &str) -> Result<&str, Failure> {
-    let rule = |rule: &str| Failure::Usage(format!("`{url}` is not where to listen: {rule}"));
+    let rule = |rule: &str| Failure::Usage(format!("cannot listen on `{url}`: {rule}"));
     let address = url.strip_prefix("tcp://").ok_or_else(|| rule("it must begin with `tcp://`"))?;
     if address.contains('?') {
-        return Err(rule("it takes no options; the framing has an option of its own, --framing"));
+        return Err(rule("it takes no options; for the framing give --framing"));
     }
     let address = address.strip_suffix('/').unwrap_or(address);
     match address.rsplit_once(':') {

@@ -1,11 +1,11 @@
-//! `fatek status`
+//! Subcommand `fatek status`.
 
 use fatek::command::{BriefStatus, DetailedStatus};
 use fatek::{Error, Station};
 use serde_json::{Map, Value, json};
 
 use crate::failure::Failure;
-use crate::output::{Cell, Format, Output, Rows};
+use crate::output::{Cell, Format, Output, Rows, hex};
 
 pub(crate) async fn status(station: &Station, output: &Output) -> Result<(), Failure> {
     let brief = station.read_status().await?;
@@ -13,7 +13,7 @@ pub(crate) async fn status(station: &Station, output: &Output) -> Result<(), Fai
     print(&brief_fields(&brief), detailed.as_ref().ok().map(detailed_fields).as_deref(), output)?;
     match detailed {
         Ok(_) => Ok(()),
-        // Not every model has it, and what is asked for has been answered.
+        // Some models have no detailed status.
         Err(error @ Error::Plc { .. }) => {
             output.remark(format_args!("no detailed status: {error}"));
             Ok(())
@@ -61,7 +61,8 @@ fn detailed_fields(status: &DetailedStatus) -> Vec<Field> {
     ]
 }
 
-/// JSON is an object of two objects, `detailed` being null when the PLC has none; the rest are rows.
+/// Prints JSON as an object with `brief` and `detailed`, which is null if the PLC has none. Other
+/// formats are rows.
 fn print(brief: &[Field], detailed: Option<&[Field]>, output: &Output) -> Result<(), Failure> {
     if output.format == Format::Json {
         return output.json(&json!({ "brief": object(brief), "detailed": detailed.map(object) }));
@@ -77,8 +78,4 @@ fn print(brief: &[Field], detailed: Option<&[Field]>, output: &Output) -> Result
 
 fn object(fields: &[Field]) -> Value {
     Value::Object(fields.iter().map(|(name, cell)| ((*name).to_owned(), cell.json.clone())).collect::<Map<_, _>>())
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }

@@ -1,4 +1,4 @@
-//! `fatek watch TAG…`
+//! Subcommand `fatek watch TAG…`.
 
 use std::time::SystemTime;
 
@@ -19,7 +19,7 @@ pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) 
     tokio::pin!(stopped);
     let mut poller = Poller::new();
     let polled = poller.station(station).map_err(Failure::usage)?;
-    // Each value by itself, so that one that changes is told without the others.
+    // One tag per value, so that each change is reported alone.
     let tags: Vec<Tag> = args.tags.iter().flat_map(Tag::singles).collect();
     let class = ScanClass::every(args.interval);
     polled.add(class, tags.iter().map(|tag| poll_tag(*tag, args))).map_err(Failure::usage)?;
@@ -44,7 +44,7 @@ pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) 
     }
     let stats = poller.handle().stats();
     output.remark(format_args!(
-        "{} readings, {} skipped, {} without an answer; {lines} lines",
+        "{} poll cycles, {} skipped, {} without a reply; {lines} lines",
         stats.cycles, stats.overruns, stats.abandoned
     ));
     Ok(())
@@ -53,7 +53,7 @@ pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) 
 fn poll_tag(tag: Tag, args: &WatchArgs) -> PollTag {
     let polled = PollTag::from(tag);
     match args.deadband {
-        // A deadband is for numbers; other tags change or do not.
+        // Only numbers have a deadband.
         Some(deadband) if tag.tag_type().is_number() => polled.deadband(deadband),
         Some(_) => polled.on_change(),
         None if args.on_change => polled.on_change(),
@@ -61,10 +61,10 @@ fn poll_tag(tag: Tag, args: &WatchArgs) -> PollTag {
     }
 }
 
-/// Prints samples as they come: a line each.
+/// Prints one line per sample.
 struct Printer<'o> {
     output: &'o Output,
-    /// That of the longest tag.
+    /// Width of the tag column in characters.
     width: usize,
 }
 

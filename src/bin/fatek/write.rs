@@ -1,4 +1,4 @@
-//! `fatek write TAG=VALUE…`
+//! Subcommand `fatek write TAG=VALUE…`.
 
 use fatek::tag::Assignment;
 use fatek::{Element, Error, Station, Value};
@@ -10,7 +10,7 @@ pub(crate) async fn write(station: &Station, assignments: &[Assignment], output:
     for assignment in assignments {
         send(station, assignment).await.map_err(|error| {
             let tag = assignment.tag();
-            // A partial write itself says what was written.
+            // The error of a partial write names the elements that were written.
             let in_doubt = !matches!(error, Error::PartlyWritten { .. }) && error.may_have_executed();
             let doubt = if in_doubt { " (it may have been written)" } else { "" };
             Failure::of(format_args!("{tag}{doubt}"))(error)
@@ -26,11 +26,12 @@ async fn send(station: &Station, assignment: &Assignment) -> Result<(), Error> {
     match tag.first() {
         Element::Discrete(first) => station.write_discretes(first, &bits(&raw)).await,
         Element::Register(first) => station.write_registers(first, &words(&raw)).await,
-        Element::Register32(first) => station.write_registers32(first, &doubles(&raw)).await,
+        Element::Register32(first) => station.write_registers32(first, &dwords(&raw)).await,
     }
 }
 
-// An assignment's raw values are as wide as its elements: each of these takes all that it is given.
+// Invariant: the raw values of an assignment are as wide as its elements, so no value is filtered
+// out.
 
 fn bits(values: &[Value]) -> Vec<bool> {
     values.iter().filter_map(|value| if let Value::Bit(on) = *value { Some(on) } else { None }).collect()
@@ -40,6 +41,6 @@ fn words(values: &[Value]) -> Vec<u16> {
     values.iter().filter_map(|value| if let Value::Word(word) = *value { Some(word) } else { None }).collect()
 }
 
-fn doubles(values: &[Value]) -> Vec<u32> {
+fn dwords(values: &[Value]) -> Vec<u32> {
     values.iter().filter_map(|value| if let Value::DWord(double) = *value { Some(double) } else { None }).collect()
 }

@@ -1,4 +1,4 @@
-//! What can stand behind `fatek program`.
+//! Arguments of `fatek program`.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -13,63 +13,63 @@ pub(crate) enum ProgramCommand {
     Read(ProgramReadArgs),
     Write(ProgramWriteArgs),
     Verify(ProgramVerifyArgs),
-    /// Print what a saved program is, without a PLC
+    /// Print the properties of a program file; no PLC needed
     Info(ProgramFile),
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct ProgramFile {
-    /// The file with the program
+    /// Program file
     #[arg(value_name = "FILE")]
     pub(crate) file: PathBuf,
-    /// The file holds the bytes of all pages and nothing else: no status, no checksum
+    /// Raw file: bytes of all pages, without status and checksum
     #[arg(long)]
     pub(crate) raw: bool,
 }
 
-/// Read the program of the PLC into a file
+/// Upload the program of the PLC to a file
 ///
-/// A file that is there keeps its content until all of the new is on the disk. After a failure that is not the PLC's answer
-/// it goes on where it was, as long as each attempt brings at least a page.
+/// An existing file is replaced only after the new one is complete on the disk. After a line
+/// failure the upload resumes, as long as each attempt reads at least one more page.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:
   fatek program read pump.program --link tcp://192.168.2.3 --station 1")]
 pub(crate) struct ProgramReadArgs {
     #[command(flatten)]
     pub(crate) file: ProgramFile,
-    /// Read all pages a second time, and fail if one has changed
+    /// Read all pages twice; a difference is an error
     #[arg(long)]
     pub(crate) twice: bool,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
 
-/// Write the program in a file to the PLC: the pages that differ
+/// Download a program file to the PLC, only the pages that differ
 ///
-/// Asks before anything is changed; where there is no terminal, --yes must be given. Each page is read back and compared.
-/// If it ends in the middle, by Ctrl-C too, the PLC is left stopped; the same command again writes the rest. With --dry-run it
-/// ends as it would without, also where it would be refused, but changes nothing.
+/// Asks for confirmation before the first write; without a terminal --yes is required. Each page is
+/// read back and compared. After a failure or Ctrl-C the PLC stays stopped: repeat the command to
+/// write the rest. --dry-run makes the same checks and changes nothing.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  fatek program write pump.program --dry-run --link tcp://192.168.2.3 --station 1
+  fatek program write pump.program --stop --dry-run
   fatek program write pump.program --stop --run")]
 pub(crate) struct ProgramWriteArgs {
     #[command(flatten)]
     pub(crate) file: ProgramFile,
-    /// Stop the PLC first if it runs; else one that runs is refused
+    /// Stop a running PLC first [default: refuse a running PLC]
     #[arg(long)]
     pub(crate) stop: bool,
-    /// Run the PLC again afterwards, if it ran before
+    /// Start the PLC again after the download, if it ran before
     #[arg(long, requires = "stop")]
     pub(crate) run: bool,
-    /// Write all pages, not only those that differ
+    /// Write all pages, including equal ones
     #[arg(long)]
     pub(crate) all: bool,
-    /// Compare all pages once more in the end
+    /// Compare all pages again after the download
     #[arg(long)]
     pub(crate) verify: bool,
-    /// How long the PLC may take to write a page, such as 5s [default: --timeout]
-    #[arg(long, value_parser = duration::parse_timeout, value_name = "TIME")]
+    /// Response timeout for the write of one page, up to 24h [default: --timeout]
+    #[arg(long, value_parser = duration::parse_positive, value_name = "TIME")]
     pub(crate) page_timeout: Option<Duration>,
     #[command(flatten)]
     pub(crate) consent: Consent,
@@ -77,9 +77,9 @@ pub(crate) struct ProgramWriteArgs {
     pub(crate) plc: Plc,
 }
 
-/// Compare the program of the PLC with the one in a file
+/// Compare the program of the PLC with a file
 ///
-/// Prints the pages that differ. Exit status 0 if there are none, 7 if there are.
+/// Prints the pages that differ. Exit status 0 if all are equal, 7 if not.
 #[derive(Debug, Args)]
 pub(crate) struct ProgramVerifyArgs {
     #[command(flatten)]

@@ -1,56 +1,23 @@
-//! One frame, field by field.
+//! Explanation of one frame, field by field.
 
 use fatek::command::Code;
 use fatek::wire::ascii::{self, ETX, STX};
 use fatek::wire::binary::{self, ID, QUERY, REPLY, TERMINATOR};
 use fatek::wire::{Framing, MAX_FRAME_LEN};
 
-use super::cut::Piece;
+use super::field::{DataReading, Field, Part};
+use super::split::Piece;
 use super::{reply, request};
 
-/// What a frame says, and what is wrong with it.
+/// Fields and faults of a frame, or of bytes outside frames.
 #[derive(Clone, Debug)]
 pub(super) struct Explanation {
-    /// `None` for what is no frame.
+    /// `None` for bytes outside frames.
     pub(super) framing: Option<Framing>,
     /// In bytes.
     pub(super) length: usize,
     pub(super) fields: Vec<Field>,
     pub(super) faults: Vec<String>,
-}
-
-/// Some bytes of a frame, and what they say.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Field {
-    pub(super) part: Part,
-    pub(super) name: String,
-    pub(super) bytes: Vec<u8>,
-    pub(super) meaning: String,
-}
-
-/// Whether a field belongs to every frame, or to one reading of its data.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Part {
-    Frame,
-    Request,
-    Reply,
-}
-
-impl Part {
-    pub(super) fn as_str(self) -> &'static str {
-        match self {
-            Self::Frame => "frame",
-            Self::Request => "request",
-            Self::Reply => "reply",
-        }
-    }
-}
-
-/// A frame's data, read as a request or as a reply: the fields as far as they could be read, and why no further.
-#[derive(Clone, Debug)]
-pub(super) struct Reading {
-    pub(super) fields: Vec<Field>,
-    pub(super) fault: Option<String>,
 }
 
 pub(super) fn explain(piece: &Piece<'_>) -> Explanation {
@@ -64,8 +31,8 @@ pub(super) fn explain(piece: &Piece<'_>) -> Explanation {
 impl Explanation {
     pub(super) fn title(&self) -> String {
         let framing = match self.framing {
-            None if self.length == 1 => return "1 byte that is no frame".to_owned(),
-            None => return format!("{} bytes that are no frame", self.length),
+            None if self.length == 1 => return "1 byte outside frames".to_owned(),
+            None => return format!("{} bytes outside frames", self.length),
             Some(Framing::Binary) => "Binary",
             Some(_) => "ASCII",
         };
@@ -76,7 +43,7 @@ impl Explanation {
     fn new(framing: Option<Framing>, bytes: &[u8]) -> Self {
         let mut explanation = Self { framing, length: bytes.len(), fields: Vec::new(), faults: Vec::new() };
         if framing.is_some() && bytes.len() > MAX_FRAME_LEN {
-            explanation.faults.push(format!("the frame has {} bytes, more than {MAX_FRAME_LEN}", bytes.len()));
+            explanation.faults.push(format!("the frame has {} bytes, the limit is {MAX_FRAME_LEN}", bytes.len()));
         }
         explanation
     }
@@ -86,7 +53,7 @@ impl Explanation {
         self.fields.push(field);
     }
 
-    /// A field that is not what it should be.
+    /// Adds a field that breaks a rule.
     fn fault(&mut self, name: &str, bytes: &[u8], rule: impl Into<String>) {
         let rule = rule.into();
         self.faults.push(format!("{name}: {rule}"));
@@ -99,17 +66,17 @@ impl Explanation {
 
     fn station(&mut self, bytes: &[u8], station: u8) {
         match station {
-            0 => self.field("station", bytes, "0: all of them, none answers"),
-            255 => self.fault("station", bytes, "255 is no station"),
+            0 => self.field("station", bytes, "0: broadcast, no reply"),
+            255 => self.fault("station", bytes, "255 is not a station"),
             station => self.field("station", bytes, station.to_string()),
         }
     }
 
-    /// The command, and the data as that command has it.
+    /// Adds the command, and the data as fields of that command.
     fn command(&mut self, bytes: &[u8], command: u8, data: &[u8], readings: &[Part]) {
         let Some(framing) = self.framing else { return };
         match Code::from_u8(command) {
-            None => self.fault("command", bytes, format!("there is no command {command:02X}")),
+            None => self.fault("command", bytes, format!("unknown command {command:02X}")),
             Some(code) if !code.is_in(framing) => {
                 self.fault("command", bytes, format!("{code} does not exist in the {framing} framing"));
             }
@@ -123,13 +90,14 @@ impl Explanation {
         }
     }
 
-    /// Every reading that fits. The ASCII framing does not tell requests from replies, so there can be two.
+    /// Adds the data in each reading without a fault. An ASCII frame may be both a request and a
+    /// reply.
     fn data(&mut self, code: Code, framing: Framing, data: &[u8], readings: &[Part]) {
         let read = |part: &Part| match part {
             Part::Reply => (*part, reply::read(code, framing, data)),
             Part::Frame | Part::Request => (*part, request::read(code, framing, data)),
         };
-        let readings: Vec<(Part, Reading)> = readings.iter().map(read).collect();
+        let readings: Vec<(Part, DataReading)> = readings.iter().map(read).collect();
         if readings.iter().any(|(_, reading)| reading.fault.is_none()) {
             let fitting = readings.into_iter().filter(|(_, reading)| reading.fault.is_none());
             self.fields.extend(fitting.flat_map(|(_, reading)| reading.fields));
@@ -137,29 +105,30 @@ impl Explanation {
         }
         for (part, reading) in &readings {
             if let Some(fault) = &reading.fault {
-                self.faults.push(format!("data: no {}: {fault}", part.as_str()));
+                self.faults.push(format!("data: not a {}: {fault}", part.as_str()));
             }
         }
-        // The reading that came furthest is the likeliest to have been meant; of two, the first.
-        let consumed = |reading: &Reading| reading.fields.iter().map(|field| field.bytes.len()).sum::<usize>();
-        let Some((part, Reading { fields, fault })) = readings.into_iter().rev().max_by_key(|(_, r)| consumed(r))
+        // Without a good reading the longest one is shown; of two equal ones, the first.
+        let consumed = |reading: &DataReading| reading.fields.iter().map(|field| field.bytes.len()).sum::<usize>();
+        let Some((part, DataReading { fields, fault: Some(fault) })) =
+            readings.into_iter().rev().max_by_key(|(_, r)| consumed(r))
         else {
             return;
         };
         let rest = data.get(fields.iter().map(|field| field.bytes.len()).sum()..).unwrap_or_default().to_vec();
         self.fields.extend(fields);
-        let meaning = format!("BAD: {}", fault.unwrap_or_default());
+        let meaning = format!("BAD: {fault}");
         self.fields.push(Field { part, name: "rest".to_owned(), bytes: rest, meaning });
     }
 }
 
 fn noise(bytes: &[u8]) -> Explanation {
     let mut explanation = Explanation::new(None, bytes);
-    explanation.fault("noise", bytes, "no frame begins here: it would be 02, or 51 10 or 52 10");
+    explanation.fault("noise", bytes, "not the start of a frame: expected 02, 51 10 or 52 10");
     explanation
 }
 
-/// `STX station command data LRC ETX`
+/// Explains `STX station command data LRC ETX`.
 fn ascii_frame(bytes: &[u8]) -> Explanation {
     let mut it = Explanation::new(Some(Framing::Ascii), bytes);
     let (stx, rest) = bytes.split_at(bytes.len().min(1));
@@ -167,20 +136,20 @@ fn ascii_frame(bytes: &[u8]) -> Explanation {
         Some(rest) => (rest, &bytes[bytes.len() - 1..]),
         None => (rest, &[][..]),
     };
-    // A frame that was cut off has lost its end, so what it ends with now is no LRC.
+    // A frame without ETX is cut off: its last bytes are not the LRC.
     let (rest, lrc) = if etx.is_empty() { (rest, &[][..]) } else { rest.split_at(rest.len().saturating_sub(2)) };
     let (station, rest) = rest.split_at(rest.len().min(2));
     let (command, data) = rest.split_at(rest.len().min(2));
 
-    it.check("STX", stx, stx == [STX], "begin", "a frame begins with 02");
+    it.check("STX", stx, stx == [STX], "begin", "expected 02");
     match hex_byte(station) {
         Some(number) => it.station(station, number),
-        None => it.fault("station", station, "it must be two hexadecimal digits"),
+        None => it.fault("station", station, "expected two hexadecimal digits"),
     }
     match hex_byte(command) {
         Some(code) => it.command(command, code, data, &[Part::Request, Part::Reply]),
         None => {
-            it.fault("command", command, "it must be two hexadecimal digits");
+            it.fault("command", command, "expected two hexadecimal digits");
             if !data.is_empty() {
                 it.field("data", data, "");
             }
@@ -194,14 +163,14 @@ fn ascii_frame(bytes: &[u8]) -> Explanation {
     let computed = ascii::lrc(summed);
     match hex_byte(lrc) {
         Some(stated) if stated == computed => it.field("LRC", lrc, format!("{stated:02X}, as computed")),
-        Some(stated) => it.fault("LRC", lrc, format!("{stated:02X} is stated, {computed:02X} is computed")),
-        None => it.fault("LRC", lrc, format!("it must be two hexadecimal digits; {computed:02X} is computed")),
+        Some(stated) => it.fault("LRC", lrc, format!("found {stated:02X}, computed {computed:02X}")),
+        None => it.fault("LRC", lrc, format!("expected two hexadecimal digits, computed {computed:02X}")),
     }
     it.field("ETX", etx, "end");
     it
 }
 
-/// `header id length station command data CRC terminator`
+/// Explains `header id length station command data CRC terminator`.
 fn binary_frame(bytes: &[u8]) -> Explanation {
     let mut it = Explanation::new(Some(Framing::Binary), bytes);
     let (header, rest) = bytes.split_at(bytes.len().min(1));
@@ -210,7 +179,7 @@ fn binary_frame(bytes: &[u8]) -> Explanation {
     let stated = <[u8; 2]>::try_from(length).map(|length| usize::from(u16::from_be_bytes(length))).ok();
     let (payload, tail) = match rest.strip_suffix(&TERMINATOR) {
         Some(rest_of_it) => rest.split_at(rest_of_it.len().saturating_sub(2)),
-        // Without its end, the length is all that says where the payload ends.
+        // Without a terminator the length field alone gives the end of the payload.
         None => rest.split_at(rest.len().min(stated.unwrap_or(rest.len()))),
     };
     let (crc, terminator) = tail.split_at(tail.len().min(2));
@@ -220,39 +189,35 @@ fn binary_frame(bytes: &[u8]) -> Explanation {
     match header {
         [QUERY] => it.field("header", header, "request"),
         [REPLY] => it.field("header", header, "reply"),
-        _ => it.fault("header", header, "it must be 51, a request, or 52, a reply"),
+        _ => it.fault("header", header, "expected 51 (request) or 52 (reply)"),
     }
-    it.check("id", id, id == [ID], "always 10", "it must be 10");
+    it.check("id", id, id == [ID], "always 10", "expected 10");
     match stated {
         Some(stated) if stated == payload.len() && stated >= 2 => {
             it.field("length", length, format!("{stated} bytes, from station to data"));
         }
         Some(stated) => {
-            it.fault(
-                "length",
-                length,
-                format!("{stated} bytes are stated, {} are there, 2 are the fewest", payload.len()),
-            );
+            it.fault("length", length, format!("{stated} bytes stated, {} found, minimum 2", payload.len()));
         }
-        None => it.fault("length", length, "it must be two bytes"),
+        None => it.fault("length", length, "expected two bytes"),
     }
     match station {
         [number] => it.station(station, *number),
-        _ => it.fault("station", station, "it is missing"),
+        _ => it.fault("station", station, "missing"),
     }
     match command {
         [code] => it.command(command, *code, data, if header == [REPLY] { &[Part::Reply] } else { &[Part::Request] }),
-        _ => it.fault("command", command, "it is missing"),
+        _ => it.fault("command", command, "missing"),
     }
     let computed = binary::crc(bytes.get(2..bytes.len() - tail.len()).unwrap_or_default());
-    // As it stands on the wire, the low byte first.
+    // On the wire the low byte is first.
     let [first, second] = computed.to_le_bytes();
     match *crc {
         [a, b] if [a, b] == [first, second] => it.field("CRC", crc, format!("{a:02X} {b:02X}, as computed")),
-        [a, b] => it.fault("CRC", crc, format!("{a:02X} {b:02X} is stated, {first:02X} {second:02X} is computed")),
-        _ => it.fault("CRC", crc, format!("it must be two bytes; {first:02X} {second:02X} is computed")),
+        [a, b] => it.fault("CRC", crc, format!("found {a:02X} {b:02X}, computed {first:02X} {second:02X}")),
+        _ => it.fault("CRC", crc, format!("expected two bytes, computed {first:02X} {second:02X}")),
     }
-    it.check("terminator", terminator, terminator == TERMINATOR, "end", "a frame ends with 55 AA");
+    it.check("terminator", terminator, terminator == TERMINATOR, "end", "expected 55 AA");
     it
 }
 

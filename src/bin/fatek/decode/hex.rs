@@ -1,6 +1,6 @@
-//! Hexadecimal digits as people paste them: `0246`, `02 46`, `02:46`, `0x02, 0x46`.
+//! Parser of hexadecimal bytes: `0246`, `02 46`, `02:46`, `0x02, 0x46`.
 
-/// The bytes. Each group of digits must be whole bytes; an error names the character, counted from 1.
+/// Parses groups of digits, each a number of whole bytes. Errors name the character, from 1 on.
 pub(super) fn parse(text: &str) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let mut high = None;
@@ -13,19 +13,19 @@ pub(super) fn parse(text: &str) -> Result<Vec<u8>, String> {
                 bytes.push(first << 4 | digit);
                 high = None;
             }
-            // The 0 of 0x is no digit of the byte.
+            // The 0 of 0x is not a digit of the byte.
             (None, Some(0)) if matches!(character, 'x' | 'X') && previous == '0' => high = None,
             (None, Some(_)) if is_separator(character) => {
-                return Err(rule("follows a single digit, and two digits make a byte"));
+                return Err(rule("follows a single digit; a byte has two"));
             }
             (None, None) if is_separator(character) => {}
-            (None, _) => return Err(rule("is no hexadecimal digit; spaces, commas, colons and 0x can stand between")),
+            (None, _) => return Err(rule("is not a hexadecimal digit; separators are space, comma, colon and 0x")),
         }
         previous = character;
     }
     match high {
-        Some(_) => Err(format!("`{text}` is not hexadecimal: it ends with a single digit, and two digits make a byte")),
-        None if bytes.is_empty() => Err(format!("`{text}` holds no bytes: it must be hexadecimal digits, two each")),
+        Some(_) => Err(format!("`{text}` is not hexadecimal: it ends with a single digit; a byte has two")),
+        None if bytes.is_empty() => Err(format!("`{text}` has no bytes: expected two hexadecimal digits per byte")),
         None => Ok(bytes),
     }
 }
@@ -39,7 +39,7 @@ mod tests {
     use super::parse;
 
     #[test]
-    fn bytes_can_be_written_in_many_ways() {
+    fn all_separators_are_accepted() {
         for text in ["02aBff", "02 ab FF", "02:AB:FF", "0x02,0xAB, 0XFF", "02,ab\tff\n", "0x02abff", "  02ab ff "] {
             assert_eq!(parse(text), Ok(vec![0x02, 0xAB, 0xFF]), "{text}");
         }
@@ -49,16 +49,16 @@ mod tests {
     #[test]
     fn errors_name_the_position_and_the_rule() {
         for (text, rule) in [
-            ("02 4G", "character 5, 'G', is no hexadecimal digit"),
+            ("02 4G", "character 5, 'G', is not a hexadecimal digit"),
             ("02 4 6", "character 5, ' ', follows a single digit"),
-            ("02-46", "character 3, '-', is no hexadecimal digit"),
-            ("1x46", "character 2, 'x', is no hexadecimal digit"),
-            ("0x00x0", "character 5, 'x', is no hexadecimal digit"),
-            ("x46", "character 1, 'x', is no hexadecimal digit"),
+            ("02-46", "character 3, '-', is not a hexadecimal digit"),
+            ("1x46", "character 2, 'x', is not a hexadecimal digit"),
+            ("0x00x0", "character 5, 'x', is not a hexadecimal digit"),
+            ("x46", "character 1, 'x', is not a hexadecimal digit"),
             ("02 46 5", "it ends with a single digit"),
-            ("", "holds no bytes"),
-            (" : ", "holds no bytes"),
-            ("02 é", "character 4, 'é', is no hexadecimal digit"),
+            ("", "has no bytes"),
+            (" : ", "has no bytes"),
+            ("02 é", "character 4, 'é', is not a hexadecimal digit"),
         ] {
             let error = parse(text).unwrap_err();
             assert!(error.starts_with(&format!("`{text}`")), "{error}");

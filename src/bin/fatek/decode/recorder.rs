@@ -1,6 +1,6 @@
-//! A reader of fields that keeps what it has read.
+//! Field reader that records the fields it reads.
 //!
-//! The commands read their own requests through it, so that the fields shown here are those that a PLC reads.
+//! The decoders of the commands read through it, so `decode` shows the fields that a PLC reads.
 
 use std::fmt::Display;
 
@@ -8,7 +8,7 @@ use fatek::Element;
 use fatek::command::Code;
 use fatek::wire::{FieldError, FieldReader};
 
-use super::explain::{Field, Part, Reading};
+use super::field::{DataReading, Field, Part};
 use super::text;
 
 #[derive(Clone, Debug)]
@@ -18,9 +18,9 @@ pub(super) struct Recorder<'a, R> {
     code: Code,
     part: Part,
     fields: Vec<Field>,
-    /// The last element: the values that follow belong to it and to those after it.
+    /// Last element read: the values that follow are those of this element and of its successors.
     element: Option<Element>,
-    /// How many values have followed it.
+    /// Number of values read after it.
     values: usize,
 }
 
@@ -30,45 +30,44 @@ impl<'a, R: FieldReader + Clone> Recorder<'a, R> {
         Self { inner, data, code, part, fields: Vec::new(), element: None, values: 0 }
     }
 
-    /// What has been read, given how the reading ended.
-    pub(super) fn reading<E: Display>(self, result: Result<(), E>) -> Reading {
+    /// Recorded fields, with the error that ended the reading.
+    pub(super) fn into_reading<E: Display>(self, result: Result<(), E>) -> DataReading {
         let mut fields: Vec<Field> = Vec::with_capacity(self.fields.len());
-        // The 64 words of a page are one line.
+        // The 64 words of a page are merged into one field.
         for field in self.fields {
             match fields.last_mut() {
                 Some(last) if field.name == PAGE && last.name == PAGE => last.bytes.extend(field.bytes),
                 _ => fields.push(field),
             }
         }
-        Reading { fields, fault: result.err().map(|error| error.to_string()) }
+        DataReading { fields, fault: result.err().map(|error| error.to_string()) }
     }
 
-    /// Reads a field under a name of its own.
+    /// Reads a field and records it under this name.
     pub(super) fn named<T>(
         &mut self,
         name: &str,
         read: impl FnOnce(&mut R) -> Result<T, FieldError>,
         meaning: impl FnOnce(&T) -> String,
     ) -> Result<T, FieldError> {
-        let before = self.left();
+        let begin = self.position();
         let value = read(&mut self.inner)?;
-        let begin = self.data.len().saturating_sub(before);
-        let end = self.data.len().saturating_sub(self.left());
-        let bytes = self.data.get(begin..end).unwrap_or_default().to_vec();
+        let bytes = self.data[begin..self.position()].to_vec();
         self.fields.push(Field { part: self.part, name: name.to_owned(), bytes, meaning: meaning(&value) });
         Ok(value)
     }
 
-    /// A line without bytes of its own.
+    /// Records a field without bytes.
     pub(super) fn remark(&mut self, name: &str, meaning: String) {
         self.fields.push(Field { part: self.part, name: name.to_owned(), bytes: Vec::new(), meaning });
     }
 
-    fn left(&self) -> usize {
-        self.inner.clone().rest().len()
+    /// Number of bytes read. Invariant: the rest of `inner` is a suffix of `data`.
+    fn position(&self) -> usize {
+        self.data.len() - self.inner.clone().rest().len()
     }
 
-    /// What a value that comes now is called.
+    /// Name of the next value.
     fn name_of_value(&mut self) -> String {
         let n = self.values;
         self.values += 1;
@@ -130,7 +129,7 @@ impl<R: FieldReader + Clone> FieldReader for Recorder<'_, R> {
     }
 
     fn rest(&mut self) -> &[u8] {
-        // The copy is read to its end only to keep the bytes; the reader itself is what the caller gets.
+        // Read from a copy, because the caller gets the rest of the reader itself.
         let bytes = self.inner.clone().rest().to_vec();
         let meaning = text::bytes(&bytes);
         self.fields.push(Field { part: self.part, name: "data".to_owned(), bytes, meaning });

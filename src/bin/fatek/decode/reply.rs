@@ -1,6 +1,6 @@
-//! A frame's data as a reply.
+//! Data of a frame, read as a reply.
 //!
-//! A reply does not say what was asked, so this takes every number of values that a request can ask for.
+//! The request is unknown, so every number of values that a request can ask for is accepted.
 
 use fatek::ErrorCode;
 use fatek::command::{
@@ -8,28 +8,29 @@ use fatek::command::{
 };
 use fatek::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, Framing};
 
-use super::explain::{Part, Reading};
+use super::field::{DataReading, Part};
 use super::recorder::Recorder;
 use super::text;
 
-pub(super) fn read(code: Code, framing: Framing, data: &[u8]) -> Reading {
+pub(super) fn read(code: Code, framing: Framing, data: &[u8]) -> DataReading {
     match framing {
         Framing::Binary => read_fields(code, data, Recorder::new(BinaryReader::new(data), data, code, Part::Reply)),
         Framing::Ascii | _ => read_fields(code, data, Recorder::new(AsciiReader::new(data), data, code, Part::Reply)),
     }
 }
 
-fn read_fields<R: FieldReader + Clone>(code: Code, data: &[u8], mut fields: Recorder<'_, R>) -> Reading {
+fn read_fields<R: FieldReader + Clone>(code: Code, data: &[u8], mut fields: Recorder<'_, R>) -> DataReading {
     let has_error_code = match code.error_field() {
         ErrorField::Absent => false,
         ErrorField::ByLength => data.len() != PAGE_CHARACTERS,
         ErrorField::Leading | _ => true,
     };
     let result = read_result(code, has_error_code, &mut fields).and_then(|()| fields.finish());
-    fields.reading(result)
+    fields.into_reading(result)
 }
 
-/// A program page without an error digit before it, in the ASCII framing, which alone has it.
+/// Length of a program page without error code in the ASCII framing. The binary framing has no
+/// program pages.
 const PAGE_CHARACTERS: usize = 4 * PAGE_WORDS;
 
 fn read_result<R: FieldReader + Clone>(
@@ -42,7 +43,7 @@ fn read_result<R: FieldReader + Clone>(
             None => "ok (0)".to_owned(),
             Some(error) => error.to_string(),
         })?;
-        // The data is absent when there is an error.
+        // A reply with an error code has no data.
         if error != 0 {
             return Ok(());
         }
@@ -76,7 +77,7 @@ fn brief_status<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<
 }
 
 fn detailed_status<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<(), FieldError> {
-    // The library reads it; what it finds is shown at the bytes it is found in.
+    // The library decodes a copy; its values are shown with the bytes they come from.
     let mut ahead = fields.clone();
     let mut raw = Vec::new();
     while !ahead.is_empty() {
@@ -126,14 +127,14 @@ fn registers<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<(),
         words.push(fields.word()?);
     }
     if words.len().is_multiple_of(2) {
-        let doubles = words.chunks_exact(2).map(|pair| text::dword(u32::from(pair[0]) << 16 | u32::from(pair[1])));
-        fields.remark("or of 32 bits", doubles.collect::<Vec<_>>().join("; "));
+        let dwords = words.chunks_exact(2).map(|pair| text::dword(u32::from(pair[0]) << 16 | u32::from(pair[1])));
+        fields.remark("as 32 bits", dwords.collect::<Vec<_>>().join("; "));
     }
     Ok(())
 }
 
 fn mixed<R: FieldReader + Clone>(fields: &mut Recorder<'_, R>) -> Result<(), FieldError> {
-    // In the ASCII framing, all of it must be digits.
+    // In the ASCII framing all data must be hexadecimal digits.
     let mut digits = fields.clone();
     while !digits.is_empty() {
         digits.named("digit", R::code, |_| String::new())?;

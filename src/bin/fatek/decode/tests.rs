@@ -4,11 +4,12 @@ use fatek::wire::{Codec, Framing, Received, Side};
 use proptest::prelude::*;
 use tokio_util::codec::Decoder;
 
-use super::cut::{Piece, pieces};
-use super::explain::{Explanation, Part, explain};
+use super::explain::{Explanation, explain};
+use super::field::Part;
+use super::split::{Piece, pieces};
 
 #[test]
-fn the_examples_of_the_manuals_are_good_frames() {
+fn examples_of_the_manuals_are_good_frames() {
     for (hex, shown) in MANUALS {
         let [explanation] = &all(hex)[..] else { panic!("{hex}: one frame") };
         assert_eq!(explanation.faults, [""; 0], "{hex}");
@@ -24,7 +25,7 @@ const MANUALS: &[(&str, &[&str])] = &[
         "02 30 31 34 30 30 32 39 30 30 30 30 32 32 03",
         &["reply error code ok (0)", "reply STATUS1 RUN, memory card in use, id set"],
     ),
-    // 1 is RUN and also an error code that no manual names: nothing in the frame says which.
+    // In the reading as a reply, 1 is an error code that no manual names.
     ("02 30 31 34 31 31 46 39 03", &["request control run (1)", "reply error code unknown error code (1)"]),
     ("02 30 31 34 31 30 46 38 03", &["request control stop (0)", "reply error code ok (0)"]),
     ("02 30 31 34 32 31 58 30 30 31 36 31 39 03", &["request control disable (1)", "request element X16, a discrete"]),
@@ -63,7 +64,7 @@ const MANUALS: &[(&str, &[&str])] = &[
     ("51 10 00 09 01 45 03 59 00 00 00 01 00 21 0D 55 AA", &["request Y1 on (1)"]),
     (
         "52 10 00 07 01 46 00 FF 55 FF 4B 74 B3 55 AA",
-        &["reply value 2 FF4Bh: 65355, or -181", "reply or of 32 bits FF55FF4Bh: 4283825995, or -11141301"],
+        &["reply value 2 FF4Bh: 65355, or -181", "reply as 32 bits FF55FF4Bh: 4283825995, or -11141301"],
     ),
     ("51 10 00 0A 01 48 02 44 52 00 0F 44 00 01 48 B2 55 AA", &["request element DR15, a 32-bit register"]),
     ("51 10 00 10 01 49 02 44 52 00 00 00 00 00 00 52 00 0F 00 FF 37 89 55 AA", &["request R15 00FFh: 255"]),
@@ -71,42 +72,42 @@ const MANUALS: &[(&str, &[&str])] = &[
 ];
 
 #[test]
-fn a_bad_frame_is_explained_all_the_same() {
+fn bad_frames_are_explained_with_their_faults() {
     for (hex, faults, shown) in [
         (
             "02 30 31 34 36 30 33 52 30 30 30 31 32 37 36 03",
-            &["LRC: 76 is stated, 75 is computed"][..],
+            &["LRC: found 76, computed 75"][..],
             "request element R12, a 16-bit register",
         ),
-        ("51 10 00 02 01 40 A1 85 55 AA", &["CRC: A1 85 is stated, A1 84 is computed"], "frame station 1"),
+        ("51 10 00 02 01 40 A1 85 55 AA", &["CRC: found A1 85, computed A1 84"], "frame station 1"),
         (
             "02 30 31 34 36 30 33 52 30 30",
             &[
-                "data: no request: the data is too short",
-                "data: no reply: 52h is not a hexadecimal digit",
+                "data: not a request: the data is too short",
+                "data: not a reply: 52h is not a hexadecimal digit",
                 "end: the frame is cut off: LRC and ETX (03) are missing",
             ],
             "request N 3",
         ),
-        ("02 30 31 39 39 44 35 03", &["command: there is no command 99"], "frame LRC D5, as computed"),
-        ("02 46 46 34 30 46 32 03", &["station: 255 is no station"], "frame LRC F2, as computed"),
+        ("02 30 31 39 39 44 35 03", &["command: unknown command 99"], "frame LRC D5, as computed"),
+        ("02 46 46 34 30 46 32 03", &["station: 255 is not a station"], "frame LRC F2, as computed"),
         (
             "02 33 03",
-            &["station: it must be two hexadecimal digits", "command: it must be two hexadecimal digits"],
+            &["station: expected two hexadecimal digits", "command: expected two hexadecimal digits"],
             "frame ETX end",
         ),
         (
             "51 10 00 03 01 40 A1 84 55 AA",
-            &["length: 3 bytes are stated, 2 are there, 2 are the fewest", "CRC: A1 84 is stated, F0 44 is computed"],
+            &["length: 3 bytes stated, 2 found, minimum 2", "CRC: found A1 84, computed F0 44"],
             "frame terminator end",
         ),
-        ("51 11 00 02 01 40 A1 84 55 AA", &["id: it must be 10"], "frame CRC A1 84, as computed"),
+        ("51 11 00 02 01 40 A1 84 55 AA", &["id: expected 10"], "frame CRC A1 84, as computed"),
         (
             "51 10 00 04 01 4F 00 00 80 0A 55 AA",
             &["command: read program page (4F) does not exist in the binary framing"],
             "frame station 1",
         ),
-        ("51 10 00 02 01 40 A1 84 55 AB", &["terminator: a frame ends with 55 AA"], "frame CRC A1 84, as computed"),
+        ("51 10 00 02 01 40 A1 84 55 AB", &["terminator: expected 55 AA"], "frame CRC A1 84, as computed"),
     ] {
         let [explanation] = &all(hex)[..] else { panic!("{hex}: one frame") };
         for fault in faults {
@@ -117,7 +118,7 @@ fn a_bad_frame_is_explained_all_the_same() {
 }
 
 #[test]
-fn several_frames_and_what_stands_between_them_are_told_apart() {
+fn input_is_split_into_frames_and_bytes_between_them() {
     let lengths = |hex: &str| -> Vec<(usize, bool)> {
         all(hex).iter().map(|explanation| (explanation.length, explanation.faults.is_empty())).collect()
     };
@@ -127,17 +128,17 @@ fn several_frames_and_what_stands_between_them_are_told_apart() {
     let reply = "52 10 00 06 01 40 00 01 00 00 77 D5 55 AA";
     assert_eq!(lengths(&format!("{query} {reply}")), [(10, true), (14, true)]);
     assert_eq!(lengths(&format!("{query} 02 {reply}")), [(10, true), (1, false), (14, true)]);
-    // A wrong length does not swallow the frame behind it.
+    // The frame after one with a wrong length is still found.
     assert_eq!(lengths(&format!("51 10 00 01 01 40 A1 84 55 AA {reply}")), [(10, false), (14, true)]);
     assert_eq!(lengths("48 45 4C 4C 4F"), [(5, false)]);
 }
 
 #[test]
-fn a_framing_that_was_named_is_the_only_one_looked_for() {
+fn only_the_given_framing_is_searched() {
     let query = super::hex::parse("51 10 00 02 01 40 A1 84 55 AA").unwrap();
     assert_eq!(pieces(&query, Some(Framing::Binary)), [Piece::Binary(&query)]);
     assert_eq!(pieces(&query, None), [Piece::Binary(&query)]);
-    // Its length field has an STX.
+    // The length field contains an STX.
     assert_eq!(pieces(&query, Some(Framing::Ascii)), [Piece::Noise(&query[..3]), Piece::Ascii(&query[3..])]);
     let query = b"\x020140C7\x03";
     assert_eq!(pieces(query, Some(Framing::Binary)), [Piece::Noise(query)]);
@@ -153,13 +154,13 @@ fn lines(explanation: &Explanation) -> Vec<String> {
     explanation.fields.iter().map(line).collect()
 }
 
-/// What must hold for any bytes.
+/// Invariants of the explanation of any input.
 fn check(bytes: &[u8], framing: Option<Framing>) {
     let pieces = pieces(bytes, framing);
     let raw = |piece: &Piece<'_>| match *piece {
         Piece::Noise(bytes) | Piece::Ascii(bytes) | Piece::Binary(bytes) => bytes.to_vec(),
     };
-    assert_eq!(pieces.iter().flat_map(raw).collect::<Vec<_>>(), bytes, "no byte is left out");
+    assert_eq!(pieces.iter().flat_map(raw).collect::<Vec<_>>(), bytes, "the pieces are the whole input");
     for piece in &pieces {
         let explanation = explain(piece);
         let _ = (explanation.title(), super::json(&explanation));
@@ -173,7 +174,7 @@ fn check(bytes: &[u8], framing: Option<Framing>) {
     }
 }
 
-/// The library is the judge of what a good frame is.
+/// A frame is explained as good exactly if the library decodes it.
 fn check_verdict(piece: &Piece<'_>, explanation: &Explanation) {
     let (bytes, framing, side) = match *piece {
         Piece::Noise(_) => return assert!(!explanation.faults.is_empty()),
@@ -197,7 +198,7 @@ fn framings() -> impl Strategy<Value = Option<Framing>> {
     prop::sample::select(vec![None, Some(Framing::Ascii), Some(Framing::Binary)])
 }
 
-/// A frame of any content with a good checksum, so that the content is looked at.
+/// Frame with this content and a good checksum.
 fn wrapped(framing: Framing, header: u8, station: u8, command: u8, data: &[u8]) -> Vec<u8> {
     if framing == Framing::Ascii {
         let mut frame = format!("\x02{station:02X}{command:02X}").into_bytes();
@@ -220,49 +221,64 @@ fn commands() -> impl Strategy<Value = u8> {
     prop_oneof![9 => prop::sample::select((0x40..=0x53).collect::<Vec<u8>>()), 1 => any::<u8>()]
 }
 
+/// Bytes that occur in frames of both framings.
+const FRAME_BYTES: &[u8] = b"\x02\x03\x51\x52\x10\x00\x01\x06\x55\xAA0144689AFERXWMD";
+/// Data of ASCII frames, as a regular expression.
+const ASCII_DATA: &str = "[0-9A-F]{0,20}|[0-9A-FRXYMD]{0,30}|0[0-9A-F]{0,300}";
+
+fn frame_bytes() -> impl Strategy<Value = Vec<u8>> {
+    prop::collection::vec(prop::sample::select(FRAME_BYTES), 0..60)
+}
+
+fn binary_data() -> impl Strategy<Value = Vec<u8>> {
+    prop::collection::vec(prop_oneof![any::<u8>(), 0..4_u8, prop::sample::select(b"RDWXYM".to_vec())], 0..40)
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
     #[test]
-    fn no_bytes_panic(bytes in prop::collection::vec(any::<u8>(), 0..200), framing in framings()) {
+    fn any_bytes_are_explained(bytes in prop::collection::vec(any::<u8>(), 0..200), framing in framings()) {
         check(&bytes, framing);
     }
 
     #[test]
-    fn no_bytes_of_frames_panic(
-        bytes in prop::collection::vec(prop::sample::select(b"\x02\x03\x51\x52\x10\x00\x01\x06\x55\xAA0144689AFERXWMD".to_vec()), 0..60),
-        framing in framings(),
-    ) {
+    fn any_bytes_that_occur_in_frames_are_explained(bytes in frame_bytes(), framing in framings()) {
         check(&bytes, framing);
     }
 
     #[test]
-    fn no_content_of_an_ascii_frame_panics(station: u8, command in commands(), data in "[0-9A-F]{0,20}|[0-9A-FRXYMD]{0,30}|0[0-9A-F]{0,300}") {
+    fn any_content_of_an_ascii_frame_is_explained(station: u8, command in commands(), data in ASCII_DATA) {
         check(&wrapped(Framing::Ascii, 0, station, command, data.as_bytes()), None);
     }
 
     #[test]
-    fn no_content_of_a_binary_frame_panics(
+    fn any_content_of_a_binary_frame_is_explained(
         reply: bool,
         station: u8,
         command in commands(),
-        data in prop::collection::vec(prop_oneof![any::<u8>(), 0..4_u8, prop::sample::select(b"RDWXYM".to_vec())], 0..40),
+        data in binary_data(),
     ) {
         check(&wrapped(Framing::Binary, if reply { 0x52 } else { 0x51 }, station, command, &data), None);
     }
 
     #[test]
-    fn no_damaged_frame_panics(frame in prop::sample::select(MANUALS), at: prop::sample::Index, byte: u8, cut: prop::sample::Index) {
+    fn any_damaged_frame_is_explained(
+        frame in prop::sample::select(MANUALS),
+        at: prop::sample::Index,
+        byte: u8,
+        end: prop::sample::Index,
+    ) {
         let mut bytes = super::hex::parse(frame.0).unwrap();
         let at = at.index(bytes.len());
         bytes[at] = byte;
         check(&bytes, None);
-        bytes.truncate(cut.index(bytes.len()));
+        bytes.truncate(end.index(bytes.len()));
         check(&bytes, None);
     }
 
     #[test]
-    fn no_text_panics(text in "\\PC{0,40}|[0-9a-fx:, ]{0,40}") {
+    fn any_text_is_parsed_without_panic(text in "\\PC{0,40}|[0-9a-fx:, ]{0,40}") {
         let _ = super::hex::parse(&text);
     }
 }

@@ -1,16 +1,18 @@
-//! What the PLCs of a line may hold. No I/O and no clock.
+//! Expected memory of the PLCs of a line. No I/O and no clock.
 //!
-//! A cell holds one of several values: the one that was confirmed last, or one of a write of which nobody knows whether it
-//! was executed. Of each value it is known since when it may be there, and until when it may have been:
+//! The possible values of a cell are the last confirmed one and those of writes in doubt:
 //!
 //! ```text
-//! begin ──▶ may be there ──┬─ refused, or never sent ─────────▶ is not there any more
-//!                          ├─ another one was confirmed or read ▶ is not there any more
-//!                          └─ no answer: stays as it is
+//! begin ──▶ possible ──┬─ refused, or never sent ───────────▶ no longer possible
+//!                      ├─ other value confirmed or read ────▶ no longer possible
+//!                      └─ no reply: stays possible
 //! ```
 //!
-//! A PLC executes what it hears in order, so what was read or confirmed later than a write was sent tells what has become of
-//! that write. What must hold: at every time at least one value may be there; and only owners write, one write after the other.
+//! A PLC executes requests in order, so a later read or confirmation resolves the writes in doubt
+//! before it.
+//!
+//! Invariants: every cell has at least one possible value at any time; only the owner writes a
+//! cell, one write at a time.
 
 use std::collections::{HashMap, HashSet};
 use std::time::Duration;
@@ -21,20 +23,20 @@ use tokio::time::Instant;
 
 use crate::layout::{Kind, Place};
 
-/// All cells of a line, and what the journal of its PLCs must say.
+/// Expected cells of a line, and expected journal of its PLCs.
 #[derive(Debug)]
-pub(crate) struct Shadow {
+pub(crate) struct ExpectedMemory {
     line: usize,
     owners: usize,
-    /// By station, owner and kind.
+    /// Cells by station, owner and kind.
     cells: Vec<Cell>,
-    /// How often a request that is not one of its kind was called for, and how often confirmed, since the last audit.
+    /// Numbers of calls and of confirmations of each control command since the last audit.
     controls: HashMap<(usize, Request), (u64, u64)>,
-    /// Writes that the caller has allowed to be repeated, since the last audit.
+    /// Writes with retries allowed, since the last audit.
     repeatable: HashSet<(usize, Request)>,
 }
 
-/// A write that was begun.
+/// Write in progress.
 #[derive(Clone, Debug)]
 #[must_use]
 pub(crate) struct Write {
@@ -42,7 +44,7 @@ pub(crate) struct Write {
     control: Option<(usize, Request)>,
 }
 
-impl Shadow {
+impl ExpectedMemory {
     pub(crate) fn new(line: usize, stations: usize, owners: usize) -> Self {
         let places = (0..stations).flat_map(|station| {
             (0..owners).flat_map(move |owner| Kind::ALL.into_iter().map(move |kind| Place { station, owner, kind }))
@@ -51,7 +53,7 @@ impl Shadow {
         Self { line, owners, cells, controls: HashMap::new(), repeatable: HashSet::new() }
     }
 
-    /// Begins to write the next version to these cells, in one request; gives the values.
+    /// Begins a write of the next version of these cells in one request. Returns the values.
     pub(crate) fn begin(&mut self, places: &[Place], now: Instant) -> (Write, Vec<u32>) {
         let mut write = Write { parts: Vec::new(), control: None };
         let mut values = Vec::new();
@@ -66,14 +68,14 @@ impl Shadow {
         (write, values)
     }
 
-    /// Begins to broadcast the next version to the stations.
+    /// Begins a broadcast of the next version to all stations.
     pub(crate) fn begin_broadcast(&mut self, owner: usize, stations: usize, now: Instant) -> u32 {
-        let places: Vec<_> = (0..stations).map(|station| Place { station, owner, kind: Kind::Cast }).collect();
+        let places: Vec<_> = (0..stations).map(|station| Place { station, owner, kind: Kind::Broadcast }).collect();
         let (_unanswered, values) = self.begin(&places, now);
         values[0]
     }
 
-    /// Begins a request that has no version: the journal can only count it.
+    /// Begins a control command, which has no version: the journal counts it.
     pub(crate) fn begin_control(&mut self, place: Place, on: bool, request: Request, now: Instant) -> Write {
         let id = self.cell(place).begin(on.into(), now);
         let control = (place.station, request);
@@ -85,7 +87,7 @@ impl Shadow {
         self.repeatable.insert((station, request));
     }
 
-    /// A write has ended. One whose future was dropped never does.
+    /// Ends a write. A write with a dropped future has no end.
     pub(crate) fn end(&mut self, write: &Write, result: &Result<(), Error>, now: Instant) {
         for &(place, id) in &write.parts {
             let cell = self.cell(place);
@@ -100,14 +102,15 @@ impl Shadow {
         }
     }
 
-    /// Whether a read that began then may have found this value there; else what it may have found.
+    /// Checks that a read begun at `began` may return this value. The error lists the possible
+    /// values.
     pub(crate) fn check(&self, place: Place, value: u32, began: Instant) -> Result<(), String> {
         self.cells[self.index(place)]
             .check(value, began)
-            .map_err(|may| format!("{place:?} cannot hold {value:08X}, {may}"))
+            .map_err(|possible| format!("{place:?}: wrong value {value:08X}, {possible}"))
     }
 
-    /// It holds this value, and no write to it is under way.
+    /// Notes that the cell has this value, and that no write to it is in progress.
     pub(crate) fn holds(&mut self, place: Place, value: u32, now: Instant) {
         self.cell(place).holds(value, now);
     }
@@ -121,7 +124,7 @@ impl Shadow {
         (place.station * self.owners + place.owner) * Kind::ALL.len() + place.kind.index()
     }
 
-    /// How often a request may have been executed since the last audit: at least, and at most.
+    /// Minimum and maximum number of executions of a request since the last audit.
     pub(crate) fn executions(&self, station: usize, request: &Request) -> (u64, Option<u64>) {
         let key = (station, request.clone());
         match self.controls.get(&key) {
@@ -131,49 +134,49 @@ impl Shadow {
         }
     }
 
-    /// The requests that are only counted.
+    /// Control commands since the last audit.
     pub(crate) fn controls(&self) -> impl Iterator<Item = &(usize, Request)> {
         self.controls.keys()
     }
 
-    /// An audit is done: from now on the journal is a new one.
+    /// Resets the expected journal after an audit.
     pub(crate) fn forget_executions(&mut self) {
         self.controls.clear();
         self.repeatable.clear();
     }
 }
 
-/// For how long it is remembered what a cell could hold: longer than any read takes.
-const MEMORY: Duration = Duration::from_secs(60);
+/// Time for which former values are kept: longer than any read.
+const RETENTION: Duration = Duration::from_secs(60);
 
 #[derive(Debug)]
 struct Cell {
     version: u16,
     next_id: u64,
-    values: Vec<Held>,
+    values: Vec<PossibleValue>,
 }
 
 #[derive(Debug)]
-struct Held {
+struct PossibleValue {
     id: u64,
     value: u32,
-    /// `None`: it may still be there.
+    /// End of the time in which the value was possible, if it has ended.
     until: Option<Instant>,
 }
 
 impl Cell {
     fn new(value: u32) -> Self {
-        // All that most of them will ever need, so that memory does not grow while they are written for the first time.
+        // Enough for most cells, so that the first writes do not look like growth of memory.
         let mut values = Vec::with_capacity(4);
-        values.push(Held { id: 0, value, until: None });
+        values.push(PossibleValue { id: 0, value, until: None });
         Self { version: 0, next_id: 1, values }
     }
 
     fn begin(&mut self, value: u32, now: Instant) -> u64 {
-        self.values.retain(|held| held.until.is_none_or(|until| now.saturating_duration_since(until) < MEMORY));
+        self.values.retain(|held| held.until.is_none_or(|until| now.saturating_duration_since(until) < RETENTION));
         let id = self.next_id;
         self.next_id += 1;
-        self.values.push(Held { id, value, until: None });
+        self.values.push(PossibleValue { id, value, until: None });
         id
     }
 
@@ -189,20 +192,20 @@ impl Cell {
         self.end_all(now, |held| held.value != value);
     }
 
-    fn end_all(&mut self, now: Instant, which: impl Fn(&Held) -> bool) {
+    fn end_all(&mut self, now: Instant, which: impl Fn(&PossibleValue) -> bool) {
         for held in self.values.iter_mut().filter(|held| held.until.is_none() && which(held)) {
             held.until = Some(now);
         }
     }
 
     fn check(&self, value: u32, began: Instant) -> Result<(), String> {
-        let possible = |held: &&Held| held.until.is_none_or(|until| until >= began);
+        let possible = |held: &&PossibleValue| held.until.is_none_or(|until| until >= began);
         if self.values.iter().filter(possible).any(|held| held.value == value) {
             return Ok(());
         }
-        let may: Vec<_> = self.values.iter().filter(possible).map(|held| format!("{:08X}", held.value)).collect();
+        let others: Vec<_> = self.values.iter().filter(possible).map(|held| format!("{:08X}", held.value)).collect();
         let earlier = self.values.iter().any(|held| held.value == value);
-        Err(format!("only {}{}", may.join(" or "), if earlier { "; it did earlier" } else { "" }))
+        Err(format!("expected {}{}", others.join(" or "), if earlier { "; an earlier value" } else { "" }))
     }
 }
 
@@ -213,11 +216,11 @@ mod tests {
 
     use super::*;
 
-    const PLACE: Place = Place { station: 2, owner: 3, kind: Kind::Double(1) };
+    const PLACE: Place = Place { station: 2, owner: 3, kind: Kind::DWord(1) };
 
-    fn shadow() -> (Shadow, Instant) {
+    fn expected() -> (ExpectedMemory, Instant) {
         let now = Instant::now();
-        (Shadow::new(1, 4, 4), now)
+        (ExpectedMemory::new(1, 4, 4), now)
     }
 
     fn at(start: Instant, seconds: u64) -> Instant {
@@ -229,75 +232,75 @@ mod tests {
     }
 
     #[test]
-    fn a_confirmed_value_is_the_only_one_for_reads_that_begin_later() {
-        let (mut shadow, start) = shadow();
-        let (write, values) = shadow.begin(&[PLACE], at(start, 1));
+    fn only_the_confirmed_value_is_possible_for_later_reads() {
+        let (mut expected, start) = expected();
+        let (write, values) = expected.begin(&[PLACE], at(start, 1));
         let (old, new) = (PLACE.value(1, 0), values[0]);
-        // Under way: both.
-        assert!(shadow.check(PLACE, old, at(start, 1)).is_ok() && shadow.check(PLACE, new, at(start, 1)).is_ok());
-        shadow.end(&write, &Ok(()), at(start, 2));
-        // A read that began before it was confirmed may have been executed before it, too.
-        assert!(shadow.check(PLACE, old, at(start, 1)).is_ok());
-        let error = shadow.check(PLACE, old, at(start, 3)).unwrap_err();
-        assert!(error.contains("it did earlier"), "{error}");
-        assert!(shadow.check(PLACE, new, at(start, 3)).is_ok());
+        // In progress: both are possible.
+        assert!(expected.check(PLACE, old, at(start, 1)).is_ok() && expected.check(PLACE, new, at(start, 1)).is_ok());
+        expected.end(&write, &Ok(()), at(start, 2));
+        // A read begun before the confirmation may have been executed before the write.
+        assert!(expected.check(PLACE, old, at(start, 1)).is_ok());
+        let error = expected.check(PLACE, old, at(start, 3)).unwrap_err();
+        assert!(error.contains("an earlier value"), "{error}");
+        assert!(expected.check(PLACE, new, at(start, 3)).is_ok());
     }
 
     #[test]
-    fn a_write_that_never_ends_leaves_both_until_one_is_read() {
-        let (mut shadow, start) = shadow();
-        let (_dropped, values) = shadow.begin(&[PLACE], at(start, 1));
+    fn dropped_write_leaves_both_values_until_a_read() {
+        let (mut expected, start) = expected();
+        let (_dropped, values) = expected.begin(&[PLACE], at(start, 1));
         let (old, new) = (PLACE.value(1, 0), values[0]);
-        assert!(shadow.check(PLACE, old, at(start, 9)).is_ok() && shadow.check(PLACE, new, at(start, 9)).is_ok());
-        shadow.holds(PLACE, old, at(start, 10));
-        assert!(shadow.check(PLACE, new, at(start, 11)).is_err());
-        assert!(shadow.check(PLACE, old, at(start, 11)).is_ok());
+        assert!(expected.check(PLACE, old, at(start, 9)).is_ok() && expected.check(PLACE, new, at(start, 9)).is_ok());
+        expected.holds(PLACE, old, at(start, 10));
+        assert!(expected.check(PLACE, new, at(start, 11)).is_err());
+        assert!(expected.check(PLACE, old, at(start, 11)).is_ok());
     }
 
     #[test]
-    fn a_write_that_was_never_sent_is_not_there() {
-        let (mut shadow, start) = shadow();
-        let (write, values) = shadow.begin(&[PLACE], at(start, 1));
-        shadow.end(&write, &never_sent(), at(start, 2));
-        assert!(shadow.check(PLACE, values[0], at(start, 3)).is_err());
+    fn value_of_an_unsent_write_is_impossible() {
+        let (mut expected, start) = expected();
+        let (write, values) = expected.begin(&[PLACE], at(start, 1));
+        expected.end(&write, &never_sent(), at(start, 2));
+        assert!(expected.check(PLACE, values[0], at(start, 3)).is_err());
     }
 
     #[test]
-    fn the_value_of_another_place_is_never_right() {
-        let (shadow, start) = shadow();
+    fn value_of_another_place_is_impossible() {
+        let (expected, start) = expected();
         for other in
-            [Place { station: 3, ..PLACE }, Place { owner: 2, ..PLACE }, Place { kind: Kind::Double(2), ..PLACE }]
+            [Place { station: 3, ..PLACE }, Place { owner: 2, ..PLACE }, Place { kind: Kind::DWord(2), ..PLACE }]
         {
-            assert!(shadow.check(PLACE, other.value(1, 0), start).is_err());
+            assert!(expected.check(PLACE, other.value(1, 0), start).is_err());
         }
-        assert!(shadow.check(PLACE, PLACE.value(0, 0), start).is_err());
+        assert!(expected.check(PLACE, PLACE.value(0, 0), start).is_err());
     }
 
     #[test]
-    fn what_was_forgotten_is_no_longer_kept() {
-        let (mut shadow, start) = shadow();
+    fn former_values_are_dropped_after_the_retention_time() {
+        let (mut expected, start) = expected();
         for second in 0..10_000 {
-            let (write, _) = shadow.begin(&[PLACE], at(start, second));
-            shadow.end(&write, &Ok(()), at(start, second));
+            let (write, _) = expected.begin(&[PLACE], at(start, second));
+            expected.end(&write, &Ok(()), at(start, second));
         }
-        assert!(shadow.cells[shadow.index(PLACE)].values.len() < 70);
+        assert!(expected.cells[expected.index(PLACE)].values.len() < 70);
     }
 
     #[test]
-    fn each_write_may_be_executed_once_and_each_control_as_often_as_called_for() {
-        let (mut shadow, start) = shadow();
+    fn writes_execute_once_and_controls_as_often_as_called() {
+        let (mut expected, start) = expected();
         let write = Request::WriteRegisters(WriteRegisters::new(Register::r(0), [1]).unwrap());
         let control = Request::WriteRegisters(WriteRegisters::new(Register::r(1), [1]).unwrap());
         let repeatable = Request::WriteRegisters(WriteRegisters::new(Register::r(2), [1]).unwrap());
         let place = Place { kind: Kind::Switch, ..PLACE };
-        let confirmed = shadow.begin_control(place, true, control.clone(), start);
-        shadow.end(&confirmed, &Ok(()), start);
-        let _dropped = shadow.begin_control(place, true, control.clone(), start);
-        shadow.may_be_repeated(2, repeatable.clone());
-        assert_eq!(shadow.executions(2, &write), (0, Some(1)));
-        assert_eq!(shadow.executions(2, &control), (1, Some(2)));
-        assert_eq!(shadow.executions(2, &repeatable), (0, None));
-        shadow.forget_executions();
-        assert_eq!(shadow.executions(2, &control), (0, Some(1)));
+        let confirmed = expected.begin_control(place, true, control.clone(), start);
+        expected.end(&confirmed, &Ok(()), start);
+        let _dropped = expected.begin_control(place, true, control.clone(), start);
+        expected.may_be_repeated(2, repeatable.clone());
+        assert_eq!(expected.executions(2, &write), (0, Some(1)));
+        assert_eq!(expected.executions(2, &control), (1, Some(2)));
+        assert_eq!(expected.executions(2, &repeatable), (0, None));
+        expected.forget_executions();
+        assert_eq!(expected.executions(2, &control), (0, Some(1)));
     }
 }

@@ -1,12 +1,12 @@
-//! Where frames begin and end, even bad ones.
+//! Splitting of input bytes into frames, including bad ones.
 //!
-//! A receiver passes over what is no good frame. This shows it, so it has to guess where a bad frame was meant to end.
+//! A receiver discards bad frames. Here they are explained, so the end of a bad frame is estimated.
 
 use fatek::wire::Framing;
 use fatek::wire::ascii::{ETX, STX};
 use fatek::wire::binary::{ID, QUERY, REPLY, TERMINATOR};
 
-/// A part of the input: a frame, good or bad, or what stands between frames.
+/// Part of the input: a frame, good or bad, or bytes outside frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Piece<'a> {
     Noise(&'a [u8]),
@@ -14,7 +14,8 @@ pub(super) enum Piece<'a> {
     Binary(&'a [u8]),
 }
 
-/// Cuts the input into pieces that make up all of it. Without a framing, the first frame decides.
+/// Splits the input into pieces, which together are the whole input. The default framing is that of
+/// the first frame.
 pub(super) fn pieces(input: &[u8], mut framing: Option<Framing>) -> Vec<Piece<'_>> {
     let mut pieces = Vec::new();
     let mut rest = input;
@@ -40,7 +41,8 @@ pub(super) fn pieces(input: &[u8], mut framing: Option<Framing>) -> Vec<Piece<'_
     pieces
 }
 
-/// The framing of the frame that begins here, if one does. The input's first byte is believed without its second.
+/// Framing of the frame that begins here, if any. At the start of the input the first byte alone is
+/// sufficient.
 fn begins(bytes: &[u8], framing: Option<Framing>, at_the_start: bool) -> Option<Framing> {
     let found = match bytes {
         [STX, ..] => Framing::Ascii,
@@ -51,7 +53,7 @@ fn begins(bytes: &[u8], framing: Option<Framing>, at_the_start: bool) -> Option<
     framing.is_none_or(|framing| framing == found).then_some(found)
 }
 
-/// To the ETX, or else up to the next STX.
+/// Length up to ETX, else up to the next STX.
 fn ascii_len(bytes: &[u8]) -> usize {
     match (1..bytes.len()).find(|&i| matches!(bytes[i], STX | ETX)) {
         Some(i) if bytes[i] == ETX => i + 1,
@@ -60,8 +62,8 @@ fn ascii_len(bytes: &[u8]) -> usize {
     }
 }
 
-/// As the length field says if a terminator stands there, else to the first terminator with nothing or a frame behind
-/// it, else as the length field says after all.
+/// Length by the length field if a terminator is there. Else up to the first terminator followed by
+/// a frame or by the end of the input. Else by the length field.
 fn binary_len(bytes: &[u8]) -> usize {
     let Some(&[high, low]) = bytes.get(2..4) else { return bytes.len() };
     let stated = usize::from(u16::from_be_bytes([high, low])) + 8;

@@ -1,4 +1,4 @@
-//! What the callers of a line count, and what they find.
+//! Counters and findings of a line.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -6,19 +6,19 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use fatek::Error;
 
-/// After so many findings there is nothing more to be learned.
+/// Number of findings after which the test ends.
 pub(crate) const MAX_FINDINGS: u64 = 10;
 
 #[derive(Debug, Default)]
-pub(crate) struct Tally {
+pub(crate) struct Counters {
     pub(crate) calls: AtomicU64,
     pub(crate) confirmed: AtomicU64,
     pub(crate) cancelled: AtomicU64,
-    /// Values that were read and compared, those of samples included.
+    /// Checked values, including those of samples.
     pub(crate) values: AtomicU64,
     pub(crate) samples: AtomicU64,
     pub(crate) not_good: AtomicU64,
-    /// Writes that PLCs executed, and how often it was looked.
+    /// Writes executed by the PLCs.
     pub(crate) writes: AtomicU64,
     pub(crate) audits: AtomicU64,
     pub(crate) wrong: AtomicU64,
@@ -26,18 +26,18 @@ pub(crate) struct Tally {
     findings: Mutex<Vec<String>>,
 }
 
-impl Tally {
+impl Counters {
     pub(crate) fn failed(&self, error: &Error) {
         *lock(&self.failed).entry(kind(error)).or_default() += 1;
     }
 
-    pub(crate) fn wrong(&self, what: String) {
+    pub(crate) fn wrong(&self, finding: String) {
         if self.wrong.fetch_add(1, Ordering::Relaxed) < MAX_FINDINGS {
-            lock(&self.findings).push(what);
+            lock(&self.findings).push(finding);
         }
     }
 
-    /// What has been found since this was last asked.
+    /// Returns the findings since the last call.
     pub(crate) fn take_findings(&self) -> Vec<String> {
         std::mem::take(&mut lock(&self.findings))
     }

@@ -1,0 +1,153 @@
+//! Arguments of the commands for tags and discretes.
+
+use std::time::Duration;
+
+use clap::Args;
+use fatek::Discrete;
+use fatek::tag::{Assignment, Tag};
+use fatek::wire::Framing;
+
+use super::{LinkArgs, Plc};
+use crate::duration;
+
+/// Read tags and print their values
+///
+/// All tags are checked before the first request. Nothing is printed unless all tags were read.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek read R0-R9 R100:f32 M0-M7 --link tcp://192.168.2.3 --station 1
+  fatek read WY8:hex DR2:i32 --format csv
+
+JSON: array of objects with tag, type and value, one for each value of a range.
+The value is true or false for bool, a string for hex and text, else a number;
+floats without a JSON number are \"NaN\", \"inf\" and \"-inf\". The table shows texts
+in double quotes, with backslash escapes for control characters.")]
+pub(crate) struct ReadArgs {
+    /// Element or range, with an optional type: R5, R0-R9, R100:f32, R5:i16*0.1, WY8:hex, M0-M7
+    #[arg(required = true, value_name = "TAG")]
+    pub(crate) tags: Vec<Tag>,
+    #[command(flatten)]
+    pub(crate) plc: Plc,
+}
+
+/// Write values to tags, without confirmation, in the order given
+///
+/// All tags and values are checked before the first request. A 32-bit value is always written in
+/// one request.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek write R0=5 R5:i16=-1 WY8=0xAAAA --link tcp://192.168.2.3 --station 1
+  fatek write R100:f32=1.5 R0-R2=1,2,3 M0-M2=on,off,on
+  fatek write R5:i16*0.1=21.5 R10-R19:text='two words'
+
+Values:
+  integers  decimal, or the bits after 0x: 0xFFFF as i16 is -1
+  hex       0x only
+  f32       decimal, nan or inf
+  bool      0 or 1, false or true, off or on
+  scaled    decimal; the nearest number that the register can hold is written
+  text      one text for the whole range; with a comma, quote, backslash or
+            control character in double quotes, escapes \\\" \\\\ \\n \\r \\t \\0 \\x1B
+A range takes one value per element, or per two elements for 32-bit values,
+separated by commas.")]
+pub(crate) struct WriteArgs {
+    /// Tag with its value or values: R0=5, R100:f32=1.5, R0-R2=1,2,3
+    #[arg(required = true, value_name = "TAG=VALUE")]
+    pub(crate) assignments: Vec<Assignment>,
+    #[command(flatten)]
+    pub(crate) plc: Plc,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct DiscreteArgs {
+    /// Discrete: X, Y, M, S, T or C with an address, such as Y3
+    #[arg(required = true, value_name = "DISCRETE")]
+    pub(crate) discretes: Vec<Discrete>,
+    #[command(flatten)]
+    pub(crate) plc: Plc,
+}
+
+/// Poll tags and print each value with its time
+///
+/// Prints one line per value until Ctrl-C. Values that cannot be read are printed with the reason,
+/// and polled again.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek watch R0-R9 R100:f32 --interval 500ms --on-change
+  fatek watch R5:i16*0.1-40 --deadband 0.5 --format csv --count 1000
+
+The time is that of the reply, in UTC. A value whose quality is not good is
+printed with the reason: (stale: ...) after the last good value, or (bad: ...)
+without a value.
+JSON: one object per line with time, tag, value and quality; no value is null.")]
+pub(crate) struct WatchArgs {
+    /// Element or range, with an optional type, as for read
+    #[arg(required = true, value_name = "TAG")]
+    pub(crate) tags: Vec<Tag>,
+    /// Poll interval, more than 0s, up to 24h
+    #[arg(long, default_value = "1s", value_parser = duration::parse_positive, value_name = "TIME")]
+    pub(crate) interval: Duration,
+    /// Print a value only when its value or quality changes
+    #[arg(long)]
+    pub(crate) on_change: bool,
+    /// Deadband: as --on-change, for numbers only changes by more than this
+    #[arg(long, value_name = "NUMBER")]
+    pub(crate) deadband: Option<f64>,
+    /// Number of lines before exit, 1 or more [default: unlimited]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), value_name = "N")]
+    pub(crate) count: Option<u64>,
+    #[command(flatten)]
+    pub(crate) plc: Plc,
+}
+
+/// Print the requests that would read a set of tags, with bytes and time
+///
+/// Sends nothing. The time per byte follows from the settings of a serial link; a network has
+/// 10 Mbit/s. Without a link the cost is that of a network.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek plan R0-R9 R12:f32 R900 D7 M3 --baud 9600
+  fatek plan R0-R299 D0-D9:text --round-trip 12ms --max-registers 32 --no-mixed
+  fatek plan R0-R9 R900 --link 'serial:/dev/ttyUSB0?baud=19200' --format json
+
+JSON: object with requests, an array of objects with request, values, bytes,
+time_ms, reads and tags, and the sums values, bytes and time_ms.
+CSV: the requests alone.")]
+pub(crate) struct PlanArgs {
+    /// Element or range, with an optional type, as for read
+    #[arg(required = true, value_name = "TAG")]
+    pub(crate) tags: Vec<Tag>,
+    /// Framing: ascii or binary [default: of the link, else ascii]
+    #[arg(long)]
+    pub(crate) framing: Option<Framing>,
+    /// Speed of the serial line, also behind a network module, in bit/s
+    #[arg(long, value_name = "BAUD")]
+    pub(crate) baud: Option<u32>,
+    /// Time per request besides its bytes: network round trip, or response time of the PLC
+    #[arg(long, default_value = "5ms", value_parser = duration::parse, value_name = "TIME")]
+    pub(crate) round_trip: Duration,
+    /// One request for all tags, so that all values come from one scan cycle
+    #[arg(long)]
+    pub(crate) one_scan: bool,
+    /// Limit of 16-bit registers per read, 2 to 64 [default: 64]
+    #[arg(long, value_name = "N")]
+    pub(crate) max_registers: Option<usize>,
+    /// Limit of discretes per read, 1 to 256 [default: 256]
+    #[arg(long, value_name = "N")]
+    pub(crate) max_points: Option<usize>,
+    /// Limit of units per mixed read, 1 to 64 [default: 64]
+    ///
+    /// A discrete or a 16-bit register is one unit, a 32-bit register is two.
+    #[arg(long, value_name = "N", conflicts_with = "no_mixed")]
+    pub(crate) max_mixed: Option<usize>,
+    /// No mixed reads (command 48)
+    #[arg(long)]
+    pub(crate) no_mixed: bool,
+    /// Readable range, such as R0-R3839; repeat for more [default: all addresses]
+    ///
+    /// Of a symbol with readable ranges no other addresses are read.
+    #[arg(long, value_name = "RANGE")]
+    pub(crate) readable: Vec<Tag>,
+    #[command(flatten)]
+    pub(crate) link: LinkArgs,
+}
