@@ -5,8 +5,8 @@ use bytes::{Bytes, BytesMut};
 use fatek::command::{Code, Command, ErrorField, InvalidRequest, ReplyError, Request, decode_reply, encode_reply};
 use fatek::wire::{Frame, Framing};
 
-use crate::book::carried;
 use crate::input::{Flags, Input};
+use crate::reference::frame_content;
 
 const STATION: u8 = 1;
 
@@ -43,7 +43,7 @@ fn is_sent_as_it_came(request: &Request, frame: &Frame, framing: Framing) {
         let mut encoded = BytesMut::new();
         match request.encode(to, STATION, &mut encoded) {
             Ok(()) => {
-                let again = carried(to, &encoded);
+                let again = frame_content(to, &encoded);
                 assert_eq!(Request::decode(&again, to).as_ref(), Ok(request), "{frame:?} in {to}");
                 assert!(to != framing || same(framing, &again.data, &frame.data), "{frame:?} was sent as {again:?}");
             }
@@ -104,7 +104,7 @@ fn understood<C: Command>(request: &C, data: &[u8], framing: Framing) -> bool {
     };
     let mut frame = BytesMut::new();
     encode_reply(request, encoded, framing, STATION, &mut frame);
-    let again = carried(framing, &frame);
+    let again = frame_content(framing, &frame);
     // Of a program page (4F) there are two forms; the one with the digit is what is sent.
     let digit_missing = C::CODE.error_field() == ErrorField::ByLength && again.data.len() == data.len() + 1;
     let came = if digit_missing { &again.data[1..] } else { &again.data[..] };
