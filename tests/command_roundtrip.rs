@@ -239,8 +239,7 @@ fn an_ambiguous_binary_list_is_never_sent() {
         assert!(frame_of(&read(list), Framing::Ascii).is_ok(), "{list:?}: not ambiguous in the ASCII framing");
     }
     // Values matter, too: `DWX` at 0 and `X` at 0, or `D` at 5758h and `DR` at 0.
-    let write =
-        |value| WriteMixed::new([(element!("DWX0"), Value::DWord(value)), (element!("X0"), Value::Bit(false))]);
+    let write = |value| WriteMixed::new([(element!("DWX0"), Value::DWord(value)), (element!("X0"), Value::Bit(false))]);
     let elements = vec![element!("DWX0"), element!("X0")];
     let ambiguous = InvalidRequest::Ambiguous { code: Code::WriteMixed, elements };
     assert_eq!(frame_of(&write(0x4452_0000).unwrap(), Framing::Binary), Err(ambiguous));
