@@ -1,4 +1,4 @@
-//! Reads and writes of any length: which requests they become, and what is known when one of them fails.
+//! Reads and writes of any length: their requests, and the reports when one of these fails.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
@@ -37,18 +37,18 @@ impl Bench {
     }
 }
 
-/// The requests that have arrived.
+/// All requests that have arrived.
 fn requests_of(faults: &Faults) -> Vec<Request> {
-    let heard = faults.log().entries().into_iter().map(|entry| entry.arrival);
-    heard
-        .map(|heard| match heard {
+    let arrivals = faults.log().entries().into_iter().map(|entry| entry.arrival);
+    arrivals
+        .map(|arrival| match arrival {
             Arrival::Request { request, .. } => request,
             other => panic!("{other:?}"),
         })
         .collect()
 }
 
-/// Whether it is a loop-back with a nonce.
+/// Whether the request is a loop-back with a nonce.
 fn is_check(request: &Request) -> bool {
     matches!(request, Request::LoopBack(check) if check.data().len() == 8)
 }
@@ -77,19 +77,19 @@ async fn a_thousand_registers_are_read_64_and_63_in_turn() {
     }
 }
 
-/// Only a last request with a shape of its own replaces the check. No nonce is used twice.
+/// A check is needed unless the last request has a shape of its own. No nonce is used twice.
 #[tokio::test(start_paused = true)]
 async fn a_long_read_or_write_of_two_shapes_ends_with_a_check() {
     for framing in FRAMINGS {
         let Bench { station, faults, .. } = bench(framing);
         let log = faults.log();
         let checks = || {
-            let heard = requests_of(&faults);
-            let checks: Vec<_> = heard.iter().enumerate().filter(|(_, request)| is_check(request)).collect();
+            let requests = requests_of(&faults);
+            let checks: Vec<_> = requests.iter().enumerate().filter(|(_, request)| is_check(request)).collect();
             let at = checks.iter().map(|(n, _)| *n).collect::<Vec<_>>();
-            assert!(checks.windows(2).all(|pair| pair[0].1 != pair[1].1), "{heard:?}");
+            assert!(checks.windows(2).all(|pair| pair[0].1 != pair[1].1), "{requests:?}");
             log.clear();
-            (at, heard.len())
+            (at, requests.len())
         };
         station.loop_back("").await.unwrap();
         assert_eq!(checks(), (vec![0], 2));
@@ -106,9 +106,9 @@ async fn a_long_read_or_write_of_two_shapes_ends_with_a_check() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn one_more_than_a_request_takes_is_two_requests_and_a_full_one_is_one() {
+async fn a_full_request_is_one_and_one_item_more_makes_two() {
     for framing in FRAMINGS {
-        // On a line that never doubles a reply nothing separates equal requests, so only the requests are counted.
+        // Without duplicates no check separates equal requests, so only the requests are counted.
         let Bench { station, faults, .. } = bench_with(framing, InStepSettings::new().with_copies(0).unwrap());
         let log = faults.log();
         station.loop_back("").await.unwrap();
@@ -138,7 +138,7 @@ async fn one_more_than_a_request_takes_is_two_requests_and_a_full_one_is_one() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_is_written_at_length_is_what_is_read_and_each_part_is_applied_once() {
+async fn long_writes_are_read_back_and_applied_once() {
     for framing in FRAMINGS {
         let bench = bench(framing);
         let station = &bench.station;
@@ -146,7 +146,7 @@ async fn what_is_written_at_length_is_what_is_read_and_each_part_is_applied_once
         station.write_registers(register!("D10"), &words).await.unwrap();
         assert_eq!(station.read_registers(register!("D10"), 3000).await.unwrap(), words);
 
-        // From an odd address on, and across what would be the middle of a value if values were split.
+        // From an odd address on. A split value would show at the boundary of two requests.
         let doubles: Vec<u32> = (0..77).map(|i| i * 0x0001_0003 + 0x8000_0000).collect();
         station.write_registers32(register32!("DR101"), &doubles).await.unwrap();
         assert_eq!(station.read_registers32(register32!("DR101"), 77).await.unwrap(), doubles);
@@ -155,7 +155,7 @@ async fn what_is_written_at_length_is_what_is_read_and_each_part_is_applied_once
             assert_eq!(bench.plc.read(element), double.into());
         }
 
-        // Words of discretes step by 16.
+        // Addresses of word discretes step by 16.
         let relays: Vec<bool> = (0..1600).map(|i| i % 3 == 0).collect();
         station.write_discretes(discrete!("M16"), &relays).await.unwrap();
         assert_eq!(station.read_discretes(discrete!("M16"), 1600).await.unwrap(), relays);
@@ -165,7 +165,7 @@ async fn what_is_written_at_length_is_what_is_read_and_each_part_is_applied_once
         }
 
         let log = bench.faults.log();
-        // 64 and 32 registers in turn, 32 values of 32 bits and 16, 256 discretes and 32.
+        // Alternately 64 and 32 registers, 32 and 16 double words, 256 and 32 discretes.
         assert_eq!(log.writes(), 63 + 3 + 11);
         assert!(log.repeated().is_empty());
         let part = WriteMixed::new(
@@ -180,7 +180,7 @@ async fn what_is_written_at_length_is_what_is_read_and_each_part_is_applied_once
 }
 
 #[tokio::test(start_paused = true)]
-async fn up_to_the_last_address_all_is_read_and_one_further_nothing_is_sent() {
+async fn requests_past_the_last_address_are_not_sent() {
     let bench = bench(Framing::Ascii);
     let station = &bench.station;
     assert_eq!(station.read_discretes(discrete!("M9000"), 1000).await.map(|states| states.len()).ok(), Some(1000));
@@ -212,7 +212,7 @@ async fn up_to_the_last_address_all_is_read_and_one_further_nothing_is_sent() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_write_that_fails_in_its_middle_says_what_is_written() {
+async fn a_write_that_fails_midway_reports_what_is_written() {
     for framing in FRAMINGS {
         let bench = bench(framing);
         let refused = Rule::new(Fault::Error(ErrorCode::IllegalAddress)).command(Code::WriteRegisters);
@@ -220,7 +220,7 @@ async fn a_write_that_fails_in_its_middle_says_what_is_written() {
         let values: Vec<u16> = (1..=200).collect();
         let error = bench.station.write_registers(register!("R0"), &values).await.unwrap_err();
         let Error::PartlyWritten { written, count, source, .. } = &error else { panic!("{error:?}") };
-        // The third request has R128: behind 64 in a write and 32 in a mixed one.
+        // The third request has R128, after 64 registers in a write and 32 in a mixed write.
         assert_eq!((*written, *count), (96, 200));
         assert!(!source.may_have_executed(), "refused");
         assert!(error.may_have_executed());
@@ -232,22 +232,22 @@ async fn a_write_that_fails_in_its_middle_says_what_is_written() {
         assert_eq!(bench.plc.read(register!("R95")), 96_u16.into());
         assert_eq!(bench.plc.read(register!("R96")), 0_u16.into());
         assert_eq!(bench.plc.read(register!("R160")), 0_u16.into(), "the rest is not sent");
-        let heard: Vec<_> = bench.requests().iter().map(Request::code).collect();
+        let requests: Vec<_> = bench.requests().iter().map(Request::code).collect();
         let (write, mixed) = (Code::WriteRegisters, Code::WriteMixed);
-        assert_eq!(heard, [Code::LoopBack, write, mixed, write, Code::LoopBack], "between two checks");
+        assert_eq!(requests, [Code::LoopBack, write, mixed, write, Code::LoopBack], "between two checks");
 
-        // Not the first request: then nothing is in doubt.
+        // If the first request fails, nothing is in doubt.
         let error = bench.station.write_registers(register!("R128"), &[1; 65]).await.unwrap_err();
         assert!(matches!(error, Error::Plc { .. }) && !error.may_have_executed(), "{error:?}");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_part_that_was_not_answered_is_in_doubt_and_not_repeated() {
+async fn an_unanswered_part_of_a_write_is_in_doubt_and_not_retried() {
     let bench = bench(Framing::Ascii);
     bench.faults.add_rule(Rule::new(Fault::DropReply).command(Code::WriteDiscretes).skip(1).times(1));
     let error = bench.station.write_discretes(discrete!("M0"), &[true; 600]).await.unwrap_err();
-    // Behind 256 in one request and 32 in a mixed one.
+    // After 256 discretes in one request and 32 in a mixed write.
     let Error::PartlyWritten { written: 288, count: 600, source, .. } = error else { panic!("{error:?}") };
     assert!(matches!(*source, Error::Timeout { .. }) && source.may_have_executed(), "{source:?}");
     assert_eq!(bench.plc.read(discrete!("M543")), true.into(), "it has been written");
@@ -256,7 +256,7 @@ async fn a_part_that_was_not_answered_is_in_doubt_and_not_repeated() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_part_of_a_read_is_repeated_alone_and_the_whole_fails_if_it_cannot_be_had() {
+async fn a_part_of_a_read_is_retried_alone_or_fails_the_read() {
     let bench = bench(Framing::Binary);
     bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ReadRegisters).skip(1).times(1));
     assert_eq!(bench.station.read_registers(register!("R0"), 150).await.unwrap().len(), 150);
@@ -269,18 +269,18 @@ async fn a_part_of_a_read_is_repeated_alone_and_the_whole_fails_if_it_cannot_be_
 }
 
 #[tokio::test(start_paused = true)]
-async fn each_request_of_a_long_read_has_the_time_of_a_call() {
+async fn each_request_of_a_long_read_has_its_own_deadline() {
     let bench = bench(Framing::Ascii);
     let slow = Duration::from_millis(80);
     bench.faults.add_rule(Rule::new(Fault::Delay { min: slow, max: slow }));
     let station = bench.station.with_options(CallOptions::new().call_timeout(slow * 5 / 2));
     let states = station.read_discretes(Discrete::new(Symbol::S, 0).unwrap(), 1000).await.unwrap();
-    // The check of the new connection is a part of the first call; each request has a deadline of its own.
+    // The check of the new connection belongs to the first call. Each request has its own deadline.
     assert_eq!((states.len(), bench.faults.log().arrivals()), (1000, 5));
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_read_into_a_buffer_puts_each_value_into_its_own_place() {
+async fn a_read_into_a_buffer_puts_each_value_in_its_place() {
     for framing in FRAMINGS {
         let Bench { plc, faults, station } = bench(framing);
         for address in 0..300 {
@@ -296,7 +296,8 @@ async fn a_read_into_a_buffer_puts_each_value_into_its_own_place() {
         station.read_discretes_into(discrete!("M0"), &mut states).await.unwrap();
         assert!(states.into_iter().eq((0..300).map(|n| n % 3 == 0)), "{framing}");
 
-        // The third request is refused. The buffer is unspecified then, but holds no value of another register.
+        // The third request is refused. The buffer is unspecified then, but has no value of another
+        // register.
         let in_place = |values: &[u16]| (1..).zip(values).all(|(own, &value)| value == own || value == 0xAAAA);
         faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalAddress)).element(register!("R128"))]);
         let mut values = [0xAAAA; 200];
@@ -304,7 +305,7 @@ async fn a_read_into_a_buffer_puts_each_value_into_its_own_place() {
         assert!(matches!(error, Error::Plc { .. }), "{error:?}");
         assert!(in_place(&values) && values[127..] == [0xAAAA; 73], "{framing}: {values:?}");
 
-        // The same when nobody waits any more.
+        // The same after the future is dropped.
         faults.set_rules([Rule::new(Fault::Ignore).element(register!("R64"))]);
         let mut values = [0xAAAA; 100];
         let dropped =

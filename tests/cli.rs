@@ -1,4 +1,4 @@
-//! The command line as its users meet it: as a process, against `fatek sim` as another one.
+//! `fatek` as a process, against `fatek sim` as another process.
 #![cfg(feature = "cli")]
 
 mod process;
@@ -7,12 +7,12 @@ use std::io::Read;
 use std::net::TcpListener;
 use std::process::{Command, Stdio};
 
-use process::{FATEK, Fake, Sim, ascii, fatek, run};
+use process::{FATEK, ScriptedPlc, Sim, ascii, fatek, run};
 
 const FRAMINGS: [&str; 2] = ["ascii", "binary"];
 
 #[test]
-fn what_the_simulator_was_set_to_is_read_in_both_framings_and_all_formats() {
+fn values_are_read_in_both_framings_and_all_formats() {
     for framing in FRAMINGS {
         let sim =
             Sim::start(&["--framing", framing, "--set", "R0=5", "R1:i16=-2", "--set", "R100:f32=0.1", "M0-M2=1,0,1"]);
@@ -37,7 +37,7 @@ fn what_the_simulator_was_set_to_is_read_in_both_framings_and_all_formats() {
 }
 
 #[test]
-fn what_is_written_is_read_back_in_both_framings() {
+fn written_values_are_read_back_in_both_framings() {
     for framing in FRAMINGS {
         let sim = Sim::start(&["--framing", framing]);
         let written = [
@@ -147,7 +147,7 @@ fn ranges_longer_than_a_request_are_read_and_written() {
 }
 
 #[test]
-fn a_plc_is_controlled() {
+fn a_plc_is_started_stopped_and_forced() {
     for framing in FRAMINGS {
         let sim = Sim::start(&["--framing", framing]);
         let is_running = || {
@@ -172,14 +172,14 @@ fn a_plc_is_controlled() {
 }
 
 #[test]
-fn status_is_printed_in_all_formats_and_without_the_detailed_one_too() {
+fn status_is_printed_even_without_the_detailed_one() {
     let sim = Sim::start(&["--ladder-words", "8192"]);
     let table = sim.fatek(&["status"]).ok();
     assert!(table.contains("brief     running                false\n"), "{table}");
     assert!(table.contains("detailed  ladder_words           8192\n"), "{table}");
     assert!(sim.fatek(&["status", "--format", "csv"]).ok().contains("detailed,ladder_words,8192\n"));
 
-    let old = Fake::start(|request| match &request[3..5] {
+    let old = ScriptedPlc::start(|request| match &request[3..5] {
         b"40" => ascii("01400010000"),
         _ => ascii("01534"),
     });
@@ -190,7 +190,7 @@ fn status_is_printed_in_all_formats_and_without_the_detailed_one_too() {
 }
 
 #[test]
-fn a_simulator_has_as_many_plcs_as_it_was_given_each_with_its_own_memory() {
+fn simulated_stations_have_their_own_memory() {
     let sim = Sim::start(&["--station", "1", "--station", "2", "--set", "R0=5"]);
     fatek(&["--link", &sim.url, "--station", "2", "write", "R0=6"]).ok();
     for (station, value) in [("1", "5"), ("2", "6")] {
@@ -201,7 +201,7 @@ fn a_simulator_has_as_many_plcs_as_it_was_given_each_with_its_own_memory() {
 
 #[test]
 #[cfg(unix)]
-fn a_simulator_prints_one_line_and_serves_until_it_is_told_to_stop() {
+fn a_simulator_serves_until_it_is_signalled() {
     let mut sim = Sim::start(&["--listen", "tcp://127.0.0.1:0"]);
     assert!(sim.url.starts_with("tcp://127.0.0.1:"), "{}", sim.url);
     sim.fatek(&["read", "R0"]).ok();
@@ -214,13 +214,13 @@ fn a_simulator_prints_one_line_and_serves_until_it_is_told_to_stop() {
 }
 
 #[test]
-fn the_environment_gives_the_defaults() {
+fn the_environment_sets_the_defaults() {
     let sim = Sim::start(&["--station", "7", "--set", "R0=5"]);
     let with = |link: &str, station: &str, args: &[&str]| {
         run(Command::new(FATEK).args(args).env("FATEK_LINK", link).env("FATEK_STATION", station))
     };
     with(&sim.url, "7", &["read", "R0"]).ok();
-    // Options have precedence, before and after the subcommand.
+    // Options take precedence, before and after the subcommand.
     with("tcp://127.0.0.1:1", "9", &["--link", &sim.url, "read", "--station", "7", "R0"]).ok();
     with("tcp://127.0.0.1:1", "9", &["read", "R0", "--station", "7", "--link", &sim.url]).ok();
     with(&sim.url, "9", &["--station", "8", "read", "R0", "--station", "7"]).ok();
@@ -243,17 +243,17 @@ fn an_error_of_the_plc_is_status_3() {
 }
 
 #[test]
-fn no_answer_is_status_4() {
+fn no_reply_is_status_4() {
     let sim = Sim::start(&[]);
     let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "read", "R0"]);
     assert_eq!((absent.status, absent.stdout.as_str()), (4, ""), "{absent:?}");
     assert!(absent.stderr.starts_with("error: R0: station 9 did not answer read registers (46)"), "{absent:?}");
     let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "write", "R0=1"]);
     assert_eq!(absent.status, 4, "{absent:?}");
-    // Not even the check before it was answered.
+    // Even the check was not answered.
     assert!(absent.stderr.starts_with("error: R0: station 9 did not answer write registers (47)"), "{absent:?}");
     assert!(absent.stderr.contains("the request was not sent"), "{absent:?}");
-    let silent = Fake::start(|_| Vec::new());
+    let silent = ScriptedPlc::start(|_| Vec::new());
     let unanswered = silent.fatek(&["--timeout", "100ms", "write", "R0=1"]);
     assert_eq!(unanswered.status, 4, "{unanswered:?}");
     assert!(unanswered.stderr.contains("R0 (it may have been written): "), "{unanswered:?}");
@@ -273,16 +273,16 @@ fn no_connection_is_status_5() {
 
 #[test]
 fn a_bad_reply_is_status_6() {
-    // Well-framed, right station and command, and one word too few.
-    let rubbish = Fake::start(|_| ascii("01460ABCD"));
-    let read = rubbish.fatek(&["--timeout", "200ms", "read", "R0-R1"]);
+    // Good frame, station and command, but one word too few.
+    let too_short = ScriptedPlc::start(|_| ascii("01460ABCD"));
+    let read = too_short.fatek(&["--timeout", "200ms", "read", "R0-R1"]);
     assert_eq!((read.status, read.stdout.as_str()), (6, ""), "{read:?}");
     assert!(read.stderr.contains("gave no usable reply to read registers (46)"), "{read:?}");
 }
 
 #[test]
-fn nothing_is_sent_on_bad_input() {
-    let plc = Fake::start(|_| ascii("01460ABCD"));
+fn invalid_arguments_send_nothing() {
+    let plc = ScriptedPlc::start(|_| ascii("01460ABCD"));
     let link = plc.url.as_str();
     for (args, error) in [
         (&["read", "R0", "Q0"][..], "`Q0` is not a tag: no element has these letters"),
@@ -330,7 +330,7 @@ fn nothing_is_sent_on_bad_input() {
 
 #[test]
 fn a_value_of_two_registers_is_written_in_one_request() {
-    let plc = Fake::start(|_| ascii("01470"));
+    let plc = ScriptedPlc::start(|_| ascii("01470"));
     plc.fatek(&["write", "R100:f32=-500.125"]).ok();
     let received = plc.received();
     let (check, write) = received.split_at(16);
@@ -360,7 +360,7 @@ fn pings_are_timed_and_lost_ones_are_status_4() {
 }
 
 #[test]
-fn decode_explains_good_frames_and_bad_ones() {
+fn decode_explains_good_and_bad_frames() {
     let good = fatek(&["decode", "02:30:31:34:36", "0x30,0x33 52303030313237 35", "03"]).ok();
     assert!(good.starts_with("ASCII frame of 16 bytes: good\n"), "{good}");
     assert!(good.contains("request  element  52 30 30 30 31 32  R12, a 16-bit register\n"), "{good}");
@@ -383,7 +383,7 @@ fn decode_explains_good_frames_and_bad_ones() {
 }
 
 #[test]
-fn a_reader_that_has_gone_away_is_no_error() {
+fn a_closed_output_pipe_is_no_error() {
     let sim = Sim::start(&[]);
     for format in ["table", "csv", "json"] {
         let mut command = Command::new(FATEK);
@@ -396,7 +396,7 @@ fn a_reader_that_has_gone_away_is_no_error() {
 }
 
 #[test]
-fn help_and_version_are_data() {
+fn help_and_version_go_to_stdout() {
     assert!(fatek(&["--help"]).ok().contains("Exit status:"));
     assert!(fatek(&["read", "--help"]).ok().contains("Examples:"));
     assert!(fatek(&["--version"]).ok().starts_with("fatek "));

@@ -1,4 +1,4 @@
-//! `fatek backup` and `fatek restore` as their users meet them: as a process, against `fatek sim` as another one.
+//! `fatek backup` and `fatek restore` as processes, against `fatek sim` as another process.
 #![cfg(feature = "cli")]
 
 mod process;
@@ -6,9 +6,9 @@ mod process;
 use std::fs;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use self::process::{Fake, Folder, Ran, Sim, ascii, fatek};
+use self::process::{Folder, Output, ScriptedPlc, Sim, ascii, fatek};
 
-/// A saved backup of R0 to R99 and M0 to M9 of this PLC.
+/// Saves a backup of R0 to R99 and M0 to M9 of this PLC; returns the file.
 fn saved(sim: &Sim, folder: &Folder) -> String {
     let file = folder.file("plant.backup");
     sim.fatek(&["backup", &file, "R0-R99", "M0-M9", "-q"]).ok();
@@ -21,7 +21,7 @@ fn values(sim: &Sim, tags: &[&str]) -> Vec<String> {
 }
 
 #[test]
-fn what_was_saved_is_compared_and_restored_in_both_framings() {
+fn a_backup_is_compared_and_restored_in_both_framings() {
     for framing in ["ascii", "binary"] {
         let (sim, folder) = (Sim::start(&["--framing", framing, "--set", "R5=7", "M3=1"]), Folder::new(framing));
         let file = folder.file("plant.backup");
@@ -64,16 +64,16 @@ fn what_was_saved_is_compared_and_restored_in_both_framings() {
 }
 
 #[test]
-fn a_restoring_that_goes_on_tells_what_the_attempts_before_have_written() {
+fn a_resumed_restore_counts_earlier_writes() {
     let (sim, folder) = (Sim::start(&[]), Folder::new("restore-before"));
     let file = saved(&sim, &folder);
     sim.fatek(&["write", "R5=9", "R80=1"]).ok();
     let of = |request: &[u8], code: &[u8; 2]| usize::from(request.get(3..5) == Some(code));
-    // All is written, and nothing can be read any more until the next attempt begins.
+    // All is written, but no read is answered until the next attempt.
     let (attempts, writes) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    let plc = Fake::before(&sim, move |request| {
+    let plc = ScriptedPlc::proxy(&sim, move |request| {
         attempts.fetch_add(of(request, b"40"), Ordering::Relaxed);
-        // Of two equal writes in a row, the second one is 49: its reply is told from the first one's.
+        // The second of two equal writes is a 49, so that its reply has another shape.
         writes.fetch_add(of(request, b"47") + of(request, b"49"), Ordering::Relaxed);
         of(request, b"46") == 0 || attempts.load(Ordering::Relaxed) > 1 || writes.load(Ordering::Relaxed) < 2
     });
@@ -87,7 +87,7 @@ fn a_restoring_that_goes_on_tells_what_the_attempts_before_have_written() {
 }
 
 #[test]
-fn what_the_plc_does_not_have_is_told_and_an_empty_backup_takes_no_files_place() {
+fn missing_elements_are_reported_and_empty_backups_not_saved() {
     let (sim, folder) = (Sim::start(&["--last", "R99", "--set", "R0=1"]), Folder::new("backup-missing"));
     let file = folder.file("plant.backup");
     let ran = sim.fatek(&["backup", &file, "R90-R109", "M0-M9"]);
@@ -114,7 +114,7 @@ fn what_the_plc_does_not_have_is_told_and_an_empty_backup_takes_no_files_place()
 }
 
 #[test]
-fn what_a_backup_lacks_is_told_whenever_it_is_compared_or_restored() {
+fn gaps_of_a_backup_are_reported_on_compare_and_restore() {
     let (sim, folder) = (Sim::start(&["--last", "R99"]), Folder::new("backup-lacking"));
     let file = folder.file("plant.backup");
     assert_eq!(sim.fatek(&["backup", &file, "R90-R109"]).status, 3);
@@ -131,7 +131,7 @@ fn what_a_backup_lacks_is_told_whenever_it_is_compared_or_restored() {
 }
 
 #[test]
-fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
+fn stop_and_run_are_done_only_on_request() {
     let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-running"));
     let file = saved(&sim, &folder);
     sim.fatek(&["run"]).ok();
@@ -155,10 +155,10 @@ fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
 }
 
 #[test]
-fn a_dry_run_tells_what_the_real_run_does() {
+fn a_dry_run_predicts_the_real_run() {
     let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-dry"));
     let file = folder.file("plant.backup");
-    // Of the first value one half differs; M3 is forced, and X0 an input.
+    // One half of the first value differs; M3 is forced, and X0 is an input.
     sim.fatek(&["backup", &file, "R0-R9:f32", "M0-M9", "X0-X9"]).ok();
     sim.fatek(&["disable", "M3"]).ok();
     let disturb = || {
@@ -185,33 +185,33 @@ fn a_dry_run_tells_what_the_real_run_does() {
         assert!(real.stderr.contains(&format!("differed, {written} written")), "{real:?}");
         real.ok();
     }
-    // What the real run refuses, and how.
+    // Refusals of the real run.
     for (args, status) in [(&["--require-stopped"][..], 7), (&["--require-stopped", "R0-R9:f32"], 7)] {
         let (dry, real) = (restore(&[&["--dry-run"], args].concat()), restore(&[&["--yes"], args].concat()));
         assert_eq!((dry.status, &dry.stderr, &dry.stdout), (status, &real.stderr, &real.stdout), "{dry:?}");
         assert_eq!((dry.status, dry.stderr.starts_with("error: the PLC runs")), (real.status, true), "{dry:?}");
     }
-    // Nothing is to be written, so nothing is stopped.
+    // Without a difference the PLC is not stopped.
     sim.fatek(&["restore", &file, "--yes"]).ok();
     let dry = sim.fatek(&["restore", &file, "--dry-run", "--stop"]);
     assert!(dry.stderr.ends_with("\n0 of 30 elements would be written\n"), "{dry:?}");
 }
 
 #[test]
-fn ranges_of_which_the_file_has_nothing_are_refused_before_anything_is_sent() {
+fn ranges_missing_in_the_file_send_nothing() {
     let (sim, folder) = (Sim::start(&["--last", "R99"]), Folder::new("backup-nothing"));
     let file = folder.file("plant.backup");
     assert_eq!(sim.fatek(&["backup", &file, "R90-R109"]).status, 3);
-    let nobody = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat());
+    let without_plc = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat());
     for args in [&["restore", &file, "R100-R109", "--yes"][..], &["backup", &file, "R101", "--compare"]] {
-        let said = nobody(args).usage();
-        assert!(said.contains("plant.backup has no value in these ranges: R10"), "{said}");
-        assert!(said.contains(" is missing, refused: illegal address (A)"), "{said}");
+        let stderr = without_plc(args).usage();
+        assert!(stderr.contains("plant.backup has no value in these ranges: R10"), "{stderr}");
+        assert!(stderr.contains(" is missing, refused: illegal address (A)"), "{stderr}");
     }
 }
 
 #[test]
-fn what_is_forced_and_what_is_an_input_is_left_out_and_told() {
+fn forced_discretes_and_inputs_are_left_out() {
     let (sim, folder) = (Sim::start(&[]), Folder::new("backup-forced"));
     let file = folder.file("plant.backup");
     sim.fatek(&["backup", &file, "X0-X9", "M0-M9"]).ok();
@@ -230,7 +230,7 @@ fn what_is_forced_and_what_is_an_input_is_left_out_and_told() {
 }
 
 #[test]
-fn inputs_that_differ_are_told_when_they_are_compared() {
+fn compare_reports_inputs_that_differ() {
     let (sim, folder) = (Sim::start(&[]), Folder::new("backup-inputs"));
     let file = folder.file("plant.backup");
     sim.fatek(&["backup", &file, "X0-X9", "R0"]).ok();
@@ -248,9 +248,9 @@ fn inputs_that_differ_are_told_when_they_are_compared() {
 }
 
 #[test]
-fn what_does_not_stick_is_told_with_status_7() {
-    // A PLC whose R0 is 5, whatever is written to it.
-    let plc = Fake::start(|request| match &request[3..5] {
+fn elements_that_keep_another_value_are_status_7() {
+    // A PLC whose R0 is always 5.
+    let plc = ScriptedPlc::start(|request| match &request[3..5] {
         b"40" => ascii("01400010000"),
         b"46" => ascii("014600005"),
         b"47" => ascii("01470"),
@@ -259,18 +259,18 @@ fn what_does_not_stick_is_told_with_status_7() {
     let (sim, folder) = (Sim::start(&[]), Folder::new("backup-stubborn"));
     let file = folder.file("plant.backup");
     sim.fatek(&["backup", &file, "R0"]).ok();
-    let stubborn = plc.fatek(&["restore", &file, "--yes", "--format", "csv"]);
-    assert_eq!((stubborn.status, stubborn.stdout.as_str()), (7, "element,backup,plc\nR0,0,5\n"), "{stubborn:?}");
-    assert!(stubborn.stderr.contains("error: 1 elements do not hold their value of the backup: "), "{stubborn:?}");
+    let unchanged = plc.fatek(&["restore", &file, "--yes", "--format", "csv"]);
+    assert_eq!((unchanged.status, unchanged.stdout.as_str()), (7, "element,backup,plc\nR0,0,5\n"), "{unchanged:?}");
+    assert!(unchanged.stderr.contains("error: 1 elements do not hold their value of the backup: "), "{unchanged:?}");
 }
 
 #[test]
-fn a_plc_that_was_set_running_meanwhile_is_told_with_status_7() {
+fn a_plc_started_during_a_restore_is_status_7() {
     use std::sync::atomic::{AtomicBool, Ordering};
 
-    // A PLC that stands still until R0 has been written.
+    // A PLC that is stopped until R0 has been written.
     let written = AtomicBool::new(false);
-    let plc = Fake::start(move |request| match (&request[3..5], written.load(Ordering::SeqCst)) {
+    let plc = ScriptedPlc::start(move |request| match (&request[3..5], written.load(Ordering::SeqCst)) {
         (b"40", false) => ascii("01400000000"),
         (b"40", true) => ascii("01400010000"),
         (b"46", false) => ascii("014600005"),
@@ -290,21 +290,22 @@ fn a_plc_that_was_set_running_meanwhile_is_told_with_status_7() {
 }
 
 #[test]
-fn nothing_is_sent_without_a_yes_or_with_a_file_that_is_no_good() {
+fn without_yes_or_with_a_bad_file_nothing_is_sent() {
     let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-unasked"));
     let file = saved(&sim, &folder);
-    // Nobody listens there; if anything were sent, the status would be 5.
-    let nobody = |args: &[&str]| -> Ran { fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat()) };
-    assert!(nobody(&["restore", &file]).usage().contains("there is no terminal: give --yes or --dry-run"));
+    // No PLC listens there: a request would give status 5.
+    let without_plc =
+        |args: &[&str]| -> Output { fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat()) };
+    assert!(without_plc(&["restore", &file]).usage().contains("there is no terminal: give --yes or --dry-run"));
     assert!(
-        nobody(&["restore", &file, "R0-R100", "-y"])
+        without_plc(&["restore", &file, "R0-R100", "-y"])
             .usage()
             .contains("R0-R100 is not wholly in one range of the backup")
     );
-    assert!(nobody(&["backup", &file]).usage().contains("<RANGE>"));
-    assert!(nobody(&["backup", &file, "R0-R9", "DR4"]).usage().contains("R0-R9 and DR4 share memory"));
-    assert_eq!(nobody(&["restore", &file, "-y"]).status, 5);
-    assert_eq!(nobody(&["backup", &file, "R0"]).status, 5);
+    assert!(without_plc(&["backup", &file]).usage().contains("<RANGE>"));
+    assert!(without_plc(&["backup", &file, "R0-R9", "DR4"]).usage().contains("R0-R9 and DR4 share memory"));
+    assert_eq!(without_plc(&["restore", &file, "-y"]).status, 5);
+    assert_eq!(without_plc(&["backup", &file, "R0"]).status, 5);
 
     let text = fs::read_to_string(&file).unwrap();
     for (bad, message) in [
@@ -316,55 +317,55 @@ fn nothing_is_sent_without_a_yes_or_with_a_file_that_is_no_good() {
         let other = folder.file("other");
         fs::write(&other, &bad).unwrap();
         for args in [["restore", &other, "-y"], ["backup", &other, "--compare"]] {
-            let ran = nobody(&args);
+            let ran = without_plc(&args);
             assert_eq!(ran.status, 7, "{ran:?}");
             assert!(ran.stderr.contains("other: ") && ran.stderr.contains(message), "{ran:?}");
         }
     }
-    assert_eq!(fs::read_to_string(&file).unwrap(), text, "a backup that failed has changed nothing");
-    assert_eq!(nobody(&["restore", &folder.file("none"), "-y"]).status, 1);
+    assert_eq!(fs::read_to_string(&file).unwrap(), text, "a failed backup changes nothing");
+    assert_eq!(without_plc(&["restore", &folder.file("none"), "-y"]).status, 1);
 }
 
 #[test]
 #[cfg(unix)]
-fn at_a_terminal_what_differs_is_shown_and_only_a_yes_writes_it() {
-    use self::process::at_terminal;
+fn at_a_terminal_a_restore_needs_a_yes() {
+    use self::process::run_at_terminal;
 
     let (sim, folder) = (Sim::start(&["--set", "R5=7"]), Folder::new("backup-terminal"));
     let file = saved(&sim, &folder);
     sim.fatek(&["write", "R5=9"]).ok();
-    let (_, shown) = at_terminal(&sim, &["restore", &file, "--stop"], "n\n");
-    assert!(shown.contains(&format!(" on {}? [y/N] ", sim.url)), "it stands still as it is: {shown}");
+    let (_, shown) = run_at_terminal(&sim, &["restore", &file, "--stop"], "n\n");
+    assert!(shown.contains(&format!(" on {}? [y/N] ", sim.url)), "it is stopped already: {shown}");
     sim.fatek(&["run"]).ok();
-    let (status, shown) = at_terminal(&sim, &["restore", &file, "--require-stopped"], "");
-    assert!(status == 7 && shown.contains("error: the PLC runs"), "nobody is asked in vain: {shown}");
+    let (status, shown) = run_at_terminal(&sim, &["restore", &file, "--require-stopped"], "");
+    assert!(status == 7 && shown.contains("error: the PLC runs"), "no question before an error: {shown}");
     for no in ["n\n", "\n"] {
-        let (status, shown) = at_terminal(&sim, &["restore", &file, "--stop"], no);
+        let (status, shown) = run_at_terminal(&sim, &["restore", &file, "--stop"], no);
         assert_eq!(status, 1, "{shown}");
         assert!(shown.contains("\r\nR5       7       9\r\n"), "{shown}");
-        let asked =
+        let question =
             format!("plant.backup to station 1 on {}? The PLC is stopped first and stays stopped. [y/N] ", sim.url);
-        assert!(shown.contains("\nWrite 1 of 110 elements of ") && shown.contains(&asked), "{shown}");
+        assert!(shown.contains("\nWrite 1 of 110 elements of ") && shown.contains(&question), "{shown}");
         assert!(shown.ends_with("error: not confirmed: nothing was changed\r\n"), "{shown}");
         assert_eq!(values(&sim, &["R5"]), ["9"]);
     }
-    let (status, shown) = at_terminal(&sim, &["restore", &file], "y\n");
+    let (status, shown) = run_at_terminal(&sim, &["restore", &file], "y\n");
     assert_eq!(status, 0, "{shown}");
     assert!(shown.contains("[####################] verifying: 110 of 110, 202 bytes"), "{shown}");
     assert!(shown.ends_with("\r\n110 elements compared, 1 differed, 1 written\r\n"), "{shown}");
     assert_eq!(values(&sim, &["R5"]), ["7"]);
-    // Nothing is asked when nothing is to be changed, or when it was said before.
-    assert_eq!(at_terminal(&sim, &["restore", &file], "").0, 0);
-    assert_eq!(at_terminal(&sim, &["restore", &file, "--yes"], "").0, 0);
+    // No question if nothing is to be changed, or with --yes.
+    assert_eq!(run_at_terminal(&sim, &["restore", &file], "").0, 0);
+    assert_eq!(run_at_terminal(&sim, &["restore", &file, "--yes"], "").0, 0);
 }
 
 #[test]
 #[cfg(unix)]
-fn a_restoring_that_is_interrupted_tells_how_far_it_came() {
+fn an_interrupted_restore_reports_its_progress() {
     use std::process::{Command, Stdio};
 
-    // A PLC that gives 0 and takes nothing.
-    let plc = Fake::start(|request| match &request[3..5] {
+    // A PLC that holds 0 and does not answer writes.
+    let plc = ScriptedPlc::start(|request| match &request[3..5] {
         b"40" => ascii("01400010000"),
         b"46" => ascii("014600000"),
         b"47" => vec![],
@@ -381,10 +382,10 @@ fn a_restoring_that_is_interrupted_tells_how_far_it_came() {
     }
     Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     let ended = child.wait_with_output().unwrap();
-    let said = String::from_utf8(ended.stderr).unwrap();
-    assert_eq!(ended.status.code(), Some(1), "{said}");
+    let stderr = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{stderr}");
     assert!(
-        said.ends_with("error: interrupted: 1 elements compared, 1 differed, 0 written, 1 perhaps written\n"),
-        "{said}"
+        stderr.ends_with("error: interrupted: 1 elements compared, 1 differed, 0 written, 1 perhaps written\n"),
+        "{stderr}"
     );
 }

@@ -1,4 +1,4 @@
-//! `fatek plan` as its users meet it: what it prints, by which line and which limits, and that it sends nothing.
+//! `fatek plan`: its output for each line and limit. It sends nothing.
 #![cfg(feature = "cli")]
 
 mod process;
@@ -8,22 +8,22 @@ use std::time::Duration;
 use fatek::endpoint::SerialSettings;
 use fatek::wire::Framing;
 use fatek::{CostModel, Limits, Plan};
-use process::{Fake, Ran, ascii, fatek};
+use process::{Output, ScriptedPlc, ascii, fatek};
 
 const TAGS: [&str; 6] = ["R0-R9", "R12:f32", "R900", "D7", "M3", "R20-R29:text"];
 
-fn plan(args: &[&str]) -> Ran {
+fn plan(args: &[&str]) -> Output {
     fatek(&[&["plan"], &TAGS[..], args].concat())
 }
 
-/// What the library says of the same tags.
+/// The library's explanation of the same plan.
 fn explained(cost: CostModel, limits: Limits) -> String {
     let plan = Plan::builder(cost).limits(limits).tags(TAGS.map(|tag| tag.parse().unwrap())).build().unwrap();
     format!("{}\n", plan.explain())
 }
 
 #[test]
-fn the_table_is_the_librarys_for_each_line_and_each_limit() {
+fn the_plan_equals_that_of_the_library() {
     let (ascii, binary) = (Framing::Ascii, Framing::Binary);
     let ms = Duration::from_millis;
     let slow = SerialSettings::new(ascii);
@@ -63,7 +63,7 @@ fn the_table_is_the_librarys_for_each_line_and_each_limit() {
 }
 
 #[test]
-fn json_and_csv_tell_which_tags_come_from_which_request() {
+fn json_and_csv_list_the_tags_of_each_request() {
     let json: serde_json::Value = plan(&["--no-mixed", "--format", "json"]).ok().parse().unwrap();
     let requests = json["requests"].as_array().unwrap();
     let tags = |request: &serde_json::Value| request["tags"].as_array().unwrap().clone();
@@ -80,8 +80,8 @@ fn json_and_csv_tell_which_tags_come_from_which_request() {
 }
 
 #[test]
-fn what_cannot_be_planned_is_wrong_usage_and_nothing_is_ever_sent() {
-    let plc = Fake::start(|_| ascii("01460ABCD"));
+fn an_impossible_plan_is_a_usage_error_and_sends_nothing() {
+    let plc = ScriptedPlc::start(|_| ascii("01460ABCD"));
     for (args, error) in [
         (&["R0", "Q0"][..], "`Q0` is not a tag"),
         (&[], "required arguments were not provided"),

@@ -1,4 +1,4 @@
-//! `fatek program` as its users meet it: as a process, against `fatek sim` as another one.
+//! `fatek program` as a process, against `fatek sim` as another process.
 #![cfg(feature = "cli")]
 
 mod process;
@@ -7,9 +7,9 @@ use std::fs;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use self::process::{Fake, Folder, Ran, Sim, fatek};
+use self::process::{Folder, Output, ScriptedPlc, Sim, fatek};
 
-/// A program of 640 words: pages 3 and 7 hold something.
+/// A program of 640 words; pages 3 and 7 are not blank.
 fn raw_program() -> Vec<u8> {
     let mut bytes = vec![0; 11 * 128];
     bytes[..128].fill(0xFF);
@@ -19,12 +19,12 @@ fn raw_program() -> Vec<u8> {
     bytes
 }
 
-fn program(sim: &Sim, args: &[&str]) -> Ran {
+fn program(sim: &Sim, args: &[&str]) -> Output {
     sim.fatek(&[&["program"], args].concat())
 }
 
 #[test]
-fn a_program_is_read_looked_into_written_and_verified() {
+fn a_program_is_read_shown_written_and_verified() {
     let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-whole"));
     let (blank, raw, read) = (folder.file("blank.program"), folder.file("new.bin"), folder.file("read.bin"));
     fs::write(&raw, raw_program()).unwrap();
@@ -64,7 +64,7 @@ fn a_program_is_read_looked_into_written_and_verified() {
 }
 
 #[test]
-fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
+fn stop_and_run_are_done_only_on_request() {
     let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-running"));
     let (raw, old) = (folder.file("new.bin"), folder.file("old.bin"));
     fs::write(&raw, raw_program()).unwrap();
@@ -96,7 +96,7 @@ fn a_plc_that_runs_is_stopped_only_if_asked_and_runs_again_only_if_asked() {
 }
 
 #[test]
-fn a_dry_run_is_that_of_the_options_and_is_refused_where_the_writing_would_be() {
+fn a_dry_run_follows_the_options_and_fails_like_a_write() {
     let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-dry"));
     let raw = folder.file("new.bin");
     fs::write(&raw, raw_program()).unwrap();
@@ -120,8 +120,8 @@ fn a_dry_run_is_that_of_the_options_and_is_refused_where_the_writing_would_be() 
     );
     for (args, would) in [(&["--stop"][..], "stopped"), (&["--stop", "--run"], "stopped and started again")] {
         let dry = dry(args);
-        let said = format!("2 of 11 pages would be written; the PLC runs, and would be {would}\n");
-        assert!(dry.stderr.ends_with(&said), "{dry:?}");
+        let stderr = format!("2 of 11 pages would be written; the PLC runs, and would be {would}\n");
+        assert!(dry.stderr.ends_with(&stderr), "{dry:?}");
         assert_eq!(dry.ok(), "page\n3\n7\n");
     }
     assert!(sim.fatek(&["status", "--format", "csv"]).ok().contains("brief,running,true"));
@@ -134,38 +134,40 @@ fn a_dry_run_is_that_of_the_options_and_is_refused_where_the_writing_would_be() 
     assert!(dry.stderr.contains("a ladder of 640 words, and the PLC one of 1280"), "{dry:?}");
 }
 
-/// Whether this is a request with this command.
-fn is(request: &[u8], command: &[u8; 2]) -> bool {
+/// Whether this is a request of this command.
+fn is_command(request: &[u8], command: &[u8; 2]) -> bool {
     request.get(3..5) == Some(command)
 }
 
-/// How often such a request was received.
+/// Number of requests of this command.
 fn count(received: &[u8], command: &[u8; 2]) -> usize {
     received.split(|&byte| byte == 0x02).filter(|request| request.get(2..4) == Some(command)).count()
 }
 
 #[test]
 #[cfg(unix)]
-fn a_writing_that_is_interrupted_tells_which_pages_are_written_and_how_to_go_on() {
-    use self::process::interrupted;
+fn an_interrupted_write_reports_its_pages_and_the_remedy() {
+    use self::process::run_and_interrupt;
 
     let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-interrupted"));
     let raw = folder.file("new.bin");
     fs::write(&raw, raw_program()).unwrap();
     sim.fatek(&["run"]).ok();
     let pages = AtomicUsize::new(0);
-    // The fourth page is written, and not answered.
-    let plc = Fake::before(&sim, move |request| !is(request, b"50") || pages.fetch_add(1, Ordering::Relaxed) < 3);
+    // The fourth page is written, but not answered.
+    let plc = ScriptedPlc::proxy(&sim, move |request| {
+        !is_command(request, b"50") || pages.fetch_add(1, Ordering::Relaxed) < 3
+    });
     let write = ["program", "write", "--raw", &raw, "--yes", "--all", "--stop", "--run"];
-    let (status, said) = interrupted(&plc, &write, |received| count(received, b"50") == 4);
-    assert_eq!(status, 1, "{said}");
+    let (status, stderr) = run_and_interrupt(&plc, &write, |received| count(received, b"50") == 4);
+    assert_eq!(status, 1, "{stderr}");
     assert!(
-        said.ends_with(
+        stderr.ends_with(
             "error: interrupted: 3 of the 11 pages that differ are written (1-3), page 4 perhaps, and the PLC ran before \
              and is stopped now: write the rest before it runs; repeat the command, then start the PLC with `fatek \
              run`\n"
         ),
-        "{said}"
+        "{stderr}"
     );
     assert!(sim.fatek(&["status", "--format", "csv"]).ok().contains("brief,running,false"));
     let again = sim.fatek(&write);
@@ -176,35 +178,38 @@ fn a_writing_that_is_interrupted_tells_which_pages_are_written_and_how_to_go_on(
 
 #[test]
 #[cfg(unix)]
-fn a_reading_that_is_interrupted_leaves_the_file_as_it_was_and_nothing_beside_it() {
-    use self::process::interrupted;
+fn an_interrupted_read_leaves_the_old_file() {
+    use self::process::run_and_interrupt;
 
     let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-read-interrupted"));
     let file = folder.file("a.program");
     fs::write(&file, "the old one").unwrap();
     let pages = AtomicUsize::new(0);
-    let plc = Fake::before(&sim, move |request| !is(request, b"4F") || pages.fetch_add(1, Ordering::Relaxed) < 5);
-    let (status, said) = interrupted(&plc, &["program", "read", &file], |received| count(received, b"4F") == 6);
-    assert_eq!(status, 1, "{said}");
-    // The pages are blank, and one that equals the page before it is asked for twice. Those that a check has confirmed count.
-    assert!(said.contains("\nerror: interrupted after "), "{said}");
-    assert!(said.ends_with(" pages: nothing was saved\n"), "{said}");
+    let plc = ScriptedPlc::proxy(&sim, move |request| {
+        !is_command(request, b"4F") || pages.fetch_add(1, Ordering::Relaxed) < 5
+    });
+    let (status, stderr) = run_and_interrupt(&plc, &["program", "read", &file], |received| count(received, b"4F") == 6);
+    assert_eq!(status, 1, "{stderr}");
+    // The pages are blank, and a page equal to the one before it is read twice. Only pages
+    // confirmed by a check count.
+    assert!(stderr.contains("\nerror: interrupted after "), "{stderr}");
+    assert!(stderr.ends_with(" pages: nothing was saved\n"), "{stderr}");
     assert_eq!(fs::read_to_string(&file).unwrap(), "the old one");
     assert_eq!(fs::read_dir(&folder.0).unwrap().count(), 1);
 }
 
 #[test]
-fn a_writing_goes_on_five_times_when_the_line_fails_and_then_no_more() {
+fn a_write_is_resumed_five_times_at_most() {
     let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-five"));
     let raw = folder.file("new.bin");
     fs::write(&raw, raw_program()).unwrap();
-    // Of each run one page gets through, and then nothing until the next one begins.
+    // One page of each run is written, and then nothing until the next run begins.
     let pages = AtomicUsize::new(0);
-    let plc = Fake::before(&sim, move |request| {
-        if is(request, b"53") {
+    let plc = ScriptedPlc::proxy(&sim, move |request| {
+        if is_command(request, b"53") {
             pages.store(0, Ordering::Relaxed);
         }
-        if is(request, b"50") {
+        if is_command(request, b"50") {
             pages.fetch_add(1, Ordering::Relaxed);
         }
         pages.load(Ordering::Relaxed) < 2
@@ -217,24 +222,25 @@ fn a_writing_goes_on_five_times_when_the_line_fails_and_then_no_more() {
     assert!(last.contains("1 of the 6 pages that differ are written (6), page 7 perhaps, and "), "{ran:?}");
     assert!(last.ends_with("write the rest before it runs; repeat the command"), "{ran:?}");
 
-    // Nothing gets through: there is no use in going on.
+    // No page is written: resuming is useless.
     let sim = Sim::start(&["--ladder-words", "640"]);
-    let plc = Fake::before(&sim, |request| !is(request, b"50"));
+    let plc = ScriptedPlc::proxy(&sim, |request| !is_command(request, b"50"));
     let ran = plc.fatek(&write[..7]);
     assert_eq!((ran.status, ran.stderr.matches("resuming").count()), (4, 0), "{ran:?}");
 }
 
 #[test]
-fn a_writing_that_goes_on_counts_what_it_has_written_before() {
+fn a_resumed_write_counts_earlier_pages() {
     let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-before"));
     let raw = folder.file("new.bin");
     fs::write(&raw, raw_program()).unwrap();
-    // All is written, and the last page is not read back any more: the next run finds nothing to do.
+    // All pages are written, but the last one cannot be read back. The next run finds no
+    // difference.
     let (runs, pages) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    let plc = Fake::before(&sim, move |request| {
-        runs.fetch_add(usize::from(is(request, b"53")), Ordering::Relaxed);
-        pages.fetch_add(usize::from(is(request, b"50")), Ordering::Relaxed);
-        !is(request, b"4F") || runs.load(Ordering::Relaxed) > 1 || pages.load(Ordering::Relaxed) < 2
+    let plc = ScriptedPlc::proxy(&sim, move |request| {
+        runs.fetch_add(usize::from(is_command(request, b"53")), Ordering::Relaxed);
+        pages.fetch_add(usize::from(is_command(request, b"50")), Ordering::Relaxed);
+        !is_command(request, b"4F") || runs.load(Ordering::Relaxed) > 1 || pages.load(Ordering::Relaxed) < 2
     });
     let ran = plc.fatek(&["--timeout", "50ms", "program", "write", "--raw", &raw, "--yes"]);
     assert_eq!((ran.status, count(&plc.received(), b"53")), (0, 2), "{ran:?}");
@@ -243,9 +249,9 @@ fn a_writing_that_goes_on_counts_what_it_has_written_before() {
 }
 
 #[test]
-fn where_nothing_can_be_saved_nothing_is_asked() {
+fn an_unwritable_file_sends_nothing() {
     let folder = Folder::new("program-nowhere");
-    let nobody = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat());
+    let without_plc = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1"], args].concat());
     fs::write(folder.file("a"), "").unwrap();
     for (file, message) in [
         (folder.file("none/a"), "none/a: cannot make a new file in its folder: No such file"),
@@ -253,31 +259,32 @@ fn where_nothing_can_be_saved_nothing_is_asked() {
         (folder.file("."), "not a regular file, so it is not replaced"),
     ] {
         for args in [&["program", "read", &file][..], &["backup", &file, "R0-R9"]] {
-            // If anything were sent, the status would be 5.
-            let ran = nobody(args);
+            // A request would give status 5.
+            let ran = without_plc(args);
             assert_eq!((ran.status, ran.stdout.as_str()), (1, ""), "{ran:?}");
             assert!(ran.stderr.contains(message), "{ran:?}");
         }
     }
-    assert_eq!(nobody(&["program", "read", &folder.file("b")]).status, 5);
+    assert_eq!(without_plc(&["program", "read", &folder.file("b")]).status, 5);
     assert!(!fs::exists(folder.file("b")).unwrap());
 }
 
 #[test]
-fn without_a_terminal_writing_needs_a_yes_and_nothing_is_sent_without() {
+fn without_a_terminal_a_write_needs_yes() {
     let folder = Folder::new("program-unasked");
     let raw = folder.file("new.bin");
     fs::write(&raw, raw_program()).unwrap();
-    // Nobody listens there; if anything were sent, the status would be 5.
-    let nobody = |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1", "program"], args].concat());
-    let usage = nobody(&["write", "--raw", &raw]).usage();
+    // No PLC listens there: a request would give status 5.
+    let without_plc =
+        |args: &[&str]| fatek(&[&["--link", "tcp://127.0.0.1:9", "--station", "1", "program"], args].concat());
+    let usage = without_plc(&["write", "--raw", &raw]).usage();
     assert!(usage.contains("there is no terminal: give --yes or --dry-run"), "{usage}");
-    assert_eq!(nobody(&["write", "--raw", &raw, "--yes"]).status, 5);
-    assert!(nobody(&["write", "--raw", &raw, "--yes", "--run"]).usage().contains("--stop"));
+    assert_eq!(without_plc(&["write", "--raw", &raw, "--yes"]).status, 5);
+    assert!(without_plc(&["write", "--raw", &raw, "--yes", "--run"]).usage().contains("--stop"));
 }
 
 #[test]
-fn a_bad_file_is_refused_before_anything_is_sent_and_a_failed_reading_leaves_the_old_one() {
+fn a_bad_file_sends_nothing_and_a_failed_read_keeps_the_old() {
     let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-damaged"));
     let file = folder.file("a.program");
     program(&sim, &["read", &file]).ok();
@@ -304,8 +311,8 @@ fn a_bad_file_is_refused_before_anything_is_sent_and_a_failed_reading_leaves_the
         misfit.stderr.contains("the program has a ladder of 640 words, and the PLC one of 1280; nothing was written")
     );
 
-    let nobody = fatek(&["--link", "tcp://127.0.0.1:9", "--station", "1", "program", "read", &file]);
-    assert_eq!(nobody.status, 5, "{nobody:?}");
+    let without_plc = fatek(&["--link", "tcp://127.0.0.1:9", "--station", "1", "program", "read", &file]);
+    assert_eq!(without_plc.status, 5, "{without_plc:?}");
     assert_eq!(fs::read(&file).unwrap(), good);
     assert_eq!(fatek(&["program", "info", &folder.file("none")]).status, 1);
     fs::write(&file, raw_program()).unwrap();
@@ -323,18 +330,18 @@ fn in_the_binary_framing_there_are_no_programs() {
     assert!(!fs::exists(folder.file("a.program")).unwrap());
 }
 
-/// At a terminal: what is asked, and what an answer does.
+/// Questions at a terminal, and the effect of the answers.
 #[cfg(unix)]
 mod terminal {
-    use super::process::at_terminal;
+    use super::process::run_at_terminal;
     use super::*;
 
     fn answer(sim: &Sim, args: &[&str], answer: &str) -> (i32, String) {
-        at_terminal(sim, &[&["program"], args].concat(), answer)
+        run_at_terminal(sim, &[&["program"], args].concat(), answer)
     }
 
     #[test]
-    fn at_a_terminal_only_a_yes_changes_the_plc_and_a_bar_shows_how_far_it_is() {
+    fn at_a_terminal_a_write_needs_a_yes_and_shows_a_bar() {
         let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-terminal"));
         let raw = folder.file("new.bin");
         fs::write(&raw, raw_program()).unwrap();
@@ -357,7 +364,7 @@ mod terminal {
         assert!(shown.ends_with("\r\n2 of 11 pages written and compared; the PLC is stopped\r\n"), "{shown}");
         assert_eq!(program(&sim, &["verify", "--raw", &raw]).status, 0);
 
-        // Nothing is asked when nothing is to be changed, or when it was said before.
+        // No question if nothing is to be changed, or with --yes.
         assert_eq!(answer(&sim, &["write", "--raw", &raw, "--dry-run"], "").0, 0);
         assert_eq!(answer(&sim, &["write", "--raw", &raw, "--yes"], "").0, 0);
     }

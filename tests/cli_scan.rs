@@ -1,4 +1,4 @@
-//! `fatek scan` as its users meet it: as a process, on buses of which some stations are in order and others are not.
+//! `fatek scan` as a process, on buses with good and faulty stations.
 #![cfg(feature = "cli")]
 
 mod process;
@@ -9,19 +9,19 @@ use fatek::ErrorCode;
 use fatek::command::Code;
 use fatek::sim::{Bus, Fault, Faults, Model, Plc, Rule, Server};
 use fatek::wire::Framing;
-use process::{Fake, Ran, Sim, ascii, fatek};
+use process::{Output, ScriptedPlc, Sim, ascii, fatek};
 use serde_json::{Value, json};
 
-fn scan(url: &str, args: &[&str]) -> Ran {
+fn scan(url: &str, args: &[&str]) -> Output {
     fatek(&[&["--link", url, "scan", "--timeout", "300ms"], args].concat())
 }
 
-fn documents(ran: &Ran) -> Vec<Value> {
+fn documents(ran: &Output) -> Vec<Value> {
     ran.stdout.parse::<Value>().unwrap().as_array().unwrap().clone()
 }
 
 #[test]
-fn the_stations_that_answer_are_found_in_both_framings_and_all_formats() {
+fn stations_are_found_in_both_framings_and_all_formats() {
     for framing in ["ascii", "binary"] {
         let sim = Sim::start(&["--framing", framing, "--station", "1", "--station", "3", "--station", "6"]);
         fatek(&["--link", &sim.url, "--station", "3", "run"]).ok();
@@ -46,7 +46,7 @@ fn the_stations_that_answer_are_found_in_both_framings_and_all_formats() {
 }
 
 #[test]
-fn what_is_found_is_told_line_by_line_where_stderr_is_no_terminal() {
+fn without_a_terminal_results_are_printed_line_by_line() {
     let sim = Sim::start(&["--station", "2", "--station", "4"]);
     let found = scan(&sim.url, &["1-4"]);
     assert_eq!(found.stderr, "station 2: ok\nstation 4: ok\n4 stations scanned, 2 answered, 0 with bad replies\n");
@@ -54,26 +54,26 @@ fn what_is_found_is_told_line_by_line_where_stderr_is_no_terminal() {
 }
 
 #[test]
-fn where_nobody_answers_the_status_is_4() {
+fn no_reply_at_all_is_status_4() {
     let sim = Sim::start(&["--station", "9"]);
     let found = scan(&sim.url, &["2-4", "--format", "json"]);
     assert_eq!((found.status, found.stdout.as_str()), (4, "[]\n"), "{found:?}");
     assert!(found.stderr.ends_with("error: none of 3 stations answered\n"), "{found:?}");
     assert_eq!(scan(&sim.url, &["8"]).status, 4);
-    // By default all are asked.
+    // By default all stations are scanned.
     let all = fatek(&["--link", &sim.url, "scan", "--timeout", "5ms"]);
     assert!(all.stderr.contains("254 stations scanned, "), "{all:?}");
 }
 
 #[test]
-fn without_a_connection_the_status_is_5() {
+fn no_connection_is_status_5() {
     let closed = format!("tcp://{}", std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap());
     assert_eq!(scan(&closed, &["1-3"]).status, 5);
 }
 
 #[test]
-fn nothing_is_sent_on_bad_input() {
-    let plc = Fake::start(|_| ascii("01400010000"));
+fn invalid_arguments_send_nothing() {
+    let plc = ScriptedPlc::start(|_| ascii("01400010000"));
     let rule = "expected a station or a range of stations from 1 to 254, such as 5 or 1-16";
     for range in ["0", "0-9", "1-255", "9-1", "1-", "-", "+1", "1-2-3", "a", "1–9", "999"] {
         let usage = scan(&plc.url, &["--", range]).usage();
@@ -85,7 +85,7 @@ fn nothing_is_sent_on_bad_input() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn each_way_to_answer_badly_is_told_and_the_status_is_6() {
+async fn each_kind_of_bad_reply_is_reported_with_status_6() {
     for framing in [Framing::Ascii, Framing::Binary] {
         let faults = Faults::new(7);
         let mut bus = Bus::new();
@@ -128,9 +128,9 @@ async fn each_way_to_answer_badly_is_told_and_the_status_is_6() {
         assert!(note(8).contains("did not answer read detailed status (53)"), "{}", note(8));
         assert_eq!((&found[7]["running"], &found[7]["main_unit"]), (&json!(false), &Value::Null));
 
-        // Each was asked for its status first, and the broadcast address never.
-        let asked: Vec<u8> = faults.log().entries().iter().map(|entry| entry.station().unwrap()).collect();
-        assert!(asked.is_sorted() && asked.first() == Some(&1) && asked.last() == Some(&9), "{asked:?}");
+        // Stations are scanned in order, and never the broadcast address.
+        let scanned: Vec<u8> = faults.log().entries().iter().map(|entry| entry.station().unwrap()).collect();
+        assert!(scanned.is_sorted() && scanned.first() == Some(&1) && scanned.last() == Some(&9), "{scanned:?}");
         server.shutdown().await;
     }
 }

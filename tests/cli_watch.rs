@@ -1,4 +1,4 @@
-//! `fatek watch` as its users meet it: as a process.
+//! `fatek watch` as a process.
 #![cfg(feature = "cli")]
 
 mod process;
@@ -6,15 +6,15 @@ mod process;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
-use process::{FATEK, Fake, Sim, fatek};
+use process::{FATEK, ScriptedPlc, Sim, fatek};
 use serde_json::Value;
 
-fn watch(url: &str, args: &[&str]) -> process::Ran {
+fn watch(url: &str, args: &[&str]) -> process::Output {
     fatek(&[&["--link", url, "--station", "1", "watch", "--interval", "20ms"], args].concat())
 }
 
 #[test]
-fn values_are_printed_as_they_come_in_all_formats() {
+fn samples_are_printed_in_all_formats() {
     let sim = Sim::start(&["--set", "R0=5", "R5=523", "M0-M2=1,0,1"]);
     let ran = watch(&sim.url, &["R0", "R5:u16*0.1-40", "M0-M2", "--count", "15", "--format", "json"]);
     let lines: Vec<Value> = ran.ok().lines().map(|line| line.parse().unwrap()).collect();
@@ -42,7 +42,7 @@ fn values_are_printed_as_they_come_in_all_formats() {
 }
 
 #[test]
-fn on_change_a_value_is_printed_once_until_it_is_another() {
+fn on_change_only_changes_are_printed() {
     let sim = Sim::start(&["--set", "R0=5", "R1=100"]);
     let url = sim.url.clone();
     let args = ["--link", &url, "--station", "1", "watch", "--interval", "20ms", "R0", "R1", "--deadband", "10"];
@@ -53,7 +53,7 @@ fn on_change_a_value_is_printed_once_until_it_is_another() {
     let mut first = [value(), value()];
     first.sort_unstable();
     assert_eq!(first, ["R0   5", "R1   100"]);
-    // Within the deadband, and then one beyond it.
+    // A change within the deadband, and one beyond it.
     sim.fatek(&["write", "R0=9", "R1=110"]).ok();
     sim.fatek(&["write", "R1=111"]).ok();
     assert_eq!(value(), "R1   111");
@@ -61,7 +61,7 @@ fn on_change_a_value_is_printed_once_until_it_is_another() {
 }
 
 #[test]
-fn what_cannot_be_read_is_told_and_is_no_zero() {
+fn unreadable_tags_are_reported_and_not_zero() {
     let sim = Sim::start(&["--last", "R99", "--set", "R0=5"]);
     let ran = watch(&sim.url, &["R0", "R200", "--count", "2", "--on-change", "--format", "json"]);
     let lines: Vec<Value> = ran.ok().lines().map(|line| line.parse().unwrap()).collect();
@@ -70,7 +70,7 @@ fn what_cannot_be_read_is_told_and_is_no_zero() {
     assert_eq!(of("R200")["value"], Value::Null);
     assert_eq!(of("R200")["quality"], "bad: refused by the PLC: illegal address (A)");
 
-    let silent = Fake::start(|_| Vec::new());
+    let silent = ScriptedPlc::start(|_| Vec::new());
     let table = fatek(&[
         "--link",
         &silent.url,
@@ -91,8 +91,8 @@ fn what_cannot_be_read_is_told_and_is_no_zero() {
 }
 
 #[test]
-fn bad_input_is_refused_before_anything_is_sent() {
-    let plc = Fake::start(|_| panic!("nothing should be sent"));
+fn invalid_arguments_send_nothing() {
+    let plc = ScriptedPlc::start(|_| panic!("nothing should be sent"));
     for args in [
         &["R0", "--interval", "0s"][..],
         &["R0", "--interval", "soon"],

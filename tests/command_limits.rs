@@ -1,4 +1,4 @@
-//! The limits of every command at both their ends, and what is said when one is broken: the input and the rule.
+//! Limits of every command at both ends, and the messages when one is broken.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 mod common;
@@ -6,7 +6,7 @@ mod common;
 use std::fmt::Debug;
 
 use bytes::{Bytes, BytesMut};
-use common::{FRAMINGS, carried, framed};
+use common::{FRAMINGS, frame_content, framed};
 use fatek::command::*;
 use fatek::wire::{AsciiCodec, BinaryCodec, Codec, EncodeError, Frame, Framing, MAX_FRAME_LEN, Side};
 use fatek::{
@@ -15,7 +15,7 @@ use fatek::{
 use tokio_util::codec::Encoder;
 
 #[test]
-fn consecutive_elements_are_taken_up_to_the_limit_and_the_last_address_and_no_further() {
+fn counts_are_limited_by_command_and_last_address() {
     for &symbol in Symbol::ALL {
         for behind in [0, 1, 2, 31, 32, 63, 64, 255, 256, 300] {
             let Some(back) = u16::checked_mul(behind, symbol.step()) else { continue };
@@ -40,7 +40,7 @@ fn consecutive_elements_are_taken_up_to_the_limit_and_the_last_address_and_no_fu
     }
 }
 
-/// The commands that take this element, with this count.
+/// Results of all commands that take this element, with this count.
 fn every_consecutive_command(first: Element, count: usize) -> Vec<(Code, Result<(), InvalidRequest>)> {
     match first {
         Element::Discrete(first) => vec![
@@ -67,7 +67,7 @@ fn with_code(result: Result<(), InvalidRequest>, code: Code) -> Result<(), Inval
 }
 
 #[test]
-fn mixed_lists_are_taken_up_to_their_units_where_32_bits_count_two() {
+fn mixed_lists_are_limited_in_units() {
     for singles in 0..=70_usize {
         for doubles in 0..=35_usize {
             let units = singles + 2 * doubles;
@@ -82,94 +82,103 @@ fn mixed_lists_are_taken_up_to_their_units_where_32_bits_count_two() {
 }
 
 #[test]
-fn what_breaks_a_limit_is_told_with_the_input_and_the_rule() {
-    fn says<T: Debug>(result: Result<T, InvalidRequest>, message: &str) {
+fn errors_of_broken_limits_name_input_and_rule() {
+    fn assert_message<T: Debug>(result: Result<T, InvalidRequest>, message: &str) {
         assert_eq!(result.unwrap_err().to_string(), message);
     }
     let mixed = |n: usize, e: Element| vec![e; n];
     let writes = |n: usize, e: Element| vec![(e, common::value(e, 0)); n];
-    says(
+    assert_message(
         ReadDisabled::new(discrete!("X0"), 0),
         "read enable/disable (43): 0 items were asked for, and it takes 1 to 256",
     );
-    says(
+    assert_message(
         ReadDiscretes::new(discrete!("X0"), 257),
         "read discretes (44): 257 items were asked for, and it takes 1 to 256",
     );
-    says(
+    assert_message(
         WriteDiscretes::new(discrete!("X9998"), [true; 3]),
         "3 elements from X9998 on reach past the last address, X9999",
     );
-    says(ReadRegisters::new(register!("R0"), 65), "read registers (46): 65 items were asked for, and it takes 1 to 64");
-    says(
+    assert_message(
+        ReadRegisters::new(register!("R0"), 65),
+        "read registers (46): 65 items were asked for, and it takes 1 to 64",
+    );
+    assert_message(
         ReadRegisters::new(register32!("DR0"), 33),
         "read registers (46): 33 items were asked for, and it takes 1 to 32",
     );
-    says(ReadRegisters::new(register!("WX9984"), 2), "2 elements from WX9984 on reach past the last address, WX9984");
-    says(
+    assert_message(
+        ReadRegisters::new(register!("WX9984"), 2),
+        "2 elements from WX9984 on reach past the last address, WX9984",
+    );
+    assert_message(
         WriteRegisters::new(register!("R0"), []),
         "write registers (47): 0 items were asked for, and it takes 1 to 64",
     );
-    says(
+    assert_message(
         WriteRegisters::new(register32!("DR65534"), [1, 2]),
         "2 elements from DR65534 on reach past the last address, DR65534",
     );
-    says(ReadMixed::new([]), "mixed read (48): 0 items were asked for, and it takes 1 to 64");
-    says(ReadMixed::new(mixed(65, element!("X0"))), "mixed read (48): 65 items were asked for, and it takes 1 to 64");
-    says(
+    assert_message(ReadMixed::new([]), "mixed read (48): 0 items were asked for, and it takes 1 to 64");
+    assert_message(
+        ReadMixed::new(mixed(65, element!("X0"))),
+        "mixed read (48): 65 items were asked for, and it takes 1 to 64",
+    );
+    assert_message(
         ReadMixed::new(mixed(33, element!("DR0"))),
         "mixed read (48): the elements count 66 units (a 32-bit register counts 2), and it takes at most 64",
     );
-    says(WriteMixed::new([]), "mixed write (49): 0 items were asked for, and it takes 1 to 32");
-    says(
+    assert_message(WriteMixed::new([]), "mixed write (49): 0 items were asked for, and it takes 1 to 32");
+    assert_message(
         WriteMixed::new(writes(17, element!("DR0"))),
         "mixed write (49): the elements count 34 units (a 32-bit register counts 2), and it takes at most 32",
     );
-    says(
+    assert_message(
         WriteMixed::new([(element!("R5"), Value::DWord(70_000))]),
         "R5 is a 16-bit register, and the value 70000 is for a 32-bit register",
     );
-    says(
+    assert_message(
         WriteMixed::new([(element!("Y5"), Value::Word(2))]),
         "Y5 is a discrete, and the value 2 is for a 16-bit register",
     );
-    says(LoopBack::new(vec![0; 257]), "loop back (4E): 257 items were asked for, and it takes 0 to 256");
-    says(
+    assert_message(LoopBack::new(vec![0; 257]), "loop back (4E): 257 items were asked for, and it takes 0 to 256");
+    assert_message(
         send(&LoopBack::new("AB\x03").unwrap(), Framing::Ascii),
         "loop back (4E): the byte 03h at position 2 cannot be sent in the ASCII framing (20h to 7Eh can)",
     );
-    says(
+    assert_message(
         send(&ReadProgramPage::new(1), Framing::Binary),
         "read program page (4F) does not exist in the binary framing",
     );
-    says(
+    assert_message(
         send(&WriteProgramPage::new(1, ProgramPage::new([0; PAGE_WORDS])), Framing::Binary),
         "write program page (50) does not exist in the binary framing",
     );
 }
 
 #[test]
-fn an_address_that_breaks_a_rule_is_told_as_it_was_given() {
-    let says = |error: InvalidRequest, message: &str| assert_eq!(error.to_string(), message);
+fn errors_of_invalid_addresses_quote_the_address() {
+    let assert_message = |error: InvalidRequest, message: &str| assert_eq!(error.to_string(), message);
     let new = |symbol, address| InvalidRequest::from(Element::new(symbol, address).unwrap_err());
-    says(new(Symbol::X, 10_000), "X10000 is past the last address, X9999");
-    says(new(Symbol::DR, 65_535), "DR65535 is past the last address, DR65534");
-    says(new(Symbol::WM, 12), "WM12: the address of WM must be a multiple of 8");
-    says(Discrete::new(Symbol::R, 1).unwrap_err().into(), "R is a 16-bit register, not a discrete");
-    says(Register::new(Symbol::DR, 1).unwrap_err().into(), "DR is a 32-bit register, not a 16-bit register");
-    says(Register32::new(Symbol::M, 1).unwrap_err().into(), "M is a discrete, not a 32-bit register");
+    assert_message(new(Symbol::X, 10_000), "X10000 is past the last address, X9999");
+    assert_message(new(Symbol::DR, 65_535), "DR65535 is past the last address, DR65534");
+    assert_message(new(Symbol::WM, 12), "WM12: the address of WM must be a multiple of 8");
+    assert_message(Discrete::new(Symbol::R, 1).unwrap_err().into(), "R is a 16-bit register, not a discrete");
+    assert_message(Register::new(Symbol::DR, 1).unwrap_err().into(), "DR is a 32-bit register, not a 16-bit register");
+    assert_message(Register32::new(Symbol::M, 1).unwrap_err().into(), "M is a discrete, not a 32-bit register");
 }
 
 #[test]
-fn a_list_with_two_readings_is_told_by_its_elements() {
+fn the_error_of_an_ambiguous_list_names_its_elements() {
     let list = ReadMixed::new([element!("RT87"), element!("X0")]).unwrap();
     let message = send(&list, Framing::Binary).unwrap_err().to_string();
-    assert!(message.contains(" RT87 X0 can also be read "), "the input is not named: {message}");
+    assert!(message.contains(" RT87 X0 can also be read "), "the list is missing: {message}");
     assert!(!message.contains("  "), "the list stands between single spaces: {message}");
 }
 
 #[test]
-fn n_of_256_is_sent_as_00_and_00_is_read_as_256_where_256_is_legal() {
+fn a_count_of_256_is_sent_as_00() {
     let first = discrete!("M0");
     let requests = [
         (
@@ -188,16 +197,16 @@ fn n_of_256_is_sent_as_00_and_00_is_read_as_256_where_256_is_legal() {
             other => panic!("{other:?}"),
         };
         assert_eq!(expected.unwrap(), bytes);
-        assert_eq!(Request::decode(&carried(Framing::Ascii, &bytes), Framing::Ascii), Ok(request));
+        assert_eq!(Request::decode(&frame_content(Framing::Ascii, &bytes), Framing::Ascii), Ok(request));
     }
     let write = WriteDiscretes::new(first, vec![true; 256]).unwrap();
     let binary = framed(Framing::Binary, Side::Client, 1, 0x45, &[b"\0M\0\0", &[1; 256][..]].concat());
     assert_eq!(send(&write, Framing::Binary).unwrap(), binary);
     assert_eq!(
-        Request::decode(&carried(Framing::Binary, &binary), Framing::Binary),
+        Request::decode(&frame_content(Framing::Binary, &binary), Framing::Binary),
         Ok(Request::WriteDiscretes(write))
     );
-    // 255 is FF, and the registers' commands do not know 256.
+    // 255 is FF. The commands for registers do not take 256.
     assert_eq!(&send(&ReadDiscretes::new(first, 255).unwrap(), Framing::Ascii).unwrap()[5..7], b"FF");
     for (code, data) in [(0x46, &b"00R00000"[..]), (0x46, b"00DR00000"), (0x48, b"00"), (0x49, b"00")] {
         let error = read(Framing::Ascii, code, data).unwrap_err();
@@ -206,7 +215,7 @@ fn n_of_256_is_sent_as_00_and_00_is_read_as_256_where_256_is_legal() {
 }
 
 #[test]
-fn what_is_wrong_with_a_received_request_is_told_and_answered_by_its_kind() {
+fn faulty_requests_have_a_message_and_an_error_code() {
     let ascii: [(u8, &[u8], &str, u8); 16] = [
         (0x44, b"0GX0000", "47h is not a hexadecimal digit", 2),
         (0x44, b"06X00G0", "47h is not a decimal digit", 2),
@@ -245,7 +254,7 @@ fn what_is_wrong_with_a_received_request_is_told_and_answered_by_its_kind() {
 }
 
 #[test]
-fn a_loop_back_carries_256_printable_characters_or_any_256_bytes() {
+fn a_loop_back_carries_256_printable_characters_or_bytes() {
     for byte in 0..=u8::MAX {
         for len in [1, 7, 256] {
             let mut data = vec![b'.'; len];
@@ -258,7 +267,7 @@ fn a_loop_back_carries_256_printable_characters_or_any_256_bytes() {
         }
     }
     for framing in FRAMINGS {
-        assert!(send(&LoopBack::new("").unwrap(), framing).is_ok(), "and none at all");
+        assert!(send(&LoopBack::new("").unwrap(), framing).is_ok(), "no data is legal");
     }
 }
 
@@ -280,7 +289,7 @@ fn the_longest_requests_are_far_below_the_limit_of_a_frame() {
 }
 
 #[test]
-fn a_frame_over_the_limit_is_not_encoded_and_both_lengths_are_told() {
+fn an_oversized_frame_is_not_encoded() {
     for (framing, side) in
         [(Framing::Ascii, Side::Client), (Framing::Binary, Side::Client), (Framing::Binary, Side::Plc)]
     {
@@ -295,13 +304,13 @@ fn a_frame_over_the_limit_is_not_encoded_and_both_lengths_are_told() {
             assert_eq!(buffer.len(), max);
             let error = codec.encode(frame_of(longest + 1), &mut buffer).unwrap_err();
             assert_eq!(error.to_string(), format!("a frame of {} bytes is over the limit of {max}", max + 1));
-            assert_eq!(buffer.len(), max, "nothing is left behind");
+            assert_eq!(buffer.len(), max, "no partial frame is left");
         }
     }
 }
 
 #[test]
-fn no_limit_lets_a_binary_frame_grow_past_its_length_field() {
+fn a_binary_frame_never_exceeds_its_length_field() {
     let mut codec = BinaryCodec::client().max_frame_len(usize::MAX);
     let mut buffer = BytesMut::new();
     codec.encode(frame_of(65_533), &mut buffer).unwrap();
@@ -312,7 +321,7 @@ fn no_limit_lets_a_binary_frame_grow_past_its_length_field() {
 }
 
 #[test]
-fn a_byte_that_the_ascii_framing_cannot_carry_is_told_with_its_place() {
+fn an_unprintable_byte_is_reported_with_its_position() {
     for byte in (0..=u8::MAX).filter(|byte| !(0x20..=0x7E).contains(byte)) {
         for position in [0, 3] {
             let mut data = *b"R000";
@@ -321,7 +330,7 @@ fn a_byte_that_the_ascii_framing_cannot_carry_is_told_with_its_place() {
             let mut buffer = BytesMut::new();
             let error = AsciiCodec::new().encode(&frame, &mut buffer).unwrap_err().to_string();
             assert!(error.contains(&format!("{byte:02X}h at position {position}")), "{error}");
-            assert!(buffer.is_empty(), "nothing is left behind");
+            assert!(buffer.is_empty(), "no partial frame is left");
             assert!(BinaryCodec::client().encode(&frame, &mut buffer).is_ok());
         }
     }
@@ -331,7 +340,7 @@ fn send<C: Command>(request: &C, framing: Framing) -> Result<BytesMut, InvalidRe
     let mut frame = BytesMut::from(&b"before"[..]);
     let result = encode_request(request, framing, 1, &mut frame);
     assert_eq!(frame.split_to(6), b"before"[..]);
-    assert!(result.is_ok() || frame.is_empty(), "nothing is left behind");
+    assert!(result.is_ok() || frame.is_empty(), "no partial frame is left");
     result.map(|()| frame)
 }
 

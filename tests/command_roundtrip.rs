@@ -1,32 +1,32 @@
-//! Every command there and back through both framings, and replies that are none.
+//! Round trips of every command through both framings, and rejected replies.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 mod common;
 
 use bytes::BytesMut;
-use common::{AnyExchange, FRAMINGS, Rng, carried, decode, exchange, for_every_command, framed, frames, value};
+use common::{AnyExchange, FRAMINGS, Rng, decode, exchange, for_every_command, frame_content, framed, frames, value};
 use fatek::command::*;
 use fatek::wire::{Codec, FieldError, Frame, Framing, Side};
 use fatek::{Element, ErrorCode, Register, Symbol, discrete, element};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// Exchanges of each command, in each framing, for each property.
+/// Number of exchanges of each command, framing and property.
 const CASES: u32 = 128;
 
 #[test]
-fn every_request_comes_back_as_it_was_sent() {
+fn every_request_decodes_as_it_was_encoded() {
     for_every_command(CASES, |framing, exchange| {
         let request = exchange.request();
         prop_assert_eq!(request.code(), exchange.code());
         let mut untyped = BytesMut::new();
         let encoded = request.encode(framing, 7, &mut untyped).map(|()| untyped);
-        prop_assert_eq!(&encoded, &exchange.encode_request(framing, 7), "as its own type says it");
+        prop_assert_eq!(&encoded, &exchange.encode_request(framing, 7), "equals the encoding of the typed request");
         let frame = match encoded {
             Ok(frame) => received(framing, Side::Plc, &frame),
             Err(InvalidRequest::Ambiguous { code, .. }) => {
                 prop_assert_eq!((code, framing), (exchange.code(), Framing::Binary));
-                prop_assert!(readings_of(&exchange.request()) > 1, "{exchange:?} has one reading");
+                prop_assert!(decodings_of(&exchange.request()) > 1, "{exchange:?} is not ambiguous");
                 return Ok(());
             }
             Err(error) => return Err(TestCaseError::fail(format!("{error}: {exchange:?}"))),
@@ -38,7 +38,7 @@ fn every_request_comes_back_as_it_was_sent() {
 }
 
 #[test]
-fn every_reply_comes_back_as_it_was_sent() {
+fn every_reply_decodes_as_it_was_encoded() {
     for_every_command(CASES, |framing, exchange| {
         let frame = received(framing, Side::Client, &exchange.encode_reply(framing, 254, None));
         prop_assert_eq!((frame.station, frame.command), (254, exchange.code().into()));
@@ -48,7 +48,7 @@ fn every_reply_comes_back_as_it_was_sent() {
 }
 
 #[test]
-fn every_refusal_comes_back_with_its_code() {
+fn every_refusal_decodes_with_its_code() {
     for_every_command(4, |framing, exchange| {
         let last = if framing == Framing::Ascii { 0xF } else { 0xFF };
         for code in 1..=last {
@@ -58,8 +58,8 @@ fn every_refusal_comes_back_with_its_code() {
             prop_assert_eq!(frame.data.len(), 1);
             let mut refusal = BytesMut::new();
             encode_refusal(frame.command, error, framing, 1, &mut refusal);
-            prop_assert_eq!(refusal, exchange.encode_reply(framing, 1, Some(error)), "for what could not be read");
-            // The echo of a loop-back may look like a refusal; then it is the echo.
+            prop_assert_eq!(refusal, exchange.encode_reply(framing, 1, Some(error)), "as for an undecodable request");
+            // The echo of a loop-back may have the shape of a refusal. It counts as the echo.
             if exchange.request() != Request::LoopBack(LoopBack::new(frame.data.clone()).unwrap()) {
                 prop_assert_eq!(exchange.decode_reply(framing, &frame.data), Err(ReplyError::Plc(error)));
             }
@@ -75,30 +75,30 @@ fn no_refusal_can_be_encoded_as_a_success() {
             let exchange = exchange(ControlPlc::Run, (), Request::ControlPlc);
             let data = exchange.reply_data(framing, Some(ErrorCode::Unknown(code)));
             let result = exchange.decode_reply(framing, &data);
-            assert!(result.is_err(), "{framing}: the refusal with code {code:02X}h is read as a success");
+            assert!(result.is_err(), "{framing}: the refusal with code {code:02X}h decodes as a success");
         }
     }
 }
 
 #[test]
-fn a_reply_that_is_too_short_or_too_long_is_never_accepted() {
+fn a_reply_of_wrong_length_is_never_accepted() {
     for_every_command(CASES / 4, |framing, exchange| {
         let data = exchange.reply_data(framing, None);
         for len in 0..data.len() {
-            expect_no_reply(framing, &exchange, &data[..len])?;
+            expect_rejected(framing, &exchange, &data[..len])?;
         }
         for (more, filler) in (1..=20).flat_map(|n| [(n, b'0'), (n, b'F'), (n, 0x00), (n, 0x01), (n, b' ')]) {
-            expect_no_reply(framing, &exchange, &[&data[..], &vec![filler; more]].concat())?;
+            expect_rejected(framing, &exchange, &[&data[..], &vec![filler; more]].concat())?;
         }
         Ok(())
     });
 }
 
 #[test]
-fn a_refusal_with_data_behind_it_is_never_accepted() {
+fn a_refusal_with_data_is_never_accepted() {
     for_every_command(CASES / 4, |framing, exchange| {
         let data = exchange.reply_data(framing, None);
-        // An acknowledgement has no data, and a loop-back and a page need no error digit.
+        // An acknowledgement has no data, and loop-backs and pages need no error code.
         if data.len() > 1 && !matches!(exchange.code(), Code::LoopBack | Code::ReadProgramPage) {
             for code in 1..=15_u8 {
                 let refusal = exchange.reply_data(framing, ErrorCode::from_u8(code));
@@ -111,7 +111,7 @@ fn a_refusal_with_data_behind_it_is_never_accepted() {
 }
 
 #[test]
-fn a_character_that_is_no_digit_is_never_accepted_in_an_ascii_reply() {
+fn an_ascii_reply_with_a_non_digit_is_never_accepted() {
     for_every_command(CASES / 32, |framing, exchange| {
         if framing == Framing::Binary {
             return Ok(());
@@ -121,7 +121,7 @@ fn a_character_that_is_no_digit_is_never_accepted_in_an_ascii_reply() {
             for wrong in [b'G', b'g', b' ', b'/', b':', b'@', b'`', 0x00, 0x80, 0xFF] {
                 let mut data = data.clone();
                 if std::mem::replace(&mut data[at], wrong) != wrong {
-                    expect_no_reply(framing, &exchange, &data)?;
+                    expect_rejected(framing, &exchange, &data)?;
                 }
             }
         }
@@ -149,15 +149,15 @@ fn a_state_other_than_on_and_off_is_never_accepted() {
 }
 
 #[test]
-fn a_reply_to_another_number_of_items_is_never_accepted() {
+fn a_reply_with_another_count_is_never_accepted() {
     for framing in FRAMINGS {
-        for asked in 1..=64_usize {
-            for answered in (1..=64_usize).filter(|&n| n != asked) {
-                let request = ReadRegisters::new(Register::r(0), asked).unwrap();
-                let reply = exchange(request, vec![0; answered], Request::ReadRegisters).reply_data(framing, None);
+        for requested in 1..=64_usize {
+            for replied in (1..=64_usize).filter(|&n| n != requested) {
+                let request = ReadRegisters::new(Register::r(0), requested).unwrap();
+                let reply = exchange(request, vec![0; replied], Request::ReadRegisters).reply_data(framing, None);
                 assert!(matches!(decode_reply(&request, framing, &reply), Err(ReplyError::Mismatch(_))));
-                let request = ReadDiscretes::new(discrete!("M0"), asked).unwrap();
-                let reply = exchange(request, vec![false; answered], Request::ReadDiscretes).reply_data(framing, None);
+                let request = ReadDiscretes::new(discrete!("M0"), requested).unwrap();
+                let reply = exchange(request, vec![false; replied], Request::ReadDiscretes).reply_data(framing, None);
                 assert!(matches!(decode_reply(&request, framing, &reply), Err(ReplyError::Mismatch(_))));
             }
         }
@@ -165,7 +165,7 @@ fn a_reply_to_another_number_of_items_is_never_accepted() {
 }
 
 #[test]
-fn a_program_page_is_told_by_its_length() {
+fn a_program_page_reply_is_recognised_by_its_length() {
     let page = ProgramPage::new(std::array::from_fn(|i| 0xFB00 + i as u16));
     let words = page.words().map(|word| format!("{word:04X}")).concat();
     let read = |data: &str| decode_reply(&ReadProgramPage::new(0), Framing::Ascii, data.as_bytes());
@@ -184,7 +184,7 @@ fn a_program_page_is_told_by_its_length() {
 }
 
 #[test]
-fn a_detailed_status_has_28_bytes_or_more() {
+fn a_detailed_status_has_at_least_28_bytes() {
     for framing in FRAMINGS {
         for len in 0..=100_usize {
             let raw: Vec<u8> = (1..).take(len).collect();
@@ -209,7 +209,7 @@ fn a_detailed_status_has_28_bytes_or_more() {
 }
 
 #[test]
-fn an_echo_of_one_digit_is_the_echo_and_another_digit_is_a_refusal() {
+fn one_digit_is_the_echo_of_a_loop_back_or_a_refusal() {
     let sent = LoopBack::new("5").unwrap();
     let read = |data: &[u8]| decode_reply(&sent, Framing::Ascii, data);
     assert_eq!(read(b"5"), Ok(()));
@@ -219,11 +219,11 @@ fn an_echo_of_one_digit_is_the_echo_and_another_digit_is_a_refusal() {
     }
     let upper = LoopBack::new("ABC").unwrap();
     let lower = decode_reply(&upper, Framing::Ascii, b"abc");
-    assert_eq!(lower, Err(ReplyError::Mismatch(FieldError::NotTheEcho)), "characters are no numbers");
+    assert_eq!(lower, Err(ReplyError::Mismatch(FieldError::NotTheEcho)), "case matters in a loop-back");
 }
 
 #[test]
-fn a_list_that_the_binary_framing_cannot_tell_from_another_is_never_sent() {
+fn an_ambiguous_binary_list_is_never_sent() {
     let read = |list: &[&str]| ReadMixed::new(list.iter().map(|e| e.parse().unwrap()).collect::<Vec<_>>()).unwrap();
     // 52 54 00 57 58 00 00: `R` at 5400h and `WX` at 0, or `RT` at 57h and `X` at 0.
     let pairs: [[&[&str]; 2]; 4] = [
@@ -236,9 +236,9 @@ fn a_list_that_the_binary_framing_cannot_tell_from_another_is_never_sent() {
         let elements = list.iter().map(|text| text.parse().unwrap()).collect();
         let ambiguous = InvalidRequest::Ambiguous { code: Code::ReadMixed, elements };
         assert_eq!(frame_of(&read(list), Framing::Binary), Err(ambiguous), "{list:?}");
-        assert!(frame_of(&read(list), Framing::Ascii).is_ok(), "{list:?}: the ASCII framing has no such doubt");
+        assert!(frame_of(&read(list), Framing::Ascii).is_ok(), "{list:?}: not ambiguous in the ASCII framing");
     }
-    // What a list is read as may hang on the values: `DWX` at 0 and `X` at 0, or `D` at 5758h and `DR` at 0.
+    // Values matter, too: `DWX` at 0 and `X` at 0, or `D` at 5758h and `DR` at 0.
     let write = |value| WriteMixed::new([(element!("DWX0"), Value::DWord(value)), (element!("X0"), Value::Bit(false))]);
     let elements = vec![element!("DWX0"), element!("X0")];
     let ambiguous = InvalidRequest::Ambiguous { code: Code::WriteMixed, elements };
@@ -248,7 +248,7 @@ fn a_list_that_the_binary_framing_cannot_tell_from_another_is_never_sent() {
 }
 
 #[test]
-fn a_list_that_only_begins_like_another_is_sent_and_read() {
+fn a_list_with_an_ambiguous_prefix_is_sent() {
     for list in [
         &["R21504"][..],
         &["RT87"],
@@ -264,18 +264,18 @@ fn a_list_that_only_begins_like_another_is_sent_and_read() {
         let request = ReadMixed::new(list.iter().map(|e| e.parse().unwrap()).collect::<Vec<_>>()).unwrap();
         let frame = frame_of(&request, Framing::Binary).unwrap_or_else(|error| panic!("{list:?}: {error}"));
         assert_eq!(
-            Request::decode(&carried(Framing::Binary, &frame), Framing::Binary),
+            Request::decode(&frame_content(Framing::Binary, &frame), Framing::Binary),
             Ok(Request::ReadMixed(request))
         );
     }
 }
 
 #[test]
-fn a_list_is_refused_if_and_only_if_it_has_a_second_reading() {
+fn exactly_the_ambiguous_lists_are_rejected() {
     let mut rng = Rng::new(1);
     let (mut sent, mut refused) = ([0; 2], [0; 2]);
     for _ in 0..10_000 {
-        // Addresses and values made of the letters of symbols: the worst there is.
+        // The worst case: addresses and values consist of letters of symbols.
         let items: Vec<(Element, Value)> = (0..2 + rng.below(4)).map(|_| lettered(&mut rng)).collect();
         let elements: Vec<Element> = items.iter().map(|(element, _)| *element).collect();
         let (read, write) = (ReadMixed::new(elements).unwrap(), WriteMixed::new(items).unwrap());
@@ -283,31 +283,31 @@ fn a_list_is_refused_if_and_only_if_it_has_a_second_reading() {
             [Request::ReadMixed(read.clone()), Request::WriteMixed(write.clone())].into_iter().enumerate()
         {
             let result = if i == 0 { frame_of(&read, Framing::Binary) } else { frame_of(&write, Framing::Binary) };
-            match (readings_of(&request), result) {
+            match (decodings_of(&request), result) {
                 (1, Ok(frame)) => {
-                    assert_eq!(Request::decode(&carried(Framing::Binary, &frame), Framing::Binary), Ok(request));
+                    assert_eq!(Request::decode(&frame_content(Framing::Binary, &frame), Framing::Binary), Ok(request));
                     sent[i] += 1;
                 }
                 (2.., Err(InvalidRequest::Ambiguous { .. })) => refused[i] += 1,
-                (readings, result) => panic!("{readings} readings, and {result:?}: {request:?}"),
+                (decodings, result) => panic!("{decodings} decodings, and {result:?}: {request:?}"),
             }
         }
     }
     assert!(sent.into_iter().chain(refused).all(|n| n > 500), "sent {sent:?}, refused {refused:?}");
 }
 
-/// What is read as a request, however it came about, is that request's own bytes: nothing is overlooked or made up.
+/// Encoding a decoded request gives its own bytes: nothing is ignored or invented.
 #[test]
-fn what_is_read_as_a_request_is_written_as_the_same_bytes() {
+fn a_decoded_request_encodes_to_the_same_bytes() {
     for_every_command(CASES / 2, |framing, exchange| {
         let Ok(frame) = exchange.encode_request(framing, 1) else { return Ok(()) };
-        let right = carried(framing, &frame);
+        let right = frame_content(framing, &frame);
         for data in mutations(&right.data) {
             let frame = Frame { data: data.clone().into(), ..right.clone() };
             let Ok(request) = Request::decode(&frame, framing) else { continue };
             match frame_of_any(&request, framing) {
-                Ok(bytes) => expect_same_fields(framing, exchange.code(), &carried(framing, &bytes).data, &data)?,
-                // A line of 8 bits may carry what we would not send.
+                Ok(bytes) => expect_same_fields(framing, exchange.code(), &frame_content(framing, &bytes).data, &data)?,
+                // A line of 8 data bits may carry bytes that this crate does not send.
                 Err(error) => prop_assert!(matches!(error, InvalidRequest::NotPrintable { .. }), "{error}"),
             }
         }
@@ -316,13 +316,13 @@ fn what_is_read_as_a_request_is_written_as_the_same_bytes() {
 }
 
 #[test]
-fn what_is_read_as_a_reply_is_written_as_the_same_bytes() {
+fn a_decoded_reply_encodes_to_the_same_bytes() {
     for_every_command(CASES / 2, |framing, exchange| {
         for data in mutations(&exchange.reply_data(framing, None)) {
             let Ok(frame) = exchange.reencode_reply(framing, &data) else { continue };
             let without_digit = exchange.code() == Code::ReadProgramPage && data.len() == 256;
             let data = if without_digit { [b"0", &data[..]].concat() } else { data };
-            expect_same_fields(framing, exchange.code(), &carried(framing, &frame).data, &data)?;
+            expect_same_fields(framing, exchange.code(), &frame_content(framing, &frame).data, &data)?;
         }
         Ok(())
     });
@@ -332,7 +332,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_bytes_can_make_the_readers_panic(
+    fn no_input_makes_a_decoder_panic(
         station: u8,
         command in prop_oneof![any::<u8>(), 0x40_u8..=0x53],
         data in prop_oneof![vec(any::<u8>(), 0..600), vec(prop::sample::select(LETTERS.to_vec()), 0..600)],
@@ -348,22 +348,22 @@ proptest! {
     }
 }
 
-/// The one frame that these bytes are, as this side receives them.
+/// Decodes the single frame in these bytes, as this side receives it.
 fn received(framing: Framing, receiver: Side, bytes: &[u8]) -> Frame {
     let [frame] = frames(decode(&mut Codec::new(framing, receiver), [bytes])).try_into().expect("one frame");
     let sender = common::other_side(receiver);
-    assert_eq!(framed(framing, sender, frame.station, frame.command, &frame.data), bytes, "by the book");
+    assert_eq!(framed(framing, sender, frame.station, frame.command, &frame.data), bytes, "reference encoding");
     frame
 }
 
-/// Whatever the data is, it is not accepted as the reply; a single error digit is that error.
-fn expect_no_reply(framing: Framing, exchange: &AnyExchange, data: &[u8]) -> Result<(), TestCaseError> {
+/// Checks that the data is rejected as a reply. A single error code must be reported as that error.
+fn expect_rejected(framing: Framing, exchange: &AnyExchange, data: &[u8]) -> Result<(), TestCaseError> {
     let code = match (data, framing) {
         ([digit], Framing::Ascii) => char::from(*digit).to_digit(16).and_then(|d| u8::try_from(d).ok()),
         ([byte], _) => Some(*byte),
         _ => None,
     };
-    // Where the length is free or decides alone, another length can be another reply: these have their own tests.
+    // For these commands another length can be another valid reply. They have their own tests.
     let other_reply = match exchange.code() {
         Code::ReadDetailedStatus => data.len() >= 29,
         Code::ReadProgramPage => data.len() == 256,
@@ -398,17 +398,17 @@ fn frame_of_any(request: &Request, framing: Framing) -> Result<BytesMut, Invalid
     }
 }
 
-/// The same fields: in ASCII, numbers and symbols are the same in either case.
+/// Compares fields: in ASCII, numbers and symbols may have either case.
 fn expect_same_fields(framing: Framing, code: Code, written: &[u8], read: &[u8]) -> Result<(), TestCaseError> {
     let either_case = framing == Framing::Ascii && code != Code::LoopBack;
     prop_assert!(written == read || either_case && written.eq_ignore_ascii_case(read), "{written:02X?} {read:02X?}");
     Ok(())
 }
 
-/// The bytes of which symbols, digits and counts are made.
+/// Bytes of symbols, digits and counts.
 const LETTERS: &[u8] = b"XYMSTCWRDF0123456789ABEabf\x00\x01\x02\x40";
 
-/// The data with one thing wrong, in a number of ways; and as it is.
+/// The data itself, and variants with one random error.
 fn mutations(data: &[u8]) -> Vec<Vec<u8>> {
     let seed = data.iter().fold(data.len() as u64, |seed, byte| seed.wrapping_mul(31).wrapping_add(u64::from(*byte)));
     let mut rng = Rng::new(seed);
@@ -427,22 +427,23 @@ fn mutations(data: &[u8]) -> Vec<Vec<u8>> {
     all
 }
 
-/// In how many ways a mixed request can be read in the binary framing: all are tried. Other requests have one reading.
-fn readings_of(request: &Request) -> u64 {
+/// Number of ways to decode a mixed request in the binary framing, found by exhaustive search.
+/// Other requests have one.
+fn decodings_of(request: &Request) -> u64 {
     match request {
         Request::ReadMixed(request) => {
             let data = request.elements().iter().flat_map(|e| element_bytes(*e)).collect::<Vec<_>>();
-            readings(&data, request.elements().len(), false)
+            count_decodings(&data, request.elements().len(), false)
         }
         Request::WriteMixed(request) => {
             let item = |(e, v): &(Element, Value)| [element_bytes(*e), value_bytes(*v)].concat();
-            readings(&request.items().iter().flat_map(item).collect::<Vec<_>>(), request.items().len(), true)
+            count_decodings(&request.items().iter().flat_map(item).collect::<Vec<_>>(), request.items().len(), true)
         }
         _ => 1,
     }
 }
 
-fn readings(data: &[u8], elements: usize, values: bool) -> u64 {
+fn count_decodings(data: &[u8], elements: usize, values: bool) -> u64 {
     if elements == 0 {
         return u64::from(data.is_empty());
     }
@@ -451,7 +452,7 @@ fn readings(data: &[u8], elements: usize, values: bool) -> u64 {
         let (address, rest) = rest.split_first_chunk()?;
         Element::new(*symbol, u16::from_be_bytes(*address)).ok()?;
         let value_len = if values { (symbol.width().bits() as usize).div_ceil(8) } else { 0 };
-        Some(readings(rest.get(value_len..)?, elements - 1, values))
+        Some(count_decodings(rest.get(value_len..)?, elements - 1, values))
     };
     Symbol::ALL.iter().filter_map(behind).sum()
 }
@@ -468,7 +469,7 @@ fn value_bytes(value: Value) -> Vec<u8> {
     }
 }
 
-/// An element and a value whose bytes look like letters of symbols, as far as they can.
+/// A random element and value whose bytes are letters of symbols where possible.
 fn lettered(rng: &mut Rng) -> (Element, Value) {
     loop {
         let symbol = rng.pick(Symbol::ALL);

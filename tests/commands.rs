@@ -68,7 +68,7 @@ async fn discretes_are_read_written_forced_and_disabled() {
         plc.write(y9, true).unwrap();
         assert_eq!(station.read_discretes(y9, 1).await.unwrap(), [false], "a disabled discrete ignores the process");
         station.set(y9).await.unwrap();
-        assert_eq!(station.read_discretes(y9, 1).await.unwrap(), [true], "and can be forced");
+        assert_eq!(station.read_discretes(y9, 1).await.unwrap(), [true], "a disabled discrete can be forced");
         station.enable(y9).await.unwrap();
         assert_eq!(station.read_disabled(y9, 1).await.unwrap(), [false]);
     }
@@ -97,7 +97,7 @@ async fn mixed_requests_keep_their_order() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_list_with_two_readings_is_refused_before_it_is_sent() {
+async fn an_ambiguous_list_is_rejected_before_sending() {
     let list = [Element::from(Register::r(0x5400)), element!("WX0")];
     let plc = Plc::new();
     assert!(alone(&plc, Framing::Ascii).station(1).unwrap().read_mixed(&list).await.is_ok());
@@ -130,7 +130,7 @@ async fn status_is_typed_and_keeps_its_raw_bytes() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn loop_back_returns_what_was_sent() {
+async fn loop_back_checks_the_echo() {
     for framing in FRAMINGS {
         let station = alone(&Plc::new(), framing).station(1).unwrap();
         for data in ["", "A", "4", "ABCDEFG"] {
@@ -143,7 +143,7 @@ async fn loop_back_returns_what_was_sent() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn program_pages_are_read_and_written_in_either_form_of_the_reply() {
+async fn program_pages_work_with_both_forms_of_the_reply() {
     for form in [PageReply::WithErrorDigit, PageReply::Bare] {
         let plc = Plc::with_model(Model::default().ladder_words(8192).page_reply(form));
         let station = alone(&plc, Framing::Ascii).station(1).unwrap();
@@ -161,7 +161,7 @@ async fn program_pages_are_read_and_written_in_either_form_of_the_reply() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_plc_refuses_what_its_model_does_not_have() {
+async fn the_plc_refuses_addresses_outside_its_model() {
     for framing in FRAMINGS {
         let plc = Plc::with_model(Model::default().last(element!("X255")));
         let station = alone(&plc, framing).station(1).unwrap();
@@ -175,7 +175,7 @@ async fn the_plc_refuses_what_its_model_does_not_have() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn broadcasts_reach_every_station_and_several_stations_share_a_link() {
+async fn broadcasts_reach_every_station_of_a_link() {
     for framing in FRAMINGS {
         let plcs: Vec<Plc> = (0..3).map(|_| Plc::new()).collect();
         let mut bus = Bus::new();

@@ -1,4 +1,4 @@
-//! What a link that has ended with its runtime keeps of it. One test, because open files are counted for the whole process.
+//! Resources of an ended link. A single test, because open files are counted for the whole process.
 #![cfg(target_os = "linux")]
 
 use fatek::wire::Framing;
@@ -6,19 +6,19 @@ use fatek::{Link, LinkState};
 use futures::FutureExt;
 use tokio::runtime::Builder;
 
-/// Of this process, with the one that it takes to count them.
+/// Open files of this process, including the one opened to count them.
 fn open_files() -> usize {
     std::fs::read_dir("/proc/self/fd").unwrap().count()
 }
 
-/// A link whose task has run, on a runtime that is gone.
+/// Creates a link whose task has run on a runtime that has ended.
 fn ended() -> Link {
     let runtime = Builder::new_current_thread().enable_all().build().unwrap();
     let (client, _plc) = tokio::io::duplex(4096);
     let link = Link::from_stream(client, Framing::Ascii);
     let station = link.station(1).unwrap();
     runtime.block_on(async {
-        // Nobody answers.
+        // No reply comes.
         let mut call = Box::pin(station.read_status());
         assert!((&mut call).now_or_never().is_none());
         while !matches!(link.state(), LinkState::Up) {
@@ -29,8 +29,8 @@ fn ended() -> Link {
 }
 
 #[test]
-fn a_link_that_has_ended_keeps_nothing_of_its_runtime_open() {
-    // What Tokio opens once stays open.
+fn an_ended_link_keeps_no_files_open() {
+    // Files that Tokio opens once stay open.
     let first = ended();
     let before = open_files();
     let links: Vec<Link> = (0..10).map(|_| ended()).collect();

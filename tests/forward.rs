@@ -1,5 +1,5 @@
-//! Requests that a gateway passes on: in either framing, they and their replies are the bytes that the command's own type
-//! makes, and what holds of other calls holds of them.
+//! Forwarded requests of a gateway: in either framing, requests and replies equal those of typed
+//! calls. Other rules of calls hold, too.
 
 mod common;
 
@@ -7,7 +7,7 @@ use std::future::Future;
 use std::time::Duration;
 
 use bytes::BytesMut;
-use common::{AnyExchange, FRAMINGS, carried, for_every_command, framed};
+use common::{AnyExchange, FRAMINGS, for_every_command, frame_content, framed};
 use fatek::command::*;
 use fatek::wire::{Framing, Side};
 use fatek::{Error, ErrorCode, Link, Register, discrete, register};
@@ -17,28 +17,28 @@ use tokio::runtime::Builder;
 use tokio::time::timeout;
 
 #[test]
-fn a_forwarded_request_and_its_reply_are_the_bytes_of_the_command_in_both_framings() {
+fn forwarded_frames_equal_those_of_typed_calls() {
     for_every_command(16, |framing, exchange| {
         let Ok(request) = exchange.encode_request(framing, 7) else {
-            return Ok(()); // with two readings
+            return Ok(()); // an ambiguous list
         };
         let reply = exchange.encode_reply(framing, 7, None);
-        let (answer, heard) = paused(forward(framing, &exchange, reply.clone()));
-        prop_assert_eq!(heard, request);
+        let (answer, received) = paused(forward(framing, &exchange, reply.clone()));
+        prop_assert_eq!(received, request);
         let answer = answer.unwrap();
         for other in FRAMINGS {
-            let mut sent_on = BytesMut::new();
-            answer.encode(other, 7, &mut sent_on);
-            prop_assert_eq!(&sent_on, &exchange.encode_reply(other, 7, None), "{}", other);
+            let mut forwarded = BytesMut::new();
+            answer.encode(other, 7, &mut forwarded);
+            prop_assert_eq!(&forwarded, &exchange.encode_reply(other, 7, None), "{}", other);
         }
         Ok(())
     });
 }
 
 #[test]
-fn what_a_plc_refuses_is_refused_with_its_code() {
+fn a_forwarded_refusal_keeps_its_code() {
     for_every_command(2, |framing, exchange| {
-        // A loop-back of one digit is its own echo.
+        // A loop-back of one digit may equal a refusal.
         if exchange.encode_request(framing, 7).is_err() || exchange.code() == Code::LoopBack {
             return Ok(());
         }
@@ -46,39 +46,40 @@ fn what_a_plc_refuses_is_refused_with_its_code() {
         let (answer, _) = paused(forward(framing, &exchange, refusal.clone()));
         let error = answer.unwrap_err();
         prop_assert_eq!(error.error_code(), Some(ErrorCode::IllegalAddress));
-        let mut sent_on = BytesMut::new();
-        encode_refusal(exchange.code().into(), ErrorCode::IllegalAddress, framing, 7, &mut sent_on);
-        prop_assert_eq!(sent_on, refusal);
+        let mut forwarded = BytesMut::new();
+        encode_refusal(exchange.code().into(), ErrorCode::IllegalAddress, framing, 7, &mut forwarded);
+        prop_assert_eq!(forwarded, refusal);
         Ok(())
     });
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reply_to_another_request_is_not_sent_on() {
+async fn a_reply_to_another_request_is_not_forwarded() {
     let (link, mut line) = line(Framing::Ascii);
     let forwarding = tokio::spawn(async move {
         let request = Request::ReadRegisters(ReadRegisters::new(register!("R0"), 3).unwrap());
         link.station(1).unwrap().forward(request).await
     });
     echo(&mut line, Framing::Ascii).await;
-    let asked = hear(&mut line).await;
-    // The last one fits, but behind the strays it may be another request's: it is asked for again, behind a check.
+    let first = receive(&mut line).await;
+    // The last reply matches, but after strays it may belong to another request. It is requested
+    // again after a check.
     for data in [&b"0AAAABBBB"[..], b"0AAAABBBBCCCCDDDD", b"0AAAABBBBCCCC"] {
         line.write_all(&framed(Framing::Ascii, Side::Plc, 1, 0x46, data)).await.unwrap();
     }
     echo(&mut line, Framing::Ascii).await;
-    assert_eq!(hear(&mut line).await, asked);
+    assert_eq!(receive(&mut line).await, first);
     line.write_all(&framed(Framing::Ascii, Side::Plc, 1, 0x46, b"0000100020003")).await.unwrap();
     let answer = forwarding.await.unwrap().unwrap();
     let shown = format!("{answer:?}");
     assert!(shown.contains("request: ReadRegisters") && shown.contains("reply: [1, 2, 3]"), "{shown}");
-    let mut sent_on = BytesMut::new();
-    answer.encode(Framing::Ascii, 1, &mut sent_on);
-    assert_eq!(sent_on, framed(Framing::Ascii, Side::Plc, 1, 0x46, b"0000100020003"));
+    let mut forwarded = BytesMut::new();
+    answer.encode(Framing::Ascii, 1, &mut forwarded);
+    assert_eq!(forwarded, framed(Framing::Ascii, Side::Plc, 1, 0x46, b"0000100020003"));
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_forwarded_read_is_sent_again_and_a_forwarded_write_is_not() {
+async fn a_forwarded_read_is_retried_and_a_write_is_not() {
     let read = Request::ReadRegisters(ReadRegisters::new(register!("R0"), 1).unwrap());
     let write = Request::WriteRegisters(WriteRegisters::new(register!("R0"), [7]).unwrap());
     for (request, times) in [(read, 3), (write, 1)] {
@@ -86,24 +87,24 @@ async fn a_forwarded_read_is_sent_again_and_a_forwarded_write_is_not() {
         let code = u8::from(request.code());
         let station = link.station(1).unwrap();
         let forwarding = tokio::spawn(async move { station.forward(request).await });
-        let mut heard = 0;
-        while let Ok(frame) = timeout(Duration::from_secs(30), hear(&mut line)).await {
-            let frame = carried(Framing::Ascii, &frame);
+        let mut received = 0;
+        while let Ok(frame) = timeout(Duration::from_secs(30), receive(&mut line)).await {
+            let frame = frame_content(Framing::Ascii, &frame);
             if frame.command == 0x4E {
-                // The barrier before each repetition: the station is there after all.
+                // The check before each retry is answered, so the station stays online.
                 let echo = framed(Framing::Ascii, Side::Plc, 1, 0x4E, &frame.data);
                 line.write_all(&echo).await.unwrap();
             }
-            heard += u32::from(frame.command == code);
+            received += u32::from(frame.command == code);
         }
         let error = forwarding.await.unwrap().unwrap_err();
         assert!(matches!(error, Error::Timeout { sent: true, .. }), "{error:?}");
-        assert_eq!(heard, times, "{code:02X}");
+        assert_eq!(received, times, "{code:02X}");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn only_what_writes_or_controls_is_broadcast() {
+async fn only_writes_and_control_are_broadcast() {
     let words = [1, 2];
     for (request, is_sent) in [
         (Request::ControlPlc(ControlPlc::Stop), true),
@@ -125,7 +126,7 @@ async fn only_what_writes_or_controls_is_broadcast() {
         let result = link.broadcast().forward(request).await;
         if is_sent {
             result.unwrap();
-            assert_eq!(hear(&mut line).await, expected, "{code}");
+            assert_eq!(receive(&mut line).await, expected, "{code}");
         } else {
             assert!(matches!(result, Err(Error::Invalid(InvalidRequest::NoBroadcast { .. }))), "{result:?}");
             assert_eq!(link.stats().broadcasts, 0);
@@ -138,7 +139,8 @@ fn line(framing: Framing) -> (Link, DuplexStream) {
     (Link::from_stream(client, framing), plc)
 }
 
-/// Forwards a request to station 7, which gives this reply; returns what came of it, and what the station has heard.
+/// Forwards a request to station 7, which sends this reply. Returns the result, and the request as
+/// received.
 async fn forward(
     framing: Framing,
     exchange: &AnyExchange,
@@ -148,30 +150,31 @@ async fn forward(
     let station = link.station(7).unwrap();
     let plc = async move {
         echo(&mut line, framing).await;
-        let mut heard = hear(&mut line).await;
-        if exchange.code() == Code::LoopBack && carried(framing, &heard).command == 0x40 {
-            // The echo of one character has the shape of a refusal of the check: a read of the status goes between them.
+        let mut received = receive(&mut line).await;
+        if exchange.code() == Code::LoopBack && frame_content(framing, &received).command == 0x40 {
+            // The echo of one character has the shape of a refusal of the check, so a read of the
+            // status is sent between.
             let mut status = BytesMut::new();
             encode_reply(&ReadStatus, Ok(&BriefStatus::from_raw([1, 0, 0])), framing, 7, &mut status);
             line.write_all(&status).await.unwrap();
-            heard = hear(&mut line).await;
+            received = receive(&mut line).await;
         }
         line.write_all(&reply).await.unwrap();
-        heard
+        received
     };
     tokio::join!(station.forward(exchange.request()), plc)
 }
 
-/// What comes at once.
-async fn hear(line: &mut DuplexStream) -> BytesMut {
-    let mut heard = BytesMut::with_capacity(1024);
-    assert_ne!(line.read_buf(&mut heard).await.unwrap(), 0, "the link has hung up");
-    heard
+/// Receives the bytes that are available.
+async fn receive(line: &mut DuplexStream) -> BytesMut {
+    let mut received = BytesMut::with_capacity(1024);
+    assert_ne!(line.read_buf(&mut received).await.unwrap(), 0, "the link has closed the connection");
+    received
 }
 
-/// Echoes the check that must come now.
+/// Answers the next request, which must be a check, with its echo.
 async fn echo(line: &mut DuplexStream, framing: Framing) {
-    let check = carried(framing, &hear(line).await);
+    let check = frame_content(framing, &receive(line).await);
     assert_eq!((check.command, check.data.len()), (0x4E, 8), "a check");
     line.write_all(&framed(framing, Side::Plc, check.station, 0x4E, &check.data)).await.unwrap();
 }

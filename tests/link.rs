@@ -1,4 +1,4 @@
-//! The link against a peer whose every byte the test decides.
+//! The link against a scripted PLC: the test decides every byte of the replies.
 
 use std::time::Duration;
 
@@ -27,7 +27,7 @@ async fn a_read_is_one_request_and_one_reply() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn bad_arguments_are_named_and_nothing_is_sent() {
+async fn invalid_arguments_are_errors_and_are_not_sent() {
     let (link, mut peer) = line();
     let station = station(&link);
     let reading = |first: &str, count| {
@@ -64,7 +64,7 @@ async fn bad_arguments_are_named_and_nothing_is_sent() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn program_pages_are_refused_in_the_binary_framing_before_any_io() {
+async fn program_pages_are_invalid_in_the_binary_framing() {
     let (client, mut plc) = duplex(64);
     let link = Link::from_stream(client, Framing::Binary);
     let error = station(&link).read_program_page(0).await.unwrap_err();
@@ -74,7 +74,7 @@ async fn program_pages_are_refused_in_the_binary_framing_before_any_io() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_the_plc_refuses_is_a_typed_error() {
+async fn a_refusal_is_a_typed_error() {
     let (link, mut peer) = line();
     let station = station(&link);
     let call = tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await });
@@ -87,7 +87,7 @@ async fn what_the_plc_refuses_is_a_typed_error() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn only_the_exact_reply_is_taken_and_the_deadline_keeps_running() {
+async fn only_an_exact_reply_is_taken_before_the_timeout() {
     let (link, mut peer) = line();
     let station = once(&station(&link));
     let began = Instant::now();
@@ -100,7 +100,7 @@ async fn only_the_exact_reply_is_taken_and_the_deadline_keeps_running() {
     peer.reply(1, 0x46, "00001000G").await; // not hexadecimal
     peer.reply(1, 0x46, "A0001").await; // an error with data
     sleep(Duration::from_millis(500)).await;
-    peer.reply(1, 0x46, "000030004").await; // it fits, but the strays before it are a doubt
+    peer.reply(1, 0x46, "000030004").await; // the right reply, but after strays
     peer.echo().await;
     peer.request().await;
     peer.reply(1, 0x46, "000030004").await;
@@ -109,7 +109,7 @@ async fn only_the_exact_reply_is_taken_and_the_deadline_keeps_running() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reply_that_is_never_right_is_a_bad_reply_and_silence_is_a_timeout() {
+async fn a_wrong_reply_is_a_bad_reply_and_silence_is_a_timeout() {
     let (link, mut peer) = line();
     let station = once(&station(&link));
     let call = {
@@ -131,7 +131,7 @@ async fn a_reply_that_is_never_right_is_a_bad_reply_and_silence_is_a_timeout() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn late_reply_to_a_timed_out_read_is_never_given_to_the_next_read() {
+async fn a_late_reply_is_not_given_to_the_next_read() {
     let (link, mut peer) = line();
     let station = once(&station(&link));
     let read = |first: &'static str| {
@@ -143,21 +143,21 @@ async fn late_reply_to_a_timed_out_read_is_never_given_to_the_next_read() {
     assert!(matches!(first.await.unwrap(), Err(Error::Timeout { .. })));
 
     let second = read("R2");
-    let barrier = peer.request().await;
-    assert_eq!(barrier.command, 0x4E);
+    let check = peer.request().await;
+    assert_eq!(check.command, 0x4E);
     peer.reply(1, 0x46, "01111").await; // R1, late: the PLC answers in order
-    peer.reply(1, 0x4E, std::str::from_utf8(&barrier.data).unwrap()).await;
+    peer.reply(1, 0x4E, std::str::from_utf8(&check.data).unwrap()).await;
     assert_eq!(&peer.request().await.data[..], b"01R00002");
     peer.reply(1, 0x46, "02222").await;
     assert_eq!(second.await.unwrap().unwrap(), [0x2222]);
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_old_echo_does_not_pass_for_a_new_one() {
+async fn the_echo_of_an_old_nonce_passes_no_check() {
     let (link, mut peer) = line();
     let station = station(&link);
     let call = tokio::spawn(async move { station.read_registers(register!("R1"), 1).await });
-    peer.request().await; // unanswered: the station is dirty
+    peer.request().await; // unanswered: the station is suspect
     let first = peer.request().await;
     assert_eq!(first.command, 0x4E); // unanswered too
     let second = peer.request().await;
@@ -172,26 +172,26 @@ async fn an_old_echo_does_not_pass_for_a_new_one() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_frame_that_nobody_asked_for_makes_the_station_prove_itself() {
+async fn an_unsolicited_frame_makes_the_station_suspect() {
     let (link, mut peer) = line();
     let station = station(&link);
-    for unasked in [false, true] {
+    for unsolicited in [false, true] {
         let station = station.clone();
         let call = tokio::spawn(async move { station.read_registers(register!("R1"), 1).await });
-        if unasked {
+        if unsolicited {
             peer.echo().await;
         }
         peer.request().await;
         peer.reply(1, 0x46, "00001").await;
         assert_eq!(call.await.unwrap().unwrap(), [1]);
-        peer.reply(1, 0x46, "00002").await; // it is no copy of the last reply
+        peer.reply(1, 0x46, "00002").await; // not a copy of the last reply
         sleep(Duration::from_millis(1)).await;
     }
 }
 
-/// The echo of one character has the form of a refusal, such as one of the check before it.
+/// The echo of one character has the shape of a refusal, such as one of the check before it.
 #[tokio::test(start_paused = true)]
-async fn a_loop_back_of_one_character_is_sent_behind_a_check() {
+async fn a_loop_back_of_one_character_is_sent_after_a_check() {
     let (client, plc) = duplex(4096);
     let link = Link::from_stream(client, Framing::Ascii);
     let mut peer = Peer::new(plc);
@@ -212,7 +212,7 @@ async fn a_loop_back_of_one_character_is_sent_behind_a_check() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_device_without_loop_back_gets_a_quiet_period() {
+async fn a_plc_without_loop_back_gets_a_quiet_time() {
     let (link, mut peer) = line();
     let station = once(&station(&link));
     let read = || {
@@ -225,15 +225,15 @@ async fn a_device_without_loop_back_gets_a_quiet_period() {
     let second = read();
     assert_eq!(peer.request().await.command, 0x4E);
     peer.reply(1, 0x4E, "4").await;
-    let asked = Instant::now();
+    let began = Instant::now();
     assert_eq!(peer.request().await.command, 0x46);
-    assert!(asked.elapsed() >= Duration::from_secs(1), "{:?}", asked.elapsed());
+    assert!(began.elapsed() >= Duration::from_secs(1), "{:?}", began.elapsed());
     peer.reply(1, 0x46, "00009").await;
     assert_eq!(second.await.unwrap().unwrap(), [9]);
 }
 
 #[tokio::test(start_paused = true)]
-async fn reads_are_repeated_and_writes_are_not() {
+async fn reads_are_retried_and_writes_are_not() {
     let (link, mut peer) = line();
     let station = station(&link);
     let read = {
@@ -253,7 +253,7 @@ async fn reads_are_repeated_and_writes_are_not() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_corrupt_reply_is_repeated_without_waiting_for_the_whole_timeout() {
+async fn a_corrupt_reply_is_retried_before_the_timeout() {
     let (link, mut peer) = line();
     let station = station(&link);
     let began = Instant::now();
@@ -268,7 +268,7 @@ async fn a_corrupt_reply_is_repeated_without_waiting_for_the_whole_timeout() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_dropped_future_harms_nobody() {
+async fn dropped_calls_are_cancel_safe() {
     let (link, mut peer) = line();
     let station = station(&link);
     let sent = {
@@ -281,18 +281,18 @@ async fn a_dropped_future_harms_nobody() {
         tokio::spawn(async move { station.read_registers(register!("R2"), 1).await })
     };
     tokio::task::yield_now().await;
-    let wanted = tokio::spawn(async move { station.read_registers(register!("R3"), 1).await });
+    let live = tokio::spawn(async move { station.read_registers(register!("R3"), 1).await });
     tokio::task::yield_now().await;
     sent.abort();
     queued.abort();
     peer.reply(1, 0x46, "01111").await;
-    assert_eq!(&peer.request().await.data[..], b"01R00003", "R2 was not sent yet, so nobody wants it");
+    assert_eq!(&peer.request().await.data[..], b"01R00003", "R2 was not sent yet and is dropped");
     peer.reply(1, 0x46, "03333").await;
-    assert_eq!(wanted.await.unwrap().unwrap(), [0x3333]);
+    assert_eq!(live.await.unwrap().unwrap(), [0x3333]);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_broadcast_does_not_wait_for_an_answer() {
+async fn a_broadcast_does_not_wait_for_a_reply() {
     let (link, mut peer) = line();
     let began = Instant::now();
     link.broadcast().write_registers(register!("R0"), &[7]).await.unwrap();
@@ -309,17 +309,17 @@ async fn a_silent_station_goes_offline_fails_fast_and_comes_back() {
         let station = station.clone();
         tokio::spawn(async move { station.read_status().await })
     };
-    let mut heard = vec![peer.request().await.command];
+    let mut commands = vec![peer.request().await.command];
     let error = call.await.unwrap().unwrap_err();
     assert!(matches!(error, Error::Timeout { sent: true, .. }), "{error:?}");
     let began = Instant::now();
     let error = station.read_status().await.unwrap_err();
     assert!(matches!(error, Error::Offline { station: 1, sent: false, .. }), "{error:?}");
     assert!(began.elapsed() < Duration::from_millis(1));
-    while heard.len() < 4 {
-        heard.push(peer.request().await.command);
+    while commands.len() < 4 {
+        commands.push(peer.request().await.command);
     }
-    assert_eq!(heard, [0x40, 0x4E, 0x4E, 0x4E], "one request, two checks, and then the probe");
+    assert_eq!(commands, [0x40, 0x4E, 0x4E, 0x4E], "one request, two checks, and then the probe");
     peer.echo().await;
     sleep(Duration::from_millis(1)).await;
     let call = tokio::spawn(async move { station.set(discrete!("Y0")).await });
@@ -329,7 +329,7 @@ async fn a_silent_station_goes_offline_fails_fast_and_comes_back() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_write_to_a_station_that_answers_no_check_is_not_sent() {
+async fn a_write_is_not_sent_if_the_check_is_not_answered() {
     let (link, mut peer) = line();
     let error = station(&link).write_registers(register!("R0"), &[1]).await.unwrap_err();
     assert!(matches!(error, Error::Timeout { sent: false, .. }) && !error.may_have_executed(), "{error:?}");
@@ -337,9 +337,10 @@ async fn a_write_to_a_station_that_answers_no_check_is_not_sent() {
     assert!(peer.hears_nothing().await);
 }
 
-/// A duplicate is dropped and counted, and no check follows: the next request is spelt differently, so it cannot answer that.
+/// A duplicate is dropped and counted. No check follows, because the next request has another
+/// spelling.
 #[tokio::test(start_paused = true)]
-async fn a_copy_before_or_behind_the_next_request_is_not_its_reply() {
+async fn a_copy_of_a_reply_does_not_answer_the_next_request() {
     let (client, plc) = duplex(4096);
     let link = Link::from_stream(client, Framing::Ascii);
     let mut peer = Peer::new(plc);
@@ -352,7 +353,7 @@ async fn a_copy_before_or_behind_the_next_request_is_not_its_reply() {
     assert_eq!(&request.data[..], b"01R00001");
     let second = tokio::spawn(async move { plc.read_registers(register!("R2"), 1).await });
     tokio::task::yield_now().await;
-    // Over 1024 bytes of noise, so that one read of the client does not take both copies.
+    // Over 1024 bytes of noise, so that one read of the client does not return both copies.
     peer.reply(1, 0x46, "01111").await;
     peer.raw(&[0; 1010]).await;
     peer.reply(1, 0x46, "01111").await;
@@ -367,7 +368,7 @@ async fn a_copy_before_or_behind_the_next_request_is_not_its_reply() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_doubt_right_behind_the_echo_asks_for_another_echo() {
+async fn a_stray_after_the_echo_causes_another_check() {
     let (link, mut peer) = line();
     let plc = once(&station(&link));
     let unanswered = {
@@ -377,9 +378,9 @@ async fn a_doubt_right_behind_the_echo_asks_for_another_echo() {
     peer.request().await;
     assert!(unanswered.await.unwrap().is_err());
     let call = tokio::spawn(async move { plc.read_registers(register!("R2"), 1).await });
-    let barrier = peer.request().await;
+    let check = peer.request().await;
     let mut bytes = bytes::BytesMut::new();
-    for (command, data) in [(0x4E, barrier.data.clone()), (0x46, "01111".into())] {
+    for (command, data) in [(0x4E, check.data.clone()), (0x46, "01111".into())] {
         peer.encode(1, command, data, &mut bytes);
     }
     peer.raw(&bytes).await;
@@ -390,7 +391,7 @@ async fn a_doubt_right_behind_the_echo_asks_for_another_echo() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn noise_before_the_reply_does_not_cost_a_write_its_answer() {
+async fn noise_before_the_reply_does_not_fail_a_write() {
     let (link, mut peer) = line();
     let plc = station(&link);
     let call = tokio::spawn(async move { plc.write_registers(register!("R0"), &[1]).await });
@@ -402,7 +403,7 @@ async fn noise_before_the_reply_does_not_cost_a_write_its_answer() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_loop_back_that_was_refused_once_is_asked_again_at_the_next_doubt() {
+async fn a_check_is_tried_again_after_a_refused_one() {
     let (link, mut peer) = line();
     let plc = once(&station(&link));
     let read = |first: &'static str| {
@@ -414,9 +415,9 @@ async fn a_loop_back_that_was_refused_once_is_asked_again_at_the_next_doubt() {
         peer.request().await;
         assert!(unanswered.await.unwrap().is_err());
         let call = read("R2");
-        let barrier = peer.request().await;
-        assert_eq!(barrier.command, 0x4E);
-        let echo = std::str::from_utf8(&barrier.data).unwrap();
+        let check = peer.request().await;
+        assert_eq!(check.command, 0x4E);
+        let echo = std::str::from_utf8(&check.data).unwrap();
         peer.reply(1, 0x4E, if refused { "4" } else { echo }).await;
         assert_eq!(&peer.request().await.data[..], b"01R00002");
         peer.reply(1, 0x46, "02222").await;

@@ -1,4 +1,4 @@
-//! Lines that send back what is sent on them, and what must not be taken for a reply because of it.
+//! Lines that echo requests, and frames that must not be taken for replies there.
 
 use std::time::Duration;
 
@@ -12,10 +12,10 @@ use tokio::time::sleep;
 
 mod peer;
 
-use peer::{Peer, once, station, undoubled};
+use peer::{Peer, once, station, without_duplicates};
 
-/// What a line does with the n-th request, counted from 1: the echo it sends back, if any.
-type Echo = fn(u32, BytesMut) -> Option<BytesMut>;
+/// Echo of the n-th request, counted from 1, if any.
+type EchoFn = fn(u32, BytesMut) -> Option<BytesMut>;
 
 fn faithful(_: u32, request: BytesMut) -> Option<BytesMut> {
     Some(request)
@@ -25,20 +25,21 @@ fn none(_: u32, _: BytesMut) -> Option<BytesMut> {
     None
 }
 
-/// Whether a PLC answers the n-th request, counted from 1, of this command.
-type Answers = fn(u32, u8) -> bool;
+/// Whether the PLC answers the n-th request, counted from 1, of this command.
+type AnswersFn = fn(u32, u8) -> bool;
 
-/// A PLC on such a line; the channel yields the requests that it receives. It answers checks only as the test says.
-fn on_line(mode: EchoMode, echo: Echo, answers: Answers) -> (Station, UnboundedReceiver<String>) {
+/// Creates a PLC on a line with this echo. The channel yields its requests. Checks are answered
+/// only as `answers` decides.
+fn on_line(mode: EchoMode, echo: EchoFn, answers: AnswersFn) -> (Station, UnboundedReceiver<String>) {
     let (client, plc) = duplex(4096);
-    let (heard, requests) = unbounded_channel();
+    let (requests_sender, requests) = unbounded_channel();
     let mut peer = Peer::new(plc);
     tokio::spawn(async move {
         let mut number = 0;
         while let Some(request) = peer.any_request().await {
             number += 1;
             let data = String::from_utf8(request.data.to_vec()).unwrap();
-            let _ = heard.send(format!("{:02X}{data}", request.command));
+            let _ = requests_sender.send(format!("{:02X}{data}", request.command));
             let mut bytes = BytesMut::new();
             peer.encode(request.station, request.command, request.data.clone(), &mut bytes);
             if let Some(echo) = echo(number, bytes) {
@@ -50,8 +51,8 @@ fn on_line(mode: EchoMode, echo: Echo, answers: Answers) -> (Station, UnboundedR
             }
         }
     });
-    // Requests are spelt plainly, so that they can be counted.
-    let link = Link::stream_builder(client, Framing::Ascii).echo(mode).in_step(undoubled()).build();
+    // Requests have one spelling, so that they can be counted.
+    let link = Link::stream_builder(client, Framing::Ascii).echo(mode).in_step(without_duplicates()).build();
     (station(&link), requests)
 }
 
@@ -68,20 +69,20 @@ fn all(_: u32, _: u8) -> bool {
     true
 }
 
-fn all_of(mut requests: UnboundedReceiver<String>) -> Vec<String> {
+fn drain(mut requests: UnboundedReceiver<String>) -> Vec<String> {
     std::iter::from_fn(|| requests.try_recv().ok()).collect()
 }
 
 #[tokio::test(start_paused = true)]
 async fn an_echo_is_never_taken_for_the_reply() {
-    let lines: [(EchoMode, Echo); 4] =
+    let lines: [(EchoMode, EchoFn); 4] =
         [(EchoMode::Auto, faithful), (EchoMode::Auto, none), (EchoMode::On, faithful), (EchoMode::Off, none)];
     for (mode, echo) in lines {
         let (plc, requests) = on_line(mode, echo, all);
         plc.stop().await.unwrap();
         plc.loop_back("ABC").await.unwrap();
         assert_eq!(plc.read_registers(register!("R0"), 1).await.unwrap(), [7]);
-        let mut requests = all_of(requests);
+        let mut requests = drain(requests);
         let check = requests.iter_mut().find(|request| request.starts_with("4E")).unwrap();
         assert_eq!(check.split_off(2).len(), 8, "a nonce");
         let expected = ["40", "4E", "410", "4EABC", "4601R00000"];
@@ -93,9 +94,9 @@ async fn an_echo_is_never_taken_for_the_reply() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn on_a_line_that_echoes_a_dead_plc_is_dead() {
-    // Dead from the start, or from the first request behind the check.
-    let dead: [(EchoMode, Answers, bool); 4] = [
+async fn a_dead_plc_on_an_echoing_line_times_out() {
+    // Dead from the start, or after the check.
+    let dead: [(EchoMode, AnswersFn, bool); 4] = [
         (EchoMode::Auto, |_, _| false, false),
         (EchoMode::On, |_, _| false, false),
         (EchoMode::Auto, |number, _| number <= 2, true),
@@ -112,17 +113,17 @@ async fn on_a_line_that_echoes_a_dead_plc_is_dead() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_echo_that_is_garbled_while_it_is_learned_teaches_nothing() {
-    let spoil_one: Echo = |number, mut request| {
+async fn a_corrupt_echo_is_not_learned() {
+    let corrupt_first: EchoFn = |number, mut request| {
         if number == 1 {
             request[3] ^= 1;
         }
         Some(request)
     };
-    let lose_the_start: Echo =
+    let truncate_first: EchoFn =
         |number, request| Some(if number == 1 { BytesMut::from(&request[1..]) } else { request });
-    for echo in [spoil_one, lose_the_start] {
-        // STOP and 4E are answered by nothing but their own echo.
+    for echo in [corrupt_first, truncate_first] {
+        // STOP and 4E get nothing but their own echo.
         let (plc, _requests) = on_line(EchoMode::Auto, echo, |_, command| [0x40, 0x46].contains(&command));
         let error = plc.stop().await.unwrap_err();
         assert!(matches!(error, Error::Timeout { .. }), "{error:?}");
@@ -130,8 +131,8 @@ async fn an_echo_that_is_garbled_while_it_is_learned_teaches_nothing() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_line_that_begins_to_echo_is_found_out_by_the_next_read() {
-    let later: Echo = |number, request| (number > 3).then_some(request);
+async fn a_line_that_begins_to_echo_is_detected_by_the_next_read() {
+    let later: EchoFn = |number, request| (number > 3).then_some(request);
     for mode in [EchoMode::Auto, EchoMode::Off] {
         let (plc, _requests) = on_line(mode, later, |_, command| command != 0x41);
         for _ in 0..3 {
@@ -143,20 +144,20 @@ async fn a_line_that_begins_to_echo_is_found_out_by_the_next_read() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_line_that_ceases_to_echo_is_found_out_by_the_next_check() {
-    let at_first: Echo = |number, request| (number <= 4).then_some(request);
+async fn a_line_that_stops_echoing_is_detected_by_the_next_check() {
+    let at_first: EchoFn = |number, request| (number <= 4).then_some(request);
     let (plc, _requests) = on_line(EchoMode::Auto, at_first, all);
     assert_eq!(plc.read_registers(register!("R0"), 1).await.unwrap(), [7]);
-    // Its reply is taken for its echo, once; then it is learned that there is none.
+    // The reply is taken for the echo once. Then the link learns that there is no echo.
     let result = plc.stop().await;
     assert!(result.is_ok(), "still echoed: {result:?}");
     assert!(plc.stop().await.unwrap_err().may_have_executed());
-    let patient = plc.with_options(CallOptions::new().retries(5));
-    assert_eq!(patient.read_registers(register!("R0"), 1).await.unwrap(), [7]);
+    let many_retries = plc.with_options(CallOptions::new().retries(5));
+    assert_eq!(many_retries.read_registers(register!("R0"), 1).await.unwrap(), [7]);
     plc.stop().await.unwrap();
 }
 
-/// A PLC that answers in order, and takes 1.5 s for the second request, behind an adapter that echoes.
+/// A PLC that answers in order, 1.5 s for the second request, behind an adapter that echoes.
 async fn slow_once(plc: DuplexStream) {
     let (mut incoming, mut outgoing) = split(plc);
     let (jobs, mut queue) = unbounded_channel::<Vec<u8>>();
@@ -173,7 +174,7 @@ async fn slow_once(plc: DuplexStream) {
             number += 1;
             sleep(Duration::from_millis(if number == 2 { 1500 } else { 10 })).await;
             let body = std::str::from_utf8(&request[1..request.len() - 3]).unwrap();
-            // A register holds its own address, in decimal digits.
+            // Each register holds its own address in decimal digits.
             let reply = if &body[2..4] == "4E" { body.to_owned() } else { format!("{}0{}", &body[..4], &body[8..]) };
             let sum = reply.bytes().fold(2_u8, u8::wrapping_add);
             replies.send(format!("\x02{reply}{sum:02X}\x03").into_bytes()).unwrap();
@@ -187,7 +188,7 @@ async fn slow_once(plc: DuplexStream) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn on_a_line_that_echoes_unexpectedly_no_late_reply_is_given_to_another_read() {
+async fn on_an_unexpected_echo_no_late_reply_reaches_another_read() {
     let (client, plc) = duplex(4096);
     tokio::spawn(slow_once(plc));
     let plc = once(&station(&Link::from_stream(client, Framing::Ascii)));

@@ -1,4 +1,4 @@
-//! The life of a link: connections that are lost, stations that come back, closing, runtimes that end.
+//! Life cycle of a link: lost connections, offline stations, closing, runtimes that end.
 
 use std::io;
 use std::pin::pin;
@@ -17,7 +17,7 @@ mod peer;
 
 use peer::{Peer, line, once, station};
 
-/// A link over connections whose other ends come out of the channel. Attempts for which the closure says no fail.
+/// Creates a link whose connections come out of the channel. Attempts that `accepts` rejects fail.
 fn reconnecting(
     mut accepts: impl FnMut(u32) -> bool + Send + 'static,
 ) -> (LinkBuilder, UnboundedReceiver<DuplexStream>) {
@@ -38,7 +38,7 @@ fn reconnecting(
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_lost_connection_fails_what_waits_at_once() {
+async fn a_lost_connection_fails_waiting_calls_at_once() {
     let (link, mut peer) = line();
     let station = station(&link);
     let began = Instant::now();
@@ -62,7 +62,7 @@ async fn a_lost_connection_fails_what_waits_at_once() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn closing_fails_what_waits_and_finishes_what_is_on_the_wire() {
+async fn closing_fails_queued_calls_and_finishes_the_one_in_flight() {
     let (link, mut peer) = line();
     let calls: Vec<_> = (0..2)
         .map(|_| {
@@ -89,14 +89,14 @@ async fn closing_fails_what_waits_and_finishes_what_is_on_the_wire() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_link_that_was_never_used_can_be_closed() {
+async fn an_unused_link_can_be_closed() {
     let (link, _peer) = line();
     link.close().await;
     assert!(matches!(station(&link).read_status().await, Err(Error::Closed { .. })));
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_write_fails_at_once_with_its_connection_and_what_was_queued_goes_over_the_next_one() {
+async fn a_lost_connection_fails_only_the_write_in_flight() {
     let (builder, mut peers) = reconnecting(|_| true);
     let link = builder.build();
     let began = Instant::now();
@@ -111,7 +111,7 @@ async fn a_write_fails_at_once_with_its_connection_and_what_was_queued_goes_over
     drop(first);
     let mut second = Peer::new(peers.recv().await.unwrap());
     let check = second.any_request().await.unwrap();
-    assert_eq!((check.command, check.data.len()), (0x4E, 8), "what became of the first write is not known");
+    assert_eq!((check.command, check.data.len()), (0x4E, 8), "the outcome of the first write is unknown");
     second.reply(1, 0x4E, std::str::from_utf8(&check.data).unwrap()).await;
     tokio::spawn(second.serve());
     let mut results = Vec::new();
@@ -120,11 +120,11 @@ async fn a_write_fails_at_once_with_its_connection_and_what_was_queued_goes_over
     }
     assert!(matches!(&results[0], Err(error @ Error::Disconnected { .. }) if error.may_have_executed()), "{results:?}");
     assert!(results[1..].iter().all(Result::is_ok), "{results:?}");
-    assert!(began.elapsed() < Duration::from_millis(1), "no back-off, for the connection has answered its check");
+    assert!(began.elapsed() < Duration::from_millis(1), "no back-off after an answered check");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_station_that_was_offline_when_the_connection_was_lost_comes_back() {
+async fn an_offline_station_recovers_after_a_lost_connection() {
     let (builder, mut peers) = reconnecting(|_| true);
     let link = builder.build();
     let plc = station(&link);
@@ -143,7 +143,7 @@ async fn a_station_that_was_offline_when_the_connection_was_lost_comes_back() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn attempts_to_connect_are_shared_and_ever_further_apart() {
+async fn connection_attempts_are_shared_and_back_off() {
     let (builder, mut peers) = reconnecting(|attempt| attempt > 6);
     let link = builder.build();
     let began = Instant::now();
@@ -154,7 +154,7 @@ async fn attempts_to_connect_are_shared_and_ever_further_apart() {
         })
         .collect();
     tokio::spawn(Peer::new(peers.recv().await.unwrap()).serve());
-    // 0.1 + 0.2 + 0.4 + 0.8 + 1.6 + 3.2 s, each less up to a half.
+    // 0.1 + 0.2 + 0.4 + 0.8 + 1.6 + 3.2 s, each reduced by a jitter of up to a half.
     let waited = began.elapsed();
     assert!(Duration::from_millis(3150) <= waited && waited <= Duration::from_millis(6310), "{waited:?}");
     for call in calls {
@@ -164,7 +164,7 @@ async fn attempts_to_connect_are_shared_and_ever_further_apart() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn with_fail_fast_a_failed_attempt_fails_all_that_waits() {
+async fn with_fail_fast_a_failed_attempt_fails_all_waiting_calls() {
     let (builder, _peers) = reconnecting(|_| false);
     let link = builder.fail_fast(true).build();
     let began = Instant::now();
@@ -178,7 +178,7 @@ async fn with_fail_fast_a_failed_attempt_fails_all_that_waits() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_silent_station_is_not_taken_for_a_connection_that_is_lost_behind_it() {
+async fn a_timeout_is_not_reported_as_a_later_disconnect() {
     let (builder, mut peers) = reconnecting(|attempt| attempt == 1);
     let plc = once(&station(&builder.build()));
     let (read, end) = tokio::join!(plc.read_registers(register!("R0"), 1), async {
@@ -187,7 +187,8 @@ async fn a_silent_station_is_not_taken_for_a_connection_that_is_lost_behind_it()
         end
     });
     assert!(matches!(read, Err(Error::Timeout { sent: true, .. })), "{read:?}");
-    // In doubt now, so a loop-back comes first; it is not answered, and the caller looks only later.
+    // The station is suspect, so a check is sent. It is not answered, and the caller is polled only
+    // later.
     let mut write = pin!(plc.write_registers(register!("R0"), &[1]));
     assert!(tokio::time::timeout(Duration::from_millis(1), &mut write).await.is_err());
     sleep(Duration::from_secs(2)).await;
@@ -199,7 +200,7 @@ async fn a_silent_station_is_not_taken_for_a_connection_that_is_lost_behind_it()
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_write_that_was_sent_once_is_never_said_not_to_have_been() {
+async fn errors_of_a_sent_write_say_that_it_may_have_executed() {
     let options = CallOptions::new().retry_writes(true);
 
     // Sent, then the connection is lost and cannot be opened again.
@@ -218,7 +219,7 @@ async fn a_write_that_was_sent_once_is_never_said_not_to_have_been() {
     let call = tokio::spawn(async move { plc.write_registers(register!("R0"), &[1]).await });
     end.request().await;
     assert_eq!(end.request().await.command, 0x4E);
-    end.reply(1, 0x4E, "4").await; // refused, so a quiet period follows
+    end.reply(1, 0x4E, "4").await; // refused, so a quiet time follows
     sleep(Duration::from_millis(10)).await;
     link.close().await;
     let error = call.await.unwrap().unwrap_err();
@@ -237,12 +238,12 @@ async fn a_write_that_was_sent_once_is_never_said_not_to_have_been() {
 }
 
 #[test]
-fn a_runtime_that_ends_with_a_write_on_the_wire_leaves_it_in_doubt() {
+fn a_write_in_flight_when_its_runtime_ends_is_in_doubt() {
     let runtime = || Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-    let (with_the_task, with_the_caller) = (runtime(), runtime());
+    let (link_runtime, caller_runtime) = (runtime(), runtime());
     let (link, mut end) = line();
     let plc = station(&link);
-    with_the_task.block_on(async {
+    link_runtime.block_on(async {
         let call = {
             let plc = plc.clone();
             tokio::spawn(async move { plc.read_status().await })
@@ -251,15 +252,15 @@ fn a_runtime_that_ends_with_a_write_on_the_wire_leaves_it_in_doubt() {
         end.reply(1, 0x40, "0000000").await;
         call.await.unwrap().unwrap();
     });
-    let call = with_the_caller.spawn(async move { plc.write_registers(register!("R0"), &[1]).await });
-    with_the_caller.block_on(end.request());
-    with_the_task.shutdown_background();
-    let error = with_the_caller.block_on(call).unwrap().unwrap_err();
+    let call = caller_runtime.spawn(async move { plc.write_registers(register!("R0"), &[1]).await });
+    caller_runtime.block_on(end.request());
+    link_runtime.shutdown_background();
+    let error = caller_runtime.block_on(call).unwrap().unwrap_err();
     assert!(matches!(error, Error::Closed { .. }) && error.may_have_executed(), "{error:?}");
 }
 
 #[test]
-fn a_first_call_without_a_runtime_fails_and_does_no_harm() {
+fn a_first_call_without_a_runtime_fails_harmlessly() {
     let (link, end) = line();
     let plc = station(&link);
     {
@@ -274,7 +275,7 @@ fn a_first_call_without_a_runtime_fails_and_does_no_harm() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn nothing_is_sent_after_close_not_even_what_was_on_its_way() {
+async fn no_request_is_sent_after_close() {
     let (link, mut end) = line();
     let plc = station(&link);
     let call = {
@@ -291,7 +292,7 @@ async fn nothing_is_sent_after_close_not_even_what_was_on_its_way() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn closing_does_not_go_on_with_retries() {
+async fn closing_stops_retries() {
     let (link, mut end) = line();
     let plc = station(&link);
     let call = tokio::spawn(async move { plc.read_status().await });
@@ -304,7 +305,7 @@ async fn closing_does_not_go_on_with_retries() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn whoever_closes_the_link_returns_when_it_is_closed() {
+async fn close_returns_when_the_link_is_closed() {
     let (link, mut end) = line();
     let plc = once(&station(&link));
     tokio::spawn(async move { plc.read_status().await });
@@ -324,7 +325,7 @@ async fn whoever_closes_the_link_returns_when_it_is_closed() {
     assert!(matches!(unused.state(), LinkState::Closed));
 }
 
-/// Answers on every connection as a healthy PLC would.
+/// Answers every connection as a healthy PLC.
 fn serve_all(mut peers: UnboundedReceiver<DuplexStream>) {
     tokio::spawn(async move {
         while let Some(end) = peers.recv().await {
@@ -336,7 +337,7 @@ fn serve_all(mut peers: UnboundedReceiver<DuplexStream>) {
 const MINUTE: Duration = Duration::from_secs(60);
 
 #[tokio::test(start_paused = true)]
-async fn a_link_that_nobody_uses_falls_idle_and_the_next_call_opens_it_again() {
+async fn an_unused_link_becomes_idle_and_the_next_call_reopens_it() {
     let (builder, mut peers) = reconnecting(|_| true);
     let link = builder.idle_timeout(MINUTE).build();
     let plc = station(&link);
@@ -362,12 +363,12 @@ async fn a_link_that_nobody_uses_falls_idle_and_the_next_call_opens_it_again() {
     assert_eq!(
         (stats.connects, stats.idle_closes, stats.disconnects, stats.stations.checks),
         (2, 1, 0, 2),
-        "a check a connection"
+        "one check per connection"
     );
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_link_that_is_used_does_not_fall_idle() {
+async fn a_link_in_use_does_not_become_idle() {
     let (builder, peers) = reconnecting(|_| true);
     serve_all(peers);
     let link = builder.idle_timeout(MINUTE).build();
@@ -381,7 +382,7 @@ async fn a_link_that_is_used_does_not_fall_idle() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_call_that_waits_longer_than_the_idle_timeout_is_not_cut_off() {
+async fn a_call_longer_than_the_idle_timeout_is_completed() {
     let (builder, mut peers) = reconnecting(|_| true);
     let short = Duration::from_millis(10);
     let link = builder.idle_timeout(short).retries(0).build();
@@ -395,7 +396,7 @@ async fn a_call_that_waits_longer_than_the_idle_timeout_is_not_cut_off() {
     sleep(Duration::from_millis(900)).await;
     end.reply(1, 0x40, "0010000").await;
     assert_eq!(end.request().await.command, 0x40, "the next call is over the same connection");
-    // Silence, refusals of loop-backs, and so a quiet period of a second: it waits for that, too.
+    // A response time just below the quiet time.
     sleep(Duration::from_millis(990)).await;
     end.reply(1, 0x40, "0010000").await;
     let (first, second) = call.await.unwrap();
@@ -404,7 +405,7 @@ async fn a_call_that_waits_longer_than_the_idle_timeout_is_not_cut_off() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_quiet_period_is_no_idleness() {
+async fn a_quiet_time_does_not_count_as_idle() {
     let (builder, mut peers) = reconnecting(|_| true);
     let link = builder.idle_timeout(Duration::from_millis(10)).retries(1).build();
     let plc = station(&link);
@@ -412,14 +413,14 @@ async fn a_quiet_period_is_no_idleness() {
     let mut end = Peer::new(peers.recv().await.unwrap());
     end.request().await; // not answered
     assert_eq!(end.request().await.command, 0x4E);
-    end.reply(1, 0x4E, "4").await; // refused, so a quiet period follows
+    end.reply(1, 0x4E, "4").await; // refused, so a quiet time follows
     assert_eq!(end.request().await.command, 0x40, "over the same connection");
     end.reply(1, 0x40, "0010000").await;
     call.await.unwrap().unwrap();
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_idle_link_does_not_probe_and_asks_offline_stations_again() {
+async fn an_idle_link_sends_no_probes_and_forgets_offline_stations() {
     let (builder, mut peers) = reconnecting(|_| true);
     let link = builder.idle_timeout(MINUTE).build();
     let plc = station(&link);
@@ -435,11 +436,11 @@ async fn an_idle_link_does_not_probe_and_asks_offline_stations_again() {
 
     serve_all(peers);
     plc.read_status().await.unwrap();
-    assert_eq!(link.stats().stations.checks, checks + 1, "it was in doubt and stays so");
+    assert_eq!(link.stats().stations.checks, checks + 1, "the station is still suspect");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_link_that_cannot_connect_gives_up_when_nobody_asks_any_more() {
+async fn a_link_without_calls_stops_connecting() {
     let (builder, _peers) = reconnecting(|_| false);
     let link = builder.idle_timeout(MINUTE).build();
     assert!(matches!(station(&link).read_status().await, Err(Error::Connect { .. })));
@@ -450,7 +451,7 @@ async fn a_link_that_cannot_connect_gives_up_when_nobody_asks_any_more() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_that_cannot_be_opened_again_is_not_closed_for_idleness() {
+async fn a_stream_without_connector_is_not_closed_when_idle() {
     let (client, end) = duplex(4096);
     tokio::spawn(Peer::new(end).serve());
     let link = Link::stream_builder(client, Framing::Ascii).idle_timeout(Duration::from_secs(1)).build();

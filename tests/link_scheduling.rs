@@ -1,4 +1,4 @@
-//! Who is served when: many stations and many callers on one line.
+//! Scheduling: the order in which calls of many stations and callers are sent.
 
 use std::time::Duration;
 
@@ -33,7 +33,7 @@ async fn control_goes_before_writes_and_writes_before_reads() {
         order.push(request.command);
         peer.reply(1, request.command, if request.command == 0x46 { "00000" } else { "0" }).await;
     }
-    assert_eq!(order, [0x46, 0x41, 0x47, 0x46], "the first was on its way before the others came");
+    assert_eq!(order, [0x46, 0x41, 0x47, 0x46], "the first read was in flight before the others came");
     for call in calls {
         call.await.unwrap().unwrap();
     }
@@ -66,7 +66,7 @@ async fn other_stations_go_on_while_one_is_silent() {
         let (number, ok, after) = call.await.unwrap();
         if number == 2 {
             assert!(ok);
-            assert!(after <= Duration::from_millis(1001), "it waited {after:?}, more than one timeout");
+            assert!(after <= Duration::from_millis(1001), "waited {after:?}, more than one timeout");
         }
     }
     plc.abort();
@@ -155,13 +155,13 @@ async fn background_reads_give_way_and_are_not_starved() {
     let began = Instant::now();
     polling.read_status().await.unwrap();
     let waited = began.elapsed();
-    assert!(waited >= Duration::from_millis(500), "it gave way: {waited:?}");
-    assert!(waited <= Duration::from_secs(5), "but not for ever: {waited:?}");
+    assert!(waited >= Duration::from_millis(500), "it did not give way: {waited:?}");
+    assert!(waited <= Duration::from_secs(5), "it starved: {waited:?}");
     busy.iter().for_each(tokio::task::JoinHandle::abort);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_full_queue_is_an_error_that_names_its_length() {
+async fn a_full_queue_is_an_error_with_its_length() {
     let (client, plc) = duplex(4096);
     let link = Link::stream_builder(client, Framing::Ascii).queue_capacity(3).build();
     let calls: Vec<_> = (0..10)
@@ -180,10 +180,11 @@ async fn a_full_queue_is_an_error_that_names_its_length() {
             full += 1;
         }
     }
-    assert_eq!(full, 7, "all came before the first could be sent, so three wait");
+    assert_eq!(full, 7, "all came before the first could be sent, so three are queued");
 }
 
-/// Answers as a healthy PLC would, but only while the closure says so of the time since the beginning, and after a while.
+/// Answers after `takes`, as a healthy PLC, while `alive` holds for the station and the time since
+/// the start.
 fn serve_when(mut peer: Peer, takes: Duration, alive: impl Fn(u8, Duration) -> bool + Send + 'static) {
     let began = Instant::now();
     tokio::spawn(async move {
@@ -199,7 +200,7 @@ fn serve_when(mut peer: Peer, takes: Duration, alive: impl Fn(u8, Duration) -> b
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_station_with_a_longer_timeout_of_its_own_comes_back_from_an_outage() {
+async fn a_station_with_a_longer_timeout_recovers_from_an_outage() {
     let (link, peer) = line();
     let outage = Duration::from_secs(10)..Duration::from_secs(40);
     serve_when(peer, Duration::from_secs(2), move |_, time| !outage.contains(&time));
@@ -211,12 +212,12 @@ async fn a_station_with_a_longer_timeout_of_its_own_comes_back_from_an_outage() 
     let back = Instant::now();
     while slow.read_status().await.is_err() {
         sleep(Duration::from_secs(1)).await;
-        assert!(back.elapsed() < Duration::from_secs(120), "it is never seen again");
+        assert!(back.elapsed() < Duration::from_secs(120), "the station stays offline");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_lone_station_is_probed_as_often_as_the_settings_say_and_the_error_says_when() {
+async fn a_lone_station_is_probed_at_the_configured_interval() {
     let (client, plc) = duplex(4096);
     let second = Duration::from_secs(1);
     let plc_side = Peer::new(plc);
@@ -234,10 +235,10 @@ async fn a_lone_station_is_probed_as_often_as_the_settings_say_and_the_error_say
 }
 
 #[tokio::test(start_paused = true)]
-async fn when_one_station_is_back_the_others_are_asked_as_soon_as_the_line_allows() {
+async fn one_recovery_hastens_the_probes_of_other_stations() {
     let (link, peer) = line();
     let outage = Duration::from_secs(10)..Duration::from_secs(150);
-    // Stations 1 to 10 are dead for good, the others for a while.
+    // Stations 1 to 10 stay dead, the others are dead for a while.
     serve_when(peer, Duration::from_millis(20), move |station, time| station > 10 && !outage.contains(&time));
     let calls: Vec<_> = (1..=31)
         .map(|number| {
@@ -252,7 +253,7 @@ async fn when_one_station_is_back_the_others_are_asked_as_soon_as_the_line_allow
             })
         })
         .collect();
-    // Keeps them in use, so that their loss is noticed.
+    // Calls keep the stations in use, so that their outage is noticed.
     for _ in 0..30 {
         for number in 1..=31 {
             let plc = once(&link.station(number).unwrap());
@@ -262,16 +263,16 @@ async fn when_one_station_is_back_the_others_are_asked_as_soon_as_the_line_allow
     }
     for call in calls {
         let (number, after) = call.await.unwrap();
-        // Ten timeouts of the dead ones, a second each, and nineteen times that for the others to use the line.
+        // Ten timeouts of dead stations, a second each, and 19 times that for the other traffic.
         assert!(number <= 10 || after < Duration::from_secs(210), "station {number} is back after {after:?}");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_hurried_caller_does_not_cost_the_connection() {
-    // It gives up while the check is being written, or while its request is.
+async fn a_short_deadline_does_not_close_the_connection() {
+    // The deadline passes while the check, or the request, is being written.
     for checked in [false, true] {
-        let (client, plc) = duplex(8); // neither fits at once
+        let (client, plc) = duplex(8); // less than a frame
         let link = Link::from_stream(client, Framing::Ascii);
         let mut plc_side = Peer::new(plc);
         if checked {
@@ -281,11 +282,11 @@ async fn a_hurried_caller_does_not_cost_the_connection() {
             });
             tokio::join!(plc.read_status(), first).0.unwrap();
         }
-        let hurried = station(&link).with_options(CallOptions::new().call_timeout(Duration::from_millis(5)));
-        let error = hurried.read_registers(register!("R1"), 1).await.unwrap_err();
+        let short_deadline = station(&link).with_options(CallOptions::new().call_timeout(Duration::from_millis(5)));
+        let error = short_deadline.read_registers(register!("R1"), 1).await.unwrap_err();
         assert!(matches!(error, Error::Timeout { sent, .. } if sent == checked), "{error:?}");
         let cut = plc_side.any_request().await.unwrap();
-        assert_eq!(cut.command, if checked { 0x46 } else { 0x4E }, "it is written to its end");
+        assert_eq!(cut.command, if checked { 0x46 } else { 0x4E }, "the frame is written to its end");
         serve_when(plc_side, Duration::ZERO, |_, _| true);
         station(&link).read_status().await.unwrap();
         assert_eq!(link.stats().disconnects, 0);

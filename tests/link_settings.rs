@@ -1,4 +1,4 @@
-//! What a link is told when it is built is what it does, and what its handles say of it.
+//! Settings of a link: their effect, and what the handles report.
 
 use std::io;
 use std::pin::Pin;
@@ -13,13 +13,13 @@ use tokio::time::Instant;
 
 mod peer;
 
-use peer::{Peer, once, station, undoubled};
+use peer::{Peer, once, station, without_duplicates};
 
 const SHORT: Duration = Duration::from_millis(200);
 
-/// A link with a response timeout of its own, and the peer.
+/// Creates a link with a short response timeout, and the peer.
 fn line() -> (Link, Peer) {
-    line_with(undoubled())
+    line_with(without_duplicates())
 }
 
 fn line_with(in_step: InStepSettings) -> (Link, Peer) {
@@ -33,7 +33,7 @@ fn line_with(in_step: InStepSettings) -> (Link, Peer) {
 }
 
 #[test]
-fn a_link_is_shown_by_where_it_leads_and_knows_its_framing() {
+fn a_link_displays_its_endpoint_and_framing() {
     for (url, framing) in
         [("tcp://127.0.0.1:500", Framing::Ascii), ("tcp://127.0.0.1:500?framing=binary", Framing::Binary)]
     {
@@ -46,7 +46,7 @@ fn a_link_is_shown_by_where_it_leads_and_knows_its_framing() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_probe_is_waited_for_as_long_as_the_link_says() {
+async fn a_probe_uses_the_response_timeout_of_the_link() {
     let (link, mut peer) = line();
     let station = once(&station(&link));
     let mut states = link.station(1).unwrap().watch_state();
@@ -55,24 +55,24 @@ async fn a_probe_is_waited_for_as_long_as_the_link_says() {
             station.read_registers(register!("R1"), 1).await.unwrap_err();
         }
     });
-    // Three timeouts; then the probe is not answered either.
+    // Three timeouts, and a probe that is not answered either.
     for _ in 0..4 {
         peer.request().await;
     }
     failing.await.unwrap();
-    let asked = Instant::now();
+    let began = Instant::now();
     let StationState::Offline { probe_at: before, .. } = *states.borrow_and_update() else { panic!("it is offline") };
     states.changed().await.unwrap();
     let StationState::Offline { probe_at: after, .. } = *states.borrow_and_update() else { panic!("it is offline") };
     assert!(after > before);
-    assert_eq!(asked.elapsed(), SHORT);
+    assert_eq!(began.elapsed(), SHORT);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_device_that_refuses_loop_backs_is_left_alone_for_as_long_as_the_link_says() {
-    // Never less than the response timeout: the answer to a request may take that long.
+async fn the_quiet_time_after_a_refused_check_is_configurable() {
+    // At least the response timeout: the reply to a request may take that long.
     for (quiet, expected) in [(SHORT * 3, SHORT * 3), (SHORT / 2, SHORT)] {
-        let (link, mut peer) = line_with(undoubled().with_quiet(quiet));
+        let (link, mut peer) = line_with(without_duplicates().with_quiet(quiet));
         let station = once(&station(&link));
         let calls = tokio::spawn(async move {
             station.read_registers(register!("R1"), 1).await.unwrap_err();
@@ -90,7 +90,7 @@ async fn a_device_that_refuses_loop_backs_is_left_alone_for_as_long_as_the_link_
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_adaptive_timeout_is_shorter_once_the_station_is_known_and_never_shorter_than_asked() {
+async fn an_adaptive_timeout_shrinks_to_its_minimum() {
     let shortest = Duration::from_millis(50);
     let (link, mut peer) = line();
     let options = CallOptions::new().retries(0).adaptive_timeout(shortest);
@@ -98,13 +98,13 @@ async fn an_adaptive_timeout_is_shorter_once_the_station_is_known_and_never_shor
     let calls = tokio::spawn(async move {
         let mut times = Vec::new();
         for _ in 0..22 {
-            let asked = Instant::now();
+            let began = Instant::now();
             let _ = station.read_registers(register!("R1"), 1).await;
-            times.push(asked.elapsed());
+            times.push(began.elapsed());
         }
         times
     });
-    // The check is not answered, so nothing is known when the next one goes out either.
+    // The check is not answered, so the next one has no estimate either.
     assert_eq!(peer.any_request().await.unwrap().command, 0x4E);
     for _ in 0..20 {
         peer.request().await;
@@ -112,20 +112,20 @@ async fn an_adaptive_timeout_is_shorter_once_the_station_is_known_and_never_shor
     }
     peer.request().await;
     let times = calls.await.unwrap();
-    assert_eq!(times.first(), Some(&SHORT), "nothing is known of it yet");
+    assert_eq!(times.first(), Some(&SHORT), "no estimate yet");
     assert_eq!(times.last(), Some(&shortest));
 }
 
-/// Hears nothing, and cannot be written to.
-struct Deaf;
+/// A stream that never yields data and fails each write.
+struct BrokenStream;
 
-impl AsyncRead for Deaf {
+impl AsyncRead for BrokenStream {
     fn poll_read(self: Pin<&mut Self>, _: &mut Context<'_>, _: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         Poll::Pending
     }
 }
 
-impl AsyncWrite for Deaf {
+impl AsyncWrite for BrokenStream {
     fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, _: &[u8]) -> Poll<io::Result<usize>> {
         Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()))
     }
@@ -139,7 +139,7 @@ impl AsyncWrite for Deaf {
     }
 }
 
-/// A link over these connections, one after the other.
+/// Creates a link over these connections, one after the other.
 fn over(connections: Vec<Box<dyn Stream>>) -> Link {
     let mut connections = connections.into_iter();
     Link::connector_builder("a line", Framing::Ascii, move || {
@@ -153,9 +153,9 @@ trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
 impl<T: AsyncRead + AsyncWrite + Send + Unpin> Stream for T {}
 
 #[tokio::test(start_paused = true)]
-async fn a_connection_that_cannot_be_written_to_is_replaced_and_the_read_repeated() {
+async fn a_failed_write_reconnects_and_retries_the_read() {
     let (client, plc) = duplex(4096);
-    let link = over(vec![Box::new(Deaf), Box::new(client)]);
+    let link = over(vec![Box::new(BrokenStream), Box::new(client)]);
     let serving = tokio::spawn(Peer::new(plc).serve());
     station(&link).read_status().await.unwrap();
     let stats = link.stats();
@@ -165,7 +165,7 @@ async fn a_connection_that_cannot_be_written_to_is_replaced_and_the_read_repeate
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_answers_and_hangs_up_is_connected_to_again_by_the_next_call() {
+async fn the_next_call_reconnects_after_the_plc_hangs_up() {
     let ((first, plc), (second, next)) = (duplex(4096), duplex(4096));
     let link = over(vec![Box::new(first), Box::new(second)]);
     let plc = tokio::spawn(async move {

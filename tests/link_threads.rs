@@ -1,4 +1,5 @@
-//! Many threads at one link: callers that put their requests on the wire themselves, the link's task, and one who closes it all.
+//! Many threads share a link: callers that write their requests themselves, the link's task, and a
+//! close.
 #![cfg(feature = "sim")]
 
 use std::time::Duration;
@@ -10,8 +11,8 @@ use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 const CALLERS: u16 = 32;
-/// Far more than it takes: if this passes, a call was forgotten.
-const ALL_OF_IT: Duration = Duration::from_secs(120);
+/// Limit for a whole test: if it passes, a call was lost.
+const LIMIT: Duration = Duration::from_secs(120);
 
 fn link(framing: Framing) -> Link {
     let plc = Plc::new();
@@ -23,7 +24,7 @@ fn link(framing: Framing) -> Link {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn every_caller_of_any_thread_gets_its_own_values_and_none_is_forgotten() {
+async fn callers_of_all_threads_get_their_own_values() {
     for framing in [Framing::Ascii, Framing::Binary] {
         let link = link(framing);
         let mut callers = JoinSet::new();
@@ -33,7 +34,7 @@ async fn every_caller_of_any_thread_gets_its_own_values_and_none_is_forgotten() 
                 for n in 0..200 {
                     let call = station.read_registers(Register::r(address), 1);
                     if n % 7 == 0 {
-                        // Given up at some point, wherever that is.
+                        // Cancelled at some point.
                         let _ = timeout(Duration::from_micros(u64::from(address) * 10), call).await;
                     } else {
                         assert_eq!(call.await.unwrap(), [1000 + address]);
@@ -41,7 +42,7 @@ async fn every_caller_of_any_thread_gets_its_own_values_and_none_is_forgotten() 
                 }
             });
         }
-        timeout(ALL_OF_IT, callers.join_all()).await.unwrap();
+        timeout(LIMIT, callers.join_all()).await.unwrap();
         assert_eq!(link.stats().disconnects, 0, "{framing}");
     }
 }
@@ -63,7 +64,7 @@ async fn closing_ends_the_calls_of_all_threads() {
             });
         }
         tokio::time::sleep(Duration::from_micros(n * 100)).await;
-        timeout(ALL_OF_IT, link.close()).await.unwrap();
-        timeout(ALL_OF_IT, callers.join_all()).await.unwrap();
+        timeout(LIMIT, link.close()).await.unwrap();
+        timeout(LIMIT, callers.join_all()).await.unwrap();
     }
 }

@@ -1,5 +1,4 @@
-//! Many fields at once are the same as one after the other, and those are the same as by the book: what the codecs read
-//! and write in blocks is compared with a reader and a writer that go character by character.
+//! Fields read and written in blocks, compared with a reference that goes character by character.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 use bytes::{BufMut, BytesMut};
@@ -14,50 +13,50 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 4000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_is_read_at_once_is_what_is_read_by_the_book(data in data(), count in 0_usize..70) {
+    fn block_reads_equal_single_reads(data in data(), count in 0_usize..70) {
         for framing in [Framing::Ascii, Framing::Binary] {
-            let mut book = Book { framing, data: &data };
+            let mut reference = ReferenceReader { framing, data: &data };
             match framing {
-                Framing::Ascii => compare(AsciiReader::new(&data), &mut book, count)?,
-                _ => compare(BinaryReader::new(&data), &mut book, count)?,
+                Framing::Ascii => compare(AsciiReader::new(&data), &mut reference, count)?,
+                _ => compare(BinaryReader::new(&data), &mut reference, count)?,
             }
         }
     }
 
     #[test]
-    fn what_is_written_at_once_is_what_is_written_by_the_book(
+    fn block_writes_equal_single_writes(
         bits in vec(any::<bool>(), 0..300),
         words in vec(any::<u16>(), 0..200),
         dwords in vec(any::<u32>(), 0..200),
     ) {
         for framing in [Framing::Ascii, Framing::Binary] {
-            let (mut at_once, mut by_the_book) = (BytesMut::from("before"), BytesMut::from("before"));
+            let (mut in_blocks, mut expected) = (BytesMut::from("before"), BytesMut::from("before"));
             match framing {
-                Framing::Ascii => write(&mut AsciiWriter::new(&mut at_once), &bits, &words, &dwords),
-                _ => write(&mut BinaryWriter::new(&mut at_once), &bits, &words, &dwords),
+                Framing::Ascii => write(&mut AsciiWriter::new(&mut in_blocks), &bits, &words, &dwords),
+                _ => write(&mut BinaryWriter::new(&mut in_blocks), &bits, &words, &dwords),
             }
-            write(&mut Scribe { framing, dst: &mut by_the_book }, &bits, &words, &dwords);
-            prop_assert_eq!(&at_once, &by_the_book, "{}", framing);
+            write(&mut ReferenceWriter { framing, dst: &mut expected }, &bits, &words, &dwords);
+            prop_assert_eq!(&in_blocks, &expected, "{}", framing);
         }
     }
 }
 
 #[test]
-fn each_wrong_character_at_each_place_is_named() {
+fn each_wrong_character_is_reported() {
     for wrong in 0..=u8::MAX {
         for place in 0..64 {
             let mut data = [b'1'; 64];
             data[place] = wrong;
-            let mut book = Book { framing: Framing::Ascii, data: &data };
-            compare(AsciiReader::new(&data), &mut book, 16).unwrap();
+            let mut reference = ReferenceReader { framing: Framing::Ascii, data: &data };
+            compare(AsciiReader::new(&data), &mut reference, 16).unwrap();
             let data = data.map(|byte| byte ^ b'0');
-            let mut book = Book { framing: Framing::Binary, data: &data };
-            compare(BinaryReader::new(&data), &mut book, 64).unwrap();
+            let mut reference = ReferenceReader { framing: Framing::Binary, data: &data };
+            compare(BinaryReader::new(&data), &mut reference, 64).unwrap();
         }
     }
 }
 
-/// Digits, mostly those of bits, with something else now and then, and bits of the binary framing.
+/// Random data: digits, digits of bits, bits of the binary framing, some with a few wrong bytes.
 fn data() -> impl Strategy<Value = Vec<u8>> {
     let digits = prop::sample::select(b"0123456789ABCDEFabcdef".to_vec());
     let bits = prop::sample::select(b"01".to_vec());
@@ -71,29 +70,33 @@ fn data() -> impl Strategy<Value = Vec<u8>> {
     ]
 }
 
-/// The same results, and the same rest after those that are good.
-fn compare<R: FieldReader + Clone>(reader: R, book: &mut Book<'_>, count: usize) -> Result<(), TestCaseError> {
-    one(&reader, book, |r| r.code(), |r| r.code())?;
-    one(&reader, book, |r| r.byte(), |r| r.byte())?;
-    one(&reader, book, |r| r.word(), |r| r.word())?;
-    one(&reader, book, |r| r.dword(), |r| r.dword())?;
-    one(&reader, book, |r| r.bit(), |r| r.bit())?;
-    one(&reader, book, |r| many(count, |into| r.bits(into)), |r| many(count, |into| r.bits(into)))?;
-    one(&reader, book, |r| many(count, |into| r.words(into)), |r| many(count, |into| r.words(into)))?;
-    one(&reader, book, |r| many(count, |into| r.dwords(into)), |r| many(count, |into| r.dwords(into)))
+/// Compares the results, and the remaining data after a success.
+fn compare<R: FieldReader + Clone>(
+    reader: R,
+    reference: &mut ReferenceReader<'_>,
+    count: usize,
+) -> Result<(), TestCaseError> {
+    one(&reader, reference, |r| r.code(), |r| r.code())?;
+    one(&reader, reference, |r| r.byte(), |r| r.byte())?;
+    one(&reader, reference, |r| r.word(), |r| r.word())?;
+    one(&reader, reference, |r| r.dword(), |r| r.dword())?;
+    one(&reader, reference, |r| r.bit(), |r| r.bit())?;
+    one(&reader, reference, |r| many(count, |into| r.bits(into)), |r| many(count, |into| r.bits(into)))?;
+    one(&reader, reference, |r| many(count, |into| r.words(into)), |r| many(count, |into| r.words(into)))?;
+    one(&reader, reference, |r| many(count, |into| r.dwords(into)), |r| many(count, |into| r.dwords(into)))
 }
 
 fn one<'a, R: FieldReader + Clone, T: PartialEq + std::fmt::Debug>(
     reader: &R,
-    book: &Book<'a>,
+    reference: &ReferenceReader<'a>,
     read: impl Fn(&mut R) -> Result<T, FieldError>,
-    read_book: impl Fn(&mut Book<'a>) -> Result<T, FieldError>,
+    read_reference: impl Fn(&mut ReferenceReader<'a>) -> Result<T, FieldError>,
 ) -> Result<(), TestCaseError> {
-    let (mut reader, mut book) = (reader.clone(), book.clone());
-    let (result, expected) = (read(&mut reader), read_book(&mut book));
-    prop_assert_eq!(&result, &expected, "{}", book.framing);
+    let (mut reader, mut reference) = (reader.clone(), reference.clone());
+    let (result, expected) = (read(&mut reader), read_reference(&mut reference));
+    prop_assert_eq!(&result, &expected, "{}", reference.framing);
     if result.is_ok() {
-        prop_assert_eq!(reader.rest(), book.data, "{}", book.framing);
+        prop_assert_eq!(reader.rest(), reference.data, "{}", reference.framing);
     }
     Ok(())
 }
@@ -116,14 +119,14 @@ fn write(fields: &mut impl FieldWriter, bits: &[bool], words: &[u16], dwords: &[
     words.iter().for_each(|&word| fields.byte(word.to_be_bytes()[0]));
 }
 
-/// Reads character by character, byte by byte.
+/// Reference reader: character by character, byte by byte.
 #[derive(Clone)]
-struct Book<'a> {
+struct ReferenceReader<'a> {
     framing: Framing,
     data: &'a [u8],
 }
 
-impl Book<'_> {
+impl ReferenceReader<'_> {
     fn number(&mut self, bytes: usize) -> Result<u32, FieldError> {
         (0..bytes).try_fold(0, |number, _| Ok(number << 8 | u32::from(self.byte()?)))
     }
@@ -135,9 +138,9 @@ impl Book<'_> {
     }
 }
 
-impl FieldReader for Book<'_> {
+impl FieldReader for ReferenceReader<'_> {
     fn count(&mut self) -> Result<usize, FieldError> {
-        unreachable!("it is not compared")
+        unreachable!("not compared")
     }
 
     fn code(&mut self) -> Result<u8, FieldError> {
@@ -164,11 +167,11 @@ impl FieldReader for Book<'_> {
     }
 
     fn layout(&mut self, _elements: usize, _values: usize) -> Result<(), FieldError> {
-        unreachable!("it is not compared")
+        unreachable!("not compared")
     }
 
     fn element(&mut self) -> Result<Element, FieldError> {
-        unreachable!("it is not compared")
+        unreachable!("not compared")
     }
 
     fn rest(&mut self) -> &[u8] {
@@ -180,21 +183,21 @@ impl FieldReader for Book<'_> {
     }
 }
 
-/// Writes with what the standard library formats.
-struct Scribe<'a> {
+/// Reference writer, based on the standard library's formatting.
+struct ReferenceWriter<'a> {
     framing: Framing,
     dst: &'a mut BytesMut,
 }
 
-impl Scribe<'_> {
+impl ReferenceWriter<'_> {
     fn put(&mut self, digits: String, bytes: &[u8]) {
         self.dst.put_slice(if self.framing == Framing::Ascii { digits.as_bytes() } else { bytes });
     }
 }
 
-impl FieldWriter for Scribe<'_> {
+impl FieldWriter for ReferenceWriter<'_> {
     fn count(&mut self, _count: usize) {
-        unreachable!("it is not compared")
+        unreachable!("not compared")
     }
 
     fn code(&mut self, code: u8) {
@@ -214,10 +217,10 @@ impl FieldWriter for Scribe<'_> {
     }
 
     fn element(&mut self, _element: Element) {
-        unreachable!("it is not compared")
+        unreachable!("not compared")
     }
 
     fn raw(&mut self, _bytes: &[u8]) {
-        unreachable!("it is not compared")
+        unreachable!("not compared")
     }
 }

@@ -1,5 +1,5 @@
-//! What users of other clients for PLCs have met, and what happens here instead: one test each, from the public methods
-//! down to a simulated line and back.
+//! Regression tests for faults reported by users of other PLC clients, through the public methods
+//! and a simulated line.
 #![cfg(feature = "sim")]
 
 use std::fs;
@@ -15,27 +15,27 @@ use tokio::time::{Instant, sleep, timeout};
 
 const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(1);
-/// How often in a row something goes wrong.
+/// Repetitions of each fault.
 const TIMES: u16 = 50;
 
 #[tokio::test(start_paused = true)]
-async fn after_any_number_of_timeouts_every_answer_is_still_that_to_its_own_request() {
+async fn after_many_timeouts_replies_still_match_their_requests() {
     for framing in FRAMINGS {
         let (builder, faults) = bus(framing, 1);
-        // So that the next read has the same shape, with nothing but the check between the two.
-        let link = builder.in_step(undoubled()).build();
+        // Equal spellings: the next read has the same shape, and only the check separates the two.
+        let link = builder.in_step(without_duplicates()).build();
         let station = without_retries(&link);
         let late = || Rule::new(Fault::Delay { min: RESPONSE_TIMEOUT, max: 2 * RESPONSE_TIMEOUT });
         let late = || late().command(Code::ReadRegisters);
 
-        // The late reply comes while the next read, of the same shape, is waiting.
+        // The late reply comes while the next read, of the same shape, is in flight.
         for n in 0..TIMES {
             faults.set_rules([late().times(1)]);
             let error = station.read_registers(d(n), 2).await.unwrap_err();
             assert!(matches!(error, Error::Timeout { sent: true, .. }), "{error:?}");
             assert_eq!(station.read_registers(d(1000 + n), 2).await.unwrap(), words(1, 1000 + n), "{framing}, {n}");
         }
-        // Nothing but late replies.
+        // Late replies only.
         faults.set_rules([late()]);
         for n in 0..TIMES {
             let result = station.read_registers(d(n), 2).await;
@@ -44,20 +44,20 @@ async fn after_any_number_of_timeouts_every_answer_is_still_that_to_its_own_requ
         faults.set_rules([]);
         assert_eq!(station.read_registers(d(7), 2).await.unwrap(), words(1, 7));
 
-        let came_late =
+        let late_replies =
             faults.log().entries().iter().filter(|entry| !entry.faults.is_empty() && entry.answer.is_some()).count();
-        assert_eq!(came_late, usize::from(2 * TIMES));
+        assert_eq!(late_replies, usize::from(2 * TIMES));
         let stats = station.stats();
         assert_eq!(
             (stats.late_replies, stats.stray_frames),
             (u64::from(2 * TIMES), 0),
-            "each came while another was awaited"
+            "each late reply came while another was awaited"
         );
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reply_that_is_shorter_or_longer_than_asked_is_never_accepted() {
+async fn a_reply_of_wrong_length_is_never_accepted() {
     for (framing, len) in [(Framing::Ascii, 1 + 2 * 4), (Framing::Binary, 1 + 2 * 2)] {
         let (builder, faults) = bus(framing, 1);
         let link = builder.build();
@@ -75,7 +75,7 @@ async fn a_reply_that_is_shorter_or_longer_than_asked_is_never_accepted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_future_that_is_dropped_with_its_request_on_the_wire_leaves_the_stream_in_step() {
+async fn dropped_futures_leave_the_stream_in_step() {
     for framing in FRAMINGS {
         let (builder, faults) = bus(framing, 1);
         let scan = Duration::from_millis(20);
@@ -93,18 +93,18 @@ async fn a_future_that_is_dropped_with_its_request_on_the_wire_leaves_the_stream
         assert_eq!(
             (stats.requests, stats.replies),
             (2 * times + 1, 2 * times + 1),
-            "what was still queued was not sent"
+            "queued requests of dropped futures are not sent"
         );
         assert_eq!(
             (stats.checks, stats.stray_frames, faults.log().writes()),
             (1, 0, 0),
-            "the check of a new connection"
+            "only the check of a new connection"
         );
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_broadcast_returns_when_it_is_sent_and_everyone_obeys_it_once() {
+async fn a_broadcast_is_executed_once_by_every_station() {
     for framing in FRAMINGS {
         let (builder, faults) = bus(framing, 3);
         let link = builder.build();
@@ -123,7 +123,7 @@ async fn a_broadcast_returns_when_it_is_sent_and_everyone_obeys_it_once() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_dead_slave_costs_the_bus_next_to_nothing_and_comes_back_by_itself() {
+async fn a_dead_station_barely_delays_the_bus_and_recovers() {
     const DEAD: u8 = 3;
     let (builder, faults) = bus(Framing::Ascii, 8);
     faults.set_rules([Rule::new(Fault::Ignore).station(DEAD)]);
@@ -135,11 +135,11 @@ async fn a_dead_slave_costs_the_bus_next_to_nothing_and_comes_back_by_itself() {
             tokio::spawn(async move {
                 let (mut good, mut slowest) = (0, Duration::ZERO);
                 while Instant::now() < end {
-                    let asked = Instant::now();
+                    let began = Instant::now();
                     if let Ok(values) = station.read_registers(d(number.into()), 2).await {
                         assert_eq!(values, words(number, number.into()));
                         good += 1;
-                        slowest = slowest.max(asked.elapsed());
+                        slowest = slowest.max(began.elapsed());
                     }
                     sleep(Duration::from_millis(100)).await;
                 }
@@ -165,11 +165,11 @@ async fn a_dead_slave_costs_the_bus_next_to_nothing_and_comes_back_by_itself() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_lost_connection_is_opened_again_and_no_read_fails_for_it() {
+async fn a_lost_connection_is_reopened_without_failed_reads() {
     for framing in FRAMINGS {
         let (builder, faults) = bus(framing, 1);
-        // So that each read has the command to which the rule applies.
-        let link = builder.in_step(undoubled()).build();
+        // Equal spellings: each read has the command of the rule.
+        let link = builder.in_step(without_duplicates()).build();
         let station = link.station(1).unwrap();
         assert_eq!(station.read_registers(d(0), 2).await.unwrap(), words(1, 0));
         let mut losses = 0;
@@ -180,9 +180,9 @@ async fn a_lost_connection_is_opened_again_and_no_read_fails_for_it() {
             DisconnectAt::AfterReply,
         ] {
             for n in 0..5 {
-                let lose = Rule::new(Fault::Disconnect(moment)).command(Code::ReadRegisters).times(1);
+                let disconnect = Rule::new(Fault::Disconnect(moment)).command(Code::ReadRegisters).times(1);
                 let refuse = Rule::new(Fault::Refuse).times(2);
-                faults.set_rules([lose, refuse]);
+                faults.set_rules([disconnect, refuse]);
                 assert_eq!(station.read_registers(d(n), 2).await.unwrap(), words(1, n), "{framing}, {moment:?}");
                 assert_eq!(station.read_registers(d(9), 2).await.unwrap(), words(1, 9), "{framing}, {moment:?}");
                 losses += 1;
@@ -194,8 +194,8 @@ async fn a_lost_connection_is_opened_again_and_no_read_fails_for_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn whatever_happens_is_in_one_result_with_one_error() {
-    /// One `?` is enough.
+async fn every_failure_is_one_error_type() {
+    /// One `?` covers every failure.
     async fn sum(station: &Station, first: Register, count: usize) -> Result<u16, Error> {
         Ok(station.read_registers(first, count).await?.iter().sum())
     }
@@ -225,9 +225,8 @@ async fn whatever_happens_is_in_one_result_with_one_error() {
     assert!(matches!(sum(&station, d(5), 2).await, Err(Error::Closed { .. })));
 }
 
-/// Public types to which nothing can be added without breaking a program that matches or builds them, and why nothing
-/// will be.
-const COMPLETE: &[(&str, &str)] = &[
+/// Public types that cannot grow without a breaking change, with the reason why they need not.
+const TYPES_THAT_CANNOT_GROW: &[(&str, &str)] = &[
     ("ControlDiscrete", "the fields of 42"),
     ("ControlPlc", "the two codes of 41"),
     ("DiscreteControl", "the four codes of 42"),
@@ -245,18 +244,18 @@ const COMPLETE: &[(&str, &str)] = &[
 ];
 
 #[test]
-fn a_variant_or_a_field_can_be_added_to_every_public_type_that_may_need_one() {
+fn public_types_that_may_grow_are_non_exhaustive() {
     let mut open = Vec::new();
     for file in sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src")) {
         open.extend(open_types(&fs::read_to_string(&file).unwrap()));
     }
     open.sort();
-    let complete: Vec<_> = COMPLETE.iter().map(|&(name, _)| name.to_owned()).collect();
-    assert_eq!(open, complete, "left: found without #[non_exhaustive]; right: the list of those that are complete");
+    let complete: Vec<_> = TYPES_THAT_CANNOT_GROW.iter().map(|&(name, _)| name.to_owned()).collect();
+    assert_eq!(open, complete, "left: types without #[non_exhaustive]; right: the list in this file");
 }
 
 #[test]
-fn the_scan_for_open_types_finds_what_it_must() {
+fn the_scan_for_open_types_finds_them() {
     let found = |source: &str| open_types(source).concat();
     assert_eq!(found("#[derive(Debug)]\npub enum A {\n    B,\n}"), "A");
     assert_eq!(found("/// x\n#[non_exhaustive]\n#[derive(Debug)]\npub enum A {\n    B,\n}"), "");
@@ -267,7 +266,7 @@ fn the_scan_for_open_types_finds_what_it_must() {
     assert_eq!(found("pub struct A(pub u8, pub u8);\npub struct B(pub u8, u8);\npub struct C;"), "AC");
 }
 
-/// The library's files; the program's types are its own.
+/// Source files of the library, without those of the command line.
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let (folders, files): (Vec<_>, Vec<_>) = entries.partition(|path| path.is_dir());
@@ -276,7 +275,7 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
     files.chain(folders.flat_map(|folder| sources(&folder))).collect()
 }
 
-/// The names of the public enums, and of the structs that have nothing but public fields, without `#[non_exhaustive]`.
+/// Names of public enums and of structs with public fields only that lack `#[non_exhaustive]`.
 fn open_types(source: &str) -> Vec<String> {
     let lines: Vec<&str> = source.lines().map(str::trim).collect();
     let mut open = Vec::new();
@@ -304,7 +303,7 @@ fn open_types(source: &str) -> Vec<String> {
     open
 }
 
-/// Stations from 1 on, each with registers D that name the station and their own address.
+/// A bus of stations 1 to `stations`. Each register D holds a word of its station and address.
 fn bus(framing: Framing, stations: u8) -> (LinkBuilder, Faults) {
     let faults = Faults::new(1);
     let mut bus = Bus::new().with_faults(faults.clone());
@@ -319,8 +318,8 @@ fn bus(framing: Framing, stations: u8) -> (LinkBuilder, Faults) {
     (builder.response_timeout(RESPONSE_TIMEOUT), faults)
 }
 
-/// A line that never doubles a reply, so that equal requests in turn are spelt alike.
-fn undoubled() -> InStepSettings {
+/// Settings of a line that never duplicates a reply: equal requests keep one spelling.
+fn without_duplicates() -> InStepSettings {
     InStepSettings::new().with_copies(0).unwrap()
 }
 
@@ -336,7 +335,7 @@ fn word(station: u8, address: u16) -> u16 {
     5000 * u16::from(station) + address
 }
 
-/// What two consecutive registers hold.
+/// Content of two consecutive registers.
 fn words(station: u8, first: u16) -> [u16; 2] {
     [word(station, first), word(station, first + 1)]
 }

@@ -1,4 +1,4 @@
-//! A plan that is read from a simulated PLC: what its tags hold, and whose the error of a request is.
+//! Plans read from a simulated PLC: values of the tags, and errors of the requests.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
@@ -15,8 +15,8 @@ use fatek::{CostModel, Element, Error, ErrorCode, Limits, Link, Plan, Station, e
 
 const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 
-/// What the PLC holds, as tags of every kind.
-const HELD: [&str; 12] = [
+/// Content of the PLC, as tags of every kind.
+const CONTENT: [&str; 12] = [
     "R0-R4=1,2,3,4,65535",
     "R8:f32=-500.125",
     "R20-R29:text=\"two words, é\\n\"",
@@ -38,14 +38,14 @@ struct Bench {
     values: Vec<Vec<TagValue>>,
 }
 
-/// A PLC that holds all that, whose `D` ends at D3839.
+/// Creates a PLC with this content, whose area `D` ends at D3839.
 fn bench(framing: Framing) -> Bench {
     bench_with(framing, InStepSettings::new())
 }
 
 fn bench_with(framing: Framing, in_step: InStepSettings) -> Bench {
     let (plc, faults) = (Plc::with_model(Model::default().last(element!("D3839"))), Faults::new(1));
-    let held = HELD.map(|text| text.parse::<Assignment>().unwrap());
+    let held = CONTENT.map(|text| text.parse::<Assignment>().unwrap());
     for (element, value) in held.iter().flat_map(|held| held.tag().elements().zip(held.encode())) {
         plc.write(element, value).unwrap();
     }
@@ -72,7 +72,8 @@ fn values(readings: &PlanReadings<'_, Error>, number: usize) -> Vec<TagValue> {
 async fn tags_of_every_kind_are_read_by_runs_and_by_mixed_reads() {
     for framing in FRAMINGS {
         for limits in [Limits::new(), Limits::new().no_mixed_reads(), Limits::new().max_registers(4).unwrap()] {
-            // On a line that never doubles a reply nothing separates equal requests, so only the requests are counted.
+            // Without duplicates no check separates equal requests, so only the requests are
+            // counted.
             let bench = bench_with(framing, InStepSettings::new().with_copies(0).unwrap());
             let plan = Plan::builder(model(framing)).limits(limits).tags(bench.tags.clone()).build().unwrap();
             let readings = plan.read(&bench.station).await;
@@ -88,7 +89,7 @@ async fn tags_of_every_kind_are_read_by_runs_and_by_mixed_reads() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_request_that_is_refused_takes_its_own_tags_with_it_and_no_others() {
+async fn a_refused_request_fails_only_its_own_tags() {
     for framing in FRAMINGS {
         let bench = bench(framing);
         let missing = ["D3840-D3841:text", "D3843:i16*0.1"].map(|tag| tag.parse().unwrap());
@@ -110,7 +111,7 @@ async fn a_request_that_is_refused_takes_its_own_tags_with_it_and_no_others() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_request_that_stays_without_an_answer_takes_its_own_tags_with_it_and_no_others() {
+async fn an_unanswered_request_fails_only_its_own_tags() {
     for framing in FRAMINGS {
         let bench = bench(framing);
         bench.faults.add_rule(Rule::new(Fault::Ignore).elements(element!("R20"), 1));
@@ -133,9 +134,9 @@ async fn a_request_that_stays_without_an_answer_takes_its_own_tags_with_it_and_n
     }
 }
 
-/// The registers of a text change between two requests: had they come from both, halves of two texts would be seen.
+/// The registers of a text change between two requests. A text from both would mix two values.
 #[tokio::test(start_paused = true)]
-async fn a_text_is_never_made_of_two_replies() {
+async fn a_text_tag_comes_from_a_single_reply() {
     for framing in FRAMINGS {
         let bench = bench(framing);
         let tags: Vec<Tag> = ["R0-R39", "R30-R79:text", "R60-R119"].map(|tag| tag.parse().unwrap()).into();
@@ -149,7 +150,7 @@ async fn a_text_is_never_made_of_two_replies() {
             _ => false,
         };
         assert!(plan.requests().len() > 1 && bench.faults.log().entries().iter().any(whole), "{}", plan.explain());
-        // Each request is answered with a letter of its own, and the text has the same one throughout.
+        // Each request is answered with its own letter, so the text must be of one letter.
         let answer = |n: u16, request: &ReadRequest| {
             let word = 0x4141 + n * 0x0101;
             let value = |element: &Element| match element {

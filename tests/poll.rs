@@ -1,4 +1,4 @@
-//! The poller on links to simulated PLCs: what its parts do is tested beside them, here they work together.
+//! The poller on links to simulated PLCs, as a whole. Its parts have unit tests.
 #![cfg(feature = "sim")]
 
 mod roaming;
@@ -36,16 +36,16 @@ fn station(plc: &Plc, faults: &Faults) -> Station {
 
 async fn next(poller: &mut Poller) -> Sample {
     let sample = timeout(Duration::from_secs(60), poller.next()).await.expect("a sample within a minute");
-    sample.expect("the poller is not closed").expect("none was missed")
+    sample.expect("the poller is not closed").expect("no sample was missed")
 }
 
-/// All samples until nothing more comes at this time.
-fn waiting(poller: &mut Poller) -> Vec<Sample> {
+/// Takes all samples that are available now.
+fn drain(poller: &mut Poller) -> Vec<Sample> {
     std::iter::from_fn(|| poller.next().now_or_never().flatten()).map(|sample| sample.unwrap()).collect()
 }
 
 #[tokio::test(start_paused = true)]
-async fn values_of_all_types_come_with_name_time_and_quality() {
+async fn samples_have_name_value_time_and_quality() {
     let plc = Plc::new();
     plc.write(register!("R0"), 0xFFFF_u16).unwrap();
     plc.write(register!("R100"), 0x1000_u16).unwrap();
@@ -75,12 +75,12 @@ async fn values_of_all_types_come_with_name_time_and_quality() {
         assert_eq!(polled.latest(id).unwrap().values(), sample.values());
     }
     poller.close().await;
-    assert!(poller.next().await.is_none(), "it ends");
+    assert!(poller.next().await.is_none(), "the stream ends");
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_stamp_is_that_of_the_reply() {
-    // The answer takes 40 ms, and whoever waits for it is not woken at once.
+async fn the_time_of_a_sample_is_that_of_its_reply() {
+    // The reply takes 40 ms, and the consumer reads the sample much later.
     let (plc, faults) = (Plc::new(), Faults::new(1).rule(Rule::new(Fault::Delay { min: ms(40), max: ms(40) })));
     let mut poller = Poller::new();
     let class = every(1000).phase(Duration::ZERO);
@@ -89,12 +89,12 @@ async fn the_stamp_is_that_of_the_reply() {
     sleep(ms(500)).await;
     let sample = next(&mut poller).await;
     let after = sample.at.instant - begin;
-    // The check of a new connection takes as long.
+    // The check of the new connection takes 40 ms, too.
     assert!(after >= ms(80) && after < ms(90), "{after:?}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_falls_silent_and_comes_back() {
+async fn a_silent_plc_makes_samples_stale_then_bad_then_good() {
     let (plc, faults) = (Plc::new(), Faults::new(1));
     plc.write(register!("R0"), 7_u16).unwrap();
     let mut poller = Poller::builder().seed(3).build();
@@ -105,24 +105,24 @@ async fn a_plc_that_falls_silent_and_comes_back() {
     }
     faults.add_rule(Rule::new(Fault::DropReply));
     sleep(ms(3000)).await;
-    for sample in waiting(&mut poller) {
+    for sample in drain(&mut poller) {
         assert!(matches!(sample.quality, Quality::Stale(Reason::Failed(_))), "{}", sample.quality);
-        assert_eq!(sample.values().len(), 1, "the last value is there, and is said to be old");
+        assert_eq!(sample.values().len(), 1, "a stale sample keeps the last value");
     }
     sleep(ms(4000)).await;
-    let bad = waiting(&mut poller);
+    let bad = drain(&mut poller);
     assert!(bad.iter().any(|sample| matches!(sample.quality, Quality::Bad(_))));
     for id in &ids {
-        assert_eq!(polled.latest(*id).unwrap().values(), [], "an error is never a zero");
+        assert_eq!(polled.latest(*id).unwrap().values(), [], "an error has no value");
     }
     faults.set_rules([]);
     sleep(ms(10_000)).await;
     assert_eq!(polled.latest(ids[0]).unwrap().value(), Some(&TagValue::U16(7)));
-    assert!(waiting(&mut poller).iter().filter(|sample| sample.is_good()).count() >= 2);
+    assert!(drain(&mut poller).iter().filter(|sample| sample.is_good()).count() >= 2);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_slow_consumer_loses_the_oldest_and_is_told() {
+async fn a_slow_consumer_loses_the_oldest_samples_and_is_told() {
     let plc = Plc::new();
     let mut poller = Poller::builder().capacity(10).seed(1).build();
     let polled = poller.station(&station(&plc, &Faults::new(1))).unwrap();
@@ -132,19 +132,23 @@ async fn a_slow_consumer_loses_the_oldest_and_is_told() {
         plc.write(register!("R0"), n).unwrap();
         sleep(ms(100)).await;
     }
-    let Some(Err(missed @ Missed { count, .. })) = poller.next().await else { panic!("it should be told") };
+    let Some(Err(missed @ Missed { count, .. })) = poller.next().await else { panic!("no report of missed samples") };
     assert!((39..=42).contains(&count), "{missed}");
-    let values: Vec<_> = waiting(&mut poller).iter().map(|s| s.value().unwrap().to_string()).collect();
+    let values: Vec<_> = drain(&mut poller).iter().map(|s| s.value().unwrap().to_string()).collect();
     assert_eq!(values.len(), 10);
-    assert_eq!(values.last().unwrap(), &polled.snapshot()[0].value().unwrap().to_string(), "the newest are kept");
+    assert_eq!(
+        values.last().unwrap(),
+        &polled.snapshot()[0].value().unwrap().to_string(),
+        "the newest samples are kept"
+    );
     let stats = poller.handle().stats();
     assert_eq!((stats.samples, stats.missed), (count + 10, count));
     sleep(ms(100)).await;
-    assert!(poller.next().await.unwrap().is_ok(), "told once");
+    assert!(poller.next().await.unwrap().is_ok(), "reported once");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_refused_address_is_isolated_on_a_real_link() {
+async fn refused_addresses_do_not_spoil_their_neighbours() {
     let plc = Plc::with_model(Model::default().last(element!("R49")));
     let faults = Faults::new(1);
     let poller = Poller::builder().seed(1).build();
@@ -164,7 +168,7 @@ async fn a_refused_address_is_isolated_on_a_real_link() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn other_calls_go_first() {
+async fn other_calls_take_precedence_over_polls() {
     let (plc, faults) = (Plc::new(), Faults::new(1).rule(Rule::new(Fault::Delay { min: ms(20), max: ms(20) })));
     let poller = Poller::builder().seed(1).build();
     let station = station(&plc, &faults);
@@ -176,13 +180,13 @@ async fn other_calls_go_first() {
     for _ in 0..20 {
         let begin = Instant::now();
         station.write_registers(register!("R9"), &[1]).await.unwrap();
-        assert!(begin.elapsed() <= ms(45), "one poll on the wire, and its own: {:?}", begin.elapsed());
+        assert!(begin.elapsed() <= ms(45), "one poll in flight, and the write: {:?}", begin.elapsed());
         sleep(ms(7)).await;
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn many_stations_and_nothing_is_left_after_closing() {
+async fn closing_a_poller_of_many_stations_leaves_no_task() {
     let alive = || tokio::runtime::Handle::current().metrics().num_alive_tasks();
     let before = alive();
     let mut stations = Vec::new();
@@ -196,20 +200,20 @@ async fn many_stations_and_nothing_is_left_after_closing() {
         stations.push((station, polled));
     }
     sleep(ms(1600)).await;
-    let samples = waiting(&mut poller);
+    let samples = drain(&mut poller);
     assert!(samples.len() >= 600, "{}", samples.len());
     for sample in samples {
-        assert_eq!(sample.value().unwrap().to_string(), *sample.name, "each its own");
+        assert_eq!(sample.value().unwrap().to_string(), *sample.name, "a value of another station");
     }
     assert_eq!(poller.handle().stats().stations, 200);
-    // One is stopped, the others go on.
+    // One station is stopped, the others go on.
     let requests = poller.handle().stats().requests;
     stations[0].1.stop();
     assert!(matches!(stations[0].1.add(every(500), [tag("R1")]), Err(PollError::Closed)));
     assert_eq!(poller.handle().stats().stations, 199);
-    assert!(poller.handle().stats().requests >= requests, "what it did is not forgotten");
+    assert!(poller.handle().stats().requests >= requests, "counters keep stopped stations");
     sleep(ms(600)).await;
-    assert!(waiting(&mut poller).iter().all(|sample| &*sample.name != "0"));
+    assert!(drain(&mut poller).iter().all(|sample| &*sample.name != "0"));
     poller.close().await;
     assert!(matches!(poller.station(&stations[1].0), Err(PollError::Closed)));
     for (station, _) in &stations {
@@ -240,7 +244,7 @@ async fn dropping_the_poller_ends_its_tasks() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn after_closing_nothing_passes_for_being_polled() {
+async fn after_close_no_tag_is_polled() {
     let poller = Poller::new();
     let polled = poller.station(&station(&Plc::new(), &Faults::new(1))).unwrap();
     let ids = polled.add(every(100), [tag("R0")]).unwrap();
@@ -252,11 +256,11 @@ async fn after_closing_nothing_passes_for_being_polled() {
     assert!(poller.handle().snapshot().is_empty());
     assert!(matches!(polled.add(every(100), [tag("R1")]), Err(PollError::Closed)));
     assert!(!polled.remove(ids[0]));
-    assert_eq!(poller.handle().stats().requests, requests, "what was done is not forgotten");
+    assert_eq!(poller.handle().stats().requests, requests, "counters survive closing");
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_is_asked_for_is_as_old_as_it_is() {
+async fn latest_and_snapshot_report_overdue_samples() {
     let (plc, faults) = (Plc::new(), Faults::new(1));
     let poller = Poller::builder().seed(2).build();
     let link_station = station(&plc, &faults).with_options(CallOptions::new().response_timeout(Duration::from_secs(9)));
@@ -270,9 +274,9 @@ async fn what_is_asked_for_is_as_old_as_it_is() {
     assert!(matches!(polled.snapshot()[0].quality, Quality::Bad(Reason::Overdue)));
 }
 
-/// Tags come and go, stations stop and the poller closes, from four threads at once, while all is polled.
+/// Four threads add and remove tags, stop stations and close the poller during polling.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn tags_come_and_go_from_many_threads() {
+async fn tags_can_be_added_and_removed_from_many_threads() {
     let mut poller = Poller::builder().seed(4).build();
     let mut tasks = Vec::new();
     for n in 0..8_u16 {
@@ -300,10 +304,10 @@ async fn tags_come_and_go_from_many_threads() {
     let mut handles = Vec::new();
     let end = std::time::Instant::now() + Duration::from_secs(20);
     while values < 2000 && std::time::Instant::now() < end {
-        // On a machine that is busy with something else, some may be missed.
+        // On a busy machine some samples may be missed.
         let Some(Ok(sample)) = poller.next().await else { continue };
         if let (Ok(n), Some(TagValue::U16(value))) = (sample.name.parse::<u16>(), sample.value()) {
-            assert_eq!(*value, n, "each its own");
+            assert_eq!(*value, n, "a value of another station");
             values += 1;
         }
     }
@@ -314,20 +318,20 @@ async fn tags_come_and_go_from_many_threads() {
     assert_eq!(handle.stats().stations, 4);
     handle.close().await;
     assert_eq!(handle.stats().stations, 0);
-    // What was there can still be taken, and then it ends.
+    // Samples that were queued can still be taken; then the stream ends.
     while poller.next().await.is_some() {}
 }
 
 #[test]
-fn without_a_runtime_there_is_an_error() {
+fn without_a_runtime_polling_is_an_error() {
     let link = Link::new("tcp://127.0.0.1:1".parse().unwrap());
     let error = Poller::new().station(&link.station(1).unwrap()).unwrap_err();
     assert!(matches!(error, PollError::NoRuntime), "{error}");
 }
 
-/// Random faults on a bus of eight stations: every good sample is what that PLC held.
+/// Random faults on a bus of eight stations: every good sample has the value of its PLC.
 #[tokio::test(start_paused = true)]
-async fn good_samples_are_true_whatever_happens_on_the_bus() {
+async fn good_samples_are_right_under_random_faults() {
     for seed in 0..8 {
         let faults = Faults::new(seed)
             .rule(Rule::new(Fault::DropReply).one_in(9))
@@ -366,13 +370,14 @@ async fn good_samples_are_true_whatever_happens_on_the_bus() {
             }
             if sample.is_good() { good += 1 } else { stale += 1 }
         }
-        assert!(good > 20_000 && stale > 100, "seed {seed}: {good} good, {stale} not: the run should have both");
+        assert!(good > 20_000 && stale > 100, "seed {seed}: {good} good and {stale} other samples: too few");
         link.close().await;
     }
 }
 
-/// One duplicate of a reply comes out of order, two or three exchanges later, in turn at each request of four cycles. Without jobs
-/// this gave 40 wrong samples, one of each copy; without the check at the end of a cycle alone (`Job::must_confirm`), 4.
+/// One duplicate comes out of order, two or three exchanges late, after each request of four cycles
+/// in turn. Without jobs this gave 40 wrong samples, one for each copy; with only the check at the
+/// end of a cycle removed (`Job::must_confirm`), 4.
 #[tokio::test(start_paused = true)]
 async fn no_sample_is_a_roaming_duplicate() {
     let (mut copies, mut wrong, mut good) = (0, 0, 0);
@@ -381,14 +386,14 @@ async fn no_sample_is_a_roaming_duplicate() {
         for n in 0..10 {
             plc.write(register!("R0").nth(100 * n).unwrap(), 1000 + u16::try_from(n).unwrap()).unwrap();
         }
-        let line = roaming::Roaming::new(Bus::new().with_station(1, plc).unwrap(), from);
+        let line = roaming::RoamingLine::new(Bus::new().with_station(1, plc).unwrap(), from);
         let mut poller = Poller::builder().seed(1).build();
         let polling = StationPolling::new().limits(Limits::new().no_mixed_reads());
         let polled = poller.handle().station_with(&line.station, polling).unwrap();
         let tags = (0..10).map(|n| PollTag::new(format!("{}", 1000 + n), format!("R{}", 100 * n).parse().unwrap()));
         polled.add(every(1000), tags).unwrap();
         sleep(ms(5500)).await;
-        for sample in waiting(&mut poller) {
+        for sample in drain(&mut poller) {
             assert!(sample.is_good(), "{sample:?}");
             good += 1;
             wrong += usize::from(sample.value().unwrap().to_string() != *sample.name);

@@ -1,4 +1,4 @@
-//! Many PLCs: sharing, idleness, bounds, and connecting at a bounded pace.
+//! Pools of links: sharing, idle connections, limits, and a bounded connection rate.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
@@ -16,12 +16,12 @@ use futures::future::{join, join_all};
 use tokio::io::DuplexStream;
 use tokio::time::{Instant, sleep};
 
-/// A plant in memory: what is connected to it, when, and how many at once.
+/// Simulated PLCs that record connection attempts.
 #[derive(Clone)]
 struct Plant {
     bus: Bus,
-    /// How long a connection takes to be opened, or to be refused.
-    takes: Duration,
+    /// Time until a connection is opened or refused.
+    connect_time: Duration,
     off: Arc<AtomicBool>,
     opening: Arc<AtomicUsize>,
     most_opening: Arc<AtomicUsize>,
@@ -29,11 +29,11 @@ struct Plant {
 }
 
 impl Plant {
-    fn new(takes: Duration) -> Self {
+    fn new(connect_time: Duration) -> Self {
         let bus = [1, 2, 3].into_iter().fold(Bus::new(), |bus, n| bus.with_station(n, Plc::new()).unwrap());
         Self {
             bus,
-            takes,
+            connect_time,
             off: Arc::default(),
             opening: Arc::default(),
             most_opening: Arc::default(),
@@ -50,7 +50,7 @@ impl Plant {
         self.begun.lock().unwrap().push((Instant::now(), endpoint.to_string()));
         let opening = self.opening.fetch_add(1, Ordering::SeqCst) + 1;
         self.most_opening.fetch_max(opening, Ordering::SeqCst);
-        sleep(self.takes).await;
+        sleep(self.connect_time).await;
         self.opening.fetch_sub(1, Ordering::SeqCst);
         if self.off.load(Ordering::SeqCst) {
             return Err(io::ErrorKind::ConnectionRefused.into());
@@ -76,7 +76,7 @@ fn host(n: usize) -> String {
 }
 
 #[tokio::test(start_paused = true)]
-async fn stations_of_an_endpoint_share_one_link_and_others_do_not() {
+async fn stations_of_one_endpoint_share_a_link() {
     let plant = Plant::new(Duration::ZERO);
     let pool = plant.pool().build();
     let second: Endpoint = "tcp://plc2".parse().unwrap();
@@ -86,7 +86,7 @@ async fn stations_of_an_endpoint_share_one_link_and_others_do_not() {
         pool.clone().station(Endpoint::tcp("plc1", 500), 3).unwrap(),
         pool.station(&second, 1).unwrap(),
     ];
-    assert_eq!((plant.connects(), pool.stats().idle), (0, 2), "asking for a station does no I/O");
+    assert_eq!((plant.connects(), pool.stats().idle), (0, 2), "creating a station does no I/O");
     for station in &stations {
         assert!(works(station).await);
     }
@@ -102,7 +102,7 @@ async fn stations_of_an_endpoint_share_one_link_and_others_do_not() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_handle_that_is_dropped_leaves_the_link_to_the_next() {
+async fn a_dropped_handle_leaves_the_link_to_the_next() {
     let plant = Plant::new(Duration::ZERO);
     let pool = plant.pool().links_per_endpoint(8).build();
     for number in [1, 2, 3, 1] {
@@ -112,10 +112,10 @@ async fn a_handle_that_is_dropped_leaves_the_link_to_the_next() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_endpoint_can_have_as_many_links_as_the_option_says_and_a_serial_port_only_one() {
+async fn links_per_endpoint_are_configurable_but_one_for_serial() {
     let plant = Plant::new(Duration::ZERO);
-    for (asked, links) in [(0, 1), (1, 1), (3, 3), (8, 8), (100, 8)] {
-        let pool = plant.pool().links_per_endpoint(asked).build();
+    for (requested, links) in [(0, 1), (1, 1), (3, 3), (8, 8), (100, 8)] {
+        let pool = plant.pool().links_per_endpoint(requested).build();
         let stations: Vec<_> = (0..20).map(|_| pool.station("tcp://plc", 1).unwrap()).collect();
         assert_eq!(pool.stats().links, links);
         let port: Vec<_> = (1..=3).map(|n| pool.station("serial:/dev/ttyUSB0", n).unwrap()).collect();
@@ -138,7 +138,7 @@ async fn one_serial_port_has_one_setting_at_a_time() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_idle_connection_is_closed_and_its_station_opens_it_again() {
+async fn an_idle_connection_is_closed_and_reopened_on_demand() {
     let plant = Plant::new(Duration::ZERO);
     let pool = plant.pool().idle_timeout(Duration::from_secs(5)).build();
     let station = pool.station("tcp://plc", 1).unwrap();
@@ -157,7 +157,7 @@ async fn an_idle_connection_is_closed_and_its_station_opens_it_again() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn errors_say_what_is_wrong_and_cost_nobody_a_place() {
+async fn failed_requests_for_a_station_evict_no_endpoint() {
     let pool = Plant::new(Duration::ZERO).pool().max_endpoints(1).build();
     drop(pool.station("tcp://first", 1).unwrap());
     let error = pool.station("http://plc", 1).unwrap_err();
@@ -173,17 +173,21 @@ async fn errors_say_what_is_wrong_and_cost_nobody_a_place() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn to_make_room_the_endpoint_unused_for_longest_is_forgotten_but_none_that_is_held() {
+async fn the_least_recently_used_endpoint_without_handles_is_evicted() {
     let plant = Plant::new(Duration::ZERO);
     let pool = plant.pool().max_endpoints(3).build();
     let held = pool.station(host(0), 1).unwrap();
     for n in [1, 2, 1, 3] {
         assert!(works(&pool.station(host(n), 1).unwrap()).await);
     }
-    let known = |n| pool.endpoints().iter().any(|known| known.endpoint == host(n).parse().unwrap());
-    assert_eq!([known(0), known(1), known(2), known(3)], [true, true, false, true]);
+    let is_pooled = |n| pool.endpoints().iter().any(|is_pooled| is_pooled.endpoint == host(n).parse().unwrap());
+    assert_eq!([is_pooled(0), is_pooled(1), is_pooled(2), is_pooled(3)], [true, true, false, true]);
     let stats = pool.stats();
-    assert_eq!((stats.endpoints, stats.evicted, stats.traffic.stations.replies), (3, 1, 4), "nothing goes uncounted");
+    assert_eq!(
+        (stats.endpoints, stats.evicted, stats.traffic.stations.replies),
+        (3, 1, 4),
+        "counters keep evicted endpoints"
+    );
 
     let _one = (pool.station(host(1), 1).unwrap(), pool.station(host(3), 1).unwrap());
     let error = pool.station(host(4), 1).unwrap_err();
@@ -192,11 +196,11 @@ async fn to_make_room_the_endpoint_unused_for_longest_is_forgotten_but_none_that
         "no room for tcp://plc4:500: all 3 endpoints of the pool are in use (see `PoolBuilder::max_endpoints`)"
     );
     assert!(works(&held).await);
-    assert!(pool.station(host(0), 2).is_ok(), "those it has are still to be had");
+    assert!(pool.station(host(0), 2).is_ok(), "endpoints of the pool stay available");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plant_that_comes_back_is_connected_to_at_a_bounded_pace() {
+async fn connections_are_opened_at_a_bounded_rate() {
     const AT_ONCE: usize = 5;
     const PER_SECOND: u32 = 20;
     let plant = Plant::new(Duration::from_millis(150));
@@ -206,17 +210,17 @@ async fn a_plant_that_comes_back_is_connected_to_at_a_bounded_pace() {
     assert!(join_all(stations.iter().map(works)).await.into_iter().all(|works| works));
     let took = began.elapsed();
     assert!(Duration::from_millis(4950) <= took && took < Duration::from_millis(5300), "{took:?}");
-    assert!((4..=AT_ONCE).contains(&plant.most_opening.load(Ordering::SeqCst)), "20 a second for 150 ms each");
+    assert!((4..=AT_ONCE).contains(&plant.most_opening.load(Ordering::SeqCst)), "20 per second, each 150 ms long");
     let begun = plant.begun_at();
     assert_eq!(begun.len(), 100);
     for (n, first) in begun.iter().enumerate() {
         let within_a_second = begun[n..].iter().take_while(|at| at.duration_since(*first) < Duration::from_secs(1));
-        assert!(within_a_second.count() <= 21, "the jitter can bring one forward");
+        assert!(within_a_second.count() <= 21, "the jitter can add one");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn no_more_than_the_limit_are_opened_at_once_however_fast_they_may() {
+async fn concurrent_connection_attempts_are_bounded() {
     let plant = Plant::new(Duration::from_millis(100));
     let pool = plant.pool().connects_at_once(7).connects_per_second(100_000).build();
     let stations: Vec<_> = (0..100).map(|n| pool.station(host(n), 1).unwrap()).collect();
@@ -228,11 +232,11 @@ async fn no_more_than_the_limit_are_opened_at_once_however_fast_they_may() {
     });
     assert!(all.into_iter().all(|works| works));
     assert_eq!(plant.most_opening.load(Ordering::SeqCst), 7);
-    assert!(began.elapsed() >= Duration::from_millis(1500), "100 by seven are 15 rounds");
+    assert!(began.elapsed() >= Duration::from_millis(1500), "100 connections, seven at a time, take 15 rounds");
 }
 
 #[tokio::test(start_paused = true)]
-async fn endpoints_that_are_off_come_back_and_are_not_hammered_meanwhile() {
+async fn endpoints_that_are_off_are_retried_at_a_bounded_rate() {
     let plant = Plant::new(Duration::from_millis(20));
     let pool = plant.pool().connects_at_once(10).connects_per_second(50).build();
     let stations: Vec<_> = (0..100).map(|n| pool.station(host(n), 1).unwrap()).collect();
@@ -241,7 +245,7 @@ async fn endpoints_that_are_off_come_back_and_are_not_hammered_meanwhile() {
     for result in results {
         match result.unwrap_err() {
             Error::Connect { source, .. } => assert_eq!(source.kind(), io::ErrorKind::ConnectionRefused),
-            // In the middle of an attempt.
+            // The deadline passed during an attempt.
             error => assert!(matches!(error, Error::Timeout { .. }) && !error.may_have_executed(), "{error:?}"),
         }
     }
@@ -251,26 +255,26 @@ async fn endpoints_that_are_off_come_back_and_are_not_hammered_meanwhile() {
 
     plant.off.store(false, Ordering::SeqCst);
     let began = Instant::now();
-    let patient = CallOptions::new().call_timeout(Duration::from_secs(60));
-    let patient = stations.iter().map(|station| station.with_options(patient));
-    let results = join_all(patient.map(|station| async move { works(&station).await })).await;
+    let long_deadline = CallOptions::new().call_timeout(Duration::from_secs(60));
+    let long_deadline = stations.iter().map(|station| station.with_options(long_deadline));
+    let results = join_all(long_deadline.map(|station| async move { works(&station).await })).await;
     assert!(results.into_iter().all(|works| works));
-    assert!(began.elapsed() < Duration::from_secs(31), "within one back-off");
+    assert!(began.elapsed() < Duration::from_secs(31), "within one back-off cap");
     assert!(plant.most_opening.load(Ordering::SeqCst) <= 10);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_call_that_waits_for_its_turn_ends_by_its_deadline_and_says_why() {
+async fn a_call_waiting_for_a_connect_slot_ends_by_its_deadline() {
     let plant = Plant::new(Duration::from_secs(2));
     let pool = plant.pool().connects_at_once(1).build();
     let (first, second) = (pool.station(host(1), 1).unwrap(), pool.station(host(2), 1).unwrap());
-    let hasty = second.with_options(CallOptions::new().call_timeout(Duration::from_millis(500)));
+    let short_deadline = second.with_options(CallOptions::new().call_timeout(Duration::from_millis(500)));
     let mut states = second.link().watch_state();
     let waiting = async {
         let began = Instant::now();
-        let error = hasty.read_status().await.unwrap_err();
+        let error = short_deadline.read_status().await.unwrap_err();
         assert!(began.elapsed() < Duration::from_millis(510));
-        assert!(states.has_changed().unwrap(), "whoever watches is told");
+        assert!(states.has_changed().unwrap(), "watchers are notified");
         assert!(matches!(*states.borrow_and_update(), LinkState::Waiting));
         error
     };
@@ -278,13 +282,13 @@ async fn a_call_that_waits_for_its_turn_ends_by_its_deadline_and_says_why() {
     assert!(matches!(error, Error::Connect { .. }) && !error.may_have_executed(), "{error:?}");
     assert!(error.to_string().contains("still waiting for other connections to be opened"), "{error}");
     sleep(Duration::from_secs(10)).await;
-    assert_eq!(plant.connects(), 1, "nobody wants the second one any more");
+    assert_eq!(plant.connects(), 1, "the second link has no call left");
     assert!(matches!(second.link().state(), LinkState::Idle));
     assert!(works(&second).await);
 }
 
 #[tokio::test(start_paused = true)]
-async fn closing_closes_all_at_once_and_for_good() {
+async fn close_closes_all_links_for_good() {
     let plant = Plant::new(Duration::ZERO);
     let pool = plant.pool().build();
     let stations: Vec<_> = (0..50).map(|n| pool.station(host(n), 1).unwrap()).collect();
@@ -301,7 +305,7 @@ async fn closing_closes_all_at_once_and_for_good() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_link_that_somebody_closed_is_replaced() {
+async fn a_closed_link_is_replaced() {
     let plant = Plant::new(Duration::ZERO);
     let pool = plant.pool().build();
     let station = pool.station("tcp://plc", 1).unwrap();
@@ -339,7 +343,7 @@ async fn serve(address: SocketAddr, plc: &Plc, framing: Framing) -> Server {
 }
 
 #[tokio::test]
-async fn over_tcp_servers_that_are_restarted_are_connected_to_again() {
+async fn restarted_tcp_servers_are_reconnected() {
     for framing in [Framing::Ascii, Framing::Binary] {
         let plcs: Vec<_> = (0..20).map(|_| Plc::new()).collect();
         let any = SocketAddr::from(([127, 0, 0, 1], 0));
@@ -367,7 +371,7 @@ async fn over_tcp_servers_that_are_restarted_are_connected_to_again() {
 }
 
 #[tokio::test]
-async fn over_tcp_an_idle_connection_is_closed_and_the_next_call_opens_another() {
+async fn an_idle_tcp_connection_is_closed_and_reopened() {
     let server = serve(SocketAddr::from(([127, 0, 0, 1], 0)), &Plc::new(), Framing::Ascii).await;
     let pool = Pool::builder().idle_timeout(Duration::from_millis(20)).build();
     let station = pool.station(server.local_addr(), 1).unwrap();

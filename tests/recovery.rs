@@ -1,11 +1,11 @@
-//! Many PLCs that go away and come back under load: all are back in time, connecting keeps to the pool's limits meanwhile,
-//! and nothing is left once the pool is closed.
+//! Many PLCs fail and come back under load. All must be back in time, connecting must keep to the
+//! pool's limits, and a closed pool must leave nothing behind.
 //!
-//! What "in time" is: a link tries again at the latest one back-off cap after an attempt that failed, but only at its turn,
-//! and so many turns as there are links take their time. While the turns before were taken at the same pace, the two do not
-//! add up; so all are back within the longer one of them.
+//! "In time" is the longer of two times, plus one poll interval: the back-off cap, and the number
+//! of links divided by the connection rate. The two do not add up, because earlier attempts keep
+//! the same rate.
 #![cfg(feature = "sim")]
-#![allow(clippy::print_stdout, reason = "the figures are what it is for")]
+#![allow(clippy::print_stdout, reason = "prints its figures")]
 
 mod common;
 mod plant;
@@ -22,19 +22,19 @@ use tokio::time::{Instant, sleep, sleep_until};
 use self::common::Rng;
 use self::plant::{Mode, Plant};
 
-/// The defaults of links and pools.
+/// Defaults of links and pools.
 const BACKOFF_CAP: Duration = Duration::from_secs(30);
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-const AT_ONCE: usize = 128;
-const PER_SECOND: u32 = 200;
+const CONNECTS_AT_ONCE: usize = 128;
+const CONNECTS_PER_SECOND: u32 = 200;
 
-/// How long a PLC takes to accept or to refuse a connection.
-const TAKES: Duration = Duration::from_millis(20);
+/// Time for a PLC to accept or refuse a connection.
+const CONNECT_TIME: Duration = Duration::from_millis(20);
 
-/// How often each PLC is polled.
+/// Poll interval of each PLC.
 const INTERVAL: Duration = Duration::from_secs(2);
 
-/// Callers that poll PLCs without end, and when each of these has answered.
+/// Callers that poll all PLCs, and the times of the answers.
 struct Load {
     tasks: JoinSet<()>,
     answered: Arc<Mutex<Vec<Vec<Instant>>>>,
@@ -51,18 +51,19 @@ impl Load {
         Self { tasks, answered }
     }
 
-    /// How many PLCs have not answered since then.
+    /// Number of PLCs without an answer since then.
     fn missing(&self, since: Instant) -> usize {
         self.answered.lock().unwrap().iter().filter(|answers| answers.last().is_none_or(|&at| at <= since)).count()
     }
 
-    /// How long after that moment a PLC has answered first; `None`: it has not.
-    fn back(&self, n: usize, since: Instant) -> Option<Duration> {
+    /// Time from `since` to the first answer of a PLC; `None`: no answer yet.
+    fn recovery_time(&self, n: usize, since: Instant) -> Option<Duration> {
         let first = self.answered.lock().unwrap()[n].iter().find(|&&at| at > since).copied();
         first.map(|at| at.duration_since(since))
     }
 
-    /// Waits until all PLCs have answered since then, and says when that was; not longer than this.
+    /// Waits until all PLCs have answered since then, for at most `within`. Returns the time that
+    /// it took.
     async fn all_answer(&self, since: Instant, within: Duration) -> Duration {
         while self.missing(since) > 0 {
             assert!(since.elapsed() < within, "after {within:?}, {} PLCs have not answered", self.missing(since));
@@ -76,7 +77,7 @@ impl Load {
     }
 }
 
-/// Never ends. A call that takes longer than the interval is followed by the next one at its next time.
+/// Polls a PLC forever. A call that exceeds the interval skips polls.
 async fn poll(station: Station, n: usize, phase: Duration, answered: Arc<Mutex<Vec<Vec<Instant>>>>) {
     let mut due = Instant::now() + phase;
     loop {
@@ -91,59 +92,64 @@ async fn poll(station: Station, n: usize, phase: Duration, answered: Arc<Mutex<V
     }
 }
 
-/// No more connections were begun between two moments than the pool's limits allow.
-fn assert_pace(attempts: &[Instant], (from, to): (Instant, Instant), per_second: u32) -> usize {
+/// Asserts that connection attempts between two moments kept to the pool's rate; returns their
+/// number.
+fn assert_connect_rate(attempts: &[Instant], (from, to): (Instant, Instant), per_second: u32) -> usize {
     let within = attempts.iter().filter(|&&at| from <= at && at < to).count();
-    // Up to half of an interval later at random, so that one of the time before can be among them.
+    // Attempts have a jitter of up to half an interval, so one of the time before may be among
+    // them.
     let most = to.duration_since(from).as_secs_f64() * f64::from(per_second) + 2.0;
     assert!(within as f64 <= most, "{within} connections were begun, {most} are allowed");
     within
 }
 
-/// Nothing is left of a pool that was closed: no connection and no task.
+/// Closes the pool, and asserts that no connection and no task is left.
 async fn assert_nothing_is_left(plant: &Plant, pool: Pool) {
     pool.close().await;
     drop(pool);
-    // The tasks have said that they have ended, and then they do.
+    // The tasks report their end just before they end.
     sleep(Duration::from_millis(1)).await;
     assert_eq!((plant.open(), Handle::current().metrics().num_alive_tasks()), (0, 0));
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_thousand_plcs_killed_and_restarted_under_load_are_back_within_one_backoff_cap() {
+async fn a_thousand_restarted_plcs_are_back_within_the_backoff_cap() {
     const PLCS: usize = 1000;
     for (dead, for_seconds) in [
         (Mode::Refuses, 1),
         (Mode::Refuses, 10),
         (Mode::Refuses, 120),
-        (Mode::IsOff, 10),
-        (Mode::IsOff, 120),
-        (Mode::IsMute, 10),
-        (Mode::IsMute, 120),
+        (Mode::PoweredOff, 10),
+        (Mode::PoweredOff, 120),
+        (Mode::Silent, 10),
+        (Mode::Silent, 120),
     ] {
-        let plant = Plant::new(PLCS, Framing::Ascii, TAKES);
+        let plant = Plant::new(PLCS, Framing::Ascii, CONNECT_TIME);
         let pool = plant.pool().build();
         let load = Load::new(&plant, &pool, PLCS, CallOptions::new());
         let up = load.all_answer(Instant::now(), Duration::from_secs(6)).await;
-        assert!(up >= Duration::from_secs_f64((PLCS - 1) as f64 / f64::from(PER_SECOND)), "{up:?} is too fast");
+        assert!(
+            up >= Duration::from_secs_f64((PLCS - 1) as f64 / f64::from(CONNECTS_PER_SECOND)),
+            "{up:?} is too fast"
+        );
         assert_eq!(plant.open(), PLCS);
 
         let killed_at = Instant::now();
         (0..PLCS).for_each(|n| plant.kill(n, dead));
         sleep(Duration::from_secs(for_seconds)).await;
-        if dead != Mode::IsMute {
+        if dead != Mode::Silent {
             assert_eq!(plant.open(), 0, "lost connections are dropped");
         }
-        let attempts = assert_pace(&plant.attempts(), (killed_at, Instant::now()), PER_SECOND);
+        let attempts = assert_connect_rate(&plant.attempts(), (killed_at, Instant::now()), CONNECTS_PER_SECOND);
 
         let restarted_at = Instant::now();
         (0..PLCS).for_each(|n| plant.kill(n, Mode::Answers));
-        // An attempt of before may still have to fail.
-        let in_flight = if dead == Mode::IsOff { CONNECT_TIMEOUT } else { Duration::ZERO };
+        // An earlier attempt may still have to time out.
+        let in_flight = if dead == Mode::PoweredOff { CONNECT_TIMEOUT } else { Duration::ZERO };
         let back = load.all_answer(restarted_at, BACKOFF_CAP + in_flight + INTERVAL).await;
         println!("{dead:?} for {for_seconds} s: {attempts} attempts meanwhile, all back after {back:.1?}");
-        assert_pace(&plant.attempts(), (restarted_at, Instant::now()), PER_SECOND);
-        assert!(plant.most_opening() <= AT_ONCE, "{}", plant.most_opening());
+        assert_connect_rate(&plant.attempts(), (restarted_at, Instant::now()), CONNECTS_PER_SECOND);
+        assert!(plant.most_opening() <= CONNECTS_AT_ONCE, "{}", plant.most_opening());
         assert_eq!((plant.open(), pool.stats().up), (PLCS, PLCS));
 
         load.stop().await;
@@ -151,30 +157,30 @@ async fn a_thousand_plcs_killed_and_restarted_under_load_are_back_within_one_bac
     }
 }
 
-/// As often as `FATEK_SEEDS` says: what dies when, and how it is dead, is decided by the seed.
+/// Runs `FATEK_SEEDS` seeds. A seed decides which PLCs fail, when, and how.
 #[tokio::test(start_paused = true)]
-async fn plcs_that_die_at_random_are_back_within_one_backoff_cap() {
+async fn plcs_killed_at_random_are_back_within_the_backoff_cap() {
     const PLCS: usize = 60;
-    // As many links to a connection a second as there are when a thousand have the default.
-    const PACE: u32 = 12;
-    const AT_ONCE: usize = 8;
+    // The same ratio of links and rate as a thousand links with the default rate.
+    const CONNECT_RATE: u32 = 12;
+    const CONNECTS_AT_ONCE: usize = 8;
     let seeds = std::env::var("FATEK_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(20);
     let mut slowest = Duration::ZERO;
     for seed in 1..=seeds {
         let mut rng = Rng::new(seed);
-        let plant = Plant::new(PLCS, Framing::Ascii, TAKES);
-        let pool = plant.pool().connects_per_second(PACE).connects_at_once(AT_ONCE).seed(seed).build();
+        let plant = Plant::new(PLCS, Framing::Ascii, CONNECT_TIME);
+        let pool = plant.pool().connects_per_second(CONNECT_RATE).connects_at_once(CONNECTS_AT_ONCE).seed(seed).build();
         let load = Load::new(&plant, &pool, PLCS, CallOptions::new());
         load.all_answer(Instant::now(), Duration::from_secs(6)).await;
         let began = Instant::now();
 
-        // Some half of them, each dead from one moment to another, in one way after the other.
+        // About half of the PLCs fail, each for one period, in several ways one after the other.
         let mut events = Vec::new();
         let mut restarted_at = vec![began; PLCS];
         for n in (0..PLCS).filter(|_| rng.below(2) == 0).collect::<Vec<_>>() {
             let mut at = Duration::from_millis(rng.below(60_000) as u64);
             for _ in 0..=rng.below(3) {
-                events.push((at, n, rng.pick(&[Mode::Refuses, Mode::Refuses, Mode::IsMute, Mode::IsOff])));
+                events.push((at, n, rng.pick(&[Mode::Refuses, Mode::Refuses, Mode::Silent, Mode::PoweredOff])));
                 at += Duration::from_millis(rng.below(60_000) as u64);
             }
             events.push((at, n, Mode::Answers));
@@ -189,12 +195,12 @@ async fn plcs_that_die_at_random_are_back_within_one_backoff_cap() {
         let within = BACKOFF_CAP + CONNECT_TIMEOUT + INTERVAL;
         sleep(within).await;
         for (n, &restarted_at) in restarted_at.iter().enumerate() {
-            let back = load.back(n, restarted_at).unwrap_or(Duration::MAX);
+            let back = load.recovery_time(n, restarted_at).unwrap_or(Duration::MAX);
             assert!(back <= within, "seed {seed}: PLC {n} is back after {back:.1?}");
             slowest = slowest.max(back);
         }
-        assert_pace(&plant.attempts(), (began, Instant::now()), PACE);
-        assert!(plant.most_opening() <= AT_ONCE, "seed {seed}: {}", plant.most_opening());
+        assert_connect_rate(&plant.attempts(), (began, Instant::now()), CONNECT_RATE);
+        assert!(plant.most_opening() <= CONNECTS_AT_ONCE, "seed {seed}: {}", plant.most_opening());
         assert_eq!((plant.open(), pool.stats().up), (PLCS, PLCS), "seed {seed}");
         load.stop().await;
         assert_nothing_is_left(&plant, pool).await;
@@ -203,13 +209,13 @@ async fn plcs_that_die_at_random_are_back_within_one_backoff_cap() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn turns_that_come_when_nobody_waits_cost_the_others_nothing() {
+async fn unused_connect_slots_do_not_delay_other_links() {
     const PLCS: usize = 1000;
-    let plant = Plant::new(PLCS, Framing::Ascii, TAKES);
+    let plant = Plant::new(PLCS, Framing::Ascii, CONNECT_TIME);
     let pool = plant.pool().build();
-    // Nine calls of ten have ended when the turn comes that they had asked for.
-    let hasty = CallOptions::new().call_timeout(INTERVAL / 10);
-    let load = Load::new(&plant, &pool, PLCS, hasty);
+    // Nine calls of ten have ended when their connection slot comes.
+    let short_deadline = CallOptions::new().call_timeout(INTERVAL / 10);
+    let load = Load::new(&plant, &pool, PLCS, short_deadline);
     let up = load.all_answer(Instant::now(), Duration::from_secs(60)).await;
     println!("one call in ten waits long enough: all up after {up:.1?}");
     assert!(up < Duration::from_secs(8), "five seconds' worth of turns took {up:?}");
@@ -219,16 +225,16 @@ async fn turns_that_come_when_nobody_waits_cost_the_others_nothing() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_silent_plc_that_is_started_anew_is_asked_at_once_and_not_when_its_probe_is_due() {
-    let plant = Plant::new(1, Framing::Ascii, TAKES);
+async fn a_restarted_plc_is_polled_before_its_probe_is_due() {
+    let plant = Plant::new(1, Framing::Ascii, CONNECT_TIME);
     let pool = plant.pool().build();
     let load = Load::new(&plant, &pool, 1, CallOptions::new());
     load.all_answer(Instant::now(), Duration::from_secs(1)).await;
-    plant.set(0, Mode::IsMute);
+    plant.set(0, Mode::Silent);
     sleep(Duration::from_secs(300)).await;
-    // By now a minute passes between two probes.
+    // By now probes are a minute apart.
     plant.kill(0, Mode::Answers);
-    let back = load.all_answer(Instant::now(), INTERVAL + TAKES).await;
+    let back = load.all_answer(Instant::now(), INTERVAL + CONNECT_TIME).await;
     println!("back after {back:.1?}");
     load.stop().await;
     assert_nothing_is_left(&plant, pool).await;

@@ -1,4 +1,4 @@
-//! Serial lines: their timing, and ports that come and go.
+//! Serial lines: timing, and ports that are unplugged and replugged.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -12,26 +12,26 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufStream, D
 use tokio::time::{Instant, sleep_until};
 use tokio_util::codec::{Decoder, Encoder};
 
-/// The PLC's end of a line.
+/// A scripted PLC at the other end of the line.
 struct Peer {
     stream: DuplexStream,
     received: BytesMut,
 }
 
 impl Peer {
-    /// The next request, when it was written, and when its last bit would have come.
+    /// Receives the next request. Also returns when it was written, and when its last bit arrives.
     async fn request(&mut self) -> (Frame, Instant, Instant) {
         let mut codec = Codec::new(Framing::Ascii, Side::Plc);
         loop {
             let buffered = self.received.len();
             if let Some(frame) = codec.decode(&mut self.received).unwrap().and_then(|item| item.frame()) {
-                // A duplex stream has no speed, so it was written just now.
+                // A duplex stream has no speed: the bytes were written just now.
                 let written = Instant::now();
-                let heard = written + CHARACTER * u32::try_from(buffered - self.received.len()).unwrap();
-                sleep_until(heard).await;
-                return (frame, written, heard);
+                let arrived = written + CHARACTER * u32::try_from(buffered - self.received.len()).unwrap();
+                sleep_until(arrived).await;
+                return (frame, written, arrived);
             }
-            assert_ne!(self.stream.read_buf(&mut self.received).await.unwrap(), 0, "the client has hung up");
+            assert_ne!(self.stream.read_buf(&mut self.received).await.unwrap(), 0, "the client has closed the line");
         }
     }
 
@@ -42,7 +42,7 @@ impl Peer {
         self.stream.write_all(&bytes).await.unwrap();
     }
 
-    /// Echoes the loop-back with which a connection begins.
+    /// Answers the first check of a connection with its echo.
     async fn echo(&mut self) {
         let (request, ..) = self.request().await;
         assert_eq!(request.command, 0x4E);
@@ -53,10 +53,10 @@ impl Peer {
 
 const BAUD: u32 = 1200;
 
-/// How long a character is at 1200 baud and 7E1, rounded up: ten bits.
+/// Time of a character at 1200 baud and 7E1, ten bits, rounded up.
 const CHARACTER: Duration = Duration::from_nanos(8_333_334);
 
-/// As much as the resolution of timers allows; a few of them in a row make up a pause.
+/// Asserts a time within the resolution of the timers that make up a pause.
 fn assert_about(took: Duration, expected: Duration) {
     let least = expected.saturating_sub(Duration::from_millis(1));
     let most = expected + Duration::from_millis(3);
@@ -70,7 +70,7 @@ fn line() -> (LinkBuilder, Peer) {
     (builder, Peer { stream: plc, received: BytesMut::new() })
 }
 
-/// A stream like a serial port: to flush it is to stop the runtime.
+/// A stream like a serial port: a flush would block the runtime.
 struct Unflushable(DuplexStream);
 
 impl AsyncRead for Unflushable {
@@ -94,7 +94,7 @@ impl AsyncWrite for Unflushable {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_time_for_an_answer_begins_when_the_last_bit_is_on_the_line() {
+async fn the_response_timeout_begins_after_the_last_bit() {
     let (builder, mut peer) = line();
     let station = builder.build().station(1).unwrap();
     let call = tokio::spawn(async move {
@@ -102,14 +102,14 @@ async fn the_time_for_an_answer_begins_when_the_last_bit_is_on_the_line() {
         (result, Instant::now())
     });
     peer.echo().await;
-    let (.., heard) = peer.request().await;
+    let (.., arrived) = peer.request().await;
     let (result, ended) = call.await.unwrap();
     assert!(matches!(result, Err(Error::Timeout { sent: true, .. })), "{result:?}");
-    assert_about(ended - heard, Duration::from_millis(300));
+    assert_about(ended - arrived, Duration::from_millis(300));
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_line_is_left_alone_after_an_answer() {
+async fn the_frame_gap_follows_each_reply() {
     for (gap, expected) in [(None, CHARACTER * 7 / 2), (Some(Duration::from_millis(50)), Duration::from_millis(50))] {
         let (builder, mut peer) = line();
         let builder = if let Some(gap) = gap { builder.frame_gap(gap) } else { builder };
@@ -120,29 +120,29 @@ async fn the_line_is_left_alone_after_an_answer() {
             let (request, ..) = peer.request().await;
             peer.reply(&request, "00001").await;
             let answered = Instant::now();
-            let (request, asked, _) = peer.request().await;
-            assert_about(asked - answered, expected);
+            let (request, sent, _) = peer.request().await;
+            assert_about(sent - answered, expected);
             peer.reply(&request, "00001").await;
         }
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_line_is_left_alone_while_a_broadcast_is_sent_and_done() {
+async fn the_broadcast_gap_follows_each_broadcast() {
     let (builder, mut peer) = line();
     let everyone = builder.build().broadcast();
     let calls = tokio::spawn(async move {
         everyone.stop().await.unwrap();
         everyone.run().await.unwrap();
     });
-    let (.., heard) = peer.request().await;
+    let (.., arrived) = peer.request().await;
     let (_, next, _) = peer.request().await;
     calls.await.unwrap();
-    assert_about(next - heard, Duration::from_millis(100));
+    assert_about(next - arrived, Duration::from_millis(100));
 }
 
 #[tokio::test(start_paused = true)]
-async fn closing_does_not_cut_a_broadcast_off() {
+async fn closing_completes_a_broadcast() {
     let (builder, mut peer) = line();
     let link = builder.build();
     link.broadcast().write_registers(register!("R0"), &[0; 64]).await.unwrap();
@@ -150,14 +150,15 @@ async fn closing_does_not_cut_a_broadcast_off() {
         link.close().await;
         Instant::now()
     });
-    let (_, written, heard) = peer.request().await;
-    // Not by how much later than it was heard: of two instants in the wrong order the difference is nothing.
-    assert_about(closing.await.unwrap() - written, heard - written);
+    let (_, written, arrived) = peer.request().await;
+    // Compared with the write: if closing were too early, the difference to the last bit would be
+    // zero.
+    assert_about(closing.await.unwrap() - written, arrived - written);
     assert_eq!(peer.stream.read(&mut [0; 1]).await.unwrap(), 0, "the port is closed");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_that_is_no_serial_line_is_flushed() {
+async fn a_stream_other_than_a_serial_line_is_flushed() {
     let (client, plc) = duplex(4096);
     let link = Link::from_stream(BufStream::new(client), Framing::Ascii);
     let station = link.station(1).unwrap().with_options(CallOptions::new().retries(0));
@@ -171,7 +172,7 @@ async fn a_stream_that_is_no_serial_line_is_flushed() {
 
 #[cfg(not(feature = "serial"))]
 #[tokio::test]
-async fn without_its_feature_a_serial_port_is_refused_by_name() {
+async fn without_the_feature_a_serial_port_is_unsupported() {
     let link = Link::builder("serial:/dev/ttyUSB0".parse().unwrap()).fail_fast(true).build();
     let error = link.station(1).unwrap().read_status().await.unwrap_err();
     let Error::Connect { source, .. } = &error else { panic!("{error:?}") };
@@ -179,7 +180,7 @@ async fn without_its_feature_a_serial_port_is_refused_by_name() {
     assert!(error.to_string().contains("feature `serial`"), "{error}");
 }
 
-/// Pseudo-terminals stand for ports, and a symbolic link is the path of a port that comes and goes.
+/// Ports are pseudo-terminals. A port that comes and goes has a symbolic link as its path.
 ///
 /// Linux only: macOS refuses a baud rate for them.
 #[cfg(all(target_os = "linux", feature = "serial", feature = "sim"))]
@@ -198,10 +199,10 @@ mod ports {
 
     use super::*;
 
-    /// Longer than anything here takes, even on a busy machine.
+    /// Longer than any step takes, even on a busy machine.
     const LONG: Duration = Duration::from_secs(10);
 
-    /// A path for ports to come and go at.
+    /// A path at which ports are plugged and unplugged.
     struct Socket {
         directory: PathBuf,
     }
@@ -234,10 +235,10 @@ mod ports {
         }
     }
 
-    /// An adapter with PLCs behind it.
+    /// A serial adapter with PLCs behind it.
     struct Adapter {
         path: PathBuf,
-        /// The port as this test has it open: a line that nobody has open does not work.
+        /// Keeps the port open: a line needs both sides open.
         port: File,
         plcs: JoinHandle<()>,
     }
@@ -259,8 +260,8 @@ mod ports {
             tcgetattr(&self.port).unwrap()
         }
 
-        /// Takes it away, with the line behind it.
-        async fn gone(self) {
+        /// Removes the adapter and its line.
+        async fn unplug(self) {
             self.plcs.abort();
             let _ = self.plcs.await;
         }
@@ -282,7 +283,7 @@ mod ports {
             station.write_registers(register!("R0"), &values).await.unwrap();
             assert_eq!(station.read_registers(register!("R0"), 64).await.unwrap(), values);
             link.close().await;
-            adapter.gone().await;
+            adapter.unplug().await;
         }
     }
 
@@ -300,7 +301,7 @@ mod ports {
             let adapter = Adapter::new(bus(&plc).with_faults(faults.clone()), Framing::Ascii);
             let link = Link::builder(adapter.endpoint()).response_timeout(LONG).echo(mode).build();
             let station = link.station(1).unwrap();
-            // The right replies to these are their requests, byte for byte.
+            // The right replies to these calls equal their requests.
             station.stop().await.unwrap();
             station.loop_back("ABCDEFG").await.unwrap();
             assert_eq!(station.read_registers(register!("R0"), 2).await.unwrap(), [0, 0]);
@@ -309,14 +310,14 @@ mod ports {
             assert_eq!(stats.echoes, if echoes { faults.log().arrivals() } else { 0 }, "{mode:?}, {echoes}");
             assert_eq!((stats.stations.timeouts, stats.stations.stray_frames), (0, 0), "{mode:?}, {echoes}");
             link.close().await;
-            adapter.gone().await;
+            adapter.unplug().await;
         }
     }
 
-    /// The kernel gives every pseudo-terminal 8 data bits and no parity bit, whatever it is asked for; it keeps the speed,
-    /// the stop bits, which parity it would be, and whether parity is checked.
+    /// A pseudo-terminal always has 8 data bits and no parity bit. It keeps the speed, the stop
+    /// bits, the kind of parity, and whether parity is checked.
     #[tokio::test]
-    async fn a_port_is_set_as_the_endpoint_says() {
+    async fn a_port_has_the_settings_of_its_endpoint() {
         let ascii = SerialSettings::new(Framing::Ascii);
         let odd = ascii.with_baud(57_600).unwrap().with_parity(Parity::Odd).with_stop_bits(StopBits::Two);
         let (even, none) = ((false, true), (false, false));
@@ -342,14 +343,14 @@ mod ports {
             assert_eq!((is_odd, is_checked), parity, "{endpoint}");
             assert!(!set.control_modes.contains(ControlModes::CRTSCTS), "no flow control");
             assert!(!set.input_modes.intersects(InputModes::IXON | InputModes::IXOFF | InputModes::ICRNL));
-            assert!(!set.output_modes.contains(OutputModes::OPOST), "nothing is translated");
+            assert!(!set.output_modes.contains(OutputModes::OPOST), "bytes are passed unchanged");
             assert!(!set.local_modes.intersects(LocalModes::ICANON | LocalModes::ECHO | LocalModes::ISIG));
             link.close().await;
-            adapter.gone().await;
+            adapter.unplug().await;
         }
     }
 
-    /// What this program has logged; a port is opened on a thread of its own, so it is the same log for all tests.
+    /// Log of this program. Ports are opened on threads of their own, so all tests share one log.
     #[derive(Clone, Default)]
     struct Log(Arc<Mutex<Vec<u8>>>);
 
@@ -365,28 +366,28 @@ mod ports {
     }
 
     #[tokio::test]
-    async fn a_port_that_does_not_keep_its_settings_is_warned_of_and_one_that_does_is_not() {
+    async fn a_port_that_ignores_its_settings_is_logged_as_a_warning() {
         let log = Log::default();
         let writer = log.clone();
         tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).init();
-        // A pseudo-terminal has 8 data bits and no parity, whatever it is asked for.
+        // A pseudo-terminal always has 8 data bits and no parity.
         for (framing, warned) in [(Framing::Ascii, true), (Framing::Binary, false)] {
             let adapter = Adapter::new(bus(&Plc::new()), framing);
             let endpoint = adapter.endpoint().with_framing(framing);
             let link = Link::builder(endpoint).response_timeout(LONG).build();
             link.station(1).unwrap().read_status().await.unwrap();
             link.close().await;
-            // The name of a port that is gone is given to the next one.
+            // A later port may reuse the name of a closed one.
             let text = String::from_utf8(std::mem::take(&mut *log.0.lock().unwrap())).unwrap();
             let path = format!("port=\"{}\"", adapter.path.display());
             let warning = text.lines().find(|line| line.contains("does not keep its settings") && line.contains(&path));
             assert_eq!(warning.is_some(), warned, "{framing}: {text}");
-            adapter.gone().await;
+            adapter.unplug().await;
         }
     }
 
     #[tokio::test]
-    async fn what_came_before_the_port_was_opened_is_not_read() {
+    async fn bytes_from_before_the_port_was_opened_are_discarded() {
         let (mut line, port) = SerialStream::pair().unwrap();
         line.write_all(b"\x020146077777D4\x03 and more").await.unwrap();
         while port.bytes_to_read().unwrap() == 0 {
@@ -402,7 +403,7 @@ mod ports {
     }
 
     #[tokio::test]
-    async fn a_port_is_for_one_link_alone() {
+    async fn a_port_is_opened_by_one_link_only() {
         let adapter = Adapter::new(bus(&Plc::new()), Framing::Ascii);
         let builder = || Link::builder(adapter.endpoint()).response_timeout(LONG).fail_fast(true);
         let (first, second) = (builder().build(), builder().build());
@@ -414,7 +415,7 @@ mod ports {
     }
 
     #[tokio::test]
-    async fn an_unplugged_port_fails_what_waits_and_a_replugged_one_is_used_again() {
+    async fn an_unplugged_port_fails_calls_and_is_reopened_when_back() {
         let socket = Socket::new("replug");
         let adapter = Adapter::new(bus(&Plc::new()), Framing::Ascii);
         socket.plug(&adapter.path);
@@ -426,35 +427,35 @@ mod ports {
         let station = link.station(1).unwrap();
         assert_eq!(station.read_registers(register!("R0"), 1).await.unwrap(), [0]);
 
-        // Nobody is station 2, so this is on the line, or waits for it, for as long as the line is there.
+        // Station 2 does not exist, so this call stays queued or in flight.
         let absent = link.station(2).unwrap();
         let sent = link.stats().stations.requests + link.stats().stations.checks;
         let waiting = tokio::spawn(async move { absent.write_registers(register!("R0"), &[5]).await });
-        let on_the_line = async {
+        let is_sent = async {
             while link.stats().stations.requests + link.stats().stations.checks == sent {
                 tokio::time::sleep(Duration::from_millis(1)).await;
             }
         };
-        timeout(LONG, on_the_line).await.unwrap();
+        timeout(LONG, is_sent).await.unwrap();
         socket.unplug();
-        adapter.gone().await;
-        let error = timeout(LONG / 2, waiting).await.expect("it does not wait for its timeout").unwrap().unwrap_err();
+        adapter.unplug().await;
+        let error = timeout(LONG / 2, waiting).await.expect("the call fails before its timeout").unwrap().unwrap_err();
         assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
 
-        let hasty = station.with_options(CallOptions::new().call_timeout(Duration::from_millis(100)));
-        let error = hasty.read_registers(register!("R0"), 1).await.unwrap_err();
+        let short_deadline = station.with_options(CallOptions::new().call_timeout(Duration::from_millis(100)));
+        let error = short_deadline.read_registers(register!("R0"), 1).await.unwrap_err();
         assert!(matches!(error, Error::Connect { .. }), "{error:?}");
         assert!(error.to_string().starts_with(&format!("cannot connect to {endpoint}: ")), "{error}");
         assert!(matches!(link.state(), LinkState::Down { .. } | LinkState::Connecting));
 
-        // The same place, another device.
+        // Another PLC at the same path.
         let (first, second) = (Plc::new(), Plc::new());
         let adapter = Adapter::new(bus(&first).with_station(2, second.clone()).unwrap(), Framing::Ascii);
         socket.plug(&adapter.path);
         station.write_registers(register!("R0"), &[7]).await.unwrap();
         assert_eq!(first.read(register!("R0")), Value::Word(7));
-        assert_eq!(second.read(register!("R0")), Value::Word(0), "what was under way is not sent again");
+        assert_eq!(second.read(register!("R0")), Value::Word(0), "the write in flight is not repeated");
         link.close().await;
-        adapter.gone().await;
+        adapter.unplug().await;
     }
 }

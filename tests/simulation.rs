@@ -1,9 +1,9 @@
-//! A simulated bus under seeded faults of every kind, with callers that come and go at random, in paused time.
+//! A simulated bus with seeded faults of every kind and many random callers, in paused time.
 //!
-//! Every register names its own address, and every write is one of its kind, so a wrong value, a lost write and a write
-//! that was applied twice all show. Some addresses and commands are always refused, each kind of refusal with an error code
-//! of its own, so a refusal that is given to the wrong request shows, too. A short run is a test; the long one is
-//!
+//! Each register holds its own address, each write has its own value, and each kind of refusal has
+//! its own error code. Some addresses and commands are always refused. So the test detects wrong
+//! values, lost and repeated writes, and refusals that belong to another request. A short run is a
+//! test; the long one is
 //! ```text
 //! FATEK_SEEDS=250 FATEK_REQUESTS=5000 cargo test --release --all-features --test simulation
 //! ```
@@ -34,44 +34,47 @@ mod faults;
 mod naive;
 
 const STATIONS: u8 = 32;
-/// The stations that are often late, and asked more than the others: where a late reply would do harm.
+/// Stations that are often late and get more requests than the others: a late reply is most likely
+/// to do damage there.
 const SLOW: std::ops::RangeInclusive<u8> = 1..=3;
-/// A station that is given more time than the others.
-const PATIENT: u8 = 9;
-const PATIENCE: Duration = Duration::from_millis(150);
-/// How many callers there are.
+/// A station with a longer response timeout.
+const LONG_TIMEOUT_STATION: u8 = 9;
+const LONG_TIMEOUT: Duration = Duration::from_millis(150);
+/// Number of concurrent callers.
 const CALLERS: u32 = 48;
-/// The registers, and as many discretes, that are only read.
+/// Number of registers, and of discretes, that are only read.
 const READ_ONLY: u16 = 240;
-/// Any call must have ended by its deadline, or this much later.
+/// Allowance for calls that end after their deadline.
 const GRACE: Duration = Duration::from_millis(10);
 
-/// What a run came to.
+/// Results of a run.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Outcome {
     requests: u64,
-    /// Those with the right result, or with a refusal that is right.
+    /// Calls with the right value or a right refusal.
     confirmed: u64,
     cancelled: u64,
-    /// Calls that ended with this error.
+    /// Number of calls by error.
     errors: BTreeMap<&'static str, u64>,
-    /// Values delivered as good that were not, refused requests said to be done, and refusals of other requests.
+    /// Wrong values, refused requests reported as done, and refusals of other requests.
     wrong: Vec<String>,
-    /// Writes that were applied more often than once, and RUN or STOP more often than called for or less than confirmed.
+    /// Writes executed more than once, and RUN or STOP executed more often than called or less
+    /// often than confirmed.
     repeated: u64,
-    /// RUN and STOP, by station: how often they were called for, and how often confirmed.
+    /// RUN and STOP commands by station: number of calls, and number of confirmed calls.
     controls: BTreeMap<(u8, bool), (u64, u64)>,
-    /// Broadcast writes that were sent, each with its caller and its value, and the stations that obeyed them.
+    /// Broadcast writes that were sent: caller and value.
     broadcasts: Vec<(u32, u32)>,
+    /// Number of stations that executed them.
     obeyed: u64,
     /// Calls that ended after their deadline.
     late: u64,
-    /// All that was delivered, in order.
+    /// Hash of all results, in order.
     digest: u64,
 }
 
 impl Outcome {
-    fn note(&mut self, value: u64) {
+    fn hash(&mut self, value: u64) {
         self.digest = (self.digest.rotate_left(5) ^ value).wrapping_mul(0x0100_0000_01B3);
     }
 
@@ -89,7 +92,7 @@ impl Outcome {
             let control = self.controls.entry(which).or_default();
             *control = (control.0 + called, control.1 + confirmed);
         }
-        self.note(other.digest);
+        self.hash(other.digest);
     }
 }
 
@@ -102,11 +105,11 @@ impl fmt::Display for Outcome {
     }
 }
 
-/// `SplitMix64`: a run depends on its seed and on nothing else.
-struct Dice(u64);
+/// `SplitMix64`: a run depends on its seed alone.
+struct Rng(u64);
 
-impl Dice {
-    fn roll(&mut self) -> u64 {
+impl Rng {
+    fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
@@ -114,22 +117,22 @@ impl Dice {
     }
 
     fn below(&mut self, limit: u64) -> u64 {
-        self.roll() % limit
+        self.next() % limit
     }
 
-    fn in_thousand(&mut self, chances: u64) -> bool {
+    fn per_mille(&mut self, chances: u64) -> bool {
         self.below(1000) < chances
     }
 }
 
-/// What the read-only registers hold: their station and their address.
+/// Content of a read-only register: its station and address.
 fn word(station: u8, address: u16) -> u16 {
     u16::from(station) << 8 | address
 }
 
-/// What the read-only discretes hold.
+/// Content of a read-only discrete.
 fn bit(station: u8, address: u16) -> bool {
-    Dice(u64::from(station) << 16 | u64::from(address)).in_thousand(500)
+    Rng(u64::from(station) << 16 | u64::from(address)).per_mille(500)
 }
 
 fn plc(station: u8) -> Plc {
@@ -142,29 +145,31 @@ fn plc(station: u8) -> Plc {
     plc
 }
 
-/// Options at random, and the deadline among them.
-fn options(dice: &mut Dice) -> (CallOptions, Duration) {
-    let deadline = Duration::from_millis(200 + dice.below(3000));
+/// Random options, and their deadline.
+fn options(rng: &mut Rng) -> (CallOptions, Duration) {
+    let deadline = Duration::from_millis(200 + rng.below(3000));
     let options = CallOptions::new().response_timeout(Duration::from_millis(60)).call_timeout(deadline);
-    let options = options.retries(dice.below(4) as u32).background(dice.in_thousand(300));
-    let adaptive = dice.in_thousand(200);
+    let options = options.retries(rng.below(4) as u32).background(rng.per_mille(300));
+    let adaptive = rng.per_mille(200);
     (if adaptive { options.adaptive_timeout(Duration::from_millis(20)) } else { options }, deadline)
 }
 
-/// One caller: call after call, with pauses.
-async fn caller(link: Link, number: u32, mut dice: Dice, calls: u32) -> Outcome {
+/// Makes calls one after the other, with pauses.
+async fn caller(link: Link, number: u32, mut rng: Rng, calls: u32) -> Outcome {
     let mut outcome = Outcome::default();
-    // What this caller's own register may hold, per station: what was written last, and what may have been since.
+    // Possible content of this caller's own register by station: the last write, and unconfirmed
+    // ones since.
     let mut own: BTreeMap<u8, Vec<u32>> = BTreeMap::new();
     for nth in 0..calls {
-        sleep(Duration::from_millis(dice.below(40))).await;
-        let stations = if dice.in_thousand(500) { *SLOW.end() } else { STATIONS };
-        let station_number = 1 + dice.below(u64::from(stations)) as u8;
-        let (options, deadline) = options(&mut dice);
-        let options = if station_number == PATIENT { options.response_timeout(PATIENCE) } else { options };
+        sleep(Duration::from_millis(rng.below(40))).await;
+        let stations = if rng.per_mille(500) { *SLOW.end() } else { STATIONS };
+        let station_number = 1 + rng.below(u64::from(stations)) as u8;
+        let (options, deadline) = options(&mut rng);
+        let options =
+            if station_number == LONG_TIMEOUT_STATION { options.response_timeout(LONG_TIMEOUT) } else { options };
         let station = link.station(station_number).unwrap().with_options(options);
-        let patience = match dice.in_thousand(100) {
-            true => Duration::from_millis(dice.below(100)),
+        let cancel_after = match rng.per_mille(100) {
+            true => Duration::from_millis(rng.below(100)),
             false => Duration::from_secs(3600),
         };
         outcome.requests += 1;
@@ -172,8 +177,8 @@ async fn caller(link: Link, number: u32, mut dice: Dice, calls: u32) -> Outcome 
         let held = own.entry(station_number).or_insert_with(|| vec![0]);
         let serial = number << 20 | (nth + 1);
         let mut right = Vec::new();
-        let call = call(&station, number, serial, held, &mut right, &mut outcome, &mut dice);
-        let ended = timeout(patience, call).await;
+        let call = call(&station, number, serial, held, &mut right, &mut outcome, &mut rng);
+        let ended = timeout(cancel_after, call).await;
         if began.elapsed() > deadline + GRACE {
             outcome.late += 1;
         }
@@ -184,11 +189,11 @@ async fn caller(link: Link, number: u32, mut dice: Dice, calls: u32) -> Outcome 
             }
             Ok(Err(error)) => {
                 outcome.confirmed += u64::from(matches!(error, Error::Plc { .. }));
-                outcome.note(u64::from(error.may_have_executed()));
-                *outcome.errors.entry(kind(&error)).or_default() += 1;
+                outcome.hash(u64::from(error.may_have_executed()));
+                *outcome.errors.entry(error_kind(&error)).or_default() += 1;
             }
             Ok(Ok(Ok(digest))) => {
-                outcome.note(digest);
+                outcome.hash(digest);
                 outcome.confirmed += 1;
             }
             Ok(Ok(Err(wrong))) => outcome.wrong.push(wrong),
@@ -197,8 +202,8 @@ async fn caller(link: Link, number: u32, mut dice: Dice, calls: u32) -> Outcome 
     outcome
 }
 
-/// Does something at random, and checks what it gets: a digest of it, or what is wrong with it. `right`: the refusals that
-/// it may get.
+/// Makes a random call and checks it. Returns a digest of the result, or what is wrong with it.
+/// `right` gets the legal refusals.
 async fn call(
     station: &Station,
     caller: u32,
@@ -206,18 +211,18 @@ async fn call(
     held: &mut Vec<u32>,
     right: &mut Vec<ErrorCode>,
     outcome: &mut Outcome,
-    dice: &mut Dice,
+    rng: &mut Rng,
 ) -> Result<Result<u64, String>, Error> {
     let number = station.number();
-    // Mostly of the same shape, so that a reply could be taken for another.
-    let count = if dice.in_thousand(800) { 1 } else { 1 + dice.below(16) as u16 };
-    let first = dice.below(u64::from(READ_ONLY - 2 * count)) as u16;
+    // Mostly of one shape: replies of equal shape can be mistaken for each other.
+    let count = if rng.per_mille(800) { 1 } else { 1 + rng.below(16) as u16 };
+    let first = rng.below(u64::from(READ_ONLY - 2 * count)) as u16;
     let own = Register32::new(Symbol::DD, 2 * caller as u16).unwrap();
     let check = |what: &str, good: bool, got: &dyn std::fmt::Debug| match good {
         true => Ok(u64::from(number) << 32 | u64::from(first) << 8 | u64::from(count)),
         false => Err(format!("station {number}, {what} from {first}, {count} of them: {got:?}")),
     };
-    let what = dice.below(14);
+    let what = rng.below(14);
     match what {
         0..=4 | 7 | 13 => right.push(INJECTED),
         8 if number == NO_RUN => right.push(RUN_REFUSED),
@@ -250,9 +255,9 @@ async fn call(
             check("R and M", values == [Value::Word(word(number, first)), Value::Bit(bit(number, first))], &values)
         }
         7 => {
-            // From now on it may be there, whatever becomes of this future.
+            // From now on the register may hold the value, even if the future is dropped.
             held.push(serial);
-            let written = match dice.in_thousand(500) {
+            let written = match rng.per_mille(500) {
                 true => station.write_registers32(own, &[serial]).await,
                 false => station.write_mixed(&[(own.into(), Value::DWord(serial))]).await,
             };
@@ -271,7 +276,7 @@ async fn call(
             }
         }
         8 => {
-            let run = dice.in_thousand(500);
+            let run = rng.per_mille(500);
             outcome.controls.entry((number, run)).or_default().0 += 1;
             if run { station.run().await } else { station.stop().await }?;
             outcome.controls.entry((number, run)).or_default().1 += 1;
@@ -282,7 +287,8 @@ async fn call(
             Ok(u64::from(serial))
         }
         10 => {
-            // Into registers that no other call writes: nobody answers, so only that it is not done twice can be seen.
+            // Broadcasts write registers of their own. There is no reply, so only repetitions can
+            // be detected.
             let shared = Register32::new(Symbol::DF, 2 * caller as u16).unwrap();
             let all = station.link().broadcast().with_options(station.options());
             all.write_registers32(shared, &[serial]).await?;
@@ -308,7 +314,7 @@ async fn call(
     })
 }
 
-fn kind(error: &Error) -> &'static str {
+fn error_kind(error: &Error) -> &'static str {
     match error {
         Error::Invalid(_) => "invalid",
         Error::Plc { .. } => "refused",
@@ -325,13 +331,11 @@ fn kind(error: &Error) -> &'static str {
     }
 }
 
-/// One seed: a bus, its faults, and its callers.
-///
-/// Counts how often each kind of fault has struck.
-fn run(seed: u64, requests: u32, struck: &mut BTreeMap<String, u64>) -> Outcome {
-    let mut dice = Dice(seed);
+/// Runs one seed: a bus with faults, and its callers. Counts the injections of each fault.
+fn run(seed: u64, requests: u32, fault_counts: &mut BTreeMap<String, u64>) -> Outcome {
+    let mut rng = Rng(seed);
     let framing = if seed.is_multiple_of(2) { Framing::Ascii } else { Framing::Binary };
-    let echo = dice.in_thousand(300);
+    let echo = rng.per_mille(300);
     let faults = faults(seed, framing, echo);
     let bus = bus(&faults);
     in_paused_time(async move {
@@ -342,13 +346,13 @@ fn run(seed: u64, requests: u32, struck: &mut BTreeMap<String, u64>) -> Outcome 
             .seed(seed)
             .build();
         let callers: Vec<_> = (0..CALLERS)
-            .map(|number| tokio::spawn(caller(link.clone(), number, Dice(dice.roll()), requests / CALLERS)))
+            .map(|number| tokio::spawn(caller(link.clone(), number, Rng(rng.next()), requests / CALLERS)))
             .collect();
         let mut outcome = Outcome::default();
         for caller in callers {
             outcome.add(caller.await.unwrap());
         }
-        // What is on its way must have ended before the writes are counted.
+        // All requests must have ended before the writes are counted.
         sleep(Duration::from_secs(5)).await;
         let log = faults.log();
         assert_eq!(log.unjournaled(), 0);
@@ -366,7 +370,7 @@ fn run(seed: u64, requests: u32, struck: &mut BTreeMap<String, u64>) -> Outcome 
             outcome.obeyed += (1..=STATIONS).map(|station| log.applied(station, &write)).sum::<u64>();
         }
         for rule in faults.rules() {
-            *struck.entry(label(rule.fault())).or_default() += rule.times_applied();
+            *fault_counts.entry(label(rule.fault())).or_default() += rule.times_applied();
         }
         outcome
     })
@@ -382,24 +386,24 @@ fn setting(name: &str, default: u32) -> u32 {
 }
 
 #[test]
-fn no_wrong_value_no_repeated_write_and_no_late_call_under_faults_of_every_kind() {
+fn faults_cause_no_wrong_value_repeated_write_or_late_call() {
     let requests = setting("FATEK_REQUESTS", 960);
     let seeds: Vec<u64> = match std::env::var("FATEK_SEED") {
         Ok(seed) => vec![seed.parse().expect("FATEK_SEED is a number")],
         Err(_) => REGRESSIONS.iter().copied().chain(0..u64::from(setting("FATEK_SEEDS", 10))).collect(),
     };
     let mut total = Outcome::default();
-    let mut struck = BTreeMap::new();
+    let mut fault_counts = BTreeMap::new();
     for &seed in &seeds {
-        let outcome = run(seed, requests, &mut struck);
+        let outcome = run(seed, requests, &mut fault_counts);
         let sound = outcome.wrong.is_empty() && outcome.repeated == 0 && outcome.late == 0;
         assert!(sound, "FATEK_SEED={seed} FATEK_REQUESTS={requests}: {outcome:#?}");
         total.add(outcome);
     }
-    println!("{} seeds: {total}\nfaults: {struck:#?}", seeds.len());
-    assert!(total.confirmed * 2 > total.requests, "most calls succeed all the same: {total}");
+    println!("{} seeds: {total}\nfaults: {fault_counts:#?}", seeds.len());
+    assert!(total.confirmed * 2 > total.requests, "most calls succeed: {total}");
     let broadcasts = total.broadcasts.len() as u64;
-    // Some are lost with their connection, some stations answer that they do not obey.
+    // Some broadcasts are lost with their connection, and some stations refuse them.
     assert!(
         total.obeyed * 10 > broadcasts * u64::from(STATIONS) * 9,
         "{broadcasts} broadcasts, {} obeyed",
@@ -407,13 +411,13 @@ fn no_wrong_value_no_repeated_write_and_no_late_call_under_faults_of_every_kind(
     );
     if seeds.len() >= 10 {
         assert!(
-            struck.len() == LABELS && struck.values().all(|&count| count > 0),
-            "every fault has struck: {struck:?}"
+            fault_counts.len() == LABELS && fault_counts.values().all(|&count| count > 0),
+            "faults that were never injected: {fault_counts:?}"
         );
     }
 }
 
-/// Seeds that have failed once.
+/// Seeds of earlier failures.
 const REGRESSIONS: &[u64] = &[];
 
 #[test]
@@ -435,6 +439,6 @@ fn a_naive_client_fails_the_same_run() {
     }
     assert!(
         wrong > 10,
-        "a client without matching and barrier must deliver wrong values, or this run shows nothing: {wrong}"
+        "a client without matching and checks must deliver wrong values, or this run proves nothing: {wrong}"
     );
 }

@@ -1,5 +1,5 @@
-//! Streams of users that take their time within a write or a flush, as a serial port does: what is counted from the end of
-//! a request is counted from then.
+//! Streams that block within a write or a flush, as serial ports do: times after a request count
+//! from the end of the flush.
 #![cfg(feature = "sim")]
 
 mod peer;
@@ -16,31 +16,31 @@ use fatek::{CallOptions, Link, register};
 use tokio::io::{AsyncRead, AsyncWrite, DuplexStream, ReadBuf, duplex};
 use tokio::time::{Instant, advance, sleep};
 
-use peer::{Peer, station, undoubled};
+use peer::{Peer, station, without_duplicates};
 
-/// A flush takes that long, and nobody else has a turn meanwhile.
-struct Slow {
+/// A stream whose flush takes this time and blocks all tasks.
+struct SlowStream {
     stream: DuplexStream,
-    takes: Duration,
-    /// When each write began, and when each flush had ended.
+    flush_time: Duration,
+    /// Start of each write and end of each flush.
     log: Arc<Mutex<Vec<(&'static str, Instant)>>>,
 }
 
-impl AsyncRead for Slow {
+impl AsyncRead for SlowStream {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.stream).poll_read(cx, into)
     }
 }
 
-impl AsyncWrite for Slow {
+impl AsyncWrite for SlowStream {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         self.log.lock().unwrap().push(("write", Instant::now()));
         Pin::new(&mut self.stream).poll_write(cx, bytes)
     }
 
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // Time passes with the first poll; the second would only let others have their turn.
-        let _ = pin!(advance(self.takes)).poll(cx);
+        // Time passes with the first poll; the second would only yield.
+        let _ = pin!(advance(self.flush_time)).poll(cx);
         self.log.lock().unwrap().push(("flushed", Instant::now()));
         Poll::Ready(Ok(()))
     }
@@ -51,12 +51,12 @@ impl AsyncWrite for Slow {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_pause_after_a_broadcast_begins_when_it_is_out() {
+async fn the_broadcast_gap_begins_after_the_flush() {
     let (client, plc) = duplex(4096);
     let log = Arc::new(Mutex::new(Vec::new()));
-    let slow = Slow { stream: client, takes: Duration::from_millis(80), log: log.clone() };
+    let slow = SlowStream { stream: client, flush_time: Duration::from_millis(80), log: log.clone() };
     let pause = Duration::from_millis(60);
-    let link = Link::stream_builder(slow, Framing::Ascii).broadcast_gap(pause).in_step(undoubled()).build();
+    let link = Link::stream_builder(slow, Framing::Ascii).broadcast_gap(pause).in_step(without_duplicates()).build();
     tokio::spawn(Peer::new(plc).serve());
     let plc = station(&link);
     plc.read_status().await.unwrap();
@@ -64,19 +64,19 @@ async fn the_pause_after_a_broadcast_begins_when_it_is_out() {
     plc.read_status().await.unwrap();
     let log = log.lock().unwrap();
     assert_eq!(log.iter().map(|(what, _)| *what).collect::<Vec<_>>(), ["write", "flushed"].repeat(4));
-    // Behind the check and the first request.
-    assert_eq!(log[5].1 - log[4].1, Duration::from_millis(80), "the flush of the broadcast takes its time");
+    // After the check and the first request.
+    assert_eq!(log[5].1 - log[4].1, Duration::from_millis(80), "the flush of the broadcast blocks");
     assert!(
         log[6].1 - log[5].1 >= pause,
-        "the next request came {:?} after the broadcast was out",
+        "the next request came {:?} after the end of the broadcast",
         log[6].1 - log[5].1
     );
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_station_has_its_whole_response_timeout_when_its_request_is_out() {
+async fn the_response_timeout_begins_after_the_flush() {
     let (client, plc) = duplex(4096);
-    let slow = Slow { stream: client, takes: Duration::from_millis(120), log: Arc::default() };
+    let slow = SlowStream { stream: client, flush_time: Duration::from_millis(120), log: Arc::default() };
     let link = Link::stream_builder(slow, Framing::Ascii).build();
     let mut peer = Peer::new(plc);
     let options = CallOptions::new().retries(0).response_timeout(Duration::from_millis(100));

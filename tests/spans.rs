@@ -1,4 +1,5 @@
-//! What is told by `tracing`: a span for each call, and what happens on a link in the link's own, whoever lends it the time.
+//! Spans of `tracing`: one for each call, and one for the events of the link, which any task may
+//! process.
 
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -9,7 +10,7 @@ use fatek::{Endpoint, Link, register};
 use tracing::Instrument;
 use tracing_subscriber::fmt::format::FmtSpan;
 
-/// What has been written so far.
+/// The log so far.
 #[derive(Clone, Default)]
 struct Log(Arc<Mutex<Vec<u8>>>);
 
@@ -24,7 +25,7 @@ impl io::Write for Log {
 }
 
 #[tokio::test]
-async fn what_happens_on_a_link_is_told_in_its_own_span_and_a_call_has_one_of_its_own() {
+async fn link_events_and_calls_have_their_own_spans() {
     let log = Log::default();
     let writer = log.clone();
     let subscriber = tracing_subscriber::fmt()
@@ -47,14 +48,14 @@ async fn what_happens_on_a_link_is_told_in_its_own_span_and_a_call_has_one_of_it
     reads.instrument(tracing::info_span!("shop")).await;
 
     let text = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
-    let told = |what: &str| text.lines().filter(|line| line.contains(what)).collect::<Vec<_>>();
-    // The check and the first request are sent by the task, which has the connection opened; the others by their caller.
+    let lines_with = |what: &str| text.lines().filter(|line| line.contains(what)).collect::<Vec<_>>();
+    // The check and the first request are sent by the link's task, the others by the caller.
     for (what, count) in [("connected", 1), ("sending", 4), ("received", 4)] {
-        let lines = told(&format!(" {what}"));
+        let lines = lines_with(&format!(" {what}"));
         let of_the_link = lines.iter().filter(|line| line.contains("link{name=") && line.contains("fatek::link"));
         assert_eq!(of_the_link.clone().count(), count, "{what}: {text}");
         assert!(of_the_link.clone().all(|line| !line.contains("shop") && !line.contains("call{")), "{text}");
     }
-    let calls = told("shop:call{link=");
+    let calls = lines_with("shop:call{link=");
     assert_eq!(calls.iter().filter(|line| line.contains("close")).count(), 3, "{text}");
 }

@@ -1,11 +1,11 @@
-//! The two statuses: each field at its place in the bytes, and what the codes stand for.
+//! Brief and detailed status: the position of each field, and the meaning of the codes.
 
 use fatek::command::{
     BriefStatus, DetailedStatus, LoopBack, MainUnit, ProgramCapacity, ProgramPage, Series, StatusFlags,
 };
 
 #[test]
-fn each_bit_of_the_flags_is_one_state_and_no_other() {
+fn each_flag_bit_is_one_state() {
     type State = (fn(StatusFlags) -> bool, &'static str);
     let states: [State; 7] = [
         (StatusFlags::running, "RUN"),
@@ -37,7 +37,7 @@ fn a_brief_status_is_its_three_bytes() {
 }
 
 #[test]
-fn each_capacity_that_a_manual_names_is_told_by_its_name() {
+fn each_documented_capacity_has_its_name() {
     let named = [
         (0x00, "not stated"),
         (0xFF, "FB 8K"),
@@ -54,7 +54,7 @@ fn each_capacity_that_a_manual_names_is_told_by_its_name() {
 }
 
 #[test]
-fn each_type_of_main_unit_that_a_manual_names_is_told_by_its_name() {
+fn each_documented_main_unit_has_its_name() {
     for (byte, unit, name) in [
         (0x00, MainUnit::MaMu, "MA/MU"),
         (0x01, MainUnit::Mc, "MC"),
@@ -66,7 +66,7 @@ fn each_type_of_main_unit_that_a_manual_names_is_told_by_its_name() {
     }
 }
 
-/// STATUS1 is byte 1, STATUS64 byte 64.
+/// A status whose byte n is n: STATUS1 is byte 1, STATUS64 byte 64.
 fn numbered() -> DetailedStatus {
     DetailedStatus::from(std::array::from_fn::<u8, 64, _>(|i| u8::try_from(i + 1).expect("64 fit")))
 }
@@ -103,7 +103,7 @@ fn the_os_version_is_two_nibbles() {
 }
 
 #[test]
-fn a_code_of_io_points_is_what_the_series_makes_of_it() {
+fn io_points_depend_on_the_series() {
     let fb = [(0x01, 20), (0x02, 28), (0x03, 40)];
     let fbs = [(0x00, 10), (0x01, 14), (0x02, 20), (0x03, 24), (0x04, 32), (0x05, 40), (0x06, 60)];
     for code in 0..=0xFF_u8 {
@@ -118,7 +118,7 @@ fn a_code_of_io_points_is_what_the_series_makes_of_it() {
 }
 
 #[test]
-fn what_a_loop_back_or_a_page_holds_can_be_looked_at() {
+fn loop_back_data_and_pages_are_accessible() {
     assert_eq!(&LoopBack::new(&b"ABC"[..]).expect("three are legal").data()[..], b"ABC");
     let words = std::array::from_fn(|i| if i == 0 { 0xA00F } else { 0 });
     let text = format!("{:?}", ProgramPage::new(words));

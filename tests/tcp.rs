@@ -1,4 +1,4 @@
-//! The link over TCP: connecting, losing the connection, connecting again.
+//! The link over TCP: connecting, lost connections, reconnecting.
 #![cfg(feature = "sim")]
 
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ async fn serve(address: &str, plc: &Plc, framing: Framing) -> Server {
 }
 
 #[tokio::test]
-async fn a_lost_connection_is_opened_again_by_the_next_call() {
+async fn the_next_call_reopens_a_lost_connection() {
     for framing in [Framing::Ascii, Framing::Binary] {
         let plc = Plc::new();
         let server = serve("127.0.0.1:0", &plc, framing).await;
@@ -29,7 +29,7 @@ async fn a_lost_connection_is_opened_again_by_the_next_call() {
         state.mark_unchanged();
         server.shutdown().await;
         state.changed().await.unwrap();
-        assert!(matches!(link.state(), LinkState::Down { .. }), "the loss is noticed while nothing is asked");
+        assert!(matches!(link.state(), LinkState::Down { .. }), "an idle link notices the loss");
 
         let _server = serve(&address.to_string(), &plc, framing).await;
         assert_eq!(station.read_registers(register!("R0"), 1).await.unwrap(), [5]);
@@ -37,23 +37,23 @@ async fn a_lost_connection_is_opened_again_by_the_next_call() {
 }
 
 #[tokio::test]
-async fn a_port_where_nobody_listens_is_a_connect_error() {
+async fn a_closed_port_is_a_connect_error() {
     let free = TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
-    let hasty = Link::builder(free.into()).fail_fast(true).build();
+    let fail_fast = Link::builder(free.into()).fail_fast(true).build();
     let began = Instant::now();
-    let error = hasty.station(1).unwrap().read_status().await.unwrap_err();
+    let error = fail_fast.station(1).unwrap().read_status().await.unwrap_err();
     assert!(matches!(error, Error::Connect { .. }), "{error:?}");
     assert!(error.to_string().starts_with(&format!("cannot connect to tcp://{free}: ")), "{error}");
     assert!(!error.may_have_executed());
     assert!(began.elapsed() < Duration::from_secs(5));
 
-    let patient = Link::builder(free.into()).call_timeout(Duration::from_millis(300)).build();
-    let error = patient.station(1).unwrap().read_status().await.unwrap_err();
+    let short_deadline = Link::builder(free.into()).call_timeout(Duration::from_millis(300)).build();
+    let error = short_deadline.station(1).unwrap().read_status().await.unwrap_err();
     assert!(matches!(error, Error::Connect { .. }), "{error:?}");
 }
 
 #[tokio::test]
-async fn a_call_waits_for_a_server_that_comes_up_in_time() {
+async fn a_call_waits_for_a_server_that_starts_in_time() {
     let address = TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
     let link = Link::new(address.into());
     let station = link.station(1).unwrap();
@@ -67,18 +67,18 @@ async fn a_call_waits_for_a_server_that_comes_up_in_time() {
     assert_eq!(call.await.unwrap().unwrap(), [0]);
 }
 
-/// The length of the loop-back that a connection begins with. The reply to it is equal to it.
-const CHECK: usize = 16;
+/// Length of the first check of a connection, and of its echo.
+const CHECK_LEN: usize = 16;
 
 #[tokio::test]
-async fn a_connection_that_closes_without_an_answer_fails_a_write_at_once_and_says_that_it_was_sent() {
+async fn a_connection_closed_without_reply_fails_a_write_at_once() {
     for checked in [true, false] {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let link = Link::new(listener.local_addr().unwrap().into());
         let station = link.station(1).unwrap();
         let call = tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await });
         let (mut stream, _) = listener.accept().await.unwrap();
-        let mut check = [0; CHECK];
+        let mut check = [0; CHECK_LEN];
         stream.read_exact(&mut check).await.unwrap();
         if checked {
             stream.write_all(&check).await.unwrap();
@@ -99,7 +99,7 @@ async fn dropping_the_last_handle_closes_the_connection() {
     drop(link);
     let call = tokio::spawn(async move { station.loop_back("xy").await });
     let (mut stream, _) = listener.accept().await.unwrap();
-    let mut check = [0; CHECK];
+    let mut check = [0; CHECK_LEN];
     stream.read_exact(&mut check).await.unwrap();
     stream.write_all(&check).await.unwrap();
     let mut received = Vec::new();

@@ -1,4 +1,5 @@
-//! The link over UDP: one frame a datagram, a local port for each request, and traffic that is no reply.
+//! The link over UDP: one frame per datagram, a local port for each request, and unexpected
+//! datagrams.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 use std::collections::BTreeSet;
@@ -16,17 +17,17 @@ use tokio_util::codec::{Decoder, Encoder};
 
 const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 
-/// Longer than anything here takes, even on a busy machine.
+/// Longer than any step takes, even on a busy machine.
 const LONG: Duration = Duration::from_secs(10);
 
-/// A PLC whose every datagram the test decides.
+/// A scripted PLC: the test decides every datagram.
 struct Peer {
     socket: UdpSocket,
     framing: Framing,
 }
 
-/// A request, and where it came from.
-struct Asked {
+/// A request and its sender.
+struct ReceivedRequest {
     frame: Frame,
     from: SocketAddr,
 }
@@ -42,32 +43,32 @@ impl Peer {
         Link::builder(endpoint).response_timeout(LONG).retries(0)
     }
 
-    /// The next request, which must be the only frame of its datagram.
-    async fn request(&self) -> Asked {
+    /// Receives the next request, which must be the only frame of its datagram.
+    async fn request(&self) -> ReceivedRequest {
         let mut datagram = [0; 2048];
-        let received = timeout(LONG, self.socket.recv_from(&mut datagram)).await.expect("the client asks nothing");
+        let received = timeout(LONG, self.socket.recv_from(&mut datagram)).await.expect("the client sends no request");
         let (len, from) = received.unwrap();
         let mut bytes = BytesMut::from(&datagram[..len]);
         let mut codec = Codec::new(self.framing, Side::Plc);
         let frame = codec.decode(&mut bytes).unwrap().unwrap().frame().unwrap();
-        assert!(bytes.is_empty() && codec.decode(&mut bytes).unwrap().is_none(), "one frame a datagram");
-        Asked { frame, from }
+        assert!(bytes.is_empty() && codec.decode(&mut bytes).unwrap().is_none(), "one frame per datagram");
+        ReceivedRequest { frame, from }
     }
 
-    async fn send(&self, to: &Asked, datagram: &[u8]) {
+    async fn send(&self, to: &ReceivedRequest, datagram: &[u8]) {
         self.socket.send_to(datagram, to.from).await.unwrap();
     }
 
-    /// Answers a read of one register, however it is spelt.
-    async fn reply(&self, to: &Asked, value: u16) {
+    /// Answers a read of one register, in any spelling.
+    async fn reply(&self, to: &ReceivedRequest, value: u16) {
         self.send(to, &self.reply_bytes(to, value)).await;
     }
 
-    fn reply_bytes(&self, to: &Asked, value: u16) -> BytesMut {
+    fn reply_bytes(&self, to: &ReceivedRequest, value: u16) -> BytesMut {
         self.frame(to.frame.command, &self.register(value))
     }
 
-    /// The data of a reply with one register.
+    /// Data of a reply with one register.
     fn register(&self, value: u16) -> Vec<u8> {
         match self.framing {
             Framing::Ascii => format!("0{value:04X}").into_bytes(),
@@ -82,12 +83,12 @@ impl Peer {
         bytes
     }
 
-    /// The check that must come now, echoed. Each connection begins with one.
-    async fn echo(&self) -> Asked {
-        let asked = self.request().await;
-        assert_eq!(asked.frame.command, 0x4E, "a new connection and a doubt ask for a check");
-        self.send(&asked, &self.frame(0x4E, &asked.frame.data)).await;
-        asked
+    /// Answers the next request, which must be a check, with its echo.
+    async fn echo(&self) -> ReceivedRequest {
+        let request = self.request().await;
+        assert_eq!(request.frame.command, 0x4E, "a new connection and a suspect station get a check");
+        self.send(&request, &self.frame(0x4E, &request.frame.data)).await;
+        request
     }
 }
 
@@ -107,10 +108,10 @@ async fn a_value_written_is_read_back_in_both_framings() {
         let plc = tokio::spawn(async move {
             let bus = Bus::new().with_station(1, Plc::new()).unwrap();
             loop {
-                let asked = peer.request().await;
+                let request = peer.request().await;
                 let mut reply = BytesMut::new();
-                bus.answer(&fatek::wire::Received::Frame(asked.frame.clone()), framing, &mut reply);
-                peer.send(&asked, &reply).await;
+                bus.answer(&fatek::wire::Received::Frame(request.frame.clone()), framing, &mut reply);
+                peer.send(&request, &reply).await;
             }
         });
         let station = link.station(1).unwrap();
@@ -122,17 +123,17 @@ async fn a_value_written_is_read_back_in_both_framings() {
 }
 
 #[tokio::test]
-async fn a_read_after_a_lost_datagram_is_repeated_behind_a_check() {
+async fn a_lost_datagram_is_retried_after_a_check() {
     for framing in FRAMINGS {
         let peer = Peer::bind(framing).await;
         let link = peer.builder().response_timeout(Duration::from_millis(100)).retries(2).build();
         let call = read(&link.station(1).unwrap());
         let first = peer.echo().await;
         let lost = peer.request().await;
-        let barrier = peer.echo().await;
+        let check = peer.echo().await;
         let repeated = peer.request().await;
         assert_eq!(repeated.frame, lost.frame);
-        let ports = BTreeSet::from([&first, &lost, &barrier, &repeated].map(|asked| asked.from.port()));
+        let ports = BTreeSet::from([&first, &lost, &check, &repeated].map(|request| request.from.port()));
         assert_eq!(ports.len(), 4, "each request has its own port");
         peer.reply(&repeated, 7).await;
         assert_eq!(call.await.unwrap().unwrap(), [7]);
@@ -151,10 +152,10 @@ async fn a_late_datagram_is_not_given_to_the_next_read() {
         assert!(matches!(call.await.unwrap(), Err(Error::Timeout { sent: true, .. })));
 
         let call = read(&station);
-        let barrier = peer.request().await;
-        peer.reply(&first, 1).await; // to where it was asked from
-        peer.reply(&barrier, 1).await; // and from a module that knows only the last to ask
-        peer.send(&barrier, &peer.frame(0x4E, &barrier.frame.data)).await;
+        let check = peer.request().await;
+        peer.reply(&first, 1).await; // to the port of its request
+        peer.reply(&check, 1).await; // to the newest port, as some modules do
+        peer.send(&check, &peer.frame(0x4E, &check.frame.data)).await;
         let second = peer.request().await;
         peer.reply(&first, 1).await;
         peer.reply(&second, 2).await;
@@ -162,31 +163,32 @@ async fn a_late_datagram_is_not_given_to_the_next_read() {
     }
 }
 
-/// Before each request had a local port of its own, the copy was read as the answer: 32 wrong values of 64 as `Ok`, with
-/// both framings. Only the surplus reply after each of them led to another socket.
+/// Before each request had a local port of its own, the copy was taken for the reply: 32 wrong
+/// values of 64 as `Ok`, in both framings. Only the surplus reply after each of them led to another
+/// socket.
 #[tokio::test]
-async fn a_copy_of_a_reply_is_not_read_by_later_requests() {
+async fn a_copy_of_a_reply_does_not_answer_later_requests() {
     const READS: u16 = 64;
     for framing in FRAMINGS {
         let peer = Peer::bind(framing).await;
         let link = peer.builder().build();
         let station = link.station(1).unwrap();
         let plc = tokio::spawn(async move {
-            let mut before: Option<(Asked, BytesMut)> = None;
+            let mut before: Option<(ReceivedRequest, BytesMut)> = None;
             for value in 0..READS {
-                let asked = loop {
-                    let asked = peer.request().await;
-                    if asked.frame.command != 0x4E {
-                        break asked;
+                let request = loop {
+                    let request = peer.request().await;
+                    if request.frame.command != 0x4E {
+                        break request;
                     }
-                    peer.send(&asked, &peer.frame(0x4E, &asked.frame.data)).await;
+                    peer.send(&request, &peer.frame(0x4E, &request.frame.data)).await;
                 };
                 if let Some((earlier, copy)) = &before {
                     peer.send(earlier, copy).await;
                 }
-                let reply = peer.frame(asked.frame.command, &peer.register(value));
-                peer.send(&asked, &reply).await;
-                before = Some((asked, reply));
+                let reply = peer.frame(request.frame.command, &peer.register(value));
+                peer.send(&request, &reply).await;
+                before = Some((request, reply));
             }
         });
         let mut wrong = Vec::new();
@@ -201,12 +203,12 @@ async fn a_copy_of_a_reply_is_not_read_by_later_requests() {
     }
 }
 
-/// Before each request had a port and a shape of its own, a duplicate made the station suspect and led to a fresh socket. Now it
-/// can be taken for no later reply, so it is counted and no check is sent.
+/// Before each request had its own port and shape, a duplicate made the station suspect and led to
+/// a new socket. Now it cannot match a later request, so it is counted and no check is sent.
 #[tokio::test]
-async fn after_a_doubled_reply_the_next_request_has_another_port() {
+async fn after_a_duplicate_reply_the_next_request_uses_another_port() {
     let peer = Peer::bind(Framing::Ascii).await;
-    // Duplicates are expected for longer than the test takes on a busy machine.
+    // A copy window longer than the test takes on a busy machine.
     let link = peer.builder().in_step(InStepSettings::new().with_window(LONG)).build();
     let station = link.station(1).unwrap();
     let call = read(&station);
@@ -231,7 +233,7 @@ async fn after_a_doubled_reply_the_next_request_has_another_port() {
     assert_eq!(call.await.unwrap().unwrap(), [3]);
     until(|| link.stats().late_datagrams == 1).await;
     let stats = link.stats().stations;
-    assert_eq!((stats.duplicates, stats.stray_frames, stats.checks), (1, 0, 1), "the check of a new connection");
+    assert_eq!((stats.duplicates, stats.stray_frames, stats.checks), (1, 0, 1), "only the check of the new connection");
 }
 
 /// Waits until the condition is true.
@@ -241,21 +243,22 @@ async fn until(condition: impl Fn() -> bool) {
             tokio::task::yield_now().await;
         }
     };
-    timeout(LONG, wait).await.expect("the condition stays false");
+    timeout(LONG, wait).await.expect("the condition never becomes true");
 }
 
-/// An unexpected frame makes the station suspect: the reply behind it has no proof, and the read is sent again behind a check.
+/// An unexpected frame makes the station suspect. The reply after it has no proof, so the read is
+/// sent again after a check.
 #[tokio::test]
-async fn a_reply_behind_a_stray_is_not_taken() {
+async fn a_reply_after_a_stray_is_not_taken() {
     for framing in FRAMINGS {
         let peer = Peer::bind(framing).await;
         let link = peer.builder().build();
         let call = read(&link.station(1).unwrap());
         peer.echo().await;
-        let asked = peer.request().await;
+        let request = peer.request().await;
         let stray = [peer.register(1), peer.register(1)[1..].to_vec()].concat();
-        peer.send(&asked, &peer.frame(0x46, &stray)).await;
-        peer.reply(&asked, 0xBAD).await;
+        peer.send(&request, &peer.frame(0x46, &stray)).await;
+        peer.reply(&request, 0xBAD).await;
         peer.echo().await;
         let again = peer.request().await;
         peer.reply(&again, 7).await;
@@ -264,51 +267,51 @@ async fn a_reply_behind_a_stray_is_not_taken() {
 }
 
 #[tokio::test]
-async fn a_datagram_from_a_stranger_is_ignored() {
+async fn a_datagram_from_another_sender_is_ignored() {
     for framing in FRAMINGS {
         let (peer, stranger) = (Peer::bind(framing).await, Peer::bind(framing).await);
         let link = peer.builder().build();
         let call = read(&link.station(1).unwrap());
         peer.echo().await;
-        let asked = peer.request().await;
-        stranger.reply(&asked, 0xBAD).await;
-        peer.reply(&asked, 7).await;
+        let request = peer.request().await;
+        stranger.reply(&request, 0xBAD).await;
+        peer.reply(&request, 7).await;
         assert_eq!(call.await.unwrap().unwrap(), [7]);
     }
 }
 
 #[tokio::test]
-async fn empty_oversized_and_noisy_datagrams_harm_nobody() {
+async fn empty_oversized_and_noisy_datagrams_are_ignored() {
     for framing in FRAMINGS {
         let peer = Peer::bind(framing).await;
         let link = peer.builder().build();
         let call = read(&link.station(1).unwrap());
         peer.echo().await;
-        let asked = peer.request().await;
-        let good = peer.reply_bytes(&asked, 0xBAD);
-        let swollen = [&good[..], &[0x20; 1024][..]].concat();
-        for datagram in [&b""[..], &swollen, &[0x51; 60_000], b"\x06", b""] {
-            peer.send(&asked, datagram).await;
+        let request = peer.request().await;
+        let good = peer.reply_bytes(&request, 0xBAD);
+        let oversized = [&good[..], &[0x20; 1024][..]].concat();
+        for datagram in [&b""[..], &oversized, &[0x51; 60_000], b"\x06", b""] {
+            peer.send(&request, datagram).await;
         }
-        peer.reply(&asked, 7).await;
+        peer.reply(&request, 7).await;
         assert_eq!(call.await.unwrap().unwrap(), [7]);
     }
 }
 
 #[tokio::test]
-async fn a_frame_that_a_datagram_has_begun_is_not_ended_by_the_next() {
+async fn frames_do_not_span_datagrams() {
     for framing in FRAMINGS {
         let peer = Peer::bind(framing).await;
         let link = peer.builder().build();
         let call = read(&link.station(1).unwrap());
         peer.echo().await;
-        let asked = peer.request().await;
-        let wrong = peer.reply_bytes(&asked, 0xBAD);
+        let request = peer.request().await;
+        let wrong = peer.reply_bytes(&request, 0xBAD);
         for cut in 1..wrong.len() {
-            peer.send(&asked, &wrong[..cut]).await;
-            peer.send(&asked, &wrong[cut..]).await;
+            peer.send(&request, &wrong[..cut]).await;
+            peer.send(&request, &wrong[cut..]).await;
         }
-        peer.reply(&asked, 7).await;
+        peer.reply(&request, 7).await;
         assert_eq!(call.await.unwrap().unwrap(), [7]);
     }
 }
@@ -319,21 +322,21 @@ async fn the_longest_datagram_is_taken_whole() {
     let link = peer.builder().build();
     let call = read(&link.station(1).unwrap());
     peer.echo().await;
-    let asked = peer.request().await;
-    let reply = peer.reply_bytes(&asked, 7);
+    let request = peer.request().await;
+    let reply = peer.reply_bytes(&request, 7);
     let noise = vec![0x06; 1024 - reply.len()];
-    peer.send(&asked, &[&noise, &reply[..]].concat()).await;
+    peer.send(&request, &[&noise, &reply[..]].concat()).await;
     assert_eq!(call.await.unwrap().unwrap(), [7]);
 }
 
 #[tokio::test]
-async fn a_port_where_nobody_listens_is_a_lost_connection_and_not_a_timeout() {
+async fn a_closed_port_is_a_lost_connection_and_no_timeout() {
     // Without a first read only the check is sent.
-    for once_heard in [false, true] {
+    for once_answered in [false, true] {
         let peer = Peer::bind(Framing::Ascii).await;
         let link = peer.builder().build();
         let station = link.station(1).unwrap();
-        if once_heard {
+        if once_answered {
             let call = read(&station);
             peer.echo().await;
             peer.reply(&peer.request().await, 7).await;
@@ -341,7 +344,7 @@ async fn a_port_where_nobody_listens_is_a_lost_connection_and_not_a_timeout() {
         }
         drop(peer);
         let error = timeout(LONG / 2, read(&station)).await.unwrap().unwrap().unwrap_err();
-        assert!(matches!(error, Error::Disconnected { sent, .. } if sent == once_heard), "{error:?}");
+        assert!(matches!(error, Error::Disconnected { sent, .. } if sent == once_answered), "{error:?}");
         assert!(error.to_string().contains("refused"), "{error}");
     }
 }

@@ -1,20 +1,20 @@
-//! Every example of the manuals, as `vectors.tsv` holds them, in both directions and cut at every place.
+//! All examples of the manuals, from `vectors.tsv`, in both directions and cut at every position.
 
 mod common;
 
 use std::collections::BTreeSet;
 
 use bytes::BytesMut;
-use common::{AnyExchange, Vector, carried, decode, exchange, framed, frames, vectors};
+use common::{AnyExchange, Vector, decode, exchange, frame_content, framed, frames, vectors};
 use fatek::command::*;
 use fatek::wire::{Codec, Framing, Received, Side};
 use fatek::{Register, discrete, element, register, register32};
 use tokio_util::codec::{Decoder, Encoder};
 
-/// How many rows the file has.
+/// Number of rows in the file.
 const ROWS: usize = 45;
 
-/// What the manuals' example of a command means: its request and its reply.
+/// Typed request and reply of the manuals' example of a command.
 fn meaning(framing: Framing, command: u8) -> Option<AnyExchange> {
     use DiscreteControl::{Disable, Set};
     use Value::{Bit, DWord, Word};
@@ -100,7 +100,7 @@ fn meaning(framing: Framing, command: u8) -> Option<AnyExchange> {
     })
 }
 
-/// All rows and what they mean. A row without a meaning fails.
+/// All rows with their meaning. Panics on a row without one.
 fn rows() -> Vec<(Vector, AnyExchange)> {
     let with_meaning = |vector: Vector| {
         let meaning = meaning(vector.framing, vector.command).unwrap_or_else(|| panic!("no meaning: {}", vector.row));
@@ -111,12 +111,12 @@ fn rows() -> Vec<(Vector, AnyExchange)> {
 }
 
 #[test]
-fn the_file_has_all_rows_and_the_table_has_no_other() {
+fn each_row_has_a_meaning_and_each_meaning_a_row() {
     let rows = rows();
     assert_eq!(rows.len(), ROWS);
     let key = |v: &Vector| (v.framing, v.command, v.sender == Side::Client);
     let distinct: BTreeSet<_> = rows.iter().map(|(vector, _)| key(vector)).collect();
-    assert_eq!(distinct.len(), ROWS, "no row stands twice");
+    assert_eq!(distinct.len(), ROWS, "duplicate row");
     for framing in common::FRAMINGS {
         for command in (0..=u8::MAX).filter(|&command| meaning(framing, command).is_some()) {
             assert!(distinct.contains(&(framing, command, true)), "{framing} {command:02X}: a meaning without a row");
@@ -151,7 +151,7 @@ fn the_manuals_bytes_decode_to_every_typed_request_and_reply() {
 }
 
 #[test]
-fn a_request_that_is_decoded_and_encoded_again_is_the_manuals_bytes_and_the_other_framing_carries_it_too() {
+fn requests_survive_a_round_trip_through_either_framing() {
     let requests = vectors().into_iter().filter(|vector| vector.sender == Side::Client);
     for (vector, other) in requests.flat_map(|vector| common::FRAMINGS.map(|other| (vector.clone(), other))) {
         let request = Request::decode(&vector.frame(), vector.framing).expect(vector.row);
@@ -162,7 +162,7 @@ fn a_request_that_is_decoded_and_encoded_again_is_the_manuals_bytes_and_the_othe
             Err(InvalidRequest::NotPrintable { .. }) if (vector.command, other) == (0x4E, Framing::Ascii) => continue,
             Err(error) => panic!("{}: {error}", vector.row),
         }
-        let back = Request::decode(&carried(other, &bytes), other).expect(vector.row);
+        let back = Request::decode(&frame_content(other, &bytes), other).expect(vector.row);
         bytes.clear();
         back.encode(vector.framing, 1, &mut bytes).expect(vector.row);
         assert_eq!(bytes, vector.bytes, "{}: by way of {other}", vector.row);
@@ -170,7 +170,7 @@ fn a_request_that_is_decoded_and_encoded_again_is_the_manuals_bytes_and_the_othe
 }
 
 #[test]
-fn frames_encode_to_the_manuals_bytes_behind_what_is_in_the_buffer() {
+fn encoding_appends_the_manuals_bytes_to_the_buffer() {
     for vector in vectors() {
         let mut buffer = BytesMut::from(&b"before"[..]);
         Codec::new(vector.framing, vector.sender).encode(vector.frame(), &mut buffer).expect(vector.row);
@@ -185,7 +185,7 @@ fn every_vector_cut_in_two_at_every_place_is_one_frame() {
         for cut in 0..=vector.bytes.len() {
             let (mut codec, mut buffer, mut items) = (vector.codec(), BytesMut::new(), Vec::new());
             for piece in [&vector.bytes[..cut], &vector.bytes[cut..]] {
-                assert!(items.is_empty() || piece.is_empty(), "{}: came early, cut at {cut}", vector.row);
+                assert!(items.is_empty() || piece.is_empty(), "{}: decoded too early, cut at {cut}", vector.row);
                 buffer.extend_from_slice(piece);
                 common::drain(&mut codec, &mut buffer, &mut items);
             }
@@ -206,7 +206,7 @@ fn every_vector_byte_by_byte_is_one_frame() {
 }
 
 #[test]
-fn a_vector_cut_short_anywhere_is_no_frame() {
+fn a_truncated_vector_is_no_frame() {
     for vector in vectors() {
         for len in 0..vector.bytes.len() {
             assert!(frames(decode(&mut vector.codec(), [&vector.bytes[..len]])).is_empty(), "{}: {len}", vector.row);
@@ -215,13 +215,13 @@ fn a_vector_cut_short_anywhere_is_no_frame() {
 }
 
 #[test]
-fn every_vector_with_any_bit_flipped_is_no_frame_and_does_not_harm_the_next() {
+fn a_flipped_bit_loses_one_frame_and_not_the_next() {
     for vector in vectors() {
         for bit in 0..8 * vector.bytes.len() {
             let mut flipped = vector.bytes.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);
             let found = frames(decode(&mut vector.codec(), [&flipped[..], &vector.bytes]));
-            // The one bit that may differ: the case of a letter in the checksum.
+            // One bit may differ: the case of a letter in the checksum.
             let same = vector.framing == Framing::Ascii && flipped.eq_ignore_ascii_case(&vector.bytes);
             let same = same && bit / 8 + 3 >= vector.bytes.len();
             assert_eq!(found, vec![vector.frame(); 1 + usize::from(same)], "{}: bit {bit}", vector.row);
@@ -230,7 +230,7 @@ fn every_vector_with_any_bit_flipped_is_no_frame_and_does_not_harm_the_next() {
 }
 
 #[test]
-fn the_other_side_takes_no_binary_vector() {
+fn a_binary_vector_is_ignored_by_its_own_side() {
     for vector in vectors() {
         let found = frames(decode(&mut Codec::new(vector.framing, vector.sender), [&vector.bytes[..]]));
         assert_eq!(found.len(), usize::from(vector.framing == Framing::Ascii), "{}", vector.row);
@@ -239,12 +239,12 @@ fn the_other_side_takes_no_binary_vector() {
 
 #[test]
 fn every_ascii_vector_in_lower_case_means_the_same() {
-    // A loop-back is the exception: its data are characters, not numbers.
+    // Not loop-backs: their data are characters, not numbers.
     for (vector, meaning) in rows().into_iter().filter(|(v, _)| v.framing == Framing::Ascii && v.command != 0x4E) {
         let data = vector.frame().data.to_ascii_lowercase();
         let lower = framed(Framing::Ascii, vector.sender, 1, vector.command, &data).to_ascii_lowercase();
         let [frame] = frames(decode(&mut vector.codec(), [&lower[..]])).try_into().expect(vector.row);
-        assert_eq!(frame, carried(Framing::Ascii, &lower));
+        assert_eq!(frame, frame_content(Framing::Ascii, &lower));
         match vector.sender {
             Side::Client => {
                 assert_eq!(Request::decode(&frame, Framing::Ascii), Ok(meaning.request()), "{}", vector.row);

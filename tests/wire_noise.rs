@@ -1,21 +1,22 @@
-//! Frames in noise: whatever stands around them and however the bytes arrive, each is found, once, and no byte is lost.
+//! Frames in noise: each is found once, and no byte is lost. The result depends neither on the noise
+//! around a frame nor on how the bytes arrive.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 mod common;
 
 use bytes::BytesMut;
-use common::{Rng, Vector, decode, decode_within, drain, frames, other_side, places, places_by_the_book, vectors};
+use common::{Rng, Vector, decode, decode_within, drain, frame_ranges, frames, other_side, reference_ranges, vectors};
 use fatek::wire::{AsciiCodec, Codec, Framing, MAX_FRAME_LEN, Received, Side};
 use futures::StreamExt;
 use proptest::collection::vec;
 use proptest::prelude::*;
 use tokio_util::codec::{Decoder, FramedRead};
 
-/// How many seeds each vector is tried with; `FATEK_NOISE_SEEDS` asks for more.
+/// Number of seeds for each vector; `FATEK_NOISE_SEEDS` sets another.
 const SEEDS: u64 = 200;
-/// Seeds that have failed once, for a real reason; none so far. They are tried for ever.
-const ONCE_FAILED: [u64; 0] = [];
-/// How much noise stands around a vector, in bytes.
+/// Seeds that have failed on a real bug; none so far.
+const FAILED_SEEDS: [u64; 0] = [];
+/// Length of the noise around a vector, in bytes.
 const NOISE_LEN: usize = 1024;
 
 #[test]
@@ -28,7 +29,7 @@ fn every_vector_is_found_in_a_kibibyte_of_noise() {
 }
 
 #[test]
-fn every_vector_is_found_in_noise_made_of_the_pieces_of_frames() {
+fn every_vector_is_found_in_noise_made_of_frame_fragments() {
     for_every_vector_and_seed(&|vector, rng| {
         let case = InNoise::new(vector, rng, hostile);
         let items = decode(&mut vector.codec(), case.pieces(rng));
@@ -36,10 +37,10 @@ fn every_vector_is_found_in_noise_made_of_the_pieces_of_frames() {
     });
 }
 
-/// As a link does it that cannot wait for the end of the input: whenever the line falls silent, what has begun is
-/// given up. The vector itself comes without a pause.
+/// A link cannot wait for the end of the input: after each silence it gives up a partial frame. The
+/// vector itself has no pause.
 #[test]
-fn every_vector_is_found_when_silences_cut_the_noise_around_it() {
+fn every_vector_is_found_in_noise_with_silences() {
     for_every_vector_and_seed(&|vector, rng| {
         let case = InNoise::new(vector, rng, hostile);
         let (mut codec, mut buffer, mut items) = (vector.codec(), BytesMut::new(), Vec::new());
@@ -60,13 +61,13 @@ fn every_vector_is_found_when_silences_cut_the_noise_around_it() {
             drain(&mut codec, &mut buffer, &mut items);
         }
         items.extend(codec.decode_eof(&mut buffer).unwrap());
-        let places = places(vector.framing, &case.input, &items)?;
-        expect_once(&places, case.at, vector.bytes.len())
+        let frame_ranges = frame_ranges(vector.framing, &case.input, &items)?;
+        expect_once(&frame_ranges, case.at, vector.bytes.len())
     });
 }
 
 #[test]
-fn all_vectors_of_a_side_are_found_in_their_order_with_noise_between_them() {
+fn all_vectors_of_a_side_are_found_in_order_between_noise() {
     for seed in 0..SEEDS {
         for (framing, sender) in
             [(Framing::Ascii, Side::Plc), (Framing::Binary, Side::Client), (Framing::Binary, Side::Plc)]
@@ -81,15 +82,15 @@ fn all_vectors_of_a_side_are_found_in_their_order_with_noise_between_them() {
             }
             let mut codec = Codec::new(framing, other_side(sender));
             let items = decode(&mut codec, pieces(&input, &mut rng));
-            assert_eq!(places(framing, &input, &items).as_ref(), Ok(&expected), "{framing} seed {seed}");
+            assert_eq!(frame_ranges(framing, &input, &items).as_ref(), Ok(&expected), "{framing} seed {seed}");
         }
     }
 }
 
 #[test]
-fn a_false_header_holds_a_vector_back_only_until_the_line_is_silent() {
+fn a_false_header_delays_a_frame_only_until_a_silence() {
     for vector in vectors().into_iter().filter(|v| v.framing == Framing::Binary) {
-        // The length promises more bytes than come: the vector could be a payload.
+        // The false header promises more bytes than come: the vector could be its payload.
         for header in
             [&b"\x52\x10\x03\xE8"[..], b"\x51\x10\x03\xE8", b"\x52\x10\x03\xE8\x52\x10\x03\xE0\x51\x10\x01\x00"]
         {
@@ -108,7 +109,7 @@ fn a_false_header_holds_a_vector_back_only_until_the_line_is_silent() {
 }
 
 #[test]
-fn giving_up_when_nothing_has_begun_never_costs_the_next_frame() {
+fn skipping_nothing_does_not_lose_the_next_frame() {
     for vector in vectors() {
         for piece_len in [1, 2, 5, vector.bytes.len()] {
             let (mut codec, mut buffer, mut items) = (vector.codec(), BytesMut::new(), Vec::new());
@@ -124,7 +125,7 @@ fn giving_up_when_nothing_has_begun_never_costs_the_next_frame() {
 }
 
 #[test]
-fn giving_up_what_has_begun_spares_a_whole_frame_that_has_not_been_taken_yet() {
+fn skipping_a_partial_frame_keeps_a_complete_one() {
     for vector in vectors() {
         let (mut codec, mut items) = (vector.codec(), Vec::new());
         let mut buffer = BytesMut::from(&vector.bytes[..]);
@@ -134,9 +135,10 @@ fn giving_up_what_has_begun_spares_a_whole_frame_that_has_not_been_taken_yet() {
     }
 }
 
-/// `FramedRead` ends its stream after an error: noise must be none, not even at the end of the input.
+/// `FramedRead` ends its stream after an error, so noise must not be one, even at the end of the
+/// input.
 #[tokio::test]
-async fn a_framed_stream_goes_on_through_noise_to_its_end() {
+async fn a_framed_stream_survives_noise() {
     for framing in common::FRAMINGS {
         let mut rng = Rng::new(7);
         let sent: Vec<Vector> =
@@ -149,7 +151,7 @@ async fn a_framed_stream_goes_on_through_noise_to_its_end() {
         input.extend(noise(&mut rng, framing, hostile, 100));
         let stream = FramedRead::with_capacity(&input[..], Codec::new(framing, Side::Client), 16);
         let items: Vec<Received> = stream.map(|item| item.expect("noise is no error")).collect().await;
-        assert_eq!(places(framing, &input, &items).map(|places| places.len()), Ok(sent.len()));
+        assert_eq!(frame_ranges(framing, &input, &items).map(|ranges| ranges.len()), Ok(sent.len()));
         let expected: Vec<_> = sent.iter().map(Vector::frame).collect();
         assert_eq!(frames(items), expected);
     }
@@ -158,10 +160,9 @@ async fn a_framed_stream_goes_on_through_noise_to_its_end() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Frames that are found do not depend on how the bytes arrive, noise or not: they are those of the book, which
-    /// sees the whole input at once.
+    /// The frames are those of the reference decoder, which sees the whole input at once.
     #[test]
-    fn any_bytes_in_any_pieces_give_the_frames_of_the_book(
+    fn frames_do_not_depend_on_how_the_bytes_arrive(
         input in vec(fragment(), 0..120).prop_map(|fragments| fragments.concat()),
         seed: u64,
         max in prop_oneof![Just(MAX_FRAME_LEN), 8_usize..100],
@@ -169,10 +170,10 @@ proptest! {
         for (framing, receiver) in
             [(Framing::Ascii, Side::Client), (Framing::Binary, Side::Client), (Framing::Binary, Side::Plc)]
         {
-            let expected = Ok(places_by_the_book(framing, receiver, &input, max));
+            let expected = Ok(reference_ranges(framing, receiver, &input, max));
             for all_pieces in [vec![&input[..]], input.chunks(1).collect(), pieces(&input, &mut Rng::new(seed))] {
                 let items = decode_within(max, &mut limited(framing, receiver, max), all_pieces);
-                prop_assert_eq!(&places(framing, &input, &items), &expected);
+                prop_assert_eq!(&frame_ranges(framing, &input, &items), &expected);
             }
         }
     }
@@ -181,12 +182,12 @@ proptest! {
     fn pure_noise_of_any_length_is_bounded_and_counted(input in vec(any::<u8>(), 0..5000), seed: u64) {
         for framing in common::FRAMINGS {
             let items = decode(&mut Codec::new(framing, Side::Client), pieces(&input, &mut Rng::new(seed)));
-            prop_assert!(places(framing, &input, &items).is_ok());
+            prop_assert!(frame_ranges(framing, &input, &items).is_ok());
         }
     }
 }
 
-/// Pieces of frames, whole frames and noise: what a decoder must tell apart.
+/// Bytes, fragments of frames, and whole frames.
 fn fragment() -> impl Strategy<Value = Vec<u8>> {
     let marks = prop::sample::select(vec![2, 3, 0x51, 0x52, 0x10, 0x55, 0xAA, 0x00, 0xFF, b'0', b'F', b'f']);
     let headers: Vec<&[u8]> =
@@ -208,12 +209,12 @@ fn limited(framing: Framing, receiver: Side, max: usize) -> Codec {
     }
 }
 
-/// Runs a case for every vector with every seed, and tells all that fail.
+/// Runs a case for every vector and seed, and reports all failures.
 fn for_every_vector_and_seed(case: &dyn Fn(&Vector, &mut Rng) -> Result<(), String>) {
     let seeds = std::env::var("FATEK_NOISE_SEEDS").map_or(SEEDS, |n| n.parse().expect("a number of seeds"));
     let mut failures = Vec::new();
     for vector in vectors() {
-        for seed in ONCE_FAILED.into_iter().chain(0..seeds) {
+        for seed in FAILED_SEEDS.into_iter().chain(0..seeds) {
             if let Err(reason) = case(&vector, &mut Rng::new(seed)) {
                 failures.push(format!("seed {seed}: {reason}: {}", vector.row));
             }
@@ -222,16 +223,16 @@ fn for_every_vector_and_seed(case: &dyn Fn(&Vector, &mut Rng) -> Result<(), Stri
     assert!(failures.is_empty(), "{} failed:\n{}", failures.len(), failures.join("\n"));
 }
 
-/// A vector somewhere in noise.
+/// A vector within noise.
 struct InNoise<'a> {
     vector: &'a Vector,
     input: Vec<u8>,
-    /// Where the vector stands.
+    /// Position of the vector.
     at: usize,
 }
 
 impl<'a> InNoise<'a> {
-    fn new(vector: &'a Vector, rng: &mut Rng, kind: Kind) -> Self {
+    fn new(vector: &'a Vector, rng: &mut Rng, kind: NoiseKind) -> Self {
         let mut input = noise(rng, vector.framing, kind, NOISE_LEN);
         let at = rng.below(NOISE_LEN + 1);
         input.splice(at..at, vector.bytes.iter().copied());
@@ -242,36 +243,36 @@ impl<'a> InNoise<'a> {
         pieces(&self.input, rng)
     }
 
-    /// The vector came out, once and in its place; every byte came out; and beside it only what noise makes a frame
-    /// by chance.
+    /// Checks that the vector and every byte came out once and in place, and that all other frames
+    /// are those that the noise contains by chance.
     fn check(&self, items: &[Received]) -> Result<(), String> {
         let Vector { framing, sender, bytes, .. } = self.vector;
-        let places = places(*framing, &self.input, items)?;
-        expect_once(&places, self.at, bytes.len())?;
-        let by_the_book = places_by_the_book(*framing, other_side(*sender), &self.input, MAX_FRAME_LEN);
-        if places == by_the_book { Ok(()) } else { Err(format!("{places:?} instead of {by_the_book:?}")) }
+        let frame_ranges = frame_ranges(*framing, &self.input, items)?;
+        expect_once(&frame_ranges, self.at, bytes.len())?;
+        let expected = reference_ranges(*framing, other_side(*sender), &self.input, MAX_FRAME_LEN);
+        if frame_ranges == expected { Ok(()) } else { Err(format!("{frame_ranges:?} instead of {expected:?}")) }
     }
 }
 
-fn expect_once(places: &[std::ops::Range<usize>], at: usize, len: usize) -> Result<(), String> {
-    match places.iter().filter(|place| place.start < at + len && at < place.end).collect::<Vec<_>>()[..] {
+fn expect_once(frame_ranges: &[std::ops::Range<usize>], at: usize, len: usize) -> Result<(), String> {
+    match frame_ranges.iter().filter(|place| place.start < at + len && at < place.end).collect::<Vec<_>>()[..] {
         [place] if *place == (at..at + len) => Ok(()),
         ref other => Err(format!("{other:?} instead of {:?}", at..at + len)),
     }
 }
 
-type Kind = fn(&mut Rng, Framing) -> u8;
+type NoiseKind = fn(&mut Rng, Framing) -> u8;
 
-fn noise(rng: &mut Rng, framing: Framing, kind: Kind, len: usize) -> Vec<u8> {
+fn noise(rng: &mut Rng, framing: Framing, kind: NoiseKind, len: usize) -> Vec<u8> {
     (0..len).map(|_| kind(rng, framing)).collect()
 }
 
-/// Every byte as likely as any other.
+/// Uniformly random bytes.
 fn white(rng: &mut Rng, _framing: Framing) -> u8 {
     rng.next().to_le_bytes()[0]
 }
 
-/// Mostly the bytes that frames are made of.
+/// Mostly bytes of headers and trailers.
 fn hostile(rng: &mut Rng, framing: Framing) -> u8 {
     match (rng.below(8), framing) {
         (0, _) => white(rng, framing),
@@ -280,7 +281,7 @@ fn hostile(rng: &mut Rng, framing: Framing) -> u8 {
     }
 }
 
-/// Cuts the input into pieces of random lengths, around a mean that is random as well.
+/// Cuts the input into pieces of random lengths, with a random mean.
 fn pieces<'a>(mut input: &'a [u8], rng: &mut Rng) -> Vec<&'a [u8]> {
     let longest = rng.pick(&[1, 3, 16, 200, 2000]);
     let mut pieces = Vec::new();

@@ -1,9 +1,10 @@
-//! How many blocks of memory a call takes from the heap, counted over a thousand calls on loopback TCP.
+//! Heap blocks per call, counted over a thousand calls on loopback TCP.
 //!
-//! The other end answers by itself, without any memory, so that what is counted is the client's: its own code, Tokio's, and
-//! that of the buffers. Equal calls in turn are counted twice: on a line that never doubles a reply, where each is sent as it
-//! is, and with the default settings, where the link looks for another spelling or sends a loop-back between two.
-#![allow(clippy::print_stdout, reason = "the figures are what it is for")]
+//! The other end answers without allocating, so all counted blocks belong to the client: its own
+//! code, Tokio and the buffers. Equal calls are counted on two kinds of lines: without duplicates,
+//! where each request keeps its spelling; and with the default settings, where the link uses
+//! another spelling or a loop-back between two.
+#![allow(clippy::print_stdout, reason = "prints its figures")]
 
 use std::io::{Read, Write};
 use std::net::TcpListener;
@@ -23,34 +24,34 @@ static HEAP: dhat::Alloc = dhat::Alloc;
 
 const CALLS: u64 = 1000;
 
-/// One test, because the heap is one.
+/// A single test, because all tests would share the heap.
 #[tokio::test]
-async fn a_call_takes_one_block_besides_its_value_and_one_into_memory_of_the_caller_takes_none() {
+async fn calls_allocate_at_most_one_block_besides_the_value() {
     let _profiler = dhat::Profiler::builder().testing().build();
-    let mut too_many = Vec::new();
-    let undoubled = InStepSettings::new().with_copies(0).unwrap();
-    for (in_step, line) in [(undoubled, "never doubled"), (InStepSettings::new(), "doubled")] {
+    let mut failures = Vec::new();
+    let without_duplicates = InStepSettings::new().with_copies(0).unwrap();
+    for (in_step, line) in [(without_duplicates, "no duplicates"), (InStepSettings::new(), "duplicates")] {
         for framing in [Framing::Ascii, Framing::Binary] {
             let mut check = |what: &str, blocks: u64, most: u64| {
                 println!("{line}, {framing}: {blocks} blocks for {CALLS} times {what}");
                 if blocks > most {
-                    too_many.push(format!("{line}, {framing}, {what}: {blocks} blocks"));
+                    failures.push(format!("{line}, {framing}, {what}: {blocks} blocks"));
                 }
             };
             for count in [64, 10] {
                 let words: Vec<u16> = (0..count).map(|n| n * 1001).collect();
-                let mut known = Known::new(framing);
-                known.add(&ReadRegisters::new(register!("R0"), words.len()).unwrap(), &words);
+                let mut exchanges = ScriptedExchanges::new(framing);
+                exchanges.add(&ReadRegisters::new(register!("R0"), words.len()).unwrap(), &words);
                 let elements: Vec<Element> = (0..count).map(|n| Register::r(n).into()).collect();
                 let values: Vec<Value> = words.iter().map(|&word| word.into()).collect();
-                known.add(&ReadMixed::new(elements).unwrap(), &values);
-                let station = known.serve(in_step);
+                exchanges.add(&ReadMixed::new(elements).unwrap(), &values);
+                let station = exchanges.serve(in_step);
                 let plain = blocks(async || {
                     assert_eq!(station.read_registers(register!("R0"), words.len()).await.unwrap(), words);
                 });
                 let plain = plain.await;
                 check(&format!("read_registers of {count}"), plain, 2 * CALLS);
-                assert!(plain >= CALLS, "{framing}: {plain} blocks: a Vec is a block, so the counting is wrong");
+                assert!(plain >= CALLS, "{framing}: {plain} blocks: each Vec is a block, so the count is wrong");
 
                 let mut values = vec![0; words.len()];
                 let into = blocks(async || {
@@ -62,9 +63,9 @@ async fn a_call_takes_one_block_besides_its_value_and_one_into_memory_of_the_cal
             }
 
             let bits: Vec<bool> = (0..256).map(|n| n % 3 == 0).collect();
-            let mut known = Known::new(framing);
-            known.add(&ReadDiscretes::new(discrete!("M0"), 256).unwrap(), &bits);
-            let station = known.serve(in_step);
+            let mut exchanges = ScriptedExchanges::new(framing);
+            exchanges.add(&ReadDiscretes::new(discrete!("M0"), 256).unwrap(), &bits);
+            let station = exchanges.serve(in_step);
             let mut states = [false; 256];
             let into = blocks(async || {
                 station.read_discretes_into(discrete!("M0"), &mut states).await.unwrap();
@@ -73,20 +74,20 @@ async fn a_call_takes_one_block_besides_its_value_and_one_into_memory_of_the_cal
             check("read_discretes_into of 256", into.await, 0);
 
             let words: Vec<u16> = (0..10).map(|n| n * 1001).collect();
-            let mut known = Known::new(framing);
-            known.add(&WriteRegisters::new(register!("R0"), &words[..]).unwrap(), &());
+            let mut exchanges = ScriptedExchanges::new(framing);
+            exchanges.add(&WriteRegisters::new(register!("R0"), &words[..]).unwrap(), &());
             let items: Vec<_> =
                 (0..).map(|n| Register::r(n).into()).zip(words.iter().map(|&word| word.into())).collect();
-            known.add(&WriteMixed::new(items).unwrap(), &());
-            let station = known.serve(in_step);
+            exchanges.add(&WriteMixed::new(items).unwrap(), &());
+            let station = exchanges.serve(in_step);
             let write = blocks(async || station.write_registers(register!("R0"), &words[..]).await.unwrap());
             check("write_registers of 10", write.await, CALLS);
         }
     }
-    assert!(too_many.is_empty(), "{too_many:#?}");
+    assert!(failures.is_empty(), "{failures:#?}");
 }
 
-/// How many blocks so many calls take, when a few have been made before.
+/// Number of blocks that [`CALLS`] calls allocate, after a few warm-up calls.
 async fn blocks(mut call: impl AsyncFnMut()) -> u64 {
     for _ in 0..100 {
         call().await;
@@ -98,27 +99,27 @@ async fn blocks(mut call: impl AsyncFnMut()) -> u64 {
     dhat::HeapStats::get().total_blocks - before
 }
 
-/// What a PLC is asked, and what it answers.
-struct Known {
+/// Scripted requests and their replies.
+struct ScriptedExchanges {
     framing: Framing,
     exchanges: Vec<(BytesMut, BytesMut)>,
 }
 
-impl Known {
+impl ScriptedExchanges {
     fn new(framing: Framing) -> Self {
-        let mut known = Self { framing, exchanges: Vec::new() };
-        known.add(&LoopBack::new("").unwrap(), &());
-        known
+        let mut exchanges = Self { framing, exchanges: Vec::new() };
+        exchanges.add(&LoopBack::new("").unwrap(), &());
+        exchanges
     }
 
     fn add<C: Command>(&mut self, request: &C, reply: &C::Reply) {
-        let (mut asked, mut answer) = (BytesMut::new(), BytesMut::new());
-        encode_request(request, self.framing, 1, &mut asked).unwrap();
+        let (mut sent, mut answer) = (BytesMut::new(), BytesMut::new());
+        encode_request(request, self.framing, 1, &mut sent).unwrap();
         encode_reply(request, Ok(reply), self.framing, 1, &mut answer);
-        self.exchanges.push((asked, answer));
+        self.exchanges.push((sent, answer));
     }
 
-    /// A PLC that is asked nothing else, but for the check with which the connection begins.
+    /// Starts a PLC that answers these requests, and the first check of the connection.
     fn serve(self, in_step: InStepSettings) -> Station {
         let framing = self.framing;
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -130,11 +131,11 @@ impl Known {
             while let Ok(more @ 1..) = stream.read(&mut buffer[len..]) {
                 len += more;
                 let request = &buffer[..len];
-                if let Some((_, answer)) = self.exchanges.iter().find(|(asked, _)| asked == request) {
+                if let Some((_, answer)) = self.exchanges.iter().find(|(sent, _)| sent == request) {
                     stream.write_all(answer).unwrap();
                     len = 0;
-                } else if !self.exchanges.iter().any(|(asked, _)| asked.starts_with(request)) {
-                    // Once, before the calls that are counted.
+                } else if !self.exchanges.iter().any(|(sent, _)| sent.starts_with(request)) {
+                    // The first check, before the calls that are counted.
                     let mut received = BytesMut::from(request);
                     let Some(received) = Codec::new(framing, Side::Plc).decode(&mut received).unwrap() else {
                         continue;

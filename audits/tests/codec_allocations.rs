@@ -1,5 +1,5 @@
-//! A warm codec takes nothing from the heap: no frame that is encoded or decoded does, however the bytes arrive, and of a
-//! whole exchange only the values do.
+//! A warm codec does not allocate: encoding and decoding frames takes no heap, however the bytes
+//! arrive. A whole exchange allocates only the values.
 #![allow(clippy::print_stdout, reason = "it is a program")]
 
 use bytes::{Bytes, BytesMut};
@@ -16,31 +16,31 @@ static HEAP: dhat::Alloc = dhat::Alloc;
 
 const FRAMES: u64 = 1000;
 
-/// Without the test harness, whose own thread allocates, too: the heap is one.
+/// Runs without the test harness, whose thread allocates, too.
 fn main() {
     let _profiler = dhat::Profiler::builder().testing().build();
     for framing in [Framing::Ascii, Framing::Binary] {
         let words: Vec<u16> = (0..MAX_UNITS as u16).map(|n| n.wrapping_mul(0x9E37)).collect();
         let states: Vec<bool> = (0..MAX_POINTS).map(|n| n % 3 == 0).collect();
-        of_a_read(framing, ReadRegisters::new(register!("R1000"), MAX_UNITS).unwrap(), words);
-        of_a_read(framing, ReadDiscretes::new(discrete!("M100"), MAX_POINTS).unwrap(), states);
+        check_read(framing, ReadRegisters::new(register!("R1000"), MAX_UNITS).unwrap(), words);
+        check_read(framing, ReadDiscretes::new(discrete!("M100"), MAX_POINTS).unwrap(), states);
         println!("{framing}: a warm codec allocates nothing but the values");
     }
 }
 
-fn of_a_read<C: Command>(framing: Framing, request: C, values: C::Reply) {
+fn check_read<C: Command>(framing: Framing, request: C, values: C::Reply) {
     let request_bytes = encoded(|dst| encode_request(&request, framing, 1, dst).unwrap());
     let reply_bytes = encoded(|dst| encode_reply(&request, Ok(&values), framing, 1, dst));
     for (bytes, receiver, sender) in
         [(&request_bytes, Side::Plc, Side::Client), (&reply_bytes, Side::Client, Side::Plc)]
     {
-        frames(framing, bytes, receiver, sender);
-        pieces(framing, bytes, receiver);
-        a_stream(framing, bytes, receiver);
-        noise(framing, bytes, receiver);
+        check_frames(framing, bytes, receiver, sender);
+        check_pieces(framing, bytes, receiver);
+        check_stream(framing, bytes, receiver);
+        check_noise(framing, bytes, receiver);
     }
 
-    // A client: the request goes out of one buffer, the reply comes in by another.
+    // Client: sends from one buffer and receives into another.
     let (mut sent, mut received, mut codec) = (BytesMut::new(), BytesMut::new(), Codec::new(framing, Side::Client));
     let mut exchange = || {
         sent.clear();
@@ -49,9 +49,9 @@ fn of_a_read<C: Command>(framing: Framing, request: C, values: C::Reply) {
         decode_reply(&request, framing, &next(&mut codec, &mut received).data).unwrap()
     };
     assert_eq!(exchange(), values);
-    assert_eq!(allocations(|| assert!(exchange() == values)), FRAMES, "{framing}: the values, once an exchange");
+    assert_eq!(allocations(|| assert!(exchange() == values)), FRAMES, "{framing}: the values of each exchange");
 
-    // A PLC: the same the other way round, and nothing at all, for it has the values.
+    // PLC: the same in the other direction. It has the values, so it allocates nothing.
     let (mut sent, mut received, mut codec) = (BytesMut::new(), BytesMut::new(), Codec::new(framing, Side::Plc));
     let mut exchange = || {
         received.extend_from_slice(&request_bytes);
@@ -64,8 +64,8 @@ fn of_a_read<C: Command>(framing: Framing, request: C, values: C::Reply) {
     assert_eq!(allocations(exchange), 0, "{framing}: replies of a PLC");
 }
 
-/// A frame at a time, in and out.
-fn frames(framing: Framing, bytes: &Bytes, receiver: Side, sender: Side) {
+/// Encodes and decodes single frames.
+fn check_frames(framing: Framing, bytes: &Bytes, receiver: Side, sender: Side) {
     let (mut buffer, mut codec) = (BytesMut::new(), Codec::new(framing, receiver));
     let mut decode = || {
         buffer.extend_from_slice(bytes);
@@ -73,7 +73,7 @@ fn frames(framing: Framing, bytes: &Bytes, receiver: Side, sender: Side) {
     };
     let frame = decode();
     decode();
-    assert!(frame == decode(), "the first one is still there, and the buffer is another one");
+    assert!(frame == decode(), "the first frame is still held, so the buffer is another one");
     assert_eq!(allocations(|| assert!(decode() == frame)), 0, "{framing}: decoding {} bytes", bytes.len());
 
     let (mut buffer, mut codec) = (BytesMut::new(), Codec::new(framing, sender));
@@ -86,8 +86,8 @@ fn frames(framing: Framing, bytes: &Bytes, receiver: Side, sender: Side) {
     assert_eq!(allocations(encode), 0, "{framing}: encoding {} bytes", bytes.len());
 }
 
-/// A frame in pieces of seven bytes.
-fn pieces(framing: Framing, bytes: &Bytes, receiver: Side) {
+/// Decodes a frame in pieces of seven bytes.
+fn check_pieces(framing: Framing, bytes: &Bytes, receiver: Side) {
     let (mut buffer, mut codec) = (BytesMut::new(), Codec::new(framing, receiver));
     let mut decode = || {
         let mut pieces = bytes.chunks(7).peekable();
@@ -103,8 +103,8 @@ fn pieces(framing: Framing, bytes: &Bytes, receiver: Side) {
     assert_eq!(allocations(|| drop(decode())), 0, "{framing}: decoding {} bytes in pieces", bytes.len());
 }
 
-/// Frames one behind the other, as `FramedRead` reads them: parts of frames stand at the end of its buffer.
-fn a_stream(framing: Framing, bytes: &Bytes, receiver: Side) {
+/// Decodes consecutive frames with `FramedRead`, whose buffer ends within a frame.
+fn check_stream(framing: Framing, bytes: &Bytes, receiver: Side) {
     let all = bytes.repeat(2 * FRAMES as usize);
     let mut stream = FramedRead::new(&all[..], Codec::new(framing, receiver));
     let mut decode = || match stream.next().now_or_never() {
@@ -115,8 +115,8 @@ fn a_stream(framing: Framing, bytes: &Bytes, receiver: Side) {
     assert_eq!(allocations(decode), 0, "{framing}: a stream of {} bytes each", bytes.len());
 }
 
-/// What is no frame is handed out as well.
-fn noise(framing: Framing, bytes: &Bytes, receiver: Side) {
+/// Decodes noise, which is returned as discarded bytes.
+fn check_noise(framing: Framing, bytes: &Bytes, receiver: Side) {
     let mut bad = BytesMut::from(&bytes[..]);
     *bad.iter_mut().rev().nth(4).unwrap() ^= 1;
     let (mut buffer, mut codec) = (BytesMut::new(), Codec::new(framing, receiver));
@@ -137,7 +137,7 @@ fn noise(framing: Framing, bytes: &Bytes, receiver: Side) {
     assert_eq!(allocations(decode), 0, "{framing}: noise around {} bytes", bytes.len());
 }
 
-/// How many there are in as many repetitions as `FRAMES`.
+/// Number of allocations in [`FRAMES`] repetitions.
 fn allocations(mut work: impl FnMut()) -> u64 {
     let before = dhat::HeapStats::get().total_blocks;
     (0..FRAMES).for_each(|_| work());

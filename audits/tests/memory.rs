@@ -1,8 +1,9 @@
-//! What a link costs on the heap, counted to the byte: its slot in the pool, its handle, its task, its buffers, and the
-//! future of a caller. A byte too much here is ten thousand of them in a service that polls as many PLCs.
+//! Heap memory of a link in bytes: its slot in the pool, its handle, task and buffers, and the
+//! future of a caller. A service that polls ten thousand PLCs has ten thousand of them.
 //!
-//! Sockets are not in it: the connections here answer by themselves. `examples/poll_many` measures all together.
-#![allow(clippy::print_stdout, reason = "the figures are what it is for")]
+//! Sockets are not included: these connections answer by themselves. `examples/poll_many` measures
+//! the whole.
+#![allow(clippy::print_stdout, reason = "prints its figures")]
 
 #[path = "../../tests/plant/mod.rs"]
 mod plant;
@@ -22,7 +23,7 @@ static HEAP: dhat::Alloc = dhat::Alloc;
 const LINKS: usize = 512;
 const KIB: usize = 1024;
 
-/// One test, because the heap is one.
+/// A single test, because all tests would share the heap.
 #[tokio::test(start_paused = true)]
 async fn a_link_keeps_little_memory_and_no_buffers() {
     let _profiler = dhat::Profiler::builder().testing().build();
@@ -34,44 +35,44 @@ async fn a_link_keeps_little_memory_and_no_buffers() {
         let stations: Vec<Station> = (0..LINKS).map(|n| pool.station(plant.endpoint(n), 1).unwrap()).collect();
         let per_link = |what: &str, limit: usize| {
             let bytes = (heap() - before) / LINKS;
-            println!("{framing}: {bytes} bytes a link {what}");
-            assert!(bytes <= limit, "{framing}: {bytes} bytes a link {what}, more than {limit}");
+            println!("{framing}: {bytes} bytes per link {what}");
+            assert!(bytes <= limit, "{framing}: {bytes} bytes per link {what}, more than {limit}");
             bytes
         };
-        per_link("that nobody has used", 4 * KIB);
+        per_link("when unused", 4 * KIB);
 
         read_all(&stations, 10).await;
-        let connected = per_link("that is connected", 6 * KIB);
+        let connected = per_link("when connected", 6 * KIB);
 
         read_all(&stations, 64).await;
-        all_are(Mode::Babbles);
+        all_are(Mode::Noisy);
         read_all(&stations, 10).await;
         all_are(Mode::Answers);
         read_all(&stations, 10).await;
-        let after = per_link("that has received much", 6 * KIB);
-        assert!(after <= connected + 64, "{framing}: nothing of it is kept");
+        let after = per_link("after much traffic", 6 * KIB);
+        assert!(after <= connected + 64, "{framing}: no buffer is kept");
 
-        all_are(Mode::Hesitates);
+        all_are(Mode::Delayed);
         let mut calls = JoinSet::new();
         for station in &stations {
             let station = station.clone();
             calls.spawn(async move { station.read_registers(register!("R0"), 10).await.unwrap() });
         }
         sleep(Duration::from_millis(100)).await;
-        per_link("with a call under way", 7 * KIB);
+        per_link("with a call in flight", 7 * KIB);
         all_are(Mode::Answers);
         assert_eq!(calls.join_all().await.len(), LINKS);
-        assert!(per_link("after it", 6 * KIB) <= connected + 64, "{framing}: nothing of the call is kept");
+        assert!(per_link("after the call", 6 * KIB) <= connected + 64, "{framing}: nothing of the call is kept");
 
         sleep(IDLE).await;
         assert_eq!(pool.stats().idle, LINKS);
-        assert!(per_link("that has fallen idle", 6 * KIB) <= connected);
+        assert!(per_link("when idle", 6 * KIB) <= connected);
 
         pool.close().await;
         drop((pool, stations));
         sleep(Duration::from_millis(1)).await;
-        // What is left is the queue of the runtime, which has grown.
-        per_link("that is gone", 64);
+        // The rest is the queue of the runtime, which has grown.
+        per_link("after dropping", 64);
     }
 }
 

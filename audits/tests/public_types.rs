@@ -1,5 +1,5 @@
-//! What a later release may add to without breaking a program: every public enum, every public struct that can be written as
-//! a literal, and every public trait is either closed for a reason that stands here, or left open in the source.
+//! Room for additions: every public enum, constructible struct and trait is either open to
+//! additions, or closed for a reason given here.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ const CLOSED_ENUMS: &[(&str, &str)] = &[
     ("Width", "the protocol has values of 1, 16 and 32 bits"),
 ];
 
-/// Structs that can be written as literals and taken apart.
+/// Structs that can be constructed and destructured.
 const CLOSED_STRUCTS: &[(&str, &str)] = &[
     ("ControlDiscrete", "all that command 42 has"),
     ("Frame", "all that a frame of either framing carries; codecs take frames that were made elsewhere"),
@@ -24,11 +24,13 @@ const CLOSED_STRUCTS: &[(&str, &str)] = &[
     ("WriteProgramPage", "all that command 50 has"),
 ];
 
-/// Variants whose fields can be named without `..`. Those of errors are not asked for: their fields are what their message says,
-/// programs match on them and tests compare with them, and what a later release has more to tell is a new variant.
+/// Variants that can be matched without `..`.
+///
+/// Variants of errors are not listed: programs match on their fields, and later releases add
+/// variants instead of fields.
 const CLOSED_VARIANTS: &[(&str, &str)] = &[
-    ("Received::Discarded", "the bytes and why; both are what everybody takes out"),
-    ("Fault::Delay", "tests write it down: a new field would be asked of all of them"),
+    ("Received::Discarded", "the bytes and the reason; every user takes both"),
+    ("Fault::Delay", "tests construct it: a new field would break all of them"),
     ("Fault::AnswerBroadcast", "like `Fault::Delay`"),
     ("Fault::Extended", "like `Fault::Delay`"),
     ("Fault::GarbageBefore", "like `Fault::Delay`"),
@@ -42,25 +44,25 @@ const CLOSED_VARIANTS: &[(&str, &str)] = &[
     ("Timing::WithNextRequest", "like `Fault::Delay`"),
 ];
 
-/// Traits that can be implemented elsewhere, so that a new method without a body would break a program.
+/// Traits that can be implemented elsewhere: a new method without a body would break a program.
 const OPEN_TRAITS: &[(&str, &str)] = &[
     ("Execute", "needs `Command`, which is sealed"),
-    ("FieldReader", "`fatek decode` has a reader of its own that notes the fields; a new method must have a body"),
+    ("FieldReader", "`fatek decode` implements it to note the fields; a new method must have a body"),
     ("FieldWriter", "like `FieldReader`, whose counterpart it is"),
 ];
 
 #[derive(Default)]
-struct Found {
+struct Scan {
     enums: BTreeSet<String>,
     structs: BTreeSet<String>,
     variants: BTreeSet<String>,
     traits: BTreeSet<String>,
-    /// Public enums and structs, open or closed.
+    /// Number of public enums and structs.
     seen: usize,
 }
 
-impl Found {
-    fn look(&mut self, items: &[Item], path: &Path) {
+impl Scan {
+    fn scan(&mut self, items: &[Item], path: &Path) {
         for item in items {
             match item {
                 Item::Enum(item) if is_public(&item.vis) => {
@@ -92,15 +94,15 @@ impl Found {
                         self.traits.insert(item.ident.to_string());
                     }
                 }
-                Item::Mod(item) => self.look(item.content.as_ref().map_or(&[], |(_, items)| items), path),
-                // The tables make their enums by macros, which are tokens here.
-                Item::Macro(item) => self.look_at_tokens(&item.mac.tokens.to_string(), path),
+                Item::Mod(item) => self.scan(item.content.as_ref().map_or(&[], |(_, items)| items), path),
+                // The tables define enums by macros, whose content is tokens here.
+                Item::Macro(item) => self.scan_tokens(&item.mac.tokens.to_string(), path),
                 _ => {}
             }
         }
     }
 
-    fn look_at_tokens(&mut self, tokens: &str, path: &Path) {
+    fn scan_tokens(&mut self, tokens: &str, path: &Path) {
         let mut parts = tokens.split("pub enum");
         let mut before = parts.next();
         for part in parts {
@@ -138,13 +140,13 @@ fn sources(folder: &Path, files: &mut Vec<PathBuf>) {
     }
 }
 
-fn found() -> Found {
+fn found() -> Scan {
     let mut files = Vec::new();
     sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../src"), &mut files);
-    let mut found = Found::default();
+    let mut found = Scan::default();
     for path in files {
         let text = std::fs::read_to_string(&path).expect("it can be read");
-        found.look(&syn::parse_file(&text).expect("it is Rust").items, &path);
+        found.scan(&syn::parse_file(&text).expect("it is Rust").items, &path);
     }
     found
 }
@@ -154,11 +156,11 @@ fn names(list: &[(&str, &str)]) -> BTreeSet<String> {
 }
 
 #[test]
-fn only_what_the_protocol_closes_can_be_matched_or_built_without_room_for_more() {
+fn types_are_exhaustive_only_for_a_stated_reason() {
     let found = found();
-    // A scan that finds nothing would have nothing to object to.
+    // A scan that finds no types would pass.
     assert!(found.seen > 100, "only {} public types were found", found.seen);
-    let hint = "add #[non_exhaustive], or say in this file why it is closed";
+    let hint = "add #[non_exhaustive], or give the reason in this file";
     assert_eq!(found.enums, names(CLOSED_ENUMS), "public enums: {hint}");
     assert_eq!(found.structs, names(CLOSED_STRUCTS), "public structs with public fields: {hint}");
     assert_eq!(found.variants, names(CLOSED_VARIANTS), "fields of variants: {hint}");
@@ -166,11 +168,11 @@ fn only_what_the_protocol_closes_can_be_matched_or_built_without_room_for_more()
 
 #[test]
 fn public_traits_are_sealed() {
-    assert_eq!(found().traits, names(OPEN_TRAITS), "seal it, or say in this file why it is open");
+    assert_eq!(found().traits, names(OPEN_TRAITS), "seal it, or give the reason in this file");
 }
 
 #[test]
-fn an_enum_struct_variant_or_trait_that_was_left_closed_is_found() {
+fn the_scan_finds_types_and_traits_left_closed() {
     let text = "
         pub enum Shut { A { field: u8 } }
         #[non_exhaustive] pub enum Open { #[non_exhaustive] B { field: u8 }, C(u8) }
@@ -180,8 +182,8 @@ fn an_enum_struct_variant_or_trait_that_was_left_closed_is_found() {
         enum Private { E { field: u8 } }
         mod inner { pub trait Anyone {} pub trait Few: sealed::Sealed {} }
     ";
-    let mut found = Found::default();
-    found.look(&syn::parse_file(text).expect("it is Rust").items, Path::new("here"));
+    let mut found = Scan::default();
+    found.scan(&syn::parse_file(text).expect("it is Rust").items, Path::new("here"));
     let set = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect::<BTreeSet<_>>();
     assert_eq!(found.enums, set(&["Shut"]));
     assert_eq!(found.variants, set(&["Shut::A"]));
@@ -191,6 +193,6 @@ fn an_enum_struct_variant_or_trait_that_was_left_closed_is_found() {
 
 #[test]
 #[should_panic(expected = "made by a macro")]
-fn an_enum_that_a_macro_makes_is_looked_at_too() {
-    Found::default().look_at_tokens("# [derive (Debug)] pub enum Made { }", Path::new("here"));
+fn the_scan_looks_into_macros() {
+    Scan::default().scan_tokens("# [derive (Debug)] pub enum Made { }", Path::new("here"));
 }

@@ -1,15 +1,13 @@
-//! Decoders.
-//!
-//! Invariants: every byte is returned once and in order, for any split of the input; the frames are
-//! those of the reference decoder; a decoded frame encodes to the same bytes; at most one frame of
-//! the longest length is buffered.
+//! Decoders are total: every byte comes out once and in order, however the input is cut into
+//! pieces. The frames are those of the reference decoder, and encoding a decoded frame gives its
+//! bytes. The buffer never exceeds the longest frame.
 
 use bytes::BytesMut;
 use fatek::wire::{AsciiCodec, BinaryCodec, Codec, EncodeError, Framing, MAX_FRAME_LEN, Received, Side};
 use tokio_util::codec::{Decoder, Encoder};
 
-use crate::book::{carried, decode_within, drain, places, places_by_the_book};
 use crate::input::{Flags, Input};
+use crate::reference::{decode_within, drain, frame_content, frame_ranges, reference_ranges};
 use crate::repair::repair;
 
 /// Bits of the first byte.
@@ -33,12 +31,12 @@ pub(crate) fn run(framing: Framing, input: &[u8]) {
     let limit = if flags.has(SHORT) { SHORT_LIMIT } else { MAX_FRAME_LEN };
 
     let whole = decode_within(limit, &mut codec(framing, receiver, limit), bytes.chunks(limit.max(1)));
-    let found = places(framing, &bytes, &whole).unwrap();
-    assert_eq!(found, places_by_the_book(framing, receiver, &bytes, limit), "frames of the reference decoder");
+    let found = frame_ranges(framing, &bytes, &whole).unwrap();
+    assert_eq!(found, reference_ranges(framing, receiver, &bytes, limit), "frames of the reference decoder");
 
     let pieces = if flags.has(SINGLE_BYTES) { 1 } else { usize::from(cuts % 61) + 2 };
     let cut = decode_within(limit, &mut codec(framing, receiver, limit), bytes.chunks(pieces.min(limit)));
-    assert_eq!(places(framing, &bytes, &cut).unwrap(), found, "pieces of {pieces} bytes");
+    assert_eq!(frame_ranges(framing, &bytes, &cut).unwrap(), found, "pieces of {pieces} bytes");
     assert_eq!(frames(&cut), frames(&whole));
 
     silences(framing, receiver, limit, &bytes, usize::from(cuts) + 1);
@@ -59,8 +57,8 @@ fn frames(items: &[Received]) -> Vec<&fatek::wire::Frame> {
     items.iter().filter_map(|item| if let Received::Frame(frame) = item { Some(frame) } else { None }).collect()
 }
 
-/// Decodes with silences between the pieces: other frames may be found, but every byte is returned
-/// once.
+/// A line that falls silent now and then: other frames may be found, but no byte is lost or comes
+/// twice.
 fn silences(framing: Framing, receiver: Side, limit: usize, bytes: &[u8], pieces: usize) {
     let mut codec = codec(framing, receiver, limit);
     let (mut buffer, mut items) = (BytesMut::new(), Vec::new());
@@ -74,11 +72,11 @@ fn silences(framing: Framing, receiver: Side, limit: usize, bytes: &[u8], pieces
     while let Some(item) = codec.decode_eof(&mut buffer).unwrap() {
         items.push(item);
     }
-    places(framing, bytes, &items).unwrap();
+    frame_ranges(framing, bytes, &items).unwrap();
 }
 
 fn encodes_to_itself(framing: Framing, receiver: Side, bytes: &[u8]) {
-    let frame = carried(framing, bytes);
+    let frame = frame_content(framing, bytes);
     let sender = if receiver == Side::Client { Side::Plc } else { Side::Client };
     let mut encoded = BytesMut::new();
     match Codec::new(framing, sender).encode(&frame, &mut encoded) {

@@ -11,8 +11,6 @@
 pub mod ascii;
 pub mod backup_file;
 pub mod binary;
-#[path = "../../tests/common/book.rs"]
-mod book;
 mod codec;
 pub mod dictionary;
 pub mod element;
@@ -20,6 +18,8 @@ pub mod endpoint;
 mod input;
 pub mod link;
 pub mod program_file;
+#[path = "../../tests/common/reference.rs"]
+mod reference;
 pub mod repair;
 pub mod reply;
 pub mod request;

@@ -7,8 +7,8 @@ use bytes::{Bytes, BytesMut};
 use fatek::command::{Code, Command, ErrorField, InvalidRequest, ReplyError, Request, decode_reply, encode_reply};
 use fatek::wire::{Frame, Framing};
 
-use crate::book::carried;
 use crate::input::{Flags, Input};
+use crate::reference::frame_content;
 
 const STATION: u8 = 1;
 
@@ -45,7 +45,7 @@ fn check_request(request: &Request, frame: &Frame, framing: Framing) {
         let mut encoded = BytesMut::new();
         match request.encode(to, STATION, &mut encoded) {
             Ok(()) => {
-                let again = carried(to, &encoded);
+                let again = frame_content(to, &encoded);
                 assert_eq!(Request::decode(&again, to).as_ref(), Ok(request), "{frame:?} in {to}");
                 assert!(to != framing || same(framing, &again.data, &frame.data), "{frame:?} is encoded as {again:?}");
             }
@@ -106,8 +106,8 @@ fn check_reply<C: Command>(request: &C, data: &[u8], framing: Framing) -> bool {
     };
     let mut frame = BytesMut::new();
     encode_reply(request, encoded, framing, STATION, &mut frame);
-    let again = carried(framing, &frame);
-    // A program page (4F) has two forms; the one with the error digit is sent.
+    let again = frame_content(framing, &frame);
+    // Of a program page (4F) there are two forms; the one with the digit is what is sent.
     let digit_missing = C::CODE.error_field() == ErrorField::ByLength && again.data.len() == data.len() + 1;
     let sent = if digit_missing { &again.data[1..] } else { &again.data[..] };
     assert!(same(framing, sent, data), "{request:?}: {reply:?} of {data:?}");

@@ -4,7 +4,7 @@ use fatek::tag::Tag;
 use fatek::wire::{Framing, Side};
 use fatek::{Backup, Program, Symbol};
 
-use crate::book::{Vector, vectors};
+use crate::reference::{Vector, vectors};
 use crate::saved;
 
 pub fn ascii() -> Vec<Vec<u8>> {

@@ -1,4 +1,4 @@
-//! A simulated PLC of a modest size, a station to talk to it, and all of its memory.
+//! Test bench: a simulated PLC of modest size, a station, and all of its memory.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use fatek::{CallOptions, Element, Link, Station, Symbol, element};
 
 pub(crate) const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 
-/// The last element of each memory.
+/// Last element of each area.
 const LAST: [Element; 11] = [
     element!("X255"),
     element!("Y255"),
@@ -44,22 +44,22 @@ impl Bench {
         Self { plc, faults, framing, bus }
     }
 
-    /// Over a link of its own.
+    /// A station over a new link.
     pub(crate) fn station(&self) -> Station {
         self.station_named("in memory")
     }
 
-    /// Over a link of this name.
+    /// A station over a new link of this name.
     pub(crate) fn station_named(&self, name: &str) -> Station {
         let connector = sim::connector(self.bus.clone(), self.framing);
         let options = CallOptions::new().response_timeout(Duration::from_millis(60));
         Link::connector_builder(name, self.framing, connector).options(options).build().station(1).unwrap()
     }
 
-    /// Fills all memory with something that depends on the seed.
-    pub(crate) fn fill(&self, dice: &mut Dice) {
+    /// Fills all memory with random values.
+    pub(crate) fn fill(&self, rng: &mut Rng) {
         for element in memory() {
-            self.plc.write(element, random(element, dice)).unwrap();
+            self.plc.write(element, random(element, rng)).unwrap();
         }
     }
 
@@ -67,7 +67,7 @@ impl Bench {
         memory().map(|element| (element, self.plc.read(element))).collect()
     }
 
-    /// The writes that arrived, refused ones and lost ones included: first elements and numbers.
+    /// First element and count of all writes that arrived, refused and lost ones included.
     pub(crate) fn writes(&self) -> Vec<(Element, usize)> {
         self.faults.log().entries().iter().filter_map(written).collect()
     }
@@ -81,7 +81,7 @@ pub(crate) fn model() -> Model {
     LAST.into_iter().fold(Model::default(), Model::last)
 }
 
-/// All that a PLC of this model has, without overlaps.
+/// All elements of this model, without overlaps.
 pub(crate) fn memory() -> impl Iterator<Item = Element> {
     LAST.into_iter().flat_map(|last| (0..=last.address()).map(move |address| element(last.symbol(), address)))
 }
@@ -90,8 +90,8 @@ fn element(symbol: Symbol, address: u16) -> Element {
     Element::new(symbol, address).unwrap()
 }
 
-pub(crate) fn random(element: Element, dice: &mut Dice) -> Value {
-    let bits = dice.next();
+pub(crate) fn random(element: Element, rng: &mut Rng) -> Value {
+    let bits = rng.next();
     match element {
         Element::Discrete(_) => Value::Bit(bits & 1 == 1),
         Element::Register(_) => Value::Word(bits as u16),
@@ -104,7 +104,7 @@ pub(crate) fn written(entry: &LogEntry) -> Option<(Element, usize)> {
         Request::WriteDiscretes(write) => (write.first().into(), write.states().len()),
         Request::WriteRegisters(write) => (write.first().into(), write.values().len()),
         Request::WriteRegisters32(write) => (write.first().into(), write.values().len()),
-        // Another spelling of the same: see `in_step`.
+        // Another spelling of the same write: see `in_step`.
         Request::WriteMixed(write) => (write.items().first()?.0, write.items().len()),
         _ => return None,
     })
@@ -114,8 +114,8 @@ pub(crate) fn tags<const N: usize>(texts: [&str; N]) -> [Tag; N] {
     texts.map(|text| text.parse().unwrap())
 }
 
-/// The elements of these, as memory has them: discretes, and registers of 16 bits.
-pub(crate) fn atoms(ranges: &[Tag]) -> Vec<Element> {
+/// The elements of these ranges as discretes and 16-bit registers.
+pub(crate) fn base_elements(ranges: &[Tag]) -> Vec<Element> {
     let of = |range: &Tag| {
         let (first, last) = (range.first(), range.elements().last().unwrap());
         let symbol: Symbol = match first.symbol() {
@@ -132,10 +132,10 @@ pub(crate) fn atoms(ranges: &[Tag]) -> Vec<Element> {
     ranges.iter().flat_map(of).collect()
 }
 
-/// `SplitMix64`: a run depends on its seed and on nothing else.
-pub(crate) struct Dice(pub(crate) u64);
+/// `SplitMix64`: a run depends on its seed alone.
+pub(crate) struct Rng(pub(crate) u64);
 
-impl Dice {
+impl Rng {
     pub(crate) fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);

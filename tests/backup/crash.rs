@@ -1,4 +1,4 @@
-//! A restoring that breaks off at every single request, and is done again.
+//! Restores that are interrupted at every single request, and resumed.
 
 use std::collections::HashSet;
 
@@ -9,14 +9,14 @@ use fatek::tag::Tag;
 use fatek::wire::Framing;
 use fatek::{Element, Value, element};
 
-use crate::bench::{Bench, Dice, FRAMINGS, tags};
+use crate::bench::{Bench, FRAMINGS, Rng, tags};
 
 const RANGES: [&str; 3] = ["R0-R150", "DD10-DD20", "M0-M19"];
 
-/// A backup, and a running PLC that holds something else.
+/// Creates a backup, and a running PLC with other values.
 async fn prepare(framing: Framing) -> (Bench, Backup, Vec<(Element, Value)>) {
     let bench = Bench::new(framing, Faults::new(1));
-    bench.fill(&mut Dice(5));
+    bench.fill(&mut Rng(5));
     let backup = bench.station().back_up(tags(RANGES)).await.unwrap();
     for (element, value) in backup.elements() {
         let other = match value.unwrap() {
@@ -36,7 +36,7 @@ fn options() -> RestoreOptions {
     RestoreOptions::new().stop_first().run_again()
 }
 
-/// That what is said of a restoring is so.
+/// Checks that a report is true.
 fn check(report: &RestoreReport, bench: &Bench, backup: &Backup, note: &str) {
     let holds = |element: Element| Some(Ok(bench.plc.read(element))) == backup.value(element);
     let all = |ranges: &[Tag], expected: bool| {
@@ -65,7 +65,7 @@ fn check_end(bench: &Bench, backup: &Backup, before: &[(Element, Value)], note: 
     }
 }
 
-/// How many requests an undisturbed restoring takes.
+/// Number of requests of an undisturbed restore.
 async fn requests(framing: Framing) -> u64 {
     let (bench, backup, before) = prepare(framing).await;
     let report = bench.station().restore(&backup, options()).await.unwrap();
@@ -75,7 +75,7 @@ async fn requests(framing: Framing) -> u64 {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_is_gone_at_any_request_is_restored_when_it_is_back() {
+async fn a_restore_interrupted_at_any_request_can_be_resumed() {
     for framing in FRAMINGS {
         let all = requests(framing).await;
         assert!(all > 20, "{all}");
@@ -83,7 +83,8 @@ async fn a_plc_that_is_gone_at_any_request_is_restored_when_it_is_back() {
             for at in 0..all {
                 let note = format!("{framing}, {fault:?} at {at}");
                 let (bench, backup, before) = prepare(framing).await;
-                // The first request is executed or not, as the fault is; after it there is nobody.
+                // The fault decides whether the request is executed. After it the PLC does not
+                // answer.
                 bench.faults.set_rules([
                     Rule::new(fault.clone()).skip(at).times(1),
                     Rule::new(Fault::Ignore).skip(at + u64::from(fault != Fault::Ignore)),
@@ -97,7 +98,7 @@ async fn a_plc_that_is_gone_at_any_request_is_restored_when_it_is_back() {
 
                 bench.faults.set_rules([]);
                 if at % 2 == 0 {
-                    // Another process, which does not know that the PLC ran.
+                    // Another process has not seen the PLC run.
                     let was_running = bench.plc.is_running();
                     bench.station().restore(&backup, options()).await.unwrap();
                     assert_eq!(bench.plc.is_running(), was_running, "{note}");
@@ -112,7 +113,7 @@ async fn a_plc_that_is_gone_at_any_request_is_restored_when_it_is_back() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_restoring_that_is_dropped_at_any_request_can_be_done_again() {
+async fn a_restore_dropped_at_any_request_can_be_resumed() {
     for framing in FRAMINGS {
         for at in 1..=requests(framing).await {
             let note = format!("{framing}, dropped at {at}");
@@ -125,7 +126,7 @@ async fn a_restoring_that_is_dropped_at_any_request_can_be_done_again() {
                 ended = restore.run(&station) => { ended.unwrap(); false },
             };
             assert!(dropped, "{note}");
-            // What is on its way is executed, and that is in doubt.
+            // The request in flight is executed, so it is in doubt.
             tokio::time::sleep(std::time::Duration::from_millis(10)).await;
             check(&restore.report(), &bench, &backup, &note);
             restore.run(&station).await.unwrap();
@@ -136,7 +137,7 @@ async fn a_restoring_that_is_dropped_at_any_request_can_be_done_again() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_write_without_an_answer_is_looked_at_before_it_is_repeated() {
+async fn an_unanswered_write_is_verified_before_it_is_repeated() {
     for framing in FRAMINGS {
         for (fault, sent) in
             [(Fault::DropReply, 1), (Fault::Disconnect(DisconnectAt::BeforeReply), 1), (Fault::Ignore, 2)]
@@ -154,7 +155,7 @@ async fn a_write_without_an_answer_is_looked_at_before_it_is_repeated() {
             assert_eq!(report.written, tags(["R0-R150", "DD10-DD20", "M0-M19"]));
             check_end(&bench, &backup, &before, "lost once");
         }
-        // It is given up at last.
+        // Attempts are limited.
         let (bench, backup, _) = prepare(framing).await;
         bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::WriteDiscretes)]);
         let error = bench.station().restore(&backup, RestoreOptions::new().attempts(2)).await.unwrap_err();

@@ -1,4 +1,4 @@
-//! One duplicate of a reply comes out of order, in turn at each request.
+//! Backups and restores with one roaming duplicate, at each request in turn.
 
 use fatek::backup::RestoreOptions;
 use fatek::command::Value;
@@ -6,7 +6,7 @@ use fatek::element::Register;
 use fatek::sim::{Bus, Plc};
 
 use crate::bench::tags;
-use crate::roaming::Roaming;
+use crate::roaming::RoamingLine;
 
 fn plc() -> Plc {
     let plc = Plc::new();
@@ -16,8 +16,8 @@ fn plc() -> Plc {
     plc
 }
 
-fn line(plc: &Plc, from: usize) -> Roaming {
-    Roaming::new(Bus::new().with_station(1, plc.clone()).unwrap(), from)
+fn line(plc: &Plc, from: usize) -> RoamingLine {
+    RoamingLine::new(Bus::new().with_station(1, plc.clone()).unwrap(), from)
 }
 
 /// Without jobs this gave 764 wrong values of 8255.
@@ -26,7 +26,7 @@ async fn no_value_of_a_backup_is_a_roaming_duplicate() {
     let (mut copies, mut wrong) = (0, 0);
     for from in 1..=13 {
         let line = line(&plc(), from);
-        // The last request has 63 registers, as others have.
+        // The last request has 63 registers, like others.
         let backup = line.station.back_up(tags(["R0-R634"])).await.unwrap();
         assert!(backup.is_complete());
         let is_wrong = |&(element, value): &(fatek::Element, Result<Value, _>)| {
@@ -39,14 +39,14 @@ async fn no_value_of_a_backup_is_a_roaming_duplicate() {
     assert!(copies >= 10, "{copies}");
 }
 
-/// Without jobs 16 of the 40 restorings failed.
+/// Without jobs 16 of the 40 restores failed.
 #[tokio::test(start_paused = true)]
-async fn a_restoring_ends_well_in_spite_of_a_roaming_duplicate() {
+async fn a_roaming_duplicate_does_not_spoil_a_restore() {
     let backup = line(&plc(), usize::MAX).station.back_up(tags(["R0-R639"])).await.unwrap();
     let (mut copies, mut wrong, mut failed) = (0, 0, 0);
     for from in 1..=40 {
         let plc = plc();
-        // Other values, in every other hundred.
+        // Other values in every other hundred.
         for address in (0..640).filter(|address| address / 100 % 2 == 1) {
             plc.write(Register::r(address), address).unwrap();
         }

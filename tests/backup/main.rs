@@ -1,4 +1,4 @@
-//! Backing up and restoring a simulated PLC.
+//! Backups and restores of a simulated PLC.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 

@@ -1,4 +1,4 @@
-//! What becomes of a PLC that runs, of a program that has its own mind, and of discretes that somebody has forced.
+//! Options of a restore: running PLCs, programs that overwrite values, and forced discretes.
 
 use std::time::Duration;
 
@@ -9,19 +9,19 @@ use fatek::sim::{Fault, Faults, Rule};
 use fatek::tag::Tag;
 use fatek::{CallOptions, ErrorCode, Value, discrete, element, register};
 
-use crate::bench::{Bench, Dice, FRAMINGS, tags};
+use crate::bench::{Bench, FRAMINGS, Rng, tags};
 
-/// A backup of these, and a running PLC that holds something else.
+/// Creates a backup of these ranges, and a running PLC with other values.
 async fn prepare<const N: usize>(bench: &Bench, ranges: [&str; N]) -> Backup {
     let backup = bench.station().back_up(tags(ranges)).await.unwrap();
-    bench.fill(&mut Dice(4));
+    bench.fill(&mut Rng(4));
     bench.plc.run();
     bench.clear_log();
     backup
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_is_stopped_and_run_again_only_by_choice() {
+async fn a_plc_is_stopped_and_run_again_only_on_request() {
     for framing in FRAMINGS {
         for (options, runs, was_stopped) in [
             (RestoreOptions::new(), true, false),
@@ -34,7 +34,7 @@ async fn a_plc_is_stopped_and_run_again_only_by_choice() {
             let report = bench.station().restore(&backup, options).await.unwrap();
             assert_eq!((bench.plc.is_running(), report.was_stopped), (runs, was_stopped), "{options:?}");
             assert_eq!(report.plc, if runs { PlcState::Running } else { PlcState::Stopped });
-            // One that was stopped before stays so, and nothing is said to it.
+            // A stopped PLC stays stopped and gets no command.
             bench.plc.stop();
             bench.plc.write(element!("R0"), 7_u16).unwrap();
             let report = bench.station().restore(&backup, options).await.unwrap();
@@ -51,7 +51,7 @@ async fn a_plc_is_stopped_and_run_again_only_by_choice() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_somebody_has_stopped_since_is_not_run() {
+async fn a_plc_stopped_by_another_user_is_not_run_again() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         let (backup, station) = (prepare(&bench, ["R0-R9"]).await, bench.station());
@@ -64,7 +64,7 @@ async fn a_plc_that_somebody_has_stopped_since_is_not_run() {
         let report = restore.run(&station).await.unwrap();
         assert_eq!((bench.plc.is_running(), report.was_stopped), (false, false), "{report}");
 
-        // This one fails while the PLC is stopped; comparing in between does not make it forget.
+        // This restore fails while the PLC is stopped. A comparison meanwhile does not lose that.
         bench.plc.run();
         bench.plc.write(element!("R0"), 7_u16).unwrap();
         let ignore = Rule::new(Fault::Ignore);
@@ -75,7 +75,7 @@ async fn a_plc_that_somebody_has_stopped_since_is_not_run() {
         restore.run(&station).await.unwrap();
         assert!(bench.plc.is_running());
 
-        // Somebody runs the PLC after such a failure, and stops it after the next one.
+        // Another user runs the PLC after such a failure, and stops it after the next one.
         bench.plc.write(element!("R0"), 7_u16).unwrap();
         bench.faults.set_rules([ignore.clone().command(Code::WriteRegisters)]);
         restore.run(&station).await.unwrap_err();
@@ -90,7 +90,7 @@ async fn a_plc_that_somebody_has_stopped_since_is_not_run() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_is_not_stopped_for_nothing() {
+async fn a_plc_is_not_stopped_without_need() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         let station = bench.station();
@@ -99,7 +99,7 @@ async fn a_plc_is_not_stopped_for_nothing() {
             let log = bench.faults.log().entries();
             log.iter().filter(|entry| entry.request().is_some_and(|request| request.code() == Code::ControlPlc)).count()
         };
-        // All is as it should be, or stays as it is forced.
+        // All elements are equal or forced.
         let backup = station.back_up(tags(["R0-R9", "M0-M9"])).await.unwrap();
         bench.plc.run();
         let report = station.restore(&backup, options).await.unwrap();
@@ -108,7 +108,7 @@ async fn a_plc_is_not_stopped_for_nothing() {
         station.set(discrete!("M3")).await.unwrap();
         let report = station.restore(&backup, options).await.unwrap();
         assert_eq!((stops(), report.was_stopped, report.forced), (0, false, tags(["M3"]).to_vec()));
-        // It does not have all elements.
+        // The PLC lacks some elements.
         let larger = Bench::with_model(framing, Faults::new(1), fatek::sim::Model::default());
         let more = larger.station().back_up(tags(["F90-F150"])).await.unwrap();
         let error = station.restore(&more, options).await.unwrap_err();
@@ -118,30 +118,31 @@ async fn a_plc_is_not_stopped_for_nothing() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_changes_until_the_plc_has_stopped_is_compared_again() {
+async fn elements_are_compared_again_after_the_stop() {
     let bench = Bench::new(FRAMINGS[0], Faults::new(1));
     let backup = bench.station().back_up(tags(["R0-R99"])).await.unwrap();
     bench.plc.write(element!("R3"), 1_u16).unwrap();
     bench.plc.run();
-    let (plc, told) = (bench.plc.clone(), std::sync::Arc::new(std::sync::Mutex::new(Vec::new())));
-    let tell = told.clone();
+    let (plc, reports) = (bench.plc.clone(), std::sync::Arc::new(std::sync::Mutex::new(Vec::new())));
+    let report_sink = reports.clone();
     let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first()).on_progress(move |progress| {
-        let mut told = tell.lock().unwrap();
-        told.push((progress.phase.to_string(), progress.done, progress.bytes));
-        if told.len() == 2 {
+        let mut reports = report_sink.lock().unwrap();
+        reports.push((progress.phase.to_string(), progress.done, progress.bytes));
+        if reports.len() == 2 {
             plc.write(element!("R3"), 0_u16).unwrap();
             plc.write(element!("R70"), 1_u16).unwrap();
         }
     });
     let report = restore.run(&bench.station()).await.unwrap();
     assert_eq!((report.written, report.plc), (tags(["R70"]).to_vec(), PlcState::Stopped));
-    let told = told.lock().unwrap();
-    let compared: Vec<_> = told.iter().filter(|told| told.0 == "comparing").map(|told| (told.1, told.2)).collect();
+    let reports = reports.lock().unwrap();
+    let compared: Vec<_> =
+        reports.iter().filter(|reports| reports.0 == "comparing").map(|reports| (reports.1, reports.2)).collect();
     assert_eq!(compared, [(64, 128), (100, 200), (64, 128), (100, 200)]);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stop_whose_answer_is_lost_is_confirmed_by_the_status() {
+async fn an_unanswered_stop_is_confirmed_by_the_status() {
     for framing in FRAMINGS {
         for fault in [Fault::DropReply, Fault::Ignore] {
             let bench = Bench::new(framing, Faults::new(1));
@@ -150,7 +151,7 @@ async fn a_stop_whose_answer_is_lost_is_confirmed_by_the_status() {
             let report = bench.station().restore(&backup, RestoreOptions::new().stop_first()).await.unwrap();
             assert_eq!((bench.plc.is_running(), report.plc), (false, PlcState::Stopped), "{fault:?}");
         }
-        // One that never stops: the request does not even arrive.
+        // A PLC that never stops: the command does not arrive.
         let bench = Bench::new(framing, Faults::new(1));
         let backup = prepare(&bench, ["R0-R9"]).await;
         bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::ControlPlc)]);
@@ -162,7 +163,7 @@ async fn a_stop_whose_answer_is_lost_is_confirmed_by_the_status() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_does_not_run_again_is_told_and_holds_all() {
+async fn a_plc_that_refuses_to_run_is_restored_completely() {
     let bench = Bench::new(FRAMINGS[0], Faults::new(1));
     let backup = prepare(&bench, ["R0-R9"]).await;
     bench.plc.refuse_run(Some(ErrorCode::LadderChecksum));
@@ -176,7 +177,7 @@ async fn a_plc_that_does_not_run_again_is_told_and_holds_all() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_a_program_changes_in_between_is_reported() {
+async fn elements_overwritten_by_the_program_are_reported() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         let backup = prepare(&bench, ["R0-R199", "M0-M9"]).await;
@@ -203,7 +204,7 @@ async fn what_a_program_changes_in_between_is_reported() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_value_of_two_registers_that_a_program_counts_on_is_written_whole() {
+async fn a_changing_32_bit_value_is_written_whole() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         bench.plc.write(element!("DR0"), 0x0001_0005_u32).unwrap();
@@ -211,7 +212,7 @@ async fn a_value_of_two_registers_that_a_program_counts_on_is_written_whole() {
         bench.plc.write(element!("DR0"), 0x0001_FFFF_u32).unwrap();
         bench.plc.run();
         let (plc, mut compared) = (bench.plc.clone(), false);
-        // The low word differs when it is compared, and the high one is another as soon as it has been.
+        // The low word differs in the comparison; the high word changes right after it.
         let mut restore = Restore::new(&backup, RestoreOptions::new()).on_progress(move |_| {
             if !std::mem::replace(&mut compared, true) {
                 plc.write(element!("DR0"), 0x0002_0000_u32).unwrap();
@@ -224,12 +225,12 @@ async fn a_value_of_two_registers_that_a_program_counts_on_is_written_whole() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_value_of_two_words_of_which_one_is_forced_stays_as_it_is() {
+async fn a_32_bit_value_with_a_forced_bit_is_left_alone() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         let station = bench.station();
         let backup = station.back_up(tags(["WM0-WM80:u32"])).await.unwrap();
-        // In the word that is right, in one that differs, and nowhere.
+        // In the word that is equal, in one that differs, and in none.
         for forced in [discrete!("M20"), discrete!("M40")] {
             station.disable(forced).await.unwrap();
         }
@@ -243,7 +244,7 @@ async fn a_value_of_two_words_of_which_one_is_forced_stays_as_it_is() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn forced_discretes_stay_as_they_are_unless_chosen() {
+async fn forced_discretes_are_kept_unless_requested() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         let backup = bench
@@ -256,7 +257,7 @@ async fn forced_discretes_stay_as_they_are_unless_chosen() {
             station.disable(forced).await.unwrap();
             station.set(forced).await.unwrap();
         }
-        // This one is forced to what the backup has.
+        // This one is forced to the value of the backup.
         station.disable(discrete!("Y4")).await.unwrap();
         let others =
             [element!("M2"), element!("Y0"), element!("M40"), element!("M66"), element!("M127"), element!("X3")];
@@ -283,7 +284,7 @@ async fn forced_discretes_stay_as_they_are_unless_chosen() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_does_not_tell_what_is_forced_is_not_written() {
+async fn a_plc_that_refuses_43_is_not_written() {
     let bench = Bench::new(FRAMINGS[0], Faults::new(1));
     let backup = prepare(&bench, ["R0-R9", "M0-M9"]).await;
     bench.faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ReadDisabled)]);
@@ -294,27 +295,35 @@ async fn a_plc_that_does_not_tell_what_is_forced_is_not_written() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn progress_tells_each_phase_from_its_beginning_to_its_end() {
+async fn progress_reports_every_phase_completely() {
     let bench = Bench::new(FRAMINGS[0], Faults::new(1));
     let backup = prepare(&bench, ["R0-R99", "M0-M9"]).await;
-    let told = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
-    let tell = told.clone();
+    let reports = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
+    let report_sink = reports.clone();
     let options = CallOptions::new().response_timeout(Duration::from_secs(1));
     let restore = Restore::new(&backup, RestoreOptions::new().bridge(10));
-    let mut restore = restore.on_progress(move |progress| tell.lock().unwrap().push(*progress));
+    let mut restore = restore.on_progress(move |progress| report_sink.lock().unwrap().push(*progress));
     let report = restore.run(&bench.station().with_options(options)).await.unwrap();
-    let told: Vec<_> =
-        told.lock().unwrap().iter().map(|told| (told.phase.to_string(), told.done, told.total, told.bytes)).collect();
+    let reports: Vec<_> = reports
+        .lock()
+        .unwrap()
+        .iter()
+        .map(|reports| (reports.phase.to_string(), reports.done, reports.total, reports.bytes))
+        .collect();
     let written: usize = report.written.iter().map(Tag::element_count).sum();
     let of = |phase: &str| {
-        told.iter().filter(|told| told.0 == phase).map(|told| (told.1, told.2, told.3)).collect::<Vec<_>>()
+        reports
+            .iter()
+            .filter(|reports| reports.0 == phase)
+            .map(|reports| (reports.1, reports.2, reports.3))
+            .collect::<Vec<_>>()
     };
     assert_eq!(of("comparing"), [(64, 110, 128), (100, 110, 200), (110, 110, 202)]);
     assert_eq!(of("verifying"), of("comparing"));
     let writing = of("writing");
     let &(done, total, _) = writing.last().unwrap();
     assert_eq!((done, total, writing[0].0), (written, written, 64));
-    assert!(
-        told.is_sorted_by_key(|told| ["comparing", "writing", "verifying"].iter().position(|phase| *phase == told.0))
-    );
+    assert!(reports.is_sorted_by_key(|reports| {
+        ["comparing", "writing", "verifying"].iter().position(|phase| *phase == reports.0)
+    }));
 }

@@ -1,4 +1,5 @@
-//! What a PLC refuses to give is missing, and never zero; what it refuses to take is told.
+//! Refusals: elements that a PLC refuses to read are missing and never zero; refused writes are
+//! reported.
 
 use fatek::backup::{Backup, Missing, Restore, RestoreFailure, RestoreOptions};
 use fatek::command::Code;
@@ -6,12 +7,12 @@ use fatek::sim::{Fault, Faults, Rule};
 use fatek::tag::Tag;
 use fatek::{Element, Error, ErrorCode, Value, element};
 
-use crate::bench::{Bench, Dice, FRAMINGS, model, tags};
+use crate::bench::{Bench, FRAMINGS, Rng, model, tags};
 
 const ILLEGAL: Missing = Missing::Refused(ErrorCode::IllegalAddress);
 
-/// That nothing of these was named by a write.
-fn untouched(bench: &Bench, ranges: &[Tag]) {
+/// Asserts that no write named any of these elements.
+fn assert_untouched(bench: &Bench, ranges: &[Tag]) {
     let missing: Vec<Element> = ranges.iter().flat_map(Tag::elements).collect();
     for (first, count) in bench.writes() {
         for n in 0..count {
@@ -21,7 +22,7 @@ fn untouched(bench: &Bench, ranges: &[Tag]) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_is_refused_is_missing_and_neither_zero_nor_written_back() {
+async fn refused_elements_are_missing_and_not_restored() {
     for framing in FRAMINGS {
         let small = model().last(element!("R100")).last(element!("DD21"));
         let bench = Bench::with_model(framing, Faults::new(1), small);
@@ -57,14 +58,14 @@ async fn what_is_refused_is_missing_and_neither_zero_nor_written_back() {
         assert_eq!((backup.is_complete(), backup.value_count()), (false, backup.element_count() - 41));
         assert_eq!(Backup::from_file(backup.to_file().as_bytes()), Ok(backup.clone()));
 
-        // A PLC that has all of it.
+        // Restore to a PLC that has all elements.
         let large = Bench::new(framing, Faults::new(1));
-        large.fill(&mut Dice(9));
+        large.fill(&mut Rng(9));
         let before = large.snapshot();
         let report = large.station().restore(&backup, RestoreOptions::new()).await.unwrap();
         assert_eq!(report.missing, backup.missing());
         assert!(report.to_string().ends_with(" written, 41 missing in the backup"), "{report}");
-        untouched(&large, &refused);
+        assert_untouched(&large, &refused);
         let held = |element: Element| before.iter().find(|(known, _)| *known == element).map(|(_, value)| *value);
         for element in tags(["R7-R8", "R101-R130", "D22-D31", "M50-M52", "M96-M111"]).iter().flat_map(Tag::elements) {
             assert_eq!(Some(large.plc.read(element)), held(element), "{element}");
@@ -77,7 +78,7 @@ async fn what_is_refused_is_missing_and_neither_zero_nor_written_back() {
 async fn a_plc_that_lacks_elements_is_not_written_at_all() {
     for framing in FRAMINGS {
         let large = Bench::new(framing, Faults::new(1));
-        large.fill(&mut Dice(2));
+        large.fill(&mut Rng(2));
         let backup = large.station().back_up(tags(["R0-R199", "M0-M9"])).await.unwrap();
         let small = Bench::with_model(framing, Faults::new(1), model().last(element!("R150")));
         let error = small.station().restore(&backup, RestoreOptions::new()).await.unwrap_err();
@@ -85,7 +86,7 @@ async fn a_plc_that_lacks_elements_is_not_written_at_all() {
         let refused: Vec<_> = error.report.refused.iter().map(|refused| (refused.range, refused.error)).collect();
         assert_eq!(refused, [("R151-R199".parse().unwrap(), ErrorCode::IllegalAddress)]);
         assert_eq!((small.faults.log().writes(), error.report.written.len()), (0, 0));
-        // What it has can be had.
+        // The elements that it has can be restored.
         let part = backup.select(tags(["R0-R150", "M0-M9"])).unwrap();
         small.station().restore(&part, RestoreOptions::new()).await.unwrap();
         assert_eq!(small.plc.read(element!("R150")), large.plc.read(element!("R150")));
@@ -93,14 +94,14 @@ async fn a_plc_that_lacks_elements_is_not_written_at_all() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_cannot_be_written_is_found_and_told_and_the_rest_is_written() {
+async fn elements_that_refuse_writes_are_reported() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         let backup = bench.station().back_up(tags(["R0-R99", "M0-M9"])).await.unwrap();
-        bench.fill(&mut Dice(2));
+        bench.fill(&mut Rng(2));
         bench.plc.write(element!("R50"), 5_u16).unwrap();
         let rule = Rule::new(Fault::Error(ErrorCode::IllegalValue)).command(Code::WriteRegisters);
-        // A write of up to 32 registers may be 49, too.
+        // A write of up to 32 registers may be a 49, too.
         let mixed = Rule::new(Fault::Error(ErrorCode::IllegalValue)).command(Code::WriteMixed);
         bench.faults.set_rules([rule.elements(element!("R49"), 2), mixed.elements(element!("R49"), 2)]);
         let error = bench.station().restore(&backup, RestoreOptions::new()).await.unwrap_err();
@@ -118,11 +119,11 @@ async fn what_cannot_be_written_is_found_and_told_and_the_rest_is_written() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_value_of_two_registers_of_which_one_cannot_be_written_stays_as_it_is() {
+async fn a_32_bit_value_with_a_refused_half_is_left_alone() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         let backup = bench.station().back_up(tags(["R200-R209:f32"])).await.unwrap();
-        bench.fill(&mut Dice(2));
+        bench.fill(&mut Rng(2));
         let before = bench.plc.read(element!("R202"));
         let rule = Rule::new(Fault::Error(ErrorCode::IllegalValue)).command(Code::WriteRegisters);
         let mixed = Rule::new(Fault::Error(ErrorCode::IllegalValue)).command(Code::WriteMixed);
@@ -138,10 +139,10 @@ async fn a_value_of_two_registers_of_which_one_cannot_be_written_stays_as_it_is(
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_rom_pack_ends_it_at_the_first_write() {
+async fn write_protection_ends_a_restore_at_the_first_write() {
     let bench = Bench::new(FRAMINGS[0], Faults::new(1));
     let backup = bench.station().back_up(tags(["R0-R199"])).await.unwrap();
-    bench.fill(&mut Dice(2));
+    bench.fill(&mut Rng(2));
     let rule = Rule::new(Fault::Error(ErrorCode::WriteProhibited)).command(Code::WriteRegisters);
     bench.faults.set_rules([rule]);
     let mut restore = Restore::new(&backup, RestoreOptions::new());

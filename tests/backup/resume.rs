@@ -1,4 +1,4 @@
-//! A backup that was broken off goes on with the PLC that it was begun with, and with no other.
+//! Resumed backups: they continue only with the PLC with which they began.
 
 use fatek::backup::{Backup, BackupError, TakeBackup};
 use fatek::sim::{Fault, Faults, Model, Rule};
@@ -19,7 +19,7 @@ async fn partial(framing: Framing, model: Model) -> Backup {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_backup_does_not_go_on_with_another_station() {
+async fn a_backup_does_not_resume_with_another_station() {
     for framing in FRAMINGS {
         let partial = partial(framing, model()).await;
         let bench = Bench::new(framing, Faults::new(1));
@@ -29,16 +29,16 @@ async fn a_backup_does_not_go_on_with_another_station() {
         assert!(matches!(error, BackupError::OtherStation { backup: 1, station: 2, .. }), "{error}");
         assert_eq!(error.to_string(), "the backup was begun with station 1, and cannot continue with station 2");
         assert_eq!((bench.faults.log().arrivals(), taking.partial()), (0, &partial));
-        // With the right one it does.
+        // With the right station it continues.
         assert!(taking.run(&bench.station()).await.unwrap().is_complete());
-        // One of which nothing is known goes on with any.
+        // An empty backup continues with any PLC.
         let unread = Backup::of(tags(["R0"])).unwrap();
         assert!(TakeBackup::resume(unread).run(&bench.station()).await.unwrap().is_complete());
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_backup_does_not_go_on_with_a_plc_of_another_model() {
+async fn a_backup_does_not_resume_with_another_model() {
     for framing in FRAMINGS {
         let partial = partial(framing, model().main_unit(1).io_points_code(3)).await;
         for (other, message) in [
@@ -55,7 +55,7 @@ async fn a_backup_does_not_go_on_with_a_plc_of_another_model() {
             // The check of the new connection, and 53.
             assert_eq!((bench.faults.log().arrivals(), taking.partial()), (2, &partial));
         }
-        // One that does not tell, where the other one did.
+        // A PLC that does not report its type, unlike the first one.
         let bench = Bench::new(framing, Faults::new(1));
         bench.faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ReadDetailedStatus)]);
         let error = TakeBackup::resume(partial.clone()).run(&bench.station()).await.unwrap_err();

@@ -1,5 +1,5 @@
-//! A PLC that is to stand still while it is restored: what becomes of the restoring when somebody sets it running, and what is
-//! said of a PLC that refuses to stop or to run.
+//! Restores that need a stopped PLC: other users who start it meanwhile, and PLCs that refuse STOP
+//! or RUN.
 
 use fatek::backup::{Backup, Restore, RestoreFailure, RestoreOptions};
 use fatek::command::Code;
@@ -11,7 +11,7 @@ use fatek::{ErrorCode, element};
 
 use crate::bench::{Bench, FRAMINGS, tags};
 
-/// A backup, and a stopped PLC that holds something else in R3, and in R70.
+/// Creates a backup, and a stopped PLC with other values in R3 and R70.
 async fn prepare(framing: Framing) -> (Bench, Backup) {
     let bench = Bench::new(framing, Faults::new(1));
     bench.plc.stop();
@@ -23,8 +23,15 @@ async fn prepare(framing: Framing) -> (Bench, Backup) {
     (bench, backup)
 }
 
-/// The restoring of it, in which somebody sets the PLC running when so many requests of this phase are done.
-fn disturbed(bench: &Bench, backup: &Backup, options: RestoreOptions, phase: Phase, requests: usize) -> Restore {
+/// Creates a restore during which another user starts the PLC, after this number of requests of a
+/// phase.
+fn started_meanwhile(
+    bench: &Bench,
+    backup: &Backup,
+    options: RestoreOptions,
+    phase: Phase,
+    requests: usize,
+) -> Restore {
     let (plc, mut done) = (bench.plc.clone(), 0);
     Restore::new(backup, options).on_progress(move |progress| {
         done += usize::from(progress.phase == phase);
@@ -34,37 +41,37 @@ fn disturbed(bench: &Bench, backup: &Backup, options: RestoreOptions, phase: Pha
     })
 }
 
-fn wants_it_stopped() -> [RestoreOptions; 3] {
+fn options_that_need_a_stopped_plc() -> [RestoreOptions; 3] {
     let options = RestoreOptions::new();
     [options.require_stopped(), options.stop_first(), options.stop_first().run_again()]
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_is_set_running_between_two_writes_or_while_it_is_verified_is_told() {
+async fn a_plc_started_during_a_restore_is_reported() {
     for framing in FRAMINGS {
-        for options in wants_it_stopped() {
+        for options in options_that_need_a_stopped_plc() {
             for (phase, requests) in [(Phase::Writing, 1), (Phase::Writing, 2), (Phase::Verifying, 2)] {
                 let note = format!("{framing}, {options:?}, {phase} {requests}");
                 let (bench, backup) = prepare(framing).await;
-                let mut restore = disturbed(&bench, &backup, options, phase, requests);
+                let mut restore = started_meanwhile(&bench, &backup, options, phase, requests);
                 let error = restore.run(&bench.station()).await.expect_err(&note);
                 let text = error.to_string();
                 assert!(text.starts_with("another client started the PLC while it was restored"), "{text}, {note}");
                 assert_eq!(error.report.plc, PlcState::Running, "{note}");
                 assert_eq!(error.report.written, tags(["R3", "R70"]), "{note}");
-                // What is done about that is up to whoever asked for it.
+                // The PLC is left running: the caller decides.
                 assert!(bench.plc.is_running(), "{note}");
             }
         }
-        // Where it was not to stand still, that is no matter.
+        // Without the requirement, a running PLC is no error.
         let (bench, backup) = prepare(framing).await;
-        let mut restore = disturbed(&bench, &backup, RestoreOptions::new(), Phase::Writing, 1);
+        let mut restore = started_meanwhile(&bench, &backup, RestoreOptions::new(), Phase::Writing, 1);
         restore.run(&bench.station()).await.unwrap();
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_a_program_has_changed_after_the_plc_was_set_running_is_told_with_that() {
+async fn changes_by_a_started_program_are_reported_too() {
     let (bench, backup) = prepare(FRAMINGS[0]).await;
     let plc = bench.plc.clone();
     let mut restore = Restore::new(&backup, RestoreOptions::new().require_stopped()).on_progress(move |progress| {
@@ -80,25 +87,26 @@ async fn what_a_program_has_changed_after_the_plc_was_set_running_is_told_with_t
 }
 
 #[tokio::test(start_paused = true)]
-async fn nothing_is_written_to_a_plc_that_is_set_running_while_it_is_compared() {
+async fn a_plc_started_during_the_comparison_is_not_written() {
     for framing in FRAMINGS {
         let (bench, backup) = prepare(framing).await;
-        let mut restore = disturbed(&bench, &backup, RestoreOptions::new().require_stopped(), Phase::Comparing, 2);
+        let mut restore =
+            started_meanwhile(&bench, &backup, RestoreOptions::new().require_stopped(), Phase::Comparing, 2);
         let error = restore.run(&bench.station()).await.unwrap_err();
         assert!(matches!(error.source, RestoreFailure::Running), "{error}");
         assert_eq!((bench.writes(), error.report.plc), (vec![], PlcState::Running));
 
-        // One that may be stopped is stopped now; and run again, because it ran before that.
+        // A PLC that may be stopped is stopped, and run again, because it ran before the stop.
         let (bench, backup) = prepare(framing).await;
         let options = RestoreOptions::new().stop_first().run_again();
-        let mut restore = disturbed(&bench, &backup, options, Phase::Comparing, 2);
+        let mut restore = started_meanwhile(&bench, &backup, options, Phase::Comparing, 2);
         let report = restore.run(&bench.station()).await.unwrap();
         assert_eq!((report.was_stopped, report.plc, bench.plc.is_running()), (true, PlcState::Running, true));
 
-        // Somebody runs it again as soon as it has been stopped: they want it to run.
+        // Another user starts the PLC right after the stop: it is left running.
         let (bench, backup) = prepare(framing).await;
         bench.plc.run();
-        let mut restore = disturbed(&bench, &backup, options, Phase::Comparing, 4);
+        let mut restore = started_meanwhile(&bench, &backup, options, Phase::Comparing, 4);
         let error = restore.run(&bench.station()).await.unwrap_err();
         assert!(error.to_string().starts_with("another client started the PLC"), "{error}");
         assert!(error.to_string().ends_with("; it was stopped, and the PLC runs"), "{error}");
@@ -107,11 +115,11 @@ async fn nothing_is_written_to_a_plc_that_is_set_running_while_it_is_compared() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_somebody_has_set_running_and_stopped_since_is_not_run() {
+async fn a_plc_started_and_stopped_by_others_is_not_run_again() {
     let (bench, backup) = prepare(FRAMINGS[0]).await;
     bench.plc.run();
     let options = RestoreOptions::new().stop_first().run_again();
-    let mut restore = disturbed(&bench, &backup, options, Phase::Writing, 1);
+    let mut restore = started_meanwhile(&bench, &backup, options, Phase::Writing, 1);
     restore.run(&bench.station()).await.unwrap_err();
     bench.plc.stop();
     bench.plc.write(element!("R3"), 1_u16).unwrap();
@@ -120,10 +128,10 @@ async fn a_plc_that_somebody_has_set_running_and_stopped_since_is_not_run() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_last_look_without_an_answer_leaves_the_state_unknown() {
+async fn an_unanswered_last_status_leaves_the_state_unknown() {
     for framing in FRAMINGS {
         let (bench, backup) = prepare(framing).await;
-        // It is looked at first, before the first write, and in the end.
+        // The status is read at the start, before the first write, and at the end.
         bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::ReadStatus).skip(2)]);
         let restored = bench.station().restore(&backup, RestoreOptions::new().require_stopped()).await;
         let error = restored.unwrap_err();
@@ -133,7 +141,7 @@ async fn a_last_look_without_an_answer_leaves_the_state_unknown() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_refuses_to_stop_is_known_to_run() {
+async fn a_plc_that_refuses_to_stop_is_reported_running() {
     for framing in FRAMINGS {
         let (bench, backup) = prepare(framing).await;
         bench.plc.run();
@@ -146,7 +154,7 @@ async fn a_plc_that_refuses_to_stop_is_known_to_run() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_refuses_to_run_again_is_known_to_be_stopped() {
+async fn a_plc_that_refuses_to_run_is_reported_stopped() {
     for framing in FRAMINGS {
         let (bench, backup) = prepare(framing).await;
         bench.plc.run();
@@ -160,7 +168,7 @@ async fn a_plc_that_refuses_to_run_again_is_known_to_be_stopped() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_is_known_of_one_plc_is_not_used_on_another() {
+async fn state_of_one_plc_is_not_used_on_another() {
     for framing in FRAMINGS {
         let (bench, backup) = prepare(framing).await;
         bench.plc.run();
@@ -169,14 +177,14 @@ async fn what_is_known_of_one_plc_is_not_used_on_another() {
         let error = restore.run(&bench.station()).await.unwrap_err();
         assert!(error.report.was_stopped && !bench.plc.is_running(), "{error}");
         bench.faults.set_rules([]);
-        // It stands still, and nothing here has stopped it.
+        // The other PLC is stopped, but not by this restore.
         let (other, _) = prepare(framing).await;
         let result = restore.run(&other.station_named("in another memory")).await;
         assert!(!other.plc.is_running() && other.faults.log().arrivals() == 0, "{framing}: {result:?}");
-        // What is known of the first one is not lost by that.
+        // State of the first PLC is kept.
         let report = restore.run(&bench.station()).await.unwrap();
         assert!(report.was_stopped && bench.plc.is_running(), "{framing}: {report}");
-        // When all is done, it may be used for others.
+        // After completion the restore may be used for other PLCs.
         let report = restore.run(&other.station_named("in another memory")).await.unwrap();
         assert!(!report.was_stopped && !other.plc.is_running(), "{framing}: {report}");
     }

@@ -6,56 +6,57 @@ use fatek::tag::{Tag, TagValue};
 use fatek::{CostModel, Link, Plan, Register32, Station, Symbol};
 use tokio::time::Instant;
 
-use crate::plant::{DISCRETES, Dice, READABLE, REFUSED, UNWRITABLE, WRITABLE, bit, d, dword, m, r, word};
+use crate::faults::FaultKind;
+use crate::layout::{DISCRETES, READABLE, REFUSED, UNWRITABLE, WRITABLE, bit, d, dword, m, r, word};
+use crate::rng::Rng;
 use crate::tally::Tally;
-use crate::troubles::Trouble;
 use crate::users::broadcast;
 use crate::world::World;
 
-/// Reads of 1 to 2000 elements, of 16 and of 32 bits, and of discretes.
-pub(crate) async fn long_reads(world: &World, link: &Link, dice: &mut Dice, requests: u64, tally: &mut Tally) {
+/// Reads 1 to 2000 elements at a time: 16-bit, 32-bit, or discretes.
+pub(crate) async fn long_reads(world: &World, link: &Link, rng: &mut Rng, requests: u64, tally: &mut Tally) {
     let requests = link.stats().stations.requests + requests;
     while link.stats().stations.requests < requests {
-        broadcast(world, link, dice, tally).await;
-        let station = link.station(world.any_station(dice)).unwrap();
-        long_read(world, &station, dice, tally).await;
+        broadcast(world, link, rng, tally).await;
+        let station = link.station(world.any_station(rng)).unwrap();
+        long_read(world, &station, rng, tally).await;
     }
 }
 
-async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mut Tally) {
+async fn long_read(world: &World, station: &Station, rng: &mut Rng, tally: &mut Tally) {
     let number = station.number();
     let began = Instant::now();
-    let most = dice.of(&[130, 2000]);
-    // More than one request, where only jobs are safe.
-    let least = |in_one_request: u16| if world.has(Trouble::Roaming) { in_one_request + 1 } else { 1 };
-    match dice.below(10) {
+    let most = rng.pick(&[130, 2000]);
+    // With a roaming duplicate only jobs are safe, so each read takes several requests.
+    let least = |in_one_request: u16| if world.has(FaultKind::RoamingOnce) { in_one_request + 1 } else { 1 };
+    match rng.below(10) {
         0..=4 => {
-            let count = dice.between(least(64), most);
-            let first = dice.between(0, READABLE - count);
+            let count = rng.between(least(64), most);
+            let first = rng.between(0, READABLE - count);
             let result = station.read_registers(r(first), count.into()).await;
             let expected = (first..first + count).map(|address| word(number, address));
             let what = format!("station {number}, R{first}, {count} of them");
             let _ = tally.call(what, (false, world.injected()), result, |got| got.iter().copied().eq(expected));
         }
         5 | 6 => {
-            let count = dice.between(least(32), most / 2);
-            let first = dice.between(0, READABLE - 2 * count);
+            let count = rng.between(least(32), most / 2);
+            let first = rng.between(0, READABLE - 2 * count);
             let result = station.read_registers32(Register32::new(Symbol::DR, first).unwrap(), count.into()).await;
             let expected = (0..count).map(|n| dword(number, first + 2 * n));
             let what = format!("station {number}, DR{first}, {count} of them");
             let _ = tally.call(what, (false, world.injected()), result, |got| got.iter().copied().eq(expected));
         }
         7 | 8 => {
-            let count = dice.between(least(256), DISCRETES);
-            let first = dice.between(0, DISCRETES - count);
+            let count = rng.between(least(256), DISCRETES);
+            let first = rng.between(0, DISCRETES - count);
             let result = station.read_discretes(m(first), count.into()).await;
             let expected = (first..first + count).map(|address| bit(number, address));
             let what = format!("station {number}, M{first}, {count} of them");
             let _ = tally.call(what, (false, &[]), result, |got| got.iter().copied().eq(expected));
         }
         _ => {
-            // It runs into what cannot be read.
-            let before = dice.between(least(64), most / 2);
+            // Runs into registers that cannot be read.
+            let before = rng.between(least(64), most / 2);
             let first = READABLE - before;
             let result = station.read_registers(r(first), usize::from(before) + 20).await;
             let what = format!("station {number}, R{first} and beyond R2999");
@@ -63,60 +64,60 @@ async fn long_read(world: &World, station: &Station, dice: &mut Dice, tally: &mu
             let _ = tally.call(what, (true, &right), result, |_| false);
         }
     }
-    world.in_time(began, usize::from(most) / 63 + 2, tally);
+    world.check_deadline(began, usize::from(most) / 63 + 2, tally);
 }
 
-/// Writes of 1 to 1000 registers, of 16 and of 32 bits.
-pub(crate) async fn long_writes(world: &World, link: &Link, dice: &mut Dice, requests: u64, tally: &mut Tally) {
+/// Writes 1 to 1000 registers at a time: 16-bit or 32-bit.
+pub(crate) async fn long_writes(world: &World, link: &Link, rng: &mut Rng, requests: u64, tally: &mut Tally) {
     let requests = link.stats().stations.requests + requests;
     while link.stats().stations.requests < requests {
-        broadcast(world, link, dice, tally).await;
-        let station = link.station(world.any_station(dice)).unwrap();
+        broadcast(world, link, rng, tally).await;
+        let station = link.station(world.any_station(rng)).unwrap();
         let number = station.number();
         let began = Instant::now();
-        let most = dice.of(&[140, 1000]);
-        let least = if world.has(Trouble::Roaming) { 33 } else { 1 };
-        let count = dice.between(least, most / 2) * 2;
+        let most = rng.pick(&[140, 1000]);
+        let least = if world.has(FaultKind::RoamingOnce) { 33 } else { 1 };
+        let count = rng.between(least, most / 2) * 2;
         let serial = world.serial();
-        let refused = dice.in_hundred(15);
+        let refused = rng.percent(15);
         let (first, count) = match refused {
-            // It runs into what cannot be written.
-            true => (WRITABLE - dice.between(0, most), count + UNWRITABLE / 2),
-            false => (dice.between(0, WRITABLE - count), count),
+            // Runs into registers that cannot be written.
+            true => (WRITABLE - rng.between(0, most), count + UNWRITABLE / 2),
+            false => (rng.between(0, WRITABLE - count), count),
         };
         let refused = refused && first + count > WRITABLE;
         let mut words = 1;
-        let result = if dice.in_hundred(70) {
+        let result = if rng.percent(70) {
             station.write_registers(d(first), &vec![serial; count.into()]).await
         } else {
             let values = vec![u32::from(serial) << 16 | u32::from(serial); usize::from(count) / 2];
             words = 2;
             station.write_registers32(Register32::new(Symbol::DD, first).unwrap(), &values).await
         };
-        world.wrote_many(number, (first, count), serial, words, &result);
+        world.record_write_of(number, (first, count), serial, words, &result);
         let what = format!("station {number}, write to D{first}, {count} of them");
         let right = if refused { [&[REFUSED], world.injected()].concat() } else { world.injected().to_vec() };
         let _ = tally.call(what, (refused, &right), result, |()| true);
-        world.in_time(began, usize::from(count) / 31 + 2, tally);
+        world.check_deadline(began, usize::from(count) / 31 + 2, tally);
     }
 }
 
-/// Plans of tags of several kinds.
-pub(crate) async fn plans(world: &World, dice: &mut Dice, requests: u64, tally: &mut Tally) {
+/// Reads plans of tags of several kinds.
+pub(crate) async fn plans(world: &World, rng: &mut Rng, requests: u64, tally: &mut Tally) {
     let link = world.link();
     while link.stats().stations.requests < requests {
-        broadcast(world, &link, dice, tally).await;
-        let station = link.station(world.any_station(dice)).unwrap();
+        broadcast(world, &link, rng, tally).await;
+        let station = link.station(world.any_station(rng)).unwrap();
         let number = station.number();
-        let tags: Vec<(Tag, Option<Vec<TagValue>>)> = (0..dice.between(2, 40)).map(|_| tag(number, dice)).collect();
+        let tags: Vec<(Tag, Option<Vec<TagValue>>)> = (0..rng.between(2, 40)).map(|_| tag(number, rng)).collect();
         let plan = Plan::builder(CostModel::network(world.framing, Duration::from_millis(5)))
             .tags(tags.iter().map(|&(tag, _)| tag))
             .build()
             .unwrap();
         let began = Instant::now();
         let readings = plan.read(&station).await;
-        world.in_time(began, plan.requests().len(), tally);
-        // A tag that is read together with one that is refused has its refusal.
+        world.check_deadline(began, plan.requests().len(), tally);
+        // A tag that shares a request with a refused tag is refused, too.
         let refused: &[_] = if tags.iter().any(|(_, values)| values.is_none()) { &[REFUSED] } else { &[] };
         let right = [refused, world.injected(), world.mixed()].concat();
         for (nth, (tag, expected)) in tags.iter().enumerate() {
@@ -129,12 +130,12 @@ pub(crate) async fn plans(world: &World, dice: &mut Dice, requests: u64, tally: 
     link.close().await;
 }
 
-/// A tag, and its values if it can be read.
-pub(crate) fn tag(station: u8, dice: &mut Dice) -> (Tag, Option<Vec<TagValue>>) {
-    let count = if dice.in_hundred(60) { 1 } else { dice.between(1, 100) };
-    let first = dice.between(0, DISCRETES - 2 * count);
+/// A random tag, with its values if it can be read.
+pub(crate) fn tag(station: u8, rng: &mut Rng) -> (Tag, Option<Vec<TagValue>>) {
+    let count = if rng.percent(60) { 1 } else { rng.between(1, 100) };
+    let first = rng.between(0, DISCRETES - 2 * count);
     let last = first + count - 1;
-    let (text, values): (String, Option<Vec<TagValue>>) = match dice.below(40) {
+    let (text, values): (String, Option<Vec<TagValue>>) = match rng.below(40) {
         0 => (format!("R{}", READABLE + first % 100), None),
         1..=20 => {
             (format!("R{first}-R{last}:u16"), Some((first..=last).map(|n| TagValue::U16(word(station, n))).collect()))

@@ -1,38 +1,37 @@
-//! What runs come to.
+//! Counts of the results of runs.
 
 use std::collections::BTreeMap;
 use std::fmt;
 
 use fatek::{Error, ErrorCode, LinkStats};
 
-use crate::plant::{kind, refusal};
-
-/// The results of one or many runs.
+/// Results of one or more runs.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tally {
     pub(crate) runs: u64,
     pub(crate) calls: u64,
-    /// Calls with the right result, refusals of what is refused included.
+    /// Calls with the right result, expected refusals included.
     pub(crate) right: u64,
     pub(crate) errors: BTreeMap<&'static str, u64>,
-    /// Wrong values, refused requests said to be done, refusals of other requests, and writes that were executed more or
-    /// less often than was said.
+    /// Wrong values, refused requests reported as done, refusals of other requests, and writes
+    /// executed more or less often than reported.
     pub(crate) wrong: Vec<String>,
     /// Calls that ended after their deadline.
     pub(crate) late: u64,
-    /// Requests on the wire, checks not counted.
+    /// Requests sent, checks not counted.
     pub(crate) requests: u64,
     pub(crate) checks: u64,
     pub(crate) duplicates: u64,
     pub(crate) repeated_jobs: u64,
-    /// Broadcasts sent, and those of them that were obeyed by somebody.
+    /// Broadcasts sent, and broadcasts executed by at least one station.
     pub(crate) broadcasts: (u64, u64),
-    /// How often each fault struck.
-    pub(crate) struck: BTreeMap<String, u64>,
+    /// Number of injections of each fault.
+    pub(crate) fault_counts: BTreeMap<String, u64>,
 }
 
 impl Tally {
-    /// Counts a call. `refusals`: those that are right; `refused`: nothing else is.
+    /// Counts a call. Only the refusals in `refusals` are right; with `refused`, no other result
+    /// is.
     pub(crate) fn call<T: fmt::Debug>(
         &mut self,
         what: impl fmt::Display,
@@ -76,19 +75,19 @@ impl Tally {
         self.repeated_jobs += other.repeated_jobs;
         self.broadcasts = (self.broadcasts.0 + other.broadcasts.0, self.broadcasts.1 + other.broadcasts.1);
         other.errors.into_iter().for_each(|(kind, count)| *self.errors.entry(kind).or_default() += count);
-        other.struck.into_iter().for_each(|(fault, count)| *self.struck.entry(fault).or_default() += count);
+        other.fault_counts.into_iter().for_each(|(fault, count)| *self.fault_counts.entry(fault).or_default() += count);
     }
 
     pub(crate) fn is_sound(&self) -> bool {
         self.wrong.is_empty() && self.late == 0
     }
 
-    /// Asserts that at least so many calls in a hundred had the right result.
+    /// Asserts that at least `percent` % of the calls had the right result.
     #[track_caller]
-    pub(crate) fn assert_right(&self, in_hundred: u64) {
+    pub(crate) fn assert_right(&self, percent: u64) {
         assert!(
-            self.right * 100 >= self.calls * in_hundred,
-            "{in_hundred} % of the calls have the right result: {self}"
+            self.right * 100 >= self.calls * percent,
+            "fewer than {percent} % of the calls have the right result: {self}"
         );
     }
 }
@@ -99,5 +98,33 @@ impl fmt::Display for Tally {
         write!(f, "{runs} runs, {requests} requests, {checks} checks, {duplicates} duplicates dropped, ")?;
         write!(f, "{repeated_jobs} jobs repeated; {calls} calls, {right} right, errors {errors:?}; ")?;
         write!(f, "broadcasts {:?}; {} wrong, {late} late", self.broadcasts, wrong.len())
+    }
+}
+
+/// Short name of an error.
+fn kind(error: &Error) -> &'static str {
+    match error {
+        Error::Invalid(_) => "invalid",
+        Error::Plc { .. } => "refused",
+        Error::Timeout { .. } => "timeout",
+        Error::BadReply { .. } => "bad reply",
+        Error::OutOfStep { .. } => "out of step",
+        Error::Duplicates { .. } => "duplicates",
+        Error::Offline { .. } => "offline",
+        Error::QueueFull { .. } => "queue full",
+        Error::Connect { .. } => "connect",
+        Error::Disconnected { .. } => "disconnected",
+        Error::PartlyWritten { source, .. } => kind(source),
+        Error::Closed { .. } => "closed",
+        _ => "other",
+    }
+}
+
+/// Error code of the refusal that caused the error.
+fn refusal(error: &Error) -> Option<ErrorCode> {
+    match error {
+        Error::Plc { error, .. } => Some(*error),
+        Error::PartlyWritten { source, .. } => refusal(source),
+        _ => None,
     }
 }

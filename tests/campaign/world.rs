@@ -1,4 +1,4 @@
-//! The simulated bus of a run, and what was written to it.
+//! The simulated bus of a run, with its faults and a record of the writes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Mutex;
@@ -13,51 +13,52 @@ use fatek::wire::Framing;
 use fatek::{Element, Error, Link, Symbol};
 use tokio::time::Instant;
 
-use crate::plant::{self, Dice, INJECTED, REFUSED, UNKNOWN_COMMAND, WRITABLE};
+use crate::faults::{self, FaultKind, label, left_over, refused_addresses};
+use crate::layout::{self, INJECTED, REFUSED, UNKNOWN_COMMAND, WRITABLE};
+use crate::line::{LineKind, Times};
+use crate::rng::Rng;
 use crate::tally::Tally;
-use crate::troubles::{self, Trouble, label, left_over, refused_addresses};
-use crate::wire::{Times, Wire};
 
-/// Any call must have ended by its deadline, or this much later.
+/// Allowance for calls that end after their deadline.
 const GRACE: Duration = Duration::from_millis(10);
-/// Arrivals in the log of a run.
+/// Capacity of the log of arrivals.
 const LOG_CAPACITY: usize = 100_000;
 
 pub(crate) struct World {
     pub(crate) framing: Framing,
-    pub(crate) wire: Wire,
+    pub(crate) line: LineKind,
     pub(crate) times: Times,
-    pub(crate) troubles: Vec<Trouble>,
+    pub(crate) fault_kinds: Vec<FaultKind>,
     pub(crate) stations: u8,
     pub(crate) bus: Bus,
     pub(crate) plcs: Vec<Plc>,
     pub(crate) faults: Faults,
-    /// More than [`GRACE`] in real time.
+    /// Longer than [`GRACE`] in real time.
     pub(crate) grace: Duration,
     in_step: InStepSettings,
     serial: AtomicU32,
     writes: Mutex<Vec<Write>>,
-    /// RUN and STOP, by station: called for, and confirmed.
+    /// RUN and STOP commands by station: number of calls, and number of confirmed calls.
     controls: Mutex<BTreeMap<(u8, bool), (u64, u64)>>,
     broadcasts: Mutex<Vec<u16>>,
 }
 
-/// A write, and what was said of it.
+/// A write and its reported outcome.
 #[derive(Debug)]
 struct Write {
     station: u8,
     first: u16,
     count: u16,
-    /// All the registers' value: no two writes have the same.
+    /// Value of all registers; no two writes have the same.
     serial: u16,
-    said: Said,
+    outcome: Outcome,
 }
 
 #[derive(Debug)]
-enum Said {
+enum Outcome {
     Done,
     NotDone,
-    /// So many for certain.
+    /// At least this many registers were written.
     Written(usize),
 }
 
@@ -65,63 +66,63 @@ impl World {
     pub(crate) fn new(
         seed: u64,
         framing: Framing,
-        wire: Wire,
-        troubles: Vec<Trouble>,
+        line: LineKind,
+        fault_kinds: Vec<FaultKind>,
         in_step: InStepSettings,
-        dice: &mut Dice,
+        rng: &mut Rng,
     ) -> Self {
-        let stations = dice.of(&[1, 1, 2, 3]);
-        let times = wire.times();
-        let mut faults = Faults::new(seed).log_capacity(LOG_CAPACITY).journal_capacity(0).line(wire.line(dice));
+        let stations = rng.pick(&[1, 1, 2, 3]);
+        let times = line.times();
+        let mut faults = Faults::new(seed).log_capacity(LOG_CAPACITY).journal_capacity(0).line(line.sim_line(rng));
         for rule in refused_addresses() {
             faults = faults.rule(rule);
         }
-        // First what happens once, as only one fault of each kind strikes.
-        for &trouble in &troubles {
-            let rules = troubles::rules(trouble, &times, troubles.len() == 1);
+        // Only one fault of each kind applies to a request, so rules that apply once come first.
+        for &kind in &fault_kinds {
+            let rules = faults::rules(kind, &times, fault_kinds.len() == 1);
             for rule in rules {
-                if trouble == Trouble::LeftAtStart {
+                if kind == FaultKind::LeftAtStart {
                     faults = (1..=stations).fold(faults, |faults, station| faults.rule(rule.clone().station(station)));
                 } else {
                     faults = faults.rule(rule);
                 }
             }
         }
-        if troubles.contains(&Trouble::LeftAtStart) {
-            left_over(stations, &times, dice).into_iter().for_each(|reply| faults.add_left_over(reply));
+        if fault_kinds.contains(&FaultKind::LeftAtStart) {
+            left_over(stations, &times, rng).into_iter().for_each(|reply| faults.add_left_over(reply));
         }
-        if wire.echoes() {
+        if line.echoes() {
             faults = faults.rule(Rule::new(Fault::Echo));
         }
-        let plcs: Vec<Plc> = (1..=stations).map(plant::plc).collect();
+        let plcs: Vec<Plc> = (1..=stations).map(layout::plc).collect();
         let bus = (1..).zip(&plcs).fold(Bus::new(), |bus, (n, plc)| bus.with_station(n, plc.clone()).unwrap());
-        // A device that knows no loop-back and closes each connection cannot be learned.
-        let closes = troubles.contains(&Trouble::Closes);
-        let told = closes && (troubles.contains(&Trouble::NoLoopBack) || dice.in_hundred(50));
+        // A link cannot learn that a PLC closes each connection if 4E is refused, too.
+        let closes = fault_kinds.contains(&FaultKind::Closes);
+        let one_request = closes && (fault_kinds.contains(&FaultKind::NoLoopBack) || rng.percent(50));
         Self {
             framing,
-            wire,
+            line,
             times,
             stations,
             bus: bus.with_faults(faults.clone()),
             plcs,
             faults,
             grace: GRACE,
-            in_step: in_step.with_one_request(told),
+            in_step: in_step.with_one_request(one_request),
             serial: AtomicU32::new(1),
             writes: Mutex::default(),
             controls: Mutex::default(),
             broadcasts: Mutex::default(),
-            troubles,
+            fault_kinds,
         }
     }
 
-    pub(crate) fn has(&self, trouble: Trouble) -> bool {
-        self.troubles.contains(&trouble)
+    pub(crate) fn has(&self, kind: FaultKind) -> bool {
+        self.fault_kinds.contains(&kind)
     }
 
     pub(crate) fn builder(&self) -> LinkBuilder {
-        self.wire.builder(self.bus.clone(), self.framing, self.in_step)
+        self.line.builder(self.bus.clone(), self.framing, self.in_step)
     }
 
     pub(crate) fn link(&self) -> Link {
@@ -132,17 +133,17 @@ impl World {
         self.in_step
     }
 
-    /// The settings of a link to the line.
+    /// Applies the settings for a link over the line.
     pub(crate) fn settings(&self, builder: LinkBuilder) -> LinkBuilder {
-        self.wire.settings(builder, self.framing, self.in_step)
+        self.line.settings(builder, self.framing, self.in_step)
     }
 
     pub(crate) fn plc(&self, station: u8) -> &Plc {
         &self.plcs[usize::from(station) - 1]
     }
 
-    pub(crate) fn any_station(&self, dice: &mut Dice) -> u8 {
-        1 + dice.below(self.stations.into()) as u8
+    pub(crate) fn any_station(&self, rng: &mut Rng) -> u8 {
+        1 + rng.below(self.stations.into()) as u8
     }
 
     /// A value that no other write of the run has.
@@ -151,28 +152,28 @@ impl World {
         u16::try_from(serial).expect("a run has fewer writes")
     }
 
-    /// The refusals that any request for registers may get.
+    /// Refusals that any request for registers may get.
     pub(crate) fn injected(&self) -> &'static [fatek::ErrorCode] {
-        if self.has(Trouble::Injected) { &[INJECTED] } else { &[] }
+        if self.has(FaultKind::Injected) { &[INJECTED] } else { &[] }
     }
 
-    /// The refusals that mixed reads and writes may get.
+    /// Refusals that mixed reads and writes may get.
     pub(crate) fn mixed(&self) -> &'static [fatek::ErrorCode] {
-        if self.has(Trouble::NoMixed) { &[UNKNOWN_COMMAND] } else { &[] }
+        if self.has(FaultKind::NoMixed) { &[UNKNOWN_COMMAND] } else { &[] }
     }
 
-    /// The refusals that loop-backs may get.
+    /// Refusals that loop-backs may get.
     pub(crate) fn loop_back(&self) -> &'static [fatek::ErrorCode] {
-        if self.has(Trouble::NoLoopBack) { &[UNKNOWN_COMMAND] } else { &[] }
+        if self.has(FaultKind::NoLoopBack) { &[UNKNOWN_COMMAND] } else { &[] }
     }
 
-    /// Notes a write to D and what was said of it.
-    pub(crate) fn wrote(&self, station: u8, first: u16, count: u16, serial: u16, result: &Result<(), Error>) {
-        self.wrote_many(station, (first, count), serial, 1, result);
+    /// Records a write to D and its result.
+    pub(crate) fn record_write(&self, station: u8, first: u16, count: u16, serial: u16, result: &Result<(), Error>) {
+        self.record_write_of(station, (first, count), serial, 1, result);
     }
 
-    /// The same of values that have so many words.
-    pub(crate) fn wrote_many(
+    /// Records a write of values of `words` words each.
+    pub(crate) fn record_write_of(
         &self,
         station: u8,
         (first, count): (u16, u16),
@@ -180,51 +181,51 @@ impl World {
         words: usize,
         result: &Result<(), Error>,
     ) {
-        let said = match result {
-            // This, too, is counted where it was returned.
-            Ok(()) if first + count > WRITABLE => Said::Written(0),
-            Ok(()) => Said::Done,
-            Err(Error::PartlyWritten { written, .. }) => Said::Written(words * written),
-            // A refusal that was never given to a write of these addresses is counted where it was returned.
+        let outcome = match result {
+            // Counted by the caller: a refused write was reported as done.
+            Ok(()) if first + count > WRITABLE => Outcome::Written(0),
+            Ok(()) => Outcome::Done,
+            Err(Error::PartlyWritten { written, .. }) => Outcome::Written(words * written),
+            // Counted by the caller: this error code is right for no write to these addresses.
             Err(Error::Plc { error, .. }) if !matches!(*error, REFUSED | INJECTED | UNKNOWN_COMMAND) => {
-                Said::Written(0)
+                Outcome::Written(0)
             }
-            Err(Error::Plc { error: REFUSED, .. }) if first + count <= WRITABLE => Said::Written(0),
-            // It was not sent, or the PLC has refused it.
-            Err(error) if !error.may_have_executed() => Said::NotDone,
-            Err(_) => Said::Written(0),
+            Err(Error::Plc { error: REFUSED, .. }) if first + count <= WRITABLE => Outcome::Written(0),
+            // Not sent, or refused by the PLC.
+            Err(error) if !error.may_have_executed() => Outcome::NotDone,
+            Err(_) => Outcome::Written(0),
         };
-        self.writes.lock().unwrap().push(Write { station, first, count, serial, said });
+        self.writes.lock().unwrap().push(Write { station, first, count, serial, outcome });
     }
 
-    pub(crate) fn controlled(&self, station: u8, run: bool, confirmed: bool) {
+    pub(crate) fn record_control(&self, station: u8, run: bool, confirmed: bool) {
         let mut controls = self.controls.lock().unwrap();
         let control = controls.entry((station, run)).or_default();
         *control = (control.0 + 1, control.1 + u64::from(confirmed));
     }
 
-    pub(crate) fn broadcast(&self, serial: u16) {
+    pub(crate) fn record_broadcast(&self, serial: u16) {
         self.broadcasts.lock().unwrap().push(serial);
     }
 
-    /// Counts a call that began then if it has not ended by its deadline.
-    pub(crate) fn in_time(&self, began: Instant, requests: usize, tally: &mut Tally) {
-        // Each of several requests, and each check, is a call with a deadline of its own.
+    /// Counts a call as late unless it has ended by its deadline.
+    pub(crate) fn check_deadline(&self, began: Instant, requests: usize, tally: &mut Tally) {
+        // Each request of a job, and each check, has a deadline of its own.
         let calls = if requests > 1 { 8 * requests } else { 1 };
         let deadline = self.times.call_timeout * u32::try_from(calls).unwrap() + self.grace;
         tally.late += u64::from(began.elapsed() > deadline);
     }
 
-    /// Compares the log with what was said.
+    /// Compares the simulator's log with the reported outcomes.
     pub(crate) fn audit(&self, tally: &mut Tally) {
         let log = self.faults.log();
-        assert_eq!(log.forgotten(), 0, "the log holds the run");
+        assert_eq!(log.forgotten(), 0, "the log is complete");
         let mut executed: BTreeMap<(u8, Element, u16), u64> = BTreeMap::new();
         let mut controls: BTreeMap<(u8, bool), u64> = BTreeMap::new();
         for entry in log.entries().iter().filter(|entry| entry.executed) {
             let (Some(station), Some(request)) = (entry.station(), entry.request()) else { continue };
             if let Request::ControlPlc(control) = request {
-                // Left-over ones were not called for here.
+                // Left-over requests come from an earlier client.
                 let is_ours =
                     !entry.faults.iter().any(|fault| matches!(fault, Fault::LeftOver { min, max } if min == max));
                 let run = matches!(control, ControlPlc::Run);
@@ -241,10 +242,10 @@ impl World {
         for write in &*self.writes.lock().unwrap() {
             for n in 0..write.count {
                 let times = times(write.station, Symbol::D, write.first + n, write.serial);
-                let right = match write.said {
-                    Said::Done => times == 1,
-                    Said::NotDone => times == 0,
-                    Said::Written(written) => times == 1 || times == 0 && usize::from(n) >= written,
+                let right = match write.outcome {
+                    Outcome::Done => times == 1,
+                    Outcome::NotDone => times == 0,
+                    Outcome::Written(written) => times == 1 || times == 0 && usize::from(n) >= written,
                 };
                 if !right {
                     tally.wrong.push(format!("register {n} of {write:?} was written {times} times"));
@@ -268,18 +269,18 @@ impl World {
             }
         }
         for rule in self.faults.rules() {
-            *tally.struck.entry(label(rule.fault())).or_default() += rule.times_applied();
+            *tally.fault_counts.entry(label(rule.fault())).or_default() += rule.times_applied();
         }
-        if self.has(Trouble::LeftAtStart) {
+        if self.has(FaultKind::LeftAtStart) {
             let is_left_over = |fault: &Fault| matches!(fault, Fault::LeftOver { min, max } if min == max);
             let entries = log.entries();
             let count = entries.iter().filter(|entry| entry.faults.iter().any(is_left_over)).count();
-            *tally.struck.entry("LeftOver at the start".to_owned()).or_default() += count as u64;
+            *tally.fault_counts.entry("LeftOver at the start".to_owned()).or_default() += count as u64;
         }
     }
 }
 
-/// The words that a request writes, each element once.
+/// Words that a request writes, each element once.
 fn words(request: &Request) -> BTreeSet<(Element, u16)> {
     let run = |first: Element, values: &[u16]| {
         values.iter().enumerate().map(move |(n, &value)| (first.nth(n).unwrap(), value)).collect::<Vec<_>>()

@@ -1,4 +1,5 @@
-//! A bus, a link to it, and what can be in the way of a call; and how a call is cut off.
+//! Fixture of the cancellation tests: a bus, a link, the obstacles that delay a call, and the means
+//! to cancel it.
 
 use std::future::{Future, poll_fn};
 use std::task::Poll;
@@ -15,59 +16,59 @@ use tokio::runtime::Builder;
 use tokio::task::JoinHandle;
 use tokio::time::sleep;
 
-use crate::memory::{d, m, page, word, words, x};
+use crate::elements::{d, m, page, word, words, x};
 
-/// How long the connection takes to open, and the PLC to get to a request.
-pub(crate) const A_WHILE: Duration = Duration::from_millis(2);
+/// Time to open a connection, and response time of the PLC.
+pub(crate) const DELAY: Duration = Duration::from_millis(2);
 pub(crate) const RESPONSE_TIMEOUT: Duration = Duration::from_millis(10);
 
-/// A call, its reply in words.
+/// A call; its result is the debug text of the reply.
 pub(crate) type Call = BoxFuture<'static, Result<String, Error>>;
 
-/// What stands in the way of the call.
+/// Cause of a delay of the call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Scene {
-    /// The connection is not open yet, and takes a while to be.
+pub(crate) enum Obstacle {
+    /// The connection is being opened.
     Opening,
-    /// Another call to the same station is on the wire.
+    /// Another call to the same station is in flight.
     Busy,
-    /// Many calls to the other station wait, and one of them is on the wire.
+    /// Many calls to the other station are queued, and one is in flight.
     Crowded,
-    /// A read has timed out, and its late reply comes while the barrier is on the wire.
-    Dirty,
-    /// What is asked first is done, and not answered.
+    /// A read has timed out. Its late reply comes while the check is in flight.
+    SuspectStation,
+    /// The next request is executed, but its reply is lost.
     Unanswered,
 }
 
-/// How far a call has come.
+/// How far a call has proceeded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Stage {
     Unpolled,
-    /// Polled, but not sent.
+    /// Polled, not sent.
     Queued,
     Connecting,
-    /// The barrier is, or has been, on the wire.
+    /// The check is, or was, in flight.
     Checked,
     Sent,
-    /// The PLC has done it, and its reply is on the way.
+    /// Executed by the PLC, with the reply on the way.
     Executed,
-    /// The reply has come, and nobody has looked at it yet.
+    /// The reply has arrived, and the caller has not been polled yet.
     Replied,
 }
 
-/// A bus with stations 1 and 2, and a link to it that is not open yet.
+/// A bus with stations 1 and 2, and a link that is not open yet.
 pub(crate) struct Bench {
     pub(crate) link: Link,
     pub(crate) plcs: [Plc; 2],
     pub(crate) faults: Faults,
 }
 
-/// What the link has done so far, for the first station and for all of them.
+/// Counters of station 1 and of the link.
 #[derive(Clone, Copy)]
-pub(crate) struct Progress {
+pub(crate) struct Counters {
     pub(crate) requests: u64,
     pub(crate) replies: u64,
-    /// Requests that may still be answered.
+    /// Requests without reply or timeout.
     pub(crate) outstanding: u64,
     pub(crate) checks: u64,
     pub(crate) broadcasts: u64,
@@ -88,41 +89,41 @@ impl Bench {
             plc.write(m(nth), true).unwrap();
             plc.set_page(n, page(n)).unwrap();
         }
-        let faults = Faults::new(1).line(Line::new(0).response_time(A_WHILE, A_WHILE)).rule(in_two_pieces());
+        let faults = Faults::new(1).line(Line::new(0).response_time(DELAY, DELAY)).rule(in_two_pieces());
         let [first, second] = plcs.clone();
         let bus = Bus::new().with_station(1, first).unwrap().with_station(2, second).unwrap();
         let mut connect = sim::connector(bus.with_faults(faults.clone()), framing);
         let slowly = move || {
             let connected = connect();
             async move {
-                sleep(A_WHILE).await;
+                sleep(DELAY).await;
                 connected.await
             }
         };
-        // Requests are spelt as themselves, so that their arrivals can be counted.
+        // Each request has one spelling, so that its arrivals can be counted.
         let in_step = InStepSettings::new().with_copies(0).unwrap();
         let builder = Link::connector_builder("a bench", framing, slowly).in_step(in_step);
         let link = builder.response_timeout(RESPONSE_TIMEOUT).build();
         Self { link, plcs, faults }
     }
 
-    /// Brings about what is to be in the way, and returns the calls that are.
-    pub(crate) async fn set(&self, scene: Scene) -> Vec<JoinHandle<Result<Vec<u16>, Error>>> {
-        if scene == Scene::Opening {
+    /// Sets up the obstacle, and returns the calls that it needs.
+    pub(crate) async fn set_up(&self, obstacle: Obstacle) -> Vec<JoinHandle<Result<Vec<u16>, Error>>> {
+        if obstacle == Obstacle::Opening {
             return Vec::new();
         }
-        // The check that a station gets first is not in its way any more.
+        // The first check of the station is done here.
         assert_eq!(self.station().read_registers(d(0), 3).await.unwrap(), words(0));
-        if scene == Scene::Crowded {
-            return self.crowd().await;
+        if obstacle == Obstacle::Crowded {
+            return self.queue_many_calls().await;
         }
-        match scene {
-            Scene::Busy => {
+        match obstacle {
+            Obstacle::Busy => {
                 let call = self.read(1, 300);
-                sleep(A_WHILE / 2).await;
+                sleep(DELAY / 2).await;
                 vec![call]
             }
-            Scene::Dirty => {
+            Obstacle::SuspectStation => {
                 let late = Fault::Delay { min: RESPONSE_TIMEOUT, max: RESPONSE_TIMEOUT };
                 self.faults.add_rule(Rule::new(late).times(1));
                 let once = self.station().with_options(self.station().options().retries(0));
@@ -136,15 +137,15 @@ impl Bench {
         }
     }
 
-    /// Many calls to the second station, of which one is on the wire.
-    pub(crate) async fn crowd(&self) -> Vec<JoinHandle<Result<Vec<u16>, Error>>> {
+    /// Queues many calls to station 2, one of them in flight.
+    pub(crate) async fn queue_many_calls(&self) -> Vec<JoinHandle<Result<Vec<u16>, Error>>> {
         self.link.station(2).unwrap().read_registers(d(300), 3).await.unwrap();
         let before = self.link.stats().stations.requests;
         let calls: Vec<_> = (0..70).map(|_| self.read(2, 300)).collect();
         for _ in &calls {
             tick().await;
         }
-        assert_eq!(self.link.stats().stations.requests, before + 1, "one is on the wire");
+        assert_eq!(self.link.stats().stations.requests, before + 1, "one is in flight");
         calls
     }
 
@@ -157,14 +158,14 @@ impl Bench {
         tokio::spawn(async move { station.read_registers(d(first), 3).await })
     }
 
-    pub(crate) fn progress(&self) -> Progress {
+    pub(crate) fn counters(&self) -> Counters {
         let (station, link) = (self.station().stats(), self.link.stats());
         let outstanding = station.requests - station.replies - station.timeouts;
         let (requests, replies, checks) = (station.requests, station.replies, station.checks);
-        Progress { requests, replies, outstanding, checks, broadcasts: link.broadcasts }
+        Counters { requests, replies, outstanding, checks, broadcasts: link.broadcasts }
     }
 
-    pub(crate) fn stage(&self, request: &Request, before: Progress, after: Progress) -> Stage {
+    pub(crate) fn stage(&self, request: &Request, before: Counters, after: Counters) -> Stage {
         let is_sent = after.requests > before.requests || after.broadcasts > before.broadcasts;
         match self.link.state() {
             _ if is_sent && after.outstanding == 0 && after.replies > before.replies => Stage::Replied,
@@ -176,15 +177,16 @@ impl Bench {
         }
     }
 
-    /// The arrivals of a request, whomever it was for.
+    /// Arrivals of a request at any station.
     pub(crate) fn log_of(&self, request: &Request) -> Vec<sim::LogEntry> {
         let log = self.faults.log().entries();
         log.into_iter().filter(|entry| entry.request() == Some(request)).collect()
     }
 }
 
-/// Polls a call so many times, and each time lets the others make a step. `None`: then it is dropped.
-pub(crate) async fn cut_off(mut call: Call, polls: u32) -> Option<Result<String, Error>> {
+/// Polls a call `polls` times, with one step of the other tasks after each. Then drops it and
+/// returns `None`.
+pub(crate) async fn cancel_after(mut call: Call, polls: u32) -> Option<Result<String, Error>> {
     for nth in 0..polls {
         if let Poll::Ready(result) = poll_once(&mut call).await {
             return Some(result);
@@ -198,8 +200,8 @@ pub(crate) async fn poll_once(call: &mut Call) -> Poll<Result<String, Error>> {
     poll_fn(|cx| Poll::Ready(call.as_mut().poll(cx))).await
 }
 
-/// First nothing, so that the call is still on its way to the link's task; then three tasks run once each, and then a
-/// millisecond passes.
+/// Lets the other tasks proceed: not at all after the first poll, so that the call is still on its
+/// way to the link's task; later by one task, or every fourth time by a millisecond.
 async fn step(nth: u32) {
     match nth {
         0 => {}
@@ -208,7 +210,7 @@ async fn step(nth: u32) {
     }
 }
 
-/// Has one other task run once, which it does only in the runtime of [`paused`].
+/// Runs one other task once; needs the runtime of [`paused`].
 pub(crate) async fn tick() {
     let mut is_over = false;
     poll_fn(|cx| {
@@ -222,12 +224,12 @@ pub(crate) async fn tick() {
     .await;
 }
 
-/// Runs a test with a paused clock, and not more than one other task before it is its turn again.
+/// Runs a test with a paused clock, in a runtime that polls one task at a time.
 pub(crate) fn paused(test: impl Future<Output = ()>) {
     Builder::new_current_thread().enable_all().start_paused(true).event_interval(1).build().unwrap().block_on(test);
 }
 
-pub(crate) fn closing(link: &Link) -> Call {
+pub(crate) fn close_call(link: &Link) -> Call {
     let link = link.clone();
     async move {
         link.close().await;
@@ -240,7 +242,7 @@ pub(crate) fn station(link: &Link) -> Station {
     link.station(1).unwrap()
 }
 
-/// So that a call can be dropped with half of its reply there.
+/// Splits replies, so that a call can be dropped between the halves.
 pub(crate) fn in_two_pieces() -> Rule {
     Rule::new(Fault::Split { pieces: 2, pause: Duration::from_millis(1) })
 }

@@ -1,4 +1,4 @@
-//! Every method that sends something: how it is called, what it asks for, and what it gives.
+//! All methods that send requests, each with its call, its request and its result.
 
 use bytes::BytesMut;
 use fatek::command::{
@@ -12,25 +12,25 @@ use futures::FutureExt;
 use tokio_util::codec::Encoder;
 
 use crate::bench::{Call, station};
-use crate::memory::{d, dd, double, dr, m, page, r, word, words, x};
+use crate::elements::{d, dd, double, dr, m, page, r, word, words, x};
 
-/// A method that sends something, called with other arguments each turn, and of the same shape.
+/// A method that sends a request. Arguments depend on the turn; all turns have the same shape.
 pub(crate) struct Method {
     pub(crate) name: &'static str,
-    pub(crate) kind: Kind,
+    pub(crate) kind: MethodKind,
     pub(crate) call: fn(&Link, u16) -> Call,
     pub(crate) request: fn(u16) -> Request,
     pub(crate) reply: fn(u16) -> String,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub(crate) enum MethodKind {
     Read,
     Write,
     Broadcast,
 }
 
-/// The reads into memory of the caller, with memory.
+/// Reads into memory of the caller, with the memory.
 trait IntoMemory {
     async fn registers_into(&self, first: Register, count: usize) -> Result<Vec<u16>, Error>;
     async fn discretes_into(&self, first: Discrete, count: usize) -> Result<Vec<bool>, Error>;
@@ -54,7 +54,7 @@ macro_rules! methods {
         => $request:ident($command:expr), $reply:expr;)*) => {
         vec![$(Method {
             name: stringify!($name),
-            kind: Kind::$kind,
+            kind: MethodKind::$kind,
             call: |link, $n| {
                 let _ = $n; // not all have arguments
                 let handle = $handle(link);
@@ -78,7 +78,7 @@ macro_rules! methods {
 }
 
 pub(crate) fn reads() -> Vec<Method> {
-    // The battery is full until the first turn is over.
+    // The battery is full during the first turn only.
     let mut methods = methods! { Read by station;
         |n| read_status() seen as brief => ReadStatus(ReadStatus), n == 2;
         |n| read_detailed_status() seen as detailed => ReadDetailedStatus(ReadDetailedStatus), n == 2;
@@ -161,14 +161,14 @@ pub(crate) fn detailed(status: &DetailedStatus) -> bool {
     status.flags().battery_low()
 }
 
-/// The reply that a gateway sends on.
+/// Encodes a reply as a gateway does.
 fn frame(answer: &ForwardedReply) -> BytesMut {
     let mut frame = BytesMut::new();
     answer.encode(Framing::Ascii, 1, &mut frame);
     frame
 }
 
-/// The same, made by hand: no error, and then these words.
+/// Encodes the same reply by hand: no error, and these words.
 fn data_frame(command: u8, words: &[u16]) -> BytesMut {
     let data = words.iter().map(|word| format!("{word:04X}"));
     let data = std::iter::once("0".to_owned()).chain(data).collect::<String>();

@@ -1,9 +1,9 @@
-//! What the tests of wire and commands share: exchanges of every command, noise, and `book`: the manuals' vectors and a
-//! decoder by the book to compare with.
+//! Helpers for the tests of frames and commands: exchanges of every command, random noise, and the
+//! reference decoder.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![allow(dead_code, reason = "each test file uses a part of it")]
 
-mod book;
+mod reference;
 
 use std::fmt;
 
@@ -15,44 +15,44 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 
 #[allow(unused_imports, reason = "each test file uses a part of it")]
-pub(crate) use book::*;
+pub(crate) use reference::*;
 
 pub(crate) const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 
-/// A request and a reply that belongs to it, of any command.
+/// A request with a matching reply, of any command.
 pub(crate) trait Exchange: fmt::Debug {
     fn code(&self) -> Code;
     fn request(&self) -> Request;
-    /// The frame of the request.
+    /// Encodes the request.
     fn encode_request(&self, framing: Framing, station: u8) -> Result<BytesMut, InvalidRequest>;
-    /// The frame of the reply, or of the refusal.
+    /// Encodes the reply, or the refusal.
     fn encode_reply(&self, framing: Framing, station: u8, refusal: Option<ErrorCode>) -> BytesMut;
-    /// Whether the data is read as the very reply of this exchange.
+    /// Whether the data decodes as exactly the reply of this exchange.
     fn decode_reply(&self, framing: Framing, data: &[u8]) -> Result<bool, ReplyError>;
-    /// The frame, from station 1, of the reply that the data is read as.
+    /// Decodes the data and encodes it again, as a reply of station 1.
     fn reencode_reply(&self, framing: Framing, data: &[u8]) -> Result<BytesMut, ReplyError>;
 
-    /// The data of the reply's frame, or of the refusal's.
+    /// Data field of the reply or refusal.
     fn reply_data(&self, framing: Framing, refusal: Option<ErrorCode>) -> Vec<u8> {
-        carried(framing, &self.encode_reply(framing, 1, refusal)).data.to_vec()
+        frame_content(framing, &self.encode_reply(framing, 1, refusal)).data.to_vec()
     }
 }
 
 pub(crate) type AnyExchange = Box<dyn Exchange>;
 
-/// The exchange of this request and this reply.
+/// Pairs a request with its reply.
 pub(crate) fn exchange<C: Command>(request: C, reply: C::Reply, name: fn(C) -> Request) -> AnyExchange {
-    Box::new(Pair { request, reply, name })
+    Box::new(TypedExchange { request, reply, name })
 }
 
 #[derive(Debug)]
-struct Pair<C: Command> {
+struct TypedExchange<C: Command> {
     request: C,
     reply: C::Reply,
     name: fn(C) -> Request,
 }
 
-impl<C: Command> Exchange for Pair<C> {
+impl<C: Command> Exchange for TypedExchange<C> {
     fn code(&self) -> Code {
         C::CODE
     }
@@ -64,7 +64,7 @@ impl<C: Command> Exchange for Pair<C> {
     fn encode_request(&self, framing: Framing, station: u8) -> Result<BytesMut, InvalidRequest> {
         let mut frame = BytesMut::new();
         let result = encode_request(&self.request, framing, station, &mut frame);
-        assert!(result.is_ok() || frame.is_empty(), "a request that cannot be sent leaves nothing behind");
+        assert!(result.is_ok() || frame.is_empty(), "a failed encoding leaves no partial frame");
         result.map(|()| frame)
     }
 
@@ -86,7 +86,8 @@ impl<C: Command> Exchange for Pair<C> {
     }
 }
 
-/// Exchanges of every command that the framing has, one strategy a command (two for 46 and 47: 16 and 32 bits).
+/// Strategies for exchanges, one for each command of the framing (two for 46 and 47: 16 and 32
+/// bits).
 pub(crate) fn exchanges(framing: Framing) -> Vec<BoxedStrategy<AnyExchange>> {
     let status = any::<[u8; 3]>().prop_map(|raw| exchange(ReadStatus, BriefStatus::from_raw(raw), Request::ReadStatus));
     let plc = prop::sample::select(vec![ControlPlc::Stop, ControlPlc::Run])
@@ -140,7 +141,7 @@ pub(crate) fn exchanges(framing: Framing) -> Vec<BoxedStrategy<AnyExchange>> {
     all
 }
 
-/// Runs a property with this many exchanges of every command in both framings, each command in its turn.
+/// Runs a property with `cases` exchanges of every command in both framings.
 pub(crate) fn for_every_command(cases: u32, property: impl Fn(Framing, AnyExchange) -> Result<(), TestCaseError>) {
     for framing in FRAMINGS {
         for strategy in exchanges(framing) {
@@ -175,7 +176,7 @@ fn write_registers<E: RegisterElement>(
         .boxed()
 }
 
-/// A first element and up to `max` values of it and those behind it, as far as there are elements.
+/// A first element and up to `max` consecutive values; fewer at the end of the area.
 fn consecutive<E: Copy + fmt::Debug + Into<Element>, V: fmt::Debug>(
     first: impl Strategy<Value = E>,
     max: usize,
@@ -201,8 +202,8 @@ fn mixed(max_units: usize) -> impl Strategy<Value = Vec<(Element, Value)>> {
     })
 }
 
-/// A value as wide as the element.
-#[allow(clippy::cast_possible_truncation, reason = "the low bits are what is wanted")]
+/// A value of the element's width.
+#[allow(clippy::cast_possible_truncation, reason = "takes the low bits")]
 pub(crate) fn value(element: Element, bits: u32) -> Value {
     match element.width() {
         Width::Bit => Value::Bit(bits & 1 == 1),
@@ -212,7 +213,7 @@ pub(crate) fn value(element: Element, bits: u32) -> Value {
 }
 
 fn loop_back_data(framing: Framing) -> BoxedStrategy<Vec<u8>> {
-    // Few bytes are frequent: the echo of one has the shape of a refusal.
+    // Short data is frequent: an echo of one byte has the shape of a refusal.
     let len = || prop_oneof![1 => 0..=2_usize, 3 => 0..=MAX_LOOP_BACK];
     match framing {
         Framing::Binary => len().prop_flat_map(|len| vec(any::<u8>(), len)).boxed(),
@@ -236,7 +237,7 @@ fn register32() -> impl Strategy<Value = Register32> {
     element(Width::DWord).prop_map(|e| e.try_into().unwrap())
 }
 
-/// Any element of this width; the first and the last of each symbol more often.
+/// Any element of this width; the first and last of each symbol are more frequent.
 pub(crate) fn element(width: Width) -> impl Strategy<Value = Element> {
     let symbols: Vec<Symbol> = Symbol::ALL.iter().copied().filter(|s| s.width() == width).collect();
     prop::sample::select(symbols).prop_flat_map(|symbol| {
@@ -246,7 +247,7 @@ pub(crate) fn element(width: Width) -> impl Strategy<Value = Element> {
     })
 }
 
-/// A small seeded generator (SplitMix64): the same seed gives the same noise on every machine.
+/// Seeded random numbers (SplitMix64), equal on every machine.
 pub(crate) struct Rng(u64);
 
 impl Rng {
@@ -262,7 +263,7 @@ impl Rng {
         z ^ (z >> 31)
     }
 
-    /// A number below `n`.
+    /// A number from 0 to `n - 1`.
     pub(crate) fn below(&mut self, n: usize) -> usize {
         usize::try_from(self.next() % n as u64).unwrap()
     }

@@ -1,4 +1,4 @@
-//! The gateway as it is used: clients over TCP, and a bus behind a serial port.
+//! The gateway with real ports: clients over TCP, and a bus behind TCP or a serial port.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -13,15 +13,15 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-use crate::bench::{OPEN, bus, plc, word};
+use crate::bench::{UNRESTRICTED, bus, plc, word};
 use crate::common::{FRAMINGS, framed};
 use crate::proxy::Proxy;
 use crate::server::{Limits, serve};
 
-/// Longer than anything here takes, even on a busy machine.
+/// Longer than any step takes, even on a busy machine.
 const LONG: Duration = Duration::from_secs(10);
 
-/// A gateway on a port of its own.
+/// A gateway on its own TCP port.
 struct Gateway {
     address: SocketAddr,
     proxy: Arc<Proxy>,
@@ -33,7 +33,7 @@ impl Gateway {
     async fn new(link: Link, clients: usize) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
-        let proxy = Arc::new(Proxy::new(link, OPEN));
+        let proxy = Arc::new(Proxy::new(link, UNRESTRICTED));
         let (stop, stopped) = oneshot::channel::<()>();
         let limits = Limits { clients, idle: LONG };
         let serving = tokio::spawn(serve(listener, Arc::clone(&proxy), limits, async move { drop(stopped.await) }));
@@ -46,7 +46,7 @@ impl Gateway {
         link.station(station).unwrap()
     }
 
-    /// Has it end in order; returns the link that it had.
+    /// Stops the gateway, and returns its link.
     async fn stop(self) -> Link {
         drop(self.stop);
         timeout(LONG, self.serving).await.unwrap().unwrap();
@@ -75,7 +75,7 @@ async fn clients_of_both_framings_share_a_bus_behind_a_module() {
 }
 
 #[tokio::test]
-async fn one_client_too_many_is_turned_away_until_another_one_goes() {
+async fn a_client_over_the_limit_is_rejected_until_one_leaves() {
     let module = Server::bind("127.0.0.1:0", bus(&[plc(1)]), Framing::Ascii).await.unwrap();
     let gateway = Gateway::new(Link::builder(module.local_addr().into()).response_timeout(LONG).build(), 2).await;
     let clients = [gateway.station(Framing::Ascii, 1), gateway.station(Framing::Binary, 1)];
@@ -89,7 +89,7 @@ async fn one_client_too_many_is_turned_away_until_another_one_goes() {
     }
     let [first, second] = clients;
     first.link().close().await;
-    // The gateway notices soon.
+    // The gateway notices the closed connection a little later.
     let comes_in = async {
         while gateway.station(Framing::Ascii, 1).read_status().await.is_err() {
             tokio::time::sleep(Duration::from_millis(5)).await;
@@ -100,8 +100,8 @@ async fn one_client_too_many_is_turned_away_until_another_one_goes() {
 }
 
 #[tokio::test]
-async fn a_gateway_that_stops_answers_what_is_on_the_wire_and_closes_all_connections() {
-    // A bus that answers when it is told to.
+async fn stopping_answers_the_request_in_flight_and_closes_all() {
+    // A bus whose replies the test decides.
     let module = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let link = Link::builder(module.local_addr().unwrap().into()).response_timeout(LONG).build();
     let gateway = Gateway::new(link, 8).await;
@@ -109,7 +109,7 @@ async fn a_gateway_that_stops_answers_what_is_on_the_wire_and_closes_all_connect
     let asking = tokio::spawn(async move { station.read_registers(register!("R0"), 1).await });
     let (mut line, _) = module.accept().await.unwrap();
     let mut request = [0; 16];
-    // The check of the gateway's connection to the bus, and that of its client.
+    // The check of the gateway's connection to the bus, and that of the client.
     for _ in 0..2 {
         line.read_exact(&mut request).await.unwrap();
         assert!(request.starts_with(b"\x02014E"), "{request:?}");
@@ -120,12 +120,12 @@ async fn a_gateway_that_stops_answers_what_is_on_the_wire_and_closes_all_connect
     let mut idle = TcpStream::connect(gateway.address).await.unwrap();
 
     let stopping = tokio::spawn(gateway.stop());
-    assert_eq!(timeout(LONG, idle.read(&mut [0])).await.unwrap().unwrap(), 0, "nothing is on the wire for this one");
+    assert_eq!(timeout(LONG, idle.read(&mut [0])).await.unwrap().unwrap(), 0, "this client has no request in flight");
     line.write_all(&framed(Framing::Ascii, Side::Plc, 1, 0x46, b"01234")).await.unwrap();
     assert_eq!(asking.await.unwrap().unwrap(), [0x1234]);
     let link = stopping.await.unwrap();
     assert!(matches!(link.state(), LinkState::Closed));
-    assert_eq!(timeout(LONG, line.read(&mut [0])).await.unwrap().unwrap(), 0, "the bus is closed, too");
+    assert_eq!(timeout(LONG, line.read(&mut [0])).await.unwrap().unwrap(), 0, "the connection to the bus is closed");
 }
 
 /// Linux only: macOS refuses a baud rate for pseudo-terminals.
@@ -139,7 +139,7 @@ async fn clients_share_a_serial_line_that_echoes() {
 
     let (line, port) = SerialStream::pair().unwrap();
     let path = port.name().unwrap();
-    // A line that nobody has open does not work.
+    // A pseudo-terminal needs both sides open.
     let _open = File::open(&path).unwrap();
     let plcs: Vec<_> = (1..=3).map(plc).collect();
     let faults = Faults::new(0).rule(Rule::new(Fault::Echo));
@@ -151,7 +151,7 @@ async fn clients_share_a_serial_line_that_echoes() {
     let gateway = Gateway::new(link, 8).await;
     for (framing, number) in FRAMINGS.into_iter().flat_map(|framing| (1..=3).map(move |number| (framing, number))) {
         let station = gateway.station(framing, number);
-        // The replies to these look like their requests, and the line returns those, too.
+        // The replies to these calls equal the requests, which the line echoes.
         station.run().await.unwrap();
         station.stop().await.unwrap();
         station.loop_back("ABCDEFG").await.unwrap();

@@ -1,7 +1,8 @@
-//! Fifty clients of both framings in front of eight stations on a bad line, in paused time.
+//! Fifty clients of both framings and eight stations on a faulty line, in paused time.
 //!
-//! A client takes the next frame for its reply, so whatever the gateway sends late or to the wrong one shows as a wrong
-//! value. `FATEK_SEEDS=n` makes it longer, `FATEK_SEED=n` runs one seed, such as one that a failure has printed.
+//! A client takes the next frame for its reply, so a late or misdirected frame shows as a wrong
+//! value. `FATEK_SEEDS=n` sets the number of seeds. `FATEK_SEED=n` runs one, such as one that a
+//! failure has printed.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::Duration;
@@ -15,13 +16,13 @@ use tokio::runtime::Builder;
 use tokio::task::JoinSet;
 use tokio::time::sleep;
 
-use crate::bench::{Bench, Client, OPEN, READ_ONLY, STATIONS, Unanswered, bit, m, word};
+use crate::bench::{Bench, Client, READ_ONLY, STATIONS, UNRESTRICTED, Unanswered, bit, m, word};
 use crate::common::{FRAMINGS, Rng};
 
 const CLIENTS: u16 = 50;
 const REQUESTS: usize = 40;
 
-/// What a run came to.
+/// Results of a run.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Outcome {
     answered: u64,
@@ -29,8 +30,8 @@ struct Outcome {
     unanswered: u64,
     confirmed_writes: u64,
     wrong: Vec<String>,
-    /// How often each kind of fault has struck.
-    struck: BTreeMap<String, u64>,
+    /// Number of injections of each fault.
+    fault_counts: BTreeMap<String, u64>,
 }
 
 impl Outcome {
@@ -40,12 +41,12 @@ impl Outcome {
         self.unanswered += other.unanswered;
         self.confirmed_writes += other.confirmed_writes;
         self.wrong.extend(other.wrong);
-        other.struck.into_iter().for_each(|(kind, times)| *self.struck.entry(kind).or_default() += times);
+        other.fault_counts.into_iter().for_each(|(kind, times)| *self.fault_counts.entry(kind).or_default() += times);
     }
 }
 
 #[test]
-fn fifty_clients_of_both_framings_read_what_the_stations_hold() {
+fn fifty_clients_of_both_framings_read_right_values() {
     let number = |name| std::env::var(name).ok().map(|value| value.parse::<u64>().unwrap());
     let seeds = match number("FATEK_SEED") {
         Some(seed) => seed..seed + 1,
@@ -58,7 +59,7 @@ fn fifty_clients_of_both_framings_read_what_the_stations_hold() {
         all.add(outcome);
     }
     println!("{all:?}");
-    assert!(all.struck.len() == 11 && all.struck.values().all(|&times| times > 0));
+    assert!(all.fault_counts.len() == 11 && all.fault_counts.values().all(|&times| times > 0));
     assert!(all.answered > all.unanswered && all.unanswered > 0 && all.refused > 0 && all.confirmed_writes > 0);
 }
 
@@ -70,14 +71,15 @@ fn equal_seeds_give_equal_runs() {
 fn run(seed: u64) -> Outcome {
     let runtime = Builder::new_current_thread().enable_all().start_paused(true).build().unwrap();
     runtime.block_on(async {
-        let mut dice = Rng::new(seed);
-        // From less than a turn of everybody to more than anything takes.
-        let patience = dice.pick(&[300, 2000, 20_000]);
-        let bench = Bench::with_faults(dice.pick(&FRAMINGS), OPEN, faults(seed), Duration::from_millis(patience));
+        let mut rng = Rng::new(seed);
+        // From less than one round of all clients to more than any call takes.
+        let call_timeout = rng.pick(&[300, 2000, 20_000]);
+        let bench =
+            Bench::with_faults(rng.pick(&FRAMINGS), UNRESTRICTED, faults(seed), Duration::from_millis(call_timeout));
         let mut clients = JoinSet::new();
         for number in 0..CLIENTS {
             let client = bench.client(FRAMINGS[usize::from(number % 2)]);
-            clients.spawn(use_it(client, number, Rng::new(dice.next())));
+            clients.spawn(run_client(client, number, Rng::new(rng.next())));
         }
         let mut outcome = Outcome::default();
         clients.join_all().await.into_iter().for_each(|one| outcome.add(one));
@@ -87,7 +89,7 @@ fn run(seed: u64) -> Outcome {
         assert!(log.writes() >= outcome.confirmed_writes, "FATEK_SEED={seed}");
         for rule in bench.faults.rules() {
             let kind = format!("{:?}", rule.fault()).split([' ', '(']).next().unwrap().to_owned();
-            *outcome.struck.entry(kind).or_default() += rule.times_applied();
+            *outcome.fault_counts.entry(kind).or_default() += rule.times_applied();
         }
         let counts = bench.proxy.counts();
         assert_eq!(
@@ -99,8 +101,8 @@ fn run(seed: u64) -> Outcome {
     })
 }
 
-/// What goes wrong. Replies under a wrong number and late ones come from different stations: both at once is beyond what
-/// anybody can tell.
+/// Faults of the bus. Late replies and wrong station numbers come from different stations: the
+/// combination cannot be detected.
 fn faults(seed: u64) -> Faults {
     let ms = Duration::from_millis;
     let some = |fault: Fault, per_mille: u16| Rule::new(fault).per_mille(per_mille);
@@ -126,17 +128,18 @@ fn faults(seed: u64) -> Faults {
     faults
 }
 
-/// One client: request after request, with pauses.
-async fn use_it(mut client: Client, number: u16, mut dice: Rng) -> Outcome {
+/// Runs one client: requests one after the other, with pauses.
+async fn run_client(mut client: Client, number: u16, mut rng: Rng) -> Outcome {
     let mut outcome = Outcome::default();
-    // What this client's own registers may hold: what was written last, and what may have been since.
+    // Possible content of this client's own registers by station: the last write, and unconfirmed
+    // ones since.
     let mut own: HashMap<u8, Vec<u32>> = HashMap::new();
     for nth in 0..REQUESTS {
-        sleep(Duration::from_millis(dice.next() % 200)).await;
-        let station = 1 + dice.below(STATIONS.into()) as u8;
+        sleep(Duration::from_millis(rng.next() % 200)).await;
+        let station = 1 + rng.below(STATIONS.into()) as u8;
         let held = own.entry(station).or_insert_with(|| vec![0]);
         let serial = u32::from(number) << 16 | u32::try_from(nth + 1).unwrap();
-        match request(&mut client, station, number, serial, held, &mut dice, &mut outcome).await {
+        match request(&mut client, station, number, serial, held, &mut rng, &mut outcome).await {
             Ok(is_write) => {
                 outcome.answered += 1;
                 outcome.confirmed_writes += u64::from(is_write);
@@ -149,19 +152,19 @@ async fn use_it(mut client: Client, number: u16, mut dice: Rng) -> Outcome {
     outcome
 }
 
-/// Asks something at random, and checks what it gets. Says whether it was a write.
+/// Makes a random request and checks the result. Returns whether it was a write.
 async fn request(
     client: &mut Client,
     station: u8,
     number: u16,
     serial: u32,
     held: &mut Vec<u32>,
-    dice: &mut Rng,
+    rng: &mut Rng,
     outcome: &mut Outcome,
 ) -> Result<bool, Unanswered> {
-    // Mostly of the same shape, so that a reply could be taken for another.
-    let count = if dice.below(10) < 8 { 1 } else { 1 + dice.below(64) as u16 };
-    let first = dice.below(usize::from(READ_ONLY - count)) as u16;
+    // Mostly of one shape: replies of equal shape can be mistaken for each other.
+    let count = if rng.below(10) < 8 { 1 } else { 1 + rng.below(64) as u16 };
+    let first = rng.below(usize::from(READ_ONLY - count)) as u16;
     let own = Register::r(2 * number).widened().unwrap();
     let mut check = |good: bool, got: &dyn std::fmt::Debug| {
         if !good {
@@ -169,36 +172,36 @@ async fn request(
         }
         Ok(false)
     };
-    match dice.below(10) {
+    match rng.below(10) {
         0..=3 => {
-            let values = client.ask(station, &ReadRegisters::new(Register::d(first), count.into()).unwrap()).await?;
+            let values = client.call(station, &ReadRegisters::new(Register::d(first), count.into()).unwrap()).await?;
             check(values.iter().copied().eq((first..first + count).map(|a| word(station, a))), &values)
         }
         4 => {
-            let states = client.ask(station, &ReadDiscretes::new(m(first), count.into()).unwrap()).await?;
+            let states = client.call(station, &ReadDiscretes::new(m(first), count.into()).unwrap()).await?;
             check(states.iter().copied().eq((first..first + count).map(|a| bit(station, a))), &states)
         }
         5 => {
             let elements = [Register::d(first).into(), m(first).into()];
-            let values = client.ask(station, &ReadMixed::new(elements).unwrap()).await?;
+            let values = client.call(station, &ReadMixed::new(elements).unwrap()).await?;
             check(values == [Value::Word(word(station, first)), Value::Bit(bit(station, first))], &values)
         }
         6 => {
-            let values = client.ask(station, &ReadRegisters::new(own, 1).unwrap()).await?;
+            let values = client.call(station, &ReadRegisters::new(own, 1).unwrap()).await?;
             check(values.len() == 1 && held.contains(&values[0]), &(&values, &held))?;
             *held = values;
             Ok(false)
         }
         7 => {
-            client.ask(station, &LoopBack::new(format!("{serial:08X}")).unwrap()).await?;
+            client.call(station, &LoopBack::new(format!("{serial:08X}")).unwrap()).await?;
             Ok(false)
         }
         _ => {
-            // From now on it may be there, until an answer tells more.
+            // From now on the register may hold the value, until a reply clears it up.
             held.push(serial);
-            let written = match dice.below(2) {
-                0 => client.ask(station, &WriteRegisters::new(own, [serial]).unwrap()).await,
-                _ => client.ask(station, &WriteMixed::new([(own.into(), serial.into())]).unwrap()).await,
+            let written = match rng.below(2) {
+                0 => client.call(station, &WriteRegisters::new(own, [serial]).unwrap()).await,
+                _ => client.call(station, &WriteMixed::new([(own.into(), serial.into())]).unwrap()).await,
             };
             match written {
                 Ok(()) => *held = vec![serial],

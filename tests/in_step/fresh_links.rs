@@ -1,32 +1,33 @@
-//! A PLC side that outlives its clients: late replies to an earlier link, or process, come to the next one.
+//! Late replies to earlier clients: a serial server that outlives its clients sends them to the
+//! next link or process.
 
 use std::time::Duration;
 
 use fatek::{CallOptions, Link, Symbol};
 
-use crate::server::{ReplyTo, Setup, Wire, writes_d};
+use crate::server::{ReplyTo, Setup, Transport, writes_d};
 use crate::{Tally, campaign, framing, r, register, repeats};
 
 const TIMEOUT: Duration = Duration::from_millis(200);
-/// The links of a run, one behind the other. The last of them find the line at rest.
+/// Consecutive links of a run. The last of them find an idle line.
 const LINKS: u16 = 10;
 
-/// A PLC that takes 0.45 s for each of the first requests.
-fn server(wire: Wire, run: usize) -> crate::server::Server {
+/// Starts a PLC that takes 0.45 s for each of the first requests.
+fn server(transport: Transport, run: usize) -> crate::server::Server {
     let slow_start = (1 + run % 3, Duration::from_millis(450));
-    let setup = Setup::new(wire);
+    let setup = Setup::new(transport);
     Setup { slow_start, framing: framing(run / 3), reply_to: ReplyTo::Latest, refuses: writes_d, ..setup }.start()
 }
 
-/// The options of `fatek --timeout 200ms`, with this many retries.
+/// Creates a link with the options of `fatek --timeout 200ms`.
 fn link(server: &crate::server::Server, retries: u32) -> Link {
     let options = CallOptions::new().response_timeout(TIMEOUT).call_timeout(8 * TIMEOUT).retries(retries);
     Link::builder(server.endpoint()).options(options).offline_after(0).build()
 }
 
-/// Reads R100, R200 … each over a link of its own.
-async fn read(wire: Wire, retries: u32, run: usize) -> Tally {
-    let server = server(wire, run);
+/// Reads R100, R200 ..., each over a new link.
+async fn read(transport: Transport, retries: u32, run: usize) -> Tally {
+    let server = server(transport, run);
     let mut tally = Tally::default();
     for n in 1..=LINKS {
         let correct = tally.correct;
@@ -39,9 +40,9 @@ async fn read(wire: Wire, retries: u32, run: usize) -> Tally {
     tally
 }
 
-/// Writes to R and D, each over a link of its own: those to D are refused.
-async fn write(wire: Wire, retries: u32, run: usize) -> Tally {
-    let server = server(wire, run);
+/// Writes to R and D, each over a new link. Writes to D are refused.
+async fn write(transport: Transport, retries: u32, run: usize) -> Tally {
+    let server = server(transport, run);
     let mut tally = Tally::default();
     for n in 1..=LINKS {
         let correct = tally.correct;
@@ -56,7 +57,7 @@ async fn write(wire: Wire, retries: u32, run: usize) -> Tally {
     tally
 }
 
-/// All runs at once: they mostly wait.
+/// Starts all runs at once: they mostly wait.
 async fn runs<F, T>(name: &str, run: F) -> Tally
 where
     F: Fn(u32, usize) -> T + Copy + Send + Sync + 'static,
@@ -73,21 +74,22 @@ fn count() -> usize {
     repeats().max(6)
 }
 
-/// Errors are right while the PLC is slow, but not when it has answered all.
+/// Asserts that the last call of nearly every run succeeded. Errors are right only while the PLC is
+/// slow.
 fn assert_ended_well(total: &Tally) {
     assert!(total.ended_well * 100 >= total.runs * 99, "the last call of {} runs: {total}", total.ended_well);
 }
 
-// Before: reads over TCP: 415 wrong values of 753, in 66 of 100 runs; UDP: 430 of 753, in 66 of 100 runs.
-// Writes over TCP: of 1000 158 wrongly said to be done and 161 wrongly said to be refused, in 100 of 100 runs;
-// UDP: 154 and 160, in 100 of 100 runs.
+// Before: reads over TCP: 415 wrong values of 753, in 66 of 100 runs; UDP: 430 of 753, in 66 of 100
+// runs. Of 1000 writes over TCP 158 wrongly reported as done and 161 wrongly reported as refused,
+// in 100 of 100 runs; UDP: 154 and 160, in 100 of 100 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_fresh_link_takes_no_late_reply() {
     let (tcp, udp, tcp_writes, udp_writes) = tokio::join!(
-        runs("fresh links, reads, TCP", |retries, run| read(Wire::Tcp, retries, run)),
-        runs("fresh links, reads, UDP", |retries, run| read(Wire::Udp, retries, run)),
-        runs("fresh links, writes, TCP", |retries, run| write(Wire::Tcp, retries, run)),
-        runs("fresh links, writes, UDP", |retries, run| write(Wire::Udp, retries, run)),
+        runs("fresh links, reads, TCP", |retries, run| read(Transport::Tcp, retries, run)),
+        runs("fresh links, reads, UDP", |retries, run| read(Transport::Udp, retries, run)),
+        runs("fresh links, writes, TCP", |retries, run| write(Transport::Tcp, retries, run)),
+        runs("fresh links, writes, UDP", |retries, run| write(Transport::Udp, retries, run)),
     );
     for total in [tcp, udp, tcp_writes, udp_writes] {
         total.assert_nothing_wrong();
@@ -103,14 +105,14 @@ mod command_line {
     use super::{assert_ended_well, count, server};
     use crate::Tally;
     use crate::process::fatek;
-    use crate::server::Wire;
+    use crate::server::Transport;
 
-    /// The processes of a run, one behind the other.
+    /// Consecutive processes of a run.
     const PROCESSES: usize = 8;
 
-    /// `fatek read R100`, R200 … or `fatek write`, each with `--timeout 200ms`.
-    fn run(wire: Wire, run: usize, write: bool) -> Tally {
-        let server = server(wire, run);
+    /// Runs `fatek read R100`, R200 ... or `fatek write`, each with `--timeout 200ms`.
+    fn run(transport: Transport, run: usize, write: bool) -> Tally {
+        let server = server(transport, run);
         let url = server.endpoint().to_string();
         let mut tally = Tally::default();
         for n in 1..=PROCESSES {
@@ -130,11 +132,11 @@ mod command_line {
                     tally.correct += usize::from(good);
                     tally.wrong_values += usize::from(!good);
                 }
-                (0, true) if refused => tally.said_done += 1,
+                (0, true) if refused => tally.reported_done += 1,
                 (0, true) => tally.correct += 1,
                 _ if ran.stderr.contains("refused") => {
                     tally.correct += usize::from(refused && write);
-                    tally.said_refused += usize::from(!refused || !write);
+                    tally.reported_refused += usize::from(!refused || !write);
                 }
                 (status, _) => *tally.errors.entry(format!("status {status}")).or_default() += 1,
             }
@@ -144,15 +146,15 @@ mod command_line {
         tally
     }
 
-    /// Some runs at a time: they mostly wait.
-    fn all(name: &str, wire: Wire, write: bool) -> Tally {
+    /// Starts 12 runs at a time: they mostly wait.
+    fn all(name: &str, transport: Transport, write: bool) -> Tally {
         let (next, total) = (Mutex::new(0..count()), Mutex::new(Tally::default()));
         thread::scope(|scope| {
             for _ in 0..12 {
                 scope.spawn(|| {
                     loop {
                         let Some(n) = next.lock().unwrap().next() else { return };
-                        let tally = run(wire, n, write);
+                        let tally = run(transport, n, write);
                         total.lock().unwrap().add(tally);
                     }
                 });
@@ -163,19 +165,19 @@ mod command_line {
         total
     }
 
-    // Before: reads over TCP: 54 wrong values of 703, in 28 of 100 runs; UDP: 64 of 704, in 29 of 100 runs.
-    // Writes over TCP: of 800 52 wrongly said to be done and 56 wrongly said to be refused, in 74 of 100 runs;
-    // UDP: 50 and 62, in 76 of 100 runs.
+    // Before: reads over TCP: 54 wrong values of 703, in 28 of 100 runs; UDP: 64 of 704, in 29 of
+    // 100 runs. Of 800 writes over TCP 52 wrongly reported as done and 56 wrongly reported as
+    // refused, in 74 of 100 runs; UDP: 50 and 62, in 76 of 100 runs.
     #[test]
     fn a_process_takes_no_late_reply() {
         let kinds = [
-            ("processes, reads, TCP", Wire::Tcp, false),
-            ("processes, reads, UDP", Wire::Udp, false),
-            ("processes, writes, TCP", Wire::Tcp, true),
-            ("processes, writes, UDP", Wire::Udp, true),
+            ("processes, reads, TCP", Transport::Tcp, false),
+            ("processes, reads, UDP", Transport::Udp, false),
+            ("processes, writes, TCP", Transport::Tcp, true),
+            ("processes, writes, UDP", Transport::Udp, true),
         ];
         let totals = thread::scope(|scope| {
-            let threads = kinds.map(|(name, wire, write)| scope.spawn(move || all(name, wire, write)));
+            let threads = kinds.map(|(name, transport, write)| scope.spawn(move || all(name, transport, write)));
             threads.map(|thread| thread.join().unwrap())
         });
         for total in totals {

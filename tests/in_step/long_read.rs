@@ -1,21 +1,21 @@
-//! A read of several requests, while one reply to one of them comes twice.
+//! Reads of several requests with a duplicate of one reply.
 
 use std::time::Duration;
 
 use fatek::Link;
 
-use crate::server::{Copy, READS, Setup, Wire, nth};
+use crate::server::{Copy, READS, Setup, Transport, nth};
 use crate::{DELAYS, PLC_TIMES, Tally, campaign, framing, r, repeats};
 
-/// Reads R0 to R999 over a fresh link. The fifth reply is copied, or in every other run any but the last.
-async fn read(wire: Wire, delay: Duration, plc_time: Duration, run: usize) -> Tally {
+/// Reads R0 to R999 over a new link. Even runs copy the fifth reply, odd runs any but the last.
+async fn read(transport: Transport, delay: Duration, plc_time: Duration, run: usize) -> Tally {
     let n = if run.is_multiple_of(2) { 5 } else { 1 + run * 7 % 15 };
     let server = Setup {
         plc_time,
         framing: framing(run / 2),
         copies: nth(n, READS, Copy::after(delay)),
-        glued: run / 4 % 2 == 1,
-        ..Setup::new(wire)
+        in_one_segment: run / 4 % 2 == 1,
+        ..Setup::new(transport)
     }
     .start();
     let link = Link::new(server.endpoint());
@@ -26,11 +26,11 @@ async fn read(wire: Wire, delay: Duration, plc_time: Duration, run: usize) -> Ta
     tally
 }
 
-async fn reads(name: &str, wire: Wire, repeats: usize) -> Tally {
+async fn reads(name: &str, transport: Transport, repeats: usize) -> Tally {
     let mut combinations = vec![];
     for delay in DELAYS {
         for plc_time in PLC_TIMES {
-            let run = move |run| read(wire, delay, plc_time, run);
+            let run = move |run| read(transport, delay, plc_time, run);
             combinations.push((format!("copy after {delay:?}, PLC {plc_time:?}"), run));
         }
     }
@@ -41,16 +41,16 @@ async fn reads(name: &str, wire: Wire, repeats: usize) -> Tally {
 
 // Before: 676480 wrong values of 3200000, in 2619 of 3200 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_doubled_reply_does_not_shift_a_long_read_over_tcp() {
-    let total = reads("long read, TCP", Wire::Tcp, repeats()).await;
+async fn a_duplicate_reply_does_not_shift_a_long_read_over_tcp() {
+    let total = reads("long read, TCP", Transport::Tcp, repeats()).await;
     total.assert_nothing_wrong();
     total.assert_nearly_all_correct();
 }
 
 // Before: 693184 wrong values of 3200000, in 2606 of 3200 runs.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_doubled_reply_does_not_shift_a_long_read_over_udp() {
-    let total = reads("long read, UDP", Wire::Udp, repeats()).await;
+async fn a_duplicate_reply_does_not_shift_a_long_read_over_udp() {
+    let total = reads("long read, UDP", Transport::Udp, repeats()).await;
     total.assert_nothing_wrong();
     total.assert_nearly_all_correct();
 }
@@ -58,7 +58,7 @@ async fn a_doubled_reply_does_not_shift_a_long_read_over_udp() {
 // Before: 56064 wrong values of 160000, in 126 of 160 runs.
 #[cfg(all(unix, feature = "serial"))]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_doubled_reply_does_not_shift_a_long_read_on_a_serial_line() {
+async fn a_duplicate_reply_does_not_shift_a_long_serial_read() {
     let total = reads("long read, 115200 baud", crate::SERIAL, repeats().min(5)).await;
     total.assert_nothing_wrong();
     total.assert_nearly_all_correct();

@@ -1,13 +1,14 @@
-//! Replies that come twice, and late replies to an earlier client: no value may be another request's, and no refused write
-//! may be reported as done.
+//! Duplicate replies, and late replies to earlier clients, over real sockets and in real time.
 //!
-//! Real sockets, real time. A short run is a test; the full campaign, of about nine minutes, is
+//! No value may belong to another request, and no refused write may be reported as done. A short
+//! run is a test. The full campaign takes about nine minutes:
 //!
 //! ```text
 //! FATEK_REPEATS=100 cargo test --release --all-features --test in_step -- --nocapture
 //! ```
 //!
-//! "Before" at each test is its result with 100 repeats on the code at 3728afb, before the link kept in step.
+//! "Before" at a test is its result with 100 repeats on the code at 3728afb, before the link kept
+//! in step.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
@@ -32,7 +33,7 @@ use fatek::{Element, Error, Register, Symbol};
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
-/// Copies come this long after their original.
+/// Delays of copies.
 const DELAYS: [Duration; 8] = [
     Duration::ZERO,
     Duration::from_micros(300),
@@ -48,17 +49,17 @@ const PLC_TIMES: [Duration; 4] =
     [Duration::ZERO, Duration::from_millis(2), Duration::from_millis(5), Duration::from_millis(20)];
 
 #[cfg(all(unix, feature = "serial"))]
-const SERIAL: server::Wire = server::Wire::Serial(115_200);
+const SERIAL: server::Transport = server::Transport::Serial(115_200);
 
-/// The runs at a time: a processor that is busy delays requests until copies come before them.
-const AT_ONCE: usize = 16;
+/// Concurrent runs. On a busy processor, requests are late and copies overtake them.
+const MAX_CONCURRENT_RUNS: usize = 16;
 
-/// The runs of each combination.
+/// Number of runs of each combination.
 fn repeats() -> usize {
     std::env::var("FATEK_REPEATS").map_or(1, |text| text.parse().expect("FATEK_REPEATS is a number"))
 }
 
-/// Both framings in turn; a run of its own number has the same one again.
+/// Framing of a run: ASCII for even numbers, binary for odd ones.
 fn framing(run: usize) -> Framing {
     if run.is_multiple_of(2) { Framing::Ascii } else { Framing::Binary }
 }
@@ -71,23 +72,23 @@ fn register(symbol: Symbol, n: u16) -> Register {
     Element::new(symbol, n).unwrap().try_into().unwrap()
 }
 
-/// The results of one or many runs.
+/// Results of one or more runs.
 #[derive(Clone, Debug, Default)]
 struct Tally {
     runs: usize,
-    /// Runs with anything wrong.
+    /// Runs with any wrong result.
     wrong_runs: usize,
     calls: usize,
-    /// Calls with the correct result: the values, or the PLC's refusal of what it refuses.
+    /// Calls with the correct result: the values, or the expected refusal.
     correct: usize,
-    /// Values delivered as `Ok`, and those of them that are not the register's.
+    /// Values delivered as `Ok`.
     values: usize,
     wrong_values: usize,
-    /// Requests that were refused, or not executed yet, and reported as done.
-    said_done: usize,
+    /// Refused or unexecuted requests that were reported as done.
+    reported_done: usize,
     /// Executed requests that were reported as refused.
-    said_refused: usize,
-    /// Calls with any other error.
+    reported_refused: usize,
+    /// Other errors, by kind.
     errors: BTreeMap<String, usize>,
     copies: usize,
     /// Runs whose last call had the correct result.
@@ -96,7 +97,7 @@ struct Tally {
 
 impl Tally {
     fn wrong(&self) -> usize {
-        self.wrong_values + self.said_done + self.said_refused
+        self.wrong_values + self.reported_done + self.reported_refused
     }
 
     /// Counts a read of registers that hold their own address.
@@ -110,20 +111,20 @@ impl Tally {
                 self.correct += usize::from(wrong == 0);
             }
             Err(error @ Error::Plc { .. }) => {
-                self.said_refused += 1;
+                self.reported_refused += 1;
                 self.error(&error);
             }
             Err(error) => self.error(&error),
         }
     }
 
-    /// Counts a write or a control command that the PLC refuses, or does not.
+    /// Counts a write or a control command; `refused`: the PLC refuses it.
     fn command(&mut self, refused: bool, result: Result<(), Error>) {
         self.calls += 1;
         match (refused, result) {
             (false, Ok(())) | (true, Err(Error::Plc { .. })) => self.correct += 1,
-            (true, Ok(())) => self.said_done += 1,
-            (false, Err(Error::Plc { .. })) => self.said_refused += 1,
+            (true, Ok(())) => self.reported_done += 1,
+            (false, Err(Error::Plc { .. })) => self.reported_refused += 1,
             (_, Err(error)) => self.error(&error),
         }
     }
@@ -147,20 +148,20 @@ impl Tally {
         self.correct += other.correct;
         self.values += other.values;
         self.wrong_values += other.wrong_values;
-        self.said_done += other.said_done;
-        self.said_refused += other.said_refused;
+        self.reported_done += other.reported_done;
+        self.reported_refused += other.reported_refused;
         self.copies += other.copies;
         self.ended_well += other.ended_well;
         other.errors.into_iter().for_each(|(kind, count)| *self.errors.entry(kind).or_default() += count);
     }
 
-    /// Asserts that nothing was wrong.
+    /// Asserts that no result was wrong.
     #[track_caller]
     fn assert_nothing_wrong(&self) {
         assert_eq!(self.wrong(), 0, "{self}");
     }
 
-    /// Asserts that nearly all calls had the correct result.
+    /// Asserts that 99 % of the calls had the correct result.
     #[track_caller]
     fn assert_nearly_all_correct(&self) {
         assert!(self.correct * 100 >= self.calls * 99, "{self}");
@@ -171,12 +172,12 @@ impl fmt::Display for Tally {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "wrong values {} of {}, said done {}, said refused {}, in {} of {} runs; correct calls {} of {}, errors {:?}; \
+            "wrong values {} of {}, reported done {}, reported refused {}, in {} of {} runs; correct calls {} of {}, errors {:?}; \
              {} copies",
             self.wrong_values,
             self.values,
-            self.said_done,
-            self.said_refused,
+            self.reported_done,
+            self.reported_refused,
             self.wrong_runs,
             self.runs,
             self.correct,
@@ -187,15 +188,16 @@ impl fmt::Display for Tally {
     }
 }
 
-/// Runs the combinations at the same time, the runs of each in turn, and prints the result of each.
+/// Runs all combinations concurrently, the repeats of each in sequence, and prints the result of
+/// each.
 async fn campaign<F, T>(name: &str, repeats: usize, combinations: Vec<(String, F)>) -> Tally
 where
     F: Fn(usize) -> T + Send + Sync + 'static,
     T: Future<Output = Tally> + Send + 'static,
 {
     let mut set = JoinSet::new();
-    let permits = Arc::new(Semaphore::new(AT_ONCE));
-    // The short run has a third of the large campaigns.
+    let permits = Arc::new(Semaphore::new(MAX_CONCURRENT_RUNS));
+    // The short run takes every third combination of the large campaigns.
     let step = if repeats == 1 && combinations.len() > 40 && crate::repeats() == 1 { 3 } else { 1 };
     for (index, (label, run)) in combinations.into_iter().enumerate().step_by(step) {
         let permits = permits.clone();

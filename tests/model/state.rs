@@ -1,75 +1,75 @@
-//! Events that the model is told, and the state that it keeps.
+//! Events of a run, and the terms of the rules.
 
 use fatek::wire::Framing;
 
+use super::oracle::Mark;
 pub(crate) use super::spec::station::Station;
-use super::witness::Mark;
 
 pub(crate) type Micros = u64;
 pub(crate) type Id = usize;
 
 /// The link's settings.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rules {
+pub(crate) struct LinkSettings {
     pub(crate) framing: Framing,
-    /// The response timeout where a call has no other.
+    /// Default response timeout.
     pub(crate) timeout: Micros,
-    /// How long a line may take to settle after something spoilt.
+    /// Settling time of the line after corrupt bytes.
     pub(crate) settle: Micros,
     pub(crate) offline_after: u32,
     pub(crate) probe_interval: (Micros, Micros),
-    /// The pause after a probe, in times of what it took.
+    /// Pause after a probe, as a multiple of its duration.
     pub(crate) probe_pause: u64,
     pub(crate) queue: usize,
-    /// The longest pause before connecting again.
+    /// Longest back-off before a connection attempt.
     pub(crate) backoff: Micros,
-    /// The shortest silence after which no duplicate of a taken reply comes.
+    /// Minimum copy window: silence after which no copy of a taken reply arrives.
     pub(crate) window: Micros,
-    /// The shortest silence that replaces a check.
+    /// Minimum quiet time: silence that replaces a check.
     pub(crate) quiet: Micros,
 }
 
 #[derive(Clone, Debug)]
 pub(crate) struct Call {
     pub(crate) station: u8,
-    /// 0 control, 1 write, 2 read: that is the order, and calls of one keep theirs.
+    /// 0 control, 1 write, 2 read, in order of priority. Calls of a lane keep their order.
     pub(crate) lane: usize,
-    pub(crate) sort: Sort,
-    /// Requests that ask for the same; the first is the plain one.
+    pub(crate) class: CallClass,
+    /// Equivalent requests; the first is the plain one.
     pub(crate) spellings: Vec<Spelling>,
-    /// The number of registers that it gets.
+    /// Number of registers in the result.
     pub(crate) words: usize,
     pub(crate) retries: u32,
     pub(crate) timeout: Micros,
     pub(crate) deadline: Micros,
 }
 
-/// What the rule of "in step" makes of a request.
+/// How the rule of "in step" treats a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Sort {
-    /// Writes and control commands: sent only if nothing owed could answer.
-    Once,
-    /// A read of live data.
+pub(crate) enum CallClass {
+    /// Writes and control commands: sent only if no owed reply could match.
+    Write,
+    /// Reads of live data.
     Read,
-    /// A page of a program.
+    /// Reads of a program page.
     Page,
 }
 
 #[derive(Clone, Debug)]
 pub(crate) struct Spelling {
     pub(crate) request: Vec<u8>,
-    /// A register that the call does not ask for.
+    /// An extra register that is not part of the call.
     pub(crate) extra: Option<u16>,
-    /// That one is the first of those that are named.
+    /// The extra register is the first one of the request.
     pub(crate) before: bool,
-    /// Registers of which a reply shows that the station has them.
+    /// Registers that exist if the reply is positive.
     pub(crate) shows: Vec<u16>,
 }
 
 /// Result of a call.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum End {
-    /// With these registers; none for a write or a control command.
+pub(crate) enum CallResult {
+    /// Success with these registers; empty for writes and control commands.
     Done(Vec<u16>),
     Refused {
         code: u8,
@@ -98,87 +98,87 @@ pub(crate) enum End {
 pub(crate) enum Event {
     Called(Id, Call),
     Cancelled(Id),
-    Ended(Id, End),
+    Ended(Id, CallResult),
     Connecting,
     Connected,
     NotConnected,
     Lost,
-    /// The link wrote this.
+    /// The link wrote a request.
     Wrote(Vec<u8>),
-    /// The link was writing this when the connection was lost.
+    /// The link wrote a request when the connection was lost.
     WroteInVain(Vec<u8>),
-    /// The link was to read this; each byte has the mark of its frame.
+    /// The link read bytes, each with the mark of its frame.
     Read(Vec<u8>, Vec<Option<Mark>>),
 }
 
 #[derive(Debug)]
-pub(crate) struct State {
+pub(crate) struct CallState {
     pub(crate) call: Call,
     pub(crate) retries_left: u32,
-    /// Sendings that count for the PLC: one whose spelling alone was refused does not.
+    /// Number of requests sent, without those whose spelling was refused.
     pub(crate) sends: u32,
     pub(crate) was_sent: bool,
-    /// A reply without proof was followed by another attempt that is no retry.
-    pub(crate) asked_again: bool,
-    /// Another spelling was refused.
-    pub(crate) plain: bool,
-    /// Its station had to be silent since it was sent last.
-    pub(crate) doubted: bool,
-    /// What it must end with, and has not yet.
-    pub(crate) due: Option<End>,
-    pub(crate) over: bool,
+    /// A reply without proof has led to an extra attempt that is no retry.
+    pub(crate) extra_attempt: bool,
+    /// A spelling was refused, so only the plain one may be sent.
+    pub(crate) plain_only: bool,
+    /// The call has waited for silence of its station since it was last sent.
+    pub(crate) waited_for_silence: bool,
+    /// The result that the call must end with, once it is decided.
+    pub(crate) due: Option<CallResult>,
+    pub(crate) ended: bool,
 }
 
 #[derive(Debug)]
-pub(crate) struct Wire {
-    pub(crate) goal: Goal,
+pub(crate) struct InFlight {
+    pub(crate) purpose: Purpose,
     pub(crate) station: u8,
-    /// The call that is on the wire or waits for what is.
+    /// The call of this request, or the one that waits for this check.
     pub(crate) call: Option<Id>,
-    /// Its spelling.
+    /// Index of the spelling.
     pub(crate) spelling: usize,
     pub(crate) request: Vec<u8>,
     pub(crate) command: u8,
     pub(crate) data: Vec<u8>,
     pub(crate) sent: Micros,
     pub(crate) give_up: Micros,
-    /// As far as the deadline can move while a frame comes in.
+    /// Latest timeout that a frame in progress can cause.
     pub(crate) limit: Micros,
-    /// Whether the station has its whole response timeout.
-    pub(crate) whole: bool,
-    pub(crate) fault: bool,
+    /// The timeout is the station's whole response timeout.
+    pub(crate) full_timeout: bool,
+    pub(crate) bad_reply: bool,
     pub(crate) echoed: bool,
     pub(crate) noise: usize,
-    /// The reply, until the whole read that it came in is understood.
-    pub(crate) held: Option<Held>,
-    /// Behind the reply stood another frame of the station that is no copy of it.
-    pub(crate) followed: bool,
+    /// The reply, until the whole read that contained it is processed.
+    pub(crate) held: Option<HeldReply>,
+    /// Another frame of the station, no copy of the reply, came after it.
+    pub(crate) followed_by_other: bool,
 }
 
-/// A frame that fits the request on the wire.
+/// A frame that matches the request in flight.
 #[derive(Clone, Debug)]
-pub(crate) struct Held {
+pub(crate) struct HeldReply {
     pub(crate) data: Vec<u8>,
     pub(crate) answer: Result<Vec<u16>, u8>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Goal {
+pub(crate) enum Purpose {
     Call,
     Check,
-    /// A status request, to learn whether the line echoes.
-    Learn,
+    /// A status request that shows whether the line echoes.
+    LearnEcho,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Echo {
+pub(crate) enum LineEcho {
     Absent,
     Present,
     Unknown,
 }
 
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Probe {
+pub(crate) struct ProbeTimer {
     pub(crate) at: Micros,
     pub(crate) interval: Micros,
 }

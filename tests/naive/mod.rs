@@ -1,4 +1,4 @@
-//! What this crate must not be: a client that sends a request and takes the next good frame for its reply.
+//! A naive client for comparison: it takes the next good frame for the reply.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 
 use std::io;
@@ -13,11 +13,11 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
 use tokio::time::timeout;
 use tokio_util::codec::Decoder;
 
-use super::{Dice, READ_ONLY, STATIONS, word};
+use super::{READ_ONLY, Rng, STATIONS, word};
 
-/// Reads registers one after the other, and counts the wrong values.
+/// Reads registers one after the other; returns the number of wrong values.
 pub(crate) async fn run(bus: Bus, framing: Framing, reads: u32) -> u32 {
-    let mut dice = Dice(1);
+    let mut rng = Rng(1);
     let mut open = sim::connector(bus, framing);
     let mut stream = None;
     let mut received = BytesMut::new();
@@ -28,8 +28,8 @@ pub(crate) async fn run(bus: Bus, framing: Framing, reads: u32) -> u32 {
             stream = open().await.ok();
         }
         let Some(line) = &mut stream else { continue };
-        let station = 1 + dice.below(u64::from(STATIONS)) as u8;
-        let address = dice.below(u64::from(READ_ONLY)) as u16;
+        let station = 1 + rng.below(u64::from(STATIONS)) as u8;
+        let address = rng.below(u64::from(READ_ONLY)) as u16;
         match timeout(Duration::from_millis(60), read(line, &mut received, framing, station, address)).await {
             Ok(Ok(value)) => wrong += u32::from(value != word(station, address)),
             Ok(Err(_)) => stream = None,

@@ -1,5 +1,5 @@
-//! The PLC's end of a line, for tests that decide every byte.
-#![allow(dead_code, reason = "each test program uses its own part of it")]
+//! A scripted PLC: the test decides every byte of its replies.
+#![allow(dead_code, reason = "each test program uses a part of it")]
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -12,8 +12,10 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 use tokio::time::timeout;
 use tokio_util::codec::{Decoder, Encoder};
 
-/// The PLC's end of a line. It answers by itself the check that each station gets first, and loop-backs without data, which
-/// separate two requests; the test answers the rest.
+/// The PLC's end of a stream.
+///
+/// Answers the first check of each station and loop-backs without data, which separate two
+/// requests. The test answers all other requests.
 pub(crate) struct Peer {
     pub(crate) stream: DuplexStream,
     codec: Codec,
@@ -32,12 +34,12 @@ impl Peer {
         }
     }
 
-    /// The next request.
+    /// Receives the next request.
     pub(crate) async fn request(&mut self) -> Frame {
-        self.request_if_any().await.expect("the client has hung up")
+        self.request_if_any().await.expect("the client has closed the connection")
     }
 
-    /// The next request, unless the client has hung up.
+    /// Receives the next request; `None` if the client has closed the connection.
     pub(crate) async fn request_if_any(&mut self) -> Option<Frame> {
         loop {
             let request = self.any_request().await?;
@@ -53,7 +55,7 @@ impl Peer {
         }
     }
 
-    /// The next request, be it a check, unless the client has hung up.
+    /// Receives the next request, checks included; `None` if the client has closed the connection.
     pub(crate) async fn any_request(&mut self) -> Option<Frame> {
         loop {
             if let Some(frame) = self.codec.decode(&mut self.received).unwrap().and_then(|item| item.frame()) {
@@ -65,7 +67,7 @@ impl Peer {
         }
     }
 
-    /// Answers everything as a healthy PLC would, until the client hangs up.
+    /// Answers every request as a healthy PLC, until the client closes the connection.
     pub(crate) async fn serve(mut self) {
         while let Some(request) = self.request_if_any().await {
             match request.command {
@@ -79,19 +81,19 @@ impl Peer {
         }
     }
 
-    /// Whether the client sends nothing for a second.
+    /// Whether the client sends no request for one second.
     pub(crate) async fn hears_nothing(&mut self) -> bool {
         timeout(Duration::from_secs(1), self.request()).await.is_err()
     }
 
-    /// Answers with this data, error digit included.
+    /// Sends a reply with this data, which begins with the error code.
     pub(crate) async fn reply(&mut self, station: u8, command: u8, data: &str) {
         let mut bytes = BytesMut::new();
         self.encode(station, command, data.to_owned(), &mut bytes);
         self.raw(&bytes).await;
     }
 
-    /// Appends a frame.
+    /// Appends a frame to `bytes`.
     pub(crate) fn encode(&mut self, station: u8, command: u8, data: impl Into<Bytes>, bytes: &mut BytesMut) {
         self.codec.encode(&Frame { station, command, data: data.into() }, bytes).unwrap();
     }
@@ -100,10 +102,10 @@ impl Peer {
         self.stream.write_all(bytes).await.unwrap();
     }
 
-    /// Echoes the loop-back that must come now.
+    /// Answers the next request, which must be a loop-back, with its echo.
     pub(crate) async fn echo(&mut self) {
         let request = self.request().await;
-        assert_eq!(request.command, 0x4E, "a dirty station must first echo a loop-back");
+        assert_eq!(request.command, 0x4E, "a suspect station gets a loop-back first");
         let data = String::from_utf8(request.data.to_vec()).unwrap();
         self.reply(request.station, 0x4E, &data).await;
     }
@@ -111,12 +113,12 @@ impl Peer {
 
 pub(crate) fn line() -> (Link, Peer) {
     let (client, plc) = duplex(4096);
-    let link = Link::stream_builder(client, Framing::Ascii).in_step(undoubled()).build();
+    let link = Link::stream_builder(client, Framing::Ascii).in_step(without_duplicates()).build();
     (link, Peer::new(plc))
 }
 
-/// A line that never doubles a reply, so that equal requests in turn are spelt alike: for tests of other matters.
-pub(crate) fn undoubled() -> InStepSettings {
+/// Settings of a line that never duplicates a reply: equal requests keep one spelling.
+pub(crate) fn without_duplicates() -> InStepSettings {
     InStepSettings::new().with_copies(0).unwrap()
 }
 

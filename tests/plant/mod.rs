@@ -1,7 +1,10 @@
-//! PLCs in memory, each at an endpoint of its own, which can be killed and started again; and a count of what is connected
-//! to them. Their connections answer by themselves, so the tasks and the heap are those of the links alone.
+//! Simulated PLCs, each at its own endpoint, that can be stopped and restarted; counts their
+//! connections.
+//!
+//! Connections answer without tasks, so all tasks and heap belong to the links.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![allow(dead_code, reason = "each test program uses its own part of it")]
+#![allow(dead_code, reason = "each test program uses a part of it")]
 
 use std::io;
 use std::pin::Pin;
@@ -19,20 +22,20 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, sleep};
 use tokio_util::codec::Decoder;
 
-/// What a PLC does. When it changes, so does nothing else: connections stay, unless it [dies](Plant::kill).
+/// How a PLC behaves. A new mode keeps the connections, unless the PLC is [killed](Plant::kill).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mode {
     Answers,
-    /// Answers, and sends half a kilobyte of noise before each reply.
-    Babbles,
-    /// Answers as soon as it is in another mode.
-    Hesitates,
-    /// Accepts connections and says nothing.
-    IsMute,
+    /// Answers, with 512 bytes of noise before each reply.
+    Noisy,
+    /// Answers as soon as the mode changes.
+    Delayed,
+    /// Accepts connections and never answers.
+    Silent,
     /// Refuses connections.
     Refuses,
-    /// Neither accepts connections nor refuses them, as what is switched off.
-    IsOff,
+    /// Neither accepts nor refuses connections, like a PLC without power.
+    PoweredOff,
 }
 
 #[derive(Clone)]
@@ -40,16 +43,16 @@ pub(crate) struct Plant {
     framing: Framing,
     ports: Arc<[Mutex<Port>]>,
     counts: Arc<Counts>,
-    /// How long a connection takes to be opened, or to be refused.
-    takes: Duration,
+    /// Time until a connection is opened or refused.
+    connect_time: Duration,
 }
 
-/// The end of a PLC that others connect to.
+/// Server side of one PLC.
 struct Port {
     bus: Bus,
     mode: Mode,
-    /// How often it was killed. A connection to one of its earlier lives is lost.
-    deaths: u32,
+    /// Number of kills. Connections opened before the last one are lost.
+    kills: u32,
     waiting: Option<Waker>,
 }
 
@@ -62,15 +65,15 @@ struct Counts {
 }
 
 impl Plant {
-    /// So many PLCs, each with its number in R0.
-    pub(crate) fn new(plcs: usize, framing: Framing, takes: Duration) -> Self {
+    /// Creates `plcs` PLCs, each with its number in R0.
+    pub(crate) fn new(plcs: usize, framing: Framing, connect_time: Duration) -> Self {
         let port = |n| {
             let plc = Plc::new();
             plc.write(register!("R0"), u16::try_from(n).unwrap()).unwrap();
             let bus = Bus::new().with_station(1, plc).unwrap();
-            Mutex::new(Port { bus, mode: Mode::Answers, deaths: 0, waiting: None })
+            Mutex::new(Port { bus, mode: Mode::Answers, kills: 0, waiting: None })
         };
-        Self { framing, ports: (0..plcs).map(port).collect(), counts: Arc::default(), takes }
+        Self { framing, ports: (0..plcs).map(port).collect(), counts: Arc::default(), connect_time }
     }
 
     pub(crate) fn pool(&self) -> PoolBuilder {
@@ -79,7 +82,7 @@ impl Plant {
     }
 
     pub(crate) fn endpoint(&self, n: usize) -> Endpoint {
-        // The port tells which PLC it is.
+        // The TCP port is the number of the PLC.
         Endpoint::tcp("plant", u16::try_from(n).unwrap()).with_framing(self.framing)
     }
 
@@ -89,15 +92,15 @@ impl Plant {
         port.wake();
     }
 
-    /// Its connections are lost, and from now on it is in this mode.
+    /// Closes all connections of a PLC and sets its mode.
     pub(crate) fn kill(&self, n: usize, mode: Mode) {
         let mut port = self.ports[n].lock().unwrap();
         port.mode = mode;
-        port.deaths += 1;
+        port.kills += 1;
         port.wake();
     }
 
-    /// When each attempt to connect began.
+    /// Start time of each connection attempt.
     pub(crate) fn attempts(&self) -> Vec<Instant> {
         self.counts.attempts.lock().unwrap().clone()
     }
@@ -106,30 +109,30 @@ impl Plant {
         self.counts.most_opening.load(Ordering::SeqCst)
     }
 
-    /// How many connections the clients hold, the lost ones among them that they have not dropped.
+    /// Connections that clients hold, including lost ones that are not dropped yet.
     pub(crate) fn open(&self) -> usize {
         self.counts.open.load(Ordering::SeqCst)
     }
 
-    async fn connect(self, endpoint: Endpoint) -> io::Result<Wire> {
+    async fn connect(self, endpoint: Endpoint) -> io::Result<Connection> {
         let n = match endpoint.transport() {
             fatek::endpoint::Transport::Tcp { port, .. } => usize::from(*port),
-            _ => panic!("{endpoint} is not of this plant"),
+            _ => panic!("{endpoint} is not an endpoint of this plant"),
         };
         self.counts.attempts.lock().unwrap().push(Instant::now());
         let opening = Opening::new(&self.counts);
-        sleep(self.takes).await;
-        let (mode, deaths) = {
+        sleep(self.connect_time).await;
+        let (mode, kills) = {
             let port = self.ports[n].lock().unwrap();
-            (port.mode, port.deaths)
+            (port.mode, port.kills)
         };
         match mode {
             Mode::Refuses => return Err(io::ErrorKind::ConnectionRefused.into()),
-            Mode::IsOff => std::future::pending().await,
+            Mode::PoweredOff => std::future::pending().await,
             _ => drop(opening),
         }
         self.counts.open.fetch_add(1, Ordering::SeqCst);
-        Ok(Wire { plant: self, n, deaths, replies: BytesMut::new() })
+        Ok(Connection { plant: self, n, kills, replies: BytesMut::new() })
     }
 }
 
@@ -141,7 +144,7 @@ impl Port {
     }
 }
 
-/// A connection that is being opened.
+/// Counts a connection attempt in progress.
 struct Opening {
     counts: Arc<Counts>,
 }
@@ -160,23 +163,23 @@ impl Drop for Opening {
     }
 }
 
-/// A connection to a PLC.
-pub(crate) struct Wire {
+/// Client side of a connection to a PLC.
+pub(crate) struct Connection {
     plant: Plant,
     n: usize,
-    /// How often the PLC had been killed when it was opened.
-    deaths: u32,
+    /// Number of kills of the PLC when the connection was opened.
+    kills: u32,
     replies: BytesMut,
 }
 
-impl AsyncRead for Wire {
+impl AsyncRead for Connection {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
         let mut port = this.plant.ports[this.n].lock().unwrap();
-        if port.deaths != this.deaths {
+        if port.kills != this.kills {
             return Poll::Ready(Ok(()));
         }
-        if this.replies.is_empty() || port.mode == Mode::Hesitates {
+        if this.replies.is_empty() || port.mode == Mode::Delayed {
             port.waiting = Some(cx.waker().clone());
             return Poll::Pending;
         }
@@ -190,18 +193,18 @@ impl AsyncRead for Wire {
     }
 }
 
-impl AsyncWrite for Wire {
+impl AsyncWrite for Connection {
     fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let this = self.get_mut();
         let port = this.plant.ports[this.n].lock().unwrap();
-        if port.deaths != this.deaths {
+        if port.kills != this.kills {
             return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
         }
-        if port.mode == Mode::Babbles {
+        if port.mode == Mode::Noisy {
             this.replies.extend_from_slice(&[b'?'; 512]);
         }
-        if port.mode != Mode::IsMute {
-            // Requests are written whole, and whoever reads is polled after it has written.
+        if port.mode != Mode::Silent {
+            // A write holds whole requests, and the reader is polled after each write.
             let mut codec = Codec::new(this.plant.framing, Side::Plc);
             let mut request = BytesMut::from(bytes);
             while let Some(received) = codec.decode(&mut request)? {
@@ -220,9 +223,9 @@ impl AsyncWrite for Wire {
     }
 }
 
-impl Drop for Wire {
+impl Drop for Connection {
     fn drop(&mut self) {
-        // Nobody waits for it any more.
+        // The reader is gone.
         self.plant.ports[self.n].lock().unwrap().waiting = None;
         self.plant.counts.open.fetch_sub(1, Ordering::SeqCst);
     }

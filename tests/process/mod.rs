@@ -1,5 +1,5 @@
-//! The command line as a process, and what it talks to.
-#![allow(dead_code, reason = "each test uses a part of it")]
+//! Runs the command line as a process, against simulated and scripted PLCs.
+#![allow(dead_code, reason = "each test program uses a part of it")]
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -12,23 +12,23 @@ use std::time::Duration;
 
 pub(crate) const FATEK: &str = env!("CARGO_BIN_EXE_fatek");
 
-/// How a process ended, and what it said.
+/// Exit status and output of a process.
 #[derive(Debug)]
-pub(crate) struct Ran {
+pub(crate) struct Output {
     pub(crate) status: i32,
     pub(crate) stdout: String,
     pub(crate) stderr: String,
 }
 
-impl Ran {
-    /// Its data, if all went well.
+impl Output {
+    /// Returns stdout. Panics unless the status is 0.
     #[track_caller]
     pub(crate) fn ok(self) -> String {
         assert_eq!(self.status, 0, "{self:?}");
         self.stdout
     }
 
-    /// Its complaint about the command line.
+    /// Returns stderr. Panics unless the status is 2 (usage error) and stdout is empty.
     #[track_caller]
     pub(crate) fn usage(self) -> String {
         assert_eq!((self.status, self.stdout.as_str()), (2, ""), "{self:?}");
@@ -36,24 +36,24 @@ impl Ran {
     }
 }
 
-pub(crate) fn fatek(args: &[&str]) -> Ran {
+pub(crate) fn fatek(args: &[&str]) -> Output {
     run(Command::new(FATEK).args(args).env_remove("FATEK_LINK").env_remove("FATEK_STATION"))
 }
 
-pub(crate) fn run(command: &mut Command) -> Ran {
+pub(crate) fn run(command: &mut Command) -> Output {
     let output = command.env_remove("RUST_LOG").output().unwrap();
-    Ran {
+    Output {
         status: output.status.code().expect("no signal"),
         stdout: String::from_utf8(output.stdout).unwrap(),
         stderr: String::from_utf8(output.stderr).unwrap(),
     }
 }
 
-/// `fatek sim` as a process of its own.
+/// A running `fatek sim` process, killed on drop.
 pub(crate) struct Sim {
     pub(crate) child: Child,
     pub(crate) stdout: BufReader<std::process::ChildStdout>,
-    /// With the framing.
+    /// Endpoint URL, with the framing.
     pub(crate) url: String,
 }
 
@@ -71,8 +71,8 @@ impl Sim {
         Self { child, stdout, url }
     }
 
-    /// Runs the command line on its station 1.
-    pub(crate) fn fatek(&self, args: &[&str]) -> Ran {
+    /// Runs the command line against station 1.
+    pub(crate) fn fatek(&self, args: &[&str]) -> Output {
         fatek(&[&["--link", &self.url, "--station", "1"], args].concat())
     }
 }
@@ -84,25 +84,26 @@ impl Drop for Sim {
     }
 }
 
-/// A device that gives one reply to all it receives, and remembers that.
-pub(crate) struct Fake {
+/// A scripted PLC on TCP: answers every request with `reply` and records what it received. Echoes
+/// loop-backs.
+pub(crate) struct ScriptedPlc {
     pub(crate) url: String,
-    seen: Arc<Mutex<Seen>>,
+    recorded: Arc<Mutex<Recorded>>,
 }
 
 #[derive(Default)]
-struct Seen {
+struct Recorded {
     connections: usize,
     received: Vec<u8>,
 }
 
-impl Fake {
+impl ScriptedPlc {
     pub(crate) fn start(reply: impl Fn(&[u8]) -> Vec<u8> + Send + Sync + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("tcp://{}", listener.local_addr().unwrap());
-        let seen = Arc::<Mutex<Seen>>::default();
-        let (shared, reply) = (seen.clone(), Arc::new(reply));
-        // The thread ends with the test's process.
+        let recorded = Arc::<Mutex<Recorded>>::default();
+        let (shared, reply) = (recorded.clone(), Arc::new(reply));
+        // The thread ends with the process.
         thread::spawn(move || {
             for stream in listener.incoming() {
                 shared.lock().unwrap().connections += 1;
@@ -110,11 +111,11 @@ impl Fake {
                 thread::spawn(move || Self::serve(stream.unwrap(), &shared, &*reply));
             }
         });
-        Self { url, seen }
+        Self { url, recorded }
     }
 
-    /// In front of a simulator: what it is asked and this lets pass is answered as the simulator does, and the rest is not.
-    pub(crate) fn before(sim: &Sim, pass: impl Fn(&[u8]) -> bool + Send + Sync + 'static) -> Self {
+    /// Starts a proxy before a simulator. Requests that `pass` rejects get no reply.
+    pub(crate) fn proxy(sim: &Sim, pass: impl Fn(&[u8]) -> bool + Send + Sync + 'static) -> Self {
         let plc = TcpStream::connect(sim.url.strip_prefix("tcp://").unwrap()).unwrap();
         plc.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
         let plc = Mutex::new(plc);
@@ -133,10 +134,10 @@ impl Fake {
         })
     }
 
-    fn serve(mut stream: TcpStream, seen: &Mutex<Seen>, reply: &dyn Fn(&[u8]) -> Vec<u8>) {
+    fn serve(mut stream: TcpStream, recorded: &Mutex<Recorded>, reply: &dyn Fn(&[u8]) -> Vec<u8>) {
         let mut buffer = [0; 1024];
         while let Ok(len @ 1..) = stream.read(&mut buffer) {
-            seen.lock().unwrap().received.extend_from_slice(&buffer[..len]);
+            recorded.lock().unwrap().received.extend_from_slice(&buffer[..len]);
             let is_loop_back = buffer[..len].get(3..5) == Some(b"4E");
             let bytes = if is_loop_back { buffer[..len].to_vec() } else { reply(&buffer[..len]) };
             if stream.write_all(&bytes).is_err() {
@@ -145,23 +146,24 @@ impl Fake {
         }
     }
 
-    /// Runs the command line on its station 1.
-    pub(crate) fn fatek(&self, args: &[&str]) -> Ran {
+    /// Runs the command line against station 1.
+    pub(crate) fn fatek(&self, args: &[&str]) -> Output {
         fatek(&[&["--link", &self.url, "--station", "1"], args].concat())
     }
 
     pub(crate) fn connections(&self) -> usize {
-        self.seen.lock().unwrap().connections
+        self.recorded.lock().unwrap().connections
     }
 
     pub(crate) fn received(&self) -> Vec<u8> {
-        self.seen.lock().unwrap().received.clone()
+        self.recorded.lock().unwrap().received.clone()
     }
 }
 
-/// Runs the command line on this, interrupts it when the device has received something, and gives its status and complaints.
+/// Runs the command line, sends SIGINT when `when` holds of the received bytes, and returns status
+/// and stderr.
 #[cfg(unix)]
-pub(crate) fn interrupted(plc: &Fake, args: &[&str], when: impl Fn(&[u8]) -> bool) -> (i32, String) {
+pub(crate) fn run_and_interrupt(plc: &ScriptedPlc, args: &[&str], when: impl Fn(&[u8]) -> bool) -> (i32, String) {
     let mut command = Command::new(FATEK);
     command.args(["--link", &plc.url, "--station", "1", "--timeout", "60s"]).args(args);
     let child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -173,7 +175,7 @@ pub(crate) fn interrupted(plc: &Fake, args: &[&str], when: impl Fn(&[u8]) -> boo
     (ended.status.code().expect("no signal"), String::from_utf8(ended.stderr).unwrap())
 }
 
-/// A frame of the ASCII framing around this.
+/// Encodes a frame of the ASCII framing.
 pub(crate) fn ascii(content: &str) -> Vec<u8> {
     let mut frame = format!("\x02{content}").into_bytes();
     let lrc = frame.iter().fold(0_u8, |sum, &byte| sum.wrapping_add(byte));
@@ -181,10 +183,9 @@ pub(crate) fn ascii(content: &str) -> Vec<u8> {
     frame
 }
 
-/// Runs the command line on a simulator's station 1 at a terminal, gives this answer to its question, and tells its status and
-/// all that stood there.
+/// Runs the command line on a pseudo-terminal, answers its question, and returns status and output.
 #[cfg(unix)]
-pub(crate) fn at_terminal(sim: &Sim, args: &[&str], answer: &str) -> (i32, String) {
+pub(crate) fn run_at_terminal(sim: &Sim, args: &[&str], answer: &str) -> (i32, String) {
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
     use std::fs::{File, OpenOptions};
 
@@ -198,7 +199,7 @@ pub(crate) fn at_terminal(sim: &Sim, args: &[&str], answer: &str) -> (i32, Strin
     command.args(["--link", &sim.url, "--station", "1"]).args(args);
     command.env("TERM", "xterm");
     let mut child = command.stdin(side()).stdout(side()).stderr(side()).spawn().unwrap();
-    // The child alone has the other side now: when it ends, so does what is read here.
+    // Only the child holds the other side now, so reading ends with the child.
     drop(command);
     let (mut shown, mut answered) = (String::new(), false);
     let mut buffer = [0; 4096];
@@ -213,7 +214,7 @@ pub(crate) fn at_terminal(sim: &Sim, args: &[&str], answer: &str) -> (i32, Strin
     (child.wait().unwrap().code().unwrap(), shown)
 }
 
-/// A folder of its own, which is removed at the end.
+/// A temporary folder, removed on drop.
 pub(crate) struct Folder(pub(crate) PathBuf);
 
 impl Folder {

@@ -1,4 +1,4 @@
-//! A PLC with a program, its line, and a link to it.
+//! Test bench: a PLC with a program, its line, and links to it.
 
 use std::time::Duration;
 
@@ -25,7 +25,7 @@ impl Bench {
         Self { plc, faults, bus }
     }
 
-    /// A link of its own: what another process would have.
+    /// A station over a new link, as another process would have.
     pub(crate) fn station(&self) -> Station {
         let open = sim::connector(self.bus.clone(), Framing::Ascii);
         let link = Link::connector_builder("in memory", Framing::Ascii, open)
@@ -35,11 +35,11 @@ impl Bench {
         link.station(1).unwrap()
     }
 
-    pub(crate) fn holds(&self) -> Vec<ProgramPage> {
+    pub(crate) fn pages_held(&self) -> Vec<ProgramPage> {
         (0..self.plc.pages()).map(|page| self.plc.page(page).unwrap()).collect()
     }
 
-    /// Puts a program into it, as its programmer would.
+    /// Loads a program directly into the PLC.
     pub(crate) fn load(&self, program: &Program) {
         (0..).zip(program.pages()).for_each(|(page, content)| self.plc.set_page(page, content.clone()).unwrap());
     }
@@ -49,8 +49,9 @@ impl Bench {
         self.faults.log().entries()
     }
 
-    /// Replays what the PLC has executed, from these pages on: RUN never came while it held neither of these programs.
-    pub(crate) fn never_ran_a_half(&self, old: &Program, new: &Program) {
+    /// Replays the log, starting with the old program. Asserts that RUN never came while the PLC
+    /// held neither program.
+    pub(crate) fn assert_never_ran_a_half(&self, old: &Program, new: &Program) {
         let mut pages = old.pages().to_vec();
         for entry in self.entries().into_iter().filter(|entry| entry.executed) {
             match entry.request() {
@@ -61,11 +62,11 @@ impl Bench {
                 _ => {}
             }
         }
-        assert_eq!(pages, self.holds(), "the log has all that was written");
+        assert_eq!(pages, self.pages_held(), "the log is complete");
     }
 }
 
-/// A program of this size, of which hardly two words are equal. All have the same header.
+/// A random program of this size. All have the same header.
 pub(crate) fn program(ladder_words: u16, seed: u64) -> Program {
     program_with_header(ladder_words, seed, b"FB00")
 }

@@ -1,7 +1,7 @@
-//! A crash at every page of a write, and then another process that knows nothing but the program and the PLC.
+//! Crashes at every page of a write, and a second process that has only the program and the PLC.
 //!
-//! Of programs of the real sizes it is every eighth page, of one kind of crash or another; `FATEK_CRASH_STEP=1` has every kind
-//! at every page.
+//! Programs of real sizes are tested at every eighth page, with one kind of crash after the other.
+//! `FATEK_CRASH_STEP=1` tests every kind at every page.
 
 use std::time::Duration;
 
@@ -12,23 +12,23 @@ use fatek::sim::{DisconnectAt, Fault, Line, PageReply, Rule};
 
 use crate::bench::{Bench, program, program_with_header, seeds};
 
-/// What happens to the n-th page that is written, and to everything behind it.
+/// Failures from the n-th page write on.
 #[derive(Clone, Copy, Debug)]
 enum Crash {
-    /// The PLC hears nothing any more.
+    /// The PLC receives nothing any more.
     Silence,
-    /// The page is written, and then the connection is gone for good.
+    /// The page is written, and the connection is lost for good.
     Disconnect,
-    /// The page is written, and nothing is answered any more.
+    /// The page is written, and no reply comes any more.
     NoAnswer,
-    /// The process is gone when the write has been sent.
+    /// The process ends after it has sent the write.
     Process,
 }
 
 const OPTIONS: fn() -> WriteOptions = || WriteOptions::new().stop_first().run_again();
 
 #[tokio::test(start_paused = true)]
-async fn a_crash_at_every_page_and_then_a_new_process_end_with_the_program_and_never_run_a_half() {
+async fn a_new_process_completes_a_write_after_any_crash() {
     let step = std::env::var("FATEK_CRASH_STEP").ok().and_then(|step| step.parse().ok()).unwrap_or(32_usize);
     let mut crashes = 0;
     for (ladder_words, step) in [(1280, 1), (8192, step), (13_184, step)] {
@@ -54,13 +54,13 @@ async fn crash_at(crash: Crash, nth: u16, ladder_words: u16, old: &Program, new:
     bench.load(old);
     bench.plc.run();
     let skip = u64::from(nth - 1);
-    // From the n-th write on; what reads before that goes on.
+    // From the n-th write on. Earlier reads are not affected.
     let from_here = |fault| Rule::new(fault).command(Code::WriteProgramPage).skip(skip);
     match crash {
         Crash::Silence => bench.faults.add_rule(from_here(Fault::Ignore)),
         Crash::Disconnect => {
             bench.faults.add_rule(from_here(Fault::Disconnect(DisconnectAt::BeforeReply)));
-            // There is one connection, and no other.
+            // No second connection is accepted.
             bench.faults.add_rule(Rule::new(Fault::Refuse).skip(1));
         }
         Crash::NoAnswer | Crash::Process => bench.faults.add_rule(from_here(Fault::DropReply)),
@@ -71,8 +71,8 @@ async fn crash_at(crash: Crash, nth: u16, ladder_words: u16, old: &Program, new:
         let mut run = Box::pin(write.run(&station));
         let ended = tokio::select! {
             ended = &mut run => Some(ended),
-            // Until the write has arrived; then all of the line is dead.
-            () = struck(&bench) => None,
+            // Once the write has arrived, the whole line fails.
+            () = first_fault_struck(&bench) => None,
         };
         assert!(ended.is_none(), "{context}: {ended:?}");
         match crash {
@@ -84,30 +84,30 @@ async fn crash_at(crash: Crash, nth: u16, ladder_words: u16, old: &Program, new:
             }
         }
     }
-    assert!(!bench.plc.is_running(), "{context}: it runs a half-written program");
-    let before = bench.holds();
+    assert!(!bench.plc.is_running(), "{context}: the PLC runs a half-written program");
+    let before = bench.pages_held();
     assert!(before != old.pages() || nth == 1, "{context}");
     assert!(before != new.pages() || nth == new.header().page_count(), "{context}");
 
-    // Another process: another link, and nothing but the program.
+    // Another process has another link, and only the program.
     bench.faults.set_rules([]);
     let missing: Vec<u16> =
-        order(new).into_iter().filter(|&page| before.get(usize::from(page)) != new.page(page)).collect();
+        write_order(new).into_iter().filter(|&page| before.get(usize::from(page)) != new.page(page)).collect();
     let report = bench.station().write_program(new, OPTIONS()).await.unwrap();
-    assert_eq!(report.written, missing, "{context}: only what is missing is written");
-    // It did not run before, as far as this process knows.
+    assert_eq!(report.written, missing, "{context}: only missing pages are written");
+    // This process has not seen the PLC run.
     assert!(!report.running && !bench.plc.is_running(), "{context}");
-    assert_eq!(bench.holds(), new.pages(), "{context}");
+    assert_eq!(bench.pages_held(), new.pages(), "{context}");
 
-    // The first one, if it is still there, knows better.
+    // The first process, if it still exists, has seen it run.
     let report = write.run(&bench.station()).await.unwrap();
     assert!(report.written.is_empty() && report.running && bench.plc.is_running(), "{context}: {report:?}");
-    bench.never_ran_a_half(old, new);
+    bench.assert_never_ran_a_half(old, new);
 }
 
 fn check(error: &WriteProgramError, nth: u16, new: &Program, context: &str) {
     assert!(matches!(*error.source, ProgramError::Call { .. }), "{context}: {error}");
-    let mut written = order(new);
+    let mut written = write_order(new);
     let mut rest = written.split_off(usize::from(nth - 1));
     let in_doubt = rest.remove(0);
     assert_eq!((&error.state.written, &error.state.in_doubt), (&written, &vec![in_doubt]), "{context}");
@@ -121,20 +121,20 @@ fn check(error: &WriteProgramError, nth: u16, new: &Program, context: &str) {
     );
 }
 
-/// Until the first rule has struck.
-async fn struck(bench: &Bench) {
+/// Waits until the first fault has been injected.
+async fn first_fault_struck(bench: &Bench) {
     while bench.faults.rules().first().is_some_and(|rule| rule.times_applied() == 0) {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
 }
 
-/// In which order the pages of a program are written: the header last.
-fn order(program: &Program) -> Vec<u16> {
+/// Order in which pages are written: the header last.
+fn write_order(program: &Program) -> Vec<u16> {
     (1..program.header().page_count()).chain([0]).collect()
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_page_whose_write_has_no_answer_is_read_and_written_again_only_if_it_differs() {
+async fn an_unanswered_page_write_is_repeated_only_if_needed() {
     let (old, new) = (program(640, 1), program(640, 2));
     for (fault, writes) in [(Fault::DropReply, 1), (Fault::Ignore, 2)] {
         let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
@@ -142,7 +142,7 @@ async fn a_page_whose_write_has_no_answer_is_read_and_written_again_only_if_it_d
         bench.faults.add_rule(Rule::new(fault).command(Code::WriteProgramPage).skip(4).times(1));
         let report = bench.station().write_program(&new, WriteOptions::new()).await.unwrap();
         assert_eq!(report.written, (1..=10).collect::<Vec<_>>());
-        assert_eq!(bench.holds(), new.pages());
+        assert_eq!(bench.pages_held(), new.pages());
         let sent = bench.entries().into_iter().filter(|entry| {
             matches!(entry.request(), Some(fatek::command::Request::WriteProgramPage(write)) if write.page == 5)
         });
@@ -151,7 +151,7 @@ async fn a_page_whose_write_has_no_answer_is_read_and_written_again_only_if_it_d
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_page_is_given_up_after_as_many_attempts_as_were_asked_for() {
+async fn a_page_write_fails_after_the_configured_attempts() {
     let (old, new) = (program(640, 1), program(640, 2));
     for attempts in [0, 1, 4] {
         let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
@@ -168,20 +168,20 @@ async fn a_page_is_given_up_after_as_many_attempts_as_were_asked_for() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_slow_page_write_gets_the_time_that_it_was_given_and_other_requests_do_not() {
+async fn the_page_timeout_applies_to_page_writes_only() {
     let (old, new) = (program(640, 1), program(640, 2));
     let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
     bench.load(&old);
     let slow = Fault::Delay { min: Duration::from_secs(7), max: Duration::from_secs(7) };
     bench.faults.add_rule(Rule::new(slow).command(Code::WriteProgramPage));
-    let patient = WriteOptions::new().page_timeout(Duration::from_secs(8));
-    bench.station().write_program(&new, patient).await.unwrap();
+    let options = WriteOptions::new().page_timeout(Duration::from_secs(8));
+    bench.station().write_program(&new, options).await.unwrap();
     let sent = bench.faults.log().writes();
-    assert_eq!((sent, bench.holds()), (10, new.pages().to_vec()));
+    assert_eq!((sent, bench.pages_held()), (10, new.pages().to_vec()));
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_writing_that_is_dropped_at_any_time_goes_on_and_in_the_end_the_plc_runs_as_before() {
+async fn a_write_dropped_at_any_time_can_be_resumed() {
     let (old, new) = (program(640, 1), program(640, 2));
     let mut drops = 0;
     for seed in seeds(100) {
@@ -192,7 +192,7 @@ async fn a_writing_that_is_dropped_at_any_time_goes_on_and_in_the_end_the_plc_ru
         bench.faults.set_line(Line::default().response_time(request, request));
         let station = bench.station();
         let mut write = WriteProgram::new(&new, OPTIONS());
-        // The whole takes about 400 ms, and the comparison before the first page 130 ms.
+        // The whole write takes about 400 ms, the comparison before the first page 130 ms.
         let mut after = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15);
         let report = loop {
             after = after.rotate_left(17).wrapping_mul(0x0100_0000_01B3).wrapping_add(1);
@@ -200,12 +200,12 @@ async fn a_writing_that_is_dropped_at_any_time_goes_on_and_in_the_end_the_plc_ru
                 Ok(report) => break report.unwrap(),
                 Err(_) => drops += 1,
             }
-            let half = bench.holds() != old.pages() && bench.holds() != new.pages();
+            let half = bench.pages_held() != old.pages() && bench.pages_held() != new.pages();
             assert!(!(half && bench.plc.is_running()), "seed {seed}");
         };
         assert!(report.was_stopped && report.running && bench.plc.is_running(), "seed {seed}: {report:?}");
-        assert_eq!(bench.holds(), new.pages(), "seed {seed}");
-        bench.never_ran_a_half(&old, &new);
+        assert_eq!(bench.pages_held(), new.pages(), "seed {seed}");
+        bench.assert_never_ran_a_half(&old, &new);
     }
     assert!(drops > 100 || seeds(100).count() < 100, "{drops}");
 }

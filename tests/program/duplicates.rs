@@ -1,15 +1,15 @@
-//! One duplicate of a reply comes out of order, in turn at each request.
+//! Programs with one roaming duplicate, at each request in turn.
 
 use fatek::command::{PAGE_WORDS, ProgramPage};
 use fatek::program::{Program, WriteOptions};
 
 use crate::bench::{Bench, program};
-use crate::roaming::Roaming;
+use crate::roaming::RoamingLine;
 
 const WORDS: u16 = 640;
 
-fn line(bench: &Bench, from: usize) -> Roaming {
-    Roaming::new(bench.bus.clone(), from)
+fn line(bench: &Bench, from: usize) -> RoamingLine {
+    RoamingLine::new(bench.bus.clone(), from)
 }
 
 fn bench(holds: &Program) -> Bench {
@@ -18,7 +18,8 @@ fn bench(holds: &Program) -> Bench {
     bench
 }
 
-/// Without the checks (`Job::must_confirm`) 10 of the 16 readings failed: page 0 seemed to be another.
+/// Without the checks (`Job::must_confirm`) 10 of the 16 reads failed: page 0 seemed to have
+/// changed.
 #[tokio::test(start_paused = true)]
 async fn no_page_of_a_program_is_a_roaming_duplicate() {
     let holds = program(WORDS, 1);
@@ -38,11 +39,12 @@ async fn no_page_of_a_program_is_a_roaming_duplicate() {
     assert!(copies >= 12, "{copies}");
 }
 
-/// Without the checks (`Job::must_confirm`) 10 of the 100 writings failed, without jobs 12: pages seemed to be others.
+/// Without the checks (`Job::must_confirm`) 10 of the 100 writes failed, without jobs 12: pages
+/// seemed to have changed.
 #[tokio::test(start_paused = true)]
-async fn a_program_is_written_whole_in_spite_of_a_roaming_duplicate() {
+async fn a_roaming_duplicate_does_not_spoil_a_program_write() {
     let old = program(WORDS, 1);
-    // Blank pages are equal: the copy of one may be taken for another.
+    // Blank pages are equal: a copy of one may be taken for another.
     let mut pages = program(WORDS, 2).pages().to_vec();
     for page in [3, 4, 6, 7] {
         pages[page] = ProgramPage::new([0xFFFF; PAGE_WORDS]);
@@ -56,13 +58,13 @@ async fn a_program_is_written_whole_in_spite_of_a_roaming_duplicate() {
         let options = WriteOptions::new().stop_first().run_again();
         let options = if verify { options.verify_all() } else { options };
         let report = line.station.write_program(&new, options).await;
-        let good = report.is_ok() && bench.holds() == new.pages() && bench.plc.is_running();
+        let good = report.is_ok() && bench.pages_held() == new.pages() && bench.plc.is_running();
         if let (false, Err(error)) = (good, report) {
             println!("from request {from}: {error}");
         }
         wrong += usize::from(!good);
         copies += line.copies();
-        bench.never_ran_a_half(&old, &new);
+        bench.assert_never_ran_a_half(&old, &new);
     }
     assert_eq!(wrong, 0, "with {copies} copies");
     assert!(copies >= 60, "{copies}");

@@ -1,11 +1,13 @@
-//! Whole programs through the link and the simulated PLC, in paused time: under faults, with a crash at every page, with others
-//! at work on the same PLC. `FATEK_SEEDS=n` runs so many seeds, `FATEK_SEED=n` one.
+//! Whole programs over the link to a simulated PLC, in paused time: faults, crashes at every page,
+//! other users of the PLC.
+//!
+//! `FATEK_SEEDS=n` sets the number of seeds, `FATEK_SEED=n` runs one.
 #![cfg(feature = "sim")]
 
 mod bench;
 mod crash;
 mod duplicates;
-mod others;
+mod interference;
 mod regressions;
 #[path = "../roaming/mod.rs"]
 mod roaming;

@@ -1,4 +1,5 @@
-//! A second failure, a request that fails alone, and others who start or stop the PLC in between.
+//! Regressions: second failures, single failed requests, and other users who start or stop the PLC
+//! meanwhile.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -14,7 +15,7 @@ use crate::bench::{Bench, program};
 
 const REQUEST: Duration = Duration::from_millis(10);
 
-/// With a program, and with requests that take a while.
+/// A PLC with a program and a response time.
 fn bench() -> Bench {
     let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
     bench.load(&program(640, 1));
@@ -27,13 +28,13 @@ fn once() -> CallOptions {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_half_that_somebody_runs_is_stopped_again_though_the_request_fails_that_would_show_it() {
+async fn a_started_half_is_stopped_even_if_a_request_fails() {
     for fault in [Fault::Error(ErrorCode::IllegalFormat), Fault::Ignore] {
         let bench = bench();
         let new = program(640, 2);
         let station = bench.station().with_options(once());
         let writing = station.write_program(&new, WriteOptions::new());
-        // Page 0 and the ten of the comparison, and two that are read back.
+        // Page 0 and ten pages of the comparison, and two that are read back.
         bench.faults.add_rule(Rule::new(fault).command(Code::ReadProgramPage).skip(13).times(1));
         let other = async {
             while bench.plc.page(3).as_ref() != new.page(3) {
@@ -52,7 +53,7 @@ async fn a_half_that_somebody_runs_is_stopped_again_though_the_request_fails_tha
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_second_failure_does_not_forget_that_the_plc_holds_a_half() {
+async fn a_second_failure_still_reports_the_half_written_program() {
     let bench = bench();
     bench.plc.run();
     let station = bench.station().with_options(once());
@@ -75,14 +76,14 @@ async fn a_second_failure_does_not_forget_that_the_plc_holds_a_half() {
     let report = write.run(&station).await.unwrap();
     assert_eq!(report.written, (4..=10).collect::<Vec<_>>());
     assert!(report.was_stopped && report.running && bench.plc.is_running());
-    // From here on it is one like any other.
+    // A completed write has no state left.
     bench.faults.set_rules([Rule::new(Fault::Ignore)]);
     let error = write.run(&station).await.unwrap_err();
     assert!(!error.state.is_half_written() && error.to_string().contains("nothing was written"), "{error}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_half_that_somebody_runs_between_two_runs_is_stopped_again() {
+async fn a_half_started_between_two_attempts_is_stopped_again() {
     for options in [WriteOptions::new(), WriteOptions::new().stop_first()] {
         let bench = bench();
         let station = bench.station().with_options(once());
@@ -103,7 +104,7 @@ async fn a_half_that_somebody_runs_between_two_runs_is_stopped_again() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_somebody_else_has_written_to_its_end_and_set_running_is_not_touched() {
+async fn a_program_completed_by_another_process_is_not_touched() {
     let stop = WriteOptions::new().stop_first();
     for options in [WriteOptions::new(), stop, stop.run_again(), stop.all_pages(), stop.verify_all()] {
         let bench = bench();
@@ -116,7 +117,7 @@ async fn what_somebody_else_has_written_to_its_end_and_set_running_is_not_touche
         bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(3));
         assert!(write.run(&station).await.unwrap_err().state.is_half_written());
         bench.faults.set_rules([]);
-        // Another process.
+        // Another process completes the write.
         bench.station().write_program(&new, WriteOptions::new()).await.unwrap();
         bench.plc.run();
         let before = bench.faults.log().entries().len();
@@ -126,13 +127,13 @@ async fn what_somebody_else_has_written_to_its_end_and_set_running_is_not_touche
             matches!(entry.request(), Some(Request::WriteProgramPage(_) | Request::ControlPlc(_)))
         };
         assert!(!bench.entries()[before..].iter().any(changes), "{options:?}");
-        // And from here on it is one like any other.
+        // A completed write has no state left.
         assert!(!write.state().is_half_written());
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_half_that_somebody_runs_is_found_out_by_the_first_page_that_was_not_written() {
+async fn a_started_half_is_detected_by_its_first_unwritten_page() {
     let bench = bench();
     let (station, new) = (bench.station().with_options(once()), program(640, 2));
     let mut write = WriteProgram::new(&new, WriteOptions::new());
@@ -150,12 +151,12 @@ async fn a_half_that_somebody_runs_is_found_out_by_the_first_page_that_was_not_w
             _ => None,
         })
         .collect();
-    // The header is the same in both.
+    // The header is the same in both programs.
     assert_eq!(pages, [0, 10]);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_writing_that_was_dropped_tells_how_far_it_came() {
+async fn a_dropped_write_reports_its_progress() {
     let bench = bench();
     bench.plc.run();
     let (station, new) = (bench.station(), program(640, 2));
@@ -177,7 +178,7 @@ async fn a_writing_that_was_dropped_tells_how_far_it_came() {
              write the rest before it runs",
         ),
     ];
-    for (last, told) in dropped_at {
+    for (last, reports) in dropped_at {
         let mut run = Box::pin(write.run(&station));
         while !bench.entries().last().and_then(|entry| entry.request()).is_some_and(last) {
             tokio::select! {
@@ -186,26 +187,26 @@ async fn a_writing_that_was_dropped_tells_how_far_it_came() {
             }
         }
         drop(run);
-        assert_eq!(write.state().to_string(), told);
+        assert_eq!(write.state().to_string(), reports);
         bench.plc.run();
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_writing_of_all_pages_has_no_progress_of_a_comparison() {
+async fn a_write_of_all_pages_reports_no_comparison() {
     let bench = bench();
-    let (told, new) = (Arc::<Mutex<Vec<String>>>::default(), program(640, 2));
-    let shared = told.clone();
+    let (reports, new) = (Arc::<Mutex<Vec<String>>>::default(), program(640, 2));
+    let shared = reports.clone();
     let mut write = WriteProgram::new(&new, WriteOptions::new().all_pages())
         .on_progress(move |progress| shared.lock().unwrap().push(progress.to_string()));
     write.run(&bench.station()).await.unwrap();
-    let told = told.lock().unwrap();
-    assert_eq!(told.len(), 22);
-    assert!(told.iter().all(|line| line.starts_with("writing: ") && line.contains(" of 11, ")), "{told:?}");
+    let reports = reports.lock().unwrap();
+    assert_eq!(reports.len(), 22);
+    assert!(reports.iter().all(|line| line.starts_with("writing: ") && line.contains(" of 11, ")), "{reports:?}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_did_not_obey_and_that_somebody_else_has_stopped_is_not_run() {
+async fn a_plc_stopped_by_another_user_is_not_run_again() {
     for fault in [Fault::Error(ErrorCode::IllegalFormat), Fault::Ignore] {
         let bench = bench();
         bench.plc.run();
@@ -214,7 +215,7 @@ async fn a_plc_that_did_not_obey_and_that_somebody_else_has_stopped_is_not_run()
         bench.faults.add_rule(Rule::new(fault).command(Code::ControlPlc));
         assert_eq!(write.run(&station).await.unwrap_err().state.plc, PlcState::Running);
         bench.faults.set_rules([]);
-        // A person, at the machine.
+        // Another user stops the PLC.
         bench.plc.stop();
         let report = write.run(&station).await.unwrap();
         assert!(!report.was_stopped && !report.running && !bench.plc.is_running(), "{report:?}");
@@ -222,13 +223,13 @@ async fn a_plc_that_did_not_obey_and_that_somebody_else_has_stopped_is_not_run()
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_whole_old_program_that_somebody_runs_before_the_first_page_is_not_stopped() {
+async fn an_old_program_started_before_the_first_page_keeps_running() {
     let bench = bench();
     let (old, new) = (program(640, 1), program(640, 2));
     let station = bench.station();
     let writing = station.write_program(&new, WriteOptions::new());
-    // 53, page 0, ten pages and 40 have been answered, and two checks: of the new connection, and of what was compared. The first
-    // page is on its way.
+    // Answered so far: 53, page 0, ten pages, 40, and two checks: of the new connection and of the
+    // comparison. The first page is in flight.
     let starting = async {
         while bench.faults.log().entries().len() < 16 {
             sleep(Duration::from_millis(1)).await;
@@ -239,11 +240,11 @@ async fn a_whole_old_program_that_somebody_runs_before_the_first_page_is_not_sto
     let error = result.unwrap_err();
     assert!(matches!(*error.source, ProgramError::SetRunning) && !error.state.is_half_written(), "{error}");
     assert!(error.to_string().ends_with("; nothing was written, and the PLC runs"), "{error}");
-    assert!(bench.holds() == old.pages() && bench.plc.is_running());
+    assert!(bench.pages_held() == old.pages() && bench.plc.is_running());
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_reason_of_a_refusal_is_told_though_the_next_request_fails_too() {
+async fn a_refusal_is_reported_even_if_the_next_request_fails() {
     let bench = bench();
     let new = program(640, 2);
     let station = bench.station().with_options(once());
@@ -256,7 +257,7 @@ async fn the_reason_of_a_refusal_is_told_though_the_next_request_fails_too() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_writing_of_all_pages_goes_on_where_it_was() {
+async fn a_write_of_all_pages_resumes_where_it_stopped() {
     let bench = bench();
     let new = program(640, 2);
     let mut write = WriteProgram::new(&new, WriteOptions::new().all_pages());
@@ -266,14 +267,14 @@ async fn the_writing_of_all_pages_goes_on_where_it_was() {
         let error = write.run(&station).await.unwrap_err();
         assert_eq!(error.state.written, written.collect::<Vec<_>>());
     }
-    // One that is another since is written again; and the header is the last.
+    // A page that was changed meanwhile is written again. The header is last.
     bench.plc.set_page(3, program(640, 1).pages()[3].clone()).unwrap();
     bench.faults.set_rules([]);
     assert_eq!(write.run(&station).await.unwrap().written, [3, 9, 10, 0]);
-    assert_eq!(bench.holds(), new.pages());
+    assert_eq!(bench.pages_held(), new.pages());
 }
 
-/// A PLC of its own with this program, and stations to reach it: under another number, and over another link.
+/// Another PLC with this program, as another station and over another link.
 fn another(holds: &Program) -> (Bench, [Station; 2]) {
     let other = bench();
     other.load(holds);
@@ -287,9 +288,10 @@ fn another(holds: &Program) -> (Bench, [Station; 2]) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_is_known_of_one_plc_is_not_used_on_another() {
+async fn state_of_one_plc_is_not_used_on_another() {
     let (old, new) = (program(640, 1), program(640, 2));
-    // The other one stands still on purpose, with the whole program; or it runs, and nobody has allowed to stop it.
+    // The other PLC is stopped on purpose, with the whole program; or it runs, and may not be
+    // stopped.
     let stop = WriteOptions::new().stop_first().run_again();
     for (options, holds, runs) in [(stop, &new, false), (WriteOptions::new(), &old, true)] {
         let bench = bench();
@@ -309,11 +311,11 @@ async fn what_is_known_of_one_plc_is_not_used_on_another() {
             let result = write.run(&another).await;
             assert_eq!((other.plc.is_running(), other.faults.log().arrivals()), (runs, 0), "{result:?}");
         }
-        // What is known of the first one is not lost by that.
+        // State of the first PLC is kept.
         bench.faults.set_rules([]);
         let report = write.run(&bench.station()).await.unwrap();
         assert_eq!((report.was_stopped, report.running), (!runs, !runs));
-        // When all is done, it may be used for others.
+        // After completion the write may be used for other PLCs.
         for another in another(&new).1 {
             assert!(write.run(&another).await.unwrap().written.is_empty());
         }
@@ -321,12 +323,12 @@ async fn what_is_known_of_one_plc_is_not_used_on_another() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reading_does_not_go_on_with_another_plc() {
+async fn a_read_does_not_resume_with_another_plc() {
     let bench = bench();
     let (mut read, station) = (fatek::program::ReadProgram::new(), bench.station().with_options(once()));
     bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ReadProgramPage).skip(5));
     read.run(&station).await.unwrap_err();
-    // Of the same model, with the same header.
+    // Another PLC of the same model, with the same header.
     let (other, stations) = another(&program(640, 2));
     for another in stations {
         let error = read.run(&another).await.expect_err("one program of two PLCs");
@@ -340,7 +342,7 @@ async fn a_reading_does_not_go_on_with_another_plc() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_half_that_somebody_runs_is_found_out_by_the_page_in_doubt_if_no_other_is_left() {
+async fn a_started_half_is_detected_by_its_page_in_doubt() {
     let bench = bench();
     let (station, new) = (bench.station().with_options(once()), program(640, 2));
     let mut write = WriteProgram::new(&new, WriteOptions::new());

@@ -1,4 +1,4 @@
-//! Programs of real sizes there and back over a bad line.
+//! Round trips of programs of real sizes over a faulty line.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -12,8 +12,8 @@ use fatek::{Error, Link};
 
 use crate::bench::{Bench, program, seeds};
 
-/// Faults of every kind that one line can have.
-fn spoil(bench: &Bench) {
+/// Adds faults of every kind that a single line can have.
+fn add_faults(bench: &Bench) {
     let rare = |fault| Rule::new(fault).per_mille(10);
     let late = Fault::Delay { min: Duration::from_millis(40), max: Duration::from_millis(80) };
     for fault in [
@@ -24,7 +24,7 @@ fn spoil(bench: &Bench) {
         Fault::GarbageBefore { max_len: 40 },
         Fault::GarbageInside { max_len: 40 },
         Fault::WrongCommand,
-        // Both at once must not come to the length of a page: nobody could tell that from one.
+        // Both at once must not give the length of a page: that could not be detected.
         Fault::Truncated { by: 2 },
         Fault::Extended { by: 5 },
         Fault::BadChecksum,
@@ -36,7 +36,7 @@ fn spoil(bench: &Bench) {
     }
 }
 
-async fn read_on(bench: &Bench) -> (Program, u32) {
+async fn read_until_complete(bench: &Bench) -> (Program, u32) {
     let station = bench.station();
     let mut read = ReadProgram::new();
     for failures in 0..1000 {
@@ -46,11 +46,11 @@ async fn read_on(bench: &Bench) -> (Program, u32) {
             Err(error) => panic!("{error}"),
         }
     }
-    panic!("it does not come to an end");
+    panic!("the read does not complete");
 }
 
 #[tokio::test(start_paused = true)]
-async fn programs_of_both_sizes_come_back_byte_for_byte_under_faults() {
+async fn programs_survive_a_round_trip_under_faults() {
     let mut interrupted = (0, 0);
     for seed in seeds(6) {
         for ladder_words in [8192, 13_184] {
@@ -59,9 +59,9 @@ async fn programs_of_both_sizes_come_back_byte_for_byte_under_faults() {
             let (old, new) = (program(ladder_words, seed), program(ladder_words, seed + 1000));
             bench.load(&old);
             bench.plc.run();
-            spoil(&bench);
+            add_faults(&bench);
 
-            let (read, failures) = read_on(&bench).await;
+            let (read, failures) = read_until_complete(&bench).await;
             assert!(read.to_bytes() == old.to_bytes(), "seed {seed}: pages {:?}", read.differing_pages(&old));
             interrupted.0 += failures;
 
@@ -73,15 +73,15 @@ async fn programs_of_both_sizes_come_back_byte_for_byte_under_faults() {
                     Err(error) => {
                         interrupted.1 += 1;
                         assert!(matches!(*error.source, ProgramError::Call { .. }), "seed {seed}: {error}");
-                        let half = bench.holds() != new.pages() && bench.holds() != old.pages();
+                        let half = bench.pages_held() != new.pages() && bench.pages_held() != old.pages();
                         assert!(!(half && bench.plc.is_running()), "seed {seed}: {error}");
                     }
                 }
             };
             assert!(report.was_stopped && report.running && bench.plc.is_running(), "seed {seed}: {report:?}");
-            bench.never_ran_a_half(&old, &new);
+            bench.assert_never_ran_a_half(&old, &new);
 
-            let (read, failures) = read_on(&bench).await;
+            let (read, failures) = read_until_complete(&bench).await;
             assert!(read.to_bytes() == new.to_bytes(), "seed {seed}: pages {:?}", read.differing_pages(&new));
             assert_eq!(read, new);
             interrupted.0 += failures;
@@ -89,11 +89,11 @@ async fn programs_of_both_sizes_come_back_byte_for_byte_under_faults() {
             assert!(struck > 20, "seed {seed}: {struck} faults");
         }
     }
-    println!("readings and writings that were interrupted and went on: {interrupted:?}");
+    println!("interrupted and resumed reads and writes: {interrupted:?}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reading_that_loses_its_connection_at_every_page_goes_on_there() {
+async fn a_read_interrupted_at_every_page_is_resumed() {
     let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
     let program = program(640, 7);
     bench.load(&program);
@@ -101,7 +101,7 @@ async fn a_reading_that_loses_its_connection_at_every_page_goes_on_there() {
     let mut read = ReadProgram::new();
     for page in 0..11 {
         bench.faults.set_rules([]);
-        // What has an answer is 40, 53, the header and one page more; and the checks, which confirm these.
+        // Answered are 40, 53, the header, one page more, and the checks that confirm them.
         bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ReadProgramPage).skip(if page == 0 {
             1
         } else {
@@ -116,7 +116,7 @@ async fn a_reading_that_loses_its_connection_at_every_page_goes_on_there() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reading_that_is_dropped_at_any_time_goes_on_there() {
+async fn a_read_dropped_at_any_time_is_resumed() {
     let bench = Bench::new(640, PageReply::Bare, 1);
     let program = program(640, 7);
     bench.load(&program);
@@ -128,8 +128,9 @@ async fn a_reading_that_is_dropped_at_any_time_goes_on_there() {
     let mut read = ReadProgram::new();
     let mut drops = 0;
     let whole = loop {
-        // Long enough for six requests: a check that settles the one that was dropped, 40, 53, the header, a page, and the check that
-        // confirms them. In the end it is 53 and the header once more, behind a check that tells it from the first.
+        // Enough for six requests: a check after the dropped request, 40, 53, the header, a page,
+        // and the check that confirms them. The last run repeats 53 and the header, with a check
+        // between.
         match tokio::time::timeout(Duration::from_millis(95), read.run(&station)).await {
             Ok(program) => break program.unwrap(),
             Err(_) => drops += 1,
@@ -140,34 +141,34 @@ async fn a_reading_that_is_dropped_at_any_time_goes_on_there() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn progress_tells_each_page_its_bytes_and_how_long_the_rest_takes() {
+async fn progress_reports_pages_bytes_and_time_left() {
     let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
     let (old, new) = (program(640, 7), program(640, 8));
     bench.load(&old);
     bench
         .faults
         .set_line(fatek::sim::Line::default().response_time(Duration::from_millis(10), Duration::from_millis(10)));
-    let told = Arc::<Mutex<Vec<Progress>>>::default();
-    let tell = |told: &Arc<Mutex<Vec<Progress>>>| {
-        let told = told.clone();
-        move |progress: &Progress| told.lock().unwrap().push(*progress)
+    let reports = Arc::<Mutex<Vec<Progress>>>::default();
+    let report = |reports: &Arc<Mutex<Vec<Progress>>>| {
+        let reports = reports.clone();
+        move |progress: &Progress| reports.lock().unwrap().push(*progress)
     };
     let station = bench.station();
-    ReadProgram::new().twice().on_progress(tell(&told)).run(&station).await.unwrap();
-    let seen = std::mem::take(&mut *told.lock().unwrap());
+    ReadProgram::new().twice().on_progress(report(&reports)).run(&station).await.unwrap();
+    let seen = std::mem::take(&mut *reports.lock().unwrap());
     let steps: Vec<_> = seen.iter().map(|progress| (progress.phase, progress.done)).collect();
     let reading = (1..=11).map(|done| (Phase::Reading, done));
     let verifying = (1..=11).map(|done| (Phase::Verifying, done));
     assert_eq!(steps, reading.chain(verifying).collect::<Vec<_>>());
     assert!(seen.iter().all(|progress| progress.total == 11 && progress.bytes == 128 * progress.done as u64));
     let third = seen[2];
-    // 10 ms a page, and up to a millisecond for the timer each.
+    // 10 ms a page, and up to a millisecond for each timer.
     assert!((30..=36).contains(&third.elapsed.as_millis()), "{third:?}");
     assert!((80..=96).contains(&third.time_left().unwrap().as_millis()), "{third:?}");
     assert!((10_000.0..13_000.0).contains(&third.bytes_per_second().unwrap()), "{third:?}");
 
-    WriteProgram::new(&new, WriteOptions::new()).on_progress(tell(&told)).run(&station).await.unwrap();
-    let seen = std::mem::take(&mut *told.lock().unwrap());
+    WriteProgram::new(&new, WriteOptions::new()).on_progress(report(&reports)).run(&station).await.unwrap();
+    let seen = std::mem::take(&mut *reports.lock().unwrap());
     let comparing = seen.iter().filter(|progress| progress.phase == Phase::Comparing);
     assert!(comparing.map(|progress| progress.done).eq(1..=11));
     let last = seen.last().unwrap();
@@ -176,8 +177,8 @@ async fn progress_tells_each_page_its_bytes_and_how_long_the_rest_takes() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn in_the_binary_framing_nothing_is_sent_and_the_error_says_why() {
-    let open = || -> std::future::Ready<std::io::Result<tokio::io::DuplexStream>> { panic!("it must not connect") };
+async fn in_the_binary_framing_no_program_request_is_sent() {
+    let open = || -> std::future::Ready<std::io::Result<tokio::io::DuplexStream>> { panic!("must not connect") };
     let link = Link::connector_builder("nothing", Framing::Binary, open).build();
     let station = link.station(1).unwrap();
     let error = station.read_program().await.unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! The faults of the simulated bus, and which refusals are right.
+//! Faults of the simulated bus, and the refusals that are right.
 
 use std::time::Duration;
 
@@ -9,29 +9,29 @@ use fatek::{ErrorCode, Register, element, register};
 
 use super::{SLOW, STATIONS, plc};
 
-/// Refuses the loop-back.
+/// Station that refuses the loop-back.
 pub(crate) const NO_LOOP_BACK: u8 = 5;
-/// Refuses mixed reads and writes.
+/// Station that refuses mixed reads and writes.
 pub(crate) const NO_MIXED: u8 = 6;
-/// Refuses RUN.
+/// Station that refuses RUN.
 pub(crate) const NO_RUN: u8 = 7;
-/// The first register that every station refuses to read, and the number of them.
+/// First register that cannot be read, and the number of them.
 pub(crate) const UNREADABLE: (u16, u16) = (1000, 100);
-/// The first register that every station refuses to write, and the number of them.
+/// First register that cannot be written, and the number of them.
 pub(crate) const UNWRITABLE: (u16, u16) = (2000, 200);
 
-/// The refusal of an address that is always refused.
+/// Error code of addresses that are always refused.
 pub(crate) const REFUSED: ErrorCode = ErrorCode::IllegalAddress;
-/// The refusal of a command that a station does not know, and of loop-backs.
+/// Error code of unsupported commands and of refused loop-backs.
 pub(crate) const UNKNOWN_COMMAND: ErrorCode = ErrorCode::IllegalFormat;
-/// The refusal of RUN.
+/// Error code of refused RUN commands.
 pub(crate) const RUN_REFUSED: ErrorCode = ErrorCode::Syntax;
-/// The refusal of a read or write of registers at random.
+/// Error code of injected refusals of reads and writes.
 pub(crate) const INJECTED: ErrorCode = ErrorCode::IllegalValue;
-/// The second answer to a request, and the answer to a broadcast: right for no request.
+/// Error code of second answers and answers to broadcasts. It is right for no request.
 const SECOND: ErrorCode = ErrorCode::NotSupported;
 
-/// A copy comes within this time, so that it is over within the copy window of 100 ms.
+/// Longest delay of a copy, within the copy window of 100 ms.
 const COPY_TIME: Duration = Duration::from_millis(60);
 
 fn ms(milliseconds: u64) -> Duration {
@@ -42,16 +42,17 @@ fn some(fault: Fault, per_mille: u16) -> Rule {
     Rule::new(fault).per_mille(per_mille)
 }
 
-/// Every timing that keeps the order.
+/// All timings that keep the order of replies.
 fn timings() -> [Timing; 4] {
     let with_next =
         |min_per_mille| Timing::WithNextRequest { min_per_mille, max_per_mille: 1000, at_latest: COPY_TIME };
     [Timing::AT_ONCE, Timing::After { min: Duration::ZERO, max: COPY_TIME }, with_next(0), with_next(1000)]
 }
 
-/// Faults of every kind, in four groups of stations. Some combinations are beyond what any client of this protocol can
-/// tell: a reply that comes late *and* under another station's number, and a second answer that is a refusal when the
-/// first one was garbled.
+/// Faults of every kind, in four groups of stations.
+///
+/// Some combinations cannot be detected by any client: a late reply with another station's number,
+/// and a second answer that is a refusal after a corrupt first one.
 pub(crate) fn faults(seed: u64, framing: Framing, echo: bool) -> Faults {
     let mut faults = Faults::new(seed)
         .journal_capacity(1_000_000)
@@ -78,7 +79,7 @@ pub(crate) fn faults(seed: u64, framing: Framing, echo: bool) -> Faults {
     left_over(faults, seed)
 }
 
-/// What is refused: always, and at random.
+/// Refusals: permanent ones and random ones.
 fn refusals() -> Vec<Rule> {
     let always = |error| Rule::new(Fault::Error(error));
     vec![
@@ -93,7 +94,7 @@ fn refusals() -> Vec<Rule> {
     ]
 }
 
-/// Under the number of the station, under 00, and as a refusal.
+/// Answers to broadcasts under the station's number, under 00, and as a refusal.
 fn answers_to_broadcasts() -> [Rule; 3] {
     let answer = |station, error| Fault::AnswerBroadcast { station, min: Duration::ZERO, max: ms(30), error };
     [some(answer(None, None), 150), some(answer(Some(0), None), 50), some(answer(None, Some(SECOND)), 20)]
@@ -103,9 +104,10 @@ fn of_station(station: u8) -> Vec<Rule> {
     let late = if SLOW.contains(&station) { 80 } else { 10 };
     let mut rules = Vec::new();
     match station % 4 {
-        // Wrong numbers, and nothing that is late.
+        // Wrong station numbers, and no late replies.
         0 => rules.extend([some(Fault::WrongStation, 10), some(Fault::duplicate(), 10)]),
-        // Late: some by a little, some by more than the client waits, some beyond the end of the connection.
+        // Slightly late replies, replies after the timeout, and replies after the end of the
+        // connection.
         _ => rules.extend([
             some(Fault::Delay { min: ms(65), max: ms(200) }, late),
             some(Fault::Delay { min: ms(1), max: ms(30) }, 50),
@@ -115,7 +117,7 @@ fn of_station(station: u8) -> Vec<Rule> {
     if !station.is_multiple_of(4) {
         rules.extend(timings().map(|timing| some(Fault::Duplicate(timing), 10)));
     }
-    // A second answer that is a refusal comes only where the first one is not garbled.
+    // A second answer that is a refusal comes only if the first one is never corrupt.
     let error = (station % 4 == 3).then_some(SECOND);
     if station % 4 >= 2 {
         rules.extend(timings().map(|timing| some(Fault::SecondAnswer { timing, error }, 10)));
@@ -133,7 +135,7 @@ fn of_station(station: u8) -> Vec<Rule> {
     rules
 }
 
-/// Half of the runs begin with replies to an earlier client.
+/// Adds replies to an earlier client, in half of the runs.
 fn left_over(mut faults: Faults, seed: u64) -> Faults {
     if seed % 4 > 1 {
         return faults;
@@ -148,7 +150,7 @@ fn left_over(mut faults: Faults, seed: u64) -> Faults {
     faults
 }
 
-/// A fault's kind, and what is drawn of it: each is counted by itself.
+/// Name under which injections of a fault are counted.
 pub(crate) fn label(fault: &Fault) -> String {
     let text = format!("{fault:?}");
     let kind = text.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();
@@ -173,7 +175,8 @@ fn timing_label(timing: &Timing) -> &'static str {
     }
 }
 
-/// The labels there must be: 16 kinds have one each, duplicates 4, second answers 8, answers to broadcasts 3.
+/// Number of labels: 16 kinds have one each, duplicates 4, second answers 8, answers to broadcasts
+/// 3.
 pub(crate) const LABELS: usize = 31;
 
 pub(crate) fn bus(faults: &Faults) -> Bus {

@@ -1,4 +1,4 @@
-//! The PLC's side of the line: one queue of requests, and the copies of replies.
+//! The PLC's side of the line: a queue of requests, and copies of replies.
 
 use std::collections::VecDeque;
 use std::io::Write;
@@ -15,9 +15,9 @@ use fatek::sim::Bus;
 use fatek::wire::{Codec, Frame, Received, Side};
 use tokio_util::codec::{Decoder, Encoder};
 
-use super::{Copy, ReplyTo, Sent, Setup, Wire};
+use super::{Copy, ReplyTo, Sent, Setup, Transport};
 
-/// A sender of requests.
+/// Sender of a request.
 #[derive(Clone, Debug)]
 pub(super) enum Client {
     Tcp(Arc<TcpStream>),
@@ -53,7 +53,7 @@ pub(super) enum Output {
 }
 
 impl Output {
-    /// A client that has gone is no error.
+    /// Sends bytes. A client that has gone is no error.
     fn send(&mut self, to: &Client, bytes: &[u8]) {
         match (self, to) {
             (_, Client::Tcp(stream)) => drop((&**stream).write_all(bytes)),
@@ -68,19 +68,19 @@ impl Output {
     }
 }
 
-/// A copy that has not been sent yet.
+/// A frame to send. A copy without a due time goes out just before the next reply.
 struct Pending {
     due: Option<Instant>,
     to: Client,
     bytes: Bytes,
 }
 
-/// The queue of requests and the copies.
+/// The queue of requests and the copies that are due.
 pub(super) struct Line {
     setup: Setup,
     bus: Bus,
     output: Output,
-    /// In the order of connecting; over UDP the most recent sender alone.
+    /// Clients in the order of connecting; over UDP only the most recent sender.
     clients: Vec<Client>,
     sent: Arc<Mutex<Sent>>,
     served: usize,
@@ -145,17 +145,17 @@ impl Line {
         if self.served <= slow { time } else { self.setup.plc_time }
     }
 
-    /// The reply to a request, if there is one, and its copy.
+    /// Reply to a request, if any, and its copy.
     fn answer(&mut self, frame: &Frame) -> Option<(Bytes, Option<(Copy, Bytes)>)> {
         let framing = self.setup.framing;
         let broadcast = frame.station == 0;
         let station = if broadcast { self.setup.broadcast_reply } else { Some(frame.station) };
-        let asked = Frame { station: if broadcast { 1 } else { frame.station }, ..frame.clone() };
+        let request = Frame { station: if broadcast { 1 } else { frame.station }, ..frame.clone() };
         let mut reply = BytesMut::new();
         if Request::decode(frame, framing).is_ok_and(|request| (self.setup.refuses)(&request)) {
-            encode_refusal(frame.command, ErrorCode::IllegalFormat, framing, asked.station, &mut reply);
+            encode_refusal(frame.command, ErrorCode::IllegalFormat, framing, request.station, &mut reply);
         } else {
-            self.bus.answer(&Received::Frame(asked), framing, &mut reply);
+            self.bus.answer(&Received::Frame(request), framing, &mut reply);
         }
         let station = station.filter(|_| !reply.is_empty())?;
         if broadcast {
@@ -172,7 +172,7 @@ impl Line {
         Some((reply, copy))
     }
 
-    /// Sends frames at the same moment: any copies and this many replies.
+    /// Sends frames at the same moment: copies, and this number of replies.
     fn send_all(&mut self, frames: impl IntoIterator<Item = Pending>, replies: usize) {
         let mut segments: Vec<(Client, BytesMut)> = vec![];
         let mut count = 0;
@@ -185,7 +185,7 @@ impl Line {
             match (to, segments.last_mut()) {
                 (None, _) => {}
                 (Some(to), Some((client, segment)))
-                    if self.setup.glued && self.setup.wire != Wire::Udp && client.is(to) =>
+                    if self.setup.in_one_segment && self.setup.transport != Transport::Udp && client.is(to) =>
                 {
                     segment.extend_from_slice(&frame.bytes);
                 }

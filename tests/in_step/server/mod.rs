@@ -1,11 +1,16 @@
-//! A PLC behind a real TCP listener, UDP socket or pseudo-terminal, with the faults that put a client out of step.
+//! A PLC behind a real TCP listener, UDP socket or pseudo-terminal, with the faults that put a
+//! client out of step.
 //!
-//! - Register Rn holds n, for n below 1024 unless set; relay Mn holds the lowest bit of n, for n below 256.
-//! - One request at a time, in the order of arrival, over all connections: each takes the PLC time.
-//! - A reply may be sent once more. A copy keeps the order: it leaves no later than directly before the next true reply.
-//! - With [`ReplyTo::Latest`] the PLC side outlives its clients: a late reply goes to the client that is there then.
+//! - Register Rn holds n, for n below 1024 unless set; relay Mn holds the lowest bit of n, for n
+//!   below 256.
+//! - Requests of all connections are executed one at a time, in the order of arrival. Each takes
+//!   the PLC time.
+//! - A reply may be copied. A copy keeps the order: it leaves at the latest just before the next
+//!   reply.
+//! - With [`ReplyTo::Latest`] the PLC side outlives its clients: a late reply goes to the newest
+//!   client.
 //!
-//! Threads and not tasks: a copy 0.3 ms after its original needs a finer clock than the runtime's.
+//! Runs in threads: a copy 0.3 ms after its original needs a finer clock than the runtime's.
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
 mod line;
@@ -27,31 +32,32 @@ use tokio_util::codec::Decoder;
 
 use line::{Client, Event, Line, Output};
 
-/// The transport that the PLC is reached over.
+/// Transport to the PLC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Wire {
+pub(crate) enum Transport {
     Tcp,
     Udp,
-    /// A pseudo-terminal, paced as a line of this many baud with ten bits a character.
+    /// A pseudo-terminal, paced as a line of this baud rate with ten bits a character.
     #[cfg(unix)]
     Serial(u32),
 }
 
-/// The client that a reply is sent to.
+/// The client that gets a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ReplyTo {
-    /// The one that sent the request. The reply is lost if it has gone.
+    /// The sender of the request. If it has gone, the reply is lost.
     Sender,
-    /// The one that connected last and is still connected; over UDP, the most recent sender. As a serial server does.
+    /// The newest client that is still connected; over UDP, the most recent sender. A serial server
+    /// does the same.
     Latest,
 }
 
 /// A second transmission of a reply.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Copy {
-    /// The time behind the original. `None`: directly before the next true reply.
+    /// Delay after the original; `None`: just before the next reply.
     pub(crate) after: Option<Duration>,
-    /// Whether the second answer is a refusal (error 4), as of a PLC that was asked again.
+    /// The second answer is a refusal (error 4), as of a PLC that executes the request again.
     pub(crate) refused: bool,
 }
 
@@ -69,7 +75,7 @@ impl Copy {
     }
 }
 
-/// Decides for each reply, by its command, whether it is sent once more.
+/// Decides for each reply, by its command, whether it is copied.
 pub(crate) type Copies = Box<dyn FnMut(u8) -> Option<Copy> + Send>;
 
 /// The commands that read elements.
@@ -79,7 +85,7 @@ pub(crate) const WRITES: &[u8] = &[0x45, 0x47, 0x49];
 /// The commands that read or write elements.
 pub(crate) const READS_AND_WRITES: &[u8] = &[0x44, 0x45, 0x46, 0x47, 0x48, 0x49];
 
-/// Copies the n-th reply, from 1, to any of these commands.
+/// Copies the n-th reply to any of these commands, counted from 1.
 pub(crate) fn nth(n: usize, commands: &'static [u8], copy: Copy) -> Copies {
     let mut seen = 0;
     Box::new(move |command| {
@@ -97,7 +103,7 @@ pub(crate) fn every(n: usize, commands: &'static [u8], copy: Copy) -> Copies {
     })
 }
 
-/// Copies one in `n` replies to any command, at a random time up to `longest` behind it.
+/// Copies one in `n` replies to any command, with a random delay of at most `longest`.
 pub(crate) fn at_random(seed: u64, n: u64, longest: Duration) -> Copies {
     let mut state = seed;
     let mut random = move || {
@@ -114,37 +120,37 @@ pub(crate) fn at_random(seed: u64, n: u64, longest: Duration) -> Copies {
     })
 }
 
-/// Settings of a [`Server`]. The defaults: ASCII, 1024 registers, a PLC time of 5 ms, no faults.
+/// Settings of a [`Server`]. Defaults: ASCII, 1024 registers, a PLC time of 5 ms, no faults.
 pub(crate) struct Setup {
-    pub(crate) wire: Wire,
+    pub(crate) transport: Transport,
     pub(crate) framing: Framing,
-    /// The registers R that hold their address; the others hold 0.
+    /// Number of registers R that hold their address; the others hold 0.
     pub(crate) registers: u16,
-    /// The time from the arrival of a request, or the end of the one before it, to its reply.
+    /// Time from the arrival of a request, or the end of the one before it, to its reply.
     pub(crate) plc_time: Duration,
-    /// This many requests take this PLC time first.
+    /// Number of first requests with another PLC time.
     pub(crate) slow_start: (usize, Duration),
     pub(crate) reply_to: ReplyTo,
     pub(crate) copies: Copies,
-    /// Frames that are sent at the same moment leave in one segment.
-    pub(crate) glued: bool,
-    /// The requests that get error 4 and are not executed.
+    /// Frames that are sent at the same moment share a segment.
+    pub(crate) in_one_segment: bool,
+    /// Requests that are refused with error 4 and not executed.
     pub(crate) refuses: fn(&Request) -> bool,
-    /// Broadcasts are answered under this station number.
+    /// Station number of answers to broadcasts.
     pub(crate) broadcast_reply: Option<u8>,
 }
 
 impl Setup {
-    pub(crate) fn new(wire: Wire) -> Self {
+    pub(crate) fn new(transport: Transport) -> Self {
         Self {
-            wire,
+            transport,
             framing: Framing::Ascii,
             registers: 1024,
             plc_time: Duration::from_millis(5),
             slow_start: (0, Duration::ZERO),
             reply_to: ReplyTo::Sender,
             copies: Box::new(|_| None),
-            glued: false,
+            in_one_segment: false,
             refuses: |_| false,
             broadcast_reply: None,
         }
@@ -165,22 +171,22 @@ pub(crate) fn writes_d(request: &Request) -> bool {
     }
 }
 
-/// What a server has sent so far.
+/// Numbers of frames sent so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sent {
     pub(crate) replies: usize,
     pub(crate) copies: usize,
 }
 
-/// A running server with a PLC at station 1. It ends when it is dropped.
+/// A running server with a PLC at station 1, stopped on drop.
 pub(crate) struct Server {
     pub(crate) plc: Plc,
     endpoint: Endpoint,
     sent: Arc<Mutex<Sent>>,
     stopped: Arc<AtomicBool>,
     events: Sender<Event>,
-    address: Option<(Wire, SocketAddr)>,
-    /// A pseudo-terminal works only while somebody has its other side open.
+    address: Option<(Transport, SocketAddr)>,
+    /// Keeps the other side of the pseudo-terminal open.
     _port: Option<std::fs::File>,
 }
 
@@ -191,14 +197,14 @@ impl Server {
         let stopped = Arc::<AtomicBool>::default();
         let reader = Reader { framing: setup.framing, events: events.clone(), stopped: stopped.clone() };
         let mut port = None;
-        let (endpoint, address, output) = match setup.wire {
-            Wire::Tcp => {
+        let (endpoint, address, output) = match setup.transport {
+            Transport::Tcp => {
                 let listener = TcpListener::bind("127.0.0.1:0").unwrap();
                 let address = listener.local_addr().unwrap();
                 thread::spawn(move || reader.accept(&listener));
                 (Endpoint::from(address), Some(address), Output::Tcp)
             }
-            Wire::Udp => {
+            Transport::Udp => {
                 let socket = Arc::new(UdpSocket::bind("127.0.0.1:0").unwrap());
                 let address = socket.local_addr().unwrap();
                 let output = Output::Udp(socket.clone());
@@ -206,7 +212,7 @@ impl Server {
                 (Endpoint::udp("127.0.0.1", address.port()), Some(address), output)
             }
             #[cfg(unix)]
-            Wire::Serial(baud) => {
+            Transport::Serial(baud) => {
                 let (line, slave, path) = pseudo_terminal();
                 port = Some(slave);
                 let character = Duration::from_secs(10) / baud;
@@ -218,7 +224,7 @@ impl Server {
             }
         };
         let endpoint = endpoint.with_framing(setup.framing);
-        let address = address.map(|address| (setup.wire, address));
+        let address = address.map(|address| (setup.transport, address));
         let sent = Arc::<Mutex<Sent>>::default();
         let bus = Bus::new().with_station(1, plc.clone()).unwrap();
         let line = Line::new(setup, bus, output, sent.clone());
@@ -241,14 +247,14 @@ impl Drop for Server {
         let _ = self.events.send(Event::Stop);
         // Wakes the thread that waits for clients.
         match self.address {
-            Some((Wire::Tcp, address)) => drop(TcpStream::connect(address)),
+            Some((Transport::Tcp, address)) => drop(TcpStream::connect(address)),
             Some((_, address)) => drop(UdpSocket::bind("127.0.0.1:0").unwrap().send_to(b"", address)),
             None => {}
         }
     }
 }
 
-/// A new one for each run, so it must not take long.
+/// Creates the PLC. Each run needs one, so it must not take long.
 fn filled_plc(registers: u16) -> Plc {
     let plc = Plc::new();
     plc.run();
@@ -273,7 +279,7 @@ fn pseudo_terminal() -> (std::fs::File, std::fs::File, String) {
     (line.into(), port, path)
 }
 
-/// The threads that turn bytes into events.
+/// Threads that turn bytes into events.
 #[derive(Clone)]
 struct Reader {
     framing: Framing,
@@ -312,7 +318,7 @@ impl Reader {
     fn receive(&self, socket: &UdpSocket) {
         let mut buffer = [0; 2048];
         while !self.stopped.load(Ordering::Relaxed) {
-            // An error is that of a datagram sent to a port that has been closed.
+            // The error of an earlier datagram to a closed port.
             let Ok((len, from)) = socket.recv_from(&mut buffer) else { continue };
             let mut received = BytesMut::from(&buffer[..len]);
             let mut codec = Codec::new(self.framing, Side::Plc);

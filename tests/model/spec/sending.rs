@@ -1,61 +1,63 @@
-//! What may be sent, and when.
+//! Rules for sent frames: which may be sent, and when.
 
 use fatek::wire::Side;
 
-use super::super::fit::shape;
-use super::super::state::{Echo, End, Goal, Id, Micros, Sort, Wire};
-use super::station::{Shape, Threat};
-use super::{ONLY_READ_ELEMENTS_ARE_KNOWN, Spec, Verdict};
-use crate::book::{carried, framed};
+use super::super::replies::shape;
+use super::super::state::{CallClass, CallResult, Id, InFlight, LineEcho, Micros, Purpose};
+use super::station::{Ambiguity, Shape};
+use super::{ONLY_READ_ELEMENTS_ARE_KNOWN, RuleResult, Spec};
+use crate::reference::{frame_content, framed};
 
-/// A frame that the link writes.
-struct Sent<'a> {
+/// A frame written by the link.
+struct SentFrame<'a> {
     request: &'a [u8],
     station: u8,
     command: u8,
     data: &'a [u8],
 }
 
-/// What a request is for: its goal, the call, and which spelling of that call it is.
-type Purpose = (Goal, Option<Id>, usize);
+/// Purpose of a request, its call, and the index of the spelling.
+type Classified = (Purpose, Option<Id>, usize);
 
 impl Spec {
-    pub(super) fn wrote(&mut self, request: Vec<u8>, whole: bool, at: Micros) -> Verdict {
-        if let Some(wire) = &self.wire {
-            return Err(format!("two requests on the wire: {request:02X?} beside {:02X?}", wire.request));
+    pub(super) fn wrote(&mut self, request: Vec<u8>, is_written: bool, at: Micros) -> RuleResult {
+        if let Some(in_flight) = &self.in_flight {
+            return Err(format!("two requests on the wire: {request:02X?} beside {:02X?}", in_flight.request));
         }
         if !self.up || self.spent {
             return Err("there is no connection".to_owned());
         }
-        let frame = carried(self.rules.framing, &request);
+        let frame = frame_content(self.settings.framing, &request);
         let (station, command, data) = (frame.station, frame.command, frame.data.to_vec());
-        if framed(self.rules.framing, Side::Client, station, command, &data) != request {
+        if framed(self.settings.framing, Side::Client, station, command, &data) != request {
             return Err(format!("{request:02X?} is no request"));
         }
-        let sent = Sent { request: &request, station, command, data: &data };
-        let (goal, call, spelling) = self.purpose(&sent, at)?;
-        let own = call.filter(|_| goal == Goal::Call);
-        self.witness.asked(station, own, goal == Goal::Check && command == 0x4E && !data.is_empty(), at);
-        self.ear.forget();
+        let sent = SentFrame { request: &request, station, command, data: &data };
+        let (purpose, call, spelling) = self.classify(&sent, at)?;
+        let own = call.filter(|_| purpose == Purpose::Call);
+        self.oracle.request_sent(station, own, purpose == Purpose::Check && command == 0x4E && !data.is_empty(), at);
+        self.decoder.clear();
         if station == 0 {
-            // A broadcast has no reply that is waited for, but stations may answer it.
-            let end = |sent| if whole { End::Done(Vec::new()) } else { End::Disconnected { sent } };
-            call.into_iter().for_each(|id| self.end(id, end));
-            if whole {
-                self.stations.values_mut().for_each(|known| known.broadcast(command, at));
+            // No reply to a broadcast is awaited, but stations may answer it.
+            let end = |sent| if is_written { CallResult::Done(Vec::new()) } else { CallResult::Disconnected { sent } };
+            call.into_iter().for_each(|id| self.end_with(id, end));
+            if is_written {
+                self.stations.values_mut().for_each(|entry| entry.broadcast(command, at));
             }
             return Ok(());
         }
-        let allowed = self.stations.get(&station).map_or(0, |known| known.allowed);
-        // A check is a part of its call's attempt; a probe waits as long as the longest request of the station.
-        let timeout = call.map_or(self.rules.timeout.max(allowed), |id| self.calls[&id].call.timeout);
-        if goal != Goal::Learn {
-            let known = self.stations.entry(station).or_default();
-            known.allowed = if goal == Goal::Call { allowed.max(timeout) } else { allowed };
+        let longest_timeout = self.stations.get(&station).map_or(0, |entry| entry.longest_timeout);
+        // A check is a part of its call's attempt. A probe waits as long as the longest request of
+        // its station.
+        let timeout = call.map_or(self.settings.timeout.max(longest_timeout), |id| self.calls[&id].call.timeout);
+        if purpose != Purpose::LearnEcho {
+            let entry = self.stations.entry(station).or_default();
+            entry.longest_timeout =
+                if purpose == Purpose::Call { longest_timeout.max(timeout) } else { longest_timeout };
         }
         let limit = call.map_or(at + timeout, |id| self.calls[&id].call.deadline.min(at + timeout));
-        self.wire = Some(Wire {
-            goal,
+        self.in_flight = Some(InFlight {
+            purpose,
             station,
             call,
             spelling,
@@ -65,162 +67,166 @@ impl Spec {
             sent: at,
             give_up: limit,
             limit,
-            whole: limit == at + timeout,
-            fault: false,
+            full_timeout: limit == at + timeout,
+            bad_reply: false,
             echoed: false,
             noise: 0,
             held: None,
-            followed: false,
+            followed_by_other: false,
         });
         Ok(())
     }
 
-    /// What a request is for, if it is allowed at all.
-    fn purpose(&mut self, sent: &Sent<'_>, at: Micros) -> Result<Purpose, String> {
+    /// Finds the purpose of a request, and checks that it may be sent.
+    fn classify(&mut self, sent: &SentFrame<'_>, at: Micros) -> Result<Classified, String> {
         let station = sent.station;
-        if let Some(known) = self.stations.get_mut(&station) {
-            known.lapse(at);
+        if let Some(entry) = self.stations.get_mut(&station) {
+            entry.expire_owed(at);
         }
-        let mut cleared = self.cleared.take().filter(|id| self.is_wanted(*id, at));
-        if let Some(id) = cleared.take_if(|id| self.needs_silence(self.calls[id].call.station)) {
-            self.put_back(id);
+        let mut resynced = self.resynced.take().filter(|id| self.is_pending(*id, at));
+        if let Some(id) = resynced.take_if(|id| self.needs_silence(self.calls[id].call.station)) {
+            self.requeue(id);
         }
-        if let Some(id) = cleared.filter(|id| self.calls[id].call.station != station) {
-            return Err(format!("call {id} has passed its check, and another station is asked"));
+        if let Some(id) = resynced.filter(|id| self.calls[id].call.station != station) {
+            return Err(format!("call {id} has passed its check, but another station gets a request"));
         }
         let is_check = matches!(sent.command, 0x4E | 0x40 | 0x53);
-        let probe = self.stations.get(&station).and_then(|known| known.offline);
+        let probe = self.stations.get(&station).and_then(|entry| entry.offline);
         if let (Some(probe), true) = (probe, is_check) {
-            let others = self.stations.values().any(|known| known.offline.is_none());
+            let others = self.stations.values().any(|entry| entry.offline.is_none());
             let due = if others { probe.at.max(self.no_probe_before) } else { probe.at };
             if at < due {
                 return Err(format!("station {station} is probed before {due}"));
             }
-            let goal = if self.echo == Echo::Unknown { Goal::Learn } else { Goal::Check };
-            self.is_good_check(goal, sent, None, at)?;
-            return Ok((goal, None, 0));
+            let purpose = if self.echo == LineEcho::Unknown { Purpose::LearnEcho } else { Purpose::Check };
+            self.check_link_request(purpose, sent, None, at)?;
+            return Ok((purpose, None, 0));
         }
-        let id = match cleared {
+        let id = match resynced {
             Some(id) => id,
             None => {
-                let id = self.front(station, at).ok_or_else(|| format!("station {station} is asked for nobody"))?;
-                self.first_of_all(id, at)?;
-                self.take(id);
+                let id = self.next_call(station, at).ok_or_else(|| format!("station {station} has no call to send"))?;
+                self.check_lane_order(id, at)?;
+                self.dequeue(id);
                 id
             }
         };
         if !is_check {
-            return Ok((Goal::Call, Some(id), self.spelling_of(id, sent, at)?));
+            return Ok((Purpose::Call, Some(id), self.spelling_of(id, sent, at)?));
         }
-        let goal = if self.echo == Echo::Unknown { Goal::Learn } else { Goal::Check };
-        self.is_good_check(goal, sent, Some(id), at)?;
-        Ok((goal, Some(id), 0))
+        let purpose = if self.echo == LineEcho::Unknown { Purpose::LearnEcho } else { Purpose::Check };
+        self.check_link_request(purpose, sent, Some(id), at)?;
+        Ok((purpose, Some(id), 0))
     }
 
-    /// Whether a request of the link itself is one that may be sent now.
-    fn is_good_check(&mut self, goal: Goal, sent: &Sent<'_>, call: Option<Id>, at: Micros) -> Verdict {
-        let Sent { station, command, data, .. } = *sent;
-        let asked = shape(self.rules.framing, command, data);
-        if goal == Goal::Learn {
+    /// Checks a request of the link itself: a check, a probe, or a status request that learns the
+    /// echo.
+    fn check_link_request(
+        &mut self,
+        purpose: Purpose,
+        sent: &SentFrame<'_>,
+        call: Option<Id>,
+        at: Micros,
+    ) -> RuleResult {
+        let SentFrame { station, command, data, .. } = *sent;
+        let request_shape = shape(self.settings.framing, command, data);
+        if purpose == Purpose::LearnEcho {
             let is_status = command == 0x40 && data.is_empty();
-            return if is_status { Ok(()) } else { Err("it is not known whether the line echoes".to_owned()) };
+            return if is_status { Ok(()) } else { Err("the line's echo is still unknown".to_owned()) };
         }
         let nonce = command == 0x4E && !data.is_empty();
         if nonce && data.len() != 8 {
             return Err(format!("{data:02X?} is no nonce of 8 characters"));
         }
         if nonce && !self.nonces.insert(data.to_vec()) {
-            return Err(format!("the nonce {data:02X?} was used before"));
+            return Err(format!("repeated nonce {data:02X?}"));
         }
         let Some(id) = call else {
             return if nonce { Ok(()) } else { Err(format!("station {station} is probed with {command:02X}")) };
         };
         if self.needs_silence(station) {
-            return Err(format!("station {station} must be silent, and is checked"));
+            return Err(format!("station {station} is checked during its silence"));
         }
-        let (sort, plain) = (self.calls[&id].call.sort, self.plain_shape(id));
-        let known = self.stations.entry(station).or_default();
-        if known.suspect {
-            return if nonce {
-                Ok(())
-            } else {
-                Err(format!("station {station} is suspect, and is asked {command:02X}"))
-            };
+        let (class, plain) = (self.calls[&id].call.class, self.plain_shape(id));
+        let entry = self.stations.entry(station).or_default();
+        if entry.suspect {
+            return if nonce { Ok(()) } else { Err(format!("request {command:02X} to suspect station {station}")) };
         }
-        known.lapse(at);
-        // A page that is probably equal to the one before it may be asked for behind a check at once.
-        let needed = !known.allows(sort, plain) || sort == Sort::Page && known.threat(plain) == Threat::Reply;
+        entry.expire_owed(at);
+        // A page that probably equals the one before it may be read after a check at once.
+        let needed =
+            !entry.allows(class, plain) || class == CallClass::Page && entry.ambiguity(plain) == Ambiguity::Reply;
         if !needed {
-            return Err(format!("nothing owed could answer call {id}, and a check goes before it"));
+            return Err(format!("check before call {id}, though no owed reply could match"));
         }
-        match (command, known.refused) {
-            (0x4E, false) if nonce || known.threat(asked) == Threat::None => Ok(()),
-            (0x40 | 0x53, true) if data.is_empty() && known.threat(asked) == Threat::None => Ok(()),
-            _ => Err(format!("{command:02X} is no check for station {station} now: {known:?}")),
+        match (command, entry.refused) {
+            (0x4E, false) if nonce || entry.ambiguity(request_shape) == Ambiguity::None => Ok(()),
+            (0x40 | 0x53, true) if data.is_empty() && entry.ambiguity(request_shape) == Ambiguity::None => Ok(()),
+            _ => Err(format!("{command:02X} is no check for station {station} now: {entry:?}")),
         }
     }
 
-    /// Which spelling of a call a request is, if it may be sent now.
-    fn spelling_of(&mut self, id: Id, sent: &Sent<'_>, at: Micros) -> Result<usize, String> {
+    /// Finds the spelling of a call, and checks that it may be sent.
+    fn spelling_of(&mut self, id: Id, sent: &SentFrame<'_>, at: Micros) -> Result<usize, String> {
         let station = sent.station;
         let spellings = &self.calls[&id].call.spellings;
         let spelling = spellings
             .iter()
             .position(|spelling| spelling.request == sent.request)
-            .ok_or_else(|| format!("call {id} is next at station {station}, and {:02X?} is sent", sent.request))?;
+            .ok_or_else(|| format!("call {id} is next at station {station}, but {:02X?} is sent", sent.request))?;
         if station != 0 {
-            self.may_be_asked(id, spelling, sent, at)?;
+            self.check_may_send(id, spelling, sent, at)?;
         }
         let state = self.calls.get_mut(&id).ok_or("no such call")?;
-        if spelling > 0 && state.plain {
-            return Err(format!("a spelling of call {id} was refused, and it is not sent as itself"));
+        if spelling > 0 && state.plain_only {
+            return Err(format!("call {id} must use its plain spelling after a refusal"));
         }
         state.sends += 1;
-        (state.was_sent, state.doubted) = (true, false);
-        if state.sends > 1 + state.call.retries + u32::from(state.asked_again) {
-            return Err(format!("call {id} is sent for the {}. time", state.sends));
+        (state.was_sent, state.waited_for_silence) = (true, false);
+        if state.sends > 1 + state.call.retries + u32::from(state.extra_attempt) {
+            return Err(format!("call {id} is sent {} times", state.sends));
         }
         Ok(spelling)
     }
 
-    /// Whether a station is in step, and nothing owed could answer a request.
-    fn may_be_asked(&mut self, id: Id, spelling: usize, sent: &Sent<'_>, at: Micros) -> Verdict {
-        let Sent { station, command, data, .. } = *sent;
-        if self.echo == Echo::Unknown {
-            return Err("it is not known whether the line echoes".to_owned());
+    /// Checks that a station is in step, and that no owed reply could match the request.
+    fn check_may_send(&mut self, id: Id, spelling: usize, sent: &SentFrame<'_>, at: Micros) -> RuleResult {
+        let SentFrame { station, command, data, .. } = *sent;
+        if self.echo == LineEcho::Unknown {
+            return Err("the line's echo is still unknown".to_owned());
         }
         let silence = self.needs_silence(station);
-        let known = self.stations.entry(station).or_default();
-        if silence && at >= known.heard + known.quiet(&self.rules) {
-            known.was_silent();
-            self.witness.was_silent(station);
+        let entry = self.stations.entry(station).or_default();
+        if silence && at >= entry.silence_from + entry.quiet_time(&self.settings) {
+            entry.was_silent();
+            self.oracle.was_silent(station);
         }
-        if known.suspect {
-            return Err(format!("station {station} is suspect, and call {id} is sent: {known:?}"));
+        if entry.suspect {
+            return Err(format!("call {id} is sent to suspect station {station}: {entry:?}"));
         }
         let call = &self.calls[&id].call;
-        if !known.allows(call.sort, shape(self.rules.framing, command, data)) {
-            return Err(format!("what is owed could answer call {id}: {known:?}"));
+        if !entry.allows(call.class, shape(self.settings.framing, command, data)) {
+            return Err(format!("owed reply could match call {id}: {entry:?}"));
         }
         match call.spellings[spelling].extra {
-            Some(extra) if ONLY_READ_ELEMENTS_ARE_KNOWN && !known.answered.contains(&extra) => {
-                Err(format!("call {id} is sent with R{extra}, which station {station} has not answered"))
+            Some(extra) if ONLY_READ_ELEMENTS_ARE_KNOWN && !entry.answered.contains(&extra) => {
+                Err(format!("call {id} reads extra R{extra}, which station {station} has not answered yet"))
             }
             _ => Ok(()),
         }
     }
 
     fn plain_shape(&self, id: Id) -> Shape {
-        let frame = carried(self.rules.framing, &self.calls[&id].call.spellings[0].request);
-        shape(self.rules.framing, frame.command, &frame.data)
+        let frame = frame_content(self.settings.framing, &self.calls[&id].call.spellings[0].request);
+        shape(self.settings.framing, frame.command, &frame.data)
     }
 
-    /// No call of a better lane waits, at a station that can be asked.
-    fn first_of_all(&self, id: Id, at: Micros) -> Verdict {
+    /// Checks that no call of a higher lane can be sent.
+    fn check_lane_order(&self, id: Id, at: Micros) -> RuleResult {
         let lane = self.calls[&id].call.lane;
-        let better = |station: u8| self.front(station, at).filter(|other| self.calls[other].call.lane < lane);
-        match self.waiting.keys().copied().filter(|&station| self.is_askable(station, at)).find_map(better) {
-            Some(other) => Err(format!("call {other} is of a better lane than call {id}")),
+        let better = |station: u8| self.next_call(station, at).filter(|other| self.calls[other].call.lane < lane);
+        match self.queues.keys().copied().filter(|&station| self.is_sendable(station, at)).find_map(better) {
+            Some(other) => Err(format!("call {other} has a higher lane than call {id}")),
             None => Ok(()),
         }
     }

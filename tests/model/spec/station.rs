@@ -1,35 +1,35 @@
-//! The rule of docs/DESIGN.md, "In step", for one station.
+//! Rule of docs/DESIGN.md, "In step", for one station.
 
 use std::collections::BTreeSet;
 
-use super::super::state::{Held, Micros, Probe, Rules, Sort, Wire};
+use super::super::state::{CallClass, HeldReply, InFlight, LinkSettings, Micros, ProbeTimer};
 
-/// What is known of a station.
+/// State of a station.
 #[derive(Debug)]
 pub(crate) struct Station {
-    /// Any frame may come: only a check goes out, and only its echo or silence ends it.
+    /// Any frame may arrive. Only a check may be sent; its echo, or silence, clears this.
     pub(crate) suspect: bool,
-    /// 4E was refused without proof since the last proof.
+    /// 4E was refused, without proof, since the last proof.
     pub(crate) refused: bool,
-    /// The reply that was taken last, while a copy of it may come.
+    /// The last taken reply, while a copy of it may arrive.
     owed: Option<Owed>,
     /// Commands of broadcasts that the station may answer.
     broadcasts: BTreeSet<u8>,
-    /// Command and data of the reply that was taken last.
+    /// Command and data of the last taken reply.
     last: Option<(u8, Vec<u8>)>,
-    /// Registers that the station has shown to have.
+    /// Registers that exist, as replies have shown.
     pub(crate) answered: BTreeSet<u16>,
-    /// The latest event that restarts the silence: a frame, a timeout, a new connection.
-    pub(crate) heard: Micros,
-    /// The slowest of recent exchanges.
+    /// Last event that restarts the silence: a frame, a timeout, a new connection.
+    pub(crate) silence_from: Micros,
+    /// Longest duration of recent exchanges.
     slowest: Micros,
     pub(crate) timeouts: u32,
-    pub(crate) offline: Option<Probe>,
-    /// The longest response timeout that it was ever given.
-    pub(crate) allowed: Micros,
+    pub(crate) offline: Option<ProbeTimer>,
+    /// Longest response timeout of any request so far.
+    pub(crate) longest_timeout: Micros,
 }
 
-/// The shape of a positive reply. A refusal fits every size of its command.
+/// Shape of a positive reply. A refusal matches every size of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Shape {
     pub(crate) command: u8,
@@ -41,13 +41,13 @@ struct Owed {
     shape: Shape,
     refused: bool,
     data: Vec<u8>,
-    heard: Micros,
+    silence_from: Micros,
     window: Micros,
 }
 
-/// What of the owed frames could answer a request.
+/// Kinds of reply for which an owed frame could be taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Threat {
+pub(crate) enum Ambiguity {
     None,
     Refusal,
     Reply,
@@ -62,32 +62,32 @@ impl Default for Station {
             broadcasts: BTreeSet::new(),
             last: None,
             answered: BTreeSet::new(),
-            heard: 0,
+            silence_from: 0,
             slowest: 0,
             timeouts: 0,
             offline: None,
-            allowed: 0,
+            longest_timeout: 0,
         }
     }
 }
 
 impl Station {
-    /// Anything may come from now on.
-    pub(crate) fn doubt(&mut self, at: Micros) {
+    /// Makes the station suspect: any frame may arrive from now on.
+    pub(crate) fn make_suspect(&mut self, at: Micros) {
         self.suspect = true;
-        self.heard = at;
+        self.silence_from = at;
     }
 
     pub(crate) fn reconnected(&mut self, at: Micros) {
-        self.doubt(at);
+        self.make_suspect(at);
         self.refused = false;
     }
 
-    /// A frame that no request takes.
+    /// Handles a frame that no request takes.
     pub(crate) fn stray(&mut self, command: u8, data: &[u8], at: Micros) {
-        self.heard = at;
+        self.silence_from = at;
         if let Some(owed) = &mut self.owed {
-            owed.heard = at;
+            owed.silence_from = at;
         }
         let is_copy = self.last.as_ref().is_some_and(|(last, content)| (*last, &content[..]) == (command, data));
         self.suspect |= !is_copy;
@@ -95,64 +95,79 @@ impl Station {
 
     pub(crate) fn broadcast(&mut self, command: u8, at: Micros) {
         self.broadcasts.insert(command);
-        self.heard = at;
+        self.silence_from = at;
     }
 
-    /// What a taken reply owes lapses in a silence.
-    pub(crate) fn lapse(&mut self, at: Micros) {
-        self.owed.take_if(|owed| at >= owed.heard + owed.window);
+    /// Drops an owed copy once its window has passed in silence.
+    pub(crate) fn expire_owed(&mut self, at: Micros) {
+        self.owed.take_if(|owed| at >= owed.silence_from + owed.window);
     }
 
-    pub(crate) fn threat(&self, shape: Shape) -> Threat {
+    pub(crate) fn ambiguity(&self, shape: Shape) -> Ambiguity {
         let taken = match &self.owed {
-            Some(owed) if owed.shape == shape => Threat::Reply,
-            Some(owed) if owed.shape.command == shape.command => Threat::Refusal,
-            _ => Threat::None,
+            Some(owed) if owed.shape == shape => Ambiguity::Reply,
+            Some(owed) if owed.shape.command == shape.command => Ambiguity::Refusal,
+            _ => Ambiguity::None,
         };
-        if self.broadcasts.contains(&shape.command) { Threat::Reply } else { taken }
+        if self.broadcasts.contains(&shape.command) { Ambiguity::Reply } else { taken }
     }
 
-    /// Whether a request of this shape may go out, as far as that is a matter of what is owed.
-    pub(crate) fn allows(&self, sort: Sort, shape: Shape) -> bool {
-        match sort {
-            Sort::Once => self.threat(shape) == Threat::None,
-            Sort::Read => self.threat(shape) <= Threat::Refusal,
-            Sort::Page => true,
+    /// Whether owed replies permit a request of this shape.
+    pub(crate) fn allows(&self, class: CallClass, shape: Shape) -> bool {
+        match class {
+            CallClass::Write => self.ambiguity(shape) == Ambiguity::None,
+            CallClass::Read => self.ambiguity(shape) <= Ambiguity::Refusal,
+            CallClass::Page => true,
         }
     }
 
-    /// Whether a reply is proven to be that to the request of this shape.
-    pub(crate) fn proves(&self, sort: Sort, shape: Shape, held: &Held) -> bool {
-        let threat = self.threat(shape);
-        match sort {
-            Sort::Once => true,
+    /// Whether the reply provably answers the request of this shape.
+    pub(crate) fn proves(&self, class: CallClass, shape: Shape, held: &HeldReply) -> bool {
+        let ambiguity = self.ambiguity(shape);
+        match class {
+            CallClass::Write => true,
             _ if self.suspect => false,
-            _ if held.answer.is_err() => threat == Threat::None,
-            Sort::Read => true,
-            Sort::Page => {
-                threat == Threat::None || self.owed.as_ref().is_some_and(|owed| !owed.refused && owed.data != held.data)
+            _ if held.answer.is_err() => ambiguity == Ambiguity::None,
+            CallClass::Read => true,
+            CallClass::Page => {
+                ambiguity == Ambiguity::None
+                    || self.owed.as_ref().is_some_and(|owed| !owed.refused && owed.data != held.data)
             }
         }
     }
 
-    /// The reply to what was on the wire was taken: it may come again, and nothing older may.
-    pub(crate) fn taken(&mut self, wire: &Wire, shape: Shape, held: &Held, rules: &Rules, at: Micros) {
-        self.slowest = (at - wire.sent).max(self.slowest * 7 / 8);
-        let window = rules.window.max(2 * self.slowest);
+    /// Records that the reply was taken: a copy of it may arrive, but no older frame.
+    pub(crate) fn reply_taken(
+        &mut self,
+        in_flight: &InFlight,
+        shape: Shape,
+        held: &HeldReply,
+        settings: &LinkSettings,
+        at: Micros,
+    ) {
+        self.slowest = (at - in_flight.sent).max(self.slowest * 7 / 8);
+        let window = settings.window.max(2 * self.slowest);
         let refused = held.answer.is_err();
-        self.owed = Some(Owed { shape, refused, data: held.data.clone(), heard: at, window });
+        self.owed = Some(Owed { shape, refused, data: held.data.clone(), silence_from: at, window });
         self.broadcasts.clear();
         self.last = Some((shape.command, held.data.clone()));
-        self.heard = at;
+        self.silence_from = at;
     }
 
-    /// A check was answered: whether that proves anything.
-    pub(crate) fn checked(&mut self, wire: &Wire, shape: Shape, held: &Held, rules: &Rules, at: Micros) -> bool {
+    /// Handles the reply to a check; returns whether it proves the station in step.
+    pub(crate) fn checked(
+        &mut self,
+        in_flight: &InFlight,
+        shape: Shape,
+        held: &HeldReply,
+        settings: &LinkSettings,
+        at: Micros,
+    ) -> bool {
         let refused = held.answer.is_err();
         let echo = shape.command == 0x4E && shape.size > 0 && !refused;
-        let unproven = self.suspect || refused && self.threat(shape) > Threat::None;
+        let unproven = self.suspect || refused && self.ambiguity(shape) > Ambiguity::None;
         let proof = echo || !unproven;
-        self.heard = at;
+        self.silence_from = at;
         if !proof {
             self.refused |= shape.command == 0x4E && refused;
             return false;
@@ -161,17 +176,17 @@ impl Station {
             self.suspect = false;
         }
         self.refused = false;
-        self.taken(wire, shape, held, rules, at);
+        self.reply_taken(in_flight, shape, held, settings, at);
         true
     }
 
-    /// It was silent for the quiet time, which proves it in step.
+    /// Records a silence of the quiet time, which proves the station in step.
     pub(crate) fn was_silent(&mut self) {
         (self.suspect, self.refused, self.owed) = (false, false, None);
         self.broadcasts.clear();
     }
 
-    pub(crate) fn quiet(&self, rules: &Rules) -> Micros {
-        rules.quiet.max(self.allowed)
+    pub(crate) fn quiet_time(&self, settings: &LinkSettings) -> Micros {
+        settings.quiet.max(self.longest_timeout)
     }
 }

@@ -1,4 +1,4 @@
-//! The requests of the model's callers, and the other requests that ask for the same.
+//! Calls of the model's callers, with all spellings of their requests.
 
 use bytes::BytesMut;
 use fatek::command::{
@@ -7,44 +7,50 @@ use fatek::command::{
 use fatek::wire::Framing;
 use fatek::{Element, Register, Symbol};
 
-use super::op::Kind;
-use super::state::{Sort, Spelling};
+use super::op::CallKind;
+use super::state::{CallClass, Spelling};
 
-/// What a caller wants.
-pub(crate) struct Wanted {
+/// A call that a caller will make.
+pub(crate) struct PlannedCall {
     pub(crate) broadcast: bool,
     pub(crate) lane: usize,
-    pub(crate) sort: Sort,
+    pub(crate) class: CallClass,
     pub(crate) request: Request,
     first: u16,
     count: u16,
 }
 
-impl Wanted {
-    /// The request of a kind, at this address.
-    pub(crate) fn new(framing: Framing, kind: Kind, first: u16) -> Self {
+impl PlannedCall {
+    /// Creates a call of a kind at this address.
+    pub(crate) fn new(framing: Framing, kind: CallKind, first: u16) -> Self {
         let count = match kind {
-            Kind::Read(count) | Kind::Mixed(count) => u16::from(count % 8) + 1,
-            Kind::Page(_) | Kind::Write | Kind::Broadcast | Kind::Run | Kind::Stop | Kind::BroadcastRun => 1,
+            CallKind::Read(count) | CallKind::Mixed(count) => u16::from(count % 8) + 1,
+            CallKind::Page(_)
+            | CallKind::Write
+            | CallKind::Broadcast
+            | CallKind::Run
+            | CallKind::Stop
+            | CallKind::BroadcastRun => 1,
         };
-        let (lane, sort, request) = match kind {
-            Kind::Page(number) if framing == Framing::Ascii => {
-                (2, Sort::Page, Request::ReadProgramPage(ReadProgramPage::new(number.into())))
+        let (lane, class, request) = match kind {
+            CallKind::Page(number) if framing == Framing::Ascii => {
+                (2, CallClass::Page, Request::ReadProgramPage(ReadProgramPage::new(number.into())))
             }
-            Kind::Read(_) | Kind::Page(_) => (2, Sort::Read, Request::ReadRegisters(read(first, count))),
-            Kind::Mixed(_) => (2, Sort::Read, mixed(scattered(first, count))),
-            Kind::Write | Kind::Broadcast => {
+            CallKind::Read(_) | CallKind::Page(_) => (2, CallClass::Read, Request::ReadRegisters(read(first, count))),
+            CallKind::Mixed(_) => (2, CallClass::Read, mixed(scattered(first, count))),
+            CallKind::Write | CallKind::Broadcast => {
                 let write = WriteRegisters::new(register(first), [first]).expect("one register");
-                (1, Sort::Once, Request::WriteRegisters(write))
+                (1, CallClass::Write, Request::WriteRegisters(write))
             }
-            Kind::Run | Kind::BroadcastRun => (0, Sort::Once, Request::ControlPlc(ControlPlc::Run)),
-            Kind::Stop => (0, Sort::Once, Request::ControlPlc(ControlPlc::Stop)),
+            CallKind::Run | CallKind::BroadcastRun => (0, CallClass::Write, Request::ControlPlc(ControlPlc::Run)),
+            CallKind::Stop => (0, CallClass::Write, Request::ControlPlc(ControlPlc::Stop)),
         };
-        let broadcast = matches!(kind, Kind::Broadcast | Kind::BroadcastRun);
-        Self { broadcast, lane, sort, request, first, count }
+        let broadcast = matches!(kind, CallKind::Broadcast | CallKind::BroadcastRun);
+        Self { broadcast, lane, class, request, first, count }
     }
 
-    /// The table of docs/DESIGN.md, "In step"; the first is the request itself.
+    /// All spellings of the request, from the table in docs/DESIGN.md, "In step". The first is the
+    /// plain one.
     pub(crate) fn spellings(&self, framing: Framing, station: u8) -> Vec<Spelling> {
         let (first, count) = (self.first, self.count);
         let others: Vec<(Request, Option<u16>)> = match &self.request {
@@ -80,7 +86,7 @@ impl Wanted {
         spellings.collect()
     }
 
-    /// The number of registers that the caller gets.
+    /// Number of registers in the result.
     pub(crate) fn words(&self) -> usize {
         self.count.into()
     }
@@ -94,7 +100,7 @@ fn read(first: u16, count: u16) -> ReadRegisters<Register> {
     ReadRegisters::new(register(first), count.into()).expect("a few registers")
 }
 
-/// The addresses of a list: every other one.
+/// Addresses of a list: every other register from `first` on.
 fn scattered(first: u16, count: u16) -> impl Iterator<Item = u16> {
     (first..).step_by(2).take(count.into())
 }

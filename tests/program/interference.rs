@@ -1,4 +1,4 @@
-//! Others who work on the same PLC, and a PLC that does not do as it is told.
+//! Interference: other users of the same PLC, and PLCs that refuse or ignore commands.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use crate::bench::{Bench, program};
 
 const REQUEST: Duration = Duration::from_millis(10);
 
-/// With a program, and with requests that take a while.
+/// A PLC with a program and a response time.
 fn bench(ladder_words: u16) -> Bench {
     let bench = Bench::new(ladder_words, PageReply::WithErrorDigit, 1);
     bench.load(&program(ladder_words, 1));
@@ -21,7 +21,7 @@ fn bench(ladder_words: u16) -> Bench {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_program_that_is_changed_while_it_is_read_is_an_error_if_the_header_shows_it() {
+async fn a_header_changed_during_a_read_is_an_error() {
     let bench = bench(640);
     let station = bench.station();
     let reading = station.read_program();
@@ -37,17 +37,17 @@ async fn a_program_that_is_changed_while_it_is_read_is_an_error_if_the_header_sh
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_runs_is_refused_unless_it_may_be_stopped() {
+async fn a_running_plc_is_not_written_unless_it_may_be_stopped() {
     let bench = bench(640);
     let (old, new) = (program(640, 1), program(640, 2));
     bench.plc.run();
     let station = bench.station();
     let error = station.write_program(&new, WriteOptions::new()).await.unwrap_err();
     assert!(matches!(*error.source, ProgramError::Running), "{error}");
-    assert_eq!((bench.faults.log().writes(), bench.holds()), (0, old.pages().to_vec()));
+    assert_eq!((bench.faults.log().writes(), bench.pages_held()), (0, old.pages().to_vec()));
     assert!(bench.plc.is_running());
 
-    // Without a difference there is no reason to stop it.
+    // Without a difference the PLC is not stopped.
     let report = station.write_program(&old, WriteOptions::new().stop_first()).await.unwrap();
     assert!(report.written.is_empty() && !report.was_stopped && report.running && bench.plc.is_running());
     assert_eq!(bench.faults.log().writes(), 0);
@@ -58,14 +58,14 @@ async fn a_plc_that_runs_is_refused_unless_it_may_be_stopped() {
 
     let report = station.write_program(&new, WriteOptions::new().stop_first()).await.unwrap();
     assert!(report.was_stopped && !report.running && !bench.plc.is_running());
-    assert_eq!(bench.holds(), new.pages());
+    assert_eq!(bench.pages_held(), new.pages());
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_somebody_starts_in_the_middle_is_stopped_again_and_the_writing_fails() {
+async fn a_plc_started_during_a_write_is_stopped_again() {
     let new = program(2560, 2);
-    // A check of the new connection, 53, 41 pages that are compared, a check that confirms them, and 40; then each page is written
-    // and read back.
+    // Before the first page: the check of the new connection, 53, 41 compared pages, a check that
+    // confirms them, and 40. Then each page is written and read back.
     for at in [48, 63, 80, 103] {
         let bench = bench(2560);
         let station = bench.station();
@@ -81,15 +81,15 @@ async fn a_plc_that_somebody_starts_in_the_middle_is_stopped_again_and_the_writi
             error.state.is_half_written() && error.state.plc == PlcState::Stopped && !bench.plc.is_running(),
             "{error:?}"
         );
-        // And then it goes on.
+        // The next attempt completes the write.
         let report = station.write_program(&new, WriteOptions::new()).await.unwrap();
         assert_eq!(report.written, error.state.unwritten);
-        assert_eq!(bench.holds(), new.pages());
+        assert_eq!(bench.pages_held(), new.pages());
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_takes_pages_while_it_runs_is_found_to_run_within_16_pages() {
+async fn a_running_plc_is_detected_within_16_pages() {
     let (old, new) = (program(2560, 1), program(2560, 2));
     // As above.
     for at in [49, 63, 80, 103, 125] {
@@ -125,15 +125,15 @@ async fn a_plc_that_does_not_stop_is_not_written() {
     bench.faults.add_rule(Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ControlPlc));
     let error = bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap_err();
     assert!(error.to_string().contains("illegal format, or the command cannot be executed (4)"), "{error}");
-    // One that needs two attempts is fine.
+    // A STOP that needs two attempts is no error.
     bench.faults.set_rules([]);
     bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ControlPlc).times(1));
     bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap();
-    assert_eq!(bench.holds(), program(640, 2).pages());
+    assert_eq!(bench.pages_held(), program(640, 2).pages());
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_plc_that_refuses_to_run_is_left_stopped_with_the_whole_program() {
+async fn a_plc_that_refuses_to_run_keeps_the_whole_program() {
     let bench = bench(640);
     bench.plc.run();
     bench.plc.refuse_run(Some(ErrorCode::Syntax));
@@ -144,12 +144,12 @@ async fn a_plc_that_refuses_to_run_is_left_stopped_with_the_whole_program() {
         "the PLC refuses to run the program: cannot run: syntax error (7); the program is written, and the PLC ran before and is stopped \
          now"
     );
-    assert_eq!(bench.holds(), new.pages());
+    assert_eq!(bench.pages_held(), new.pages());
     assert!(!bench.plc.is_running());
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_run_without_an_answer_is_settled_by_the_status() {
+async fn an_unanswered_run_is_confirmed_by_the_status() {
     for fault in [Fault::DropReply, Fault::Ignore] {
         let bench = bench(640);
         bench.plc.run();
@@ -159,12 +159,12 @@ async fn a_run_without_an_answer_is_settled_by_the_status() {
         let options = WriteOptions::new().stop_first().run_again().verify_all();
         let report = bench.station().write_program(&new, options).await.unwrap();
         assert!(report.was_stopped && report.running && bench.plc.is_running());
-        bench.never_ran_a_half(&program(640, 1), &new);
+        bench.assert_never_ran_a_half(&program(640, 1), &new);
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_page_that_is_refused_in_the_middle_leaves_a_plc_that_is_stopped() {
+async fn a_refused_page_leaves_the_plc_stopped() {
     let bench = bench(640);
     bench.plc.run();
     let refused = Rule::new(Fault::Error(ErrorCode::WriteProhibited)).command(Code::WriteProgramPage).skip(3);

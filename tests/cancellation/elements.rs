@@ -1,14 +1,14 @@
-//! What the PLCs hold.
+//! Elements of the PLCs and their content.
 
 use fatek::command::ProgramPage;
 use fatek::{Discrete, Register, Register32, Symbol};
 
-/// What a register D of a station holds.
+/// Content of a register D of a station.
 pub(crate) fn word(station: u16, address: u16) -> u16 {
     1000 * station + address
 }
 
-/// What three registers D of station 1 hold.
+/// Content of three registers D of station 1.
 pub(crate) fn words(first: u16) -> [u16; 3] {
     [0, 1, 2].map(|n| word(1, first + n))
 }

@@ -1,4 +1,4 @@
-//! The framings by the book: what the tests and the fuzz targets compare the codecs with, written without them.
+//! Reference implementation of the framings, independent of the codec, for tests and fuzz targets.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![allow(dead_code, reason = "each user needs a part of it")]
 
@@ -19,14 +19,14 @@ pub(crate) struct Vector {
 }
 
 impl Vector {
-    /// The codec of the side that receives it.
+    /// Codec of the receiving side.
     pub(crate) fn codec(&self) -> Codec {
         Codec::new(self.framing, other_side(self.sender))
     }
 
-    /// What it carries, found without the codec.
+    /// Content of the frame, decoded without the codec.
     pub(crate) fn frame(&self) -> Frame {
-        carried(self.framing, &self.bytes)
+        frame_content(self.framing, &self.bytes)
     }
 }
 
@@ -54,12 +54,12 @@ pub(crate) fn other_side(side: Side) -> Side {
     }
 }
 
-/// Decodes the input, given in these pieces, until nothing is left.
+/// Decodes the pieces of an input until nothing is left.
 pub(crate) fn decode<'a>(codec: &mut Codec, pieces: impl IntoIterator<Item = &'a [u8]>) -> Vec<Received> {
     decode_within(MAX_FRAME_LEN, codec, pieces)
 }
 
-/// The same with a codec of another limit. Panics where the buffer outgrows the limit.
+/// Like [`decode`], for a codec with another frame limit. Panics if the buffer outgrows the limit.
 pub(crate) fn decode_within<'a>(
     max_frame_len: usize,
     codec: &mut Codec,
@@ -79,7 +79,7 @@ pub(crate) fn decode_within<'a>(
     items
 }
 
-/// Takes all items that the buffer has at once.
+/// Decodes all items that are complete in the buffer.
 pub(crate) fn drain(codec: &mut Codec, buffer: &mut BytesMut, items: &mut Vec<Received>) {
     while let Some(item) = codec.decode(buffer).unwrap() {
         items.push(item);
@@ -90,10 +90,12 @@ pub(crate) fn frames(items: Vec<Received>) -> Vec<Frame> {
     items.into_iter().filter_map(Received::frame).collect()
 }
 
-/// Where the frames among the items stand in the input. Fails unless the items are the input: every byte once, in order.
-pub(crate) fn places(framing: Framing, input: &[u8], items: &[Received]) -> Result<Vec<Range<usize>>, String> {
+/// Ranges of the input that the decoded frames cover.
+///
+/// Fails unless the items are the input: every byte once, in order.
+pub(crate) fn frame_ranges(framing: Framing, input: &[u8], items: &[Received]) -> Result<Vec<Range<usize>>, String> {
     let mut at = 0;
-    let mut places = Vec::new();
+    let mut frame_ranges = Vec::new();
     for item in items {
         let len = match item {
             Received::Discarded { bytes, .. } => bytes.len(),
@@ -102,18 +104,18 @@ pub(crate) fn places(framing: Framing, input: &[u8], items: &[Received]) -> Resu
         };
         let part = input.get(at..at + len).ok_or_else(|| format!("{item:?} at {at} is past the end of the input"))?;
         match item {
-            Received::Frame(frame) if *frame == carried(framing, part) => places.push(at..at + len),
+            Received::Frame(frame) if *frame == frame_content(framing, part) => frame_ranges.push(at..at + len),
             Received::Discarded { bytes, .. } if !bytes.is_empty() && bytes == part => {}
             _ => return Err(format!("{item:?} at {at} is not what the input holds there")),
         }
         at += len;
     }
-    if at == input.len() { Ok(places) } else { Err(format!("{} bytes of {} came out", at, input.len())) }
+    if at == input.len() { Ok(frame_ranges) } else { Err(format!("{} bytes of {} came out", at, input.len())) }
 }
 
-/// Where frames for this receiver stand in the input, by the book: from left to right, none inside another.
-pub(crate) fn places_by_the_book(framing: Framing, receiver: Side, input: &[u8], max: usize) -> Vec<Range<usize>> {
-    let mut places = Vec::new();
+/// Ranges of the frames for `receiver` by the reference decoder: left to right, not nested.
+pub(crate) fn reference_ranges(framing: Framing, receiver: Side, input: &[u8], max: usize) -> Vec<Range<usize>> {
+    let mut frame_ranges = Vec::new();
     let mut at = 0;
     while at < input.len() {
         let found = match framing {
@@ -123,11 +125,11 @@ pub(crate) fn places_by_the_book(framing: Framing, receiver: Side, input: &[u8],
         if let Some(len) = found
             && (framing == Framing::Ascii || (input[at] == 0x52) == (receiver == Side::Client))
         {
-            places.push(at..at + len);
+            frame_ranges.push(at..at + len);
         }
         at += found.unwrap_or(1);
     }
-    places
+    frame_ranges
 }
 
 fn ascii_frame(input: &[u8], max: usize) -> Option<usize> {
@@ -149,7 +151,7 @@ fn binary_frame(input: &[u8], max: usize) -> Option<usize> {
     (frame[len - 4..] == trailer(&frame[2..len - 4])).then_some(len)
 }
 
-/// The frame of this content, made without the codec. The sender matters in the binary framing only.
+/// Encodes a frame without the codec. The sender matters in the binary framing only.
 pub(crate) fn framed(framing: Framing, sender: Side, station: u8, command: u8, data: &[u8]) -> Vec<u8> {
     if framing == Framing::Ascii {
         let mut frame = format!("\x02{station:02X}{command:02X}").into_bytes();
@@ -163,8 +165,8 @@ pub(crate) fn framed(framing: Framing, sender: Side, station: u8, command: u8, d
     [&[header, 0x10][..], &covered, &trailer(&covered)].concat()
 }
 
-/// What a well-formed frame carries.
-pub(crate) fn carried(framing: Framing, bytes: &[u8]) -> Frame {
+/// Content of a well-formed frame.
+pub(crate) fn frame_content(framing: Framing, bytes: &[u8]) -> Frame {
     if framing == Framing::Binary {
         let data = Bytes::copy_from_slice(&bytes[6..bytes.len() - 4]);
         return Frame { station: bytes[4], command: bytes[5], data };
@@ -174,7 +176,7 @@ pub(crate) fn carried(framing: Framing, bytes: &[u8]) -> Frame {
     Frame { station: byte(1), command: byte(3), data }
 }
 
-/// All of a frame but its data.
+/// Bytes of a frame that are not data.
 pub(crate) fn overhead(framing: Framing) -> usize {
     if framing == Framing::Ascii { 8 } else { 10 }
 }
@@ -183,7 +185,7 @@ fn lrc(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0, |sum, byte| sum.wrapping_add(*byte))
 }
 
-/// CRC-16/MODBUS bit by bit, low byte first, and the terminator.
+/// CRC-16/MODBUS, bit by bit, low byte first, and the terminator.
 fn trailer(covered: &[u8]) -> [u8; 4] {
     let crc = covered.iter().fold(0xFFFF_u16, |crc, byte| {
         (0..8).fold(crc ^ u16::from(*byte), |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xA001 } else { crc >> 1 })

@@ -1,4 +1,4 @@
-//! The lines of the runs: their timing, and the links to them.
+//! Lines of the runs: their timing, and the links over them.
 
 use std::time::Duration;
 
@@ -8,17 +8,17 @@ use fatek::sim::{self, Bus, Line};
 use fatek::wire::Framing;
 use fatek::{CallOptions, EchoMode, Link};
 
-use crate::plant::Dice;
+use crate::rng::Rng;
 
 fn ms(milliseconds: u64) -> Duration {
     Duration::from_millis(milliseconds)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Wire {
-    /// Bytes take no time.
+pub(crate) enum LineKind {
+    /// Transmission takes no time.
     Network,
-    /// The same in real time, on a machine that may be busy.
+    /// Sockets in real time, on a machine that may be busy.
     Sockets,
     Serial {
         baud: u32,
@@ -31,21 +31,21 @@ pub(crate) enum Wire {
 pub(crate) struct Times {
     pub(crate) response_timeout: Duration,
     pub(crate) call_timeout: Duration,
-    /// Of late replies: more than the response timeout.
+    /// Delays of late replies: longer than the response timeout.
     pub(crate) late: (Duration, Duration),
-    /// After which copies come at the latest: within the copy window, transmission included.
+    /// Longest delay of a copy: within the copy window, transmission included.
     pub(crate) copies: Duration,
-    /// For which a PLC is busy with an earlier client, or with a broadcast.
+    /// Time for which a PLC is busy with an earlier client or a broadcast.
     pub(crate) busy: Duration,
     pub(crate) quiet: Duration,
 }
 
-impl Wire {
-    pub(crate) fn draw(dice: &mut Dice) -> Self {
-        match dice.below(6) {
+impl LineKind {
+    pub(crate) fn draw(rng: &mut Rng) -> Self {
+        match rng.below(6) {
             0..=2 => Self::Network,
-            3 => Self::Serial { baud: 9600, echoes: dice.in_hundred(50) },
-            _ => Self::Serial { baud: 115_200, echoes: dice.in_hundred(50) },
+            3 => Self::Serial { baud: 9600, echoes: rng.percent(50) },
+            _ => Self::Serial { baud: 115_200, echoes: rng.percent(50) },
         }
     }
 
@@ -66,14 +66,14 @@ impl Wire {
         }
     }
 
-    pub(crate) fn line(self, dice: &mut Dice) -> Line {
-        let (min, max) = dice.of(&[(0, 0), (1, 5), (5, 5), (0, 20)]);
+    pub(crate) fn sim_line(self, rng: &mut Rng) -> Line {
+        let (min, max) = rng.pick(&[(0, 0), (1, 5), (5, 5), (0, 20)]);
         let baud = match self {
             Self::Network | Self::Sockets => 0,
             Self::Serial { baud, .. } => baud,
         };
         let line = Line::new(baud).response_time(ms(min), ms(max));
-        if baud > 9600 && dice.in_hundred(5) { line.byte_by_byte() } else { line }
+        if baud > 9600 && rng.percent(5) { line.byte_by_byte() } else { line }
     }
 
     pub(crate) fn echoes(self) -> bool {
@@ -84,7 +84,7 @@ impl Wire {
         self.settings(Link::connector_builder("simulated bus", framing, sim::connector(bus, framing)), framing, in_step)
     }
 
-    /// The settings of a link to such a line.
+    /// Applies the settings for a link over this line.
     pub(crate) fn settings(self, builder: LinkBuilder, framing: Framing, in_step: InStepSettings) -> LinkBuilder {
         let times = self.times();
         let builder = match self {

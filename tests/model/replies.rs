@@ -1,43 +1,44 @@
-//! What a reply must look like, by the protocol reference, for the requests that the model's callers and the link make.
+//! Reference matching of replies to requests, for the commands that the model's calls and the link
+//! send.
 
 use fatek::command::PAGE_WORDS;
 use fatek::wire::Framing;
 
 use super::spec::station::Shape;
 
-/// What the data of a frame is to a request.
-pub(crate) enum Fit {
+/// How the data of a frame matches a request.
+pub(crate) enum ReplyMatch {
     Reply(Vec<u16>),
     Refusal(u8),
     None,
 }
 
-/// Station and command have been compared already.
-pub(crate) fn fit(framing: Framing, command: u8, request: &[u8], data: &[u8]) -> Fit {
+/// Matches data to a request. The caller has compared station and command.
+pub(crate) fn match_reply(framing: Framing, command: u8, request: &[u8], data: &[u8]) -> ReplyMatch {
     if command == 0x4E {
         if data == request {
-            return Fit::Reply(Vec::new());
+            return ReplyMatch::Reply(Vec::new());
         }
         return match (data, code(framing, data)) {
-            ([_], Some(code)) if code > 0 => Fit::Refusal(code),
-            _ => Fit::None,
+            ([_], Some(code)) if code > 0 => ReplyMatch::Refusal(code),
+            _ => ReplyMatch::None,
         };
     }
     if command == 0x4F && data.len() == 4 * PAGE_WORDS {
-        // The manual has both: with an error code before the words, and without.
-        return bytes(framing, data).map_or(Fit::None, |bytes| Fit::Reply(words(&bytes)));
+        // The manual shows both: the words with and without an error code before them.
+        return bytes(framing, data).map_or(ReplyMatch::None, |bytes| ReplyMatch::Reply(words(&bytes)));
     }
-    let (Some(code), Some((_, rest))) = (code(framing, data), data.split_first()) else { return Fit::None };
+    let (Some(code), Some((_, rest))) = (code(framing, data), data.split_first()) else { return ReplyMatch::None };
     match code {
         0 => bytes(framing, rest)
             .and_then(|bytes| values(framing, command, request, &bytes))
-            .map_or(Fit::None, Fit::Reply),
-        code if rest.is_empty() => Fit::Refusal(code),
-        _ => Fit::None,
+            .map_or(ReplyMatch::None, ReplyMatch::Reply),
+        code if rest.is_empty() => ReplyMatch::Refusal(code),
+        _ => ReplyMatch::None,
     }
 }
 
-/// The size of the positive reply to a request.
+/// Shape of the positive reply to a request.
 pub(crate) fn shape(framing: Framing, command: u8, request: &[u8]) -> Shape {
     let size = match command {
         0x46 | 0x48 => count(framing, request).unwrap_or_default(),
@@ -47,7 +48,7 @@ pub(crate) fn shape(framing: Framing, command: u8, request: &[u8]) -> Shape {
     Shape { command, size }
 }
 
-/// The number of elements that a request names, which stands at its beginning.
+/// Number of elements, from the first field of a request.
 fn count(framing: Framing, request: &[u8]) -> Option<usize> {
     match framing {
         Framing::Binary => request.first().copied().map(usize::from),
@@ -55,7 +56,7 @@ fn count(framing: Framing, request: &[u8]) -> Option<usize> {
     }
 }
 
-/// The registers that a reply must hold.
+/// Registers of a positive reply; `None` if its length does not match the request.
 fn values(framing: Framing, command: u8, request: &[u8], reply: &[u8]) -> Option<Vec<u16>> {
     let fits = match command {
         0x40 => reply.len() == 3,

@@ -1,8 +1,9 @@
-//! A link, its callers and the other end of its line, in paused time; what happens is told to the [`Spec`].
+//! Runs the steps of a case: a link, its callers and the other end of its line, in paused time. The
+//! [`Spec`] checks each event.
 //!
-//! Steps are taken between whole milliseconds, where no timer fires, and each a little earlier within its millisecond than
-//! those before it: so no step falls between a deadline that an earlier one has set and its timer, and it is never a matter
-//! of chance whether an answer comes in time.
+//! Steps happen between whole milliseconds, where no timer fires. Each step is a little earlier
+//! within its millisecond than the one before. So no step falls between a deadline set by an
+//! earlier step and its timer, and races between answers and timeouts are deterministic.
 
 use std::collections::BTreeMap;
 use std::future::{Future, pending, poll_fn};
@@ -20,22 +21,22 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::task::AbortHandle;
 use tokio::time::{Instant, advance, sleep};
 
-use super::op::{Connecting, Kind, Op, Together};
-use super::plc::{Plc, Said};
-use super::rest::{next_rest, rest, runtime};
+use super::calls::PlannedCall;
+use super::idle::{idle, next_idle, runtime};
+use super::op::{CallKind, Coalesced, ConnectOutcome, Op};
+use super::oracle::Mark;
+use super::plc::{Chunk, Plc};
 use super::spec::Spec;
-use super::state::{Call, End, Event, Id, Micros, Rules};
-use super::wanted::Wanted;
-use super::witness::Mark;
-use crate::book::carried;
+use super::state::{Call, CallResult, Event, Id, LinkSettings, Micros};
+use crate::reference::frame_content;
 
 const MS: Micros = 1000;
-/// At 1 s without service a call rises among the lanes; no call lasts so long.
+/// A call rises among the lanes after 1 s without service; no call lasts that long.
 const CALL_TIMEOUT: Micros = 900 * MS;
 const CONNECT_TIMEOUT: Micros = 50 * MS;
 
-fn rules(framing: Framing) -> Rules {
-    Rules {
+fn settings(framing: Framing) -> LinkSettings {
+    LinkSettings {
         framing,
         timeout: 100 * MS,
         settle: 30 * MS,
@@ -49,57 +50,58 @@ fn rules(framing: Framing) -> Rules {
     }
 }
 
-/// How many steps a run can have: each takes place at its own microsecond.
+/// Maximum number of steps: each happens at its own microsecond.
 pub(crate) const MAX_STEPS: usize = 900;
 
-/// Takes the steps with a new link; says which rule was broken, and where.
+/// Runs a case with a new link. The error names the broken rule and the step.
 pub(crate) fn run(framing: Framing, seed: u64, ops: &[Op]) -> Result<(), String> {
     runtime().map_err(|error| error.to_string())?.block_on(async {
-        let mut world = World::new(framing, seed);
+        let mut harness = Harness::new(framing, seed);
         for (number, op) in ops.iter().take(MAX_STEPS).enumerate() {
-            let step = world.step(op, MS - 1 - number as Micros).await;
-            step.map_err(|broken| format!("step {number}, {op:?}: {broken}\n{}", world.story()))?;
+            let offset = MS - 1 - number as Micros;
+            let step = harness.step(op, offset).await;
+            step.map_err(|broken| format!("step {number}, {op:?}: {broken}\n{}", harness.event_log()))?;
         }
-        let end = world.finish().await;
-        end.map_err(|broken| format!("at the end: {broken}\n{}", world.story()))
+        let end = harness.finish().await;
+        end.map_err(|broken| format!("at the end: {broken}\n{}", harness.event_log()))
     })
 }
 
-struct World {
+struct Harness {
     framing: Framing,
-    rules: Rules,
+    settings: LinkSettings,
     link: Link,
-    line: Arc<Mutex<Line>>,
+    line: Arc<Mutex<SharedLine>>,
     spec: Spec,
     calls: Vec<AbortHandle>,
-    /// Each call has another address.
+    /// Number of calls so far; each has its own address.
     serial: u16,
     plc: Plc,
-    /// The newest call to each station.
+    /// Request of the newest call to each station.
     newest: BTreeMap<u8, Vec<u8>>,
     started: Instant,
-    told: Vec<(Micros, Event)>,
+    history: Vec<(Micros, Event)>,
 }
 
-/// What both ends of the line can see.
-struct Line {
+/// State that both ends of the line share.
+struct SharedLine {
     started: Instant,
-    connecting: Connecting,
+    connecting: ConnectOutcome,
     lost: bool,
     fails_on_write: bool,
     incoming: Vec<u8>,
-    /// Of each byte of it, the frame that it is a part of.
+    /// For each byte of `incoming`, the mark of its frame.
     marks: Vec<Option<Mark>>,
     reader: Option<Waker>,
-    /// What the link has asked.
-    asked: Vec<Vec<u8>>,
-    /// The number of requests that were asked over earlier connections.
+    /// Requests of the link.
+    requests: Vec<Vec<u8>>,
+    /// Number of requests that earlier connections carried.
     opened_at: usize,
     events: Vec<(Micros, Event)>,
 }
 
-impl Line {
-    fn tell(&mut self, event: Event) {
+impl SharedLine {
+    fn record(&mut self, event: Event) {
         let at = self.started.elapsed().as_micros();
         self.events.push((Micros::try_from(at).unwrap_or(Micros::MAX), event));
     }
@@ -111,129 +113,129 @@ impl Line {
     }
 }
 
-impl World {
+impl Harness {
     fn new(framing: Framing, seed: u64) -> Self {
-        let (rules, started) = (rules(framing), Instant::now());
-        let line = Arc::new(Mutex::new(Line {
+        let (settings, started) = (settings(framing), Instant::now());
+        let line = Arc::new(Mutex::new(SharedLine {
             started,
-            connecting: Connecting::Accepted,
+            connecting: ConnectOutcome::Accepted,
             lost: false,
             fails_on_write: false,
             incoming: Vec::new(),
             marks: Vec::new(),
             reader: None,
-            asked: Vec::new(),
+            requests: Vec::new(),
             opened_at: 0,
             events: Vec::new(),
         }));
         let micros = Duration::from_micros;
         let opened = line.clone();
         let link = Link::connector_builder("the model's line", framing, move || open(opened.clone()))
-            .response_timeout(micros(rules.timeout))
+            .response_timeout(micros(settings.timeout))
             .call_timeout(micros(CALL_TIMEOUT))
             .connect_timeout(micros(CONNECT_TIMEOUT))
-            .connect_backoff(micros(rules.backoff / 4), micros(rules.backoff))
-            .probe_interval(micros(rules.probe_interval.0), micros(rules.probe_interval.1))
-            .offline_after(rules.offline_after)
-            .queue_capacity(rules.queue)
-            .in_step(InStepSettings::new().with_window(micros(rules.window)).with_quiet(micros(rules.quiet)))
+            .connect_backoff(micros(settings.backoff / 4), micros(settings.backoff))
+            .probe_interval(micros(settings.probe_interval.0), micros(settings.probe_interval.1))
+            .offline_after(settings.offline_after)
+            .queue_capacity(settings.queue)
+            .in_step(InStepSettings::new().with_window(micros(settings.window)).with_quiet(micros(settings.quiet)))
             .seed(seed)
             .build();
         Self {
             framing,
-            rules,
+            settings,
             link,
             line,
-            spec: Spec::new(rules),
+            spec: Spec::new(settings),
             calls: Vec::new(),
             serial: 0,
             plc: Plc::new(framing),
             newest: BTreeMap::new(),
             started,
-            told: Vec::new(),
+            history: Vec::new(),
         }
     }
 
-    /// Takes a step, so many microseconds past a whole millisecond.
+    /// Runs a step `past` microseconds after a whole millisecond.
     async fn step(&mut self, op: &Op, past: Micros) -> Result<(), String> {
-        // By hand: where time passes by itself, it does so by whole milliseconds.
+        // Advances by hand: time passes by itself only in whole milliseconds.
         advance(Duration::from_micros(past)).await;
-        self.act(op);
-        self.settle().await?;
+        self.perform(op);
+        self.run_until_idle().await?;
         advance(Duration::from_micros(MS - past)).await;
-        self.settle().await?;
+        self.run_until_idle().await?;
         if let Op::Wait(ms) = op { self.wait(u64::from(*ms) * MS).await } else { Ok(()) }
     }
 
-    /// Lets time pass, from one whole millisecond to another, and looks whenever there was something to be done.
+    /// Lets time pass in whole milliseconds, and checks the events whenever a task has run.
     async fn wait(&mut self, time: Micros) -> Result<(), String> {
         let mut end = pin!(sleep(Duration::from_micros(time)));
         while poll_fn(|cx| Poll::Ready(end.as_mut().poll(cx))).await.is_pending() {
-            next_rest().await;
+            next_idle().await;
             if !self.line().events.is_empty() {
-                // Nothing was done until now, so nothing had to be.
-                self.spec.settled(self.now() - 1)?;
+                // No task ran until now, so nothing was due.
+                self.spec.check_progress(self.now() - 1)?;
             }
-            self.look()?;
+            self.check()?;
         }
         Ok(())
     }
 
-    /// All calls end by their deadlines, and then the link can be closed.
+    /// Waits until all calls have ended by their deadlines, and closes the link.
     async fn finish(&mut self) -> Result<(), String> {
-        if !self.spec.is_over() {
+        if !self.spec.all_ended() {
             self.wait(CALL_TIMEOUT).await?;
         }
         self.link.close().await;
-        if self.spec.is_over() { Ok(()) } else { Err("a call has not ended".to_owned()) }
+        if self.spec.all_ended() { Ok(()) } else { Err("a call has not ended".to_owned()) }
     }
 
-    /// Lets everybody do what there is to be done at this time, and looks at it.
-    async fn settle(&mut self) -> Result<(), String> {
-        rest().await;
-        self.look()
+    /// Runs all tasks at the current time, and checks their events.
+    async fn run_until_idle(&mut self) -> Result<(), String> {
+        idle().await;
+        self.check()
     }
 
-    fn look(&mut self) -> Result<(), String> {
+    fn check(&mut self) -> Result<(), String> {
         let events = std::mem::take(&mut self.line().events);
         for (at, event) in events {
-            self.told.push((at, event.clone()));
+            self.history.push((at, event.clone()));
             self.spec.observe(at, event)?;
         }
-        self.spec.settled(self.now())
+        self.spec.check_progress(self.now())
     }
 
-    fn act(&mut self, op: &Op) {
+    fn perform(&mut self, op: &Op) {
         match op {
-            Op::Call { station, kind, patience } => self.call(*station, *kind, *patience),
+            Op::Call { station, kind, option_bits } => self.call(*station, *kind, *option_bits),
             Op::Cancel(number) => {
                 let live: Vec<Id> = (0..self.calls.len()).filter(|&id| !self.calls[id].is_finished()).collect();
                 if let Some(&id) = live.get(usize::from(*number) % live.len().max(1)) {
                     self.calls[id].abort();
-                    self.line().tell(Event::Cancelled(id));
+                    self.line().record(Event::Cancelled(id));
                 }
             }
             Op::Answer { late, refusal } => self.answer(usize::from(*late), *refusal),
-            Op::Spoilt(how) => {
-                let spoilt = self.plc.spoilt(self.asked(0), *how);
-                self.deliver(&spoilt);
+            Op::Corrupt(how) => {
+                let corrupted = self.plc.corrupted(self.recent_request(0), *how);
+                self.deliver(&corrupted);
             }
             Op::Noise(bytes) => self.deliver(&[(bytes.clone(), None)]),
-            Op::Rest => {
-                let rest = std::mem::take(&mut self.plc.held_back);
-                self.deliver(&rest);
+            Op::Release => {
+                let held_back = std::mem::take(&mut self.plc.held_back);
+                self.deliver(&held_back);
             }
             Op::Echo => {
-                let echo = self.line().asked.last().cloned().unwrap_or_default();
+                let echo = self.line().requests.last().cloned().unwrap_or_default();
                 self.deliver(&[(echo, None)]);
             }
             Op::Copy(back) => {
                 let copy = self.plc.copy(usize::from(*back));
                 self.deliver(&copy);
             }
-            Op::Second(refusal) => {
-                let second = self.plc.second(*refusal);
-                self.deliver(&second);
+            Op::SecondAnswer(refusal) => {
+                let second_answer = self.plc.second_answer(*refusal);
+                self.deliver(&second_answer);
             }
             Op::LeftOver { station, refusal } => {
                 let call = self.newest.get(station).cloned().unwrap_or_default();
@@ -241,23 +243,23 @@ impl World {
                 let left = self.plc.left_over(&call, opened, *refusal);
                 self.deliver(&left);
             }
-            Op::Broadcasted { station, refusal } => {
-                let is_broadcast = |asked: &Vec<u8>| carried(self.framing, asked).station == 0;
+            Op::AnswerBroadcast { station, refusal } => {
+                let is_broadcast = |request: &Vec<u8>| frame_content(self.framing, request).station == 0;
                 let last = {
                     let line = self.line();
-                    line.asked.iter().rposition(is_broadcast).map(|number| (number, line.asked[number].clone()))
+                    line.requests.iter().rposition(is_broadcast).map(|number| (number, line.requests[number].clone()))
                 };
                 let answer = self.plc.answer(last, *station, *refusal);
                 self.deliver(&answer);
             }
-            Op::Lacks(which) => self.plc.lacks = *which,
-            Op::Together(how) => {
-                let (copy, asked) = (self.plc.copy(0), self.asked(0));
-                let answer = self.plc.answer_own(asked);
+            Op::Unsupported(which) => self.plc.unsupported = *which,
+            Op::Coalesced(how) => {
+                let (copy, request) = (self.plc.copy(0), self.recent_request(0));
+                let answer = self.plc.answer_own(request);
                 let frames = match how {
-                    Together::CopyFirst => [copy, answer],
-                    Together::SecondBehind => [answer, self.plc.second(0)],
-                    Together::CopyBehind => [answer, copy],
+                    Coalesced::CopyFirst => [copy, answer],
+                    Coalesced::SecondBehind => [answer, self.plc.second_answer(0)],
+                    Coalesced::CopyBehind => [answer, copy],
                 };
                 self.deliver(&frames.concat());
             }
@@ -276,61 +278,61 @@ impl World {
         }
     }
 
-    /// The PLC answers what was asked so many requests ago; or refuses it with this code.
+    /// Answers the request `late` requests ago, or refuses it with this code.
     fn answer(&mut self, late: usize, refusal: u8) {
-        let asked = self.asked(late);
-        let station = asked.as_ref().map_or(0, |(_, asked)| carried(self.framing, asked).station);
-        let answer = self.plc.answer(asked, station, refusal);
+        let request = self.recent_request(late);
+        let station = request.as_ref().map_or(0, |(_, request)| frame_content(self.framing, request).station);
+        let answer = self.plc.answer(request, station, refusal);
         self.deliver(&answer);
     }
 
-    /// What was asked so many requests ago, with its number.
-    fn asked(&self, late: usize) -> Option<(usize, Vec<u8>)> {
+    /// The request `late` requests ago, with its number.
+    fn recent_request(&self, late: usize) -> Option<(usize, Vec<u8>)> {
         let line = self.line();
-        let number = line.asked.len().checked_sub(late + 1)?;
-        Some((number, line.asked[number].clone()))
+        let number = line.requests.len().checked_sub(late + 1)?;
+        Some((number, line.requests[number].clone()))
     }
 
-    fn call(&mut self, station: u8, kind: Kind, patience: u8) {
+    fn call(&mut self, station: u8, kind: CallKind, option_bits: u8) {
         let station = station.max(1);
         self.serial += 1;
-        let wanted = Wanted::new(self.framing, kind, self.serial);
-        let Wanted { broadcast, lane, sort, .. } = wanted;
-        let (retries, again) = (u32::from(patience & 3), patience & 4 != 0);
-        let timeout = self.rules.timeout << u32::from(patience >> 3 & 1);
-        let allowed = if patience & 16 == 0 { CALL_TIMEOUT } else { 150 * MS };
+        let planned = PlannedCall::new(self.framing, kind, self.serial);
+        let PlannedCall { broadcast, lane, class, .. } = planned;
+        let (retries, retry_writes) = (u32::from(option_bits & 3), option_bits & 4 != 0);
+        let timeout = self.settings.timeout << u32::from(option_bits >> 3 & 1);
+        let call_timeout = if option_bits & 16 == 0 { CALL_TIMEOUT } else { 150 * MS };
         let options = CallOptions::new()
             .retries(retries)
-            .retry_writes(again)
+            .retry_writes(retry_writes)
             .response_timeout(Duration::from_micros(timeout))
-            .call_timeout(Duration::from_micros(allowed));
+            .call_timeout(Duration::from_micros(call_timeout));
         let number = if broadcast { 0 } else { station };
-        let spellings = wanted.spellings(self.framing, number);
+        let spellings = planned.spellings(self.framing, number);
         if !broadcast {
             self.newest.insert(station, spellings[0].request.clone());
         }
         let call = Call {
             station: number,
             lane,
-            sort,
+            class,
             spellings,
-            words: wanted.words(),
-            retries: if lane == 2 || again { retries } else { 0 },
+            words: planned.words(),
+            retries: if lane == 2 || retry_writes { retries } else { 0 },
             timeout,
-            deadline: self.now() + allowed,
+            deadline: self.now() + call_timeout,
         };
         let id = self.calls.len();
-        self.line().tell(Event::Called(id, call));
+        self.line().record(Event::Called(id, call));
         let (link, line) = (self.link.clone(), self.line.clone());
         let task = tokio::spawn(async move {
-            let end = make(&link, station, wanted, options).await;
-            lock(&line).tell(Event::Ended(id, end));
+            let end = call_link(&link, station, planned, options).await;
+            lock(&line).record(Event::Ended(id, end));
         });
         self.calls.push(task.abort_handle());
     }
 
-    /// Frames of the PLC come, or other bytes, which have no mark.
-    fn deliver(&mut self, frames: &[Said]) {
+    /// Delivers frames of the PLC, or bytes without a mark.
+    fn deliver(&mut self, frames: &[Chunk]) {
         let mut line = self.line();
         for (bytes, mark) in frames {
             line.incoming.extend(bytes);
@@ -343,18 +345,18 @@ impl World {
         Micros::try_from(self.started.elapsed().as_micros()).unwrap_or(Micros::MAX)
     }
 
-    fn line(&self) -> MutexGuard<'_, Line> {
+    fn line(&self) -> MutexGuard<'_, SharedLine> {
         lock(&self.line)
     }
 
-    /// The last events, for a failure.
-    fn story(&self) -> String {
+    /// All events so far, for a failure message.
+    fn event_log(&self) -> String {
         let bytes = |bytes: &[u8]| match self.framing {
             Framing::Binary => format!("{bytes:02X?}"),
             _ => bytes.escape_ascii().to_string(),
         };
         let line = |(at, event): &(Micros, Event)| match event {
-            Event::Wrote(asked) | Event::WroteInVain(asked) => format!("{at:>9} Wrote {}\n", bytes(asked)),
+            Event::Wrote(request) | Event::WroteInVain(request) => format!("{at:>9} Wrote {}\n", bytes(request)),
             Event::Read(came, _) => format!("{at:>9} Read {}\n", bytes(came)),
             Event::Called(id, call) => {
                 format!(
@@ -365,16 +367,16 @@ impl World {
             }
             event => format!("{at:>9} {event:?}\n"),
         };
-        self.told.iter().map(line).collect()
+        self.history.iter().map(line).collect()
     }
 }
 
-async fn make(link: &Link, station: u8, wanted: Wanted, options: CallOptions) -> End {
-    let result = if wanted.broadcast {
-        link.broadcast().with_options(options).forward(wanted.request).await.map(|()| Vec::new())
+async fn call_link(link: &Link, station: u8, planned: PlannedCall, options: CallOptions) -> CallResult {
+    let result = if planned.broadcast {
+        link.broadcast().with_options(options).forward(planned.request).await.map(|()| Vec::new())
     } else {
         let station = link.station(station).expect("a station").with_options(options);
-        match wanted.request {
+        match planned.request {
             Request::ReadRegisters(request) => station.call(request).await,
             Request::ReadProgramPage(request) => station.call(request).await.map(|page| page.words().to_vec()),
             Request::ReadMixed(request) => station.call(request).await.map(words),
@@ -382,15 +384,15 @@ async fn make(link: &Link, station: u8, wanted: Wanted, options: CallOptions) ->
         }
     };
     match result {
-        Ok(words) => End::Done(words),
-        Err(Error::Plc { error, repeated, .. }) => End::Refused { code: error.into(), repeated },
-        Err(Error::Timeout { sent, .. }) => End::Timeout { sent },
-        Err(Error::BadReply { sent, .. }) => End::BadReply { sent },
-        Err(Error::Offline { sent, .. }) => End::Offline { sent },
-        Err(Error::Disconnected { sent, .. }) => End::Disconnected { sent },
-        Err(Error::OutOfStep { sent, .. }) => End::OutOfStep { sent },
-        Err(Error::Connect { sent: false, .. }) => End::NotConnected,
-        Err(Error::QueueFull { .. }) => End::QueueFull,
+        Ok(words) => CallResult::Done(words),
+        Err(Error::Plc { error, repeated, .. }) => CallResult::Refused { code: error.into(), repeated },
+        Err(Error::Timeout { sent, .. }) => CallResult::Timeout { sent },
+        Err(Error::BadReply { sent, .. }) => CallResult::BadReply { sent },
+        Err(Error::Offline { sent, .. }) => CallResult::Offline { sent },
+        Err(Error::Disconnected { sent, .. }) => CallResult::Disconnected { sent },
+        Err(Error::OutOfStep { sent, .. }) => CallResult::OutOfStep { sent },
+        Err(Error::Connect { sent: false, .. }) => CallResult::NotConnected,
+        Err(Error::QueueFull { .. }) => CallResult::QueueFull,
         Err(error) => panic!("no call of the model can end with {error:?}"),
     }
 }
@@ -400,55 +402,55 @@ fn words(values: Vec<Value>) -> Vec<u16> {
     values.into_iter().filter_map(word).collect()
 }
 
-/// The link wants a connection.
-async fn open(line: Arc<Mutex<Line>>) -> io::Result<Wire> {
+/// Opens a connection for the link.
+async fn open(line: Arc<Mutex<SharedLine>>) -> io::Result<LinkStream> {
     let connecting = {
         let mut line = lock(&line);
-        line.tell(Event::Connecting);
+        line.record(Event::Connecting);
         line.connecting
     };
     match connecting {
-        Connecting::Accepted => {
+        ConnectOutcome::Accepted => {
             let mut opened = lock(&line);
             (opened.lost, opened.fails_on_write) = (false, false);
             opened.incoming.clear();
             opened.marks.clear();
-            opened.opened_at = opened.asked.len();
-            opened.tell(Event::Connected);
+            opened.opened_at = opened.requests.len();
+            opened.record(Event::Connected);
             drop(opened);
-            Ok(Wire { line })
+            Ok(LinkStream { line })
         }
-        Connecting::Refused => {
-            lock(&line).tell(Event::NotConnected);
+        ConnectOutcome::Refused => {
+            lock(&line).record(Event::NotConnected);
             Err(io::ErrorKind::ConnectionRefused.into())
         }
-        Connecting::Unanswered => {
-            // Told when it is given up.
+        ConnectOutcome::Unanswered => {
+            // The event is recorded when the link gives up.
             let _unanswered = Unanswered(line);
             pending().await
         }
     }
 }
 
-struct Unanswered(Arc<Mutex<Line>>);
+struct Unanswered(Arc<Mutex<SharedLine>>);
 
 impl Drop for Unanswered {
     fn drop(&mut self) {
-        lock(&self.0).tell(Event::NotConnected);
+        lock(&self.0).record(Event::NotConnected);
     }
 }
 
-/// The link's end of the line.
-struct Wire {
-    line: Arc<Mutex<Line>>,
+/// Client end of the line.
+struct LinkStream {
+    line: Arc<Mutex<SharedLine>>,
 }
 
-impl AsyncRead for Wire {
+impl AsyncRead for LinkStream {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let mut line = lock(&self.line);
         if line.incoming.is_empty() {
             if line.lost {
-                line.tell(Event::Lost);
+                line.record(Event::Lost);
                 return Poll::Ready(Ok(()));
             }
             line.reader = Some(cx.waker().clone());
@@ -458,20 +460,20 @@ impl AsyncRead for Wire {
         let read: Vec<u8> = line.incoming.drain(..len).collect();
         buf.put_slice(&read);
         let marks = line.marks.drain(..len).collect();
-        line.tell(Event::Read(read, marks));
+        line.record(Event::Read(read, marks));
         Poll::Ready(Ok(()))
     }
 }
 
-impl AsyncWrite for Wire {
+impl AsyncWrite for LinkStream {
     fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
         let mut line = lock(&self.line);
-        line.asked.push(buf.to_vec());
+        line.requests.push(buf.to_vec());
         if std::mem::take(&mut line.fails_on_write) {
-            line.tell(Event::WroteInVain(buf.to_vec()));
+            line.record(Event::WroteInVain(buf.to_vec()));
             return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
         }
-        line.tell(Event::Wrote(buf.to_vec()));
+        line.record(Event::Wrote(buf.to_vec()));
         Poll::Ready(Ok(buf.len()))
     }
 
@@ -484,6 +486,6 @@ impl AsyncWrite for Wire {
     }
 }
 
-fn lock(line: &Mutex<Line>) -> MutexGuard<'_, Line> {
+fn lock(line: &Mutex<SharedLine>) -> MutexGuard<'_, SharedLine> {
     line.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }

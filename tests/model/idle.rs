@@ -1,6 +1,6 @@
-//! Waiting until everything is at rest: no task can go on before time passes.
+//! Waits until the runtime is idle: no task can proceed before time passes.
 //!
-//! That is when the runtime parks its thread. Whoever waits for it is woken then, and time does not pass yet.
+//! The runtime is idle when it parks its thread. The waiter is woken then, before time advances.
 
 use std::cell::RefCell;
 use std::future::poll_fn;
@@ -11,16 +11,16 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::time::Instant;
 
 thread_local! {
-    /// Who waits, and the time that must have passed.
+    /// Waker of the waiter, and the time that must have passed.
     static WAITING: RefCell<Option<(Waker, Option<Instant>)>> = const { RefCell::new(None) };
 }
 
-/// A runtime with paused time, which tells of its rest.
+/// Creates a runtime with paused time that reports when it is idle.
 pub(crate) fn runtime() -> io::Result<Runtime> {
-    Builder::new_current_thread().enable_time().start_paused(true).on_thread_park(at_rest).build()
+    Builder::new_current_thread().enable_time().start_paused(true).on_thread_park(on_park).build()
 }
 
-fn at_rest() {
+fn on_park() {
     let has_passed = |time: &Option<Instant>| time.is_none_or(|time| time < Instant::now());
     let woken = WAITING.with_borrow_mut(|waiting| waiting.take_if(|(_, time)| has_passed(time)));
     if let Some((waker, _)) = woken {
@@ -28,17 +28,17 @@ fn at_rest() {
     }
 }
 
-/// All have done what there is to be done at this time.
-pub(crate) async fn rest() {
-    rest_after(None).await;
+/// Waits until no task can proceed at the current time.
+pub(crate) async fn idle() {
+    idle_after(None).await;
 }
 
-/// The same at the next time at which there is something to be done, when this one is over. Some timer must be set.
-pub(crate) async fn next_rest() {
-    rest_after(Some(Instant::now())).await;
+/// Waits until no task can proceed at the next time at which a timer fires. Needs a pending timer.
+pub(crate) async fn next_idle() {
+    idle_after(Some(Instant::now())).await;
 }
 
-async fn rest_after(time: Option<Instant>) {
+async fn idle_after(time: Option<Instant>) {
     let mut waits = false;
     poll_fn(|cx| {
         if !std::mem::replace(&mut waits, true) {
