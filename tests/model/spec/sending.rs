@@ -87,10 +87,18 @@ impl Spec {
         if let Some(id) = resynced.take_if(|id| self.needs_silence(self.calls[id].call.station)) {
             self.requeue(id);
         }
+        let is_check = matches!(sent.command, 0x4E | 0x40 | 0x53);
+        // A refused write is not sent again if the refusal may have been another request's.
+        let is_skipped = |id: Id| {
+            let elsewhere = self.calls[&id].call.station != station;
+            self.may_have_failed(id) && (elsewhere || !is_check && !self.has_spelling(id, sent))
+        };
+        if let Some(id) = resynced.take_if(|id| is_skipped(*id)) {
+            self.end_with(id, |sent| CallResult::OutOfStep { sent });
+        }
         if let Some(id) = resynced.filter(|id| self.calls[id].call.station != station) {
             return Err(format!("call {id} has passed its check, but another station gets a request"));
         }
-        let is_check = matches!(sent.command, 0x4E | 0x40 | 0x53);
         let probe = self.stations.get(&station).and_then(|entry| entry.offline);
         if let (Some(probe), true) = (probe, is_check) {
             let others = self.stations.values().any(|entry| entry.offline.is_none());
@@ -104,12 +112,18 @@ impl Spec {
         }
         let id = match resynced {
             Some(id) => id,
-            None => {
+            None => loop {
                 let id = self.next_call(station, at).ok_or_else(|| format!("station {station} has no call to send"))?;
-                self.check_lane_order(id, at)?;
+                let skipped = !is_check && self.may_have_failed(id) && !self.has_spelling(id, sent);
+                if !skipped {
+                    self.check_lane_order(id, at)?;
+                }
                 self.dequeue(id);
-                id
-            }
+                if !skipped {
+                    break id;
+                }
+                self.end_with(id, |sent| CallResult::OutOfStep { sent });
+            },
         };
         if !is_check {
             return Ok((Purpose::Call, Some(id), self.spelling_of(id, sent, at)?));
@@ -117,6 +131,17 @@ impl Spec {
         let purpose = if self.echo == LineEcho::Unknown { Purpose::LearnEcho } else { Purpose::Check };
         self.check_link_request(purpose, sent, Some(id), at)?;
         Ok((purpose, Some(id), 0))
+    }
+
+    fn has_spelling(&self, id: Id, sent: &SentFrame<'_>) -> bool {
+        self.calls[&id].call.spellings.iter().any(|spelling| spelling.request == sent.request)
+    }
+
+    /// Whether the link may have ended a call without its caller having seen it: a write whose other
+    /// spelling was refused, perhaps by the reply to another request.
+    pub(super) fn may_have_failed(&self, id: Id) -> bool {
+        let state = &self.calls[&id];
+        state.plain_only && state.call.class == CallClass::Write
     }
 
     /// Checks a request of the link itself: a check, a probe, or a status request that learns the
