@@ -3,9 +3,10 @@
 
     python3 docs/performance/call.py             # cargo and valgrind are needed
 
-Each way of the benchmark runs under callgrind. Instructions are the difference between 6000 calls and 2000 over one link, of the
-client's thread and without the kernel's. Code is what nearly every call runs, in lines of 64 bytes. Memory is how many such lines
-a call finds in no cache of 1 MiB when 1000 links have their turn one after the other.
+Each way of the benchmark runs under callgrind. Instructions are the difference between 6000 and 2000
+calls over one link, of the client's thread, without the kernel. Code is the number of lines of 64 bytes
+that nearly every call runs. Memory is the number of such lines that a call finds in no cache of 1 MiB,
+with 1000 links in turn.
 """
 
 import collections
@@ -36,7 +37,8 @@ def main():
         code = lines_of_code(count(program, way, "64,1", 100, "--dump-instr=yes"), 64 * 100 * ROUNDS)
         few, many = (misses(count(program, way, "1000,1", calls, *CACHES)) for calls in (3, 9))
         memory = (many - few) / (6 * 1000 * ROUNDS)
-        print(f"| {name} | {round(instructions, -1):,.0f} | {code * 64 / 1024:.0f} KiB | {memory:.0f} lines |", flush=True)
+        row = f"| {name} | {round(instructions, -1):,.0f} | {code * 64 / 1024:.0f} KiB | {memory:.0f} lines |"
+        print(row, flush=True)
 
 
 def build():
@@ -84,7 +86,7 @@ def lines_of_code(lines, calls):
             address = int(place, 16)
         elif place != "*":
             address += int(place)
-        # What a called function takes is counted there.
+        # A called function is counted there.
         if not called:
             runs[address // 64] += int(times)
         called = False

@@ -4,9 +4,8 @@
     python3 docs/performance/codec.py            # cargo and valgrind are needed
     python3 docs/performance/codec.py --tables   # the tables of the codec.csv that is there
 
-Times are medians; of five runs of the benchmark, each of which measures everything, the quickest counts, because others
-may use the machine. Instructions are the difference between 3000 and 1000 repetitions under callgrind, so that nothing but
-the work itself is in them.
+Times are medians of the quickest of five runs, because the machine may be shared. Instructions are the
+difference between 3000 and 1000 repetitions under callgrind, so that they are those of the work alone.
 """
 
 import csv

@@ -94,7 +94,8 @@ def plot_call():
     axes[1].set_title("the peer")
     handles, labels = axes[1].get_legend_handles_labels()
     figure.legend(handles[1:], labels[1:], loc="lower center", ncols=4, frameon=False)
-    figure.suptitle("64 registers read over loopback TCP: medians of the ratios of interleaved rounds, and their middle half")
+    title = "64 registers read over loopback TCP: medians of the ratios of interleaved rounds, and their middle half"
+    figure.suptitle(title)
     figure.tight_layout(rect=(0, 0.05, 1, 1))
     return figure
 

@@ -141,7 +141,7 @@ pub(crate) struct PendingCall {
     pub(crate) unproven_once: bool,
     /// Another spelling was refused, so the request is sent as the caller made it.
     pub(crate) plain: bool,
-    /// A write was refused in another spelling when the station had this number of doubts. With one
+    /// A write was refused in another spelling when the station had this number of strays. With one
     /// more, the refusal may have been another request's, and the write may have been executed.
     pub(crate) refused_at: Option<u32>,
 }

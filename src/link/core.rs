@@ -452,7 +452,7 @@ impl Core {
     /// frame has come since.
     fn may_be_executed(&mut self, call: &PendingCall) -> bool {
         call.refused_at
-            .is_some_and(|doubts| self.stations.with_in_step(call.station, |in_step| in_step.proof().doubts != doubts))
+            .is_some_and(|strays| self.stations.with_in_step(call.station, |in_step| in_step.strays() != strays))
     }
 
     fn begin(&mut self, outgoing: Outgoing, now: Instant) -> Option<Action> {

@@ -84,6 +84,9 @@ pub(crate) struct InStep {
     /// The silence before the reply, in the slowest of recent exchanges.
     slowest: Duration,
     proof: Proof,
+    /// Number of frames that no request took, duplicates of replies not counted. Late datagrams are
+    /// none of these: their port shows that they are of another request.
+    strays: u32,
 }
 
 /// A reply that was taken, and of which a duplicate may come.
@@ -127,6 +130,7 @@ impl InStep {
             answered: AnsweredElements::new(),
             slowest: Duration::ZERO,
             proof: Proof::default(),
+            strays: 0,
         }
     }
 
@@ -143,6 +147,10 @@ impl InStep {
 
     pub(crate) fn proof(&self) -> Proof {
         self.proof
+    }
+
+    pub(crate) fn strays(&self) -> u32 {
+        self.strays
     }
 
     /// Chooses what to send for a request. `plain`: another spelling of it was refused.
@@ -397,6 +405,7 @@ impl InStep {
     /// Notes that a frame of the station came after a reply in the same read, and is no duplicate of
     /// it. A duplicate of anything older would have come before the reply.
     pub(crate) fn followed(&mut self) {
+        self.strays = self.strays.wrapping_add(1);
         self.doubt();
     }
 
@@ -474,6 +483,7 @@ impl InStep {
         };
         self.suspect.get_or_insert(Why::Stray);
         if stray == Stray::Unexpected {
+            self.strays = self.strays.wrapping_add(1);
             self.doubt();
         }
         stray

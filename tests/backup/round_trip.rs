@@ -214,8 +214,8 @@ async fn runs_are_one_request_and_32_bit_values_stay_whole() {
         let station = bench.station();
         let backup = station.back_up(tags(["R1-R200:i32", "DR300-DR500", "M0-M599"])).await.unwrap();
         let requests = bench.faults.log().entries();
-        // 64, 64, 64 and 8 registers; 32, 31, 32 and 6 pairs; 256, 255 and 89 discretes; the status twice; the check of the new
-        // connection, and the one at the end.
+        // 64, 64, 64 and 8 registers; 32, 31, 32 and 6 pairs; 256, 255 and 89 discretes; the status
+        // twice; the check of the new connection, and the one at the end.
         assert_eq!(requests.len(), 1 + 2 + 4 + 4 + 3 + 1);
         for address in (2..=200).chain(300..502) {
             bench.plc.write(fatek::Register::r(address), 7_u16).unwrap();

@@ -54,7 +54,7 @@ pub(crate) async fn backup(
     };
     let note = |taking: &TakeBackup, error: &BackupError| {
         let cause = std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string);
-        format!("{cause}; {} elements are there", taking.partial().value_count())
+        format!("{cause}; {} elements read", taking.partial().value_count())
     };
     let run = async |taking: &mut TakeBackup| taking.run(&station).await;
     let result = retry(&mut taking, Direction::Read, (&reporter, output), run, progress, note).await;

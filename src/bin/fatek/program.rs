@@ -53,7 +53,7 @@ async fn read_with_retries(
     let progress = |read: &ReadProgram, error: &ProgramError| {
         error.call_error().filter(|error| is_line_failure(error)).map(|_| read.pages_done())
     };
-    let note = |read: &ReadProgram, error: &ProgramError| format!("{error}; {} pages are there", read.pages_done());
+    let note = |read: &ReadProgram, error: &ProgramError| format!("{error}; {} pages read", read.pages_done());
     retry(read, Direction::Read, display, run, progress, note).await
 }
 

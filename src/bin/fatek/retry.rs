@@ -46,7 +46,7 @@ pub(crate) async fn retry<T, O, E>(
         }
         repeats += 1;
         reporter.end_line();
-        output.remark(format_args!("{}; going on", note(transfer, &error)));
+        output.remark(format_args!("{}; resuming", note(transfer, &error)));
         if direction == Direction::Write {
             sleep(PAUSE).await;
         }

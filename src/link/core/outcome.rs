@@ -96,16 +96,16 @@ impl Core {
                 if reply.refused && spelling != plain {
                     // Only the spelling may be refused.
                     let lacks = active.refusal.is_some_and(is_about_the_command);
-                    let doubts = self.stations.with_in_step(station, |in_step| {
+                    let strays = self.stations.with_in_step(station, |in_step| {
                         in_step.taken(kind, &reply, silent, &rule, now);
                         in_step.spelling_refused(plain, spelling, run, lacks);
                         if kind == Kind::Once {
                             in_step.write_refused();
                         }
-                        in_step.proof().doubts
+                        in_step.strays()
                     });
                     self.stats.count_station(station, |stats| add(&mut stats.refused_spellings, 1));
-                    return self.respell(call, (kind == Kind::Once).then_some(doubts));
+                    return self.respell(call, (kind == Kind::Once).then_some(strays));
                 }
                 let proof = self.stations.with_in_step(station, |in_step| {
                     in_step.taken(kind, &reply, silent, &rule, now);
@@ -179,7 +179,7 @@ impl Core {
     }
 
     /// Sends a request as the caller made it after another spelling was refused.
-    /// `refused_at`: the station's number of doubts, if the request is a write.
+    /// `refused_at`: the station's number of strays, if the request is a write.
     fn respell(&mut self, mut call: PendingCall, refused_at: Option<u32>) {
         call.refused_at = refused_at;
         call.slot.retract();

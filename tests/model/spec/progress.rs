@@ -32,7 +32,9 @@ impl Spec {
             // A frame within the silence is noticed at its end.
             let has_failed = self.next_call(*station, at).is_some_and(|id| self.may_have_failed(id));
             if usable && !has_failed && self.in_flight.is_none() && at > whole_ms(since + 2 * quiet) + 1000 {
-                return Err(format!("station {station} was silent long enough, but a call still waits"));
+                return Err(format!(
+                    "station {station} was silent from {since} for {quiet}, but a call still waits at {at}"
+                ));
             }
         }
         if waits.is_none() || usable || self.connecting {

@@ -43,6 +43,7 @@ impl Spec {
             call.into_iter().for_each(|id| self.end_with(id, end));
             if is_written {
                 self.stations.values_mut().for_each(|entry| entry.broadcast(command, at));
+                self.silent_since.values_mut().for_each(|since| *since = at);
             }
             return Ok(());
         }

@@ -165,6 +165,7 @@ impl ModelState {
         }
         in_step.proof.proofs = in_step.proof.proofs.min(1);
         in_step.proof.doubts = in_step.proof.doubts.min(1);
+        in_step.strays = 0;
         self.rename_nonces();
         self
     }
