@@ -232,6 +232,65 @@ fn out_of_step(sent: bool, after: Duration) -> String {
 }
 
 impl Error {
+    /// Returns `true` if no reply came in time, also of a station that is offline.
+    ///
+    /// For [`PartlyWritten`](Self::PartlyWritten) this and the following methods tell of its source.
+    #[must_use]
+    pub fn is_timeout(&self) -> bool {
+        match self {
+            Self::Timeout { .. } | Self::Offline { .. } => true,
+            Self::PartlyWritten { source, .. } => source.is_timeout(),
+            Self::Invalid(_)
+            | Self::Plc { .. }
+            | Self::BadReply { .. }
+            | Self::OutOfStep { .. }
+            | Self::Duplicates { .. }
+            | Self::Connect { .. }
+            | Self::Disconnected { .. }
+            | Self::QueueFull { .. }
+            | Self::Closed { .. } => false,
+        }
+    }
+
+    /// Returns `true` if there is no connection, or if it was lost.
+    #[must_use]
+    pub fn is_connect(&self) -> bool {
+        match self {
+            Self::Connect { .. } | Self::Disconnected { .. } => true,
+            Self::PartlyWritten { source, .. } => source.is_connect(),
+            Self::Invalid(_)
+            | Self::Plc { .. }
+            | Self::Timeout { .. }
+            | Self::Offline { .. }
+            | Self::BadReply { .. }
+            | Self::OutOfStep { .. }
+            | Self::Duplicates { .. }
+            | Self::QueueFull { .. }
+            | Self::Closed { .. } => false,
+        }
+    }
+
+    /// Returns `true` if the same request may succeed later without a change: the line, the PLC or
+    /// the queue failed, not the request.
+    ///
+    /// A refusal by the PLC is not transient. Before a write is repeated, see
+    /// [`may_have_executed`](Self::may_have_executed).
+    #[must_use]
+    pub fn is_transient(&self) -> bool {
+        match self {
+            Self::Timeout { .. }
+            | Self::Offline { .. }
+            | Self::BadReply { .. }
+            | Self::OutOfStep { .. }
+            | Self::Duplicates { .. }
+            | Self::Connect { .. }
+            | Self::Disconnected { .. }
+            | Self::QueueFull { .. } => true,
+            Self::PartlyWritten { source, .. } => source.is_transient(),
+            Self::Invalid(_) | Self::Plc { .. } | Self::Closed { .. } => false,
+        }
+    }
+
     /// Whether the PLC can have executed the request; of a write of several requests, any of them.
     ///
     /// `false` is certain: the request was not sent, or the PLC refused it. `true` is not: whether
@@ -270,5 +329,26 @@ impl Error {
             | Self::Disconnected { .. }
             | Self::Closed { .. } => None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_tell_what_kind_they_are() {
+        let timeout = Error::Timeout { station: 1, code: Code::ReadStatus, after: Duration::from_secs(1), sent: true };
+        let partly = Error::PartlyWritten { written: 64, count: 100, source: Box::new(timeout.clone()) };
+        for error in [timeout, partly] {
+            assert_eq!((error.is_timeout(), error.is_connect(), error.is_transient()), (true, false, true), "{error}");
+        }
+        let closed = Error::Closed { sent: false };
+        assert_eq!((closed.is_timeout(), closed.is_connect(), closed.is_transient()), (false, false, false));
+        let error = ErrorCode::IllegalAddress;
+        let refused = Error::Plc { station: 1, code: Code::ReadStatus, error, repeated: false };
+        assert_eq!((refused.is_timeout(), refused.is_connect(), refused.is_transient()), (false, false, false));
+        let full = Error::QueueFull { station: 1, limit: 16 };
+        assert_eq!((full.is_timeout(), full.is_connect(), full.is_transient()), (false, false, true));
     }
 }

@@ -131,6 +131,7 @@ mod transfer;
 pub mod wire;
 
 pub use backup::Backup;
+pub use command::InvalidRequest;
 pub use element::{Discrete, Element, Register, Register32, Symbol, Value, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode};
@@ -140,6 +141,8 @@ pub use poll::Poller;
 pub use pool::{Pool, PoolBuilder, PoolError, PoolStats};
 pub use program::Program;
 pub use station::{Broadcast, Station};
+pub use tag::Tag;
+pub use wire::Framing;
 
 /// Compiles and runs the examples of the README.
 #[cfg(all(doctest, feature = "sim"))]

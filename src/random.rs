@@ -30,7 +30,7 @@ impl Random {
     /// Draws from half of a duration to all of it, so that links do not reconnect at the same time.
     pub(crate) fn jitter(&mut self, duration: Duration) -> Duration {
         // 500 to 1000, so it fits a u32.
-        let thousandths = 500 + (self.next() % 501) as u32;
-        duration.saturating_mul(thousandths) / 1000
+        let thousandths = (self.next() % 501) as u32;
+        duration.saturating_mul(thousandths.saturating_add(500)).checked_div(1000).unwrap_or(duration)
     }
 }

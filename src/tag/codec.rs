@@ -247,13 +247,13 @@ macro_rules! primitives {
 
                 fn from_raw(bits: u64) -> Self {
                     let mut bytes = [0; size_of::<Self>()];
-                    bytes.copy_from_slice(&bits.to_le_bytes()[..size_of::<Self>()]);
+                    bytes.iter_mut().zip(bits.to_le_bytes()).for_each(|(byte, bits)| *byte = bits);
                     Self::from_le_bytes(bytes)
                 }
 
                 fn into_raw(self) -> u64 {
                     let mut bytes = [0; 8];
-                    bytes[..size_of::<Self>()].copy_from_slice(&self.to_le_bytes());
+                    bytes.iter_mut().zip(self.to_le_bytes()).for_each(|(byte, bits)| *byte = bits);
                     u64::from_le_bytes(bytes)
                 }
             }

@@ -3,7 +3,6 @@
 //!
 //! Connections answer without tasks, so all tasks and heap belong to the links.
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
-#![allow(dead_code, reason = "each test program uses its own part of it")]
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
 use std::io;
