@@ -12,9 +12,11 @@
 
 mod client;
 mod faults;
+mod frame;
 mod jobs;
 mod model;
 mod requests;
+mod state;
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fmt::Write;
@@ -23,9 +25,10 @@ use std::rc::Rc;
 use tokio::time::Instant;
 
 use self::client::{Ablation, Client, Wrong};
-use self::model::{Faults, ModelState, starts, steps};
+use self::model::{Faults, starts, steps};
 use self::requests::Name;
 pub(super) use self::requests::Request;
+use self::state::ModelState;
 use super::Rule;
 
 /// Number of states after which a search is cut.

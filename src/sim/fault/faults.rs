@@ -3,9 +3,9 @@ use std::mem;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use super::left_over::MAX_LEFT_OVER;
 use super::rng::FaultRng;
 use super::rule::Subject;
-use super::session::MAX_LEFT_OVER;
 use super::timing::DrawnTiming;
 use super::{DisconnectAt, Fault, FaultTarget, LeftOver, Line, Log, Rule};
 use crate::ErrorCode;

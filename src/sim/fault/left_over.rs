@@ -5,6 +5,9 @@ use bytes::Bytes;
 use crate::ErrorCode;
 use crate::command::Request;
 
+/// Maximum number of replies that wait for the next connection.
+pub(super) const MAX_LEFT_OVER: usize = 64;
+
 /// A reply to an earlier client that is still on its way when a run begins.
 ///
 /// For starts behind a serial device server that another client has just used. See

@@ -13,7 +13,6 @@ use std::time::Duration;
 use bytes::{Bytes, BytesMut};
 use tokio::time::Instant;
 
-pub(super) use self::conditions::MAX_LEFT_OVER;
 pub(crate) use self::conditions::{Conditions, LeftOvers};
 use self::replies::{Delivery, FollowUp, PendingReply, PendingRequest, SessionEvent};
 use super::faults::BroadcastDecision;

@@ -1,5 +1,7 @@
 use std::time::Duration;
 
+use tokio::time::Instant;
+
 use super::rng::FaultRng;
 
 /// The time of a duplicate or second answer, relative to the reply or the next request.
@@ -89,4 +91,9 @@ pub(super) enum DrawnTiming {
     After(Duration),
     WithNextRequest { per_mille: u16, at_latest: Duration },
     AfterNextReply { after: Duration, at_latest: Duration },
+}
+
+/// Adds a time of at most a day: longer than any test waits, and within the range of the clock.
+pub(in crate::sim::fault) fn later(at: Instant, by: Duration) -> Instant {
+    at.checked_add(by.min(Duration::from_secs(86_400))).unwrap_or(at)
 }

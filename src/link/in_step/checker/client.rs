@@ -4,9 +4,10 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
+use super::frame::Frame;
 use super::jobs::ModelJob;
-use super::model::{Asked, Frame, ModelState, Out};
 use super::requests::{Name, Request};
+use super::state::{Asked, ModelState, Out};
 use crate::command::Code;
 use crate::link::in_step::{Check, Choice, InStep, Kind, Reply, Rule, Spelled, Why};
 

@@ -3,7 +3,7 @@
 use std::hash::{Hash, Hasher};
 use std::rc::Rc;
 
-use super::model::Frame;
+use super::frame::Frame;
 use super::requests::Name;
 use crate::link::in_step::{InStep, Proof, Shape};
 use crate::link::job::{Job, JobProgress};

@@ -1,13 +1,14 @@
-//! The states and steps of client, line and PLC.
+//! The steps of client, line and PLC.
 
 use std::fmt;
 
 use super::client::{Ablation, Client, StepOutcome, Wrong};
+use super::frame::{Frame, NONCES};
 use super::jobs::ModelJob;
 use super::requests::Name;
+use super::state::{Asked, BROADCASTS, COPIES, LATE, LOSS, ModelState, Out, RECONNECTS};
 use crate::command::{Code, Spelling};
-use crate::link::in_step::command_set::CommandSet;
-use crate::link::in_step::{Check, Choice, InStep, Proof, Shape, Spelled, Why};
+use crate::link::in_step::{Check, Choice, InStep, Shape, Spelled};
 
 /// The faults of a line and a PLC, and the calls of the client.
 #[derive(Clone, Copy, Debug)]
@@ -46,161 +47,8 @@ pub(super) enum LoopBack {
 /// Number of exchanges in which a roaming duplicate may come.
 const LIFE: u8 = 3;
 
-/// Sizes from here on are nonces.
-const NONCES: u32 = 1000;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct Frame {
-    pub(super) code: Code,
-    /// Size of a positive reply.
-    size: u32,
-    pub(super) refused: bool,
-    body: u8,
-    /// It answers the request on the wire.
-    pub(super) own: bool,
-    copy: bool,
-    /// A duplicate of it will come at any moment of the next exchanges.
-    roams: bool,
-}
-
-impl Frame {
-    fn of(shape: Shape, body: u8) -> Self {
-        Self { code: shape.code, size: shape.size, refused: false, body, own: false, copy: false, roams: false }
-    }
-
-    fn refusal(code: Code) -> Self {
-        Self { refused: true, ..Self::of(Shape { code, size: 0 }, 0) }
-    }
-
-    pub(super) fn fits(&self, shape: Shape) -> bool {
-        self.code == shape.code && (self.refused || self.size == shape.size)
-    }
-
-    /// As [`fingerprint`](crate::link::in_step::fingerprint), but a nonce can be renamed in it.
-    pub(super) fn fingerprint(&self) -> u64 {
-        u64::from(u8::from(self.code)) << 40
-            | u64::from(self.size) << 8
-            | u64::from(self.body) << 1
-            | u64::from(self.refused)
-    }
-}
-
-impl fmt::Display for Frame {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let own = if self.own { "" } else { ", another's" };
-        let copy = if self.copy { ", a copy" } else { "" };
-        match self.refused {
-            true => write!(f, "{:X} refused{own}{copy}", u8::from(self.code)),
-            false => write!(f, "{:X}/{} {}{own}{copy}", u8::from(self.code), self.size, self.body),
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Asked {
-    Call(Name),
-    Check { check: Check, confirms: bool },
-}
-
-/// The request on the wire.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct Out {
-    pub(super) asked: Asked,
-    pub(super) spelling: Spelling,
-    pub(super) shape: Shape,
-    /// Sent for the job.
-    pub(super) in_job: bool,
-}
-
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct ModelState {
-    pub(super) in_step: InStep,
-    pub(super) out: Option<Out>,
-    /// Frames on their way, in order.
-    channel: Vec<Frame>,
-    /// Roaming duplicates, with the number of exchanges left to each.
-    roaming: Vec<(Frame, u8)>,
-    /// Duplicates, losses, late replies, broadcasts and reconnects left.
-    budget: [u8; 5],
-    /// Number of wrong results so far.
-    pub(super) wrong: u8,
-    pub(super) job: Option<ModelJob>,
-}
-
-const COPIES: usize = 0;
-const LOSS: usize = 1;
-const LATE: usize = 2;
-const BROADCASTS: usize = 3;
-const RECONNECTS: usize = 4;
-
 /// Receives a step: its name, the state after it, and a wrong result.
 pub(super) type Sink<'a> = dyn FnMut(fmt::Arguments<'_>, ModelState, Option<Wrong>) + 'a;
-
-impl ModelState {
-    /// Ends the exchange: frames on their way answer no request on the wire.
-    pub(super) fn ends(&mut self) {
-        self.out = None;
-        self.channel.iter_mut().for_each(|frame| frame.own = false);
-        self.roaming.iter_mut().for_each(|(frame, _)| frame.own = false);
-    }
-
-    pub(super) fn on_its_way(&self) -> impl Iterator<Item = &Frame> {
-        self.channel.iter()
-    }
-
-    fn spends(&self, what: usize) -> Option<Self> {
-        let mut after = self.clone();
-        after.budget[what] = self.budget[what].checked_sub(1)?;
-        Some(after)
-    }
-
-    /// Normalises what makes equal states differ: reasons, the numbers of nonces, and counters that
-    /// no job reads.
-    pub(super) fn canonical(mut self) -> Self {
-        let in_step = &mut self.in_step;
-        in_step.silent_since = None;
-        in_step.suspect = in_step.suspect.map(|_| Why::Connected);
-        if self.job.is_none() {
-            (in_step.timed_out, in_step.proof) = (CommandSet::NONE, Proof::default());
-        }
-        in_step.proof.proofs = in_step.proof.proofs.min(1);
-        in_step.proof.doubts = in_step.proof.doubts.min(1);
-        in_step.strays = 0;
-        self.rename_nonces();
-        self
-    }
-
-    fn rename_nonces(&mut self) {
-        let mut names = Vec::new();
-        let mut size = |size: &mut u32| {
-            if *size >= NONCES {
-                let name = names.iter().position(|name| name == size).unwrap_or_else(|| {
-                    names.push(*size);
-                    names.len() - 1
-                });
-                *size = NONCES + u32::try_from(name).unwrap();
-            }
-        };
-        if let Some(out) = &mut self.out {
-            size(&mut out.shape.size);
-        }
-        self.channel
-            .iter_mut()
-            .chain(self.roaming.iter_mut().map(|(frame, _)| frame))
-            .for_each(|frame| size(&mut frame.size));
-        let mut fingerprint = |fingerprint: &mut u64| {
-            let mut renamed = u32::try_from(*fingerprint >> 8 & 0xFFFF_FFFF).unwrap();
-            size(&mut renamed);
-            *fingerprint = *fingerprint & !(0xFFFF_FFFF << 8) | u64::from(renamed) << 8;
-        };
-        let in_step = &mut self.in_step;
-        in_step.last.iter_mut().for_each(&mut fingerprint);
-        for taken in in_step.taken.iter_mut().chain(&mut in_step.older) {
-            taken.fingerprint.iter_mut().for_each(&mut fingerprint);
-        }
-        in_step.taken.iter_mut().chain(&mut in_step.older).for_each(|taken| size(&mut taken.shape.size));
-    }
-}
 
 /// The initial states.
 pub(super) fn starts(faults: &Faults, client: &Client) -> Vec<ModelState> {

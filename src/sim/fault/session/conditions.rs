@@ -10,6 +10,8 @@ use tracing::debug;
 
 use super::replies::{FollowUp, OutgoingReply, ReplyPiece};
 use crate::sim::fault::Faults;
+use crate::sim::fault::left_over::MAX_LEFT_OVER;
+use crate::sim::fault::timing::later;
 
 /// Conditions of a bus with faults. A handle: clones share the same state.
 #[derive(Clone, Debug)]
@@ -80,11 +82,6 @@ fn free_at(occupied_until: Option<Instant>, now: Instant) -> Instant {
     occupied_until.map_or(now, |until| until.max(now))
 }
 
-/// Adds a time of at most a day: longer than any test waits, and within the range of the clock.
-pub(super) fn later(at: Instant, by: Duration) -> Instant {
-    at.checked_add(by.min(Duration::from_secs(86_400))).unwrap_or(at)
-}
-
 /// Replies whose connection has ended, for the next connection.
 #[derive(Debug, Default)]
 pub(crate) struct LeftOvers {
@@ -107,9 +104,6 @@ pub(super) enum LeftOverPart {
     FollowUp(Box<FollowUp>),
     Pieces(VecDeque<ReplyPiece>),
 }
-
-/// Maximum number of replies that wait for the next connection.
-pub(in crate::sim::fault) const MAX_LEFT_OVER: usize = 64;
 
 impl LeftOvers {
     /// Counts a new connection, and returns its number.

@@ -9,7 +9,7 @@ use bytes::{Bytes, BytesMut};
 use tokio::time::Instant;
 use tracing::debug;
 
-use super::conditions::{LeftOverPart, later};
+use super::conditions::LeftOverPart;
 use super::replies::{
     Delivery, FollowUp, FollowUpContent, OutgoingReply, PendingReply, PendingRequest, ReplyPiece, SessionEvent,
 };
@@ -19,6 +19,7 @@ use crate::command::{Request, RequestError, encode_refusal};
 use crate::sim::fault::corrupt::{CorruptedReply, corrupt};
 use crate::sim::fault::faults::DrawnFollowUp;
 use crate::sim::fault::left_over::LeftOverContent;
+use crate::sim::fault::timing::later;
 use crate::sim::fault::{Arrival, Fault, LeftOver};
 use crate::wire::Frame;
 

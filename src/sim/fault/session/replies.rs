@@ -9,11 +9,10 @@ use std::time::Duration;
 use bytes::Bytes;
 use tokio::time::Instant;
 
-use super::conditions::later;
 use crate::command::{Class, Code, Request, RequestError};
 use crate::sim::fault::Line;
 use crate::sim::fault::faults::{Decision, DrawnFollowUp};
-use crate::sim::fault::timing::DrawnTiming;
+use crate::sim::fault::timing::{DrawnTiming, later};
 use crate::wire::Frame;
 
 #[derive(Debug)]

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::command::{ReadRegisters, WriteRegisters};
+use crate::sim::fault::left_over::MAX_LEFT_OVER;
 
 #[test]
 fn an_open_connection_gets_its_late_reply() {
