@@ -7,6 +7,7 @@ use super::call::SpareSlots;
 use super::config::Config;
 use super::connect_limiter::ConnectLimiter;
 use super::core::Core;
+use super::defaults;
 use super::driver::Driver;
 use super::line::Line;
 use super::options::{CallOptions, EchoMode};
@@ -41,26 +42,31 @@ impl LinkBuilder {
         self
     }
 
-    /// Sets the response timeout, as [`CallOptions::response_timeout`]. Default: 1 s, or 300 ms on
+    /// Sets the response timeout, as [`CallOptions::response_timeout`]. Default:
+    /// [`RESPONSE_TIMEOUT`](defaults::RESPONSE_TIMEOUT), or
+    /// [`SERIAL_RESPONSE_TIMEOUT`](defaults::SERIAL_RESPONSE_TIMEOUT) on
     /// a serial line, where the transmission times come on top.
     pub fn response_timeout(mut self, timeout: Duration) -> Self {
         self.options = self.options.response_timeout(timeout);
         self
     }
 
-    /// Sets the timeout of a whole call, as [`CallOptions::call_timeout`]. Default: 10 s.
+    /// Sets the timeout of a whole call, as [`CallOptions::call_timeout`]. Default:
+    /// [`CALL_TIMEOUT`](defaults::CALL_TIMEOUT).
     pub fn call_timeout(mut self, timeout: Duration) -> Self {
         self.options = self.options.call_timeout(timeout);
         self
     }
 
-    /// Sets the number of retries of a read, as [`CallOptions::retries`]. Default: 2.
+    /// Sets the number of retries of a read, as [`CallOptions::retries`]. Default:
+    /// [`RETRIES`](defaults::RETRIES).
     pub fn retries(mut self, retries: u32) -> Self {
         self.options = self.options.retries(retries);
         self
     }
 
-    /// Sets the timeout of one attempt to connect. Default: 3 s.
+    /// Sets the timeout of one attempt to connect. Default:
+    /// [`CONNECT_TIMEOUT`](defaults::CONNECT_TIMEOUT).
     pub fn connect_timeout(mut self, timeout: Duration) -> Self {
         self.connect_timeout = timeout;
         self
@@ -96,11 +102,11 @@ impl LinkBuilder {
     pub fn serial_line(mut self, settings: SerialSettings) -> Self {
         let line = Line::from(settings);
         self.line = Some(line);
-        self.response_timeout = Duration::from_millis(300);
+        self.response_timeout = defaults::SERIAL_RESPONSE_TIMEOUT;
         self.config.frame_time = line.transmission(LONGEST_FRAME);
         self.config.byte_time = line.transmission(1);
         self.config.frame_gap = line.frame_gap();
-        self.config.broadcast_gap = Duration::from_millis(100);
+        self.config.broadcast_gap = defaults::SERIAL_BROADCAST_GAP;
         self.config.settle = self.config.settle.max(line.frame_gap());
         self.config.echo = EchoMode::Auto;
         self
@@ -129,26 +135,28 @@ impl LinkBuilder {
     }
 
     /// Sets the back-off after a failed attempt to connect. It doubles from `shortest` to
-    /// `longest`, less up to a half as jitter. Default: 0.1 s to 30 s.
+    /// `longest`, less up to a half as jitter. Default: [`CONNECT_BACKOFF`](defaults::CONNECT_BACKOFF).
     pub fn connect_backoff(mut self, shortest: Duration, longest: Duration) -> Self {
         self.config.connect_backoff = (shortest, longest.max(shortest));
         self
     }
 
-    /// Sets after how many timeouts in a row a station is offline; 0: never. Default: 3.
+    /// Sets after how many timeouts in a row a station is offline; 0: never. Default:
+    /// [`OFFLINE_AFTER`](defaults::OFFLINE_AFTER).
     pub fn offline_after(mut self, timeouts: u32) -> Self {
         self.config.offline_rules.offline_after = if timeouts == 0 { u32::MAX } else { timeouts };
         self
     }
 
-    /// Sets how many calls can wait for one station. Default: 1024.
+    /// Sets how many calls can wait for one station. Default:
+    /// [`QUEUE_CAPACITY`](defaults::QUEUE_CAPACITY).
     pub fn queue_capacity(mut self, calls: usize) -> Self {
         self.config.queue_capacity = calls.max(1);
         self
     }
 
     /// Sets the time between two probes of an offline station: it doubles from `shortest` to
-    /// `longest`. Default: 1 s to 60 s.
+    /// `longest`. Default: [`PROBE_INTERVAL`](defaults::PROBE_INTERVAL).
     ///
     /// While other stations of the link answer, all probes together use at most a twentieth of the
     /// line's time, so they may be further apart. When a station is back, or the connection is
@@ -245,19 +253,19 @@ impl LinkBuilder {
     }
 
     pub(super) fn with_connector(connector: Connector, framing: Framing, name: &str) -> Self {
-        let response_timeout = Duration::from_secs(1);
+        let response_timeout = defaults::RESPONSE_TIMEOUT;
         let config = Config {
             framing,
             name: name.into(),
-            queue_capacity: 1024,
+            queue_capacity: defaults::QUEUE_CAPACITY,
             ageing: Duration::from_secs(1),
             probe_timeout: response_timeout,
             offline_rules: OfflineRules {
-                offline_after: 3,
-                probe_interval: (Duration::from_secs(1), Duration::from_secs(60)),
+                offline_after: defaults::OFFLINE_AFTER,
+                probe_interval: defaults::PROBE_INTERVAL,
                 probe_pause: 19,
             },
-            connect_backoff: (Duration::from_millis(100), Duration::from_secs(30)),
+            connect_backoff: defaults::CONNECT_BACKOFF,
             fail_fast: false,
             in_step: InStepSettings::default(),
             byte_time: NETWORK_BYTE,
@@ -272,7 +280,7 @@ impl LinkBuilder {
             connector,
             options: CallOptions::new(),
             response_timeout,
-            connect_timeout: Duration::from_secs(3),
+            connect_timeout: defaults::CONNECT_TIMEOUT,
             line: None,
             config,
             seed: None,

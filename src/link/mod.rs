@@ -26,6 +26,7 @@ mod config;
 mod connect_limiter;
 mod connection;
 mod core;
+pub mod defaults;
 mod driver;
 mod exchange;
 mod in_step;

@@ -1,5 +1,6 @@
 use std::time::Duration;
 
+use super::defaults;
 use crate::command::Class;
 
 /// How a call is treated: its timeouts, retries and priority.
@@ -25,13 +26,13 @@ pub struct CallOptions {
 }
 
 impl CallOptions {
-    /// The defaults: the link's response timeout, 10 s for the whole call, 2 retries of reads.
+    /// The defaults: the response timeout of the link, and those of [`defaults`].
     #[must_use]
     pub fn new() -> Self {
         Self {
             response_timeout: None,
-            call_timeout: Duration::from_secs(10),
-            retries: 2,
+            call_timeout: defaults::CALL_TIMEOUT,
+            retries: defaults::RETRIES,
             retry_writes: false,
             background: false,
             adaptive: None,
@@ -39,15 +40,16 @@ impl CallOptions {
     }
 
     /// Sets the response timeout, counted from the end of the request. Default: that of the link,
-    /// which is 1 s, or 300 ms on a serial line.
+    /// [`RESPONSE_TIMEOUT`](defaults::RESPONSE_TIMEOUT), or
+    /// [`SERIAL_RESPONSE_TIMEOUT`](defaults::SERIAL_RESPONSE_TIMEOUT) on a serial line.
     #[must_use]
     pub fn response_timeout(mut self, timeout: Duration) -> Self {
         self.response_timeout = Some(timeout);
         self
     }
 
-    /// Sets the timeout of the whole call: queueing, connecting and retries included. Default: 10
-    /// s.
+    /// Sets the timeout of the whole call: queueing, connecting and retries included. Default:
+    /// [`CALL_TIMEOUT`](defaults::CALL_TIMEOUT).
     ///
     /// A read or write of more than one request is several calls, each with this timeout.
     #[must_use]
@@ -56,7 +58,8 @@ impl CallOptions {
         self
     }
 
-    /// Sets how often a request is sent again after a timeout or a bad reply. Default: 2.
+    /// Sets how often a request is sent again after a timeout or a bad reply. Default:
+    /// [`RETRIES`](defaults::RETRIES).
     ///
     /// Only reads are retried, unless [`retry_writes`](Self::retry_writes) is set.
     #[must_use]
