@@ -111,12 +111,19 @@ impl Spec {
             Event::Connected => self.connected(at),
             Event::NotConnected => self.connecting = false,
             Event::Lost => self.lost(at),
-            Event::Wrote(bytes) => return self.wrote(bytes, true, at),
+            Event::Wrote(bytes) => {
+                let count = bytes.len();
+                self.wrote(bytes, true, at)?;
+                self.stations.values_mut().for_each(|station| station.add_busy(count));
+            }
             Event::WroteInVain(bytes) => {
                 self.wrote(bytes, false, at)?;
                 self.lost(at);
             }
-            Event::Read(bytes, marks) => self.read(&bytes, &marks, at),
+            Event::Read(bytes, marks) => {
+                self.stations.values_mut().for_each(|station| station.add_busy(bytes.len()));
+                self.read(&bytes, &marks, at);
+            }
         }
         Ok(())
     }

@@ -36,12 +36,17 @@ pub(crate) struct Shape {
     pub(crate) size: usize,
 }
 
+/// Transmission time of a byte, as a link assumes it for a network.
+const BYTE_NANOS: Micros = 800;
+
 #[derive(Debug)]
 struct Owed {
     shape: Shape,
     refused: bool,
     data: Vec<u8>,
     silence_from: Micros,
+    /// Time that the line was in use since then.
+    busy_nanos: Micros,
     window: Micros,
 }
 
@@ -87,7 +92,7 @@ impl Station {
     pub(crate) fn stray(&mut self, command: u8, data: &[u8], at: Micros) {
         self.silence_from = at;
         if let Some(owed) = &mut self.owed {
-            owed.silence_from = at;
+            (owed.silence_from, owed.busy_nanos) = (at, 0);
         }
         let is_copy = self.last.as_ref().is_some_and(|(last, content)| (*last, &content[..]) == (command, data));
         self.suspect |= !is_copy;
@@ -98,9 +103,17 @@ impl Station {
         self.silence_from = at;
     }
 
+    /// The line was in use for this number of bytes, which is no silence.
+    pub(crate) fn add_busy(&mut self, bytes: usize) {
+        if let Some(owed) = &mut self.owed {
+            owed.busy_nanos += BYTE_NANOS * Micros::try_from(bytes).unwrap();
+        }
+    }
+
     /// Drops an owed copy once its window has passed in silence.
     pub(crate) fn expire_owed(&mut self, at: Micros) {
-        self.owed.take_if(|owed| at >= owed.silence_from + owed.window);
+        let silent = |owed: &Owed| 1000 * at.saturating_sub(owed.silence_from + owed.window);
+        self.owed.take_if(|owed| at >= owed.silence_from + owed.window && silent(owed) >= owed.busy_nanos);
     }
 
     pub(crate) fn ambiguity(&self, shape: Shape) -> Ambiguity {
@@ -148,7 +161,7 @@ impl Station {
         self.slowest = (at - in_flight.sent).max(self.slowest * 7 / 8);
         let window = settings.window.max(2 * self.slowest);
         let refused = held.answer.is_err();
-        self.owed = Some(Owed { shape, refused, data: held.data.clone(), silence_from: at, window });
+        self.owed = Some(Owed { shape, refused, data: held.data.clone(), silence_from: at, busy_nanos: 0, window });
         self.broadcasts.clear();
         self.last = Some((shape.command, held.data.clone()));
         self.silence_from = at;
