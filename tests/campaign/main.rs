@@ -277,7 +277,8 @@ fn roaming_runs() -> u64 {
 ///
 /// The failures: a shift among equal pages was not detected; page 0 came from the transfer before;
 /// and a write was executed twice, because the refusal of its first spelling belonged to another
-/// request.
+/// request. Each of them fails again if its cure is taken out: the doubt of equal pages, the check at
+/// the end of each transfer, the check before a refused write is sent again.
 const FAILED_SEEDS: [u64; 4] = [582, 617, 686, 2334];
 
 #[test]
