@@ -19,7 +19,8 @@
 //! - A result is confirmed only if no unexpected stray came between it and a later proof (the echo
 //!   of a check, or silence).
 //! - A job ends with a check, unless its last exchange has a shape that no other exchange of the
-//!   job had.
+//!   job had. A transfer ends with one in any case: its last reply may be a roaming duplicate of an
+//!   earlier transfer.
 //! - A job rewinds as often as a read is retried; the next time it fails. After a proof has
 //!   confirmed results, it may rewind as often again.
 
