@@ -7,6 +7,7 @@ mod line;
 mod program;
 mod sim;
 
+use std::fmt;
 use std::time::Duration;
 
 use clap::{ArgAction, Args, Parser, Subcommand};
@@ -143,6 +144,13 @@ pub(crate) struct Plc {
     /// Station number, 1 to 254 [env: FATEK_STATION=]
     #[arg(long, value_name = "N")]
     pub(crate) station: Option<String>,
+}
+
+impl fmt::Display for Plc {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = |text: &Option<String>| text.clone().unwrap_or_default();
+        write!(f, "station {} on {}", text(&self.station), text(&self.link))
+    }
 }
 
 /// Link of several stations.

@@ -1,25 +1,26 @@
 //! Subcommands `fatek backup FILE RANGE…` and `fatek restore FILE`.
 
 use std::collections::HashSet;
+use std::error::Error;
 use std::path::Path;
 use std::time::Duration;
 
 use fatek::backup::{
-    Backup, BackupError, Difference, Restore, RestoreError, RestoreFailure, RestoreOptions, RestoreReport, TakeBackup,
+    Backup, BackupError, Difference, Restore, RestoreError, RestoreOptions, RestoreReport, TakeBackup,
 };
 use fatek::program::PlcState;
 use fatek::tag::Tag;
 use fatek::{Element, Station, Value};
 
-use crate::args::{BackupArgs, Plc, RestoreArgs};
+use crate::args::{BackupArgs, Consent, Plc, RestoreArgs};
 use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Output, Rows, complain};
-use crate::retry::{Direction, is_line_failure, retry, write_progress};
-use crate::signal;
-use crate::transfer::{Reporter, warn_of_unknown_fields};
+use crate::retry::{Direction, is_line_failure, retry, unless_interrupted, write_progress};
+use crate::transfer::{Reporter, choose, stops, warn_of_unknown_fields, would_stop};
 
+/// Backs up ranges. Resumes after a line failure, while each attempt reads at least one more element.
 /// Checks ranges and file before the first request.
 pub(crate) async fn backup(
     plc: &Plc,
@@ -29,18 +30,7 @@ pub(crate) async fn backup(
 ) -> Result<(), Failure> {
     if args.compare {
         let backup = load(&args.file, &args.ranges)?;
-        let report = compare(&connect::station(plc, timeout)?, &backup, RestoreOptions::new(), output).await?;
-        output.rows(&rows(report.differences.iter().chain(&report.left_out_differences)))?;
-        // A refused input counts as different.
-        let refused: usize = report.refused.iter().map(|refused| refused.range.element_count()).sum();
-        report_refused(&report);
-        let differing = report.differences.len() + report.left_out_differences.len() + refused;
-        let all = report.compared + refused;
-        if differing == 0 {
-            output.remark(format_args!("all {all} elements are equal"));
-            return Ok(());
-        }
-        return Err(Failure::Differs { parts: "elements", differing, all });
+        return verify(&connect::station(plc, timeout)?, &backup, output).await;
     }
     let taking = TakeBackup::new(args.ranges.iter().copied()).map_err(Failure::usage)?;
     // Before the transfer, which may be long.
@@ -48,18 +38,15 @@ pub(crate) async fn backup(
     let reporter = Reporter::new(output);
     let mut taking = taking.on_progress(reporter.callback());
     let station = connect::station(plc, timeout)?;
-    let progress = |taking: &TakeBackup, error: &BackupError| {
-        let BackupError::Call { source, .. } = error else { return None };
-        is_line_failure(source).then(|| taking.partial().value_count())
-    };
+    let run = async |taking: &mut TakeBackup| taking.run(&station).await;
+    let progress =
+        |taking: &TakeBackup, error: &BackupError| is_line_failure(error).then(|| taking.partial().value_count());
     let note = |taking: &TakeBackup, error: &BackupError| {
-        let cause = std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string);
+        let cause = error.source().map_or_else(|| error.to_string(), ToString::to_string);
         format!("{cause}; {} elements read", taking.partial().value_count())
     };
-    let run = async |taking: &mut TakeBackup| taking.run(&station).await;
-    let result = retry(&mut taking, Direction::Read, (&reporter, output), run, progress, note).await;
-    reporter.end_line();
-    let backup = result.map_err(|error| match error {
+    let repeated = retry(&mut taking, Direction::Read, &reporter, run, progress, note);
+    let backup = reporter.until_end(repeated).await.map_err(|error| match error {
         BackupError::Call { source, partial, .. } if partial.value_count() > 0 => {
             let (values, all) = (partial.value_count(), partial.element_count());
             Failure::of(format_args!("nothing was saved, {values} of {all} elements read"))(source)
@@ -70,8 +57,7 @@ pub(crate) async fn backup(
         }
     })?;
     let (values, all) = (backup.value_count(), backup.element_count());
-    let missing = backup.missing();
-    for missing in &missing {
+    for missing in backup.missing() {
         complain(format_args!("{} is missing: {}", missing.range, missing.reason));
     }
     if values == 0 {
@@ -85,7 +71,23 @@ pub(crate) async fn backup(
     }
 }
 
-/// Loads and checks the file before the first request.
+/// Compares the PLC with a backup. A refused input counts as different.
+async fn verify(station: &Station, backup: &Backup, output: &Output) -> Result<(), Failure> {
+    let report = compare(station, backup, RestoreOptions::new(), output).await?;
+    print(report.differences.iter().chain(&report.left_out_differences), output)?;
+    let refused: usize = report.refused.iter().map(|refused| refused.range.element_count()).sum();
+    report_refused(&report);
+    let differing = report.differences.len() + report.left_out_differences.len() + refused;
+    let all = report.compared + refused;
+    if differing > 0 {
+        return Err(Failure::Differs { parts: "elements", differing, all });
+    }
+    output.remark(format_args!("all {all} elements are equal"));
+    Ok(())
+}
+
+/// Restores a backup. Resumes after a line failure, while less is left each time. Loads and checks the
+/// file before the first request.
 pub(crate) async fn restore(
     plc: &Plc,
     timeout: Option<Duration>,
@@ -93,54 +95,51 @@ pub(crate) async fn restore(
     output: &Output,
 ) -> Result<(), Failure> {
     let backup = load(&args.file, &args.ranges)?;
-    if !args.consent.dry_run {
-        can_be_confirmed(args.consent.yes)?;
+    let Consent { yes, dry_run } = args.consent;
+    if !dry_run {
+        can_be_confirmed(yes)?;
     }
     let station = connect::station(plc, timeout)?;
-    if args.consent.dry_run {
-        let report = compare(&station, &backup, options(args), output).await?;
-        output.rows(&rows(to_be_written(&report)))?;
-        let (written, all) = (count(&report.to_write), report.compared);
-        let stopped = match (is_to_stop(&report, args), args.run) {
-            (true, true) => "; the PLC runs, and would be stopped and started again",
-            (true, false) => "; the PLC runs, and would be stopped",
-            (false, _) => "",
-        };
-        output.remark(format_args!("{written} of {all} elements would be written{stopped}"));
-        return Ok(());
-    }
-    if !args.consent.yes {
+    if dry_run || !yes {
         // The differences are shown before the prompt.
         let report = compare(&station, &backup, options(args), output).await?;
-        output.rows(&rows(to_be_written(&report)))?;
-        if report.to_write.is_empty() {
+        print(to_be_written(&report), output)?;
+        let (written, all, stops_plc) = (count(&report.to_write), report.compared, is_to_stop(&report, args));
+        if dry_run {
+            let stopped = if stops_plc { would_stop(args.run) } else { "" };
+            output.remark(format_args!("{written} of {all} elements would be written{stopped}"));
+            return Ok(());
+        }
+        if written == 0 {
             output.remark(format_args!("{report}"));
             return Ok(());
         }
-        confirm(&question(plc, &report, args), false)?;
+        let (file, stopped) = (args.file.display(), if stops_plc { stops(args.run) } else { "" });
+        confirm(&format!("Write {written} of {all} elements of {file} to {plc}?{stopped}"), false)?;
     }
-    let stopped = signal::stopped().map_err(Failure::Runtime)?;
     let reporter = Reporter::new(output);
     let mut restore = Restore::new(&backup, options(args)).on_progress(reporter.callback());
+    let run = async |restore: &mut Restore| restore.run(&station).await;
+    let progress = |_: &Restore, error: &RestoreError| {
+        let left = count(&error.report.unwritten) + count(&error.report.in_doubt);
+        write_progress(count(&error.report.written), left).filter(|_| is_line_failure(error))
+    };
+    // Elements written by all attempts but the last, which the report covers.
     let mut before = 0;
-    let ended = tokio::select! {
-        biased;
-        _ = stopped => None,
-        ended = restore_with_retries(&mut restore, &station, &mut before, (&reporter, output)) => Some(ended),
+    let note = |_: &Restore, error: &RestoreError| {
+        before += count(&error.report.written);
+        error.to_string()
     };
-    reporter.end_line();
-    // The report covers the last attempt only.
+    let repeated = retry(&mut restore, Direction::Write, &reporter, run, progress, note);
+    let ended = reporter.until_end(unless_interrupted(repeated)).await?;
     let before = if before > 0 { format!("{before} written by earlier attempts") } else { String::new() };
-    let report = match ended {
-        Some(Ok(report)) => report,
-        failed => {
-            if !before.is_empty() {
-                complain(format_args!("{before}"));
-            }
-            let interrupted = || Err(Failure::RestoreInterrupted(Box::new(restore.report())));
-            return failed.map_or_else(interrupted, |ended| ended.or_else(|error| explain(error, output)).map(drop));
-        }
+    if !matches!(ended, Some(Ok(_))) && !before.is_empty() {
+        complain(format_args!("{before}"));
+    }
+    let Some(ended) = ended else {
+        return Err(Failure::RestoreInterrupted(Box::new(restore.report())));
     };
+    let report = ended.or_else(|error| explain(error, output))?;
     report_skipped(&report, output);
     let separator = if before.is_empty() { "" } else { "; " };
     output.remark(format_args!("{report}{separator}{before}"));
@@ -152,31 +151,9 @@ fn explain(error: RestoreError, output: &Output) -> Result<RestoreReport, Failur
     let report = &error.report;
     report_refused(report);
     if !report.remaining.is_empty() {
-        output.rows(&rows(report.remaining.iter()))?;
+        print(report.remaining.iter(), output)?;
     }
     Err(error.into())
-}
-
-/// Restores the backup. Resumes after a line failure, while less is left each time.
-///
-/// Adds to `before` the elements written by all attempts but the last.
-async fn restore_with_retries(
-    restore: &mut Restore,
-    station: &Station,
-    before: &mut usize,
-    display: (&Reporter, &Output),
-) -> Result<RestoreReport, RestoreError> {
-    let run = async |restore: &mut Restore| restore.run(station).await;
-    let progress = |_: &Restore, error: &RestoreError| {
-        let RestoreError { source: RestoreFailure::Call { source, .. }, report, .. } = error else { return None };
-        let left = count(&report.unwritten) + count(&report.in_doubt);
-        write_progress(count(&report.written), left).filter(|_| is_line_failure(source))
-    };
-    let note = |_: &Restore, error: &RestoreError| {
-        *before += count(&error.report.written);
-        error.to_string()
-    };
-    retry(restore, Direction::Write, display, run, progress, note).await
 }
 
 /// Loads the given ranges of a backup file. A selection without any value is an error.
@@ -220,19 +197,18 @@ async fn compare(
 ) -> Result<RestoreReport, Failure> {
     let reporter = Reporter::new(output);
     let mut restore = Restore::new(backup, options).on_progress(reporter.callback());
-    let report = restore.compare(station).await;
-    reporter.end_line();
-    let report = report.or_else(|error| explain(error, output))?;
+    let compared = reporter.until_end(restore.compare(station)).await;
+    let report = compared.or_else(|error| explain(error, output))?;
     report_skipped(&report, output);
     Ok(report)
 }
 
-fn rows<'a>(differences: impl Iterator<Item = &'a Difference>) -> Rows {
+fn print<'a>(differences: impl Iterator<Item = &'a Difference>, output: &Output) -> Result<(), Failure> {
     let mut rows = Rows::new(["element", "backup", "plc"]);
     for Difference { element, expected, found, .. } in differences {
         rows.push([element.to_string().into(), cell(*expected), found.map(cell).into()]);
     }
-    rows
+    output.rows(&rows)
 }
 
 fn cell(value: Value) -> Cell {
@@ -262,27 +238,13 @@ fn report_skipped(report: &RestoreReport, output: &Output) {
 }
 
 fn options(args: &RestoreArgs) -> RestoreOptions {
-    let choose = |chosen, choice: fn(RestoreOptions) -> RestoreOptions, options| {
-        if chosen { choice(options) } else { options }
-    };
-    let mut options = RestoreOptions::new().bridge(args.bridge);
-    options = choose(args.stop, RestoreOptions::stop_first, options);
-    options = choose(args.run, RestoreOptions::run_again, options);
-    options = choose(args.require_stopped, RestoreOptions::require_stopped, options);
-    choose(args.forced, RestoreOptions::write_forced, options)
-}
-
-fn question(plc: &Plc, report: &RestoreReport, args: &RestoreArgs) -> String {
-    let stopped = match (is_to_stop(report, args), args.run) {
-        (true, true) => " The PLC is stopped first and started again afterwards.",
-        (true, false) => " The PLC is stopped first and stays stopped.",
-        (false, _) => "",
-    };
-    let written = count(&report.to_write);
-    let (station, link) = (plc.station.as_deref().unwrap_or_default(), plc.link.as_deref().unwrap_or_default());
-    format!(
-        "Write {written} of {} elements of {} to station {station} on {link}?{stopped}",
-        report.compared,
-        args.file.display()
+    choose(
+        RestoreOptions::new().bridge(args.bridge),
+        [
+            (args.stop, RestoreOptions::stop_first),
+            (args.run, RestoreOptions::run_again),
+            (args.require_stopped, RestoreOptions::require_stopped),
+            (args.forced, RestoreOptions::write_forced),
+        ],
     )
 }

@@ -2,52 +2,45 @@
 
 use std::fmt;
 
-use fatek::{Discrete, Error, Station};
+use fatek::command::{Command, ControlDiscrete, ControlPlc, DiscreteControl};
+use fatek::{Discrete, Station};
 
 use crate::failure::Failure;
 use crate::output::Output;
 
-pub(crate) async fn run(station: &Station, output: &Output) -> Result<(), Failure> {
-    done(station.run().await, format_args!("run"), output)
+pub(crate) async fn plc(station: &Station, control: ControlPlc, output: &Output) -> Result<(), Failure> {
+    send(station, control, &name(control), output).await
 }
 
-pub(crate) async fn stop(station: &Station, output: &Output) -> Result<(), Failure> {
-    done(station.stop().await, format_args!("stop"), output)
-}
-
-pub(crate) async fn enable(station: &Station, discretes: &[Discrete], output: &Output) -> Result<(), Failure> {
+/// Sends one command for each discrete, in the order given.
+pub(crate) async fn discretes(
+    station: &Station,
+    control: DiscreteControl,
+    discretes: &[Discrete],
+    output: &Output,
+) -> Result<(), Failure> {
     for &discrete in discretes {
-        done(station.enable(discrete).await, format_args!("enable {discrete}"), output)?;
+        let action = format!("{} {discrete}", name(control));
+        send(station, ControlDiscrete::new(control, discrete), &action, output).await?;
     }
     Ok(())
 }
 
-pub(crate) async fn disable(station: &Station, discretes: &[Discrete], output: &Output) -> Result<(), Failure> {
-    for &discrete in discretes {
-        done(station.disable(discrete).await, format_args!("disable {discrete}"), output)?;
-    }
-    Ok(())
+/// The subcommand of a variant: `stop` of `Stop`.
+fn name(control: impl fmt::Debug) -> String {
+    format!("{control:?}").to_lowercase()
 }
 
-pub(crate) async fn set(station: &Station, discretes: &[Discrete], output: &Output) -> Result<(), Failure> {
-    for &discrete in discretes {
-        done(station.set(discrete).await, format_args!("set {discrete}"), output)?;
-    }
-    Ok(())
-}
-
-pub(crate) async fn reset(station: &Station, discretes: &[Discrete], output: &Output) -> Result<(), Failure> {
-    for &discrete in discretes {
-        done(station.reset(discrete).await, format_args!("reset {discrete}"), output)?;
-    }
-    Ok(())
-}
-
-fn done(result: Result<(), Error>, what: fmt::Arguments<'_>, output: &Output) -> Result<(), Failure> {
-    result.map_err(|error| {
+async fn send(
+    station: &Station,
+    command: impl Command<Reply = ()>,
+    action: &str,
+    output: &Output,
+) -> Result<(), Failure> {
+    station.call(command).await.map_err(|error| {
         let doubt = if error.may_have_executed() { " (it may have been executed)" } else { "" };
-        Failure::of(format_args!("{what}{doubt}"))(error)
+        Failure::of(format_args!("{action}{doubt}"))(error)
     })?;
-    output.remark(format_args!("{what}: done"));
+    output.remark(format_args!("{action}: done"));
     Ok(())
 }

@@ -5,17 +5,16 @@ mod field;
 mod hex;
 mod recorder;
 mod reply;
-mod request;
 mod split;
 mod text;
 
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use self::explain::Explanation;
 use self::field::Field;
 use crate::args::DecodeArgs;
 use crate::failure::Failure;
-use crate::output::{Format, Output, Rows, complain, print};
+use crate::output::{Cell, Format, Output, Rows, complain, print};
 
 pub(crate) fn decode(args: &DecodeArgs, output: &Output) -> Result<(), Failure> {
     let bytes = hex::parse(&args.hex.join(" ")).map_err(Failure::usage)?;
@@ -39,9 +38,7 @@ pub(crate) fn decode(args: &DecodeArgs, output: &Output) -> Result<(), Failure> 
 fn print_tables(explanations: &[Explanation]) -> Result<(), Failure> {
     for (i, explanation) in explanations.iter().enumerate() {
         let mut rows = Rows::new(["part", "field", "bytes", "meaning"]);
-        for Field { part, name, bytes, meaning } in &explanation.fields {
-            rows.push([part.as_str().into(), name.as_str().into(), spaced(bytes).into(), meaning.as_str().into()]);
-        }
+        explanation.fields.iter().for_each(|field| rows.push(cells(field)));
         let gap = if i > 0 { "\n" } else { "" };
         print(format_args!("{gap}{}\n\n{}", explanation.title(), rows.table()))?;
     }
@@ -53,30 +50,29 @@ fn json(explanation: &Explanation) -> Value {
         let bytes = spaced(bytes);
         json!({ "part": part.as_str(), "field": name, "bytes": bytes, "meaning": meaning })
     };
-    let mut object = Map::new();
-    object.insert("framing".to_owned(), explanation.framing.map_or(Value::Null, |framing| framing.to_string().into()));
-    object.insert("length".to_owned(), explanation.length.into());
-    object.insert("good".to_owned(), explanation.faults.is_empty().into());
-    object.insert("faults".to_owned(), explanation.faults.clone().into());
-    object.insert("fields".to_owned(), explanation.fields.iter().map(field).collect());
-    object.into()
+    let Explanation { framing, length, fields, faults } = explanation;
+    json!({
+        "framing": framing.map(|framing| framing.to_string()),
+        "length": length,
+        "good": faults.is_empty(),
+        "faults": faults,
+        "fields": fields.iter().map(field).collect::<Value>(),
+    })
 }
 
 fn rows(explanations: &[Explanation]) -> Rows {
     let mut rows = Rows::new(["frame", "part", "field", "bytes", "meaning"]);
     for (number, explanation) in (1_u32..).zip(explanations) {
-        for Field { part, name, bytes, meaning } in &explanation.fields {
-            let bytes = spaced(bytes);
-            rows.push([
-                number.into(),
-                part.as_str().into(),
-                name.as_str().into(),
-                bytes.into(),
-                meaning.as_str().into(),
-            ]);
+        for field in &explanation.fields {
+            let [part, name, bytes, meaning] = cells(field);
+            rows.push([number.into(), part, name, bytes, meaning]);
         }
     }
     rows
+}
+
+fn cells(Field { part, name, bytes, meaning }: &Field) -> [Cell; 4] {
+    [part.as_str().into(), name.as_str().into(), spaced(bytes).into(), meaning.as_str().into()]
 }
 
 fn spaced(bytes: &[u8]) -> String {

@@ -1,56 +1,86 @@
 //! Errors of subcommands, with their messages and exit statuses.
 
-use std::fmt;
-use std::io;
+use std::error::Error;
 use std::path::PathBuf;
+use std::{fmt, io, iter};
 
 use fatek::backup::{RestoreError, RestoreFailure, RestoreReport};
 use fatek::file::FileError;
 use fatek::program::{PlcState, ProgramError, WriteProgramError, WriteState};
 
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub(crate) enum Failure {
     /// Error in the command line. Nothing was sent.
+    #[error("{0}")]
     Usage(String),
-    /// Failed call, with its subject if there are several calls.
-    Call { subject: Option<String>, error: fatek::Error },
+    /// Failed call.
+    #[error(transparent)]
+    Call(#[from] fatek::Error),
+    /// Failed call with its subject, one of several.
+    #[error("{subject}: {error}")]
+    CallOf { subject: String, error: fatek::Error },
     /// Pings without a reply.
+    #[error("{lost} of {sent} requests had no reply")]
     Lost { lost: u32, sent: u32 },
     /// Pings with a bad reply.
+    #[error("{bad} of {sent} requests had a bad reply")]
     BadReplies { bad: u32, sent: u32 },
     /// No station of the scanned range answered.
+    #[error(
+        "{}",
+        if *scanned == 1 { "the station did not answer".into() } else { format!("none of {scanned} stations answered") }
+    )]
     NoStation { scanned: usize },
     /// Stations with bad or late replies.
+    #[error("stations with bad replies: {bad}")]
     BadStations { bad: usize },
     /// Bad frames, and bytes outside frames.
+    #[error("bad frame{}", if *all == 1 { String::new() } else { format!("s: {bad} of {all}") })]
     BadFrames { bad: usize, all: usize },
-    /// The user did not confirm. Nothing was changed.
+    /// The user did not confirm.
+    #[error("not confirmed: nothing was changed")]
     Declined,
     /// A file cannot be saved or loaded.
-    File(FileError),
+    #[error(transparent)]
+    File(#[from] FileError),
     /// A file without the header of saved files: perhaps a raw file.
+    #[error("{0}; for a raw file give --raw")]
     NotRaw(FileError),
     /// A program could not be read.
-    Program(ProgramError),
+    #[error(transparent)]
+    Program(#[from] ProgramError),
     /// A program could not be written.
-    WriteProgram(WriteProgramError),
+    #[error("{}", not_written(.0))]
+    WriteProgram(#[from] WriteProgramError),
     /// A backup could not be restored.
-    Restore(RestoreError),
-    /// Restore interrupted by the user.
+    #[error(transparent)]
+    Restore(#[from] RestoreError),
+    /// The user interrupted a restore.
+    #[error("interrupted: {0}")]
     RestoreInterrupted(Box<RestoreReport>),
     /// Elements refused by the PLC. `file` has the others, if there are any.
+    #[error(
+        "{missing} of {all} elements are missing; {}",
+        file.as_ref().map_or("nothing was saved".into(), |file| format!("the others were saved to {}", file.display()))
+    )]
     Missing { missing: usize, all: usize, file: Option<PathBuf> },
-    /// Program download interrupted by the user.
+    /// The user interrupted a program download.
+    #[error("interrupted: {}{}", .0, remedy(.0))]
     WriteInterrupted(Box<WriteState>),
-    /// Program upload interrupted by the user.
+    /// The user interrupted a program upload.
+    #[error("interrupted after {pages} pages: nothing was saved")]
     ReadInterrupted { pages: usize },
     /// Contents of PLC and file differ. `parts` is pages or elements.
+    #[error("{differing} of {all} {parts} differ")]
     Differs { parts: &'static str, differing: usize, all: usize },
     /// The simulator cannot listen.
+    #[error("cannot listen on {url}: {error}")]
     Listen { url: String, error: io::Error },
     /// Stdout cannot be written.
+    #[error("cannot write to stdout: {0}")]
     Output(io::Error),
     /// The runtime, a signal handler or the terminal failed.
+    #[error("cannot start: {0}")]
     Runtime(io::Error),
 }
 
@@ -59,9 +89,9 @@ impl Failure {
         Self::Usage(error.to_string())
     }
 
-    /// Returns a constructor of [`Failure::Call`] with this subject.
+    /// Returns a constructor of [`Failure::CallOf`] with this subject.
     pub(crate) fn of(subject: impl fmt::Display) -> impl FnOnce(fatek::Error) -> Self {
-        move |error| Self::Call { subject: Some(subject.to_string()), error }
+        move |error| Self::CallOf { subject: subject.to_string(), error }
     }
 
     /// Whether the reader of stdout has closed it.
@@ -77,10 +107,10 @@ impl Failure {
             Self::RestoreInterrupted(_) | Self::WriteInterrupted(_) | Self::ReadInterrupted { .. } => 1,
             Self::Usage(_) => 2,
             Self::Missing { .. } => 3,
-            Self::Restore(error) => of_restore(&error.source),
-            Self::Call { error, .. } => of_call(error),
-            Self::Program(error) => of_program(error),
-            Self::WriteProgram(error) => of_program(&error.source),
+            Self::Call(error) | Self::CallOf { error, .. } => of_call(error),
+            Self::Restore(RestoreError { source: RestoreFailure::NotThere { .. }, .. }) => 3,
+            Self::WriteProgram(error) if is_run_refused(error) => 3,
+            Self::Program(_) | Self::WriteProgram(_) | Self::Restore(_) => call_error(self).map_or(7, of_call),
             Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } => 7,
             Self::Lost { .. } | Self::NoStation { .. } => 4,
             Self::Listen { .. } => 5,
@@ -89,16 +119,28 @@ impl Failure {
     }
 }
 
-/// Writes the commands that complete an interrupted program download.
-fn write_remedy(state: &WriteState, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+/// Message of a program that was not written, with the commands that complete the download.
+fn not_written(error: &WriteProgramError) -> String {
+    if let ProgramError::Running = *error.source {
+        return "the PLC runs, nothing was written: stop it first, or give --stop".to_owned();
+    }
+    format!("{error}{}", if is_run_refused(error) { "" } else { remedy(&error.state) })
+}
+
+fn is_run_refused(error: &WriteProgramError) -> bool {
+    matches!(*error.source, ProgramError::RunRefused { .. })
+}
+
+/// The commands that complete an interrupted program download.
+fn remedy(state: &WriteState) -> &'static str {
     // A repeated command finds a stopped PLC, and does not start it.
     let must_run = state.was_stopped && state.plc != PlcState::Running;
-    f.write_str(match (state.is_half_written(), must_run) {
+    match (state.is_half_written(), must_run) {
         (true, true) => "; repeat the command, then start the PLC with `fatek run`",
         (true, false) => "; repeat the command",
         (false, true) => "; start the PLC with `fatek run`",
         (false, false) => "",
-    })
+    }
 }
 
 fn of_call(error: &fatek::Error) -> u8 {
@@ -113,131 +155,12 @@ fn of_call(error: &fatek::Error) -> u8 {
     }
 }
 
-fn of_program(error: &ProgramError) -> u8 {
-    match error {
-        ProgramError::Call { source, .. } => of_call(source),
-        ProgramError::RunRefused { .. } => 3,
-        ProgramError::Invalid(_)
-        | ProgramError::Changed { .. }
-        | ProgramError::OtherStation { .. }
-        | ProgramError::SizeMisfit { .. }
-        | ProgramError::KindMisfit { .. }
-        | ProgramError::MemoryCard
-        | ProgramError::Running
-        | ProgramError::StillRunning
-        | ProgramError::SetRunning
-        | ProgramError::NotTaken { .. }
-        | ProgramError::Differs { .. }
-        | ProgramError::NotRunning
-        | _ => 7,
-    }
-}
-
-fn of_restore(error: &RestoreFailure) -> u8 {
-    match error {
-        RestoreFailure::Call { source, .. } => of_call(source),
-        RestoreFailure::NotThere { .. } => 3,
-        RestoreFailure::OtherStation { .. }
-        | RestoreFailure::Running
-        | RestoreFailure::StillRunning
-        | RestoreFailure::SetRunning { .. }
-        | RestoreFailure::Differs { .. }
-        | RestoreFailure::NotRunning
-        | _ => 7,
-    }
+/// The error of the request that failed, if that is the reason.
+pub(crate) fn call_error<'e>(error: &'e (dyn Error + 'static)) -> Option<&'e fatek::Error> {
+    iter::successors(Some(error), |&error| error.source()).find_map(|error| error.downcast_ref())
 }
 
 /// Cause of a failed call; for a write of several requests, that of the first failed request.
 fn cause(error: &fatek::Error) -> &fatek::Error {
     if let fatek::Error::PartlyWritten { source, .. } = error { cause(source) } else { error }
-}
-
-impl From<FileError> for Failure {
-    fn from(error: FileError) -> Self {
-        Self::File(error)
-    }
-}
-
-impl From<ProgramError> for Failure {
-    fn from(error: ProgramError) -> Self {
-        Self::Program(error)
-    }
-}
-
-impl From<WriteProgramError> for Failure {
-    fn from(error: WriteProgramError) -> Self {
-        Self::WriteProgram(error)
-    }
-}
-
-impl From<RestoreError> for Failure {
-    fn from(error: RestoreError) -> Self {
-        Self::Restore(error)
-    }
-}
-
-impl From<fatek::Error> for Failure {
-    fn from(error: fatek::Error) -> Self {
-        Self::Call { subject: None, error }
-    }
-}
-
-impl fmt::Display for Failure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Usage(message) => f.write_str(message),
-            Self::Call { subject: Some(subject), error } => write!(f, "{subject}: {error}"),
-            Self::Call { subject: None, error } => error.fmt(f),
-            Self::Lost { lost, sent } => write!(f, "{lost} of {sent} requests had no reply"),
-            Self::BadReplies { bad, sent } => write!(f, "{bad} of {sent} requests had a bad reply"),
-            Self::NoStation { scanned: 1 } => f.write_str("the station did not answer"),
-            Self::NoStation { scanned } => write!(f, "none of {scanned} stations answered"),
-            Self::BadStations { bad } => write!(f, "stations with bad replies: {bad}"),
-            Self::BadFrames { bad: 1, all: 1 } => f.write_str("bad frame"),
-            Self::BadFrames { bad, all } => write!(f, "bad frames: {bad} of {all}"),
-            Self::Declined => f.write_str("not confirmed: nothing was changed"),
-            Self::File(error) => error.fmt(f),
-            Self::NotRaw(error) => write!(f, "{error}; for a raw file give --raw"),
-            Self::Program(error) => error.fmt(f),
-            Self::WriteProgram(error) => match *error.source {
-                ProgramError::Running => {
-                    f.write_str("the PLC runs, nothing was written: stop it first, or give --stop")
-                }
-                ProgramError::RunRefused { .. } => error.fmt(f),
-                ProgramError::Call { .. }
-                | ProgramError::Invalid(_)
-                | ProgramError::Changed { .. }
-                | ProgramError::OtherStation { .. }
-                | ProgramError::SizeMisfit { .. }
-                | ProgramError::KindMisfit { .. }
-                | ProgramError::MemoryCard
-                | ProgramError::StillRunning
-                | ProgramError::SetRunning
-                | ProgramError::NotTaken { .. }
-                | ProgramError::Differs { .. }
-                | ProgramError::NotRunning
-                | _ => {
-                    error.fmt(f)?;
-                    write_remedy(&error.state, f)
-                }
-            },
-            Self::Restore(error) => error.fmt(f),
-            Self::RestoreInterrupted(report) => write!(f, "interrupted: {report}"),
-            Self::WriteInterrupted(state) => {
-                write!(f, "interrupted: {state}")?;
-                write_remedy(state, f)
-            }
-            Self::ReadInterrupted { pages } => write!(f, "interrupted after {pages} pages: nothing was saved"),
-            Self::Missing { missing, all, file: None } => {
-                write!(f, "{missing} of {all} elements are missing; nothing was saved")
-            }
-            Self::Missing { missing, all, file: Some(file) } => {
-                write!(f, "{missing} of {all} elements are missing; the others were saved to {}", file.display())
-            }
-            Self::Differs { parts, differing, all } => write!(f, "{differing} of {all} {parts} differ"),
-            Self::Listen { url, error } => write!(f, "cannot listen on {url}: {error}"),
-            Self::Output(error) => write!(f, "cannot write to stdout: {error}"),
-            Self::Runtime(error) => write!(f, "cannot start: {error}"),
-        }
-    }
 }

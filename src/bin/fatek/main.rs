@@ -27,9 +27,10 @@ use std::io::{self, IsTerminal};
 use std::process::ExitCode;
 
 use clap::Parser;
+use fatek::command::{ControlPlc, DiscreteControl};
 use tracing_subscriber::EnvFilter;
 
-use self::args::{Cli, Command, ProgramCommand};
+use self::args::{Cli, Command, DiscreteArgs, Plc, ProgramCommand};
 use self::failure::Failure;
 use self::output::{Output, complain};
 
@@ -60,19 +61,22 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     // All requests go to one link, so one thread is enough, also for the simulator.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Failure::Runtime)?;
     let timeout = cli.common.timeout;
-    let station = |plc| connect::station(&cli.plc.or(plc), timeout);
+    let station = |plc: &Plc| connect::station(&cli.plc.or(plc), timeout);
+    let discretes = async |args: &DiscreteArgs, control| {
+        control::discretes(&station(&args.plc)?, control, &args.discretes, output).await
+    };
     runtime.block_on(async {
         match &cli.command {
             Command::Sim(args) => sim::sim(args).await,
             Command::Read(args) => read::read(&station(&args.plc)?, &args.tags, output).await,
             Command::Write(args) => write::write(&station(&args.plc)?, &args.assignments, output).await,
             Command::Status(args) => status::status(&station(&args.plc)?, output).await,
-            Command::Run(args) => control::run(&station(&args.plc)?, output).await,
-            Command::Stop(args) => control::stop(&station(&args.plc)?, output).await,
-            Command::Enable(args) => control::enable(&station(&args.plc)?, &args.discretes, output).await,
-            Command::Disable(args) => control::disable(&station(&args.plc)?, &args.discretes, output).await,
-            Command::Set(args) => control::set(&station(&args.plc)?, &args.discretes, output).await,
-            Command::Reset(args) => control::reset(&station(&args.plc)?, &args.discretes, output).await,
+            Command::Run(args) => control::plc(&station(&args.plc)?, ControlPlc::Run, output).await,
+            Command::Stop(args) => control::plc(&station(&args.plc)?, ControlPlc::Stop, output).await,
+            Command::Enable(args) => discretes(args, DiscreteControl::Enable).await,
+            Command::Disable(args) => discretes(args, DiscreteControl::Disable).await,
+            Command::Set(args) => discretes(args, DiscreteControl::Set).await,
+            Command::Reset(args) => discretes(args, DiscreteControl::Reset).await,
             Command::Ping(args) => {
                 // A retry would hide a lost reply.
                 let station = station(&args.plc)?.with_options(connect::options(timeout).retries(0));

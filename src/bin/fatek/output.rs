@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::ValueEnum;
 use comfy_table::presets::NOTHING;
 use fatek::tag::TagValue;
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use crate::failure::Failure;
 
@@ -116,11 +116,8 @@ impl Rows {
     }
 
     pub(crate) fn json(&self) -> Value {
-        let object = |row: &Vec<Cell>| {
-            let keys = self.columns.iter().map(|&column| column.to_owned());
-            Value::Object(keys.zip(row.iter().map(|cell| cell.json.clone())).collect::<Map<_, _>>())
-        };
-        self.rows.iter().map(object).collect()
+        let cells = |row: &Vec<Cell>| row.iter().map(|cell| cell.json.clone()).collect::<Vec<_>>();
+        self.rows.iter().map(|row| self.columns.iter().copied().zip(cells(row)).collect::<Value>()).collect()
     }
 }
 

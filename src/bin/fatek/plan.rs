@@ -3,7 +3,7 @@
 use fatek::endpoint::{SerialSettings, Transport};
 use fatek::wire::Framing;
 use fatek::{CostModel, Limits, Plan};
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use crate::args::PlanArgs;
 use crate::connect;
@@ -94,7 +94,7 @@ fn json(plan: &Plan) -> Value {
         ("bytes", plan.bytes().into()),
         ("time_ms", Cell::from(plan.time()).json),
     ];
-    Value::Object(sums.into_iter().map(|(name, sum)| (name.to_owned(), sum)).collect::<Map<_, _>>())
+    sums.into_iter().collect()
 }
 
 fn number_cell(number: usize) -> Cell {

@@ -4,60 +4,40 @@ use std::time::Duration;
 
 use fatek::Station;
 use fatek::file::{FileError, FormatError, can_save, utc};
-use fatek::program::{
-    PlcState, Program, ProgramError, ReadProgram, WriteOptions, WriteProgram, WriteProgramError, WriteReport,
-};
-use serde_json::{Map, Value};
+use fatek::program::{PlcState, Program, ProgramError, ReadProgram, WriteOptions, WriteProgram, WriteProgramError};
+use serde_json::Value;
 
 use crate::args::{Plc, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
-use crate::confirm::{can_be_confirmed, confirm};
+use crate::confirm::confirm;
 use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Format, Output, Rows, hex};
-use crate::retry::{Direction, is_line_failure, retry, write_progress};
-use crate::signal;
-use crate::transfer::{Reporter, warn_of_unknown_fields};
+use crate::retry::{Direction, is_line_failure, retry, unless_interrupted, write_progress};
+use crate::transfer::{Reporter, choose, stops, warn_of_unknown_fields, would_stop};
 
-/// Checks that the file can be saved before the first request.
+/// Uploads the program. Resumes after a line failure, while each attempt reads at least one more
+/// page. Checks that the file can be saved before the first request.
 pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Output) -> Result<(), Failure> {
-    can_save(&args.file.file)?;
-    let stopped = signal::stopped().map_err(Failure::Runtime)?;
+    let path = &args.file.file;
+    can_save(path)?;
     let reporter = Reporter::new(output);
-    let mut read = ReadProgram::new().on_progress(reporter.callback());
-    if args.twice {
-        read = read.twice();
-    }
-    let ended = tokio::select! {
-        biased;
-        _ = stopped => None,
-        ended = read_with_retries(&mut read, station, (&reporter, output)) => Some(ended),
-    };
-    reporter.end_line();
+    let read = ReadProgram::new().on_progress(reporter.callback());
+    let mut read = choose(read, [(args.twice, ReadProgram::twice)]);
+    let run = async |read: &mut ReadProgram| read.run(station).await;
+    let progress = |read: &ReadProgram, error: &ProgramError| is_line_failure(error).then(|| read.pages_done());
+    let note = |read: &ReadProgram, error: &ProgramError| format!("{error}; {} pages read", read.pages_done());
+    let repeated = retry(&mut read, Direction::Read, &reporter, run, progress, note);
+    let ended = reporter.until_end(unless_interrupted(repeated)).await?;
     let Some(program) = ended.transpose()? else {
         return Err(Failure::ReadInterrupted { pages: read.pages_done() });
     };
-    let path = &args.file.file;
     if args.file.raw { program.save_raw(path) } else { program.save(path) }?;
     output.remark(format_args!("{}: {}, {} pages", path.display(), program.header(), program.pages().len()));
     Ok(())
 }
 
-/// Uploads the program. Resumes after a line failure, while each attempt reads at least one more
-/// page.
-async fn read_with_retries(
-    read: &mut ReadProgram,
-    station: &Station,
-    display: (&Reporter, &Output),
-) -> Result<Program, ProgramError> {
-    let run = async |read: &mut ReadProgram| read.run(station).await;
-    let progress = |read: &ReadProgram, error: &ProgramError| {
-        error.call_error().filter(|error| is_line_failure(error)).map(|_| read.pages_done())
-    };
-    let note = |read: &ReadProgram, error: &ProgramError| format!("{error}; {} pages read", read.pages_done());
-    retry(read, Direction::Read, display, run, progress, note).await
-}
-
-/// Loads and checks the file before the first request.
+/// Downloads the program. Resumes after a line failure, while less is left each time. Loads and checks
+/// the file before the first request.
 pub(crate) async fn write(
     plc: &Plc,
     timeout: Option<Duration>,
@@ -66,20 +46,23 @@ pub(crate) async fn write(
 ) -> Result<(), Failure> {
     let program = load(&args.file)?;
     let station = connect::station(plc, timeout)?;
-    if args.consent.dry_run {
-        return dry_run(&station, &program, args, output).await;
-    }
-    can_be_confirmed(args.consent.yes)?;
-    confirm(&question(plc, &program, args), args.consent.yes)?;
-    let stopped = signal::stopped().map_err(Failure::Runtime)?;
     let reporter = Reporter::new(output);
     let mut write = WriteProgram::new(&program, options(args)).on_progress(reporter.callback());
-    let ended = tokio::select! {
-        biased;
-        _ = stopped => None,
-        ended = write_with_retries(&mut write, &station, (&reporter, output)) => Some(ended),
+    if args.consent.dry_run {
+        let pages = reporter.until_end(write.dry_run(&station)).await?;
+        print_pages(&pages, output)?;
+        let effect = if pages.is_empty() { String::new() } else { effect(write.state().plc, args.run) };
+        output.remark(format_args!("{} of {} pages would be written{effect}", pages.len(), program.pages().len()));
+        return Ok(());
+    }
+    confirm(&question(plc, &program, args), args.consent.yes)?;
+    let run = async |write: &mut WriteProgram| write.run(&station).await;
+    let progress = |_: &WriteProgram, error: &WriteProgramError| {
+        write_progress(error.state.written.len(), error.state.left()).filter(|_| is_line_failure(error))
     };
-    reporter.end_line();
+    let note = |_: &WriteProgram, error: &WriteProgramError| error.to_string();
+    let repeated = retry(&mut write, Direction::Write, &reporter, run, progress, note);
+    let ended = reporter.until_end(unless_interrupted(repeated)).await?;
     let Some(report) = ended.transpose()? else {
         return Err(Failure::WriteInterrupted(Box::new(write.state())));
     };
@@ -96,43 +79,13 @@ pub(crate) async fn write(
     Ok(())
 }
 
-/// Downloads the program. Resumes after a line failure, while less is left each time.
-async fn write_with_retries(
-    write: &mut WriteProgram,
-    station: &Station,
-    display: (&Reporter, &Output),
-) -> Result<WriteReport, WriteProgramError> {
-    let run = async |write: &mut WriteProgram| write.run(station).await;
-    let progress = |_: &WriteProgram, error: &WriteProgramError| {
-        let state = &error.state;
-        let repeats = error.source.call_error().is_some_and(is_line_failure);
-        write_progress(state.written.len(), state.left()).filter(|_| repeats)
-    };
-    let note = |_: &WriteProgram, error: &WriteProgramError| error.to_string();
-    retry(write, Direction::Write, display, run, progress, note).await
-}
-
-/// Makes the checks of a download and prints the pages that it would write.
-async fn dry_run(
-    station: &Station,
-    program: &Program,
-    args: &ProgramWriteArgs,
-    output: &Output,
-) -> Result<(), Failure> {
-    let reporter = Reporter::new(output);
-    let mut write = WriteProgram::new(program, options(args)).on_progress(reporter.callback());
-    let pages = write.dry_run(station).await;
-    reporter.end_line();
-    let pages = pages?;
-    print_pages(&pages, output)?;
-    let stopped = match (args.run, write.state().plc) {
-        _ if pages.is_empty() => "",
-        (true, PlcState::Running) => "; the PLC runs, and would be stopped and started again",
-        (false, PlcState::Running) => "; the PLC runs, and would be stopped",
-        _ => "; the PLC is stopped, and would stay stopped",
-    };
-    output.remark(format_args!("{} of {} pages would be written{stopped}", pages.len(), program.pages().len()));
-    Ok(())
+/// The effect of a download on a PLC in this state. `run`: it is started again if it runs.
+fn effect(plc: PlcState, run: bool) -> String {
+    match plc {
+        PlcState::Running => would_stop(run).to_owned(),
+        PlcState::Stopped => "; the PLC is stopped, and would stay stopped".to_owned(),
+        PlcState::Unknown | _ => format!("; {plc}"),
+    }
 }
 
 pub(crate) async fn verify(
@@ -142,7 +95,11 @@ pub(crate) async fn verify(
     output: &Output,
 ) -> Result<(), Failure> {
     let program = load(&args.file)?;
-    let pages = differing(&connect::station(plc, timeout)?, &program, output).await?;
+    let station = connect::station(plc, timeout)?;
+    let reporter = Reporter::new(output);
+    let mut write = WriteProgram::new(&program, WriteOptions::new()).on_progress(reporter.callback());
+    // Nothing was to be written, so the state of the PLC is of no interest.
+    let pages = reporter.until_end(write.compare(&station)).await.map_err(|error| *error.source)?;
     print_pages(&pages, output)?;
     if pages.is_empty() {
         output.remark(format_args!("all {} pages are equal", program.pages().len()));
@@ -155,8 +112,7 @@ pub(crate) async fn verify(
 pub(crate) fn info(file: &ProgramFile, output: &Output) -> Result<(), Failure> {
     let fields = fields(&load(file)?);
     if output.format == Format::Json {
-        let object = fields.into_iter().map(|(name, cell)| (name.to_owned(), cell.json)).collect::<Map<_, _>>();
-        return output.json(&Value::Object(object));
+        return output.json(&fields.into_iter().map(|(name, cell)| (name, cell.json)).collect());
     }
     let mut rows = Rows::new(["field", "value"]);
     fields.into_iter().for_each(|(name, cell)| rows.push([name.into(), cell]));
@@ -196,14 +152,6 @@ fn load(file: &ProgramFile) -> Result<Program, Failure> {
     Ok(program)
 }
 
-async fn differing(station: &Station, program: &Program, output: &Output) -> Result<Vec<u16>, Failure> {
-    let reporter = Reporter::new(output);
-    let mut compare = WriteProgram::new(program, WriteOptions::new()).on_progress(reporter.callback());
-    let result = compare.compare(station).await;
-    reporter.end_line();
-    Ok(result.map_err(|error| *error.source)?)
-}
-
 fn print_pages(pages: &[u16], output: &Output) -> Result<(), Failure> {
     let mut rows = Rows::new(["page"]);
     pages.iter().for_each(|&page| rows.push([u32::from(page).into()]));
@@ -211,23 +159,33 @@ fn print_pages(pages: &[u16], output: &Output) -> Result<(), Failure> {
 }
 
 fn options(args: &ProgramWriteArgs) -> WriteOptions {
-    let choose =
-        |chosen, choice: fn(WriteOptions) -> WriteOptions, options| if chosen { choice(options) } else { options };
-    let mut options = WriteOptions::new();
-    options = choose(args.stop, WriteOptions::stop_first, options);
-    options = choose(args.run, WriteOptions::run_again, options);
-    options = choose(args.all, WriteOptions::all_pages, options);
-    options = choose(args.verify, WriteOptions::verify_all, options);
+    let options = choose(
+        WriteOptions::new(),
+        [
+            (args.stop, WriteOptions::stop_first),
+            (args.run, WriteOptions::run_again),
+            (args.all, WriteOptions::all_pages),
+            (args.verify, WriteOptions::verify_all),
+        ],
+    );
     args.page_timeout.map_or(options, |timeout| options.page_timeout(timeout))
 }
 
 fn question(plc: &Plc, program: &Program, args: &ProgramWriteArgs) -> String {
-    let stopped = match (args.stop, args.run) {
-        (true, true) => " The PLC is stopped first and started again afterwards.",
-        (true, false) => " The PLC is stopped first and stays stopped.",
-        (false, _) => "",
-    };
-    let (file, header) = (args.file.file.display(), program.header());
-    let (station, link) = (plc.station.as_deref().unwrap_or_default(), plc.link.as_deref().unwrap_or_default());
-    format!("Write {file} ({header}) to station {station} on {link}?{stopped}")
+    let stopped = if args.stop { stops(args.run) } else { "" };
+    format!("Write {} ({}) to {plc}?{stopped}", args.file.file.display(), program.header())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_state_is_not_reported_as_stopped() {
+        // Before: `; the PLC is stopped, and would stay stopped`.
+        assert_eq!(effect(PlcState::Unknown, false), "; whether the PLC runs is not known");
+        assert_eq!(effect(PlcState::Stopped, true), "; the PLC is stopped, and would stay stopped");
+        assert_eq!(effect(PlcState::Running, false), "; the PLC runs, and would be stopped");
+        assert_eq!(effect(PlcState::Running, true), "; the PLC runs, and would be stopped and started again");
+    }
 }

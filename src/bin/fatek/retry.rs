@@ -1,11 +1,13 @@
 //! Repeats a transfer after line failures, while each run makes progress.
 
+use std::error::Error;
 use std::time::Duration;
 
-use fatek::Error;
+use fatek::Error::{BadReply, Connect, Disconnected, Timeout};
 use tokio::time::sleep;
 
-use crate::output::Output;
+use crate::failure::{Failure, call_error};
+use crate::signal;
 use crate::transfer::Reporter;
 
 /// Limit of repetitions of a transfer that writes.
@@ -28,7 +30,7 @@ pub(crate) enum Direction {
 pub(crate) async fn retry<T, O, E>(
     transfer: &mut T,
     direction: Direction,
-    (reporter, output): (&Reporter, &Output),
+    reporter: &Reporter<'_>,
     mut run: impl AsyncFnMut(&mut T) -> Result<O, E>,
     progress: impl Fn(&T, &E) -> Option<usize>,
     mut note: impl FnMut(&T, &E) -> String,
@@ -45,11 +47,20 @@ pub(crate) async fn retry<T, O, E>(
             Some(_) | None => return Err(error),
         }
         repeats += 1;
-        reporter.end_line();
-        output.remark(format_args!("{}; resuming", note(transfer, &error)));
+        reporter.remark(format_args!("{}; resuming", note(transfer, &error)));
         if direction == Direction::Write {
             sleep(PAUSE).await;
         }
+    }
+}
+
+/// Waits for the end of a transfer; `None` if the user interrupts it.
+pub(crate) async fn unless_interrupted<T>(transfer: impl Future<Output = T>) -> Result<Option<T>, Failure> {
+    let stopped = signal::stopped().map_err(Failure::Runtime)?;
+    tokio::select! {
+        biased;
+        _ = stopped => Ok(None),
+        ended = transfer => Ok(Some(ended)),
     }
 }
 
@@ -58,15 +69,15 @@ pub(crate) fn write_progress(written: usize, left: usize) -> Option<usize> {
     (written > 0).then(|| usize::MAX - left)
 }
 
-/// Whether the line failed. A refusal by the PLC is final.
-pub(crate) fn is_line_failure(error: &Error) -> bool {
-    matches!(error, Error::Timeout { .. } | Error::BadReply { .. } | Error::Disconnected { .. } | Error::Connect { .. })
+/// Whether a transfer failed because the line did. A refusal by the PLC is final.
+pub(crate) fn is_line_failure(error: &(dyn Error + 'static)) -> bool {
+    matches!(call_error(error), Some(Timeout { .. } | BadReply { .. } | Disconnected { .. } | Connect { .. }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::Format;
+    use crate::output::{Format, Output};
 
     /// Runs a transfer that leaves these numbers of steps. Returns the number of runs.
     async fn runs(direction: Direction, left: &[usize]) -> usize {
@@ -81,7 +92,7 @@ mod tests {
             Direction::Read => Some(100 - left),
             Direction::Write => write_progress(1, *left),
         };
-        let _ = retry(&mut runs, direction, (&reporter, &output), run, progress, |_, _| String::new()).await;
+        let _ = retry(&mut runs, direction, &reporter, run, progress, |_, _| String::new()).await;
         runs
     }
 

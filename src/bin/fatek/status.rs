@@ -2,7 +2,7 @@
 
 use fatek::command::{BriefStatus, DetailedStatus};
 use fatek::{Error, Station};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use crate::failure::Failure;
 use crate::output::{Cell, Format, Output, Rows, hex};
@@ -77,5 +77,5 @@ fn print(brief: &[Field], detailed: Option<&[Field]>, output: &Output) -> Result
 }
 
 fn object(fields: &[Field]) -> Value {
-    Value::Object(fields.iter().map(|(name, cell)| ((*name).to_owned(), cell.json.clone())).collect::<Map<_, _>>())
+    fields.iter().map(|(name, cell)| (*name, cell.json.clone())).collect()
 }

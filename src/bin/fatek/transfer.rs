@@ -1,6 +1,7 @@
 //! Progress of a transfer: a bar on a terminal, a line per tenth elsewhere. Its retries after line
 //! failures.
 
+use std::fmt;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -11,29 +12,62 @@ use crate::output::{Output, complain};
 use crate::progress::{Display, style};
 
 /// Shows the progress of one transfer on stderr, unless `--quiet` was given.
-#[derive(Clone, Debug)]
-pub(crate) struct Reporter(Arc<Mutex<TransferDisplay>>);
+#[derive(Debug)]
+pub(crate) struct Reporter<'o> {
+    output: &'o Output,
+    display: Arc<Mutex<TransferDisplay>>,
+}
 
-impl Reporter {
-    pub(crate) fn new(output: &Output) -> Self {
+impl<'o> Reporter<'o> {
+    pub(crate) fn new(output: &'o Output) -> Self {
         let display = TransferDisplay { display: Display::new(output), shown: None, bar: None };
-        Self(Arc::new(Mutex::new(display)))
+        Self { output, display: Arc::new(Mutex::new(display)) }
     }
 
     /// Callback for each step of a transfer.
-    pub(crate) fn callback(&self) -> impl FnMut(&Progress) + Send + 'static {
-        let this = self.clone();
-        move |progress| this.lock().show(progress)
+    pub(crate) fn callback(&self) -> impl FnMut(&Progress) + Send + use<> {
+        let display = self.display.clone();
+        move |progress| lock(&display).show(progress)
     }
 
-    /// Leaves the bar as it is. The next output begins on a new line.
-    pub(crate) fn end_line(&self) {
-        self.lock().end_line();
+    /// Waits for a transfer. The bar stays, and the next output begins on a new line.
+    pub(crate) async fn until_end<T>(&self, transfer: impl Future<Output = T>) -> T {
+        let ended = transfer.await;
+        lock(&self.display).end_line();
+        ended
     }
 
-    fn lock(&self) -> MutexGuard<'_, TransferDisplay> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Prints a message below the bar, unless `--quiet` was given.
+    pub(crate) fn remark(&self, text: fmt::Arguments<'_>) {
+        lock(&self.display).end_line();
+        self.output.remark(text);
     }
+}
+
+fn lock(display: &Mutex<TransferDisplay>) -> MutexGuard<'_, TransferDisplay> {
+    display.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// An option of a transfer, and whether it is given.
+type Choice<T> = (bool, fn(T) -> T);
+
+/// Makes the choices whose option is given.
+pub(crate) fn choose<T, const N: usize>(options: T, choices: [Choice<T>; N]) -> T {
+    choices.into_iter().filter(|(chosen, _)| *chosen).fold(options, |options, (_, choice)| choice(options))
+}
+
+/// The consequence for a PLC that runs, for a prompt. `run`: it is started again.
+pub(crate) fn stops(run: bool) -> &'static str {
+    if run {
+        " The PLC is stopped first and started again afterwards."
+    } else {
+        " The PLC is stopped first and stays stopped."
+    }
+}
+
+/// The consequence for a PLC that runs, for a dry run.
+pub(crate) fn would_stop(run: bool) -> &'static str {
+    if run { "; the PLC runs, and would be stopped and started again" } else { "; the PLC runs, and would be stopped" }
 }
 
 /// A file of a newer version may have fields that are ignored here.

@@ -7,7 +7,7 @@ use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass};
 use fatek::tag::Tag;
 use futures::StreamExt;
 use humantime::format_rfc3339_millis;
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use crate::args::WatchArgs;
 use crate::failure::Failure;
@@ -102,8 +102,7 @@ impl<'o> Printer<'o> {
             Format::Json => {
                 let cells =
                     [time.into(), sample.name.to_string().into(), value.json, sample.quality.to_string().into()];
-                let keys = COLUMNS.map(str::to_owned);
-                print(format_args!("{}", Value::Object(keys.into_iter().zip(cells).collect::<Map<_, _>>())))
+                print(format_args!("{}", COLUMNS.into_iter().zip(cells).collect::<Value>()))
             }
             Format::Csv => csv_line([&time, &*sample.name, value.csv(), &sample.quality.to_string()]),
         }

@@ -1,13 +1,14 @@
 //! Explanation of one frame, field by field.
 
-use fatek::command::Code;
+use fatek::command::{Code, Request};
 use fatek::wire::ascii::{self, ETX, STX};
 use fatek::wire::binary::{self, ID, QUERY, REPLY, TERMINATOR};
-use fatek::wire::{Framing, MAX_FRAME_LEN};
+use fatek::wire::{AsciiReader, BinaryReader, FieldReader, Framing, MAX_FRAME_LEN};
 
 use super::field::{DataReading, Field, Part};
+use super::recorder::Recorder;
+use super::reply;
 use super::split::Piece;
-use super::{reply, request};
 
 /// Fields and faults of a frame, or of bytes outside frames.
 #[derive(Clone, Debug)]
@@ -93,9 +94,9 @@ impl Explanation {
     /// Adds the data in each reading without a fault. An ASCII frame may be both a request and a
     /// reply.
     fn data(&mut self, code: Code, framing: Framing, data: &[u8], readings: &[Part]) {
-        let read = |part: &Part| match part {
-            Part::Reply => (*part, reply::read(code, framing, data)),
-            Part::Frame | Part::Request => (*part, request::read(code, framing, data)),
+        let read = |&part: &Part| match framing {
+            Framing::Binary => (part, read_data(BinaryReader::new(data), data, code, part)),
+            Framing::Ascii | _ => (part, read_data(AsciiReader::new(data), data, code, part)),
         };
         let readings: Vec<(Part, DataReading)> = readings.iter().map(read).collect();
         if readings.iter().any(|(_, reading)| reading.fault.is_none()) {
@@ -120,6 +121,16 @@ impl Explanation {
         let meaning = format!("BAD: {fault}");
         self.fields.push(Field { part, name: "rest".to_owned(), bytes: rest, meaning });
     }
+}
+
+/// Reads the data of a frame as a request or a reply.
+fn read_data<R: FieldReader + Clone>(inner: R, data: &[u8], code: Code, part: Part) -> DataReading {
+    let mut fields = Recorder::new(inner, data, code, part);
+    let fault = match part {
+        Part::Reply => reply::read(code, data.len(), &mut fields).err().map(|error| error.to_string()),
+        Part::Frame | Part::Request => Request::read(code, &mut fields).err().map(|error| error.to_string()),
+    };
+    fields.into_reading(fault)
 }
 
 fn noise(bytes: &[u8]) -> Explanation {

@@ -2,8 +2,6 @@
 //!
 //! The decoders of the commands read through it, so `decode` shows the fields that a PLC reads.
 
-use std::fmt::Display;
-
 use fatek::Element;
 use fatek::command::Code;
 use fatek::wire::{FieldError, FieldReader};
@@ -30,8 +28,8 @@ impl<'a, R: FieldReader + Clone> Recorder<'a, R> {
         Self { inner, data, code, part, fields: Vec::new(), element: None, values: 0 }
     }
 
-    /// Recorded fields, with the error that ended the reading.
-    pub(super) fn into_reading<E: Display>(self, result: Result<(), E>) -> DataReading {
+    /// Recorded fields, with the fault that ended the reading.
+    pub(super) fn into_reading(self, fault: Option<String>) -> DataReading {
         let mut fields: Vec<Field> = Vec::with_capacity(self.fields.len());
         // The 64 words of a page are merged into one field.
         for field in self.fields {
@@ -40,7 +38,7 @@ impl<'a, R: FieldReader + Clone> Recorder<'a, R> {
                 _ => fields.push(field),
             }
         }
-        DataReading { fields, fault: result.err().map(|error| error.to_string()) }
+        DataReading { fields, fault }
     }
 
     /// Reads a field and records it under this name.

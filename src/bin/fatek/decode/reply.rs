@@ -6,27 +6,24 @@ use fatek::ErrorCode;
 use fatek::command::{
     BriefStatus, Class, Code, DetailedStatus, ErrorField, MAX_LOOP_BACK, MAX_POINTS, MAX_UNITS, PAGE_WORDS,
 };
-use fatek::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, Framing};
+use fatek::wire::{FieldError, FieldReader};
 
-use super::field::{DataReading, Part};
 use super::recorder::Recorder;
 use super::text;
 
-pub(super) fn read(code: Code, framing: Framing, data: &[u8]) -> DataReading {
-    match framing {
-        Framing::Binary => read_fields(code, data, Recorder::new(BinaryReader::new(data), data, code, Part::Reply)),
-        Framing::Ascii | _ => read_fields(code, data, Recorder::new(AsciiReader::new(data), data, code, Part::Reply)),
-    }
-}
-
-fn read_fields<R: FieldReader + Clone>(code: Code, data: &[u8], mut fields: Recorder<'_, R>) -> DataReading {
+/// Reads a reply of `length` bytes.
+pub(super) fn read<R: FieldReader + Clone>(
+    code: Code,
+    length: usize,
+    fields: &mut Recorder<'_, R>,
+) -> Result<(), FieldError> {
     let has_error_code = match code.error_field() {
         ErrorField::Absent => false,
-        ErrorField::ByLength => data.len() != PAGE_CHARACTERS,
+        ErrorField::ByLength => length != PAGE_CHARACTERS,
         ErrorField::Leading | _ => true,
     };
-    let result = read_result(code, has_error_code, &mut fields).and_then(|()| fields.finish());
-    fields.into_reading(result)
+    read_result(code, has_error_code, fields)?;
+    fields.finish()
 }
 
 /// Length of a program page without error code in the ASCII framing. The binary framing has no
