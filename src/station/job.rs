@@ -69,27 +69,18 @@ impl<'s, M: Copy> StationJob<'s, M> {
     ) -> Result<Outcome<M, C::Reply>, Error> {
         let purpose = if longer { Purpose::Part } else { Purpose::InJob };
         let CallOutcome { result, spelling, shape, proof, .. } = self.station.submit(request, purpose).await;
-        let refused = match result {
-            Ok(reply) => {
-                return Ok(match self.job.answered(mark, shape, proof) {
-                    JobProgress::Go => Outcome::Reply(JobReply { reply, count: spelling.count.into() }),
-                    progress @ (JobProgress::Rewind(_) | JobProgress::Failed(_)) => {
-                        Outcome::Rewind(self.rewound(progress, mark)?)
-                    }
-                });
-            }
-            Err(error @ Error::Plc { .. }) => error,
+        let result = match result {
+            Ok(reply) => Ok(reply),
+            Err(error @ Error::Plc { .. }) => Err(error),
             Err(error) => return Err(error),
         };
-        let progress = match self.job.answered(mark, shape, proof) {
-            JobProgress::Go => self.job.confirmed(self.check().await?),
-            progress @ (JobProgress::Rewind(_) | JobProgress::Failed(_)) => progress,
-        };
-        match progress {
-            JobProgress::Go => Err(refused),
-            progress @ (JobProgress::Rewind(_) | JobProgress::Failed(_)) => {
-                Ok(Outcome::Rewind(self.rewound(progress, mark)?))
-            }
+        let mut progress = self.job.answered(mark, shape, proof);
+        if result.is_err() && matches!(progress, JobProgress::Go) {
+            progress = self.job.confirmed(self.check().await?);
+        }
+        match self.rewound(progress)? {
+            Some(first) => Ok(Outcome::Rewind(first)),
+            None => result.map(|reply| Outcome::Reply(JobReply { reply, count: spelling.count.into() })),
         }
     }
 
@@ -108,12 +99,11 @@ impl<'s, M: Copy> StationJob<'s, M> {
     /// As for every method of [`Station`]; [`Error::Duplicates`] if the job was rewound too often. Then
     /// the [held](Self::first_held) results are not reliable.
     pub(crate) async fn confirm(&mut self) -> Result<Option<M>, Error> {
-        let Some(first) = self.job.first_held() else { return Ok(None) };
-        let proof = self.check().await?;
-        match self.job.confirmed(proof) {
-            JobProgress::Go => Ok(None),
-            progress @ (JobProgress::Rewind(_) | JobProgress::Failed(_)) => self.rewound(progress, first).map(Some),
+        if self.job.first_held().is_none() {
+            return Ok(None);
         }
+        let progress = self.job.confirmed(self.check().await?);
+        self.rewound(progress)
     }
 
     async fn check(&self) -> Result<crate::link::Proof, Error> {
@@ -121,19 +111,20 @@ impl<'s, M: Copy> StationJob<'s, M> {
         answered.result.map(|()| answered.proof)
     }
 
-    fn rewound(&mut self, progress: JobProgress<M>, mark: M) -> Result<M, Error> {
+    /// The mark to go back to, if there is one.
+    fn rewound(&mut self, progress: JobProgress<M>) -> Result<Option<M>, Error> {
+        let (first, is_over) = match progress {
+            JobProgress::Go => return Ok(None),
+            JobProgress::Rewind(first) => (first, false),
+            JobProgress::Failed(first) => (first, true),
+        };
         let number = self.station.number;
         self.station.link.shared_stats().count_repeated_job(number);
-        match progress {
-            JobProgress::Go => Ok(mark),
-            JobProgress::Rewind(first) => {
-                tracing::debug!(station = number, "unexpected frame within a job: its requests are repeated");
-                Ok(first)
-            }
-            JobProgress::Failed(first) => {
-                self.given_up = Some(first);
-                Err(Error::Duplicates { station: number, sent: true })
-            }
+        if is_over {
+            self.given_up = Some(first);
+            return Err(Error::Duplicates { station: number, sent: true });
         }
+        tracing::debug!(station = number, "unexpected frame within a job: its requests are repeated");
+        Ok(Some(first))
     }
 }
