@@ -217,11 +217,7 @@ impl PollerHandle {
     /// Returns the current sample of each tag, including those that were not reported.
     #[must_use]
     pub fn snapshot(&self) -> Vec<Sample> {
-        let mut samples = Vec::new();
-        for station in self.shared.active_stations() {
-            samples.extend(self.shared.snapshot(&station));
-        }
-        samples
+        self.shared.active_stations().iter().flat_map(|station| self.shared.snapshot(station)).collect()
     }
 
     /// Returns the sum over all stations. Locks each of them: call it every second, not per sample.

@@ -100,7 +100,9 @@ impl CompiledPlan {
 
     /// The indices of the parts that have values in a request.
     pub(super) fn parts_of(&self, request: usize) -> &[u32] {
-        self.indexed.tags_by_request.get(request).map(Vec::as_slice).unwrap_or_default()
+        let parts = self.indexed.tags_by_request.get(request);
+        debug_assert!(parts.is_some(), "the plan has no request {request}");
+        parts.map(Vec::as_slice).unwrap_or_default()
     }
 
     /// For each part, the number of requests that have values of it.
@@ -129,6 +131,7 @@ impl CompiledPlan {
         let (left, right) = items.split_at(items.len() / 2);
         let end = |items: &[RefusedItem]| items.iter().map(|item| item.words.end).max().unwrap_or(0);
         let right_start = right.first().map_or(0, |item| item.words.start);
+        debug_assert!(right_start <= end(right), "an item ends behind its start");
         let right_len = end(right).saturating_sub(right_start);
         let split_point = SplitPoint { left_end: end(left), right_start, right_len };
         let parts = |items: &[RefusedItem]| items.iter().flat_map(|item| item.parts.iter().copied()).collect();

@@ -43,7 +43,6 @@ use super::context::StationContext;
 use super::in_flight::InFlight;
 use super::learned_limit::{LearnedLimit, SplitPoint};
 use super::tag_map::TagMap;
-use super::tag_state::TagState;
 use super::{Reason, Sample, Stamp, TagId};
 use crate::error::ErrorCode;
 use crate::plan::{PlannedRequest, ReadRequest, ReplyWords};
@@ -150,8 +149,8 @@ impl Cycle {
             abandoned: None,
         };
         let plans = plans.unwrap_or_else(|| {
-            let refused = |id: &&TagId| ctx.station.tag_map.get(**id).is_some_and(TagState::is_refused);
-            let members: Vec<TagPart> = ctx.members.iter().filter(|id| !refused(id)).map(TagPart::whole).collect();
+            let members = ctx.members.iter().filter(|id| !ctx.station.tag_map.is_refused(**id));
+            let members: Vec<TagPart> = members.map(TagPart::whole).collect();
             cycle.plan(&members, now, ctx)
         });
         cycle.plans.clone_from(&plans);
@@ -245,7 +244,7 @@ impl Cycle {
         match (self.phase, plans.enumerate().last()) {
             // The `below` plans under it come first in the next cycle, and this plan last.
             (CyclePhase::Members, Some((below, in_flight))) => CycleStart {
-                plan: self.start.plan.saturating_add(self.plans.len()).saturating_sub(below),
+                plan: self.start.plan.saturating_add(self.plans.len().saturating_sub(below)),
                 request: in_flight.next_first(self.stack.len() > below.saturating_add(1)),
             },
             (CyclePhase::Members | CyclePhase::Probe | CyclePhase::Others | CyclePhase::Over, _) => {
@@ -343,10 +342,8 @@ impl Cycle {
     /// Enters the next phase and returns the tags to read in it; `None` if the cycle is over.
     fn next_phase(&mut self, now: Stamp, ctx: &mut CycleContext<'_>) -> Option<Vec<TagPart>> {
         let tag_map = &ctx.station.tag_map;
-        let is_refused = |id: &TagId| tag_map.get(*id).is_some_and(TagState::is_refused);
-        let untried =
-            |id: &TagId| tag_map.get(*id).is_some_and(|state| state.is_refused() && state.cycle != self.number);
-        let refused = || ctx.members.iter().filter(|id| untried(id)).map(TagPart::whole).collect::<Vec<_>>();
+        let untried = |part: &TagPart| tag_map.is_refused(part.id) && is_wanted(*part, self.number, tag_map);
+        let refused = || ctx.members.iter().map(TagPart::whole).filter(untried).collect::<Vec<_>>();
         match self.phase {
             CyclePhase::Members => {
                 let refused = refused();
@@ -367,7 +364,7 @@ impl Cycle {
                 }
                 Some(probe)
             }
-            CyclePhase::Probe if !self.probe.iter().any(is_refused) => {
+            CyclePhase::Probe if !self.probe.iter().any(|id| tag_map.is_refused(*id)) => {
                 self.phase = CyclePhase::Others;
                 Some(refused())
             }

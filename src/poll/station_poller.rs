@@ -182,7 +182,7 @@ impl StationPoller {
 
     /// Returns the statistics of each class that has tags.
     pub(super) fn classes(&self) -> impl Iterator<Item = ClassStats> {
-        let refused = |id: &&TagId| self.context.tag_map.get(**id).is_some_and(TagState::is_refused);
+        let refused = |id: &&TagId| self.context.tag_map.is_refused(**id);
         self.classes.iter().filter(|class| !class.members.is_empty()).map(move |class| ClassStats {
             class: class.scan,
             tags: class.members.len(),

@@ -27,6 +27,11 @@ impl TagMap {
         self.index_of(id).is_some()
     }
 
+    /// Whether the tag is polled, and the PLC has refused it.
+    pub(super) fn is_refused(&self, id: TagId) -> bool {
+        self.get(id).is_some_and(TagState::is_refused)
+    }
+
     /// Adds tags whose ids are not in the map.
     pub(super) fn extend(&mut self, states: impl ExactSizeIterator<Item = TagState>) {
         if self.states.is_empty() {

@@ -98,13 +98,13 @@ impl Cycle {
         let after_check = self.held.after_check.take();
         let progress = match result {
             Ok(proof) => self.held.job.confirmed(proof),
-            Err(reason) => {
+            Err(failed) => {
                 self.drop_held();
-                let start = self.next_start();
-                return match after_check {
-                    Some(AfterCheck::Abandon(reason, start)) => self.abandon(reason, start),
-                    Some(AfterCheck::NextPhase | AfterCheck::Refused(_)) | None => self.abandon(reason, start),
+                let (reason, start) = match after_check {
+                    Some(AfterCheck::Abandon(reason, start)) => (reason, start),
+                    Some(AfterCheck::NextPhase | AfterCheck::Refused(_)) | None => (failed, self.next_start()),
                 };
+                return self.abandon(reason, start);
             }
         };
         match (progress, after_check) {
@@ -166,6 +166,7 @@ impl Cycle {
 
     /// Reports the values before this mark.
     fn report(&mut self, mark: usize, ctx: &mut CycleContext<'_>) {
+        // Values before the mark may be reported already: at the end of a phase without a check.
         let count = mark.saturating_sub(self.held.reported).min(self.held.values.len());
         self.held.reported = self.held.reported.saturating_add(count);
         for (id, values, at) in self.held.values.drain(..count) {
