@@ -99,7 +99,6 @@ mod taking;
 mod target;
 
 use std::fmt;
-use std::path::Path;
 use std::time::SystemTime;
 
 pub use self::error::{BackupError, InvalidBackup, RestoreError, RestoreFailure};
@@ -109,11 +108,11 @@ pub use self::restore::Restore;
 pub use self::take::TakeBackup;
 pub use crate::transfer::PlcState;
 
-use self::block::{Block, check_overlaps, part, plain, runs};
+use self::block::{Block, check_overlaps, part, plain, runs_by};
 use crate::command::{BriefStatus, DetailedStatus, Value};
 use crate::element::Element;
 use crate::error::ErrorCode;
-use crate::file::{self, FileError, FormatError};
+use crate::file::{Origin, file_methods};
 use crate::tag::Tag;
 
 /// Values of ranges of registers and discretes, and the status of the PLC they were read from.
@@ -121,19 +120,11 @@ use crate::tag::Tag;
 /// See [the module](self).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Backup {
+    /// `None` before reading.
+    station: Option<u8>,
     origin: Origin,
     blocks: Vec<Block>,
     unknown_fields: Vec<String>,
-}
-
-/// The PLC and time of the reading; all `None` before it begins.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-struct Origin {
-    station: Option<u8>,
-    /// In whole seconds, as files have it.
-    read_at: Option<SystemTime>,
-    brief: Option<BriefStatus>,
-    detailed: Option<DetailedStatus>,
 }
 
 /// Why an element has no value.
@@ -199,7 +190,7 @@ impl Backup {
         }
         check_overlaps(&ranges)?;
         let blocks = ranges.into_iter().map(Block::new).collect();
-        Ok(Self { origin: Origin::default(), blocks, unknown_fields: Vec::new() })
+        Ok(Self { station: None, origin: Origin::default(), blocks, unknown_fields: Vec::new() })
     }
 
     /// Its ranges, in the given order. Those of pairs have the type `u32`.
@@ -228,21 +219,12 @@ impl Backup {
     /// Elements that are missing, and why.
     #[must_use]
     pub fn missing(&self) -> Vec<MissingRange> {
-        let mut missing = Vec::new();
-        for block in &self.blocks {
-            for run in runs(&block.cells, Result::is_err) {
-                let cells = block.cells.get(run.clone()).unwrap_or_default();
-                let mut start = run.start;
-                for same in cells.chunk_by(|one, next| one == next) {
-                    let end = start.saturating_add(same.len());
-                    if let Some(&Err(reason)) = same.first() {
-                        missing.push(MissingRange { range: part(block.range, &(start..end)), reason });
-                    }
-                    start = end;
-                }
-            }
-        }
-        missing
+        let of_block = |block: &Block| {
+            let range = block.range;
+            let runs = runs_by(&block.cells, |cell| cell.err()).into_iter();
+            runs.map(move |(run, reason)| MissingRange { range: part(range, &run), reason })
+        };
+        self.blocks.iter().flat_map(of_block).collect()
     }
 
     /// Whether no element is missing.
@@ -301,7 +283,7 @@ impl Backup {
     /// The station number of the PLC that was read; `None` before reading.
     #[must_use]
     pub fn station(&self) -> Option<u8> {
-        self.origin.station
+        self.station
     }
 
     /// The time when reading began, by the clock of the computer, in whole seconds.
@@ -321,14 +303,10 @@ impl Backup {
     pub fn status(&self) -> Option<&DetailedStatus> {
         self.origin.detailed.as_ref()
     }
+}
 
-    /// Names of the fields that this version of the library does not know, if the backup was read from
-    /// a file of a [newer version](crate::file#versions). They are ignored.
-    #[must_use]
-    pub fn unknown_fields(&self) -> &[String] {
-        &self.unknown_fields
-    }
-
+file_methods! {
+    Backup, "backup",
     /// The content of a file with this backup, as text for people and tools.
     ///
     /// ```text
@@ -346,38 +324,6 @@ impl Backup {
     /// M0 00000000 00000001                              64 discretes per line, the first one first
     /// crc32 1A2B3C4D
     /// ```
-    #[must_use]
-    pub fn to_file(&self) -> String {
-        format::write(self)
-    }
-
-    /// Parses the content of a file, of this or an older [version](crate::file#versions), or of a newer
-    /// one with the same major version.
-    ///
-    /// # Errors
-    /// [`FormatError`], which names the line and the rule, for a foreign file, another major version,
-    /// and a file that is cut off or changed in a single bit.
-    pub fn from_file(content: &[u8]) -> Result<Self, FormatError> {
-        format::read(content)
-    }
-
-    /// Saves the backup. The old content of the file stays until the new one is complete on the disk.
-    ///
-    /// Blocks until the disk has written it.
-    ///
-    /// # Errors
-    /// [`FileError`]; the file is as it was before.
-    pub fn save(&self, path: impl AsRef<Path>) -> Result<(), FileError> {
-        file::save(path.as_ref(), self.to_file().as_bytes())
-    }
-
-    /// Loads a file of [`save`](Self::save). Blocks until the disk has read it.
-    ///
-    /// # Errors
-    /// [`FileError`], which names the file and the fault.
-    pub fn load(path: impl AsRef<Path>) -> Result<Self, FileError> {
-        file::load_as(path.as_ref(), Self::from_file)
-    }
 }
 
 #[cfg(test)]

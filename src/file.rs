@@ -28,6 +28,7 @@ mod error;
 mod frame;
 mod lines;
 mod save;
+mod saved;
 mod utc;
 
 pub use self::error::{FileError, FormatError};
@@ -35,5 +36,6 @@ pub(crate) use self::frame::{Content, Kind, frame, unframe};
 pub(crate) use self::lines::{Lines, UNKNOWN};
 pub use self::save::can_save;
 pub(crate) use self::save::{load, load_as, save};
+pub(crate) use self::saved::{Origin, file_methods, optional_field};
 pub use self::utc::utc;
 pub(crate) use self::utc::{parse_utc, whole_seconds};

@@ -136,7 +136,7 @@ use std::path::Path;
 use std::time::SystemTime;
 
 use crate::command::{BriefStatus, DetailedStatus, PAGE_WORDS, ProgramPage};
-use crate::file::{self, FileError, FormatError};
+use crate::file::{self, FileError, FormatError, Origin, file_methods};
 
 pub use self::error::{InvalidProgram, ProgramAction, ProgramError, WriteProgramError};
 pub use self::header::{ProgramHeader, ProgramKind};
@@ -157,17 +157,15 @@ pub struct Program {
     header: ProgramHeader,
     /// The header first; the number of pages that the header requires.
     pages: Vec<ProgramPage>,
-    origin: Option<Origin>,
+    /// All of its fields are known, or none.
+    origin: Origin,
     unknown_fields: Vec<String>,
 }
 
-/// The state of the PLC when its program was read.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Origin {
-    brief: BriefStatus,
-    status: DetailedStatus,
-    /// In whole seconds, as files have it.
-    read_at: SystemTime,
+file_methods! {
+    Program, "program",
+    /// The content of a file with this program: text with the pages as hexadecimal digits, time,
+    /// status, length and checksum.
 }
 
 impl Program {
@@ -180,7 +178,7 @@ impl Program {
         let header = ProgramHeader::parse(pages.first().ok_or(InvalidProgram::Empty)?)?;
         let expected = usize::from(header.page_count());
         if pages.len() == expected {
-            Ok(Self { header, pages, origin: None, unknown_fields: Vec::new() })
+            Ok(Self { header, pages, origin: Origin::default(), unknown_fields: Vec::new() })
         } else {
             Err(InvalidProgram::Pages { found: pages.len(), expected, ladder_words: header.ladder_words() })
         }
@@ -245,63 +243,21 @@ impl Program {
     /// `None` if the program was made of pages or bytes.
     #[must_use]
     pub fn brief_status(&self) -> Option<BriefStatus> {
-        self.origin.as_ref().map(|origin| origin.brief)
+        self.origin.brief
     }
 
     /// The detailed status (53) of the PLC when it was read. `None` if the program was made of pages or
     /// bytes.
     #[must_use]
     pub fn status(&self) -> Option<&DetailedStatus> {
-        self.origin.as_ref().map(|origin| &origin.status)
+        self.origin.detailed.as_ref()
     }
 
     /// The time when it was read, by the clock of the computer, in whole seconds. `None` if the program
     /// was made of pages or bytes.
     #[must_use]
     pub fn read_at(&self) -> Option<SystemTime> {
-        self.origin.as_ref().map(|origin| origin.read_at)
-    }
-
-    /// Names of the fields that this version of the library does not know, if the program was read
-    /// from a file of a [newer version](crate::file#versions). They are ignored.
-    #[must_use]
-    pub fn unknown_fields(&self) -> &[String] {
-        &self.unknown_fields
-    }
-
-    /// The content of a file with this program: text with the pages as hexadecimal digits, time,
-    /// status, length and checksum.
-    #[must_use]
-    pub fn to_file(&self) -> String {
-        format::write(self)
-    }
-
-    /// Parses the content of a file, of this or an older [version](crate::file#versions), or of a newer
-    /// one with the same major version.
-    ///
-    /// # Errors
-    /// [`FormatError`], which names the line and the rule, for a foreign file, another major version,
-    /// and a file that is cut off or changed in a single bit.
-    pub fn from_file(content: &[u8]) -> Result<Self, FormatError> {
-        format::read(content)
-    }
-
-    /// Saves the program. The old content of the file stays until the new one is complete on the disk.
-    ///
-    /// Blocks until the disk has written it.
-    ///
-    /// # Errors
-    /// [`FileError`]; the file is as it was before.
-    pub fn save(&self, path: impl AsRef<Path>) -> Result<(), FileError> {
-        file::save(path.as_ref(), self.to_file().as_bytes())
-    }
-
-    /// Loads a file of [`save`](Self::save). Blocks until the disk has read it.
-    ///
-    /// # Errors
-    /// [`FileError`], which names the file and the fault.
-    pub fn load(path: impl AsRef<Path>) -> Result<Self, FileError> {
-        file::load_as(path.as_ref(), Self::from_file)
+        self.origin.read_at
     }
 
     /// Saves the [bytes](Self::to_bytes) alone, for other tools. Such a file has no checksum.
@@ -323,10 +279,6 @@ impl Program {
         let invalid = |error: InvalidProgram| FormatError::Content { rule: error.to_string() };
         let program = Self::from_bytes(&content).map_err(invalid);
         program.map_err(|source| FileError::Format { path: path.to_owned(), source })
-    }
-
-    fn with_origin(self, origin: Origin) -> Self {
-        Self { origin: Some(origin), ..self }
     }
 }
 

@@ -109,13 +109,18 @@ pub(super) fn check_overlaps(ranges: &[Tag]) -> Result<(), InvalidBackup> {
 
 /// The longest runs of indices whose items fulfil a condition.
 pub(super) fn runs<T>(items: &[T], mut holds: impl FnMut(&T) -> bool) -> Vec<Range<usize>> {
-    let mut runs: Vec<Range<usize>> = Vec::new();
+    runs_by(items, |item| holds(item).then_some(())).into_iter().map(|(run, ())| run).collect()
+}
+
+/// The longest runs of items with the same key. Items without a key are in no run.
+pub(super) fn runs_by<T, K: PartialEq>(items: &[T], mut key: impl FnMut(&T) -> Option<K>) -> Vec<(Range<usize>, K)> {
+    let mut runs: Vec<(Range<usize>, K)> = Vec::new();
     for (index, item) in items.iter().enumerate() {
-        if holds(item) {
-            match runs.last_mut() {
-                Some(run) if run.end == index => run.end = index.saturating_add(1),
-                Some(_) | None => runs.push(index..index.saturating_add(1)),
-            }
+        let Some(key) = key(item) else { continue };
+        let end = index.saturating_add(1);
+        match runs.last_mut() {
+            Some((run, same)) if run.end == index && *same == key => run.end = end,
+            Some(_) | None => runs.push((index..end, key)),
         }
     }
     runs
@@ -237,14 +242,18 @@ impl Block {
 
     /// Stores the values of a reply.
     pub(super) fn fill(&mut self, chunk: Chunk, values: &[Value]) {
-        let cells = self.cells.get_mut(chunk.indices()).unwrap_or_default();
-        cells.iter_mut().zip(values).for_each(|(cell, &value)| *cell = Ok(value));
+        self.part(chunk).iter_mut().zip(values).for_each(|(cell, &value)| *cell = Ok(value));
     }
 
     /// Stores a refusal.
     pub(super) fn refuse(&mut self, chunk: Chunk, error: ErrorCode) {
-        let cells = self.cells.get_mut(chunk.indices()).unwrap_or_default();
-        cells.fill(Err(Missing::Refused(error)));
+        self.part(chunk).fill(Err(Missing::Refused(error)));
+    }
+
+    fn part(&mut self, chunk: Chunk) -> &mut [Cell] {
+        let cells = self.cells.get_mut(chunk.indices());
+        debug_assert!(cells.is_some(), "{chunk:?} is no part of the block");
+        cells.unwrap_or_default()
     }
 
     /// Its elements with their cells.

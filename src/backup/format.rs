@@ -5,11 +5,11 @@
 use std::fmt::Write;
 
 use super::block::part;
-use super::{Backup, Missing, Origin};
-use crate::command::{BriefStatus, DetailedStatus, Value};
+use super::{Backup, Missing};
+use crate::command::Value;
 use crate::element::{Element, Width};
 use crate::error::ErrorCode;
-use crate::file::{Content, FormatError, Kind, Lines, UNKNOWN, frame, parse_utc, unframe, utc};
+use crate::file::{Content, FormatError, Kind, Lines, Origin, frame, optional_field, unframe};
 use crate::hex;
 use crate::tag::Tag;
 
@@ -29,16 +29,9 @@ pub(super) fn read(file: &[u8]) -> Result<Backup, FormatError> {
 }
 
 fn form(backup: &Backup) -> String {
-    let Backup { origin, blocks, .. } = backup;
-    let field = |value: Option<String>| value.unwrap_or_else(|| UNKNOWN.to_owned());
-    let mut lines = format!(
-        "station {}\nread {}\nabout {}\nbrief {}\nstatus {}\n",
-        field(origin.station.map(|station| station.to_string())),
-        field(origin.read_at.map(utc)),
-        field(about(origin)),
-        field(origin.brief.map(|status| hex::encode(&status.raw()))),
-        field(origin.detailed.as_ref().map(|status| hex::encode(status.raw()))),
-    );
+    let Backup { station, origin, blocks, .. } = backup;
+    let mut lines = format!("station {}\n", optional_field(station.map(|station| station.to_string())));
+    lines += &origin.lines(about(origin));
     for block in blocks {
         lines += &format!("{RANGE} {}\n", block.range);
         let mut start = 0_usize;
@@ -110,15 +103,8 @@ fn parse(content: Content<'_>) -> Result<Backup, FormatError> {
     let station = lines.optional("station", "a number from 1 to 254", |text| {
         text.parse().ok().filter(|number| (1..=254).contains(number))
     })?;
-    let read_at = lines.optional("read", "a time such as 2026-11-22T07:09:13Z", parse_utc)?;
-    lines.field("about")?;
-    let brief = lines.optional("brief", "three bytes in hexadecimal digits", |text| {
-        Some(BriefStatus::from_raw(hex::decode(text)?.try_into().ok()?))
-    })?;
-    let detailed = lines.optional("status", "28 to 249 bytes in hexadecimal digits", |text| {
-        DetailedStatus::from_raw(hex::decode(text)?)
-    })?;
-    let mut backup = Backup { origin: Origin { station, read_at, brief, detailed }, ..empty(content)? };
+    let origin = Origin::parse(&mut lines)?;
+    let mut backup = Backup { station, origin, ..empty(content)? };
     for block in &mut backup.blocks {
         let range = lines.field(RANGE)?;
         if range != block.range.to_string() {

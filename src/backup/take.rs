@@ -4,10 +4,10 @@ use std::fmt;
 use std::time::SystemTime;
 
 use super::taking::Taking;
-use super::{Backup, BackupError, InvalidBackup, Origin};
+use super::{Backup, BackupError, InvalidBackup};
 use crate::command::DetailedStatus;
 use crate::error::Error;
-use crate::file::whole_seconds;
+use crate::file::{Origin, whole_seconds};
 use crate::progress::Progress;
 use crate::station::Station;
 use crate::tag::Tag;
@@ -96,17 +96,18 @@ impl TakeBackup {
         let read_at = Some(whole_seconds(SystemTime::now()));
         let brief = unless_refused(station.read_status().await)?;
         let detailed = unless_refused(station.read_detailed_status().await)?;
-        self.taking.backup.origin = Origin { station: Some(station.number()), read_at, brief, detailed };
+        self.taking.backup.station = Some(station.number());
+        self.taking.backup.origin = Origin { read_at, brief, detailed };
         Ok(())
     }
 
     /// Checks whether the PLC is the one that was read before, as far as that is known.
     async fn check_origin(&self, station: &Station) -> Result<(), BackupError> {
-        let Origin { station: before, detailed, .. } = &self.partial().origin;
+        let Backup { station: before, origin, .. } = self.partial();
         if let Some(backup) = before.filter(|&before| before != station.number()) {
             return Err(BackupError::OtherStation { backup, station: station.number() });
         }
-        let Some(backup) = detailed else { return Ok(()) };
+        let Some(backup) = &origin.detailed else { return Ok(()) };
         let plc = unless_refused(station.read_detailed_status().await).map_err(|error| self.failed(error))?;
         let model = |status: &DetailedStatus| (status.main_unit(), status.io_points_code());
         match plc {

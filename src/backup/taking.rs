@@ -58,11 +58,10 @@ impl Taking {
         self.backup.elements().filter(|(_, cell)| *cell != Err(Missing::NotRead)).count()
     }
 
-    fn refused(&mut self, chunk: Chunk, error: crate::ErrorCode) {
-        if let Some(block) = self.backup.blocks.get_mut(chunk.block) {
-            block.refuse(chunk, error);
-        }
-        self.done = self.done.saturating_add(chunk.count);
+    /// The number of held replies before a mark.
+    fn held_before(&self, mark: usize) -> usize {
+        debug_assert!(mark >= self.before, "the replies before {mark} are confirmed");
+        mark.saturating_sub(self.before).min(self.held.len())
     }
 }
 
@@ -95,7 +94,8 @@ impl Transfer for Taking {
             }
             (Err(Error::Plc { error, .. }), _) => {
                 if let Some(single) = self.chunks.refused() {
-                    self.refused(single, error);
+                    self.done = self.done.saturating_add(single.count);
+                    self.backup.blocks.get_mut(single.block).into_iter().for_each(|block| block.refuse(single, error));
                 }
             }
             (Err(error), _) => return Err(error),
@@ -113,21 +113,19 @@ impl Transfer for Taking {
     }
 
     fn rewind(&mut self, mark: usize) {
-        let kept = mark.saturating_sub(self.before).min(self.held.len());
-        let dropped = self.held.split_off(kept).into_iter().map(|(chunk, _)| chunk);
-        let dropped: Vec<Chunk> = dropped.collect();
+        let kept = self.held_before(mark);
+        let dropped: Vec<Chunk> = self.held.split_off(kept).into_iter().map(|(chunk, _)| chunk).collect();
         let elements: usize = dropped.iter().map(|chunk| chunk.count).sum();
+        debug_assert!(self.done >= elements, "held elements count as done");
         self.done = self.done.saturating_sub(elements);
         self.chunks.again(dropped);
     }
 
     fn keep(&mut self, first_held: Option<usize>) {
-        let count = first_held.map_or(usize::MAX, |mark| mark.saturating_sub(self.before)).min(self.held.len());
+        let count = first_held.map_or(self.held.len(), |mark| self.held_before(mark));
         self.before = self.before.saturating_add(count);
         for (chunk, values) in self.held.drain(..count) {
-            if let Some(block) = self.backup.blocks.get_mut(chunk.block) {
-                block.fill(chunk, &values);
-            }
+            self.backup.blocks.get_mut(chunk.block).into_iter().for_each(|block| block.fill(chunk, &values));
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::block::{Block, Cell, part, runs, runs_of_values};
+use super::block::{Block, Cell, part, runs, runs_by, runs_of_values};
 use super::{Difference, RefusedRange};
 use crate::command::{Value, most_in_one_request};
 use crate::error::ErrorCode;
@@ -141,15 +141,7 @@ impl Target {
                 None
             }
         };
-        let mut refused = Vec::new();
-        let mut start = 0_usize;
-        for same in self.elements.chunk_by(|one, next| error(one) == error(next)) {
-            let end = start.saturating_add(same.len());
-            if let Some(error) = same.first().and_then(error) {
-                refused.push(RefusedRange { range: part(self.range, &(start..end)), error });
-            }
-            start = end;
-        }
-        refused
+        let refused = |(run, error)| RefusedRange { range: part(self.range, &run), error };
+        runs_by(&self.elements, error).into_iter().map(refused).collect()
     }
 }

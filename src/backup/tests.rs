@@ -7,6 +7,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::element;
 use crate::element::{Symbol, Width};
+use crate::file;
 use crate::file::Kind;
 use crate::tag::TagType;
 
@@ -38,8 +39,8 @@ fn read(mut backup: Backup) -> Backup {
 
 fn small() -> Backup {
     let mut backup = read(of(["R3-R22:f32", "M60-M70", "DR100-DR102", "D5"]).unwrap());
+    backup.station = Some(7);
     backup.origin = Origin {
-        station: Some(7),
         read_at: Some(SystemTime::UNIX_EPOCH + Duration::from_secs(1_000_000_000)),
         brief: Some(BriefStatus::from_raw([1, 0x54, 0])),
         detailed: DetailedStatus::from_raw((0..28).collect::<Vec<u8>>()),
@@ -260,12 +261,11 @@ fn any_backup() -> impl Strategy<Value = Backup> {
                 Block { range: Tag::spanning(first, tag_type, cells.len()).unwrap(), cells }
             });
             let origin = Origin {
-                station,
                 read_at: seconds.map(|seconds| SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)),
                 brief: known.then(|| BriefStatus::from_raw(raw)),
                 detailed: (!known).then(|| DetailedStatus::from_raw(raw.repeat(10)).unwrap()),
             };
-            Backup { origin, blocks: blocks.collect(), unknown_fields: Vec::new() }
+            Backup { station, origin, blocks: blocks.collect(), unknown_fields: Vec::new() }
         },
     )
 }

@@ -11,9 +11,9 @@
 //!
 //! A program has one form: the parsed program is written again and compared.
 
-use super::{Origin, PAGE_BYTES, Program};
-use crate::command::{BriefStatus, DetailedStatus, ProgramPage};
-use crate::file::{Content, FormatError, Kind, Lines, UNKNOWN, frame, parse_utc, unframe, utc};
+use super::{PAGE_BYTES, Program};
+use crate::command::ProgramPage;
+use crate::file::{Content, FormatError, Kind, Lines, Origin, frame, unframe};
 use crate::hex;
 
 const PROGRAM: Kind = Kind("program");
@@ -27,16 +27,8 @@ pub(super) fn read(file: &[u8]) -> Result<Program, FormatError> {
 }
 
 fn form(program: &Program) -> String {
-    let origin = program.origin.as_ref();
-    let field = |value: fn(&Origin) -> String| origin.map_or_else(|| UNKNOWN.to_owned(), value);
-    let mut form = format!(
-        "read {}\nabout {}\nbrief {}\nstatus {}\npages {}\n",
-        field(|origin| utc(origin.read_at)),
-        about(program),
-        field(|origin| hex::encode(&origin.brief.raw())),
-        field(|origin| hex::encode(origin.status.raw())),
-        program.pages.len(),
-    );
+    let mut form = program.origin.lines(Some(about(program)));
+    form += &format!("pages {}\n", program.pages.len());
     for (number, page) in program.pages.iter().enumerate() {
         form += &format!("page {number} {}\n", hex::encode(&page.to_bytes()));
     }
@@ -45,20 +37,20 @@ fn form(program: &Program) -> String {
 
 /// For people: the program, and the model of the PLC.
 fn about(program: &Program) -> String {
-    let header = program.header;
-    program.origin.as_ref().map_or_else(
-        || header.to_string(),
-        |Origin { brief, status, .. }| {
-            let (major, minor) = status.os_version();
-            format!("{header}, from {}, main unit {}, OS {major}.{minor}", brief.capacity(), status.main_unit())
-        },
-    )
+    let Program { header, origin, .. } = program;
+    let Some((brief, status)) = origin.brief.zip(origin.detailed.as_ref()) else { return header.to_string() };
+    let (major, minor) = status.os_version();
+    format!("{header}, from {}, main unit {}, OS {major}.{minor}", brief.capacity(), status.main_unit())
 }
 
 fn parse(content: Content<'_>) -> Result<Program, FormatError> {
     let is_known = |name: &str| matches!(name, "read" | "about" | "brief" | "status" | "pages" | "page");
     let mut lines = Lines::new(content, is_known);
-    let origin = parse_origin(&mut lines)?;
+    let origin = Origin::parse(&mut lines)?;
+    let known = origin.read_at.is_some();
+    if origin.brief.is_some() != known || origin.detailed.is_some() != known {
+        return Err(lines.error("`read`, `brief` and `status` must be known together"));
+    }
     let count: usize = lines.field("pages")?.parse().map_err(|_| lines.error("a number of pages was expected"))?;
     let mut pages = Vec::new();
     for expected in 0..count {
@@ -75,27 +67,4 @@ fn parse(content: Content<'_>) -> Result<Program, FormatError> {
     let program = Program { origin, ..program? };
     let unknown_fields = lines.in_form(content, &form(&program))?;
     Ok(Program { unknown_fields, ..program })
-}
-
-/// All three fields are known, or none.
-fn parse_origin(lines: &mut Lines<'_>) -> Result<Option<Origin>, FormatError> {
-    let read_at = lines.optional("read", "a time such as 2026-11-22T07:09:13Z", parse_utc)?;
-    lines.field("about")?;
-    let brief = lines.optional("brief", "three bytes in hexadecimal digits", parse_brief)?;
-    let status = lines.optional("status", "28 to 249 bytes in hexadecimal digits", parse_status)?;
-    match (read_at, brief, status) {
-        (Some(read_at), Some(brief), Some(status)) => Ok(Some(Origin { brief, status, read_at })),
-        (None, None, None) => Ok(None),
-        (Some(_) | None, Some(_) | None, Some(_) | None) => {
-            Err(lines.error("`read`, `brief` and `status` must be known together"))
-        }
-    }
-}
-
-fn parse_brief(text: &str) -> Option<BriefStatus> {
-    Some(BriefStatus::from_raw(hex::decode(text)?.try_into().ok()?))
-}
-
-fn parse_status(text: &str) -> Option<DetailedStatus> {
-    DetailedStatus::from_raw(hex::decode(text)?)
 }

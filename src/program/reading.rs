@@ -3,10 +3,10 @@
 use std::time::SystemTime;
 
 use super::header::page_count;
-use super::{InvalidProgram, Origin, Program, ProgramAction, ProgramError, ProgramHeader};
+use super::{InvalidProgram, Program, ProgramAction, ProgramError, ProgramHeader};
 use crate::command::{BriefStatus, DetailedStatus, ProgramPage};
 use crate::error::Error;
-use crate::file::whole_seconds;
+use crate::file::{Origin, whole_seconds};
 use crate::progress::Phase;
 use crate::transfer::{HoldLimit, Position, Reply, Request, Step, Transfer};
 
@@ -99,11 +99,9 @@ impl Reading {
     /// The program, after [`Step::Done`]. The reading is as new then.
     pub(super) fn finish(&mut self, now: SystemTime) -> Result<Program, ProgramError> {
         let Self { brief, status, pages, .. } = std::mem::take(self);
-        let program = Program::from_pages(pages)?;
-        Ok(match (brief, status) {
-            (Some(brief), Some(status)) => program.with_origin(Origin { brief, status, read_at: whole_seconds(now) }),
-            _ => program,
-        })
+        debug_assert!(brief.is_some() && status.is_some(), "both are read before page 0");
+        let origin = Origin { read_at: Some(whole_seconds(now)), brief, detailed: status };
+        Ok(Program { origin, ..Program::from_pages(pages)? })
     }
 
     /// Confirmed pages.
@@ -213,6 +211,7 @@ impl Transfer for Reading {
     const KEEPS_PARTIAL: bool = true;
 
     fn next(&mut self) -> Result<Step, ProgramError> {
+        debug_assert!(self.confirmed <= self.pages.len(), "confirmed pages are kept");
         let held = self.pages.len().saturating_sub(self.confirmed);
         if self.verdict.is_some() || self.limit.is_reached(held) {
             return Ok(Step::Confirm);

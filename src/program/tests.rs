@@ -15,11 +15,12 @@ fn program(ladder_words: u16, seed: u16, known: bool) -> Program {
     if !known {
         return program;
     }
-    program.with_origin(Origin {
-        brief: BriefStatus::from_raw([1, 0x54, 0]),
-        status: DetailedStatus::from_raw(vec![0x31; 64]).unwrap(),
-        read_at: SystemTime::UNIX_EPOCH + Duration::from_secs(1_000_000_000),
-    })
+    let origin = Origin {
+        brief: Some(BriefStatus::from_raw([1, 0x54, 0])),
+        detailed: DetailedStatus::from_raw(vec![0x31; 64]),
+        read_at: Some(SystemTime::UNIX_EPOCH + Duration::from_secs(1_000_000_000)),
+    };
+    Program { origin, ..program }
 }
 
 #[test]

@@ -3,10 +3,12 @@
 //! `FATEK_RESTORING_SEEDS=100000` runs 100000 seeds, `FATEK_RESTORING_SEED=n` one.
 
 use super::*;
-use crate::backup::{Block, Origin};
+use crate::backup::Block;
 use crate::command::BriefStatus;
 use crate::element::Element;
+use crate::file::Origin;
 use crate::tag::Tag;
+use crate::transfer::PlcState;
 
 /// A backup of these ranges with the value 0 everywhere.
 fn backup(ranges: &[&str]) -> Backup {
@@ -14,7 +16,12 @@ fn backup(ranges: &[&str]) -> Backup {
         let range: Tag = range.parse().unwrap();
         Block { range, cells: vec![Ok(Value::Word(0)); range.element_count()] }
     };
-    Backup { origin: Origin::default(), blocks: ranges.iter().map(block).collect(), unknown_fields: Vec::new() }
+    Backup {
+        station: None,
+        origin: Origin::default(),
+        blocks: ranges.iter().map(block).collect(),
+        unknown_fields: Vec::new(),
+    }
 }
 
 fn lost() -> Error {
