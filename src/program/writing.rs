@@ -1,16 +1,17 @@
 //! Writing a program as a [`Transfer`], as the [module](super) draws it: compare, write, verify.
 
+mod compare;
 mod confirm;
 mod outcome;
 
 use std::collections::BTreeSet;
 
 use self::confirm::Pending;
-use super::{Program, ProgramAction, ProgramError, ProgramHeader, WriteOptions};
-use crate::command::{DetailedStatus, ProgramPage};
+use super::{Program, ProgramAction, ProgramError, WriteOptions};
+use crate::command::ProgramPage;
 use crate::error::Error;
 use crate::progress::Phase;
-use crate::transfer::{PlcState, Position, Reply, Request, RunControl, RunEvent, Step, Transfer};
+use crate::transfer::{Position, Reply, Request, RunControl, RunEvent, Step, Transfer};
 
 /// How often STOP and RUN are sent.
 const CONTROL_ATTEMPTS: u32 = 5;
@@ -35,7 +36,6 @@ pub(super) enum WriteStage {
     Kind,
     Compare(u16),
     Look(LookAt),
-    Stop,
     Write {
         page: u16,
         left: u32,
@@ -55,7 +55,7 @@ pub(super) enum WriteStage {
 /// When the status is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LookAt {
-    /// All pages are compared.
+    /// All pages are compared. A PLC that runs is stopped here, if that is chosen.
     Start,
     BetweenPages,
     /// The PLC refused a page.
@@ -199,120 +199,21 @@ impl Writing {
         self.touched && !self.whole()
     }
 
-    // Compare.
-
-    fn fits(&mut self, status: &DetailedStatus) {
-        let (program, plc) = (self.program.ladder_words(), status.ladder_words());
-        self.control.saw(status.flags().running());
-        if program != plc {
-            return self.refuse(ProgramError::SizeMisfit { program, plc });
-        }
-        if status.flags().memory_card() && self.goal != WriteGoal::Compare {
-            return self.refuse(ProgramError::MemoryCard);
-        }
-        let runs = self.control.plc() == PlcState::Running;
-        self.suspect = runs && self.touched;
-        if runs && !self.suspect && !self.options.stop_first && self.goal != WriteGoal::Compare {
-            return self.refuse(ProgramError::Running);
-        }
-        self.stage = WriteStage::Kind;
-    }
-
-    /// A PLC whose page 0 is no header has no kind, and may be given any program.
-    fn kind(&mut self, content: &ProgramPage) {
-        let program = self.program.header().kind();
-        match ProgramHeader::parse(content) {
-            Ok(header) if header.kind() != program => {
-                self.refuse(ProgramError::KindMisfit { program, plc: header.kind() });
-            }
-            // Pages that an earlier run wrote may have changed since: those are compared.
-            Ok(_) | Err(_) if self.writes_all() && self.written_before.is_empty() => {
-                self.pending = (0..self.program.header().page_count()).collect();
-                self.to_confirm = Some(Pending::AllCompared);
-            }
-            Ok(_) | Err(_) => {
-                self.uncompared = (1..self.program.header().page_count()).rev().collect();
-                self.uncompared.sort_by_key(|&page| page >= self.telling);
-                self.compare(0, content);
-            }
-        }
-    }
-
-    fn writes_all(&self) -> bool {
-        self.options.all_pages && self.goal != WriteGoal::Compare && !self.suspect
-    }
-
-    fn compare(&mut self, page: u16, content: &ProgramPage) {
-        let differs = self.program.page(page) != Some(content);
-        self.comparisons.push((page, differs));
-        let total = usize::from(self.program.header().page_count());
-        let done = total.saturating_sub(self.uncompared.len());
-        self.position = Position { phase: Phase::Comparing, done, total };
-        if differs && self.suspect && self.goal != WriteGoal::Compare {
-            self.to_confirm = Some(Pending::HalfRuns);
-            return;
-        }
-        match self.uncompared.pop() {
-            Some(next) => {
-                self.stage = WriteStage::Compare(next);
-                self.confirm_between(page, next);
-            }
-            None => self.to_confirm = Some(Pending::AllCompared),
-        }
-    }
-
-    fn is_to_be_written(&self, page: u16, differs: bool) -> bool {
-        differs || self.writes_all() && !self.written_before.contains(&page)
-    }
-
-    /// A check separates two pages that should be equal: a duplicate of one would pass as the other.
-    fn confirm_between(&mut self, page: u16, next: u16) {
-        if self.program.page(page) == self.program.page(next) {
-            self.to_confirm = Some(Pending::NextPage);
-        }
-    }
-
-    /// Uses the confirmed comparisons.
-    fn sort_out(&mut self) {
-        for (page, differs) in std::mem::take(&mut self.comparisons) {
-            if self.is_to_be_written(page, differs) {
-                self.pending.push(page);
-            } else if self.sent_before.remove(&page) {
-                self.written_before.insert(page);
-            }
-        }
-    }
-
-    fn all_compared(&mut self) {
-        self.sort_out();
-        self.compared = true;
-        // The PLC holds the program, if another client has written the rest.
-        self.touched &= !self.pending.is_empty();
-        // Taken from the end: the ladder in ascending order, then the header.
-        self.pending.sort_unstable_by(|page, next| next.cmp(page));
-        if self.pending.last() == Some(&0) {
-            self.pending.rotate_right(1);
-        }
-        match (self.goal, self.pending.is_empty()) {
-            (WriteGoal::Compare | WriteGoal::DryRun, _) => self.stage = WriteStage::Done,
-            (WriteGoal::Write, false) => self.look(LookAt::Start),
-            // An earlier run stopped the PLC and may have written all pages.
-            (WriteGoal::Write, true) if self.control.was_stopped() => self.look(LookAt::End),
-            (WriteGoal::Write, true) => self.stage = WriteStage::Done,
-        }
-    }
-
     // Run control.
 
     fn look(&mut self, at: LookAt) {
         self.stage = WriteStage::Look(at);
-        self.control.look();
+        if at == LookAt::Start && self.options.stop_first {
+            self.control.halt();
+        } else {
+            self.control.look();
+        }
     }
 
     fn controlled(&mut self, event: RunEvent) {
         match (self.stage, event) {
             (WriteStage::Look(at), RunEvent::Seen(running)) => self.seen(at, running),
-            (WriteStage::Stop, RunEvent::Obeyed) => self.write_next(),
+            (WriteStage::Look(_), RunEvent::Obeyed) => self.write_next(),
             (WriteStage::Run, RunEvent::Obeyed) => self.stage = WriteStage::Done,
             (WriteStage::Secure, _) => self.stage = WriteStage::Failed,
             (_, RunEvent::Failed(failure)) => self.give_up(failure.into()),
@@ -325,10 +226,6 @@ impl Writing {
     fn seen(&mut self, at: LookAt, running: bool) {
         match (at, running) {
             (LookAt::Start, false) => self.write_next(),
-            (LookAt::Start, true) if self.options.stop_first => {
-                self.stage = WriteStage::Stop;
-                self.control.stop();
-            }
             (LookAt::Start, true) if self.touched => self.set_running(),
             (LookAt::Start, true) => self.fail(ProgramError::Running),
             (LookAt::Refusal, true) if self.touched => self.set_running(),
@@ -506,8 +403,8 @@ impl Transfer for Writing {
                 None => return Err(self.take_failure()),
             },
             WriteStage::Done => return Ok(Step::Done),
-            // Run control has a request in the first four.
-            WriteStage::Look(_) | WriteStage::Stop | WriteStage::Run | WriteStage::Secure | WriteStage::Failed => {
+            // Run control has a request in the first three.
+            WriteStage::Look(_) | WriteStage::Run | WriteStage::Secure | WriteStage::Failed => {
                 return Err(self.take_failure());
             }
         };

@@ -3,6 +3,7 @@
 //! ```text
 //! look    Look (40) ─▶ Seen
 //! stop    Stop (41) ─▶ Stopped? (40) ─▶ Obeyed       still running: pause, and Stop again
+//! halt    Look (40) ─▶ Seen, or if it runs: as stop
 //! run     Run (41) ──▶ Running? (40) ─▶ Obeyed       still stopped: pause, and Run again
 //! secure  Look (40) ─▶ Secured, or if it runs: Stop (41) ⇄ Stopped? (40) ─▶ Secured
 //! ```
@@ -54,6 +55,8 @@ pub(crate) struct RunControl {
     state: ControlState,
     /// The current operation is [`secure`](Self::secure).
     securing: bool,
+    /// A look that finds the PLC running is followed by STOP.
+    halting: bool,
     /// A status that is not confirmed: whether the PLC runs.
     unconfirmed: Option<bool>,
     plc: PlcState,
@@ -88,9 +91,10 @@ pub(crate) enum RunCommand {
 /// The end of an operation.
 #[derive(Debug)]
 pub(crate) enum RunEvent {
-    /// [`look`](RunControl::look): whether the PLC runs.
+    /// [`look`](RunControl::look): whether the PLC runs. [`halt`](RunControl::halt): it is stopped already.
     Seen(bool),
-    /// [`stop`](RunControl::stop), [`run`](RunControl::run): the PLC was seen to obey.
+    /// [`halt`](RunControl::halt), [`stop`](RunControl::stop), [`run`](RunControl::run): the PLC was
+    /// seen to obey.
     Obeyed,
     /// [`secure`](RunControl::secure): [`plc`](RunControl::plc) is as far as it is known.
     Secured,
@@ -124,6 +128,7 @@ impl RunControl {
             attempts: attempts.max(1),
             state: ControlState::Idle,
             securing: false,
+            halting: false,
             unconfirmed: None,
             plc: PlcState::Unknown,
             was_stopped: false,
@@ -158,6 +163,12 @@ impl RunControl {
         self.enter(ControlState::FirstLook);
     }
 
+    /// Reads the status, and stops the PLC if it runs.
+    pub(crate) fn halt(&mut self) {
+        self.look();
+        self.halting = true;
+    }
+
     /// Stops the PLC, which runs.
     pub(crate) fn stop(&mut self) {
         self.cancel();
@@ -172,9 +183,11 @@ impl RunControl {
 
     /// Leaves the PLC stopped after a failure, as far as possible. `runs`: a status just said so.
     pub(crate) fn secure(&mut self, runs: bool) {
-        let stop = ControlState::Send(RunCommand::Stop, self.attempts);
-        self.enter(if runs { stop } else { ControlState::Look });
+        self.halt();
         self.securing = true;
+        if runs {
+            self.send(RunCommand::Stop, self.attempts);
+        }
     }
 
     /// The status, as [`plc`](Self::plc) from a reply other than that to [`Request::Status`].
@@ -274,12 +287,12 @@ impl RunControl {
         }
         self.saw(running);
         match self.state {
-            ControlState::Look if !self.securing => Some(self.finish(RunEvent::Seen(running))),
-            ControlState::Look if running => {
-                self.state = ControlState::Send(RunCommand::Stop, self.attempts);
+            ControlState::Look if running && self.halting => {
+                self.send(RunCommand::Stop, self.attempts);
                 None
             }
-            ControlState::Look => Some(self.finish(RunEvent::Secured)),
+            ControlState::Look if self.securing => Some(self.finish(RunEvent::Secured)),
+            ControlState::Look => Some(self.finish(RunEvent::Seen(running))),
             ControlState::Observe(command, left) => self.observed(command, left, running),
             // No status is read there.
             ControlState::Idle | ControlState::FirstLook | ControlState::Send(..) | ControlState::Pause(..) => None,
@@ -294,7 +307,8 @@ impl RunControl {
     }
 
     fn enter(&mut self, state: ControlState) {
-        (self.state, self.securing, self.unconfirmed, self.command_error) = (state, false, None, None);
+        (self.state, self.securing, self.halting, self.unconfirmed, self.command_error) =
+            (state, false, false, None, None);
     }
 
     fn send(&mut self, command: RunCommand, left: u32) {

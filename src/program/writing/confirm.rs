@@ -47,7 +47,7 @@ impl Writing {
         match self.stage {
             WriteStage::Fit | WriteStage::Done | WriteStage::Failed => {}
             WriteStage::Kind | WriteStage::Compare(_) => self.compare_from(mark),
-            WriteStage::Look(_) | WriteStage::Stop | WriteStage::Write { .. } | WriteStage::ReadBack { .. } => {
+            WriteStage::Look(_) | WriteStage::Write { .. } | WriteStage::ReadBack { .. } => {
                 self.read_back_from(mark.written);
             }
             WriteStage::Verify(page) => {

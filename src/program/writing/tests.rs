@@ -12,6 +12,7 @@ use crate::command::{Code, ControlPlc, ReadDetailedStatus, ReadProgramPage, Read
 use crate::program::{WriteProgramError, WriteReport, WriteState};
 use crate::random::Random;
 use crate::sim::{Execute, Model, Plc};
+use crate::transfer::PlcState;
 use crate::transfer::contract::{self, End};
 
 const LADDER_WORDS: u16 = 320;
