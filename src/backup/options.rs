@@ -10,6 +10,7 @@
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
+#[must_use]
 pub struct RestoreOptions {
     pub(super) if_running: IfRunning,
     pub(super) run_again: bool,
@@ -28,7 +29,6 @@ pub(super) enum IfRunning {
 
 impl RestoreOptions {
     /// The defaults.
-    #[must_use]
     pub fn new() -> Self {
         Self { if_running: IfRunning::Continue, run_again: false, write_forced: false, bridge: 0, attempts: 3 }
     }
@@ -40,7 +40,6 @@ impl RestoreOptions {
     /// If another client starts the PLC meanwhile, that is
     /// [`RestoreFailure::SetRunning`](super::RestoreFailure::SetRunning). The status is read just before
     /// the first write and at the end: a PLC that was started and stopped in between is not noticed.
-    #[must_use]
     pub fn stop_first(self) -> Self {
         Self { if_running: IfRunning::Stop, ..self }
     }
@@ -49,20 +48,17 @@ impl RestoreOptions {
     /// anything is written, and one that is started later with
     /// [`RestoreFailure::SetRunning`](super::RestoreFailure::SetRunning). The status is read as with
     /// [`stop_first`](Self::stop_first).
-    #[must_use]
     pub fn require_stopped(self) -> Self {
         Self { if_running: IfRunning::Refuse, ..self }
     }
 
     /// With [`stop_first`](Self::stop_first): starts the PLC when all elements are restored, if it ran
     /// before, and confirms that by its status.
-    #[must_use]
     pub fn run_again(self) -> Self {
         Self { run_again: true, ..self }
     }
 
     /// Writes disabled discretes, too: their forced state becomes that of the backup.
-    #[must_use]
     pub fn write_forced(self) -> Self {
         Self { write_forced: true, ..self }
     }
@@ -70,14 +66,12 @@ impl RestoreOptions {
     /// Writes up to this number of equal elements between two that differ, if both then fit into one
     /// request. Default: 0. A higher number saves requests, and overwrites changes that a running
     /// program makes to these elements meanwhile.
-    #[must_use]
     pub fn bridge(self, elements: usize) -> Self {
         Self { bridge: elements, ..self }
     }
 
     /// How often a write, STOP or RUN is sent at most, if there is no reply and a read shows no effect.
     /// Default: 3; at least 1.
-    #[must_use]
     pub fn attempts(self, attempts: u32) -> Self {
         Self { attempts: attempts.max(1), ..self }
     }

@@ -20,6 +20,7 @@ const DEFAULT_PROBE_INTERVAL: Duration = Duration::from_secs(60);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
+#[must_use]
 pub struct ScanClass {
     pub(super) period: Duration,
     pub(super) phase: Option<Duration>,
@@ -30,7 +31,6 @@ pub struct ScanClass {
 
 impl ScanClass {
     /// Makes a class that is read once a period, 1 ms to a day.
-    #[must_use]
     pub fn every(period: Duration) -> Self {
         Self { period, phase: None, stale_after: None, bad_after: None, probe_refused: DEFAULT_PROBE_INTERVAL }
     }
@@ -39,7 +39,6 @@ impl ScanClass {
     ///
     /// Classes with equal period and phase are read at the same time. Default: random for each
     /// station, which spreads the load of many stations evenly.
-    #[must_use]
     pub fn phase(self, phase: Duration) -> Self {
         Self { phase: Some(phase), ..self }
     }
@@ -48,7 +47,6 @@ impl ScanClass {
     ///
     /// That happens when its turn does not come or a reply takes long. Default: three periods.
     /// Raised to two periods if less.
-    #[must_use]
     pub fn stale_after(self, age: Duration) -> Self {
         Self { stale_after: Some(age), ..self }
     }
@@ -56,13 +54,11 @@ impl ScanClass {
     /// Sets the age at which a stale value becomes [bad](super::Quality::Bad) and is dropped.
     ///
     /// Default: ten periods. Raised to [`stale_after`](Self::stale_after) if less.
-    #[must_use]
     pub fn bad_after(self, age: Duration) -> Self {
         Self { bad_after: Some(age), ..self }
     }
 
     /// Sets the interval of the probes of a tag that the PLC has refused. Default: a minute.
-    #[must_use]
     pub fn probe_refused(self, interval: Duration) -> Self {
         Self { probe_refused: interval, ..self }
     }
@@ -103,6 +99,7 @@ impl ScanClass {
 /// # Ok::<(), fatek::tag::ParseTagError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
+#[must_use]
 pub struct PollTag {
     pub(super) name: Arc<str>,
     pub(super) tag: Tag,
@@ -121,13 +118,11 @@ impl PollTag {
     /// Makes a tag whose samples are reported after each reading.
     ///
     /// The name is copied to the samples; it need not be unique.
-    #[must_use]
     pub fn new(name: impl Into<Arc<str>>, tag: Tag) -> Self {
         Self { name: name.into(), tag, policy: ReportPolicy { on_change: false, deadband: 0.0, heartbeat: None } }
     }
 
     /// Reports a sample only when a value or the quality has changed since the last sample.
-    #[must_use]
     pub fn on_change(mut self) -> Self {
         self.policy.on_change = true;
         self
@@ -137,19 +132,15 @@ impl PollTag {
     ///
     /// Measured from the last sample, so a slow drift is reported too. See
     /// [`on_change`](Self::on_change).
-    #[must_use]
-    pub fn deadband(mut self, deadband: f64) -> Self {
-        self.policy = ReportPolicy { on_change: true, deadband, ..self.policy };
-        self
+    pub fn deadband(self, deadband: f64) -> Self {
+        Self { policy: ReportPolicy { on_change: true, deadband, ..self.policy }, ..self }
     }
 
     /// Reports on change, and with the first reading after this time without a sample.
     ///
     /// See [`on_change`](Self::on_change).
-    #[must_use]
-    pub fn heartbeat(mut self, heartbeat: Duration) -> Self {
-        self.policy = ReportPolicy { on_change: true, heartbeat: Some(heartbeat), ..self.policy };
-        self
+    pub fn heartbeat(self, heartbeat: Duration) -> Self {
+        Self { policy: ReportPolicy { on_change: true, heartbeat: Some(heartbeat), ..self.policy }, ..self }
     }
 
     /// Returns the name.

@@ -13,6 +13,7 @@ use std::time::Duration;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
+#[must_use]
 pub struct WriteOptions {
     pub(super) stop_first: bool,
     pub(super) run_again: bool,
@@ -24,7 +25,6 @@ pub struct WriteOptions {
 
 impl WriteOptions {
     /// The defaults.
-    #[must_use]
     pub fn new() -> Self {
         Self {
             stop_first: false,
@@ -39,49 +39,37 @@ impl WriteOptions {
     /// Stops a running PLC if a page is to be written, and confirms that by its status. Without this
     /// option a running PLC is [`ProgramError::Running`](super::ProgramError::Running), before
     /// anything is written.
-    #[must_use]
-    pub fn stop_first(mut self) -> Self {
-        self.stop_first = true;
-        self
+    pub fn stop_first(self) -> Self {
+        Self { stop_first: true, ..self }
     }
 
     /// Starts the PLC when all pages are written, if it ran before, and confirms that by its status.
-    #[must_use]
-    pub fn run_again(mut self) -> Self {
-        self.run_again = true;
-        self
+    pub fn run_again(self) -> Self {
+        Self { run_again: true, ..self }
     }
 
     /// Writes all pages, not only those that differ. The first run reads no page before it is
     /// written. Further runs of the same [`WriteProgram`](super::WriteProgram) compare all pages and
     /// do not repeat those that an earlier run has written.
-    #[must_use]
-    pub fn all_pages(mut self) -> Self {
-        self.all_pages = true;
-        self
+    pub fn all_pages(self) -> Self {
+        Self { all_pages: true, ..self }
     }
 
     /// Reads and compares all pages at the end, also those that were not written.
-    #[must_use]
-    pub fn verify_all(mut self) -> Self {
-        self.verify_all = true;
-        self
+    pub fn verify_all(self) -> Self {
+        Self { verify_all: true, ..self }
     }
 
     /// How often a page is written at most, if its write has no reply or it reads back differently.
     /// Default: 3; at least 1.
-    #[must_use]
-    pub fn attempts(mut self, attempts: u32) -> Self {
-        self.attempts = attempts.max(1);
-        self
+    pub fn attempts(self, attempts: u32) -> Self {
+        Self { attempts: attempts.max(1), ..self }
     }
 
     /// Response timeout of the write of a page. Default: that of the station. A PLC that keeps its
     /// program in flash memory may need more.
-    #[must_use]
-    pub fn page_timeout(mut self, timeout: Duration) -> Self {
-        self.page_timeout = Some(timeout);
-        self
+    pub fn page_timeout(self, timeout: Duration) -> Self {
+        Self { page_timeout: Some(timeout), ..self }
     }
 }
 
