@@ -147,16 +147,12 @@ impl CompiledPlan {
             .filter_map(|index| Some((*index, self.part(*index)?)))
             .filter(|(_, part)| tag_map.contains(part.id))
             .collect();
-        let parts: Vec<TagPart> = indexed.iter().map(|(_, part)| *part).collect();
-        let mut rest = indexed.as_slice();
         let mut items = Vec::new();
-        for item in tags_and_groups(&parts, tag_map) {
-            let Some((here, behind)) = rest.split_at_checked(item.len()) else { break };
-            rest = behind;
-            let words = here.iter().filter_map(|(index, _)| self.as_plan().words_in(*index as usize, request));
+        for item in indexed.chunk_by(|(_, a), (_, b)| is_one_group(a, b, tag_map)) {
+            let words = item.iter().filter_map(|(index, _)| self.as_plan().words_in(*index as usize, request));
             let words = words.reduce(|span, words| span.start.min(words.start)..span.end.max(words.end));
-            let mut parts = item.to_vec();
-            if let ([part], [(index, _)]) = (parts.as_mut_slice(), here)
+            let mut parts: Vec<TagPart> = item.iter().map(|(_, part)| *part).collect();
+            if let ([part], [(index, _)]) = (parts.as_mut_slice(), item)
                 && self.requests_per_part().get(*index as usize).is_some_and(|requests| *requests > 1)
                 && let Some(values) = self.as_plan().values_in(*index as usize, request)
                 && let Some(section) = part.values(values, tag_map)
@@ -200,8 +196,12 @@ impl RefusedItem {
 
 /// Divides parts into single tags and one-scan groups, which are not divided further.
 pub(super) fn tags_and_groups<'t>(parts: &'t [TagPart], tag_map: &TagMap) -> impl Iterator<Item = &'t [TagPart]> {
+    parts.chunk_by(move |a, b| is_one_group(a, b, tag_map))
+}
+
+fn is_one_group(a: &TagPart, b: &TagPart, tag_map: &TagMap) -> bool {
     let group = |part: &TagPart| tag_map.get(part.id).and_then(|state| state.group);
-    parts.chunk_by(move |a, b| group(a).is_some() && group(a) == group(b))
+    group(a).is_some() && group(a) == group(b)
 }
 
 fn is_group(item: &[TagPart], tag_map: &TagMap) -> bool {

@@ -26,9 +26,12 @@ pub(super) async fn run(shared: Arc<PollerShared>, station: Arc<StationShared>) 
     let StopOnDrop(shared, station) = &guard;
     loop {
         let step = advance(shared, station, StationPoller::next_step);
-        match step {
+        let repeated = match step {
             None => return,
-            Some(PollStep::Wait(until)) => changed_or_at(&station.changed, until).await,
+            Some(PollStep::Wait(until)) => {
+                changed_or_at(&station.changed, until).await;
+                continue;
+            }
             Some(PollStep::Read(request)) => {
                 let read = request.call_in_cycle(&station.handle);
                 let Some(answered) = wait_for(shared, station, read).await else { return };
@@ -36,26 +39,20 @@ pub(super) async fn run(shared: Arc<PollerShared>, station: Arc<StationShared>) 
                 let round_trip = station.handle.stats().round_trip.map(|round_trip| round_trip.last);
                 let at = Stamp::of(at.unwrap_or_else(Instant::now));
                 let outcome = ReadOutcome { result, at, round_trip, shape, proof };
-                let repeated = advance(shared, station, |poller, _, samples| poller.handle_read(outcome, samples));
-                count_repeated(station, repeated);
+                advance(shared, station, |poller, _, samples| poller.handle_read(outcome, samples))
             }
             Some(PollStep::Confirm) => {
                 let check = station.handle.submit(LoopBack::empty(), Purpose::Confirm(()));
                 let Some(CallOutcome { result, proof, .. }) = wait_for(shared, station, check).await else { return };
                 let result = result.map(|()| proof);
-                let repeated =
-                    advance(shared, station, |poller, now, samples| poller.handle_check(result, now, samples));
-                count_repeated(station, repeated);
+                advance(shared, station, |poller, now, samples| poller.handle_check(result, now, samples))
             }
+        };
+        if repeated == Some(true) {
+            let number = station.handle.number();
+            tracing::debug!(station = number, "unexpected frame within a poll cycle: its values are dropped");
+            station.handle.link().shared_stats().count_repeated_job(number);
         }
-    }
-}
-
-fn count_repeated(station: &StationShared, repeated: Option<bool>) {
-    if repeated == Some(true) {
-        let number = station.handle.number();
-        tracing::debug!(station = number, "unexpected frame within a poll cycle: its values are dropped");
-        station.handle.link().shared_stats().count_repeated_job(number);
     }
 }
 

@@ -296,11 +296,7 @@ impl StationPoller {
     /// Updates the quality of the tags by their age. Call it at [`next_aging`](Self::next_aging),
     /// also while a request is in flight.
     pub(super) fn age(&mut self, now: Stamp, samples: &mut Vec<Sample>) {
-        for class in &mut self.classes {
-            if class.next_age_check().is_some_and(|at| at <= now.instant) {
-                class.age(now, &mut self.context.tag_map, samples);
-            }
-        }
+        self.age_due(ClassState::next_age_check, now, samples);
     }
 
     /// Returns when to call [`age`](Self::age).
@@ -310,11 +306,12 @@ impl StationPoller {
 
     /// Updates the quality of the tags without the pause of [`age`](Self::age).
     fn age_now(&mut self, now: Stamp, samples: &mut Vec<Sample>) {
-        for class in &mut self.classes {
-            if class.next_aging.is_some_and(|at| at <= now.instant) {
-                class.age(now, &mut self.context.tag_map, samples);
-            }
-        }
+        self.age_due(|class| class.next_aging, now, samples);
+    }
+
+    fn age_due(&mut self, due: impl Fn(&ClassState) -> Option<Instant>, now: Stamp, samples: &mut Vec<Sample>) {
+        let classes = self.classes.iter_mut().filter(|class| due(class).is_some_and(|at| at <= now.instant));
+        classes.for_each(|class| class.age(now, &mut self.context.tag_map, samples));
     }
 
     fn first_due(&mut self, scan: &ScanClass, now: Instant) -> Instant {

@@ -39,8 +39,8 @@ impl TagMap {
         }
         self.states.extend(states.map(Box::new));
         // Ids ascend, except when two threads add tags at the same time.
-        if !self.states.is_sorted_by_key(|state| state.id) {
-            self.states.sort_unstable_by_key(|state| state.id);
+        if !self.states.is_sorted_by_key(|state| state.id()) {
+            self.states.sort_unstable_by_key(|state| state.id());
         }
     }
 
@@ -57,6 +57,6 @@ impl TagMap {
     }
 
     fn index_of(&self, id: TagId) -> Option<usize> {
-        self.states.binary_search_by_key(&id, |state| state.id).ok()
+        self.states.binary_search_by_key(&id, |state| state.id()).ok()
     }
 }

@@ -23,15 +23,12 @@ use crate::tag::{Tag, TagValue};
 /// values read, and `at` is the time of their reply.
 #[derive(Debug)]
 pub(super) struct TagState {
-    pub(super) id: TagId,
+    /// Its values are the last ones read.
+    sample: Sample,
     pub(super) tag: Tag,
     /// Tags with the same group must be read by one request.
     pub(super) group: Option<u64>,
-    name: Arc<str>,
     policy: ReportPolicy,
-    quality: Quality,
-    values: Option<Arc<[TagValue]>>,
-    at: Stamp,
     /// The last sample reported, if samples are reported on change.
     last_report: Option<Box<LastReport>>,
     /// The time of the next probe of a refused tag.
@@ -50,24 +47,17 @@ struct LastReport {
 impl TagState {
     pub(super) fn new(id: TagId, tag: PollTag, group: Option<u64>, now: Stamp) -> Self {
         let PollTag { name, tag, policy } = tag;
-        Self {
-            id,
-            tag,
-            group,
-            name,
-            policy,
-            quality: Quality::Bad(Reason::NotYetRead),
-            values: None,
-            at: now,
-            last_report: None,
-            probe_at: None,
-            cycle: 0,
-        }
+        let sample = Sample { id, name, quality: Quality::Bad(Reason::NotYetRead), at: now, values: None };
+        Self { sample, tag, group, policy, last_report: None, probe_at: None, cycle: 0 }
+    }
+
+    pub(super) fn id(&self) -> TagId {
+        self.sample.id
     }
 
     /// Whether the tag was added after this time and has not been read or refused.
     pub(super) fn is_new_since(&self, time: Instant) -> bool {
-        matches!(self.quality, Quality::Bad(Reason::NotYetRead)) && self.at.instant > time
+        matches!(self.sample.quality, Quality::Bad(Reason::NotYetRead)) && self.sample.at.instant > time
     }
 
     /// Whether the PLC has refused the tag.
@@ -78,19 +68,19 @@ impl TagState {
     /// Sets the values that were read.
     pub(super) fn set_values(&mut self, values: Vec<TagValue>, at: Stamp, samples: &mut Vec<Sample>) {
         // Equal values share their memory with earlier samples.
-        if self.values.as_deref().is_none_or(|before| !is_identical(before, &values)) {
-            self.values = Some(values.into());
+        if self.sample.values.as_deref().is_none_or(|before| !is_identical(before, &values)) {
+            self.sample.values = Some(values.into());
         }
-        self.quality = Quality::Good;
-        self.at = at;
+        self.sample.quality = Quality::Good;
+        self.sample.at = at;
         self.probe_at = None;
         self.report_if_due(at.instant, samples);
     }
 
     /// Marks the tag as not read. It keeps values that are younger than `bad_age`.
     pub(super) fn set_failed(&mut self, reason: Reason, now: Stamp, bad_age: Duration, samples: &mut Vec<Sample>) {
-        if self.values.is_some() && self.at.age(now.instant) < bad_age {
-            self.quality = Quality::Stale(reason);
+        if self.sample.values.is_some() && self.sample.at.age(now.instant) < bad_age {
+            self.sample.quality = Quality::Stale(reason);
         } else {
             self.set_bad(reason, now);
         }
@@ -111,21 +101,21 @@ impl TagState {
 
     /// The time at which the age of the values changes the quality.
     pub(super) fn next_aging(&self, stale_age: Duration, bad_age: Duration) -> Option<Instant> {
-        let age = match self.quality {
+        let age = match self.sample.quality {
             Quality::Good => stale_age,
             Quality::Stale(_) => bad_age,
             Quality::Bad(_) => return None,
         };
-        self.at.instant.checked_add(age)
+        self.sample.at.instant.checked_add(age)
     }
 
     /// Updates the quality by the age of the values.
     pub(super) fn age(&mut self, now: Stamp, stale_age: Duration, bad_age: Duration, samples: &mut Vec<Sample>) {
-        let age = self.at.age(now.instant);
-        let before = self.quality.clone();
+        let age = self.sample.at.age(now.instant);
+        let before = self.sample.quality.clone();
         match before {
             Quality::Good if age >= bad_age => self.set_bad(Reason::Overdue, now),
-            Quality::Good if age >= stale_age => self.quality = Quality::Stale(Reason::Overdue),
+            Quality::Good if age >= stale_age => self.sample.quality = Quality::Stale(Reason::Overdue),
             Quality::Stale(reason) if age >= bad_age => self.set_bad(reason, now),
             Quality::Good | Quality::Stale(_) | Quality::Bad(_) => return,
         }
@@ -134,25 +124,19 @@ impl TagState {
 
     /// The current sample.
     pub(super) fn sample(&self) -> Sample {
-        Sample {
-            id: self.id,
-            name: self.name.clone(),
-            quality: self.quality.clone(),
-            at: self.at,
-            values: self.values.clone(),
-        }
+        self.sample.clone()
     }
 
     fn set_bad(&mut self, reason: Reason, now: Stamp) {
-        self.quality = Quality::Bad(reason);
-        self.values = None;
-        self.at = now;
+        self.sample.quality = Quality::Bad(reason);
+        self.sample.values = None;
+        self.sample.at = now;
     }
 
     fn report_if_due(&mut self, now: Instant, samples: &mut Vec<Sample>) {
         if self.is_report_due(now) {
             if self.policy.on_change {
-                let (quality, values) = (self.quality.clone(), self.values.clone());
+                let (quality, values) = (self.sample.quality.clone(), self.sample.values.clone());
                 self.last_report = Some(Box::new(LastReport { quality, values, instant: now }));
             }
             samples.push(self.sample());
@@ -164,14 +148,14 @@ impl TagState {
             return true;
         };
         let silence = now.saturating_duration_since(last.instant);
-        self.quality.differs_from(&last.quality)
+        self.sample.quality.differs_from(&last.quality)
             || self.policy.heartbeat.is_some_and(|heartbeat| silence >= heartbeat)
             || self.has_left_deadband(last.values.as_deref())
     }
 
     /// Whether a value has left the deadband around the last reported one.
     fn has_left_deadband(&self, reported: Option<&[TagValue]>) -> bool {
-        match (self.values.as_deref(), reported) {
+        match (self.sample.values.as_deref(), reported) {
             (Some(now), Some(then)) => {
                 now.len() != then.len()
                     || now.iter().zip(then).any(|(now, then)| has_changed(now, then, self.policy.deadband))
