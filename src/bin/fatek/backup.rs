@@ -214,7 +214,7 @@ fn print<'a>(differences: impl Iterator<Item = &'a Difference>, output: &Output)
 fn cell(value: Value) -> Cell {
     match value {
         Value::Bit(on) => Cell { text: u8::from(on).to_string(), json: on.into() },
-        Value::Word(word) => u32::from(word).into(),
+        Value::Word(word) => word.into(),
         Value::DWord(double) => double.into(),
     }
 }

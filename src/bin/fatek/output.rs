@@ -77,6 +77,11 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }
 
+/// Version of an operating system.
+pub(crate) fn version((major, minor): (u8, u8)) -> String {
+    format!("{major}.{minor}")
+}
+
 /// Table with a header.
 #[derive(Debug)]
 pub(crate) struct Rows {
@@ -159,17 +164,16 @@ impl From<&str> for Cell {
     }
 }
 
-impl From<bool> for Cell {
-    fn from(on: bool) -> Self {
-        Self { text: on.to_string(), json: on.into() }
-    }
+macro_rules! cells_from {
+    ($($plain:ty)+) => {
+        $(impl From<$plain> for Cell {
+            fn from(plain: $plain) -> Self {
+                Self { text: plain.to_string(), json: plain.into() }
+            }
+        })+
+    };
 }
-
-impl From<u32> for Cell {
-    fn from(number: u32) -> Self {
-        Self { text: number.to_string(), json: number.into() }
-    }
-}
+cells_from! { bool u8 u16 u32 usize }
 
 impl From<Duration> for Cell {
     /// In milliseconds.

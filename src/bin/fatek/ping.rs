@@ -28,7 +28,7 @@ pub(crate) async fn ping(station: &Station, args: &PingArgs, output: &Output) ->
         if output.format == Format::Table {
             print_line(sequence, args.size, &time)?;
         }
-        rows.push([sequence.into(), u32::from(args.size).into(), time.ok().into()]);
+        rows.push([sequence.into(), args.size.into(), time.ok().into()]);
     }
     if output.format != Format::Table {
         output.rows(&rows)?;

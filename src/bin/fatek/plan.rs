@@ -73,11 +73,11 @@ fn rows(plan: &Plan) -> Rows {
         }
     }
     let mut rows = Rows::new(["request", "values", "bytes", "time_ms", "reads", "tags"]);
-    for ((number, planned), tags) in (1..).zip(plan.requests()).zip(tags) {
+    for ((number, planned), tags) in (1_usize..).zip(plan.requests()).zip(tags) {
         rows.push([
-            number_cell(number),
-            number_cell(planned.value_count()),
-            number_cell(planned.bytes()),
+            number.into(),
+            planned.value_count().into(),
+            planned.bytes().into(),
             planned.time().into(),
             planned.request().to_string().into(),
             Cell { text: tags.join(" "), json: tags.into() },
@@ -95,8 +95,4 @@ fn json(plan: &Plan) -> Value {
         ("time_ms", Cell::from(plan.time()).json),
     ];
     sums.into_iter().collect()
-}
-
-fn number_cell(number: usize) -> Cell {
-    Cell { text: number.to_string(), json: number.into() }
 }

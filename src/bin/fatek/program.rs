@@ -11,7 +11,7 @@ use crate::args::{Plc, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramW
 use crate::confirm::confirm;
 use crate::connect;
 use crate::failure::Failure;
-use crate::output::{Cell, Format, Output, Rows, hex};
+use crate::output::{Cell, Format, Output, Rows, hex, version};
 use crate::retry::{Direction, is_line_failure, retry, unless_interrupted, write_progress};
 use crate::transfer::{Reporter, choose, stops, warn_of_unknown_fields, would_stop};
 
@@ -124,19 +124,15 @@ fn fields(program: &Program) -> Vec<(&'static str, Cell)> {
     let unknown = || Cell { text: "unknown".to_owned(), json: Value::Null };
     let known = |text: Option<String>| text.map_or_else(unknown, Cell::from);
     let status = program.status();
-    let version = status.map(|status| {
-        let (major, minor) = status.os_version();
-        format!("{major}.{minor}")
-    });
     vec![
         ("kind", header.kind().to_string().into()),
         ("digits", header.digits().into_iter().collect::<String>().into()),
-        ("ladder_words", u32::from(header.ladder_words()).into()),
-        ("pages", u32::from(header.page_count()).into()),
+        ("ladder_words", header.ladder_words().into()),
+        ("pages", header.page_count().into()),
         ("read_at", known(program.read_at().map(utc))),
         ("program_capacity", known(program.brief_status().map(|status| status.capacity().to_string()))),
         ("main_unit", known(status.map(|status| status.main_unit().to_string()))),
-        ("os_version", known(version)),
+        ("os_version", known(status.map(|status| version(status.os_version())))),
         ("ran", status.map_or_else(unknown, |status| status.flags().running().into())),
         ("status", known(status.map(|status| hex(status.raw())))),
     ]
@@ -154,7 +150,7 @@ fn load(file: &ProgramFile) -> Result<Program, Failure> {
 
 fn print_pages(pages: &[u16], output: &Output) -> Result<(), Failure> {
     let mut rows = Rows::new(["page"]);
-    pages.iter().for_each(|&page| rows.push([u32::from(page).into()]));
+    pages.iter().for_each(|&page| rows.push([page.into()]));
     output.rows(&rows)
 }
 

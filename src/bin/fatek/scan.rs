@@ -11,7 +11,7 @@ use fatek::{CallOptions, Endpoint, Error, Link, LinkStats, Station};
 use crate::args::ScanArgs;
 use crate::connect;
 use crate::failure::Failure;
-use crate::output::{Output, Rows};
+use crate::output::{Output, Rows, version};
 use crate::progress::StatusLine;
 
 /// Response timeout without `--timeout`.
@@ -198,11 +198,11 @@ fn print(found: &[Found], output: &Output) -> Result<(), Failure> {
     for found in found {
         let detailed = found.detailed.as_ref();
         rows.push([
-            u32::from(found.station).into(),
+            found.station.into(),
             found.verdict.as_str().into(),
             found.brief.map(|status| status.flags().running()).into(),
             detailed.map(|status| status.main_unit().to_string()).into(),
-            detailed.map(|status| status.os_version()).map(|(major, minor)| format!("{major}.{minor}")).into(),
+            detailed.map(|status| version(status.os_version())).into(),
             found.time.into(),
             (!found.notes.is_empty()).then(|| found.notes.join("; ")).into(),
         ]);

@@ -5,7 +5,7 @@ use fatek::{Error, Station};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
-use crate::output::{Cell, Format, Output, Rows, hex};
+use crate::output::{Cell, Format, Output, Rows, hex, version};
 
 pub(crate) async fn status(station: &Station, output: &Output) -> Result<(), Failure> {
     let brief = station.read_status().await?;
@@ -40,23 +40,22 @@ fn brief_fields(status: &BriefStatus) -> Vec<Field> {
 }
 
 fn detailed_fields(status: &DetailedStatus) -> Vec<Field> {
-    let (major, minor) = status.os_version();
     vec![
         ("main_unit", status.main_unit().to_string().into()),
-        ("io_points_code", u32::from(status.io_points_code()).into()),
-        ("os_version", format!("{major}.{minor}").into()),
-        ("ladder_words", u32::from(status.ladder_words()).into()),
-        ("discrete_inputs", u32::from(status.discrete_inputs()).into()),
-        ("discrete_outputs", u32::from(status.discrete_outputs()).into()),
-        ("analog_inputs", u32::from(status.analog_inputs()).into()),
-        ("analog_outputs", u32::from(status.analog_outputs()).into()),
-        ("m_relays", u32::from(status.m_relays()).into()),
-        ("s_relays", u32::from(status.s_relays()).into()),
-        ("l_relays", u32::from(status.l_relays()).into()),
-        ("r_registers", u32::from(status.r_registers()).into()),
-        ("d_registers", u32::from(status.d_registers()).into()),
-        ("timers", u32::from(status.timers()).into()),
-        ("counters", u32::from(status.counters()).into()),
+        ("io_points_code", status.io_points_code().into()),
+        ("os_version", version(status.os_version()).into()),
+        ("ladder_words", status.ladder_words().into()),
+        ("discrete_inputs", status.discrete_inputs().into()),
+        ("discrete_outputs", status.discrete_outputs().into()),
+        ("analog_inputs", status.analog_inputs().into()),
+        ("analog_outputs", status.analog_outputs().into()),
+        ("m_relays", status.m_relays().into()),
+        ("s_relays", status.s_relays().into()),
+        ("l_relays", status.l_relays().into()),
+        ("r_registers", status.r_registers().into()),
+        ("d_registers", status.d_registers().into()),
+        ("timers", status.timers().into()),
+        ("counters", status.counters().into()),
         ("raw", hex(status.raw()).into()),
     ]
 }

@@ -90,14 +90,12 @@ impl<'o> Printer<'o> {
         let value = Cell::from(sample.value().cloned());
         match self.output.format {
             Format::Table => {
-                let quality = &sample.quality;
-                if sample.is_good() {
-                    print(format_args!("{time}  {:width$}  {}", sample.name, value.text))
-                } else if value.text.is_empty() {
-                    print(format_args!("{time}  {:width$}  ({quality})", sample.name))
-                } else {
-                    print(format_args!("{time}  {:width$}  {} ({quality})", sample.name, value.text))
-                }
+                let value = match (sample.is_good(), value.text.is_empty()) {
+                    (true, _) => value.text,
+                    (false, true) => format!("({})", sample.quality),
+                    (false, false) => format!("{} ({})", value.text, sample.quality),
+                };
+                print(format_args!("{time}  {:width$}  {value}", sample.name))
             }
             Format::Json => {
                 let cells =

@@ -73,15 +73,16 @@ impl Explanation {
         }
     }
 
-    /// Adds the command, and the data as fields of that command.
-    fn command(&mut self, bytes: &[u8], command: u8, data: &[u8], readings: &[Part]) {
+    /// Adds the command, and the data as fields of that command. `rule`: of a command that is no byte.
+    fn command(&mut self, bytes: &[u8], command: Option<u8>, rule: &str, data: &[u8], readings: &[Part]) {
         let Some(framing) = self.framing else { return };
-        match Code::from_u8(command) {
-            None => self.fault("command", bytes, format!("unknown command {command:02X}")),
-            Some(code) if !code.is_in(framing) => {
+        match command.map(|command| (command, Code::from_u8(command))) {
+            None => self.fault("command", bytes, rule),
+            Some((command, None)) => self.fault("command", bytes, format!("unknown command {command:02X}")),
+            Some((_, Some(code))) if !code.is_in(framing) => {
                 self.fault("command", bytes, format!("{code} does not exist in the {framing} framing"));
             }
-            Some(code) => {
+            Some((_, Some(code))) => {
                 self.field("command", bytes, code.to_string());
                 return self.data(code, framing, data, readings);
             }
@@ -157,15 +158,8 @@ fn ascii_frame(bytes: &[u8]) -> Explanation {
         Some(number) => it.station(station, number),
         None => it.fault("station", station, "expected two hexadecimal digits"),
     }
-    match hex_byte(command) {
-        Some(code) => it.command(command, code, data, &[Part::Request, Part::Reply]),
-        None => {
-            it.fault("command", command, "expected two hexadecimal digits");
-            if !data.is_empty() {
-                it.field("data", data, "");
-            }
-        }
-    }
+    let rule = "expected two hexadecimal digits";
+    it.command(command, hex_byte(command), rule, data, &[Part::Request, Part::Reply]);
     if etx.is_empty() {
         it.fault("end", &[], "the frame is cut off: LRC and ETX (03) are missing");
         return it;
@@ -216,10 +210,8 @@ fn binary_frame(bytes: &[u8]) -> Explanation {
         [number] => it.station(station, *number),
         _ => it.fault("station", station, "missing"),
     }
-    match command {
-        [code] => it.command(command, *code, data, if header == [REPLY] { &[Part::Reply] } else { &[Part::Request] }),
-        _ => it.fault("command", command, "missing"),
-    }
+    let part = if header == [REPLY] { Part::Reply } else { Part::Request };
+    it.command(command, command.first().copied(), "missing", data, &[part]);
     let computed = binary::crc(bytes.get(2..bytes.len() - tail.len()).unwrap_or_default());
     // On the wire the low byte is first.
     let [first, second] = computed.to_le_bytes();
