@@ -35,7 +35,7 @@ pub use self::error::{FileError, FormatError};
 pub(crate) use self::frame::{Content, Kind, frame, unframe};
 pub(crate) use self::lines::{Lines, UNKNOWN};
 pub use self::save::can_save;
-pub(crate) use self::save::{load, load_as, save};
+pub(crate) use self::save::{load_as, save};
 pub(crate) use self::saved::{Origin, file_methods, optional_field};
 pub use self::utc::utc;
 pub(crate) use self::utc::{parse_utc, whole_seconds};

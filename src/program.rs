@@ -274,11 +274,7 @@ impl Program {
     /// # Errors
     /// [`FileError`], which names the file and the fault.
     pub fn load_raw(path: impl AsRef<Path>) -> Result<Self, FileError> {
-        let path = path.as_ref();
-        let content = file::load(path)?;
-        let invalid = |error: InvalidProgram| FormatError::Content { rule: error.to_string() };
-        let program = Self::from_bytes(&content).map_err(invalid);
-        program.map_err(|source| FileError::Format { path: path.to_owned(), source })
+        file::load_as(path.as_ref(), |content| Self::from_bytes(content).map_err(FormatError::content))
     }
 }
 

@@ -183,7 +183,7 @@ impl Restoring {
                 }
                 self.settled(chunk);
             }
-            (Compare, Err(Error::Plc { error, .. })) => self.refused(ElementState::NotGiven(error)),
+            (Compare, Err(Error::Plc { error, .. })) => self.mark_refused(ElementState::NotGiven(error)),
             (Forced, Ok(Reply::Disabled(disabled))) => {
                 let per_value = chunk.range.elements_per_value().max(1);
                 let values = chunk.count.div_ceil(per_value);
@@ -209,9 +209,8 @@ impl Restoring {
                 self.settled(chunk);
             }
             (Verify, Err(Error::Plc { .. })) => {
-                if let Some(single) = self.chunks.refused() {
+                if let Some(single) = self.refused() {
                     self.verified(single, std::iter::repeat(None));
-                    self.done = self.done.saturating_add(single.count);
                 }
             }
             (stage, Err(source)) => return Err(RestoreFailure::Call { doing: stage.doing(chunk), source }),
@@ -227,7 +226,7 @@ impl Restoring {
             && error != ErrorCode::WriteProhibited
         {
             self.unsent(chunk);
-            self.refused(ElementState::NotTaken(error));
+            self.mark_refused(ElementState::NotTaken(error));
             return Ok(());
         }
         if error.may_have_executed() {
@@ -253,6 +252,7 @@ impl Restoring {
         let differing: Vec<_> =
             differing.into_iter().map(|run| (chunk.block, chunk.range, chunk.within(&run))).collect();
         let left: usize = differing.iter().map(|(_, _, run)| run.len()).sum();
+        debug_assert!(left <= chunk.count, "runs of a chunk do not overlap");
         self.chunks.done();
         self.chunks.prepend(Chunks::new(differing));
         self.done = self.done.saturating_add(chunk.count.saturating_sub(left));
@@ -272,11 +272,16 @@ impl Restoring {
         }
     }
 
-    /// A chunk was refused: its halves come next, and a single element gets this state.
-    fn refused(&mut self, state: ElementState) {
-        if let Some(single) = self.chunks.refused() {
+    /// A chunk was refused: its halves come next. A single element is settled.
+    fn refused(&mut self) -> Option<Chunk> {
+        let single = self.chunks.refused();
+        self.done = self.done.saturating_add(single.map_or(0, |single| single.count));
+        single
+    }
+
+    fn mark_refused(&mut self, state: ElementState) {
+        if let Some(single) = self.refused() {
             self.elements(single).iter_mut().for_each(|element| element.state = state);
-            self.done = self.done.saturating_add(single.count);
         }
     }
 

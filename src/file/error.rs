@@ -73,6 +73,10 @@ pub enum FormatError {
 }
 
 impl FormatError {
+    pub(crate) fn content(rule: impl ToString) -> Self {
+        Self::Content { rule: rule.to_string() }
+    }
+
     pub(crate) fn line(line: usize, rule: impl Into<String>) -> Self {
         Self::Line { line, rule: rule.into() }
     }

@@ -63,8 +63,7 @@ fn parse(content: Content<'_>) -> Result<Program, FormatError> {
         pages.push(ProgramPage::from_bytes(&bytes));
     }
     lines.end()?;
-    let program = Program::from_pages(pages).map_err(|error| FormatError::Content { rule: error.to_string() });
-    let program = Program { origin, ..program? };
+    let program = Program { origin, ..Program::from_pages(pages).map_err(FormatError::content)? };
     let unknown_fields = lines.in_form(content, &form(&program))?;
     Ok(Program { unknown_fields, ..program })
 }
