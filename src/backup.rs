@@ -99,7 +99,6 @@ mod taking;
 mod target;
 
 use std::fmt;
-use std::time::SystemTime;
 
 pub use self::error::{BackupError, InvalidBackup, RestoreError, RestoreFailure};
 pub use self::options::RestoreOptions;
@@ -109,7 +108,7 @@ pub use self::take::TakeBackup;
 pub use crate::transfer::PlcState;
 
 use self::block::{Block, check_overlaps, part, plain, runs_by};
-use crate::command::{BriefStatus, DetailedStatus, Value};
+use crate::command::Value;
 use crate::element::Element;
 use crate::error::ErrorCode;
 use crate::file::{Origin, file_methods};
@@ -284,24 +283,6 @@ impl Backup {
     #[must_use]
     pub fn station(&self) -> Option<u8> {
         self.station
-    }
-
-    /// The time when reading began, by the clock of the computer, in whole seconds.
-    #[must_use]
-    pub fn read_at(&self) -> Option<SystemTime> {
-        self.origin.read_at
-    }
-
-    /// The brief status (40) of the PLC when reading began.
-    #[must_use]
-    pub fn brief_status(&self) -> Option<BriefStatus> {
-        self.origin.brief
-    }
-
-    /// The detailed status (53) of the PLC when reading began; `None` also if the PLC does not have it.
-    #[must_use]
-    pub fn status(&self) -> Option<&DetailedStatus> {
-        self.origin.detailed.as_ref()
     }
 }
 

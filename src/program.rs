@@ -133,9 +133,8 @@ mod writing;
 
 use std::fmt;
 use std::path::Path;
-use std::time::SystemTime;
 
-use crate::command::{BriefStatus, DetailedStatus, PAGE_WORDS, ProgramPage};
+use crate::command::{PAGE_WORDS, ProgramPage};
 use crate::file::{self, FileError, FormatError, Origin, file_methods};
 
 pub use self::error::{InvalidProgram, ProgramAction, ProgramError, WriteProgramError};
@@ -237,27 +236,6 @@ impl Program {
     pub fn differing_pages(&self, other: &Self) -> Vec<u16> {
         let count = self.header.page_count().max(other.header.page_count());
         (0..count).filter(|&page| self.page(page) != other.page(page)).collect()
-    }
-
-    /// The brief status (40) of the PLC when it was read: its capacity and, on older units, its model.
-    /// `None` if the program was made of pages or bytes.
-    #[must_use]
-    pub fn brief_status(&self) -> Option<BriefStatus> {
-        self.origin.brief
-    }
-
-    /// The detailed status (53) of the PLC when it was read. `None` if the program was made of pages or
-    /// bytes.
-    #[must_use]
-    pub fn status(&self) -> Option<&DetailedStatus> {
-        self.origin.detailed.as_ref()
-    }
-
-    /// The time when it was read, by the clock of the computer, in whole seconds. `None` if the program
-    /// was made of pages or bytes.
-    #[must_use]
-    pub fn read_at(&self) -> Option<SystemTime> {
-        self.origin.read_at
     }
 
     /// Saves the [bytes](Self::to_bytes) alone, for other tools. Such a file has no checksum.

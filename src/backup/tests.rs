@@ -1,10 +1,11 @@
 //! Backups in memory and in files, without a PLC.
 
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use proptest::prelude::*;
 
 use super::*;
+use crate::command::{BriefStatus, DetailedStatus};
 use crate::element;
 use crate::element::{Symbol, Width};
 use crate::file;

@@ -45,7 +45,8 @@ impl Origin {
     }
 }
 
-/// The methods of a content with a `format` module beside it, and a field `unknown_fields`.
+/// The methods of a content with a `format` module beside it, and the fields `origin` and
+/// `unknown_fields`.
 macro_rules! file_methods {
     ($content:ident, $name:literal, $(#[$form:meta])+) => {
         impl $content {
@@ -82,6 +83,27 @@ macro_rules! file_methods {
             /// [`FileError`](crate::file::FileError), which names the file and the fault.
             pub fn load(path: impl AsRef<std::path::Path>) -> Result<Self, crate::file::FileError> {
                 crate::file::load_as(path.as_ref(), Self::from_file)
+            }
+
+            /// The brief status (40) of the PLC when it was read: its capacity and, on older units, its
+            /// model. `None` if it was not read from a PLC.
+            #[must_use]
+            pub fn brief_status(&self) -> Option<crate::command::BriefStatus> {
+                self.origin.brief
+            }
+
+            /// The detailed status (53) of the PLC when it was read. `None` if it was not read from a PLC,
+            /// or from one without this status.
+            #[must_use]
+            pub fn status(&self) -> Option<&crate::command::DetailedStatus> {
+                self.origin.detailed.as_ref()
+            }
+
+            /// The time of reading by the clock of the computer, in whole seconds. `None` if it was not
+            /// read from a PLC.
+            #[must_use]
+            pub fn read_at(&self) -> Option<std::time::SystemTime> {
+                self.origin.read_at
             }
 
             /// Names of the fields that this version of the library does not know, if it was read from a

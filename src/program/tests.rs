@@ -1,8 +1,9 @@
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use proptest::prelude::*;
 
 use super::*;
+use crate::command::{BriefStatus, DetailedStatus};
 
 fn program(ladder_words: u16, seed: u16, known: bool) -> Program {
     let mut header = [0xFF; PAGE_BYTES];
