@@ -139,6 +139,23 @@ fn securing_never_fails_and_keeps_whether_run_is_due() {
 }
 
 #[test]
+fn a_halt_sends_stop_only_if_the_plc_runs() {
+    let mut control = RunControl::new(1);
+    control.halt();
+    assert!(matches!(seen(&mut control, false), Some(RunEvent::Seen(false))));
+    assert!(!control.was_stopped());
+    control.halt();
+    assert!(seen(&mut control, true).is_none());
+    assert_eq!((control.plc(), control.was_stopped()), (PlcState::Unknown, true));
+    assert!(sent(&mut control, &Request::Stop, Ok(Reply::Done)).is_none());
+    assert!(matches!(seen(&mut control, false), Some(RunEvent::Obeyed)));
+    assert!(control.is_run_due());
+    // The next look stops nothing.
+    control.look();
+    assert!(matches!(seen(&mut control, true), Some(RunEvent::Seen(true))));
+}
+
+#[test]
 fn a_plc_left_to_others_is_not_due_until_it_is_stopped_again() {
     let mut control = RunControl::new(1);
     control.stop();
@@ -175,12 +192,13 @@ fn model(seed: u64) -> usize {
     let mut ended = 0;
     for _ in 0..20 {
         let (mut sends, mut dropped) = (0, false);
-        let operation = (u8::from(chance(2)) << 1) + u8::from(chance(2));
+        let operation = if chance(5) { 4 } else { (u8::from(chance(2)) << 1) + u8::from(chance(2)) };
         match operation {
             0 => control.look(),
             1 => control.stop(),
             2 => control.run(),
-            _ => control.secure(known == Some(true)),
+            3 => control.secure(known == Some(true)),
+            _ => control.halt(),
         }
         let event = loop {
             let Some(request) = control.next() else { panic!("seed {seed}: idle without an event") };
@@ -254,10 +272,12 @@ fn model(seed: u64) -> usize {
             assert_eq!(known, Some(running), "seed {seed}");
         }
         match (operation, &event) {
-            (1, Some(RunEvent::Obeyed)) => assert_eq!(known, Some(false), "seed {seed}"),
+            (1 | 4, Some(RunEvent::Obeyed)) | (4, Some(RunEvent::Seen(false))) => {
+                assert_eq!(known, Some(false), "seed {seed}")
+            }
             (2, Some(RunEvent::Obeyed)) => assert_eq!(known, Some(true), "seed {seed}"),
             (0, Some(RunEvent::Seen(seen))) => assert_eq!(known, Some(*seen), "seed {seed}"),
-            (0..=2, Some(RunEvent::Failed(_))) | (3, Some(RunEvent::Secured)) | (_, None) => {}
+            (0..=2 | 4, Some(RunEvent::Failed(_))) | (3, Some(RunEvent::Secured)) | (_, None) => {}
             (operation, event) => panic!("seed {seed}: {event:?} of {operation}"),
         }
         ended += usize::from(event.is_some());
