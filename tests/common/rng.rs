@@ -1,4 +1,5 @@
-//! Random numbers of a run.
+//! Seeded random numbers, equal on every machine.
+#![allow(dead_code, reason = "each test program uses a part of it")]
 
 /// `SplitMix64`: a run depends on its seed alone.
 pub(crate) struct Rng(pub(crate) u64);
@@ -11,13 +12,24 @@ impl Rng {
         mixed ^ mixed >> 31
     }
 
+    /// A number from 0 to `limit - 1`.
     pub(crate) fn below(&mut self, limit: u64) -> u64 {
         self.next() % limit
+    }
+
+    /// An index below `len`.
+    pub(crate) fn index(&mut self, len: usize) -> usize {
+        usize::try_from(self.next() % len as u64).unwrap()
     }
 
     /// `true` with a probability of `chances` percent.
     pub(crate) fn percent(&mut self, chances: u64) -> bool {
         self.below(100) < chances
+    }
+
+    /// `true` with a probability of `chances` per mille.
+    pub(crate) fn per_mille(&mut self, chances: u64) -> bool {
+        self.below(1000) < chances
     }
 
     /// A number from `first` to `last`.
@@ -26,6 +38,6 @@ impl Rng {
     }
 
     pub(crate) fn pick<T: Copy>(&mut self, all: &[T]) -> T {
-        all[self.below(all.len() as u64) as usize]
+        all[self.index(all.len())]
     }
 }
