@@ -272,11 +272,11 @@ fn a_list_with_an_ambiguous_prefix_is_sent() {
 
 #[test]
 fn exactly_the_ambiguous_lists_are_rejected() {
-    let mut rng = Rng::new(1);
+    let mut rng = Rng(1);
     let (mut sent, mut refused) = ([0; 2], [0; 2]);
     for _ in 0..10_000 {
         // The worst case: addresses and values consist of letters of symbols.
-        let items: Vec<(Element, Value)> = (0..2 + rng.below(4)).map(|_| lettered(&mut rng)).collect();
+        let items: Vec<(Element, Value)> = (0..2 + rng.index(4)).map(|_| lettered(&mut rng)).collect();
         let elements: Vec<Element> = items.iter().map(|(element, _)| *element).collect();
         let (read, write) = (ReadMixed::new(elements).unwrap(), WriteMixed::new(items).unwrap());
         for (i, request) in
@@ -411,16 +411,16 @@ const LETTERS: &[u8] = b"XYMSTCWRDF0123456789ABEabf\x00\x01\x02\x40";
 /// The data itself, and variants with one random error.
 fn mutations(data: &[u8]) -> Vec<Vec<u8>> {
     let seed = data.iter().fold(data.len() as u64, |seed, byte| seed.wrapping_mul(31).wrapping_add(u64::from(*byte)));
-    let mut rng = Rng::new(seed);
+    let mut rng = Rng(seed);
     let mut all = vec![data.to_vec(), data.to_ascii_lowercase()];
     for _ in 0..10 {
         let mut mutation = data.to_vec();
-        match rng.below(4) {
-            0 => mutation.truncate(rng.below(data.len() + 1)),
-            1 => mutation.extend((0..=rng.below(8)).map(|_| rng.pick(LETTERS))),
+        match rng.index(4) {
+            0 => mutation.truncate(rng.index(data.len() + 1)),
+            1 => mutation.extend((0..=rng.index(8)).map(|_| rng.pick(LETTERS))),
             _ if data.is_empty() => {}
-            2 => mutation[rng.below(data.len())] = rng.pick(LETTERS),
-            _ => mutation[rng.below(data.len().min(8))] = rng.next().to_le_bytes()[0],
+            2 => mutation[rng.index(data.len())] = rng.pick(LETTERS),
+            _ => mutation[rng.index(data.len().min(8))] = rng.next().to_le_bytes()[0],
         }
         all.push(mutation);
     }

@@ -25,8 +25,11 @@ use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
 mod peer;
+#[path = "common/rng.rs"]
+mod rng;
 
 use peer::{Peer, line, station, without_duplicates};
+use rng::Rng;
 
 /// Limit for prompt results: far longer than needed, shorter than a call's own timeout.
 const LIMIT: Duration = Duration::from_secs(5);
@@ -171,19 +174,6 @@ async fn the_frame_gap_begins_after_a_slow_read() {
         }
     }
     assert_eq!(gaps, 3, "after the check of the new connection, and between three requests");
-}
-
-/// Seeded random numbers (SplitMix64).
-struct Rng(u64);
-
-impl Rng {
-    fn below(&mut self, limit: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (z ^ (z >> 31)) % limit
-    }
 }
 
 const CALLERS: u16 = 24;

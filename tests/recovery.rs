@@ -167,7 +167,7 @@ async fn plcs_killed_at_random_are_back_within_the_backoff_cap() {
     let seeds = std::env::var("FATEK_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(20);
     let mut slowest = Duration::ZERO;
     for seed in 1..=seeds {
-        let mut rng = Rng::new(seed);
+        let mut rng = Rng(seed);
         let plant = Plant::new(PLCS, Framing::Ascii, CONNECT_TIME);
         let pool = plant.pool().connects_per_second(CONNECT_RATE).connects_at_once(CONNECTS_AT_ONCE).seed(seed).build();
         let load = Load::new(&plant, &pool, PLCS, CallOptions::new());
@@ -177,11 +177,11 @@ async fn plcs_killed_at_random_are_back_within_the_backoff_cap() {
         // About half of the PLCs fail, each for one period, in several ways one after the other.
         let mut events = Vec::new();
         let mut restarted_at = vec![began; PLCS];
-        for n in (0..PLCS).filter(|_| rng.below(2) == 0).collect::<Vec<_>>() {
-            let mut at = Duration::from_millis(rng.below(60_000) as u64);
-            for _ in 0..=rng.below(3) {
+        for n in (0..PLCS).filter(|_| rng.index(2) == 0).collect::<Vec<_>>() {
+            let mut at = Duration::from_millis(rng.index(60_000) as u64);
+            for _ in 0..=rng.index(3) {
                 events.push((at, n, rng.pick(&[Mode::Refuses, Mode::Refuses, Mode::Silent, Mode::PoweredOff])));
-                at += Duration::from_millis(rng.below(60_000) as u64);
+                at += Duration::from_millis(rng.index(60_000) as u64);
             }
             events.push((at, n, Mode::Answers));
             restarted_at[n] = began + at;

@@ -28,10 +28,13 @@ use self::faults::{
     INJECTED, LABELS, NO_MIXED, NO_RUN, REFUSED, RUN_REFUSED, UNKNOWN_COMMAND, UNREADABLE, UNWRITABLE, bus, faults,
     label,
 };
+use self::rng::Rng;
 
 #[path = "simulation/faults.rs"]
 mod faults;
 mod naive;
+#[path = "common/rng.rs"]
+mod rng;
 
 const STATIONS: u8 = 32;
 /// Stations that are often late and get more requests than the others: a late reply is most likely
@@ -102,26 +105,6 @@ impl fmt::Display for Outcome {
         write!(f, "{requests} calls, {confirmed} with a result, {cancelled} cancelled, errors {errors:?}, ")?;
         write!(f, "{} broadcast writes obeyed by {obeyed} stations; ", self.broadcasts.len())?;
         write!(f, "{} wrong, {repeated} repeated, {late} late", wrong.len())
-    }
-}
-
-/// `SplitMix64`: a run depends on its seed alone.
-struct Rng(u64);
-
-impl Rng {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        mixed ^ mixed >> 31
-    }
-
-    fn below(&mut self, limit: u64) -> u64 {
-        self.next() % limit
-    }
-
-    fn per_mille(&mut self, chances: u64) -> bool {
-        self.below(1000) < chances
     }
 }
 

@@ -50,7 +50,7 @@ fn every_vector_is_found_in_noise_with_silences() {
             for piece in pieces(part, rng) {
                 buffer.extend_from_slice(piece);
                 drain(&mut codec, &mut buffer, &mut items);
-                if pauses && rng.below(4) == 0 {
+                if pauses && rng.index(4) == 0 {
                     codec.skip_partial();
                     drain(&mut codec, &mut buffer, &mut items);
                 }
@@ -72,10 +72,10 @@ fn all_vectors_of_a_side_are_found_in_order_between_noise() {
         for (framing, sender) in
             [(Framing::Ascii, Side::Plc), (Framing::Binary, Side::Client), (Framing::Binary, Side::Plc)]
         {
-            let mut rng = Rng::new(seed);
+            let mut rng = Rng(seed);
             let (mut input, mut expected) = (Vec::new(), Vec::new());
             for vector in vectors().into_iter().filter(|v| v.framing == framing && v.sender == sender) {
-                let len = rng.below(40);
+                let len = rng.index(40);
                 input.extend(noise(&mut rng, framing, white, len));
                 expected.push(input.len()..input.len() + vector.bytes.len());
                 input.extend(vector.bytes);
@@ -140,7 +140,7 @@ fn skipping_a_partial_frame_keeps_a_complete_one() {
 #[tokio::test]
 async fn a_framed_stream_survives_noise() {
     for framing in common::FRAMINGS {
-        let mut rng = Rng::new(7);
+        let mut rng = Rng(7);
         let sent: Vec<Vector> =
             vectors().into_iter().filter(|v| v.framing == framing && v.sender == Side::Plc).collect();
         let mut input = Vec::new();
@@ -171,7 +171,7 @@ proptest! {
             [(Framing::Ascii, Side::Client), (Framing::Binary, Side::Client), (Framing::Binary, Side::Plc)]
         {
             let expected = Ok(reference_ranges(framing, receiver, &input, max));
-            for all_pieces in [vec![&input[..]], input.chunks(1).collect(), pieces(&input, &mut Rng::new(seed))] {
+            for all_pieces in [vec![&input[..]], input.chunks(1).collect(), pieces(&input, &mut Rng(seed))] {
                 let items = decode_within(max, &mut limited(framing, receiver, max), all_pieces);
                 prop_assert_eq!(&frame_ranges(framing, &input, &items), &expected);
             }
@@ -181,7 +181,7 @@ proptest! {
     #[test]
     fn pure_noise_of_any_length_is_bounded_and_counted(input in vec(any::<u8>(), 0..5000), seed: u64) {
         for framing in common::FRAMINGS {
-            let items = decode(&mut Codec::new(framing, Side::Client), pieces(&input, &mut Rng::new(seed)));
+            let items = decode(&mut Codec::new(framing, Side::Client), pieces(&input, &mut Rng(seed)));
             prop_assert!(frame_ranges(framing, &input, &items).is_ok());
         }
     }
@@ -215,7 +215,7 @@ fn for_every_vector_and_seed(case: &dyn Fn(&Vector, &mut Rng) -> Result<(), Stri
     let mut failures = Vec::new();
     for vector in vectors() {
         for seed in FAILED_SEEDS.into_iter().chain(0..seeds) {
-            if let Err(reason) = case(&vector, &mut Rng::new(seed)) {
+            if let Err(reason) = case(&vector, &mut Rng(seed)) {
                 failures.push(format!("seed {seed}: {reason}: {}", vector.row));
             }
         }
@@ -234,7 +234,7 @@ struct InNoise<'a> {
 impl<'a> InNoise<'a> {
     fn new(vector: &'a Vector, rng: &mut Rng, kind: NoiseKind) -> Self {
         let mut input = noise(rng, vector.framing, kind, NOISE_LEN);
-        let at = rng.below(NOISE_LEN + 1);
+        let at = rng.index(NOISE_LEN + 1);
         input.splice(at..at, vector.bytes.iter().copied());
         Self { vector, input, at }
     }
@@ -274,7 +274,7 @@ fn white(rng: &mut Rng, _framing: Framing) -> u8 {
 
 /// Mostly bytes of headers and trailers.
 fn hostile(rng: &mut Rng, framing: Framing) -> u8 {
-    match (rng.below(8), framing) {
+    match (rng.index(8), framing) {
         (0, _) => white(rng, framing),
         (_, Framing::Ascii) => rng.pick(b"\x02\x03\x02\x030123456789ABCDEFabcdef"),
         _ => rng.pick(b"\x51\x52\x51\x52\x10\x10\x10\x00\x00\x01\x03\x55\xAA"),
@@ -286,7 +286,7 @@ fn pieces<'a>(mut input: &'a [u8], rng: &mut Rng) -> Vec<&'a [u8]> {
     let longest = rng.pick(&[1, 3, 16, 200, 2000]);
     let mut pieces = Vec::new();
     while !input.is_empty() {
-        let (piece, rest) = input.split_at(input.len().min(1 + rng.below(longest)));
+        let (piece, rest) = input.split_at(input.len().min(1 + rng.index(longest)));
         pieces.push(piece);
         input = rest;
     }

@@ -8,21 +8,18 @@ use super::*;
 use crate::command::{Command, Value, encode_reply, encode_request};
 use crate::element::{Element, Register, Symbol, Width};
 use crate::endpoint::SerialSettings;
+use crate::random::Random;
 use crate::tag::TagType;
 use crate::wire::Framing;
 
 mod texts;
 
-/// SplitMix64. Failed tests print its seed.
-struct Random(u64);
+/// Random choices. Failed tests print the seed.
+struct Choices(Random);
 
-impl Random {
+impl Choices {
     fn below(&mut self, n: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        usize::try_from((z ^ z >> 31) % n as u64).unwrap()
+        usize::try_from(self.0.next() % n as u64).unwrap()
     }
 
     fn one<T: Copy>(&mut self, of: &[T]) -> T {
@@ -65,7 +62,7 @@ fn tag(text: &str) -> Tag {
 }
 
 /// A tag of one value: near others, far away, or ambiguous in the binary framing.
-fn random_tag(random: &mut Random) -> Tag {
+fn random_tag(random: &mut Choices) -> Tag {
     let symbol = random.one(&[
         Symbol::R,
         Symbol::R,
@@ -104,7 +101,7 @@ fn text(first: Element, registers: usize) -> Tag {
 
 /// A word of the simulated memory.
 fn word(symbol: Symbol, address: u16) -> u16 {
-    let mut random = Random(u64::from(address) << 8 | symbol as u64);
+    let mut random = Choices(Random::new(u64::from(address) << 8 | symbol as u64));
     u16::try_from(random.below(65_536)).unwrap()
 }
 
@@ -233,7 +230,7 @@ fn parts(tags: &[Tag], limits: &Limits) -> Vec<Vec<Cells>> {
 #[test]
 fn no_partition_is_cheaper_than_the_plan_for_up_to_8_tags() {
     for seed in 0..300 {
-        let mut random = Random(seed);
+        let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), limits()[random.below(4)].clone());
         // 8 tags have 4140 partitions (a Bell number), which is slow in a debug build.
         let n = if seed % 30 == 0 { 8 } else { 1 + random.below(6) };
@@ -249,7 +246,7 @@ fn no_partition_is_cheaper_than_the_plan_for_up_to_8_tags() {
 #[test]
 fn no_partition_is_cheaper_than_the_plan_for_one_scan_groups() {
     for seed in 0..100 {
-        let mut random = Random(seed);
+        let mut random = Choices(Random::new(seed));
         let model = random.one(&models());
         let tags: Vec<Tag> = (0..6).map(|_| random_tag(&mut random)).collect();
         let groups: Vec<&[Tag]> = vec![&tags[..2], &tags[2..4], &tags[4..5], &tags[5..]];
@@ -278,7 +275,7 @@ fn no_partition_is_cheaper_than_the_plan_for_one_scan_groups() {
 fn the_solver_for_many_values_is_optimal_where_documented() {
     let (mut paid, mut optimal) = (0, 0);
     for seed in 0..2000 {
-        let mut random = Random(seed);
+        let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), limits()[random.below(4)].clone());
         let n = 1 + random.below(8);
         let tags: Vec<Tag> = (0..n).map(|_| random_tag(&mut random)).collect();
@@ -319,7 +316,7 @@ fn cells_added_to_a_mixed_read_cost_as_much_as_its_elements() {
 #[test]
 fn any_number_of_tags_costs_no_more_than_by_runs_alone() {
     for seed in 0..60 {
-        let mut random = Random(seed);
+        let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), limits()[random.below(4)].clone());
         let n = 20 + random.below(400);
         let mut builder = Plan::builder(model).limits(limits.clone());
@@ -363,7 +360,7 @@ fn a_gap_is_read_through_where_it_is_cheaper_than_a_request() {
 #[test]
 fn avoided_elements_are_read_for_their_own_tags_only() {
     for seed in 0..60 {
-        let mut random = Random(seed);
+        let mut random = Choices(Random::new(seed));
         let count = 1 + random.below(40);
         let tags: Vec<Tag> = (0..count).map(|_| random_tag(&mut random)).collect();
         let cells = |element: Element| match element {

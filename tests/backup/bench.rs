@@ -8,6 +8,8 @@ use fatek::tag::Tag;
 use fatek::wire::Framing;
 use fatek::{CallOptions, Element, Link, Station, Symbol, element};
 
+pub(crate) use crate::rng::Rng;
+
 pub(crate) const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 
 /// Last element of each area.
@@ -130,20 +132,4 @@ pub(crate) fn base_elements(ranges: &[Tag]) -> Vec<Element> {
         (first.address()..last.address() + last.symbol().step()).map(move |address| element(symbol, address))
     };
     ranges.iter().flat_map(of).collect()
-}
-
-/// `SplitMix64`: a run depends on its seed alone.
-pub(crate) struct Rng(pub(crate) u64);
-
-impl Rng {
-    pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        mixed ^ mixed >> 31
-    }
-
-    pub(crate) fn below(&mut self, limit: u64) -> u64 {
-        self.next() % limit
-    }
 }

@@ -8,6 +8,8 @@ mod duplicates;
 mod options;
 mod refused;
 mod resume;
+#[path = "../common/rng.rs"]
+mod rng;
 #[path = "../roaming/mod.rs"]
 mod roaming;
 mod round_trip;

@@ -22,6 +22,7 @@ mod faults;
 mod jobs;
 mod layout;
 mod line;
+#[path = "../common/rng.rs"]
 mod rng;
 mod sockets;
 mod tally;

@@ -4,6 +4,7 @@
 #![allow(dead_code, reason = "each test file uses a part of it")]
 
 mod reference;
+mod rng;
 
 use std::fmt;
 
@@ -16,6 +17,8 @@ use proptest::prelude::*;
 
 #[allow(unused_imports, reason = "each test file uses a part of it")]
 pub(crate) use reference::*;
+#[allow(unused_imports, reason = "each test file uses a part of it")]
+pub(crate) use rng::Rng;
 
 pub(crate) const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 
@@ -245,30 +248,4 @@ pub(crate) fn element(width: Width) -> impl Strategy<Value = Element> {
         prop_oneof![8 => 0..=top, 1 => Just(0), 1 => Just(top)]
             .prop_map(move |n| Element::new(symbol, n * symbol.alignment()).unwrap())
     })
-}
-
-/// Seeded random numbers (SplitMix64), equal on every machine.
-pub(crate) struct Rng(u64);
-
-impl Rng {
-    pub(crate) fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    /// A number from 0 to `n - 1`.
-    pub(crate) fn below(&mut self, n: usize) -> usize {
-        usize::try_from(self.next() % n as u64).unwrap()
-    }
-
-    pub(crate) fn pick<T: Copy>(&mut self, from: &[T]) -> T {
-        from[self.below(from.len())]
-    }
 }

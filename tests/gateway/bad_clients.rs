@@ -40,7 +40,7 @@ async fn clients_without_requests_do_not_delay_others() {
         let (mut client, serving) = bench.client_with(FRAMINGS[n as usize % 2], 256);
         others.push(serving);
         tokio::spawn(async move {
-            let mut rng = Rng::new(n);
+            let mut rng = Rng(n);
             match n % 3 {
                 // Sends nothing.
                 0 => sleep(Duration::MAX).await,
@@ -69,7 +69,7 @@ async fn a_client_that_sends_endless_garbage_is_disconnected() {
         let (mut client, serving) = bench.client_with(Framing::Ascii, 4096);
         client.send(begin).await;
         let flood = tokio::spawn(async move {
-            let mut rng = Rng::new(seed);
+            let mut rng = Rng(seed);
             let mut sent = 0;
             while !serving.is_finished() {
                 let noise: Vec<u8> = (0..512).map(|_| rng.next() as u8).collect();

@@ -71,7 +71,7 @@ fn equal_seeds_give_equal_runs() {
 fn run(seed: u64) -> Outcome {
     let runtime = Builder::new_current_thread().enable_all().start_paused(true).build().unwrap();
     runtime.block_on(async {
-        let mut rng = Rng::new(seed);
+        let mut rng = Rng(seed);
         // From less than one round of all clients to more than any call takes.
         let call_timeout = rng.pick(&[300, 2000, 20_000]);
         let bench =
@@ -79,7 +79,7 @@ fn run(seed: u64) -> Outcome {
         let mut clients = JoinSet::new();
         for number in 0..CLIENTS {
             let client = bench.client(FRAMINGS[usize::from(number % 2)]);
-            clients.spawn(run_client(client, number, Rng::new(rng.next())));
+            clients.spawn(run_client(client, number, Rng(rng.next())));
         }
         let mut outcome = Outcome::default();
         clients.join_all().await.into_iter().for_each(|one| outcome.add(one));
@@ -136,7 +136,7 @@ async fn run_client(mut client: Client, number: u16, mut rng: Rng) -> Outcome {
     let mut own: HashMap<u8, Vec<u32>> = HashMap::new();
     for nth in 0..REQUESTS {
         sleep(Duration::from_millis(rng.next() % 200)).await;
-        let station = 1 + rng.below(STATIONS.into()) as u8;
+        let station = 1 + rng.index(STATIONS.into()) as u8;
         let held = own.entry(station).or_insert_with(|| vec![0]);
         let serial = u32::from(number) << 16 | u32::try_from(nth + 1).unwrap();
         match request(&mut client, station, number, serial, held, &mut rng, &mut outcome).await {
@@ -163,8 +163,8 @@ async fn request(
     outcome: &mut Outcome,
 ) -> Result<bool, Unanswered> {
     // Mostly of one shape: replies of equal shape can be mistaken for each other.
-    let count = if rng.below(10) < 8 { 1 } else { 1 + rng.below(64) as u16 };
-    let first = rng.below(usize::from(READ_ONLY - count)) as u16;
+    let count = if rng.index(10) < 8 { 1 } else { 1 + rng.index(64) as u16 };
+    let first = rng.index(usize::from(READ_ONLY - count)) as u16;
     let own = Register::r(2 * number).widened().unwrap();
     let mut check = |good: bool, got: &dyn std::fmt::Debug| {
         if !good {
@@ -172,7 +172,7 @@ async fn request(
         }
         Ok(false)
     };
-    match rng.below(10) {
+    match rng.index(10) {
         0..=3 => {
             let values = client.call(station, &ReadRegisters::new(Register::d(first), count.into()).unwrap()).await?;
             check(values.iter().copied().eq((first..first + count).map(|a| word(station, a))), &values)
@@ -199,7 +199,7 @@ async fn request(
         _ => {
             // From now on the register may hold the value, until a reply clears it up.
             held.push(serial);
-            let written = match rng.below(2) {
+            let written = match rng.index(2) {
                 0 => client.call(station, &WriteRegisters::new(own, [serial]).unwrap()).await,
                 _ => client.call(station, &WriteMixed::new([(own.into(), serial.into())]).unwrap()).await,
             };

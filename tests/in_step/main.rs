@@ -18,6 +18,8 @@ mod long_read;
 #[cfg(feature = "cli")]
 #[path = "../process/mod.rs"]
 mod process;
+#[path = "../common/rng.rs"]
+mod rng;
 mod server;
 mod single_calls;
 mod writes;

@@ -7,6 +7,7 @@ use crate::backup::Block;
 use crate::command::BriefStatus;
 use crate::element::Element;
 use crate::file::Origin;
+use crate::random::Random;
 use crate::tag::Tag;
 use crate::transfer::PlcState;
 
@@ -140,15 +141,12 @@ fn an_equal_half_that_was_not_sent_stays_equal() {
     assert_eq!(names(&report.unwritten), ["R1-R3"]);
 }
 
-/// `SplitMix64`.
-struct SplitMix(u64);
+/// Random choices.
+struct Choices(Random);
 
-impl SplitMix {
+impl Choices {
     fn below(&mut self, limit: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (mixed ^ mixed >> 31) % limit
+        self.0.next() % limit
     }
 }
 
@@ -166,7 +164,7 @@ const RANGES: [&str; 3] = ["R0-R9", "R20-R29:u32", "R100-R230"];
 /// A PLC whose program runs now and then, and whose line loses requests and replies. Returns the
 /// number of elements that were in doubt at the ends of runs.
 fn model(seed: u64) -> usize {
-    let dice = &mut SplitMix(seed);
+    let dice = &mut Choices(Random::new(seed));
     let mut options = RestoreOptions::new().bridge(dice.below(4) as usize).attempts(1 + dice.below(4) as u32);
     options = match dice.below(3) {
         0 => options.stop_first().run_again(),
@@ -325,7 +323,6 @@ fn elements_are_in_doubt_after_too_many_duplicates() {
 #[cfg(feature = "sim")]
 #[test]
 fn restoring_keeps_the_contract_of_a_transfer() {
-    use crate::random::Random;
     use crate::sim::Plc;
     use crate::transfer::contract::{self, End};
 

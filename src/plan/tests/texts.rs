@@ -18,11 +18,11 @@ fn a_text_is_read_by_one_request_with_all_tags_in_it() {
 #[test]
 fn no_partition_is_cheaper_where_texts_are_too_long_for_runs() {
     for seed in 0..200 {
-        let mut random = Random(seed);
+        let mut random = Choices(Random::new(seed));
         let model = random.one(&models());
         let limits = Limits::new().max_registers(4).unwrap().max_mixed(12 + random.below(53)).unwrap();
         let n = 1 + random.below(6);
-        let of = |random: &mut Random| match random.below(2) {
+        let of = |random: &mut Choices| match random.below(2) {
             0 => text(Register::r(u16::try_from(random.below(40)).unwrap()).into(), 3 + random.below(10)),
             _ => random_tag(random),
         };
@@ -39,7 +39,7 @@ fn no_partition_is_cheaper_where_texts_are_too_long_for_runs() {
 #[test]
 fn many_texts_are_read_if_longer_than_a_run_or_not() {
     for seed in 0..40 {
-        let mut random = Random(seed);
+        let mut random = Choices(Random::new(seed));
         let model = random.one(&models());
         let limits = Limits::new().max_registers(if seed % 2 == 0 { 64 } else { 4 }).unwrap();
         let mut tags = Vec::new();

@@ -32,6 +32,8 @@ use tokio_util::codec::Decoder;
 
 use line::{Client, Event, Line, Output};
 
+use crate::rng::Rng;
+
 /// Transport to the PLC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Transport {
@@ -105,18 +107,11 @@ pub(crate) fn every(n: usize, commands: &'static [u8], copy: Copy) -> Copies {
 
 /// Copies one in `n` replies to any command, with a random delay of at most `longest`.
 pub(crate) fn at_random(seed: u64, n: u64, longest: Duration) -> Copies {
-    let mut state = seed;
-    let mut random = move || {
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    };
+    let mut rng = Rng(seed);
     let longest = u64::try_from(longest.as_micros()).unwrap();
     Box::new(move |_| {
-        let delay = Duration::from_micros(random() % (longest + 1));
-        (random() % n == 0).then(|| Copy::after(delay))
+        let delay = Duration::from_micros(rng.below(longest + 1));
+        (rng.below(n) == 0).then(|| Copy::after(delay))
     })
 }
 

@@ -120,10 +120,7 @@ impl Spec {
                 self.wrote(bytes, false, at)?;
                 self.lost(at);
             }
-            Event::Read(bytes, marks) => {
-                self.stations.values_mut().for_each(|station| station.add_busy(bytes.len()));
-                self.read(&bytes, &marks, at);
-            }
+            Event::Read(bytes, marks) => self.read(&bytes, &marks, at),
         }
         Ok(())
     }

@@ -34,6 +34,7 @@ impl Spec {
                 }
             }
             Decoded::Frame { station, command, data, bytes, mark } => {
+                self.stations.values_mut().for_each(|station| station.add_busy(bytes.len()));
                 if !self.is_echo(station, command, &data, &bytes) {
                     self.oracle.frame_received(station, mark, at);
                     self.frame(station, command, &data, at);

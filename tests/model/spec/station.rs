@@ -103,7 +103,8 @@ impl Station {
         self.silence_from = at;
     }
 
-    /// The line was in use for this number of bytes, which is no silence.
+    /// The line was in use for a frame of this number of bytes, which is no silence. Noise and
+    /// incomplete frames do not count, as in the link.
     pub(crate) fn add_busy(&mut self, bytes: usize) {
         if let Some(owed) = &mut self.owed {
             owed.busy_nanos += BYTE_NANOS * Micros::try_from(bytes).unwrap();
