@@ -15,6 +15,14 @@
 //! # Ok::<(), fatek::element::ParseElementError>(())
 //! ```
 //!
+//! Two rules go beyond the table of symbols:
+//!
+//! - An address fits the framing of a link: discretes, `RT` and `RC` have up to 9999 in ASCII and up
+//!   to 65535 in binary. An element has an address of either framing. The call checks it before
+//!   anything is sent.
+//! - `C200` to `C255` are counters of 32 bits, with one address each: `DRC200`, `DRC201` and so on.
+//!   They are read and written one by one, and there is no `RC200` and no pair `DRC199`.
+//!
 //! No input can cause a panic in this module. Source: protocol reference, section 3 (manuals 000
 //! and 002 section 4.1, 001 section 2.4).
 
@@ -30,6 +38,8 @@ pub use error::{ElementError, ParseElementError};
 pub(crate) use symbol::{LONGEST_ADDRESS, LONGEST_SYMBOL, MemoryArea};
 pub use symbol::{Symbol, Width};
 pub use value::Value;
+
+use crate::wire::Framing;
 
 /// An element of 1 bit: an input `X`, an output `Y`, a relay `M`, a step `S`, the contact of a
 /// timer `T` or counter `C`.
@@ -94,7 +104,8 @@ impl Register {
     /// The 32-bit element whose low word is this one: `DR0` for `R0`, `DWM8` for `WM8`.
     ///
     /// # Errors
-    /// [`ElementError::OutOfRange`] when the high word would lie past the last address.
+    /// [`ElementError::OutOfRange`] when the high word would lie past the last address;
+    /// [`ElementError::Counter`] for `RC199`.
     pub const fn widened(self) -> Result<Register32, ElementError> {
         Register32::new(self.symbol.area().dword(), self.address)
     }
@@ -102,9 +113,11 @@ impl Register {
 
 impl Register32 {
     /// The 16-bit element that is the low word of this one: `R0` for `DR0`, `WM8` for `DWM8`.
-    #[must_use]
-    pub const fn low(self) -> Register {
-        Register { symbol: self.symbol.area().word(), address: self.address }
+    ///
+    /// # Errors
+    /// [`ElementError::Counter`] for `DRC200` to `DRC255`, which are not pairs.
+    pub const fn low(self) -> Result<Register, ElementError> {
+        Register::new(self.symbol.area().word(), self.address)
     }
 }
 
@@ -112,12 +125,22 @@ impl Element {
     /// The element with this symbol and address.
     ///
     /// # Errors
-    /// [`ElementError::OutOfRange`] or [`ElementError::Misaligned`].
+    /// [`ElementError::OutOfRange`], [`ElementError::Misaligned`] or [`ElementError::Counter`].
     pub const fn new(symbol: Symbol, address: u16) -> Result<Self, ElementError> {
         match symbol.check(address as u32) {
             Ok(address) => Ok(Self::unchecked(symbol, address)),
             Err(error) => Err(error),
         }
+    }
+
+    /// The element of a received request.
+    ///
+    /// A counter of 32 bits may be named as one of 16 bits: the PLC decides, and a gateway forwards
+    /// a request unchanged.
+    pub(crate) fn received(symbol: Symbol, address: u32, framing: Framing) -> Result<Self, ElementError> {
+        let element = Self::unchecked(symbol, symbol.check_form(address)?);
+        element.check_in(framing)?;
+        Ok(element)
     }
 
     /// Parses an element: letters in either case, then decimal digits, such as `R12`, `R00012` or
@@ -126,7 +149,7 @@ impl Element {
     /// Unlike [`FromStr`] it can be used in constants, and its error does not hold the input.
     ///
     /// # Errors
-    /// Every [`ElementError`] but [`ElementError::WrongWidth`].
+    /// Every [`ElementError`] of a symbol or an address.
     pub const fn parse(text: &str) -> Result<Self, ElementError> {
         let bytes = text.as_bytes();
         let mut split = 0;
@@ -184,19 +207,75 @@ impl Element {
 
     /// The `n`-th element after this one; the 0th is itself.
     ///
-    /// Its address is `n` times [`Symbol::step`] further on.
+    /// Its address is `n` times [`step`](Self::step) further on.
     ///
     /// # Errors
-    /// [`ElementError::OutOfRange`] when there is none.
+    /// [`ElementError::OutOfRange`] when there is none. [`ElementError::Counter`] or
+    /// [`ElementError::NotConsecutive`] when counters of 32 bits begin or end in between: no element
+    /// follows `RC199`, `DRC198` or `DRC255`.
     pub const fn nth(self, n: usize) -> Result<Self, ElementError> {
+        if n == 0 {
+            return Ok(self);
+        }
         let symbol = self.symbol();
         // An address beyond u32 stays above every limit.
         let n = if n > u32::MAX as usize { u32::MAX } else { n as u32 };
-        let address = (self.address() as u32).saturating_add(n.saturating_mul(symbol.step() as u32));
+        let address = (self.address() as u32).saturating_add(n.saturating_mul(self.step() as u32));
         match symbol.check(address) {
-            Ok(address) => Ok(Self::unchecked(symbol, address)),
+            Ok(address) if self.is_consecutive_with(address) => Ok(Self::unchecked(symbol, address)),
+            Ok(address) => Err(ElementError::NotConsecutive { symbol, first: self.address(), address }),
             Err(error) => Err(error),
         }
+    }
+
+    /// The distance to the address of the next element: that of [`Symbol::step`], and 1 for counters
+    /// of 32 bits.
+    #[must_use]
+    pub const fn step(self) -> u16 {
+        if self.is_counter_of_32_bits() { 1 } else { self.symbol().step() }
+    }
+
+    /// Whether it is a counter of 32 bits: `DRC200` to `DRC255`.
+    ///
+    /// They are read and written one by one: by 48 and 49, or by 46 and 47 with one element.
+    #[must_use]
+    pub const fn is_counter_of_32_bits(self) -> bool {
+        let [first, last] = self.symbol().area().counters();
+        first <= self.address() && self.address() <= last
+    }
+
+    /// Whether elements follow each other without a gap from this one to one at this address.
+    pub(crate) const fn is_consecutive_with(self, address: u16) -> bool {
+        let [first, last] = self.symbol().area().consecutive(self.address());
+        first <= address && address <= last
+    }
+
+    /// The last address that elements consecutive with this one can have.
+    pub(crate) const fn last_consecutive(self) -> u16 {
+        let [_, last] = self.symbol().area().consecutive(self.address());
+        let (last, of_symbol) = (last - (self.step() - 1), self.symbol().last_address());
+        if last < of_symbol { last } else { of_symbol }
+    }
+
+    /// Checks its address against the limit of a framing.
+    ///
+    /// ```
+    /// use fatek::wire::Framing;
+    ///
+    /// let relay = fatek::element!("M10000");
+    /// assert!(relay.check_in(Framing::Binary).is_ok());
+    /// let error = relay.check_in(Framing::Ascii).unwrap_err();
+    /// assert_eq!(error.to_string(), "M10000 is past the last address of the ascii framing, M9999");
+    /// ```
+    ///
+    /// # Errors
+    /// [`ElementError::PastFraming`].
+    pub const fn check_in(self, framing: Framing) -> Result<(), ElementError> {
+        let (symbol, address) = (self.symbol(), self.address());
+        if address > symbol.last_address_in(framing) {
+            return Err(ElementError::PastFraming { symbol, address, framing });
+        }
+        Ok(())
     }
 
     const fn unchecked(symbol: Symbol, address: u16) -> Self {
@@ -232,8 +311,7 @@ macro_rules! one_width {
             /// The element with this symbol and address.
             ///
             /// # Errors
-            /// [`ElementError::WrongWidth`], [`ElementError::OutOfRange`] or
-            /// [`ElementError::Misaligned`].
+            /// [`ElementError::WrongWidth`], and those of [`Element::new`].
             pub const fn new(symbol: Symbol, address: u16) -> Result<Self, ElementError> {
                 match Element::new(symbol, address) {
                     Ok(element) => Self::narrow(element),
@@ -270,7 +348,7 @@ macro_rules! one_width {
             /// The `n`-th element after this one; the 0th is itself.
             ///
             /// # Errors
-            /// [`ElementError::OutOfRange`] when there is none.
+            /// Those of [`Element::nth`].
             pub const fn nth(self, n: usize) -> Result<Self, ElementError> {
                 match Element::$type(self).nth(n) {
                     Ok(element) => Self::narrow(element),
@@ -281,7 +359,7 @@ macro_rules! one_width {
             const fn narrow(element: Element) -> Result<Self, ElementError> {
                 match element {
                     Element::$type(e) => Ok(e),
-                    other => Err(ElementError::WrongWidth { symbol: other.symbol(), expected: $width }),
+                    other => Err(ElementError::WrongWidth { element: other, expected: $width }),
                 }
             }
         }

@@ -10,6 +10,8 @@
 //! | `M100` | a discrete |
 //! | `R0-R9`, `R0-9` | ten registers, each a `u16` |
 //! | `WM0-WM32` | the three words `WM0`, `WM16` and `WM32` |
+//! | `DR0-DR4` | the three registers of 32 bits `DR0`, `DR2` and `DR4` |
+//! | `DRC200-DRC205` | six counters of 32 bits: `DRC200` to `DRC255` have one address each |
 //! | `R5:i16` | a register, signed |
 //! | `DR2:i32` | a 32-bit register, signed |
 //! | `R100:f32` | the registers `R100`, the low word, and `R101` as one float |
@@ -66,7 +68,8 @@ pub use types::{TagType, TagValue};
 use self::scale::parse_scaled;
 use self::types::Storage;
 use crate::command::{MAX_UNITS, Value};
-use crate::element::{Element, Width};
+use crate::element::{Element, ElementError, Width};
+use crate::wire::Framing;
 
 /// An element or a range of elements, with a data type; see [the module](self).
 ///
@@ -209,6 +212,15 @@ impl Tag {
         (0..self.count).filter_map(move |n| first.nth(n).ok())
     }
 
+    /// Checks the addresses of its elements against the limit of a framing.
+    ///
+    /// # Errors
+    /// [`ElementError::PastFraming`] for the first element if it is past the limit, else for the last.
+    pub fn check_in(&self, framing: Framing) -> Result<(), ElementError> {
+        self.first.check_in(framing)?;
+        self.first.nth(self.count - 1)?.check_in(framing)
+    }
+
     /// A tag for each value: `R0-R3:f32` has `R0:f32` and `R2:f32`.
     pub fn singles(&self) -> impl Iterator<Item = Self> + use<> {
         let (tag, per_value) = (*self, self.elements_per_value());
@@ -220,14 +232,14 @@ impl Tag {
     /// `raw`: the values of [`elements`](Self::elements), in their order.
     ///
     /// # Errors
-    /// [`ValueError::Count`] unless there is one per element; [`ValueError::WrongWidth`] if one has
-    /// not the width of the elements.
+    /// [`ValueError::Count`] unless there is one per element; [`ElementError::WrongWidth`] in
+    /// [`ValueError::Element`] if one has not the width of the elements.
     pub fn decode(&self, raw: &[Value]) -> Result<Vec<TagValue>, ValueError> {
         if raw.len() != self.count {
             return Err(ValueError::Count { tag: *self, expected: self.count, given: raw.len() });
         }
-        if let Some(&value) = raw.iter().find(|value| value.width() != self.first.width()) {
-            return Err(ValueError::WrongWidth { tag: *self, value });
+        if let Some(value) = raw.iter().find(|value| value.width() != self.first.width()) {
+            return Err(ElementError::WrongWidth { element: self.first, expected: value.width() }.into());
         }
         Ok(raw.chunks(self.elements_per_value()).map(|elements| self.decode_one(elements)).collect())
     }
@@ -396,7 +408,10 @@ impl fmt::Display for Tag {
 
 /// The storage of a value of this type, from `first` on.
 fn storage(first: Element, tag_type: TagType) -> Result<Storage, TagError> {
-    tag_type.storage(first.width()).ok_or(TagError::WrongType { symbol: first.symbol(), tag_type })
+    let storage = tag_type.storage(first.width());
+    // Counters of 32 bits are read one by one, so none is a part of a longer value.
+    let fits = |storage: &Storage| !first.is_counter_of_32_bits() || storage.elements_per_value(first.width()) == 1;
+    storage.filter(fits).ok_or(TagError::WrongType { symbol: first.symbol(), tag_type })
 }
 
 /// The bits of the elements of one value, the first element lowest.

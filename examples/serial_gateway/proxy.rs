@@ -6,6 +6,7 @@
 //! | good request, no reply | reads up to three times; nothing while the station is offline | nothing |
 //! | request that no PLC can read | nothing | error code of a PLC for it: 2, 4 or A |
 //! | request without form in the framing of the bus | nothing | error 4, "the command cannot be executed" |
+//! | address past the last one of the framing of the bus | nothing | error A, "illegal address" |
 //! | write or control command, in read-only mode | nothing | error 3 in ASCII, 4 in binary |
 //! | broadcast that writes or controls | request, unless in read-only mode | nothing |
 //! | any other broadcast | nothing | nothing |
@@ -13,7 +14,7 @@
 //!
 //! Requests without form in a framing: program pages (4F, 50) in binary; loop-backs with
 //! unprintable bytes in ASCII; and the few mixed lists (48, 49) that are ambiguous in binary, which
-//! are refused from binary clients, too.
+//! are refused from binary clients, too. `M10000` has an address in binary and none in ASCII.
 //!
 //! Error 3 is "write prohibited": in the manual, of a ROM pack. The binary framing has no such
 //! code, so error 4 is used. A blocked broadcast has no reply: its sender would take one for the
@@ -135,7 +136,7 @@ impl Proxy {
         match result {
             Ok(outcome) => outcome,
             Err(Error::Invalid(_)) if frame.station == BROADCAST => Outcome::Ignored,
-            Err(Error::Invalid(_)) => Outcome::Faulty(ErrorCode::IllegalFormat),
+            Err(Error::Invalid(fault)) => Outcome::Faulty(fault.error_code()),
             Err(Error::Plc { error, .. }) => Outcome::Refused(error),
             // No error code fits: as on the bus, the client sees a timeout.
             Err(error) => {

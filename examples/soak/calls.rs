@@ -107,7 +107,7 @@ impl Call<'_> {
         let began = Instant::now();
         let read = match self.rng.below(3) {
             0 => self.station.read_registers32(register, count).await,
-            1 => self.station.read_registers(register.low(), 2 * count).await.map(|words| layout::join(&words)),
+            1 => self.station.read_registers(register.low()?, 2 * count).await.map(|words| layout::join(&words)),
             _ => {
                 let read = self.station.read_mixed(&[register.into()]).await;
                 read.map(|values| values.into_iter().map(dword_of).collect())
@@ -127,7 +127,7 @@ impl Call<'_> {
         let (write, values) = self.line.expected().begin(&places, Instant::now());
         let result = match self.rng.below(10) {
             0..4 => self.station.write_registers32(register, &values).await,
-            4..7 => self.station.write_registers(register.low(), &layout::split(&values)).await,
+            4..7 => self.station.write_registers(register.low()?, &layout::split(&values)).await,
             7..9 => {
                 let registers: Vec<Register32> =
                     (first..).take(count).map(|n| layout::dword(self.caller, n)).collect::<Result<_>>()?;

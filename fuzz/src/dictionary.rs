@@ -2,7 +2,7 @@
 
 use fatek::command::{Class, Code};
 use fatek::tag::TagType;
-use fatek::wire::{ascii, binary};
+use fatek::wire::{Framing, ascii, binary};
 use fatek::{Element, Symbol};
 
 /// Returns the dictionary of a target in the format of libFuzzer; empty if it has none.
@@ -88,19 +88,21 @@ fn types() -> Vec<Vec<u8>> {
     TagType::ALL.iter().map(|tag_type| format!(":{tag_type}").into_bytes()).collect()
 }
 
-/// First and last element of each symbol in the ASCII framing.
+/// First and last element of each symbol in the ASCII framing, and counters of 32 bits.
 fn addresses() -> Vec<Vec<u8>> {
-    ends().map(|element| format!("{element:#}").into_bytes()).collect()
+    ends(Framing::Ascii).map(|element| format!("{element:#}").into_bytes()).collect()
 }
 
 /// First and last element of each symbol in the binary framing.
 fn binary_elements() -> Vec<Vec<u8>> {
-    ends().map(|e| [e.symbol().as_str().as_bytes(), &e.address().to_be_bytes()].concat()).collect()
+    ends(Framing::Binary).map(|e| [e.symbol().as_str().as_bytes(), &e.address().to_be_bytes()].concat()).collect()
 }
 
-fn ends() -> impl Iterator<Item = Element> {
-    let ends = |symbol: &Symbol| [0, symbol.last_address()].map(|address| Element::new(*symbol, address));
-    Symbol::ALL.iter().flat_map(ends).flatten()
+fn ends(framing: Framing) -> impl Iterator<Item = Element> {
+    let ends =
+        move |&symbol: &Symbol| [0, symbol.last_address_in(framing)].map(|address| Element::new(symbol, address));
+    let counters = [200, 255].map(|address| Element::new(Symbol::DRC, address));
+    Symbol::ALL.iter().flat_map(ends).chain(counters).flatten()
 }
 
 fn line(word: &[u8]) -> String {

@@ -50,6 +50,8 @@ fn check_request(request: &Request, frame: &Frame, framing: Framing) {
                 assert!(to != framing || same(framing, &again.data, &frame.data), "{frame:?} is encoded as {again:?}");
             }
             Err(InvalidRequest::NotInFraming { .. }) => assert_ne!(to, framing),
+            // An address of the binary framing.
+            Err(InvalidRequest::Element(_)) => assert_eq!((framing, to), (Framing::Binary, Framing::Ascii)),
             // Data of an 8-bit line, or of the other framing.
             Err(InvalidRequest::NotPrintable { .. }) => {
                 assert_eq!((to, request.code()), (Framing::Ascii, Code::LoopBack))

@@ -60,12 +60,14 @@ impl Chunk {
     }
 }
 
-/// The range of a backup: of its type only the size of a value matters, one register or two.
+/// The range of a backup: of its type only the number of registers of a value matters. A text has
+/// values of one register.
 pub(super) fn plain(range: Tag) -> Tag {
-    let pairs = !range.tag_type().is_text() && range.elements_per_value() == 2;
-    let tag_type = if pairs { TagType::U32 } else { TagType::default_for(range.first().width()) };
-    // Elements and count are those of a tag.
-    Tag::spanning(range.first(), tag_type, range.element_count()).unwrap_or(range)
+    let per_value = if range.tag_type().is_text() { 1 } else { range.elements_per_value() };
+    let spanning = |&tag_type: &TagType| Tag::spanning(range.first(), tag_type, range.element_count()).ok();
+    let mut numbers = TagType::ALL.iter().filter(|tag_type| !tag_type.is_text()).filter_map(spanning);
+    // The first type of the table with this size. The type of the range has it.
+    numbers.find(|tag| tag.elements_per_value() == per_value).unwrap_or(range)
 }
 
 /// The elements of a range with these indices, without a type.
@@ -79,7 +81,7 @@ fn memory(range: Tag) -> (MemoryArea, u16, u16) {
     let first = range.first();
     let last = first.nth(range.element_count().saturating_sub(1)).unwrap_or(first);
     // Consecutive elements touch, so each covers one step.
-    let end = last.address().saturating_add(last.symbol().step().saturating_sub(1));
+    let end = last.address().saturating_add(last.step().saturating_sub(1));
     (first.symbol().area(), first.address(), end)
 }
 
@@ -211,7 +213,8 @@ impl Chunks {
     }
 }
 
-/// The number of elements of a run in one request: values stay whole.
+/// The number of elements of a run in one request: values stay whole. It is 1 for counters of 32
+/// bits, whose values have one element.
 fn most_at_once(run: Chunk) -> usize {
     let most = most_in_one_request(run.range.first());
     if run.count <= most {
@@ -264,10 +267,10 @@ impl Block {
     /// The index of an element.
     pub(super) fn index(&self, element: Element) -> Option<usize> {
         let first = self.range.first();
-        if element.symbol() != first.symbol() {
+        if element.symbol() != first.symbol() || !first.is_consecutive_with(element.address()) {
             return None;
         }
-        let (step, distance) = (first.symbol().step(), element.address().checked_sub(first.address())?);
+        let (step, distance) = (first.step(), element.address().checked_sub(first.address())?);
         let index = usize::from(distance.checked_div(step)?);
         (distance.is_multiple_of(step) && index < self.cells.len()).then_some(index)
     }

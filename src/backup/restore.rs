@@ -4,6 +4,7 @@ use std::fmt;
 
 use super::options::RestoreOptions;
 use super::restoring::{RestoreGoal, Restoring};
+use super::take::check_in;
 use super::{Backup, RestoreError, RestoreFailure, RestoreReport};
 use crate::progress::Progress;
 use crate::station::Station;
@@ -74,6 +75,9 @@ impl Restore {
     async fn drive(&mut self, station: &Station, goal: RestoreGoal) -> Result<RestoreReport, RestoreError> {
         let admitted = self.driver.admit(station, self.restoring.is_bound());
         admitted.map_err(|other| self.failed(other.into()))?;
+        check_in(self.restoring.ranges(), station).map_err(|source| {
+            self.failed(RestoreFailure::Call { doing: "checking the addresses".to_owned(), source })
+        })?;
         self.restoring.begin(goal);
         let driven = self.driver.run(&mut self.restoring, station).await;
         driven.map(|()| self.report()).map_err(|source| self.failed(source))

@@ -359,6 +359,10 @@ impl Restoring {
         self.targets.iter().chain(&self.left_out)
     }
 
+    pub(super) fn ranges(&self) -> impl Iterator<Item = Tag> {
+        self.all().map(|target| target.range)
+    }
+
     fn count(&self, holds: impl Fn(ElementState) -> bool) -> usize {
         self.targets.iter().flat_map(|target| &target.elements).filter(|element| holds(element.state)).count()
     }

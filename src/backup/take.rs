@@ -5,7 +5,7 @@ use std::time::SystemTime;
 
 use super::taking::Taking;
 use super::{Backup, BackupError, InvalidBackup};
-use crate::command::DetailedStatus;
+use crate::command::{DetailedStatus, InvalidRequest};
 use crate::error::Error;
 use crate::file::{Origin, whole_seconds};
 use crate::progress::Progress;
@@ -78,11 +78,13 @@ impl TakeBackup {
     ///
     /// # Errors
     /// - [`BackupError::Call`] if a request fails otherwise than by a refusal: no reply, no
-    ///   connection. Run it again to continue.
+    ///   connection. Run it again to continue. Also, before anything is sent, if the framing of the
+    ///   link does not have all addresses.
     /// - [`BackupError::OtherStation`] if elements have been read from a station of another number.
     /// - [`BackupError::OtherPlc`] if they have been read from a PLC whose status (53) states another
     ///   main unit or number of I/O points.
     pub async fn run(&mut self, station: &Station) -> Result<Backup, BackupError> {
+        check_in(self.partial().ranges(), station).map_err(|error| self.failed(error))?;
         match self.partial().station() {
             None => self.read_origin(station).await.map_err(|error| self.failed(error))?,
             Some(_) => self.check_origin(station).await?,
@@ -125,6 +127,12 @@ impl fmt::Debug for TakeBackup {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("TakeBackup").field("done", &self.taking.confirmed_elements()).finish_non_exhaustive()
     }
+}
+
+/// Checks that the framing of the link has the addresses of all ranges.
+pub(super) fn check_in(mut ranges: impl Iterator<Item = Tag>, station: &Station) -> Result<(), Error> {
+    let framing = station.link().framing();
+    ranges.try_for_each(|range| range.check_in(framing)).map_err(|error| InvalidRequest::from(error).into())
 }
 
 /// `None` for a refusal: not every model has every status.

@@ -162,7 +162,7 @@ fn ranges_that_share_memory_are_refused() {
         ["M0-M15", "WM8"],
         ["DWM0", "M31"],
         ["WY0-WY16", "DWY0"],
-        ["RC200", "DRC199"],
+        ["RC198", "DRC197"],
         ["R0", "R0"],
         ["D0-D99", "DD98:i32"],
     ] {

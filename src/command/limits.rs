@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use super::Code;
-use crate::element::{Element, ElementError, Value, Width};
+use super::{Code, Command, Run};
+use crate::element::{Element, ElementError, Width};
 use crate::wire::Framing;
 
 /// 43, 44 and 45: the most discretes in one request.
@@ -47,20 +47,26 @@ pub enum InvalidRequest {
         max: usize,
     },
     /// Consecutive elements beyond the last address.
-    #[error("{count} elements from {first} on reach past the last address, {}", last(*first))]
+    #[error(
+        "{count} elements from {first} on reach past the last address, {}{}",
+        first.symbol(), first.last_consecutive()
+    )]
     PastTheEnd {
         /// The first element.
         first: Element,
         /// The number of elements.
         count: usize,
     },
-    /// A value of another width than its element.
-    #[error("{element} is {}, and the value {value} is for {}", element.width(), value.width())]
-    WrongWidth {
-        /// The element.
-        element: Element,
-        /// The value.
-        value: Value,
+    /// Several counters of 32 bits as a run. `DRC200` to `DRC255` are read and written one by one.
+    #[error("{code}: {first} is a counter of 32 bits, and these are read and written one by one, not {count} at once")]
+    #[non_exhaustive]
+    OneByOne {
+        /// The command.
+        code: Code,
+        /// The first element.
+        first: Element,
+        /// The number of elements.
+        count: usize,
     },
     /// The framing does not have this command.
     #[error("{code} does not exist in the {framing} framing")]
@@ -123,13 +129,29 @@ impl fmt::Display for List<'_> {
     }
 }
 
-/// The last element with the symbol of this one.
-fn last(element: Element) -> String {
-    format!("{0}{1}", element.symbol(), element.symbol().last_address())
+/// Checks that the framing has the command and the addresses of all elements.
+pub(super) fn in_framing<C: Command>(request: &C, framing: Framing) -> Result<(), InvalidRequest> {
+    if !C::CODE.is_in(framing) {
+        return Err(InvalidRequest::NotInFraming { code: C::CODE, framing });
+    }
+    Ok(addresses_in(request, framing)?)
 }
 
-pub(super) fn in_framing(code: Code, framing: Framing) -> Result<(), InvalidRequest> {
-    if code.is_in(framing) { Ok(()) } else { Err(InvalidRequest::NotInFraming { code, framing }) }
+/// Checks that the framing has the addresses of all elements.
+pub(super) fn addresses_in(request: &impl Command, framing: Framing) -> Result<(), ElementError> {
+    let mut result = Ok(());
+    request.for_each_run(&mut |Run { first, count }| {
+        if result.is_ok() {
+            result = run_in(first, count, framing);
+        }
+    });
+    result
+}
+
+/// Checks that the framing has the addresses of consecutive elements, which exist.
+fn run_in(first: Element, count: usize, framing: Framing) -> Result<(), ElementError> {
+    first.check_in(framing)?;
+    first.nth(count.saturating_sub(1)).map_or(Ok(()), |last| last.check_in(framing))
 }
 
 pub(super) fn count(code: Code, count: usize, min: usize, max: usize) -> Result<(), InvalidRequest> {
@@ -140,25 +162,49 @@ pub(super) fn units(code: Code, units: usize, max: usize) -> Result<(), InvalidR
     if units <= max { Ok(()) } else { Err(InvalidRequest::Units { code, units, max }) }
 }
 
-/// The most consecutive elements of this width in one request.
+/// The most consecutive elements from this one on in one request.
 pub(crate) fn most_in_one_request(first: Element) -> usize {
-    match first.width() {
+    if first.is_counter_of_32_bits() { 1 } else { most_of_width(first.width()) }
+}
+
+fn most_of_width(width: Width) -> usize {
+    match width {
         Width::Bit => MAX_POINTS,
-        width @ (Width::Word | Width::DWord) => MAX_UNITS / width.units(),
+        Width::Word | Width::DWord => MAX_UNITS / width.units(),
     }
 }
 
 /// Checks consecutive elements of one request: their number, and that all exist.
 pub(super) fn consecutive(code: Code, first: Element, n: usize) -> Result<(), InvalidRequest> {
-    count(code, n, 1, most_in_one_request(first))?;
+    count(code, n, 1, most_of_width(first.width()))?;
+    if n > most_in_one_request(first) {
+        return Err(InvalidRequest::OneByOne { code, first, count: n });
+    }
     exist(first, n)
 }
 
-/// Checks consecutive elements of several requests: that there is at least one, and that all exist.
-pub(crate) fn check_range(code: Code, first: Element, n: usize) -> Result<(), InvalidRequest> {
-    let last = usize::from(first.symbol().last_address() - first.address());
-    count(code, n, 1, (last / usize::from(first.symbol().step()) + 1).max(n))?;
-    exist(first, n)
+/// Checks consecutive elements of a received request.
+///
+/// A run of counters of 32 bits passes: the PLC decides, and a gateway forwards a request unchanged.
+pub(super) fn received(code: Code, Run { first, count: n }: Run) -> Result<(), InvalidRequest> {
+    let last = usize::from(first.address()) + n.saturating_sub(1) * usize::from(first.symbol().step());
+    count(code, n, 1, most_of_width(first.width()))?;
+    if last > usize::from(first.symbol().last_address()) {
+        return Err(InvalidRequest::PastTheEnd { first, count: n });
+    }
+    Ok(())
+}
+
+/// Checks consecutive elements of several requests: that there is at least one, and that all exist
+/// in this framing.
+pub(crate) fn check_range(code: Code, first: Element, n: usize, framing: Framing) -> Result<(), InvalidRequest> {
+    first.check_in(framing)?;
+    // Both limits are at the first element or behind it.
+    let last = first.last_consecutive().min(first.symbol().last_address_in(framing));
+    let others = (last - first.address()) / first.step();
+    count(code, n, 1, (usize::from(others) + 1).max(n))?;
+    exist(first, n)?;
+    Ok(run_in(first, n, framing)?)
 }
 
 fn exist(first: Element, n: usize) -> Result<(), InvalidRequest> {

@@ -73,7 +73,7 @@ impl Command for LoopBack {
     fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
 
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
-        limits::in_framing(Self::CODE, framing)?;
+        limits::in_framing(self, framing)?;
         match framing {
             Framing::Ascii => ascii::find_unprintable(&self.data).map_or(Ok(()), |(position, byte)| {
                 Err(InvalidRequest::NotPrintable { code: Self::CODE, byte, position })

@@ -1,7 +1,7 @@
 use bytes::BytesMut;
 
 use super::{Candidates, Code, Command, InvalidRequest, RequestError, Run, Spelling, limits, sealed, spelling};
-use crate::element::{Element, Value};
+use crate::element::{Element, ElementError, Value};
 use crate::wire::{BinaryReader, BinaryWriter, FieldError, FieldReader, FieldWriter, Framing};
 
 /// 48: reads any elements, in any order.
@@ -76,7 +76,7 @@ impl Command for ReadMixed {
     }
 
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
-        limits::in_framing(Self::CODE, framing)?;
+        limits::in_framing(self, framing)?;
         unambiguous(self, framing, || self.elements.clone())
     }
 
@@ -130,12 +130,13 @@ impl WriteMixed {
     ///
     /// # Errors
     /// [`InvalidRequest::Count`] without an element; [`InvalidRequest::Units`] for more than 32
-    /// units; [`InvalidRequest::WrongWidth`] for a value of another width than its element.
+    /// units; [`ElementError::WrongWidth`] in [`InvalidRequest::Element`] for a value of another width
+    /// than its element.
     pub fn new(items: impl Into<Vec<(Element, Value)>>) -> Result<Self, InvalidRequest> {
         let items = items.into();
         limits::count(Self::CODE, items.len(), 1, limits::MAX_MIXED_WRITE_UNITS)?;
         if let Some(&(element, value)) = items.iter().find(|(element, value)| element.width() != value.width()) {
-            return Err(InvalidRequest::WrongWidth { element, value });
+            return Err(ElementError::WrongWidth { element, expected: value.width() }.into());
         }
         limits::units(Self::CODE, items.iter().map(|(e, _)| e.width().units()).sum(), limits::MAX_MIXED_WRITE_UNITS)?;
         Ok(Self { items })
@@ -186,7 +187,7 @@ impl Command for WriteMixed {
     }
 
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
-        limits::in_framing(Self::CODE, framing)?;
+        limits::in_framing(self, framing)?;
         unambiguous(self, framing, || self.items.iter().map(|&(element, _)| element).collect())
     }
 

@@ -12,6 +12,7 @@
 mod table;
 
 mod code;
+mod consecutive;
 mod control;
 mod discrete;
 mod forwarded_reply;
@@ -29,6 +30,7 @@ mod status;
 use std::fmt;
 
 pub use code::{Class, ErrorField};
+pub use consecutive::ConsecutiveElement;
 pub use control::DiscreteControl;
 pub use forwarded_reply::ForwardedReply;
 pub use framing::{ReplyError, decode_reply, encode_refusal, encode_reply, encode_request};
@@ -39,7 +41,7 @@ pub use program::{PAGE_WORDS, ProgramPage};
 pub use register::RegisterElement;
 pub use request::RequestError;
 pub(crate) use spelling::{Candidate, Candidates, NONE as NO_CANDIDATES, Run, Spelling};
-pub(crate) use stack_reply::{Consecutive, StackReply};
+pub(crate) use stack_reply::{Consecutive, StackReply, ValueOf};
 pub use status::{BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, Series, StatusFlags};
 
 pub use crate::element::Value;
@@ -109,9 +111,10 @@ pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
     /// Checks the rules that depend on the framing. [`encode_request`] calls it.
     ///
     /// # Errors
-    /// [`InvalidRequest::NotInFraming`], and errors of the command itself.
+    /// [`InvalidRequest::NotInFraming`]; [`ElementError::PastFraming`](crate::element::ElementError)
+    /// in [`InvalidRequest::Element`]; and errors of the command itself.
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
-        limits::in_framing(Self::CODE, framing)
+        limits::in_framing(self, framing)
     }
 
     /// Calls `each` with all elements that the request names, as runs of consecutive ones.

@@ -1,6 +1,6 @@
 use bytes::BytesMut;
 
-use super::{Code, Command, InvalidRequest, Request, encode_request, with_command};
+use super::{Code, Command, InvalidRequest, Request, encode_request, limits, with_command};
 use crate::ErrorCode;
 use crate::element::{ElementError, Width};
 use crate::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, Frame, Framing};
@@ -14,10 +14,13 @@ impl Request {
     pub fn decode(frame: &Frame, framing: Framing) -> Result<Self, RequestError> {
         let code = Code::from_u8(frame.command).filter(|code| code.is_in(framing));
         let code = code.ok_or(RequestError::UnknownCommand(frame.command))?;
-        match framing {
+        let request = match framing {
             Framing::Ascii => Self::read(code, &mut AsciiReader::new(&frame.data)),
             Framing::Binary => Self::read(code, &mut BinaryReader::new(&frame.data)),
-        }
+        }?;
+        // The first element of a run is in the framing; its last may be past the end.
+        with_command!(&request, command => limits::addresses_in(command, framing))?;
+        Ok(request)
     }
 
     /// Appends the request as a complete frame, as [`encode_request`] does.
@@ -39,6 +42,14 @@ impl Request {
     /// Those of [`encode_request`]: some requests cannot be sent in both framings.
     pub fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
         with_command!(self, command => encode_request(command, framing, station, dst))
+    }
+
+    /// Checks the rules that depend on the framing, as [`Command::check`] does.
+    ///
+    /// # Errors
+    /// Those of [`Command::check`].
+    pub fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
+        with_command!(self, command => command.check(framing))
     }
 
     /// The code of the command.
@@ -75,34 +86,48 @@ impl RequestError {
                 | FieldError::NotDecimal(_)
                 | FieldError::NotABit(_)
                 | FieldError::UnknownCode(_) => ErrorCode::IllegalValue,
-                FieldError::Element(ElementError::OutOfRange { .. } | ElementError::Misaligned { .. }) => {
-                    ErrorCode::IllegalAddress
-                }
-                FieldError::Element(
-                    ElementError::UnknownSymbol
-                    | ElementError::MissingAddress { .. }
-                    | ElementError::BadAddress { .. }
-                    | ElementError::WrongWidth { .. },
-                )
-                | FieldError::Truncated
+                FieldError::Element(error) => code_of_element(*error),
+                FieldError::Truncated
                 | FieldError::Trailing
                 | FieldError::WrongLength
                 | FieldError::Unreadable
                 | FieldError::Ambiguous
                 | FieldError::NotTheEcho => ErrorCode::IllegalFormat,
             },
-            Self::Invalid(error) => match error {
-                InvalidRequest::PastTheEnd { .. } | InvalidRequest::Element(_) => ErrorCode::IllegalAddress,
-                InvalidRequest::Count { .. }
-                | InvalidRequest::Units { .. }
-                | InvalidRequest::WrongWidth { .. }
-                | InvalidRequest::NotInFraming { .. }
-                | InvalidRequest::Ambiguous { .. }
-                | InvalidRequest::NotPrintable { .. }
-                | InvalidRequest::NoBroadcast { .. }
-                | InvalidRequest::Station { .. } => ErrorCode::IllegalValue,
-            },
+            Self::Invalid(error) => error.error_code(),
         }
+    }
+}
+
+impl InvalidRequest {
+    /// The error code with which a gateway refuses a request that cannot be sent on its line: A for
+    /// an address, 4 for a request that the framing cannot carry, 2 for the rest.
+    #[must_use]
+    pub fn error_code(&self) -> ErrorCode {
+        match self {
+            Self::Element(error) => code_of_element(*error),
+            Self::PastTheEnd { .. } => ErrorCode::IllegalAddress,
+            Self::NotInFraming { .. } | Self::Ambiguous { .. } | Self::NotPrintable { .. } => ErrorCode::IllegalFormat,
+            Self::Count { .. }
+            | Self::Units { .. }
+            | Self::OneByOne { .. }
+            | Self::NoBroadcast { .. }
+            | Self::Station { .. } => ErrorCode::IllegalValue,
+        }
+    }
+}
+
+fn code_of_element(error: ElementError) -> ErrorCode {
+    match error {
+        ElementError::OutOfRange { .. }
+        | ElementError::Misaligned { .. }
+        | ElementError::PastFraming { .. }
+        | ElementError::Counter { .. }
+        | ElementError::NotConsecutive { .. } => ErrorCode::IllegalAddress,
+        ElementError::UnknownSymbol
+        | ElementError::MissingAddress { .. }
+        | ElementError::BadAddress { .. }
+        | ElementError::WrongWidth { .. } => ErrorCode::IllegalFormat,
     }
 }
 
@@ -140,6 +165,8 @@ pub(super) fn read_either<N: Command, W: Command, R: FieldReader + Clone>(
 }
 
 fn is_of_a_dword(error: &RequestError) -> bool {
-    let RequestError::Field(FieldError::Element(ElementError::WrongWidth { symbol, .. })) = error else { return false };
-    symbol.width() == Width::DWord
+    let RequestError::Field(FieldError::Element(ElementError::WrongWidth { element, .. })) = error else {
+        return false;
+    };
+    element.width() == Width::DWord
 }

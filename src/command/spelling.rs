@@ -14,7 +14,9 @@
 //! All other requests have one spelling. A reply to 48 has the data of a reply to 46 or 44 after
 //! another command code.
 
-use super::{Code, Command, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, ReadMixed, WriteMixed, most_in_one_request};
+use super::{
+    Code, Command, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, MAX_POINTS, ReadMixed, WriteMixed, most_in_one_request,
+};
 use crate::element::{Element, Value, Width};
 use crate::wire::{FieldWriter, Framing};
 
@@ -31,6 +33,7 @@ pub struct Spelling {
 
 impl Spelling {
     pub(crate) fn new(code: Code, count: usize) -> Self {
+        debug_assert!(count <= MAX_POINTS, "a request names at most {MAX_POINTS} elements");
         Self { code, count: u16::try_from(count).unwrap_or(u16::MAX), before: false }
     }
 
@@ -43,7 +46,9 @@ impl Spelling {
 
     /// The first element in the request for elements from this one on.
     pub(super) fn first(self, first: Element) -> Element {
-        if self.before { previous(first).unwrap_or(first) } else { first }
+        let first_of_all = if self.before { previous(first) } else { Some(first) };
+        debug_assert!(first_of_all.is_some(), "a spelling with an element before has one");
+        first_of_all.unwrap_or(first)
     }
 }
 
@@ -73,8 +78,19 @@ pub struct Run {
 }
 
 impl Run {
+    /// Whether the list of its elements is known. A received request may name a run of counters of 32
+    /// bits, or a half of one: the manuals do not say which memory that is.
+    fn is_known(self) -> bool {
+        let exists = Element::new(self.first.symbol(), self.first.address()).is_ok();
+        let is_one_by_one = self.count == 1 || !self.first.is_counter_of_32_bits();
+        exists && is_one_by_one && self.first.nth(self.count.saturating_sub(1)).is_ok()
+    }
+
     /// The other spellings of a read with this command; `longer`: it is a part of a longer read.
     pub(super) fn read_candidates(self, code: Code, longer: bool, framing: Framing) -> Candidates {
+        if !self.is_known() {
+            return NONE;
+        }
         let one_less = if longer { self.one_less(code) } else { None };
         let mixed = if code == Code::ReadDisabled { None } else { self.mixed_read(framing) };
         [one_less, self.one_more(code, framing, false), self.one_more(code, framing, true), mixed]
@@ -88,7 +104,7 @@ impl Run {
         values: &[impl Into<Value> + Copy],
     ) -> Candidates {
         let most = MAX_MIXED_WRITE_UNITS / self.first.width().units();
-        if self.count > most && !longer {
+        if !self.is_known() || self.count > most && !longer {
             return NONE;
         }
         let count = self.count.min(most);
@@ -122,7 +138,10 @@ impl Run {
     /// follows: the high byte of the address.
     fn is_surely_unambiguous(self, count: usize, framing: Framing) -> bool {
         let symbol = self.first.symbol().as_str();
-        let last = self.first.nth(count.saturating_sub(1)).unwrap_or(self.first);
+        let Ok(last) = self.first.nth(count.saturating_sub(1)) else {
+            debug_assert!(false, "the elements of a run are known");
+            return false;
+        };
         let high = self.first.address().to_be_bytes()[0]..=last.address().to_be_bytes()[0];
         let letters = b'A'..=b'Z';
         let apart = high.end() < letters.start() || letters.end() < high.start();
@@ -143,6 +162,7 @@ impl Run {
             return None;
         }
         let extra = if before { previous(self.first)? } else { self.first.nth(self.count).ok()? };
+        extra.check_in(framing).ok()?;
         let more_bytes = framing.value_len(self.first.width());
         let spelling = Spelling { before, ..Spelling::new(code, self.count + 1) };
         Some(Candidate { spelling, extra: Some(extra), more_bytes, left: 0 })
@@ -175,7 +195,7 @@ pub(super) fn read_fields<W: FieldWriter>(first: Element, spelling: Spelling, fi
     let count = usize::from(spelling.count);
     fields.count(count);
     if spelling.code == Code::ReadMixed {
-        (0..count).filter_map(|n| first.nth(n).ok()).for_each(|element| fields.element(element));
+        elements(first, count).for_each(|element| fields.element(element));
     } else {
         fields.element(spelling.first(first));
     }
@@ -200,14 +220,21 @@ pub(super) fn write_fields<W: FieldWriter, C: Command>(
     if spelling.code != Code::WriteMixed {
         return plain.write_request(fields);
     }
+    debug_assert!(usize::from(spelling.count) <= values.len(), "a spelling names no other elements");
     let values = values.get(..spelling.count.into()).unwrap_or(values);
     fields.count(values.len());
-    for (n, &value) in values.iter().enumerate() {
-        if let Ok(element) = first.nth(n) {
-            fields.element(element);
-            fields.value(value.into());
-        }
+    for (element, &value) in elements(first, values.len()).zip(values) {
+        fields.element(element);
+        fields.value(value.into());
     }
+}
+
+/// Consecutive elements of a mixed spelling.
+///
+/// Invariant: all of them exist, because only known runs have such a spelling.
+fn elements(first: Element, count: usize) -> impl Iterator<Item = Element> {
+    debug_assert!(first.nth(count.saturating_sub(1)).is_ok(), "{count} elements from {first} on");
+    (0..count).filter_map(move |n| first.nth(n).ok())
 }
 
 /// The length of values in a reply, in bytes.
@@ -217,5 +244,6 @@ pub(super) fn values_len(width: Width, count: usize, framing: Framing) -> u32 {
 
 /// The element before this one.
 fn previous(first: Element) -> Option<Element> {
-    Element::new(first.symbol(), first.address().checked_sub(first.symbol().step())?).ok()
+    let previous = Element::new(first.symbol(), first.address().checked_sub(first.step())?).ok()?;
+    previous.is_consecutive_with(first.address()).then_some(previous)
 }

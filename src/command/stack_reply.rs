@@ -1,5 +1,4 @@
-use super::{Candidates, Code, Command, ReadDiscretes, ReadRegisters, RequestError, Run, Spelling, sealed};
-use crate::element::Register;
+use super::{Candidates, Code, Command, ConsecutiveElement, RequestError, Run, Spelling, sealed};
 use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 
 /// A read of at most `N` consecutive elements whose reply is an array: no memory of the heap is
@@ -16,62 +15,27 @@ pub(crate) struct ArrayVec<T, const N: usize> {
 
 impl<T, const N: usize> ArrayVec<T, N> {
     pub(crate) fn as_slice(&self) -> &[T] {
-        debug_assert!(self.len <= N);
-        self.values.get(..self.len).unwrap_or_default()
+        let values = self.values.get(..self.len);
+        debug_assert!(values.is_some(), "`len` is at most `N`");
+        values.unwrap_or_default()
     }
 }
 
 /// A read of consecutive elements.
 pub(crate) trait Consecutive: Command + Copy {
-    /// The value of an element.
-    type Value: Copy + Default + std::fmt::Debug + PartialEq + Send + Sync + 'static;
+    type Element: ConsecutiveElement;
 
     /// The number of elements.
     fn len(&self) -> usize;
-
-    /// Writes the values of a reply.
-    fn write_values<W: FieldWriter>(values: &[Self::Value], fields: &mut W);
-
-    /// Reads the values of a reply, one for each place of the slice.
-    fn read_values<R: FieldReader>(into: &mut [Self::Value], fields: &mut R) -> Result<(), FieldError>;
 }
 
-impl Consecutive for ReadRegisters<Register> {
-    type Value = u16;
-
-    fn len(&self) -> usize {
-        self.count()
-    }
-
-    fn write_values<W: FieldWriter>(values: &[u16], fields: &mut W) {
-        fields.words(values);
-    }
-
-    fn read_values<R: FieldReader>(into: &mut [u16], fields: &mut R) -> Result<(), FieldError> {
-        fields.words(into)
-    }
-}
-
-impl Consecutive for ReadDiscretes {
-    type Value = bool;
-
-    fn len(&self) -> usize {
-        self.count()
-    }
-
-    fn write_values<W: FieldWriter>(values: &[bool], fields: &mut W) {
-        fields.bits(values);
-    }
-
-    fn read_values<R: FieldReader>(into: &mut [bool], fields: &mut R) -> Result<(), FieldError> {
-        fields.bits(into)
-    }
-}
+/// The value of an element that a read reads.
+pub(crate) type ValueOf<C> = <<C as Consecutive>::Element as ConsecutiveElement>::Value;
 
 impl<C: Consecutive, const N: usize> sealed::Sealed for StackReply<C, N> {}
 
 impl<C: Consecutive, const N: usize> Command for StackReply<C, N> {
-    type Reply = ArrayVec<C::Value, N>;
+    type Reply = ArrayVec<ValueOf<C>, N>;
     const CODE: Code = C::CODE;
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
@@ -83,7 +47,7 @@ impl<C: Consecutive, const N: usize> Command for StackReply<C, N> {
     }
 
     fn write_reply<W: FieldWriter>(&self, reply: &Self::Reply, fields: &mut W) {
-        C::write_values(reply.as_slice(), fields);
+        C::Element::write(reply.as_slice(), fields);
     }
 
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Self::Reply, FieldError> {
@@ -108,9 +72,9 @@ impl<C: Consecutive, const N: usize> Command for StackReply<C, N> {
 
     fn read_spelled<R: FieldReader>(&self, spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
         let (named, asked) = (usize::from(spelling.count), spelling.count_behind());
-        let mut reply = ArrayVec { len: asked.min(self.0.len()), values: [C::Value::default(); N] };
+        let mut reply = ArrayVec { len: asked.min(self.0.len()), values: [ValueOf::<C>::default(); N] };
         let values = reply.values.get_mut(..named).ok_or(FieldError::WrongLength)?;
-        C::read_values(values, fields)?;
+        C::Element::read(fields, values)?;
         values.rotate_left(named - asked);
         Ok(reply)
     }
@@ -129,14 +93,14 @@ mod tests {
     use bytes::BytesMut;
 
     use super::*;
-    use crate::command::{ReplyError, decode_reply, encode_reply, encode_request};
-    use crate::element::{Discrete, Symbol};
+    use crate::command::{ReadDiscretes, ReadRegisters, ReplyError, decode_reply, encode_reply, encode_request};
+    use crate::element::{Discrete, Register, Symbol};
     use crate::wire::{Framing, ascii};
 
     /// Compares request and reply with those of the plain read.
-    fn assert_same<C: Consecutive<Reply = Vec<T>, Value = T>, T: Copy + Default>(read: C, values: Vec<T>) {
+    fn assert_same<C: Consecutive<Reply = Vec<ValueOf<C>>>>(read: C, values: Vec<ValueOf<C>>) {
         let on_the_stack = StackReply::<C, 8>(read);
-        let mut reply = ArrayVec { len: values.len(), values: [T::default(); 8] };
+        let mut reply = ArrayVec { len: values.len(), values: [ValueOf::<C>::default(); 8] };
         reply.values[..values.len()].copy_from_slice(&values);
         for framing in [Framing::Ascii, Framing::Binary] {
             let (mut plain, mut stack) = (BytesMut::new(), BytesMut::new());

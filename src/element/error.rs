@@ -1,6 +1,7 @@
 use std::fmt;
 
-use super::{Symbol, Width};
+use super::{Element, Symbol, Width};
+use crate::wire::Framing;
 
 /// The rule of the protocol that a symbol or an address breaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -37,12 +38,46 @@ pub enum ElementError {
         /// The address.
         address: u16,
     },
-    /// The element has the wrong width.
-    #[error("{symbol} is {}, not {expected}", symbol.width())]
-    WrongWidth {
+    /// The address is past the last one of the framing of a link.
+    #[error(
+        "{symbol}{address} is past the last address of the {framing} framing, {symbol}{}",
+        symbol.last_address_in(*framing)
+    )]
+    #[non_exhaustive]
+    PastFraming {
         /// The symbol.
         symbol: Symbol,
-        /// The right width.
+        /// The address.
+        address: u16,
+        /// The framing.
+        framing: Framing,
+    },
+    /// The element would be, or contain, half of a counter of 32 bits: `RC200`, `DRC199`.
+    #[error("{symbol}{address} does not exist: {}", Counters(*symbol))]
+    #[non_exhaustive]
+    Counter {
+        /// The symbol.
+        symbol: Symbol,
+        /// The address.
+        address: u16,
+    },
+    /// An element does not follow another, because counters of 32 bits begin or end in between.
+    #[error("{symbol}{address} does not follow {symbol}{first}: {}", Counters(*symbol))]
+    #[non_exhaustive]
+    NotConsecutive {
+        /// The symbol of both.
+        symbol: Symbol,
+        /// The address of the first.
+        first: u16,
+        /// The address of the other.
+        address: u16,
+    },
+    /// An element has another width than a type or a value.
+    #[error("{element} is {}, not {expected}", element.width())]
+    WrongWidth {
+        /// The element.
+        element: Element,
+        /// The width of the type or the value.
         expected: Width,
     },
 }
@@ -66,6 +101,16 @@ impl ParseElementError {
     #[must_use]
     pub fn reason(&self) -> ElementError {
         self.reason
+    }
+}
+
+/// The rule of the counters in the area of a symbol.
+struct Counters(Symbol);
+
+impl fmt::Display for Counters {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (dword, [first, last]) = (self.0.area().dword(), self.0.area().counters());
+        write!(f, "{dword}{first} to {dword}{last} are counters of 32 bits, with one address each")
     }
 }
 

@@ -8,12 +8,12 @@
 /// ```
 ///
 /// ```compile_fail
-/// let _ = fatek::discrete!("Y10000"); // past the last address
+/// let _ = fatek::discrete!("Y65536"); // past the last address
 /// ```
 #[macro_export]
 macro_rules! discrete {
     ($text:literal) => {
-        $crate::checked_element!(Discrete, $text, "is not a discrete (X, Y, M, S, T or C and 0..=9999)")
+        $crate::checked_element!(Discrete, $text, "is not a discrete (X, Y, M, S, T or C and 0..=65535)")
     };
 }
 
@@ -27,6 +27,10 @@ macro_rules! discrete {
 /// ```compile_fail
 /// let _ = fatek::register!("WM4"); // not a multiple of 8
 /// ```
+///
+/// ```compile_fail
+/// let _ = fatek::register!("RC200"); // a counter of 32 bits, DRC200
+/// ```
 #[macro_export]
 macro_rules! register {
     ($text:literal) => {
@@ -37,7 +41,11 @@ macro_rules! register {
 /// A [`Register32`](crate::Register32) that the compiler checks: `register32!("DR100")`.
 ///
 /// ```
-/// assert_eq!(fatek::register32!("DR100").low(), fatek::Register::r(100));
+/// assert_eq!(fatek::register32!("DR100").low(), Ok(fatek::Register::r(100)));
+/// ```
+///
+/// ```compile_fail
+/// let _ = fatek::register32!("DRC199"); // RC199 and a counter of 32 bits, DRC200
 /// ```
 #[macro_export]
 macro_rules! register32 {

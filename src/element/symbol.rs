@@ -8,31 +8,32 @@ use crate::wire::Framing;
 //
 // - 1, 16, 32 bits: the symbols of its elements; the area is named by its smallest one
 // - digits:         decimal digits of an address in the ASCII framing
-// - ASCII, binary:  the last address of the smallest element in this framing
+// - ASCII, binary:  the last address of the smallest element in this framing: an address has `digits`
+//                   digits in ASCII, and two bytes in binary
 // - content:        `Derived` if the PLC itself sets the elements in each scan: inputs from their
 //                   wiring, contacts of timers and counters from their values. Else `Stored`
-// - pairs:          `Pairs` if a 32-bit element is always two of 16 bits; `Apart` if it may be an
-//                   element of its own, as some counters have 32 bits
+// - counters:       the addresses, from first to last, whose elements are counters of 32 bits: one
+//                   address each, not a pair of 16-bit registers
 //
 // An address of a discrete stands for 1 bit and one of a register for 16 bits, so consecutive
-// elements of 32 bits are 32 or 2 addresses apart.
+// elements of 32 bits are 32 or 2 addresses apart; counters of 32 bits are 1 address apart.
 memory_areas! {
     discretes {
         // 1 bit  16 bits  32 bits  digits  ASCII  binary  content
-        X         WX       DWX      4        9999    9999  Derived;
-        Y         WY       DWY      4        9999    9999  Stored;
-        M         WM       DWM      4        9999    9999  Stored;
-        S         WS       DWS      4        9999    9999  Stored;
-        T         WT       DWT      4        9999    9999  Derived;
-        C         WC       DWC      4        9999    9999  Derived;
+        X         WX       DWX      4        9999   65535  Derived;
+        Y         WY       DWY      4        9999   65535  Stored;
+        M         WM       DWM      4        9999   65535  Stored;
+        S         WS       DWS      4        9999   65535  Stored;
+        T         WT       DWT      4        9999   65535  Derived;
+        C         WC       DWC      4        9999   65535  Derived;
     }
     registers {
-        //        16 bits  32 bits  digits  ASCII  binary  content  pairs
-                  RT       DRT      4        9999    9999  Stored   Pairs;
-                  RC       DRC      4        9999    9999  Stored   Apart;
-                  R        DR       5       65535   65535  Stored   Pairs;
-                  D        DD       5       65535   65535  Stored   Pairs;
-                  F        DF       5       65535   65535  Stored   Pairs;
+        //        16 bits  32 bits  digits  ASCII  binary  content  counters
+                  RT       DRT      4        9999   65535  Stored   [];
+                  RC       DRC      4        9999   65535  Stored   [200 255];
+                  R        DR       5       65535   65535  Stored   [];
+                  D        DD       5       65535   65535  Stored   [];
+                  F        DF       5       65535   65535  Stored   [];
     }
 }
 
@@ -63,23 +64,44 @@ impl Symbol {
         self.row().area
     }
 
+    /// The symbol of 16 bits with the same addresses: `R` for `DR`. Others are their own.
+    pub(crate) const fn halved(self) -> Self {
+        match self.width() {
+            Width::Bit | Width::Word => self,
+            Width::DWord => self.area().word(),
+        }
+    }
+
     /// The number of decimal digits of its addresses in the ASCII framing: 4 or 5.
     #[must_use]
     pub const fn digits(self) -> usize {
         self.row().digits
     }
 
-    /// The largest address that the protocol has for it.
+    /// The largest address that the protocol has for it, in the framing that has more: binary.
     ///
     /// The limit of a PLC is usually smaller: beyond it the PLC refuses a request with
     /// [`IllegalAddress`](crate::ErrorCode::IllegalAddress).
     #[must_use]
     pub const fn last_address(self) -> u16 {
-        self.row().last
+        let row = self.row();
+        if row.last_in_ascii > row.last_in_binary { row.last_in_ascii } else { row.last_in_binary }
+    }
+
+    /// The largest address in a framing: of `M`, 9999 in ASCII and 65535 in binary.
+    #[must_use]
+    pub const fn last_address_in(self, framing: Framing) -> u16 {
+        match framing {
+            Framing::Ascii => self.row().last_in_ascii,
+            Framing::Binary => self.row().last_in_binary,
+        }
     }
 
     /// The distance between the addresses of consecutive elements: 16 for `WX`, 2 for `DR`, 1 for
     /// `R`.
+    ///
+    /// Counters of 32 bits, `DRC200` to `DRC255`, are the exception: see
+    /// [`Element::step`](super::Element::step).
     #[must_use]
     pub const fn step(self) -> u16 {
         self.row().step
@@ -105,13 +127,29 @@ impl Symbol {
         None
     }
 
+    /// Checks that there is an element with this address, in a framing at least.
     pub(super) const fn check(self, address: u32) -> Result<u16, ElementError> {
+        let address = match self.check_form(address) {
+            Ok(address) => address,
+            Err(error) => return Err(error),
+        };
         let row = self.row();
-        if address > row.last as u32 {
+        let [first, last] = row.area.counters();
+        let is_counter = first <= address && address <= last;
+        let splits_one = first <= last && address < first && first - address < row.step;
+        if splits_one || is_counter && matches!(row.width, Width::Word) {
+            return Err(ElementError::Counter { symbol: self, address });
+        }
+        Ok(address)
+    }
+
+    /// Checks range and alignment of an address. A counter of 32 bits passes as one of 16 bits.
+    pub(super) const fn check_form(self, address: u32) -> Result<u16, ElementError> {
+        if address > self.last_address() as u32 {
             return Err(ElementError::OutOfRange { symbol: self, address });
         }
         let address = address as u16;
-        if !address.is_multiple_of(row.alignment) {
+        if !address.is_multiple_of(self.row().alignment) {
             return Err(ElementError::Misaligned { symbol: self, address });
         }
         Ok(address)
@@ -148,22 +186,25 @@ impl MemoryArea {
         self.row().symbol
     }
 
-    /// Whether an element of 32 bits is always two of 16 bits.
-    pub(crate) const fn has_pairs(self) -> bool {
-        matches!(self.row().pairs, Pairing::Pairs)
+    /// The first and the last counter of 32 bits. An area without counters has an empty range.
+    pub(crate) const fn counters(self) -> [u16; 2] {
+        self.row().counters
+    }
+
+    /// The first and the last address of the elements that are consecutive with those at this one:
+    /// all of the area, but counters of 32 bits are apart from the elements before and behind them.
+    pub(crate) const fn consecutive(self, address: u16) -> [u16; 2] {
+        match self.counters() {
+            [first, last] if first > last => [0, u16::MAX],
+            [first, _] if address < first => [0, first - 1],
+            [_, last] if address > last => [last + 1, u16::MAX],
+            counters => counters,
+        }
     }
 
     /// Whether the PLC itself sets its elements in each scan.
     pub(crate) const fn is_derived(self) -> bool {
         matches!(self.row().content, Content::Derived)
-    }
-
-    /// The last address of its smallest elements in a framing.
-    pub(crate) const fn last_address_in(self, framing: Framing) -> u16 {
-        match framing {
-            Framing::Ascii => self.row().last_in_ascii,
-            Framing::Binary => self.row().last_in_binary,
-        }
     }
 }
 
@@ -216,7 +257,8 @@ struct SymbolRow {
     area: MemoryArea,
     width: Width,
     digits: usize,
-    last: u16,
+    last_in_ascii: u16,
+    last_in_binary: u16,
     step: u16,
     alignment: u16,
 }
@@ -226,17 +268,30 @@ impl SymbolRow {
         let row = area.row();
         assert!(letters.len() <= LONGEST_SYMBOL && row.digits <= LONGEST_ADDRESS);
         assert!((row.last_in_ascii as u32) < 10_u32.pow(row.digits as u32));
-        // The limit is not checked for the framing of a link, so it must be the same in both. Where
-        // they are to differ, `Command::check` has to compare the addresses of a request.
-        assert!(row.last_in_ascii == row.last_in_binary);
         let step = (width.bits() / area.bits_per_address()) as u16;
         let alignment =
             if matches!(row.smallest, Width::Bit) && !matches!(width, Width::Bit) { WORD_ALIGNMENT } else { 1 };
-        // The last element ends with the last address of the area.
-        let last = area.last_address_in(Framing::Ascii) - (step - 1);
-        Self { letters, area, width, digits: row.digits, last: last - last % alignment, step, alignment }
+        Self {
+            letters,
+            area,
+            width,
+            digits: row.digits,
+            last_in_ascii: last_element(row.last_in_ascii, step, alignment),
+            last_in_binary: last_element(row.last_in_binary, step, alignment),
+            step,
+            alignment,
+        }
     }
 }
+
+/// The address of the last element, which ends with the last address of its area or before.
+const fn last_element(last: u16, step: u16, alignment: u16) -> u16 {
+    let last = last - (step - 1);
+    last - last % alignment
+}
+
+/// The counters of an area that has none.
+const NO_COUNTERS: [u16; 2] = [u16::MAX, 0];
 
 /// A row of the table.
 struct AreaRow {
@@ -248,7 +303,7 @@ struct AreaRow {
     last_in_ascii: u16,
     last_in_binary: u16,
     content: Content,
-    pairs: Pairing,
+    counters: [u16; 2],
 }
 
 enum Content {
@@ -256,17 +311,12 @@ enum Content {
     Derived,
 }
 
-enum Pairing {
-    Pairs,
-    Apart,
-}
-
 macro_rules! memory_areas {
     (
         discretes { $($bit:ident $word:ident $dword:ident
             $digits:literal $ascii:literal $binary:literal $content:ident;)* }
         registers { $($register:ident $pair:ident
-            $digits_:literal $ascii_:literal $binary_:literal $content_:ident $pairing:ident;)* }
+            $digits_:literal $ascii_:literal $binary_:literal $content_:ident [$($counters:literal)*];)* }
     ) => {
         /// The letters of an element, which name its memory and its width.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -317,7 +367,7 @@ macro_rules! memory_areas {
                         last_in_ascii: $ascii,
                         last_in_binary: $binary,
                         content: Content::$content,
-                        pairs: Pairing::Pairs,
+                        counters: NO_COUNTERS,
                     },)*
                     $(Self::$register => AreaRow {
                         smallest: Width::Word,
@@ -328,11 +378,13 @@ macro_rules! memory_areas {
                         last_in_ascii: $ascii_,
                         last_in_binary: $binary_,
                         content: Content::$content_,
-                        pairs: Pairing::$pairing,
+                        counters: memory_areas!(@counters $($counters)*),
                     },)*
                 }
             }
         }
     };
+    (@counters) => { NO_COUNTERS };
+    (@counters $first:literal $last:literal) => { [$first, $last] };
 }
 use memory_areas;

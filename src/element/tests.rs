@@ -1,17 +1,20 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::{element, register, register32};
 
 #[test]
 fn every_symbol_round_trips_at_its_first_and_last_address() {
     assert_eq!(Symbol::ALL.len(), 28);
     for &symbol in Symbol::ALL {
-        for address in [0, symbol.last_address()] {
+        for address in [0, symbol.last_address_in(Framing::Ascii), symbol.last_address_in(Framing::Binary)] {
             let element = Element::new(symbol, address).unwrap();
             assert_eq!(element.to_string().parse(), Ok(element));
             assert_eq!(format!("{element:#}").parse(), Ok(element));
             assert_eq!(element.to_string().to_lowercase().parse(), Ok(element));
-            assert_eq!(format!("{element:#}").len(), symbol.as_str().len() + symbol.digits());
+            if element.check_in(Framing::Ascii).is_ok() {
+                assert_eq!(format!("{element:#}").len(), symbol.as_str().len() + symbol.digits());
+            }
         }
         let past = u32::from(symbol.last_address()) + u32::from(symbol.alignment());
         assert!(format!("{symbol}{past}").parse::<Element>().is_err(), "{symbol}{past}");
@@ -21,15 +24,15 @@ fn every_symbol_round_trips_at_its_first_and_last_address() {
 /// The manuals' own table.
 #[test]
 fn symbols_have_the_digits_limits_and_steps_of_the_manual() {
-    // symbols, width, digits, last address, step, alignment
+    // symbols, width, digits, last addresses in ASCII and in binary, step, alignment
     let rows = [
-        ("X Y M S T C", Width::Bit, 4, 9999, 1, 1),
-        ("WX WY WM WS WT WC", Width::Word, 4, 9984, 16, 8),
-        ("RT RC", Width::Word, 4, 9999, 1, 1),
-        ("R D F", Width::Word, 5, 65535, 1, 1),
-        ("DWX DWY DWM DWS DWT DWC", Width::DWord, 4, 9968, 32, 8),
-        ("DRT DRC", Width::DWord, 4, 9998, 2, 1),
-        ("DR DD DF", Width::DWord, 5, 65534, 2, 1),
+        ("X Y M S T C", Width::Bit, 4, [9999, 65535], 1, 1),
+        ("WX WY WM WS WT WC", Width::Word, 4, [9984, 65520], 16, 8),
+        ("RT RC", Width::Word, 4, [9999, 65535], 1, 1),
+        ("R D F", Width::Word, 5, [65535, 65535], 1, 1),
+        ("DWX DWY DWM DWS DWT DWC", Width::DWord, 4, [9968, 65504], 32, 8),
+        ("DRT DRC", Width::DWord, 4, [9998, 65534], 2, 1),
+        ("DR DD DF", Width::DWord, 5, [65534, 65534], 2, 1),
     ];
     let mut symbols = Symbol::ALL.iter();
     for (names, width, digits, last, step, alignment) in rows {
@@ -37,7 +40,16 @@ fn symbols_have_the_digits_limits_and_steps_of_the_manual() {
             let symbol = *symbols.next().unwrap();
             assert_eq!(symbol.as_str(), name);
             assert_eq!((symbol.width(), symbol.digits()), (width, digits), "{symbol}");
-            assert_eq!((symbol.last_address(), symbol.step(), symbol.alignment()), (last, step, alignment), "{symbol}");
+            assert_eq!(
+                [Framing::Ascii, Framing::Binary].map(|framing| symbol.last_address_in(framing)),
+                last,
+                "{symbol}"
+            );
+            assert_eq!(
+                (symbol.last_address(), symbol.step(), symbol.alignment()),
+                (last[1], step, alignment),
+                "{symbol}"
+            );
         }
     }
     assert_eq!(symbols.next(), None);
@@ -54,7 +66,6 @@ fn every_symbol_is_one_of_its_area_and_has_letters_of_its_own() {
             assert_eq!(symbols, [&smallest, &word, &dword]);
         }
         assert_eq!((word.width(), dword.width()), (Width::Word, Width::DWord));
-        assert_eq!(smallest.last_address(), area.last_address_in(crate::wire::Framing::Ascii));
     }
     for symbol in Symbol::ALL {
         assert_eq!(Symbol::from_letters(symbol.as_str().as_bytes()), Some(*symbol));
@@ -93,7 +104,8 @@ fn consecutive_elements_step_as_the_manual_says() {
     assert_eq!(nth("X50", 5).unwrap(), "X55");
     assert_eq!(nth("R65535", 0).unwrap(), "R65535");
     assert_eq!(nth("R65535", 1), Err(ElementError::OutOfRange { symbol: Symbol::R, address: 65536 }));
-    assert!(nth("WX9984", 1).is_err());
+    assert_eq!(nth("WX9984", 1).unwrap(), "WX10000");
+    assert!(nth("WX65520", 1).is_err());
     assert!(nth("X0", usize::MAX).is_err());
 }
 
@@ -107,17 +119,64 @@ fn errors_name_the_input_and_the_rule() {
     assert!(message("Q7").starts_with("`Q7` is not an element: no element has these letters (known: X Y M"));
     assert!(message("").contains("no element has these letters"));
     let error = "R5".parse::<Discrete>().unwrap_err().to_string();
-    assert_eq!(error, "`R5` is not an element: R is a 16-bit register, not a discrete");
+    assert_eq!(error, "`R5` is not an element: R5 is a 16-bit register, not a discrete");
 }
 
 #[test]
 fn low_word_and_widened_are_inverse() {
     for &symbol in Symbol::ALL.iter().filter(|s| s.width() == Width::DWord) {
         let wide = Register32::new(symbol, 8).unwrap();
-        assert_eq!(wide.low().widened(), Ok(wide));
-        assert_eq!(format!("D{}", wide.low().symbol()), symbol.as_str());
+        let low = wide.low().unwrap();
+        assert_eq!(low.widened(), Ok(wide));
+        assert_eq!(format!("D{}", low.symbol()), symbol.as_str());
     }
     assert!(Register::r(65535).widened().is_err());
+}
+
+/// Before: one limit for both framings, so `M10000` was no element at all.
+#[test]
+fn an_address_is_limited_by_the_framing() {
+    for (text, ascii) in [("M9999", true), ("M10000", false), ("WM9992", false), ("RT65535", false), ("R65535", true)] {
+        let element: Element = text.parse().unwrap();
+        assert_eq!(element.check_in(Framing::Binary), Ok(()), "{text}");
+        assert_eq!(element.check_in(Framing::Ascii).is_ok(), ascii, "{text}");
+    }
+    let error = element!("DWM10000").check_in(Framing::Ascii).unwrap_err().to_string();
+    assert_eq!(error, "DWM10000 is past the last address of the ascii framing, DWM9968");
+    assert_eq!(
+        "M65536".parse::<Element>().unwrap_err().reason().to_string(),
+        "M65536 is past the last address, M65535"
+    );
+}
+
+/// Before: `RC200` was a register, and `DRC200`, `DRC202` two counters in succession.
+#[test]
+fn counters_of_32_bits_have_one_address_each() {
+    let rule = "DRC200 to DRC255 are counters of 32 bits, with one address each";
+    for text in ["RC200", "RC255", "DRC199"] {
+        let error = text.parse::<Element>().unwrap_err().reason().to_string();
+        assert_eq!(error, format!("{text} does not exist: {rule}"));
+    }
+    for text in ["RC199", "RC256", "DRC198", "DRC200", "DRC255", "DRC256"] {
+        assert!(text.parse::<Element>().is_ok(), "{text}");
+    }
+    let nth = |text: &str, n| text.parse::<Element>().unwrap().nth(n).map(|e| e.to_string());
+    assert_eq!(nth("DRC200", 5).unwrap(), "DRC205");
+    assert_eq!(nth("DRC196", 1).unwrap(), "DRC198");
+    assert_eq!(nth("DRC256", 1).unwrap(), "DRC258");
+    for (first, n) in [("DRC198", 1), ("DRC255", 1), ("DRC0", 100), ("RC0", 200), ("RC0", 256), ("RC199", 57)] {
+        assert!(nth(first, n).unwrap_err().to_string().ends_with(rule), "{first} {n}");
+    }
+    assert!(register32!("DRC200").low().is_err() && register!("RC199").widened().is_err());
+    assert_eq!(register32!("DRC198").low(), Ok(register!("RC198")));
+}
+
+#[test]
+fn a_received_request_can_name_half_a_counter() {
+    let element = Element::received(Symbol::RC, 200, Framing::Ascii).unwrap();
+    assert_eq!((element.to_string(), element.nth(0), element.nth(1).is_err()), ("RC200".to_owned(), Ok(element), true));
+    assert!(Element::received(Symbol::M, 10_000, Framing::Ascii).is_err());
+    assert!(Element::received(Symbol::M, 10_000, Framing::Binary).is_ok());
 }
 
 proptest! {
@@ -134,7 +193,7 @@ proptest! {
             prop_assert!(address <= symbol.last_address());
             prop_assert_eq!(address % symbol.alignment(), 0);
             if let Ok(other) = element.nth(n) {
-                prop_assert_eq!(usize::from(other.address()), usize::from(address) + n * usize::from(symbol.step()));
+                prop_assert_eq!(usize::from(other.address()), usize::from(address) + n * usize::from(element.step()));
             }
         }
     }

@@ -7,6 +7,7 @@ use super::solve::{self, Part};
 use super::{CostModel, Limits, MAX_VALUES, Plan, PlanError, PlannedRequest, ValueSlot};
 use crate::command::InvalidRequest;
 use crate::tag::Tag;
+use crate::wire::Framing;
 
 /// Builder of a [`Plan`]: its tags, limits and costs. See [`Plan::builder`].
 #[derive(Clone, Debug)]
@@ -70,9 +71,10 @@ impl PlanBuilder {
     ///
     /// # Errors
     /// [`PlanError::NotReadable`] and [`PlanError::OneScan`] if the limits exclude a tag or a
-    /// group; [`PlanError::TooManyValues`] above [`MAX_VALUES`].
+    /// group; [`PlanError::TooManyValues`] above [`MAX_VALUES`]; [`PlanError::Request`] if the
+    /// framing of the costs does not have the address of an element.
     pub fn build(self) -> Result<Plan, PlanError> {
-        let values = Values::of(&self.tags, &self.limits)?;
+        let values = Values::of(&self.tags, &self.limits, self.cost.framing())?;
         let parts = self.parts(&values)?;
         let shares = solve::solve(&parts.groups, &parts.single, &self.limits, &self.cost);
 
@@ -186,13 +188,14 @@ struct Parts {
 }
 
 impl Values {
-    fn of(tags: &[Tag], limits: &Limits) -> Result<Self, PlanError> {
+    fn of(tags: &[Tag], limits: &Limits, framing: Framing) -> Result<Self, PlanError> {
         let total = tags.iter().map(Tag::value_count).fold(0, usize::saturating_add);
         if total > MAX_VALUES {
             return Err(PlanError::TooManyValues { max: MAX_VALUES });
         }
         let mut values = Self { cells: Vec::with_capacity(total), first_slot: Vec::with_capacity(tags.len()) };
         for tag in tags {
+            tag.check_in(framing).map_err(InvalidRequest::from)?;
             values.first_slot.push(values.cells.len());
             for first in tag.elements().step_by(tag.elements_per_value()) {
                 let cells = Cells::of(first, tag.elements_per_value(), limits);

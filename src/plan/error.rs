@@ -22,7 +22,9 @@ pub enum PlanError {
         max: usize,
     },
     /// Two elements are not the ends of a range.
-    #[error("{first} to {last} is not a range: both ends must have one symbol of 1 or 16 bits, the lower one first")]
+    #[error(
+        "{first} to {last} is not a range: both ends must have one symbol of 1 or 16 bits (or be DRC200 to DRC255), the lower one first"
+    )]
     #[non_exhaustive]
     Range {
         /// The first element given.

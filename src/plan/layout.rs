@@ -10,14 +10,17 @@ use crate::element::{Discrete, Element, Register, Register32, Symbol, Width};
 
 /// The cells that a run can contain: one symbol, one readable range, addresses one step apart.
 ///
-/// A cell is the smallest part that can be read: 16 bits for `R` and `DR` alike. `DRC` has cells of
-/// 32 bits, because a counter of 32 bits need not be two registers `RC`.
+/// A cell is the smallest part that can be read: 16 bits for `R` and `DR` alike. Counters of 32 bits,
+/// `DRC200` to `DRC255`, have cells of 32 bits, and a run has one of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Area {
     symbol: Symbol,
     segment: u32,
     /// The address modulo the step: `WM0` and `WM8` are not in one run.
     residue: u16,
+    /// The first address of the elements that are consecutive: `RC199` and `RC256` are not in one
+    /// run, because counters of 32 bits are between them.
+    stretch: u16,
 }
 
 /// Consecutive cells of an area.
@@ -46,12 +49,17 @@ impl Area {
     /// Returns the symbol that reads two cells as one element in a mixed read.
     pub(super) fn dword(self) -> Option<Symbol> {
         let area = self.symbol.area();
-        (self.width() == Width::Word && area.has_pairs()).then(|| area.dword())
+        (self.width() == Width::Word).then(|| area.dword())
     }
 
     /// Returns the maximum of cells in a run.
     pub(super) fn max_run(self, limits: &Limits) -> u32 {
-        limits.units(self.width()) / self.units()
+        if self.has_counters_of_32_bits() { 1 } else { limits.units(self.width()) / self.units() }
+    }
+
+    /// Whether its cells have 32 bits. All other elements of 32 bits are two cells.
+    fn has_counters_of_32_bits(self) -> bool {
+        self.width() == Width::DWord
     }
 
     fn element(self, symbol: Symbol, cell: u32) -> Result<Element, InvalidRequest> {
@@ -59,23 +67,30 @@ impl Area {
     }
 
     fn address(self, cell: u32) -> u16 {
-        let address = cell * u32::from(self.symbol.step()) + u32::from(self.residue);
+        let address = cell * u32::from(self.step()) + u32::from(self.residue);
+        debug_assert!(u16::try_from(address).is_ok(), "the cell of an element that exists");
         u16::try_from(address).unwrap_or(u16::MAX)
+    }
+
+    /// Returns the distance between the addresses of two cells.
+    fn step(self) -> u16 {
+        if self.has_counters_of_32_bits() { 1 } else { self.symbol.step() }
     }
 
     /// Returns the symbol by which [`Limits`] lists the area: a range of `RC` applies to `DRC` too.
     fn listed(self) -> Symbol {
-        if self.width() == Width::DWord { self.symbol.area().word() } else { self.symbol }
+        self.symbol.halved()
     }
 }
 
 impl Cells {
     /// Returns the cells of consecutive elements; `None` if they are not readable.
     pub(super) fn of(first: Element, elements: usize, limits: &Limits) -> Option<Self> {
-        let per_element = u32::from(cell_symbol(first).1);
-        let symbol = cell_symbol(first).0;
-        let step = symbol.step();
-        let area = Area { symbol, segment: 0, residue: first.address() % step };
+        let (symbol, per_element) = cell_symbol(first);
+        let [stretch, _] = first.symbol().area().consecutive(first.address());
+        let area = Area { symbol, segment: 0, residue: 0, stretch };
+        let step = area.step();
+        let area = Area { residue: first.address() % step, ..area };
         let listed = area.listed();
         let segment = limits.segment(listed, first.address())?;
         let cells = Self {
@@ -84,8 +99,7 @@ impl Cells {
             len: u32::try_from(elements).ok()? * per_element,
         };
         let last = cells.area.element(symbol, cells.end() - 1).ok()?;
-        let last = if symbol.width() == Width::DWord { last.address() + 1 } else { last.address() };
-        (limits.segment(listed, last) == Some(segment)).then_some(cells)
+        (limits.segment(listed, last.address()) == Some(segment)).then_some(cells)
     }
 
     pub(super) fn end(self) -> u32 {
@@ -129,10 +143,11 @@ fn must_split(cells: &[Cells], limits: &Limits) -> bool {
 }
 
 /// Returns the symbol of the cells of an element, and their number.
-fn cell_symbol(element: Element) -> (Symbol, u8) {
-    match element {
-        Element::Register32(e) if e.symbol().area().has_pairs() => (e.low().symbol(), 2),
-        Element::Discrete(_) | Element::Register(_) | Element::Register32(_) => (element.symbol(), 1),
+fn cell_symbol(element: Element) -> (Symbol, u32) {
+    let symbol = element.symbol();
+    match element.width() {
+        Width::DWord if !element.is_counter_of_32_bits() => (symbol.halved(), 2),
+        Width::Bit | Width::Word | Width::DWord => (symbol, 1),
     }
 }
 

@@ -87,10 +87,12 @@ impl Limits {
     ///
     /// For a symbol with readable ranges, no request reads outside of them, neither for a tag nor
     /// in a gap. Symbols without a range are not limited. A range of `R` applies to `DR` too. A
-    /// range of `M` does not apply to `WM`, because a PLC may allow one and not the other.
+    /// range of `M` does not apply to `WM`, because a PLC may allow one and not the other. Counters
+    /// of 32 bits belong to `RC`: beside a range of `RC`, they need one such as `DRC200` to `DRC255`.
     ///
     /// # Errors
-    /// [`PlanError::Range`] unless both ends have one symbol of 1 or 16 bits, the lower first.
+    /// [`PlanError::Range`] unless both ends have one symbol of 1 or 16 bits, or are counters of 32
+    /// bits, the lower first.
     pub fn readable(mut self, first: Element, last: Element) -> Result<Self, PlanError> {
         self.readable.extend([Range::new(first, last)?]);
         Ok(self)
@@ -128,14 +130,13 @@ impl Limits {
     pub(crate) fn avoid_all(mut self, elements: impl IntoIterator<Item = (Element, usize)>) -> Self {
         let range = |(first, count): (Element, usize)| {
             let last = first.nth(count.checked_sub(1)?).ok()?;
-            let (symbol, last) = match last {
-                Element::Register32(double) => {
-                    let low = double.low().symbol();
-                    (low, last.address().saturating_add(low.step()))
-                }
-                Element::Discrete(_) | Element::Register(_) => (last.symbol(), last.address()),
+            let symbol = first.symbol().halved();
+            // The last cell of a pair is its high word.
+            let to_last_cell = match last.width() {
+                Width::DWord if !last.is_counter_of_32_bits() => symbol.step(),
+                Width::Bit | Width::Word | Width::DWord => 0,
             };
-            Some(Range { symbol, first: first.address(), last })
+            Some(Range { symbol, first: first.address(), last: last.address() + to_last_cell })
         };
         self.avoided.extend(elements.into_iter().filter_map(range));
         self
@@ -143,10 +144,7 @@ impl Limits {
 
     /// Adds split points: no run reads one of these elements together with the one before.
     pub(crate) fn split_before(mut self, elements: impl IntoIterator<Item = Element>) -> Self {
-        let cell = |element: Element| match element {
-            Element::Register32(double) => (double.low().symbol(), double.address()),
-            Element::Discrete(_) | Element::Register(_) => (element.symbol(), element.address()),
-        };
+        let cell = |element: Element| (element.symbol().halved(), element.address());
         self.split_points.extend(elements.into_iter().map(cell));
         self.split_points.sort_unstable();
         self
@@ -166,13 +164,12 @@ impl Limits {
 
     /// Returns the maximum of units in a run of elements of this width.
     pub(super) fn units(&self, width: Width) -> u32 {
-        let units = if width == Width::Bit { self.max_points } else { self.max_registers };
-        u32::try_from(units).unwrap_or(u32::MAX)
+        as_u32(if width == Width::Bit { self.max_points } else { self.max_registers })
     }
 
     /// Returns the maximum of units in a mixed read; 0 without mixed reads.
     pub(super) fn mixed_units(&self) -> u32 {
-        u32::try_from(self.max_mixed).unwrap_or(u32::MAX)
+        as_u32(self.max_mixed)
     }
 
     /// Returns the index of the readable range with this address; `None` if it is not readable.
@@ -207,11 +204,12 @@ impl Limits {
 
 impl Range {
     fn new(first: Element, last: Element) -> Result<Self, PlanError> {
-        let symbol = first.symbol();
-        if last.symbol() != symbol || first.address() > last.address() || symbol.width() == Width::DWord {
+        let has_cells = |end: Element| end.width() != Width::DWord || end.is_counter_of_32_bits();
+        if last.symbol() != first.symbol() || first.address() > last.address() || !has_cells(first) || !has_cells(last)
+        {
             return Err(PlanError::Range { first, last });
         }
-        Ok(Self { symbol, first: first.address(), last: last.address() })
+        Ok(Self { symbol: first.symbol().halved(), first: first.address(), last: last.address() })
     }
 }
 
@@ -240,6 +238,12 @@ impl Default for Limits {
     fn default() -> Self {
         Self::new()
     }
+}
+
+/// A limit, which is at most that of the protocol.
+fn as_u32(limit: usize) -> u32 {
+    debug_assert!(limit <= MAX_POINTS);
+    u32::try_from(limit).unwrap_or(u32::MAX)
 }
 
 fn check_range(name: &'static str, given: usize, min: usize, max: usize) -> Result<usize, PlanError> {

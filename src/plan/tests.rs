@@ -81,13 +81,14 @@ fn random_tag(random: &mut Choices) -> Tag {
         0 => random.below(12),
         1 => random.below(90),
         2 => random.below(5000),
-        _ if symbol.last_address() == 65_535 => 21_504 + random.below(90),
+        _ if symbol.digits() == 5 => 21_504 + random.below(90),
         _ => 68 + random.below(3),
     };
     let address = address / usize::from(symbol.alignment()) * usize::from(symbol.alignment());
-    let first = Element::new(symbol, u16::try_from(address).unwrap()).unwrap();
+    // Some counters have 32 bits and are no `RC`.
+    let Ok(first) = Element::new(symbol, u16::try_from(address).unwrap()) else { return random_tag(random) };
     match (first.width(), random.below(6)) {
-        (Width::Word, 0..2) => Tag::new(first, TagType::F32, 1).unwrap(),
+        (Width::Word, 0..2) => Tag::new(first, TagType::F32, 1).unwrap_or(first.into()),
         // No longer than a run of any of `limits`.
         (Width::Word, 2) => text(first, 1 + random.below(8)),
         _ => Tag::from(first),
@@ -110,9 +111,9 @@ fn value(element: Element) -> Value {
         Element::Discrete(e) => Value::Bit(word(e.symbol(), e.address()) & 1 == 1),
         Element::Register(e) => Value::Word(word(e.symbol(), e.address())),
         Element::Register32(e) => {
-            let (low, step) = (e.low(), e.symbol().step() / 2);
-            let high = word(low.symbol(), e.address() + step);
-            Value::DWord(u32::from(high) << 16 | u32::from(word(low.symbol(), low.address())))
+            let (low, step) = (e.symbol().halved(), e.symbol().step() / 2);
+            let high = word(low, e.address() + step);
+            Value::DWord(u32::from(high) << 16 | u32::from(word(low, e.address())))
         }
     }
 }
@@ -171,7 +172,7 @@ fn check(plan: &Plan, model: &CostModel, limits: &Limits, context: &str) {
         };
         assert!(units <= max as usize, "{context}: {units} units of {max} in {}", planned.request);
         for element in read {
-            let low = if let Element::Register32(e) = element { e.low().symbol() } else { element.symbol() };
+            let low = element.symbol().halved();
             assert!(limits.segment(low, element.address()).is_some(), "{context}: {element} is not readable");
         }
     }
@@ -301,7 +302,7 @@ fn the_solver_for_many_values_is_optimal_where_documented() {
 #[test]
 fn cells_added_to_a_mixed_read_cost_as_much_as_its_elements() {
     for model in models() {
-        for first in ["R0", "WM0", "RC0", "DRC0", "M0"].map(|first| first.parse().unwrap()) {
+        for first in ["R0", "WM0", "RC0", "DRC0", "DRC200", "M0"].map(|first| first.parse().unwrap()) {
             let one = Cells::of(first, 1, &Limits::new()).unwrap();
             let item = layout::ItemCost::new(one.area, &model);
             let mixed = |len| Draft::mixed(&[Cells { len, ..one }], &Limits::new(), &model).unwrap().cost(&model);
@@ -364,8 +365,9 @@ fn avoided_elements_are_read_for_their_own_tags_only() {
         let count = 1 + random.below(40);
         let tags: Vec<Tag> = (0..count).map(|_| random_tag(&mut random)).collect();
         let cells = |element: Element| match element {
-            Element::Register32(e) if e.symbol() != Symbol::DRC => {
-                vec![(e.low().symbol(), e.address()), (e.low().symbol(), e.address() + e.low().symbol().step())]
+            Element::Register32(e) if !element.is_counter_of_32_bits() => {
+                let low = e.symbol().halved();
+                vec![(low, e.address()), (low, e.address() + low.step())]
             }
             other => vec![(other.symbol(), other.address())],
         };
@@ -461,4 +463,46 @@ fn a_plan_without_tags_has_no_requests() {
     assert_eq!((plan.requests().len(), plan.time()), (0, Duration::ZERO));
     let whole = vec![tag("R0-R65535"); 17];
     assert_eq!(Plan::builder(network).tags(whole).build().unwrap_err(), PlanError::TooManyValues { max: MAX_VALUES });
+}
+
+/// Before: a run of `RC` read through counters of 32 bits, and counters were read as a run.
+#[test]
+fn counters_of_32_bits_are_planned_one_by_one() {
+    for model in models() {
+        let plan = |limits: Limits, tags: &[&str]| {
+            let tags = tags.iter().map(|text| tag(text));
+            let plan = Plan::builder(model).limits(limits).tags(tags).build().unwrap();
+            check(&plan, &model, &Limits::new(), "counters");
+            let mut requests: Vec<_> = plan.requests().iter().map(|planned| planned.request().to_string()).collect();
+            requests.sort();
+            requests
+        };
+        let mixed = plan(Limits::new(), &["RC199", "DRC200-DRC205", "RC256"]);
+        assert_eq!(mixed, ["48 RC199 RC256 DRC200 DRC201 DRC202 DRC203 DRC204 DRC205"]);
+        let single = plan(Limits::new().no_mixed_reads(), &["RC198-RC199", "DRC200-DRC202", "RC256"]);
+        assert_eq!(single, ["46 DRC200", "46 DRC201", "46 DRC202", "46 RC198-RC199", "46 RC256"]);
+        let pairs = plan(Limits::new().no_mixed_reads(), &["DRC196-DRC198", "DRC256"]);
+        assert_eq!(pairs, ["46 RC196-RC199", "46 RC256-RC257"]);
+    }
+    let model = models()[0];
+    let build = |limits| Plan::builder(model).limits(limits).tag(tag("DRC200-DRC255")).build();
+    let counters = Limits::new().readable(Element::parse("RC0").unwrap(), Element::parse("RC199").unwrap()).unwrap();
+    assert!(matches!(build(counters.clone()), Err(PlanError::NotReadable { .. })));
+    let range = ["DRC200", "DRC255"].map(|text| Element::parse(text).unwrap());
+    assert!(build(counters.readable(range[0], range[1]).unwrap()).is_ok());
+}
+
+/// Before: no tag had such an address.
+#[test]
+fn a_plan_has_addresses_of_its_framing_only() {
+    let plan = |framing, text| {
+        let network = CostModel::network(framing, Duration::from_millis(5));
+        Plan::builder(network).tag(tag(text)).build()
+    };
+    for text in ["M10000", "M9990-M10000", "WM9992", "DRT9999", "RC9999:f32"] {
+        assert!(plan(Framing::Binary, text).is_ok(), "{text}");
+        let error = plan(Framing::Ascii, text).unwrap_err().to_string();
+        assert!(error.contains("past the last address of the ascii framing"), "{text}: {error}");
+    }
+    assert!(plan(Framing::Ascii, "M9990-M9999").is_ok());
 }

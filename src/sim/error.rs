@@ -1,18 +1,12 @@
-use crate::command::Value;
-use crate::element::Element;
+use crate::element::{Element, ElementError};
 
 /// A wrong use of a simulated PLC by a test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The value has another width than the element.
-    #[error("{element} is {}, and the value {value} is for {}", element.width(), value.width())]
-    WrongWidth {
-        /// The element.
-        element: Element,
-        /// The value.
-        value: Value,
-    },
+    /// The value has another width than the element: [`ElementError::WrongWidth`].
+    #[error(transparent)]
+    Element(#[from] ElementError),
     /// The element is beyond the memory of the model.
     #[error("{element} is beyond the memory of this model")]
     BeyondModel {

@@ -129,16 +129,19 @@ impl PlcInner {
 
     /// `count` elements from `first` on.
     ///
-    /// Error A unless the model has all of them.
+    /// Error A unless the model has all of them. Several counters of 32 bits are refused, too: the
+    /// manuals do not say whether a run of them counts addresses by one or by two.
     fn consecutive<E>(&self, first: E, count: usize) -> Result<Vec<E>, ErrorCode>
     where
         E: Copy + Into<Element> + TryFrom<Element>,
     {
+        let is_run_of_counters = count > 1 && first.into().is_counter_of_32_bits();
         let nth = |n| {
             let element = first.into().nth(n).ok().filter(|&element| self.model.has(element))?;
             E::try_from(element).ok()
         };
-        (0..count).map(nth).collect::<Option<_>>().ok_or(ErrorCode::IllegalAddress)
+        let elements = (0..count).map(nth).collect::<Option<_>>();
+        elements.filter(|_| !is_run_of_counters).ok_or(ErrorCode::IllegalAddress)
     }
 }
 

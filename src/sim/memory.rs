@@ -3,13 +3,13 @@ use std::collections::BTreeMap;
 
 use super::Error;
 use crate::command::Value;
-use crate::element::{Discrete, Element, MemoryArea, Register, Register32};
+use crate::element::{Discrete, Element, ElementError, MemoryArea, Register, Register32};
 
 /// Memory of all elements. Allocated on the first write; elements that were never written are 0.
 ///
 /// Each area is an array of bytes, least significant first: eight discretes per byte, two bytes per
 /// register. A word is two bytes and a double word four at any address, so overlapping elements
-/// share their bytes.
+/// share their bytes. Counters of 32 bits have four bytes each, behind the registers of their area.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Memory {
     pages: BTreeMap<(MemoryArea, usize), Box<[u8; PAGE_LEN]>>,
@@ -24,14 +24,14 @@ impl Memory {
         }
     }
 
-    /// Writes a value. On [`Error::WrongWidth`] nothing is written.
+    /// Writes a value. On [`ElementError::WrongWidth`] nothing is written.
     pub(super) fn write(&mut self, element: Element, value: Value) -> Result<(), Error> {
         match (element, value) {
             (Element::Discrete(discrete), Value::Bit(on)) => self.set_bit(discrete, on),
             (Element::Register(register), Value::Word(word)) => self.set_word(register, word),
             (Element::Register32(register), Value::DWord(double)) => self.set_dword(register, double),
             (Element::Discrete(_) | Element::Register(_) | Element::Register32(_), _) => {
-                return Err(Error::WrongWidth { element, value });
+                return Err(ElementError::WrongWidth { element, expected: value.width() }.into());
             }
         }
         Ok(())
@@ -90,7 +90,13 @@ const PAGE_LEN: usize = 64;
 /// The area of an element, and its first byte there.
 fn locate(element: Element) -> (MemoryArea, usize) {
     let area = element.symbol().area();
-    (area, usize::from(element.address()) * area.bits_per_address() as usize / 8)
+    let bytes_before = |addresses: usize| addresses * area.bits_per_address() as usize / 8;
+    let address = usize::from(element.address());
+    if element.is_counter_of_32_bits() {
+        let [first, _] = area.counters();
+        return (area, bytes_before(1 << 16) + 4 * (address - usize::from(first)));
+    }
+    (area, bytes_before(address))
 }
 
 fn bit_mask(discrete: Discrete) -> u8 {
@@ -102,7 +108,7 @@ pub(super) fn covered(element: Element) -> (u16, u16) {
     // Consecutive elements are adjacent, so each covers as many addresses as the step. No element
     // ends above 65535.
     let first = element.address();
-    (first, first + (element.symbol().step() - 1))
+    (first, first + (element.step() - 1))
 }
 
 #[cfg(test)]

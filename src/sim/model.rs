@@ -1,7 +1,6 @@
 use super::memory::covered;
 use crate::command::{BriefStatus, DetailedStatus, PAGE_WORDS, ProgramPage, StatusFlags};
 use crate::element::{Element, MemoryArea};
-use crate::wire::Framing;
 
 /// Model of a [`Plc`](super::Plc): the status it reports, and the size of its memory.
 ///
@@ -115,7 +114,9 @@ impl Model {
 
     pub(super) fn has(&self, element: Element) -> bool {
         let (_, last) = covered(element);
-        last <= self.last[element.symbol().area() as usize]
+        // A received request can name a counter of 32 bits as one of 16 bits.
+        let exists = Element::new(element.symbol(), element.address()).is_ok();
+        exists && last <= self.last[element.symbol().area() as usize]
     }
 
     pub(super) fn brief_status(&self, flags: StatusFlags) -> BriefStatus {
@@ -192,10 +193,7 @@ status_words! {
 
 /// The last address of each area in the protocol.
 fn protocol_limits() -> [u16; MemoryArea::ALL.len()] {
-    std::array::from_fn(|n| {
-        let last = |framing| MemoryArea::ALL[n].last_address_in(framing);
-        last(Framing::Ascii).max(last(Framing::Binary))
-    })
+    std::array::from_fn(|n| MemoryArea::ALL[n].smallest().last_address())
 }
 
 macro_rules! status_words {

@@ -58,7 +58,8 @@ impl Plc {
     /// # Errors
     /// The error code of the PLC; the request has changed nothing then:
     ///
-    /// - [`ErrorCode::IllegalAddress`] for elements and program pages beyond the model;
+    /// - [`ErrorCode::IllegalAddress`] for elements and program pages beyond the model, for several
+    ///   counters of 32 bits as a run, and for one of them as 16 bits;
     /// - for 50, [`ErrorCode::WriteProhibited`] with a memory card, else
     ///   [`ErrorCode::IllegalFormat`] in RUN, unless the model
     ///   [accepts pages](Model::pages_while_running) then;
@@ -76,7 +77,8 @@ impl Plc {
     /// Writes an element as the process. Disabled discretes keep their state until enabled.
     ///
     /// # Errors
-    /// [`Error::WrongWidth`] and [`Error::BeyondModel`]. Nothing is written then.
+    /// [`Error::Element`] for a value of another width than the element, and [`Error::BeyondModel`].
+    /// Nothing is written then.
     pub fn write(&self, element: impl Into<Element>, value: impl Into<Value>) -> Result<(), Error> {
         self.lock().write_as_process(element.into(), value.into())
     }

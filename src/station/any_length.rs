@@ -2,14 +2,14 @@
 //! the other. More than one request is a [job](StationJob).
 //!
 //! Invariants:
-//! - Nothing is sent unless all the elements exist.
+//! - Nothing is sent unless all the elements exist, in the framing of the link.
 //! - A request begins where the one before it has ended, so no value of 32 bits is split. It is as
 //!   long as the protocol allows, or one element shorter: the link chooses, to tell its reply from
-//!   the one before.
+//!   the one before. Counters of 32 bits are read and written one by one.
 //! - The first failure ends the call. A write reports how many elements are confirmed as written.
 
 use super::{JobReply, Outcome, Station, StationJob};
-use crate::command::{Command, Consecutive, InvalidRequest, StackReply, check_range, most_in_one_request};
+use crate::command::{Command, Consecutive, InvalidRequest, StackReply, ValueOf, check_range, most_in_one_request};
 use crate::element::{Element, ElementError};
 use crate::error::Error;
 
@@ -29,7 +29,7 @@ where
         return station.call(request(first, count)?).await;
     }
     // A single request checks its elements when it is made.
-    check_range(C::CODE, first.into(), count)?;
+    check_range(C::CODE, first.into(), count, station.link.framing())?;
     let mut job = StationJob::new(station);
     let mut values = Vec::with_capacity(count);
     loop {
@@ -52,7 +52,7 @@ where
 pub(super) async fn read_into<E, C, const N: usize>(
     station: &Station,
     first: E,
-    into: &mut [C::Value],
+    into: &mut [ValueOf<C>],
     request: impl Fn(E, usize) -> Result<C, InvalidRequest>,
 ) -> Result<(), Error>
 where
@@ -63,7 +63,7 @@ where
     let most = most_in_one_request(first.into());
     // The caller copies the values: the link holds no reference to memory of a future that may be
     // dropped.
-    let mut copy = |from: usize, values: &[C::Value]| {
+    let mut copy = |from: usize, values: &[ValueOf<C>]| {
         into.iter_mut().skip(from).zip(values).for_each(|(place, &value)| *place = value);
     };
     if (1..=most).contains(&count) {
@@ -71,7 +71,7 @@ where
         copy(0, reply.as_slice());
         return Ok(());
     }
-    check_range(C::CODE, first.into(), count)?;
+    check_range(C::CODE, first.into(), count, station.link.framing())?;
     let mut job = StationJob::new(station);
     let mut read = 0;
     loop {
@@ -107,7 +107,7 @@ where
     if (1..=most).contains(&count) {
         return station.call(request(first, values)?).await;
     }
-    check_range(C::CODE, first.into(), count)?;
+    check_range(C::CODE, first.into(), count, station.link.framing())?;
     let partly = |written: usize, error: Error| match written {
         0 => error,
         written => Error::PartlyWritten { written, count, source: Box::new(error) },

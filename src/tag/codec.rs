@@ -11,22 +11,28 @@ use super::{TagType, ValueError};
 /// Every bit pattern has a value, so decoding cannot fail.
 pub(super) trait Codec {
     /// The Rust type of a value.
-    type Value: Copy;
+    type Value: Primitive;
 
     /// Number of bits of a value, at most 64.
-    const BITS: u32;
+    const BITS: u32 = <Self::Value as Primitive>::BITS;
 
     /// Whether values can have a fraction and a sign of 0.
     const IS_FLOAT: bool = false;
 
     /// Decodes a value from its bits, which are zero above [`BITS`](Self::BITS).
-    fn decode(bits: u64) -> Self::Value;
+    fn decode(bits: u64) -> Self::Value {
+        Self::Value::from_raw(bits)
+    }
 
     /// Encodes a value.
-    fn encode(value: Self::Value) -> u64;
+    fn encode(value: Self::Value) -> u64 {
+        value.into_raw()
+    }
 
     /// The value as a number; `None` if it is not a number.
-    fn number(value: Self::Value) -> Option<f64>;
+    fn number(value: Self::Value) -> Option<f64> {
+        Some(value.into())
+    }
 
     /// The value nearest to a number; `None` if it is out of range, or the type is not scalable.
     fn nearest(number: f64) -> Option<Self::Value>;
@@ -63,15 +69,6 @@ pub(super) struct Bit;
 
 impl Codec for Bit {
     type Value = bool;
-    const BITS: u32 = 1;
-
-    fn decode(bits: u64) -> bool {
-        bits != 0
-    }
-
-    fn encode(on: bool) -> u64 {
-        on.into()
-    }
 
     fn number(_on: bool) -> Option<f64> {
         None
@@ -107,19 +104,6 @@ pub(super) struct Integer<T>(PhantomData<T>);
 
 impl<T: Primitive + fmt::Display + TryFrom<i64>> Codec for Integer<T> {
     type Value = T;
-    const BITS: u32 = T::BITS;
-
-    fn decode(bits: u64) -> T {
-        T::from_raw(bits)
-    }
-
-    fn encode(value: T) -> u64 {
-        value.into_raw()
-    }
-
-    fn number(value: T) -> Option<f64> {
-        Some(value.into())
-    }
 
     #[allow(clippy::cast_possible_truncation, reason = "within i64, and rounded")]
     fn nearest(number: f64) -> Option<T> {
@@ -149,20 +133,7 @@ pub(super) struct Float<T>(PhantomData<T>);
 
 impl<T: Real> Codec for Float<T> {
     type Value = T;
-    const BITS: u32 = T::BITS;
     const IS_FLOAT: bool = true;
-
-    fn decode(bits: u64) -> T {
-        T::from_raw(bits)
-    }
-
-    fn encode(value: T) -> u64 {
-        value.into_raw()
-    }
-
-    fn number(value: T) -> Option<f64> {
-        Some(value.into())
-    }
 
     fn nearest(number: f64) -> Option<T> {
         let float = T::nearest(number);
@@ -197,19 +168,6 @@ pub(super) struct Hex<T>(PhantomData<T>);
 
 impl<T: Primitive> Codec for Hex<T> {
     type Value = T;
-    const BITS: u32 = T::BITS;
-
-    fn decode(bits: u64) -> T {
-        T::from_raw(bits)
-    }
-
-    fn encode(value: T) -> u64 {
-        value.into_raw()
-    }
-
-    fn number(value: T) -> Option<f64> {
-        Some(value.into())
-    }
 
     fn nearest(_number: f64) -> Option<T> {
         None
@@ -224,13 +182,25 @@ impl<T: Primitive> Codec for Hex<T> {
     }
 }
 
-/// A number of a fixed number of bits.
+/// A number, or a state, of a fixed number of bits.
 pub(super) trait Primitive: Copy + Into<f64> {
     const BITS: u32;
 
     fn from_raw(bits: u64) -> Self;
 
     fn into_raw(self) -> u64;
+}
+
+impl Primitive for bool {
+    const BITS: u32 = 1;
+
+    fn from_raw(bits: u64) -> Self {
+        bits != 0
+    }
+
+    fn into_raw(self) -> u64 {
+        self.into()
+    }
 }
 
 /// A floating-point number.

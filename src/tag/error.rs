@@ -2,7 +2,6 @@ use std::fmt;
 
 use super::text::Quoted;
 use super::{ScaleError, Tag, TagType, TagValue};
-use crate::command::Value;
 use crate::element::{Element, ElementError, Symbol, Width};
 
 /// A rule that a tag breaks.
@@ -42,7 +41,7 @@ pub enum TagError {
     /// The last element is not a whole number of steps behind the first.
     #[error(
         "{last} does not follow {first}, because {} is counted in steps of {}",
-        first.symbol(), first.symbol().step()
+        first.symbol(), first.step()
     )]
     OffStep {
         /// The first element.
@@ -92,7 +91,7 @@ pub enum TagError {
     /// The elements reach past the last address.
     #[error(
         "{count} elements from {first} on reach past the last address, {}{}",
-        first.symbol(), first.symbol().last_address()
+        first.symbol(), first.last_consecutive()
     )]
     PastTheEnd {
         /// The first element.
@@ -143,14 +142,9 @@ pub enum ValueError {
         /// Number of values given.
         given: usize,
     },
-    /// A raw value has another width than the elements of the tag.
-    #[error("{tag} has elements of {} bits, and {value} has {}", tag.first.width().bits(), value.width().bits())]
-    WrongWidth {
-        /// The tag.
-        tag: Tag,
-        /// The raw value.
-        value: Value,
-    },
+    /// A raw value has another width than the elements of the tag: [`ElementError::WrongWidth`].
+    #[error(transparent)]
+    Element(#[from] ElementError),
     /// A value is of another type than the tag.
     #[error("{tag} is {}, and {value} is {}", tag.description(), value.description())]
     WrongType {

@@ -1,7 +1,7 @@
 //! Parser of tags.
 
 use super::{Tag, TagError, TagType};
-use crate::element::{Element, Symbol};
+use crate::element::{Element, ElementError, Symbol};
 
 pub(super) fn parse(text: &str) -> Result<Tag, TagError> {
     let Some((elements, tag_type)) = text.split_once(':') else {
@@ -45,7 +45,11 @@ fn elements_between(first: Element, last: Element) -> Result<usize, TagError> {
     let Some(distance) = last.address().checked_sub(first.address()) else {
         return Err(TagError::Backwards { first, last });
     };
-    let step = first.symbol().step();
+    let (symbol, address) = (first.symbol(), last.address());
+    if !first.is_consecutive_with(address) {
+        return Err(ElementError::NotConsecutive { symbol, first: first.address(), address }.into());
+    }
+    let step = first.step();
     if !distance.is_multiple_of(step) {
         return Err(TagError::OffStep { first, last });
     }

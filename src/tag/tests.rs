@@ -141,6 +141,13 @@ fn errors_of_tags_name_the_input_and_the_rule() {
         ("DR0-DR3", "DR3 does not follow DR0, because DR is counted in steps of 2"),
         ("R0-R65536", "R65536 is past the last address, R65535"),
         ("R0-65536", "R65536 is past the last address, R65535"),
+        ("RC190-RC210", "RC210 does not exist: DRC200 to DRC255 are counters of 32 bits, with one address each"),
+        (
+            "DRC198-DRC200",
+            "DRC200 does not follow DRC198: DRC200 to DRC255 are counters of 32 bits, with one address each",
+        ),
+        ("RC199-RC256", "RC256 does not follow RC199: DRC200 to DRC255 are counters of 32 bits, with one address each"),
+        ("RC199:f32", "2 elements from RC199 on reach past the last address, RC199"),
         ("R65535:f32", "2 elements from R65535 on reach past the last address, R65535"),
         ("WM0-4", "WM4: the address of WM must be a multiple of 8"),
         ("R0-", "R needs a decimal address, such as R0"),
@@ -193,7 +200,7 @@ fn values_of_another_width_or_type_are_refused() {
     let message = |result: Result<Vec<TagValue>, ValueError>| result.unwrap_err().to_string();
     assert_eq!(message(pair.decode(&[Value::Word(1)])), "the number of values is 1, and R0-R1 takes 2");
     let wide = [Value::Word(1), Value::DWord(7)];
-    assert_eq!(message(pair.decode(&wide)), "R0-R1 has elements of 16 bits, and 7 has 32");
+    assert_eq!(message(pair.decode(&wide)), "R0 is a 16-bit register, not a 32-bit register");
     let message = |result: Result<Vec<Value>, ValueError>| result.unwrap_err().to_string();
     assert_eq!(message(pair.encode(&[])), "the number of values is 0, and R0-R1 takes 2");
     let signed = [TagValue::U16(1), TagValue::I16(2)];

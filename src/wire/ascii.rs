@@ -17,6 +17,7 @@ use tokio_util::codec::{Decoder, Encoder};
 use super::bulk;
 use super::field::{FieldError, FieldReader, FieldWriter};
 use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received};
+use super::framing::Framing;
 use crate::element::{Element, ElementError, LONGEST_ADDRESS, LONGEST_SYMBOL, Symbol};
 use crate::hex;
 
@@ -209,7 +210,13 @@ fn parse(bytes: &[u8]) -> Result<(u8, u8), Discard> {
     if stated == lrc(body) { Ok((station, command)) } else { Err(Discard::BadChecksum) }
 }
 
+/// The character in place of each digit of an address that the field cannot hold.
+const NO_DIGIT: u8 = b'?';
+
 /// Writes fields as characters.
+///
+/// An element past the last address of this framing is written without an address: `M????`, which no
+/// PLC takes for an element. [`Command::check`](crate::command::Command::check) refuses it before.
 #[derive(Debug)]
 pub struct AsciiWriter<'a> {
     dst: &'a mut BytesMut,
@@ -248,15 +255,18 @@ impl FieldWriter for AsciiWriter<'_> {
 
     fn element(&mut self, element: Element) {
         let symbol = element.symbol();
-        let mut digits = [b'0'; LONGEST_ADDRESS];
-        let mut address = element.address();
-        for digit in digits.iter_mut().rev() {
-            let [low, _] = (address % 10).to_le_bytes();
-            *digit = hex::digit(low);
-            address /= 10;
+        let mut digits = [NO_DIGIT; LONGEST_ADDRESS];
+        // The low digits of an address with more than the field has would name another element.
+        if element.check_in(Framing::Ascii).is_ok() {
+            let mut address = element.address();
+            for digit in digits.iter_mut().rev() {
+                let [low, _] = (address % 10).to_le_bytes();
+                *digit = hex::digit(low);
+                address /= 10;
+            }
         }
         self.dst.put_slice(symbol.as_str().as_bytes());
-        self.dst.put_slice(digits.get(LONGEST_ADDRESS.saturating_sub(symbol.digits())..).unwrap_or_default());
+        digits.iter().skip(LONGEST_ADDRESS.saturating_sub(symbol.digits())).for_each(|&digit| self.dst.put_u8(digit));
     }
 
     fn bits(&mut self, bits: &[bool]) {
@@ -381,11 +391,11 @@ impl FieldReader for AsciiReader<'_> {
         let mut address = 0_u32;
         for &digit in digits {
             let value = digit.is_ascii_digit().then_some(digit & 0x0F).ok_or(FieldError::NotDecimal(digit))?;
+            // At most five digits.
             address = address.saturating_mul(10).saturating_add(u32::from(value));
         }
         self.data = rest;
-        let address = u16::try_from(address).map_err(|_| ElementError::OutOfRange { symbol, address })?;
-        Ok(Element::new(symbol, address)?)
+        Ok(Element::received(symbol, address, Framing::Ascii)?)
     }
 
     fn rest(&mut self) -> &[u8] {

@@ -18,6 +18,7 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use super::field::{FieldError, FieldReader, FieldWriter};
 use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received, Side};
+use super::framing::Framing;
 use super::{bulk, element_list};
 use crate::element::Element;
 
@@ -256,6 +257,7 @@ fn measure(bytes: &[u8], max: usize) -> Measure {
 
 /// The content of a complete, good frame.
 fn frame(mut bytes: bytes::Bytes) -> Frame {
+    debug_assert!(bytes.len() >= OVERHEAD, "a good frame has a station, which is not 0 for want of one");
     let end = bytes.len().saturating_sub(TAIL);
     bytes.truncate(end);
     let station = bytes.get(HEAD).copied().unwrap_or_default();
@@ -407,7 +409,7 @@ impl FieldReader for BinaryReader<'_> {
         let (letters, rest) = self.data.split_at_checked(usize::from(length)).ok_or(FieldError::Truncated)?;
         let symbol = element_list::symbol(letters).ok_or(FieldError::Unreadable)?;
         self.data = rest;
-        Ok(Element::new(symbol, self.word()?)?)
+        Ok(Element::received(symbol, self.word()?.into(), Framing::Binary)?)
     }
 
     fn rest(&mut self) -> &[u8] {

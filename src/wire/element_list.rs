@@ -71,7 +71,7 @@ fn element(data: &[u8], length: usize) -> Option<Element> {
     let (letters, rest) = data.split_at_checked(length)?;
     let address = u16::from_be_bytes(*rest.first_chunk()?);
     // An address out of range is no element, and so no parse.
-    Element::new(symbol(letters)?, address).ok()
+    Element::received(symbol(letters)?, address.into(), Framing::Binary).ok()
 }
 
 /// The symbol with these letters, upper case only.
@@ -85,7 +85,9 @@ fn why_no_list(data: &[u8]) -> FieldError {
     for length in (1..=LONGEST_SYMBOL).rev() {
         let Some((letters, rest)) = data.split_at_checked(length) else { continue };
         let Some(address) = rest.first_chunk() else { continue };
-        if let Some(Err(error)) = symbol(letters).map(|symbol| Element::new(symbol, u16::from_be_bytes(*address))) {
+        let address = u16::from_be_bytes(*address).into();
+        let element = symbol(letters).map(|symbol| Element::received(symbol, address, Framing::Binary));
+        if let Some(Err(error)) = element {
             return error.into();
         }
     }

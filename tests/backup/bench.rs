@@ -21,7 +21,7 @@ const LAST: [Element; 11] = [
     element!("T255"),
     element!("C255"),
     element!("RT255"),
-    element!("RC255"),
+    element!("DRC255"),
     element!("R3839"),
     element!("D3071"),
     element!("F100"),
@@ -85,7 +85,13 @@ pub(crate) fn model() -> Model {
 
 /// All elements of this model, without overlaps.
 pub(crate) fn memory() -> impl Iterator<Item = Element> {
-    LAST.into_iter().flat_map(|last| (0..=last.address()).map(move |address| element(last.symbol(), address)))
+    // Counters from DRC200 on have 32 bits, the others are `RC`.
+    let symbol = |last: Element, address| match last.symbol() {
+        Symbol::DRC if address < 200 => Symbol::RC,
+        symbol => symbol,
+    };
+    LAST.into_iter()
+        .flat_map(move |last| (0..=last.address()).map(move |address| element(symbol(last, address), address)))
 }
 
 fn element(symbol: Symbol, address: u16) -> Element {
@@ -126,10 +132,10 @@ pub(crate) fn base_elements(ranges: &[Tag]) -> Vec<Element> {
             Symbol::WX | Symbol::DWX => Symbol::X,
             Symbol::DR => Symbol::R,
             Symbol::DD => Symbol::D,
-            Symbol::DRC => Symbol::RC,
+            Symbol::DRC if !first.is_counter_of_32_bits() => Symbol::RC,
             symbol => symbol,
         };
-        (first.address()..last.address() + last.symbol().step()).map(move |address| element(symbol, address))
+        (first.address()..last.address() + last.step()).map(move |address| element(symbol, address))
     };
     ranges.iter().flat_map(of).collect()
 }

@@ -16,7 +16,7 @@ use fatek::{Element, Error, Value};
 use crate::bench::{Bench, FRAMINGS, Rng, base_elements, memory, random, tags};
 
 /// Every width, adjacent and separate ranges, pairs from an odd address on, inputs and contacts.
-const RANGES: [&str; 14] = [
+const RANGES: [&str; 16] = [
     "R0-R199",
     "R301-R500:f32",
     "DR1000-DR1198",
@@ -30,6 +30,8 @@ const RANGES: [&str; 14] = [
     "Y8-Y40",
     "RT0-RT99",
     "DRC10-DRC20",
+    "DRC196-DRC198",
+    "DRC200-DRC203",
     "X0-X19",
 ];
 /// Inputs, which are not restored.

@@ -186,10 +186,11 @@ fn consecutive<E: Copy + fmt::Debug + Into<Element>, V: fmt::Debug>(
     value: impl Strategy<Value = V> + Clone,
 ) -> impl Strategy<Value = (E, Vec<V>)> {
     let count = prop_oneof![6 => 1..=max, 1 => Just(1), 2 => Just(max)];
-    (first, count).prop_flat_map(move |(first, count)| {
-        let symbol = first.into().symbol();
-        let behind = usize::from((symbol.last_address() - first.into().address()) / symbol.step());
-        (Just(first), vec(value.clone(), count.min(behind + 1)))
+    (first, count).prop_flat_map(move |(element, count)| {
+        let first: Element = element.into();
+        let most = if first.is_counter_of_32_bits() { 1 } else { count };
+        let exists = |&n: &usize| first.nth(n).is_ok_and(|element| element.check_in(Framing::Ascii).is_ok());
+        (Just(element), vec(value.clone(), (0..most).take_while(exists).count()))
     })
 }
 
@@ -240,12 +241,12 @@ fn register32() -> impl Strategy<Value = Register32> {
     element(Width::DWord).prop_map(|e| e.try_into().unwrap())
 }
 
-/// Any element of this width; the first and last of each symbol are more frequent.
+/// Any element of this width that both framings have; the first and last of each symbol are more frequent.
 pub(crate) fn element(width: Width) -> impl Strategy<Value = Element> {
     let symbols: Vec<Symbol> = Symbol::ALL.iter().copied().filter(|s| s.width() == width).collect();
     prop::sample::select(symbols).prop_flat_map(|symbol| {
-        let top = symbol.last_address() / symbol.alignment();
+        let top = symbol.last_address_in(Framing::Ascii) / symbol.alignment();
         prop_oneof![8 => 0..=top, 1 => Just(0), 1 => Just(top)]
-            .prop_map(move |n| Element::new(symbol, n * symbol.alignment()).unwrap())
+            .prop_filter_map("half a counter", move |n| Element::new(symbol, n * symbol.alignment()).ok())
     })
 }

@@ -51,7 +51,8 @@ Tags:
   R5             16-bit register, unsigned (R D F RT RC WX WY WM WS WT WC)
   DR2            32-bit register, unsigned (DR DD DF DRT DRC DWX DWY DWM DWS
                  DWT DWC)
-  R0-R9          range, both ends included
+  DRC200         32-bit counter (DRC200 to DRC255; there is no RC200)
+  R0-R9          range, both ends included; DRC200-DRC205 is six counters
   R5:i16         type: bool, u16, i16, u32, i32, f32, hex, text or text-hi
   R100:f32       32-bit value in two 16-bit registers, R100 the low word
   R5:i16*0.1-40  scaled number: gain, offset, or both

@@ -195,17 +195,16 @@ impl From<TagValue> for Cell {
     /// `write` accepts. Texts have quotes in the table only.
     fn from(value: TagValue) -> Self {
         let text = value.to_string();
-        let json = match value {
-            TagValue::Bool(on) => on.into(),
-            TagValue::U16(number) => number.into(),
-            TagValue::I16(number) => number.into(),
-            TagValue::U32(number) => number.into(),
-            TagValue::I32(number) => number.into(),
-            // By its shortest text: 0.1, not 0.10000000149011612.
-            TagValue::F32(number) if number.is_finite() => text.parse::<f64>().map_or(Value::Null, Value::from),
-            TagValue::Scaled(number) if number.is_finite() => number.into(),
-            TagValue::Text(characters) => characters.into(),
-            TagValue::F32(_) | TagValue::Scaled(_) | TagValue::Hex16(_) | TagValue::Hex32(_) | _ => text.clone().into(),
+        let json = if let TagValue::Bool(on) = value {
+            on.into()
+        } else if let TagValue::Text(characters) = value {
+            characters.into()
+        } else if value.as_f64().is_some_and(f64::is_finite) {
+            // By its shortest text: 0.1, not 0.10000000149011612. `0x00AA` is no number in JSON.
+            let whole = text.parse::<i64>().map(Value::from);
+            whole.or_else(|_| text.parse::<f64>().map(Value::from)).unwrap_or_else(|_| text.clone().into())
+        } else {
+            text.clone().into()
         };
         Self { text, json }
     }

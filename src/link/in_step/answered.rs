@@ -65,8 +65,10 @@ impl Span {
     }
 
     fn touches(&self, other: &Self) -> bool {
-        let step = self.symbol.step();
+        let Ok(first) = Element::new(self.symbol, self.first) else { return false };
+        let step = first.step();
         self.symbol == other.symbol
+            && first.is_consecutive_with(other.first)
             && self.first <= other.last.saturating_add(step)
             && other.first <= self.last.saturating_add(step)
     }
@@ -95,6 +97,18 @@ mod tests {
         assert!(answered.contains(element("WM32")) && !answered.contains(element("WM48")));
         answered.forget(element("R5"));
         assert!(!answered.contains(element("R0")) && answered.contains(element("WM0")));
+    }
+
+    #[test]
+    fn counters_of_32_bits_are_joined_by_one_address() {
+        let mut answered = AnsweredElements::new();
+        for counter in ["DRC198", "DRC200", "DRC202"] {
+            answered.add(element(counter), 1);
+        }
+        // Before: two addresses apart was joined, so DRC201 counted as answered.
+        assert!(answered.contains(element("DRC200")) && !answered.contains(element("DRC201")));
+        answered.add(element("DRC201"), 1);
+        assert_eq!(answered.spans.len(), 2);
     }
 
     #[test]

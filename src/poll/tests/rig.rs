@@ -106,9 +106,9 @@ impl Default for FakePlc {
 /// The 16-bit cells of an element.
 pub(super) fn cells(element: Element) -> Vec<(Symbol, u16)> {
     match element {
-        Element::Register32(e) if e.symbol() != Symbol::DRC => {
-            let low = e.low();
-            vec![(low.symbol(), low.address()), (low.symbol(), low.address() + low.symbol().step())]
+        Element::Register32(e) if !element.is_counter_of_32_bits() => {
+            let low = e.symbol().halved();
+            vec![(low, e.address()), (low, e.address() + low.step())]
         }
         other => vec![(other.symbol(), other.address())],
     }

@@ -203,12 +203,10 @@ struct Span {
 impl Span {
     fn new(first: Element, count: usize) -> Self {
         let area = first.symbol().area();
+        let Some(others) = count.checked_sub(1) else { return Self { area, first: 1, last: 0 } };
         // Elements past the last address do not exist, so the span ends there.
-        let last = count.checked_sub(1).map(|n| first.nth(n).map_or(u16::MAX, |last| covered(last).1));
-        match last {
-            Some(last) => Self { area, first: first.address(), last },
-            None => Self { area, first: 1, last: 0 },
-        }
+        let behind = u16::try_from(others.saturating_mul(first.step().into())).unwrap_or(u16::MAX);
+        Self { area, first: first.address(), last: covered(first).1.saturating_add(behind) }
     }
 
     fn is_accessed_by(self, request: &Request) -> bool {

@@ -2,6 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::element::{Symbol, Width};
+use crate::wire::Framing;
 use crate::{discrete, element, register, register32};
 
 #[test]
@@ -51,8 +52,23 @@ fn a_value_of_the_wrong_width_is_not_written() {
     let mut memory = Memory::default();
     let element = element!("WM0");
     let value = Value::DWord(1);
-    assert_eq!(memory.write(element, value), Err(Error::WrongWidth { element, value }));
+    assert_eq!(memory.write(element, value), Err(ElementError::WrongWidth { element, expected: Width::DWord }.into()));
     assert_eq!(memory.read(element), Value::Word(0));
+}
+
+/// Before: `DRC201` was the high word of `DRC200` and the low word of `DRC202`.
+#[test]
+fn counters_of_32_bits_are_separate() {
+    let mut memory = Memory::default();
+    let counter = |address| Register32::new(Symbol::DRC, address).unwrap();
+    memory.set_dword(counter(198), 0x0198_0198);
+    (200..=255).for_each(|address| memory.set_dword(counter(address), 0xC0DE_0000 | u32::from(address)));
+    memory.set_dword(counter(256), 0x0256_0256);
+    memory.set_word(register!("F0"), 7);
+    for address in 200..=255 {
+        assert_eq!(memory.dword(counter(address)), 0xC0DE_0000 | u32::from(address));
+    }
+    assert_eq!((memory.dword(counter(198)), memory.word(register!("RC256"))), (0x0198_0198, 0x0256));
 }
 
 #[test]
@@ -89,7 +105,7 @@ proptest! {
 /// Elements with few addresses, at both ends of the memory, so that many overlap.
 fn any_element() -> impl Strategy<Value = Element> {
     (prop::sample::select(Symbol::ALL), 0_u16..48, any::<bool>()).prop_map(|(symbol, offset, at_the_end)| {
-        let address = if at_the_end { symbol.last_address() - offset } else { offset };
+        let address = if at_the_end { symbol.last_address_in(Framing::Ascii) - offset } else { offset };
         Element::new(symbol, address - address % symbol.alignment()).unwrap()
     })
 }

@@ -163,11 +163,14 @@ fn fields_are_written_as_in_the_manual() {
     assert_eq!(written(&|w| w.dword(10_000_000)), "00989680");
     assert_eq!(written(&|w| [true, false].into_iter().for_each(|b| w.bit(b))), "10");
     for &symbol in Symbol::ALL {
-        for address in [0, 8, 1000, symbol.last_address()] {
+        for address in [0, 8, 1000, symbol.last_address_in(Framing::Ascii)] {
             let element = Element::new(symbol, address).unwrap();
             assert_eq!(written(&|w| w.element(element)), format!("{element:#}"));
         }
     }
+    // Not `M0000`, which would be another relay.
+    assert_eq!(written(&|w| w.element(Element::new(Symbol::M, 10_000).unwrap())), "M????");
+    assert_eq!(AsciiReader::new(b"M????").element(), Err(FieldError::NotDecimal(b'?')));
 }
 
 #[test]
@@ -193,7 +196,7 @@ fn fields_are_read_in_either_case_and_in_one_form() {
         ("X00A0", FieldError::NotDecimal(b'A')),
         ("R65536", ElementError::OutOfRange { symbol: Symbol::R, address: 65_536 }.into()),
         ("R99999", ElementError::OutOfRange { symbol: Symbol::R, address: 99_999 }.into()),
-        ("DRT9999", ElementError::OutOfRange { symbol: Symbol::DRT, address: 9999 }.into()),
+        ("DRT9999", Element::parse("DRT9999").unwrap().check_in(Framing::Ascii).unwrap_err().into()),
         ("WX0004", ElementError::Misaligned { symbol: Symbol::WX, address: 4 }.into()),
     ] {
         assert_eq!(reader(data).element(), Err(error), "{data}");

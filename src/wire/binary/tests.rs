@@ -214,13 +214,15 @@ fn fields_are_read_in_one_form() {
         reader.layout(1, 0).and_then(|()| reader.element())
     };
     assert_eq!(one(b"DRT\x00\x01"), Ok(Element::new(Symbol::DRT, 1).unwrap()));
+    // Before: an error, with the limit of the ASCII framing.
+    assert_eq!(one(b"X\x27\x10"), Ok(Element::new(Symbol::X, 10_000).unwrap()));
     for (data, error) in [
         (&b""[..], FieldError::Unreadable),
         (b"X\x00", FieldError::Unreadable),
         (b"X\x00\x00\x00", FieldError::Unreadable),
         (b"x\x00\x00", FieldError::Unreadable),
         (b"wx\x00\x00", FieldError::Unreadable),
-        (b"X\x27\x10", ElementError::OutOfRange { symbol: Symbol::X, address: 10_000 }.into()),
+        (b"WX\xFF\xF8", ElementError::OutOfRange { symbol: Symbol::WX, address: 65_528 }.into()),
         (b"WX\x00\x04", ElementError::Misaligned { symbol: Symbol::WX, address: 4 }.into()),
     ] {
         assert_eq!(one(data), Err(error), "{data:?}");

@@ -96,8 +96,8 @@ impl Explanation {
     /// reply.
     fn data(&mut self, code: Code, framing: Framing, data: &[u8], readings: &[Part]) {
         let read = |&part: &Part| match framing {
-            Framing::Binary => (part, read_data(BinaryReader::new(data), data, code, part)),
-            Framing::Ascii | _ => (part, read_data(AsciiReader::new(data), data, code, part)),
+            Framing::Binary => (part, read_data(BinaryReader::new(data), Framing::Binary, data, code, part)),
+            Framing::Ascii | _ => (part, read_data(AsciiReader::new(data), Framing::Ascii, data, code, part)),
         };
         let readings: Vec<(Part, DataReading)> = readings.iter().map(read).collect();
         if readings.iter().any(|(_, reading)| reading.fault.is_none()) {
@@ -125,11 +125,14 @@ impl Explanation {
 }
 
 /// Reads the data of a frame as a request or a reply.
-fn read_data<R: FieldReader + Clone>(inner: R, data: &[u8], code: Code, part: Part) -> DataReading {
+fn read_data<R: FieldReader + Clone>(inner: R, framing: Framing, data: &[u8], code: Code, part: Part) -> DataReading {
     let mut fields = Recorder::new(inner, data, code, part);
     let fault = match part {
         Part::Reply => reply::read(code, data.len(), &mut fields).err().map(|error| error.to_string()),
-        Part::Frame | Part::Request => Request::read(code, &mut fields).err().map(|error| error.to_string()),
+        Part::Frame | Part::Request => match Request::read(code, &mut fields) {
+            Ok(request) => request.check(framing).err().map(|error| error.to_string()),
+            Err(error) => Some(error.to_string()),
+        },
     };
     fields.into_reading(fault)
 }

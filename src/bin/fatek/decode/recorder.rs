@@ -69,7 +69,9 @@ impl<'a, R: FieldReader + Clone> Recorder<'a, R> {
     fn name_of_value(&mut self) -> String {
         let n = self.values;
         self.values += 1;
-        match (self.element.map(|element| element.nth(n)), self.code) {
+        // The manuals do not say which addresses a run of counters of 32 bits has.
+        let named = self.element.filter(|element| n == 0 || !element.is_counter_of_32_bits());
+        match (named.map(|element| element.nth(n)), self.code) {
             (Some(Ok(element)), _) => element.to_string(),
             (_, Code::ReadProgramPage | Code::WriteProgramPage) if self.part == Part::Request && n == 0 => {
                 "page".to_owned()
