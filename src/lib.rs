@@ -115,6 +115,7 @@ pub mod pool;
 pub mod program;
 pub mod progress;
 mod random;
+mod settings;
 #[cfg(feature = "sim")]
 #[allow(
     clippy::arithmetic_side_effects,
@@ -128,6 +129,7 @@ mod station;
 #[allow(clippy::arithmetic_side_effects, reason = "counts and digits are checked when a tag is parsed")]
 pub mod tag;
 mod transfer;
+mod transport;
 pub mod wire;
 
 pub use backup::Backup;

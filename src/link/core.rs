@@ -36,10 +36,10 @@ use super::later;
 use super::scheduler::Scheduler;
 use super::stations::Stations;
 use super::stats::{SharedStats, StationState, add};
-use super::transport::LateDatagrams;
 use crate::command::LoopBack;
 use crate::error::Error;
 use crate::random::Random;
+use crate::transport::LateDatagrams;
 
 /// The next thing for the driver to do.
 #[derive(Debug, PartialEq, Eq)]

@@ -39,11 +39,12 @@ use super::LinkState;
 use super::buffer;
 use super::call::PendingCall;
 use super::connect_limiter::{ConnectLimiter, ConnectPermit, ConnectSlot};
+use super::connector::Connector;
 use super::core::{Action, Core};
 use super::io_waker::IoWaker;
 use super::later;
 use super::line::Line;
-use super::transport::{BoxIo, Connector, Io};
+use crate::transport::{BoxIo, Io};
 
 /// The connection of a link, and everything needed to open and use it.
 pub(crate) struct Driver {

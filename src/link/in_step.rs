@@ -43,9 +43,7 @@ use tokio::time::Instant;
 use self::answered::AnsweredElements;
 use self::command_set::CommandSet;
 use self::terms::ANY_SIZE;
-pub(crate) use self::terms::{
-    Check, Choice, Kind, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why, fingerprint,
-};
+pub(crate) use self::terms::{Check, Choice, Kind, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why};
 use super::later;
 use crate::command::{Candidate, Code, NO_CANDIDATES, Run, Spelling};
 

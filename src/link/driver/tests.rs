@@ -14,7 +14,8 @@ use tokio::time::Instant;
 use tokio_util::codec::{Decoder, Encoder};
 
 use crate::link::builder::LinkBuilder;
-use crate::link::transport::{BoxIo, Connector};
+use crate::link::connector::Connector;
+use crate::transport::BoxIo;
 use crate::wire::{Codec, Frame, Framing, Side};
 use crate::{CallOptions, Error, Link, register};
 
