@@ -28,3 +28,24 @@ pub(crate) fn one_of<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
         None => String::new(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn alternatives_are_listed_with_commas_and_or() {
+        for (names, text) in
+            [(&["a"][..], "`a`"), (&["a", "b"], "`a` or `b`"), (&["a", "b", "c"], "`a`, `b` or `c`"), (&[], "")]
+        {
+            assert_eq!(one_of(names.iter().copied()), text);
+        }
+    }
+
+    #[test]
+    fn the_first_value_of_an_option_is_kept() {
+        let mut options = UrlOptions::default();
+        assert!(options.add("copies", "1") && options.add("quiet", "") && !options.add("copies", "2"));
+        assert_eq!((options.get("copies"), options.get("quiet"), options.get("window")), (Some("1"), Some(""), None));
+    }
+}
