@@ -325,6 +325,7 @@ impl Driver {
             match self.core.request_bytes().get(writing.written..) {
                 Some(rest) if !rest.is_empty() => match ready!(Pin::new(&mut *io).poll_write(cx, rest)) {
                     Ok(0) => break Err(io::ErrorKind::WriteZero.into()),
+                    // A stream that claims more than it was given has written all of it.
                     Ok(written) => writing.written = writing.written.saturating_add(written),
                     Err(error) => break Err(error),
                 },

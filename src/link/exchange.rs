@@ -485,7 +485,8 @@ pub(crate) fn may_contain_reply(reason: Discard) -> bool {
 /// The fingerprint of the frame that an echo of the request would be.
 fn echo_fingerprint(framing: Framing, request: &[u8]) -> u64 {
     // Only an ASCII request looks like a reply: STX, station, command, data, LRC, ETX.
-    let content = request.get(3..request.len().saturating_sub(3)).filter(|_| framing == Framing::Ascii);
-    let Some(([high, low], data)) = content.and_then(<[u8]>::split_first_chunk) else { return 0 };
-    fingerprint(hex::byte([*high, *low]), data)
+    match (framing, request) {
+        (Framing::Ascii, [_, _, _, high, low, data @ .., _, _, _]) => fingerprint(hex::byte([*high, *low]), data),
+        (Framing::Ascii | Framing::Binary, _) => 0,
+    }
 }

@@ -383,6 +383,7 @@ impl InStep {
     /// does not count, for a duplicate waits while they use the line.
     fn lapse(&mut self, rule: &Rule, now: Instant) {
         let ends = |taken: &Taken| {
+            debug_assert!(rule.busy >= taken.busy_at, "the time of a line's frames only grows");
             let busy = rule.busy.saturating_sub(taken.busy_at);
             now.saturating_duration_since(taken.heard_at).saturating_sub(busy) >= taken.window
         };
