@@ -58,8 +58,8 @@
 //!    separates them where that is impossible, on each new connection, and after any doubt. See
 //!    [`endpoint::InStepSettings`] for the assumptions about a line.
 //! 2. **No write is retried without consent.** Reads are retried; writes and control commands only
-//!    with [`CallOptions::retry_writes`]. [`Error::may_have_executed`] tells whether the PLC may
-//!    have executed them.
+//!    with [`CallOptions::with_retry_writes`]. [`Error::may_have_executed`] tells whether the PLC
+//!    may have executed them.
 //! 3. **Every call ends by its deadline**, queueing, connecting and retries included.
 //! 4. **One silent station does not stop the others.** Its calls fail at once while it is offline.
 //! 5. **No input can cause a panic, a hang or unbounded memory use.**

@@ -166,7 +166,7 @@ impl World {
         confirms: Option<C::Reply>,
         part: bool,
     ) -> CallFuture<C> {
-        let options = CallOptions::new().call_timeout(Duration::from_secs(3600)).retries(2);
+        let options = CallOptions::new().with_call_timeout(Duration::from_secs(3600)).with_retries(2);
         let meta = CallMeta {
             station,
             code: C::CODE,

@@ -52,9 +52,7 @@ fn limits(args: &PlanArgs) -> Result<Limits, Failure> {
     if let Some(units) = args.max_mixed {
         limits = limits.max_mixed(units).map_err(Failure::usage)?;
     }
-    if args.no_mixed {
-        limits = limits.no_mixed_reads();
-    }
+    limits = limits.mixed_reads(!args.no_mixed);
     for range in &args.readable {
         let last = range.elements().last().unwrap_or(range.first());
         limits = limits.readable(range.first(), last).map_err(Failure::usage)?;
