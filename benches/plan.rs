@@ -20,7 +20,7 @@ fn planning(c: &mut Criterion) {
         ("clustered", clustered as Tags, all.clone()),
         ("random", random, all.clone()),
         ("random, with texts", texts, all.clone()),
-        ("random, no mixed reads", random, all.no_mixed_reads()),
+        ("random, no mixed reads", random, all.mixed_reads(false)),
     ];
     for (name, tags, limits) in cases {
         let mut group = c.benchmark_group(name);

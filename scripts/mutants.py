@@ -34,7 +34,7 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 OUT = pathlib.Path(os.environ.get("MUTANTS_DIR", ROOT / "target/mutants-in-one-build"))
 TREE = OUT / "tree"
-GLOBS = ["src/wire/**", "src/command/**", "src/link/**"]
+GLOBS = ["src/wire/**", "src/command/**", "src/link/**", "src/transport/**"]
 FEATURES = ["--features", "serial,sim"]
 # Tests that need the command line, or reach these folders only by paths of other tests.
 SKIPPED_TESTS = re.compile(r"^(cli.*|gateway|plan|program|backup|peers)$")

@@ -1,16 +1,16 @@
 //! Endpoints: the address of a PLC as a URL.
 
-mod in_step;
-mod serial;
-
 use std::fmt;
 use std::str::FromStr;
 
+use crate::settings::{URL_OPTIONS, UrlOptions, one_of};
 use crate::wire::Framing;
 
-use in_step::InStepOptions;
-pub use in_step::{DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET, InStepSettings, MAX_COPIES};
-pub use serial::{DataBits, MAX_BAUD, MIN_BAUD, Parity, SerialSettings, StopBits};
+pub use crate::settings::{
+    DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET, DataBits, InStepSettings, InvalidSettings, MAX_BAUD,
+    MAX_COPIES, MIN_BAUD, Parity, SerialSettings, StopBits,
+};
+pub use crate::transport::{DEFAULT_PORT, Transport};
 
 /// Address, transport and framing of a PLC or a line of PLCs, written as a URL.
 ///
@@ -60,50 +60,17 @@ pub struct Endpoint {
     in_step: InStepSettings,
 }
 
-/// The transport of an endpoint, with its address.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Transport {
-    /// A TCP connection.
-    #[non_exhaustive]
-    Tcp {
-        /// Host name or address; an IPv6 address without brackets.
-        host: String,
-        /// The port.
-        port: u16,
-    },
-    /// UDP, one frame per datagram.
-    #[non_exhaustive]
-    Udp {
-        /// Host name or address; an IPv6 address without brackets.
-        host: String,
-        /// The port.
-        port: u16,
-    },
-    /// A serial port.
-    #[non_exhaustive]
-    Serial {
-        /// Its name in the operating system: `/dev/ttyUSB0`, `COM3`.
-        path: String,
-        /// Baud rate, data bits, parity and stop bits.
-        settings: SerialSettings,
-    },
-}
-
-/// Default port, TCP and UDP: that of FATEK's Ethernet modules.
-pub const DEFAULT_PORT: u16 = 500;
-
 impl Endpoint {
     /// A TCP endpoint with the ASCII framing.
     #[must_use]
     pub fn tcp(host: impl Into<String>, port: u16) -> Self {
-        Self::new(Transport::Tcp { host: host.into(), port })
+        Transport::Tcp { host: host.into(), port }.into()
     }
 
     /// A UDP endpoint with the ASCII framing.
     #[must_use]
     pub fn udp(host: impl Into<String>, port: u16) -> Self {
-        Self::new(Transport::Udp { host: host.into(), port })
+        Transport::Udp { host: host.into(), port }.into()
     }
 
     /// A serial endpoint with the ASCII framing, 9600 baud and 7E1.
@@ -120,11 +87,7 @@ impl Endpoint {
     /// ```
     #[must_use]
     pub fn serial(path: impl Into<String>) -> Self {
-        Self::new(Transport::Serial { path: path.into(), settings: SerialSettings::new(Framing::Ascii) })
-    }
-
-    fn new(transport: Transport) -> Self {
-        Self { transport, framing: Framing::Ascii, in_step: InStepSettings::new() }
+        Transport::Serial { path: path.into(), settings: SerialSettings::new(Framing::Ascii) }.into()
     }
 
     /// Sets the settings of the serial port.
@@ -133,14 +96,12 @@ impl Endpoint {
     /// [`InvalidSettings::NotSerial`] for another transport; [`InvalidSettings::DataBits`] for 7 data
     /// bits with the binary framing.
     pub fn with_serial(mut self, serial: SerialSettings) -> Result<Self, InvalidSettings> {
-        match &mut self.transport {
-            Transport::Serial { settings, .. } => {
+        match self.transport.serial_settings_mut() {
+            Some(settings) => {
                 *settings = serial.check(self.framing)?;
                 Ok(self)
             }
-            Transport::Tcp { .. } | Transport::Udp { .. } => {
-                Err(InvalidSettings::NotSerial { endpoint: self.to_string() })
-            }
+            None => Err(InvalidSettings::NotSerial { endpoint: self.to_string() }),
         }
     }
 
@@ -150,11 +111,8 @@ impl Endpoint {
     #[must_use]
     pub fn with_framing(mut self, framing: Framing) -> Self {
         self.framing = framing;
-        if let Transport::Serial { settings, .. } = &mut self.transport
-            && settings.check(framing).is_err()
-        {
-            *settings =
-                settings.with_data_bits(DataBits::Eight).with_parity(Parity::None).with_stop_bits(StopBits::One);
+        if let Some(settings) = self.transport.serial_settings_mut() {
+            *settings = settings.for_framing(framing);
         }
         self
     }
@@ -182,6 +140,13 @@ impl Endpoint {
     #[must_use]
     pub fn in_step(&self) -> InStepSettings {
         self.in_step
+    }
+}
+
+impl From<Transport> for Endpoint {
+    /// An endpoint with the ASCII framing.
+    fn from(transport: Transport) -> Self {
+        Self { transport, framing: Framing::Ascii, in_step: InStepSettings::new() }
     }
 }
 
@@ -232,73 +197,18 @@ impl FromStr for Endpoint {
 
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut options = Vec::new();
-        match &self.transport {
-            Transport::Tcp { host, port } => write!(f, "tcp://{}", Authority { host, port: *port })?,
-            Transport::Udp { host, port } => write!(f, "udp://{}", Authority { host, port: *port })?,
-            Transport::Serial { path, settings } => {
-                write!(f, "serial:{path}")?;
-                let usual = SerialSettings::new(self.framing);
-                if settings.baud() != usual.baud() {
-                    options.push(format!("baud={}", settings.baud()));
-                }
-                if settings.character() != usual.character() {
-                    options.push(format!("frame={}", settings.character()));
-                }
-            }
-        }
+        self.transport.write_address(f)?;
+        let mut options = self.transport.url_options(self.framing);
         match self.framing {
             Framing::Ascii => {}
             framing @ Framing::Binary => options.push(format!("framing={framing}")),
         }
-        options.extend(self.in_step.options());
+        options.extend(self.in_step.url_options());
         for (position, option) in options.iter().enumerate() {
             write!(f, "{}{option}", if position == 0 { '?' } else { '&' })?;
         }
         Ok(())
     }
-}
-
-struct Authority<'a> {
-    host: &'a str,
-    port: u16,
-}
-
-impl fmt::Display for Authority<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { host, port } = self;
-        if host.contains(':') { write!(f, "[{host}]:{port}") } else { write!(f, "{host}:{port}") }
-    }
-}
-
-/// Invalid settings of an endpoint.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum InvalidSettings {
-    /// The baud rate is not [`MIN_BAUD`] to [`MAX_BAUD`].
-    #[error("the baud rate {baud} is not within {MIN_BAUD} to {MAX_BAUD}")]
-    Baud {
-        /// The baud rate.
-        baud: u32,
-    },
-    /// The number of copies is more than [`MAX_COPIES`].
-    #[error("the number of copies {copies} is not within 0 to {MAX_COPIES}")]
-    Copies {
-        /// The number.
-        copies: u8,
-    },
-    /// The binary framing needs 8 data bits.
-    #[error("the binary framing needs 8 data bits, and {settings} has {}", settings.data_bits())]
-    DataBits {
-        /// The settings.
-        settings: SerialSettings,
-    },
-    /// The endpoint is not a serial port.
-    #[error("{endpoint} is not a serial port")]
-    NotSerial {
-        /// The endpoint.
-        endpoint: String,
-    },
 }
 
 /// A text that is not an endpoint, with the rule that it breaks.
@@ -310,134 +220,34 @@ pub struct ParseEndpointError {
 }
 
 fn parse(text: &str) -> Result<Endpoint, String> {
-    let (scheme, rest) = text.split_once(':').ok_or(SCHEMES)?;
-    if scheme.eq_ignore_ascii_case("serial") {
-        return parse_serial(rest);
-    }
-    let rest = rest.strip_prefix("//").ok_or(SCHEMES)?;
-    let endpoint: fn(String, u16) -> Endpoint = match scheme.to_ascii_lowercase().as_str() {
-        "tcp" => Endpoint::tcp,
-        "udp" => Endpoint::udp,
-        _ => return Err(format!("unknown transport `{scheme}`: it must be `tcp`, `udp` or `serial`")),
+    let (scheme, rest) = Transport::split_scheme(text)?;
+    let (address, options) = split_options(rest)?;
+    let framing = match options.get("framing") {
+        Some(framing) => framing.parse().map_err(|error| format!("{error}"))?,
+        None => Framing::Ascii,
     };
-    let (authority, options) = split_options(rest)?;
-    if let Some(name) = options.baud.and(Some("baud")).or(options.frame.and(Some("frame"))) {
-        return Err(format!("the option `{name}` is for serial ports, not for {scheme}"));
+    let transport = Transport::from_url(&scheme, address, framing, &options)?;
+    let in_step = InStepSettings::from_url(&options)?;
+    if let Some(settings) = transport.serial_settings() {
+        settings.check(framing).map_err(|invalid| invalid.to_string())?;
     }
-    let authority = authority.strip_suffix('/').unwrap_or(authority);
-    let (host, port) = split_authority(authority)?;
-    let port = match port {
-        Some(port) => match port.parse() {
-            Ok(number) if number > 0 && port.bytes().all(|b| b.is_ascii_digit()) => number,
-            _ => return Err(format!("the port `{port}` must be a number from 1 to 65535")),
-        },
-        None if options.framing == Framing::Ascii => DEFAULT_PORT,
-        None => {
-            return Err(format!(
-                "the binary framing has no default port: state it, as in `{scheme}://host:port?framing=binary`"
-            ));
-        }
-    };
-    Ok(endpoint(host.to_owned(), port).with_framing(options.framing).with_in_step(options.in_step.parse()?))
+    Ok(Endpoint { transport, framing, in_step })
 }
 
-const SCHEMES: &str = "it must begin with `tcp://`, `udp://` or `serial:`";
-
-fn parse_serial(rest: &str) -> Result<Endpoint, String> {
-    let (path, options) = split_options(rest)?;
-    // A URL with an empty authority, `serial:///dev/ttyUSB0`, has the same path.
-    let path = path.strip_prefix("//").filter(|path| path.starts_with('/')).unwrap_or(path);
-    if path.is_empty() {
-        return Err("the path of the port is missing, as in `serial:/dev/ttyUSB0` or `serial:COM3`".to_owned());
-    }
-    if path.starts_with("//") {
-        return Err("the path follows `serial:` without `//`, as in `serial:/dev/ttyUSB0` or `serial:COM3`".to_owned());
-    }
-    if let Some(c) = path.chars().find(|c| c.is_control()) {
-        return Err(format!("the path has the character {c:?}, which is not valid in the path of a port"));
-    }
-    let mut settings = SerialSettings::new(options.framing);
-    if let Some(text) = options.baud {
-        let baud = text.parse().ok().filter(|_| text.bytes().all(|b| b.is_ascii_digit()));
-        settings = baud
-            .and_then(|baud| settings.with_baud(baud).ok())
-            .ok_or_else(|| format!("the baud rate `{text}` must be a number from {MIN_BAUD} to {MAX_BAUD}"))?;
-    }
-    if let Some(text) = options.frame {
-        settings = settings.with_character(text).ok_or_else(|| {
-            format!("the frame `{text}` must be data bits (7, 8), parity (N, E, O) and stop bits (1, 2), as in `7E1`")
-        })?;
-    }
-    let endpoint = Endpoint::serial(path).with_framing(options.framing).with_in_step(options.in_step.parse()?);
-    endpoint.with_serial(settings).map_err(|invalid| invalid.to_string())
-}
-
-/// The options behind the `?`.
-#[derive(Default)]
-struct Options<'a> {
-    framing: Framing,
-    baud: Option<&'a str>,
-    frame: Option<&'a str>,
-    in_step: InStepOptions<'a>,
-}
-
-fn split_options(text: &str) -> Result<(&str, Options<'_>), String> {
-    let mut options = Options::default();
+fn split_options(text: &str) -> Result<(&str, UrlOptions<'_>), String> {
+    let mut options = UrlOptions::default();
     let Some((address, query)) = text.split_once('?') else { return Ok((text, options)) };
-    let mut framing = None;
     for option in query.split('&') {
         let (name, value) = option.split_once('=').unwrap_or((option, ""));
-        let slot = match name {
-            "framing" => &mut framing,
-            "baud" => &mut options.baud,
-            "frame" => &mut options.frame,
-            "copies" => &mut options.in_step.copies,
-            "window" => &mut options.in_step.window,
-            "quiet" => &mut options.in_step.quiet,
-            "one_request" => &mut options.in_step.one_request,
-            _ => {
-                return Err(format!(
-                    "unknown option `{option}`: it must be `framing`, `copies`, `window`, `quiet` or `one_request`, \
-                     or, for a serial port, `baud` or `frame`"
-                ));
-            }
-        };
-        if slot.replace(value).is_some() {
+        if name != "framing" && !URL_OPTIONS.contains(&name) && !Transport::has_url_option(name) {
+            let (common, own) = (one_of(["framing"].into_iter().chain(URL_OPTIONS)), Transport::own_url_options());
+            return Err(format!("unknown option `{option}`: it must be {common}{own}"));
+        }
+        if !options.add(name, value) {
             return Err(format!("the option `{name}` is given twice"));
         }
     }
-    if let Some(framing) = framing {
-        options.framing = framing.parse().map_err(|error| format!("{error}"))?;
-    }
     Ok((address, options))
-}
-
-/// Host and port of `host`, `host:port`, `[v6]` and `[v6]:port`.
-fn split_authority(authority: &str) -> Result<(&str, Option<&str>), String> {
-    let (host, port) = if let Some(bracketed) = authority.strip_prefix('[') {
-        let (host, rest) = bracketed.split_once(']').ok_or("the bracket of the IPv6 address is not closed")?;
-        if host.parse::<std::net::Ipv6Addr>().is_err() {
-            return Err(format!("`{host}` is not an IPv6 address"));
-        }
-        match rest.strip_prefix(':') {
-            Some(port) => (host, Some(port)),
-            None if rest.is_empty() => (host, None),
-            None => return Err(format!("`{rest}` follows the IPv6 address where only `:port` can")),
-        }
-    } else {
-        match authority.split_once(':') {
-            Some((host, port)) => (host, Some(port)),
-            None => (authority, None),
-        }
-    };
-    if host.is_empty() {
-        return Err("the host is missing".to_owned());
-    }
-    let invalid = host.chars().find(|c| !(c.is_alphanumeric() || "-._:".contains(*c)));
-    match invalid {
-        Some(c) => Err(format!("the host `{host}` has the character {c:?}, which is not valid in a host name")),
-        None => Ok((host, port)),
-    }
 }
 
 #[cfg(test)]

@@ -58,8 +58,8 @@
 //!    separates them where that is impossible, on each new connection, and after any doubt. See
 //!    [`endpoint::InStepSettings`] for the assumptions about a line.
 //! 2. **No write is retried without consent.** Reads are retried; writes and control commands only
-//!    with [`CallOptions::retry_writes`]. [`Error::may_have_executed`] tells whether the PLC may
-//!    have executed them.
+//!    with [`CallOptions::with_retry_writes`]. [`Error::may_have_executed`] tells whether the PLC
+//!    may have executed them.
 //! 3. **Every call ends by its deadline**, queueing, connecting and retries included.
 //! 4. **One silent station does not stop the others.** Its calls fail at once while it is offline.
 //! 5. **No input can cause a panic, a hang or unbounded memory use.**
@@ -115,6 +115,7 @@ pub mod pool;
 pub mod program;
 pub mod progress;
 mod random;
+mod settings;
 #[cfg(feature = "sim")]
 #[allow(
     clippy::arithmetic_side_effects,
@@ -128,6 +129,7 @@ mod station;
 #[allow(clippy::arithmetic_side_effects, reason = "counts and digits are checked when a tag is parsed")]
 pub mod tag;
 mod transfer;
+mod transport;
 pub mod wire;
 
 pub use backup::Backup;

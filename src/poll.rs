@@ -25,7 +25,7 @@
 //! - **Scheduling.** Each station has a task of its own. A [`Plan`](crate::plan::Plan) reads all
 //!   tags of one [`ScanClass`] together, once a period. The phase is random unless the class sets
 //!   it. One request per station is in flight at a time, and calls of other users take precedence
-//!   ([`CallOptions::background`](crate::CallOptions::background)).
+//!   ([`CallOptions::with_background`](crate::CallOptions::with_background)).
 //! - **Overruns.** A cycle that falls due while the previous one is running is skipped and counted
 //!   in [`Counters::overruns`].
 //! - **Confirmation.** The values of a cycle of several requests are reported together, after a
@@ -195,7 +195,7 @@ impl PollerHandle {
         let params = StationParams { station: station.number(), retries: station.options().retries };
         let poller = StationPoller::new(params, (limits, cost), shared.epoch, seed, shared.plan_cache.clone());
         let station = Arc::new(StationShared {
-            handle: station.with_options(station.options().background(true)),
+            handle: station.with_options(station.options().with_background(true)),
             poller: Mutex::new(Some(poller)),
             changed: Notify::new(),
         });

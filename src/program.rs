@@ -10,7 +10,7 @@
 //! assert_eq!(fatek::Program::from_file(file.as_bytes())?, program);
 //!
 //! // Only pages that differ are written; each is read back and compared.
-//! let report = station.write_program(&program, WriteOptions::new().stop_first().run_again()).await?;
+//! let report = station.write_program(&program, WriteOptions::new().stop_first(true).run_again(true)).await?;
 //! assert!(report.written.is_empty());
 //! # Ok(()) });
 //! ```

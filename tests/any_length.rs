@@ -273,7 +273,7 @@ async fn each_request_of_a_long_read_has_its_own_deadline() {
     let bench = bench(Framing::Ascii);
     let slow = Duration::from_millis(80);
     bench.faults.add_rule(Rule::new(Fault::Delay { min: slow, max: slow }));
-    let station = bench.station.with_options(CallOptions::new().call_timeout(slow * 5 / 2));
+    let station = bench.station.with_options(CallOptions::new().with_call_timeout(slow * 5 / 2));
     let states = station.read_discretes(Discrete::new(Symbol::S, 0).unwrap(), 1000).await.unwrap();
     // The check of the new connection belongs to the first call. Each request has its own deadline.
     assert_eq!((states.len(), bench.faults.log().arrivals()), (1000, 5));

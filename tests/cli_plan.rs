@@ -44,7 +44,7 @@ fn the_plan_equals_that_of_the_library() {
             CostModel::serial(slow, ascii).with_response_time(ms(30)),
             limits(),
         ),
-        (&["--no-mixed"], CostModel::network(ascii, ms(5)), limits().no_mixed_reads()),
+        (&["--no-mixed"], CostModel::network(ascii, ms(5)), limits().mixed_reads(false)),
         (&["--max-registers", "10"], CostModel::network(ascii, ms(5)), limits().max_registers(10).unwrap()),
         (&["--max-points", "8"], CostModel::network(ascii, ms(5)), limits().max_points(8).unwrap()),
         (&["--max-mixed", "16"], CostModel::network(ascii, ms(5)), limits().max_mixed(16).unwrap()),
@@ -52,7 +52,7 @@ fn the_plan_equals_that_of_the_library() {
             &["--no-mixed", "--readable", "R0-R15", "--readable", "R20-R3839"],
             CostModel::network(ascii, ms(5)),
             limits()
-                .no_mixed_reads()
+                .mixed_reads(false)
                 .readable(fatek::element!("R0"), fatek::element!("R15"))
                 .and_then(|limits| limits.readable(fatek::element!("R20"), fatek::element!("R3839")))
                 .unwrap(),

@@ -152,7 +152,7 @@ async fn a_line_that_stops_echoing_is_detected_by_the_next_check() {
     let result = plc.stop().await;
     assert!(result.is_ok(), "still echoed: {result:?}");
     assert!(plc.stop().await.unwrap_err().may_have_executed());
-    let many_retries = plc.with_options(CallOptions::new().retries(5));
+    let many_retries = plc.with_options(CallOptions::new().with_retries(5));
     assert_eq!(many_retries.read_registers(register!("R0"), 1).await.unwrap(), [7]);
     plc.stop().await.unwrap();
 }

@@ -201,7 +201,7 @@ async fn a_timeout_is_not_reported_as_a_later_disconnect() {
 
 #[tokio::test(start_paused = true)]
 async fn errors_of_a_sent_write_say_that_it_may_have_executed() {
-    let options = CallOptions::new().retry_writes(true);
+    let options = CallOptions::new().with_retry_writes(true);
 
     // Sent, then the connection is lost and cannot be opened again.
     let (builder, mut peers) = reconnecting(|attempt| attempt == 1);

@@ -75,7 +75,7 @@ async fn other_stations_go_on_while_one_is_silent() {
 #[tokio::test(start_paused = true)]
 async fn every_call_ends_by_its_deadline() {
     let (link, peer) = line();
-    let options = CallOptions::new().call_timeout(Duration::from_millis(2500)).retries(100);
+    let options = CallOptions::new().with_call_timeout(Duration::from_millis(2500)).with_retries(100);
     let began = Instant::now();
     let calls: Vec<_> = (0..20)
         .map(|number| {
@@ -134,7 +134,7 @@ async fn answer_only(mut peer: Peer, station: u8) {
 async fn background_reads_give_way_and_are_not_starved() {
     let (link, mut peer) = line();
     let plc = station(&link);
-    let polling = plc.with_options(CallOptions::new().background(true));
+    let polling = plc.with_options(CallOptions::new().with_background(true));
     let busy: Vec<_> = (0..4)
         .map(|_| {
             let plc = plc.clone();
@@ -204,7 +204,8 @@ async fn a_station_with_a_longer_timeout_recovers_from_an_outage() {
     let (link, peer) = line();
     let outage = Duration::from_secs(10)..Duration::from_secs(40);
     serve_when(peer, Duration::from_secs(2), move |_, time| !outage.contains(&time));
-    let options = CallOptions::new().response_timeout(Duration::from_secs(5)).call_timeout(Duration::from_secs(60));
+    let options =
+        CallOptions::new().with_response_timeout(Duration::from_secs(5)).with_call_timeout(Duration::from_secs(60));
     let slow = station(&link).with_options(options);
     slow.read_status().await.unwrap();
     sleep(Duration::from_secs(9)).await;
@@ -282,7 +283,8 @@ async fn a_short_deadline_does_not_close_the_connection() {
             });
             tokio::join!(plc.read_status(), first).0.unwrap();
         }
-        let short_deadline = station(&link).with_options(CallOptions::new().call_timeout(Duration::from_millis(5)));
+        let short_deadline =
+            station(&link).with_options(CallOptions::new().with_call_timeout(Duration::from_millis(5)));
         let error = short_deadline.read_registers(register!("R1"), 1).await.unwrap_err();
         assert!(matches!(error, Error::Timeout { sent, .. } if sent == checked), "{error:?}");
         let cut = plc_side.any_request().await.unwrap();

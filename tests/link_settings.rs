@@ -93,7 +93,7 @@ async fn the_quiet_time_after_a_refused_check_is_configurable() {
 async fn an_adaptive_timeout_shrinks_to_its_minimum() {
     let shortest = Duration::from_millis(50);
     let (link, mut peer) = line();
-    let options = CallOptions::new().retries(0).adaptive_timeout(shortest);
+    let options = CallOptions::new().with_retries(0).with_adaptive_timeout(shortest);
     let station = station(&link).with_options(options);
     let calls = tokio::spawn(async move {
         let mut times = Vec::new();

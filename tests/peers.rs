@@ -324,7 +324,7 @@ fn without_duplicates() -> InStepSettings {
 }
 
 fn without_retries(link: &Link) -> Station {
-    link.station(1).unwrap().with_options(CallOptions::new().response_timeout(RESPONSE_TIMEOUT).retries(0))
+    link.station(1).unwrap().with_options(CallOptions::new().with_response_timeout(RESPONSE_TIMEOUT).with_retries(0))
 }
 
 fn d(address: u16) -> Register {

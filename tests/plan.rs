@@ -71,7 +71,7 @@ fn values(readings: &PlanReadings<'_, Error>, number: usize) -> Vec<TagValue> {
 #[tokio::test(start_paused = true)]
 async fn tags_of_every_kind_are_read_by_runs_and_by_mixed_reads() {
     for framing in FRAMINGS {
-        for limits in [Limits::new(), Limits::new().no_mixed_reads(), Limits::new().max_registers(4).unwrap()] {
+        for limits in [Limits::new(), Limits::new().mixed_reads(false), Limits::new().max_registers(4).unwrap()] {
             // Without duplicates no check separates equal requests, so only the requests are
             // counted.
             let bench = bench_with(framing, InStepSettings::new().with_copies(0).unwrap());
@@ -93,7 +93,7 @@ async fn a_refused_request_fails_only_its_own_tags() {
     for framing in FRAMINGS {
         let bench = bench(framing);
         let missing = ["D3840-D3841:text", "D3843:i16*0.1"].map(|tag| tag.parse().unwrap());
-        let limits = Limits::new().no_mixed_reads();
+        let limits = Limits::new().mixed_reads(false);
         let builder = Plan::builder(model(framing)).limits(limits).tags(bench.tags.clone());
         let plan = builder.tags(missing).build().unwrap();
         let readings = plan.read(&bench.station).await;
@@ -115,7 +115,7 @@ async fn an_unanswered_request_fails_only_its_own_tags() {
     for framing in FRAMINGS {
         let bench = bench(framing);
         bench.faults.add_rule(Rule::new(Fault::Ignore).elements(element!("R20"), 1));
-        let limits = Limits::new().no_mixed_reads().max_registers(16).unwrap();
+        let limits = Limits::new().mixed_reads(false).max_registers(16).unwrap();
         let plan = Plan::builder(model(framing)).limits(limits).tags(bench.tags.clone()).build().unwrap();
         let readings = plan.read(&bench.station).await;
         let failed: Vec<usize> = readings.errors().map(|(n, _)| n).collect();

@@ -30,7 +30,7 @@ fn tag(text: &str) -> PollTag {
 fn station(plc: &Plc, faults: &Faults) -> Station {
     let bus = Bus::new().with_station(1, plc.clone()).unwrap().with_faults(faults.clone());
     let link = Link::connector_builder("in memory", Framing::Ascii, sim::connector(bus, Framing::Ascii)).build();
-    let options = CallOptions::new().response_timeout(ms(100)).retries(0);
+    let options = CallOptions::new().with_response_timeout(ms(100)).with_retries(0);
     link.station(1).unwrap().with_options(options)
 }
 
@@ -99,7 +99,8 @@ async fn a_silent_plc_makes_samples_stale_then_bad_then_good() {
     plc.write(register!("R0"), 7_u16).unwrap();
     let mut poller = Poller::builder().seed(3).build();
     let polled = poller.station(&station(&plc, &faults)).unwrap();
-    let ids = polled.add(every(1000).bad_after(ms(5000)), [tag("R0").on_change(), tag("M0").on_change()]).unwrap();
+    let ids =
+        polled.add(every(1000).bad_after(ms(5000)), [tag("R0").on_change(true), tag("M0").on_change(true)]).unwrap();
     for _ in &ids {
         assert!(next(&mut poller).await.is_good());
     }
@@ -172,7 +173,7 @@ async fn other_calls_take_precedence_over_polls() {
     let (plc, faults) = (Plc::new(), Faults::new(1).rule(Rule::new(Fault::Delay { min: ms(20), max: ms(20) })));
     let poller = Poller::builder().seed(1).build();
     let station = station(&plc, &faults);
-    let limits = Limits::new().no_mixed_reads();
+    let limits = Limits::new().mixed_reads(false);
     let polled = poller.handle().station_with(&station, StationPolling::new().limits(limits)).unwrap();
     let tags: Vec<PollTag> = (0..40).map(|n| tag(&format!("R{}", n * 100))).collect();
     polled.add(every(100), tags).unwrap();
@@ -263,7 +264,8 @@ async fn after_close_no_tag_is_polled() {
 async fn latest_and_snapshot_report_overdue_samples() {
     let (plc, faults) = (Plc::new(), Faults::new(1));
     let poller = Poller::builder().seed(2).build();
-    let link_station = station(&plc, &faults).with_options(CallOptions::new().response_timeout(Duration::from_secs(9)));
+    let link_station =
+        station(&plc, &faults).with_options(CallOptions::new().with_response_timeout(Duration::from_secs(9)));
     let polled = poller.station(&link_station).unwrap();
     let ids = polled.add(every(100).stale_after(ms(500)).bad_after(ms(2000)), [tag("R0")]).unwrap();
     sleep(ms(1000)).await;
@@ -388,7 +390,7 @@ async fn no_sample_is_a_roaming_duplicate() {
         }
         let line = roaming::RoamingLine::new(Bus::new().with_station(1, plc).unwrap(), from);
         let mut poller = Poller::builder().seed(1).build();
-        let polling = StationPolling::new().limits(Limits::new().no_mixed_reads());
+        let polling = StationPolling::new().limits(Limits::new().mixed_reads(false));
         let polled = poller.handle().station_with(&line.station, polling).unwrap();
         let tags = (0..10).map(|n| PollTag::new(format!("{}", 1000 + n), format!("R{}", 100 * n).parse().unwrap()));
         polled.add(every(1000), tags).unwrap();

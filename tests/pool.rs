@@ -255,7 +255,7 @@ async fn endpoints_that_are_off_are_retried_at_a_bounded_rate() {
 
     plant.off.store(false, Ordering::SeqCst);
     let began = Instant::now();
-    let long_deadline = CallOptions::new().call_timeout(Duration::from_secs(60));
+    let long_deadline = CallOptions::new().with_call_timeout(Duration::from_secs(60));
     let long_deadline = stations.iter().map(|station| station.with_options(long_deadline));
     let results = join_all(long_deadline.map(|station| async move { works(&station).await })).await;
     assert!(results.into_iter().all(|works| works));
@@ -268,7 +268,7 @@ async fn a_call_waiting_for_a_connect_slot_ends_by_its_deadline() {
     let plant = Plant::new(Duration::from_secs(2));
     let pool = plant.pool().connects_at_once(1).build();
     let (first, second) = (pool.station(host(1), 1).unwrap(), pool.station(host(2), 1).unwrap());
-    let short_deadline = second.with_options(CallOptions::new().call_timeout(Duration::from_millis(500)));
+    let short_deadline = second.with_options(CallOptions::new().with_call_timeout(Duration::from_millis(500)));
     let mut states = second.link().watch_state();
     let waiting = async {
         let began = Instant::now();

@@ -214,7 +214,7 @@ async fn unused_connect_slots_do_not_delay_other_links() {
     let plant = Plant::new(PLCS, Framing::Ascii, CONNECT_TIME);
     let pool = plant.pool().build();
     // Nine calls of ten have ended when their connection slot comes.
-    let short_deadline = CallOptions::new().call_timeout(INTERVAL / 10);
+    let short_deadline = CallOptions::new().with_call_timeout(INTERVAL / 10);
     let load = Load::new(&plant, &pool, PLCS, short_deadline);
     let up = load.all_answer(Instant::now(), Duration::from_secs(60)).await;
     println!("one call in ten waits long enough: all up after {up:.1?}");

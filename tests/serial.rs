@@ -161,7 +161,7 @@ async fn closing_completes_a_broadcast() {
 async fn a_stream_other_than_a_serial_line_is_flushed() {
     let (client, plc) = duplex(4096);
     let link = Link::from_stream(BufStream::new(client), Framing::Ascii);
-    let station = link.station(1).unwrap().with_options(CallOptions::new().retries(0));
+    let station = link.station(1).unwrap().with_options(CallOptions::new().with_retries(0));
     let call = tokio::spawn(async move { station.read_registers(register!("R0"), 1).await });
     let mut peer = Peer { stream: plc, received: BytesMut::new() };
     peer.echo().await;
@@ -421,7 +421,7 @@ mod ports {
         socket.plug(&adapter.path);
         let endpoint = Endpoint::serial(socket.path().to_str().unwrap());
         let link = Link::builder(endpoint.clone())
-            .options(CallOptions::new().response_timeout(LONG).call_timeout(2 * LONG))
+            .options(CallOptions::new().with_response_timeout(LONG).with_call_timeout(2 * LONG))
             .connect_backoff(Duration::from_millis(10), Duration::from_millis(50))
             .build();
         let station = link.station(1).unwrap();
@@ -442,7 +442,7 @@ mod ports {
         let error = timeout(LONG / 2, waiting).await.expect("the call fails before its timeout").unwrap().unwrap_err();
         assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
 
-        let short_deadline = station.with_options(CallOptions::new().call_timeout(Duration::from_millis(100)));
+        let short_deadline = station.with_options(CallOptions::new().with_call_timeout(Duration::from_millis(100)));
         let error = short_deadline.read_registers(register!("R0"), 1).await.unwrap_err();
         assert!(matches!(error, Error::Connect { .. }), "{error:?}");
         assert!(error.to_string().starts_with(&format!("cannot connect to {endpoint}: ")), "{error}");

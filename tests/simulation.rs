@@ -131,10 +131,10 @@ fn plc(station: u8) -> Plc {
 /// Random options, and their deadline.
 fn options(rng: &mut Rng) -> (CallOptions, Duration) {
     let deadline = Duration::from_millis(200 + rng.below(3000));
-    let options = CallOptions::new().response_timeout(Duration::from_millis(60)).call_timeout(deadline);
-    let options = options.retries(rng.below(4) as u32).background(rng.per_mille(300));
+    let options = CallOptions::new().with_response_timeout(Duration::from_millis(60)).with_call_timeout(deadline);
+    let options = options.with_retries(rng.below(4) as u32).with_background(rng.per_mille(300));
     let adaptive = rng.per_mille(200);
-    (if adaptive { options.adaptive_timeout(Duration::from_millis(20)) } else { options }, deadline)
+    (if adaptive { options.with_adaptive_timeout(Duration::from_millis(20)) } else { options }, deadline)
 }
 
 /// Makes calls one after the other, with pauses.
@@ -149,7 +149,7 @@ async fn caller(link: Link, number: u32, mut rng: Rng, calls: u32) -> Outcome {
         let station_number = 1 + rng.below(u64::from(stations)) as u8;
         let (options, deadline) = options(&mut rng);
         let options =
-            if station_number == LONG_TIMEOUT_STATION { options.response_timeout(LONG_TIMEOUT) } else { options };
+            if station_number == LONG_TIMEOUT_STATION { options.with_response_timeout(LONG_TIMEOUT) } else { options };
         let station = link.station(station_number).unwrap().with_options(options);
         let cancel_after = match rng.per_mille(100) {
             true => Duration::from_millis(rng.below(100)),

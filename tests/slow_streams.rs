@@ -79,7 +79,7 @@ async fn the_response_timeout_begins_after_the_flush() {
     let slow = SlowStream { stream: client, flush_time: Duration::from_millis(120), log: Arc::default() };
     let link = Link::stream_builder(slow, Framing::Ascii).build();
     let mut peer = Peer::new(plc);
-    let options = CallOptions::new().retries(0).response_timeout(Duration::from_millis(100));
+    let options = CallOptions::new().with_retries(0).with_response_timeout(Duration::from_millis(100));
     let plc = station(&link).with_options(options);
     let answers = async {
         assert_eq!(peer.request().await.command, 0x47);

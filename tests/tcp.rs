@@ -95,7 +95,8 @@ async fn a_connection_closed_without_reply_fails_a_write_at_once() {
 async fn dropping_the_last_handle_closes_the_connection() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let link = Link::new(listener.local_addr().unwrap().into());
-    let station = link.station(1).unwrap().with_options(CallOptions::new().call_timeout(Duration::from_millis(50)));
+    let station =
+        link.station(1).unwrap().with_options(CallOptions::new().with_call_timeout(Duration::from_millis(50)));
     drop(link);
     let call = tokio::spawn(async move { station.loop_back("xy").await });
     let (mut stream, _) = listener.accept().await.unwrap();

@@ -29,7 +29,7 @@ fn main() -> Result<()> {
             row(name, line, "one request per tag", &one_by_one(tags, cost)?);
             // Gap merging: a plan without mixed reads, with runs that read through short gaps.
             let merged =
-                Plan::builder(cost).limits(Limits::new().no_mixed_reads()).tags(tags.iter().copied()).build()?;
+                Plan::builder(cost).limits(Limits::new().mixed_reads(false)).tags(tags.iter().copied()).build()?;
             row(name, line, "gap merging", &[merged]);
             row(name, line, "`Plan`", &[Plan::builder(cost).tags(tags.iter().copied()).build()?]);
         }

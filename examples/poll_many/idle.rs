@@ -30,7 +30,7 @@ pub(crate) async fn measure(
         let grown = process::memory().zip(memory_before).map(|(now, before)| now.saturating_sub(before));
         grown.map(|grown| grown / u64::from(options.plcs))
     };
-    let call_options = CallOptions::new().call_timeout(options.start_timeout());
+    let call_options = CallOptions::new().with_call_timeout(options.start_timeout());
     let stations: Vec<Station> =
         addresses.map(|address| Ok(pool.station(address, 1)?.with_options(call_options))).collect::<Result<_>>()?;
     let unused = per_link();

@@ -33,7 +33,7 @@ pub(crate) fn start(
     let class = ScanClass::every(options.interval);
     let registers = Tag::new(plc::FIRST, TagType::U16, plc::COUNT)?;
     // The first call includes the wait for the rate limit of connects.
-    let call_options = CallOptions::new().call_timeout(options.start_timeout());
+    let call_options = CallOptions::new().with_call_timeout(options.start_timeout());
     let mut stations = Vec::with_capacity(options.plcs as usize);
     for (n, address) in (0..).zip(addresses) {
         let station = pool.station(address, 1)?.with_options(call_options);

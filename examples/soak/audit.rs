@@ -57,7 +57,7 @@ pub(crate) async fn audit(line: &Line) -> Result<()> {
 /// Waits until a station has executed all its requests. Returns false after a timeout.
 async fn settle(line: &Line, n: usize) -> bool {
     let began = Instant::now();
-    let options = CallOptions::new().response_timeout(line::RESPONSE_TIMEOUT);
+    let options = CallOptions::new().with_response_timeout(line::RESPONSE_TIMEOUT);
     while began.elapsed() < HANG {
         let Ok(station) = line.link.station(line.stations[n]) else { break };
         match timeout(HANG, station.with_options(options).read_status()).await {

@@ -117,11 +117,11 @@ impl Caller {
     fn options(&mut self) -> (CallOptions, Duration) {
         let deadline = self.rng.millis(500, 4_000);
         let options = CallOptions::new()
-            .response_timeout(line::RESPONSE_TIMEOUT)
-            .call_timeout(deadline)
-            .retries(self.rng.below(4) as u32)
-            .background(self.rng.percent(30));
+            .with_response_timeout(line::RESPONSE_TIMEOUT)
+            .with_call_timeout(deadline)
+            .with_retries(self.rng.below(4) as u32)
+            .with_background(self.rng.percent(30));
         let adaptive = self.rng.percent(20);
-        (if adaptive { options.adaptive_timeout(Duration::from_millis(50)) } else { options }, deadline)
+        (if adaptive { options.with_adaptive_timeout(Duration::from_millis(50)) } else { options }, deadline)
     }
 }

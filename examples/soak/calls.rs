@@ -139,7 +139,7 @@ impl Call<'_> {
                 // With retries of writes allowed.
                 let request = Request::WriteRegisters32(WriteRegisters::new(register, values.clone())?);
                 self.line.expected().may_be_repeated(self.n, request);
-                let station = self.station.with_options(self.station.options().retry_writes(true));
+                let station = self.station.with_options(self.station.options().with_retry_writes(true));
                 station.write_registers32(register, &values).await
             }
         };

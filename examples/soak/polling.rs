@@ -49,7 +49,7 @@ const POLL_INTERVAL: Duration = Duration::from_secs(2);
 const CONSTANTS: u16 = 16;
 
 fn start(poller: &PollerHandle, line: &Line, n: usize) -> Result<PolledStation> {
-    let options = CallOptions::new().response_timeout(line::RESPONSE_TIMEOUT).call_timeout(POLL_INTERVAL);
+    let options = CallOptions::new().with_response_timeout(line::RESPONSE_TIMEOUT).with_call_timeout(POLL_INTERVAL);
     let station = line.link.station(line.stations[n])?.with_options(options);
     let polled = poller.station(&station)?;
     let dwords = usize::from(DWORDS) * line.callers;

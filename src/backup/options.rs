@@ -6,7 +6,7 @@
 /// ```
 /// use fatek::backup::RestoreOptions;
 ///
-/// let options = RestoreOptions::new().stop_first().run_again();
+/// let options = RestoreOptions::new().stop_first(true).run_again(true);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -33,34 +33,46 @@ impl RestoreOptions {
         Self { if_running: IfRunning::Continue, run_again: false, write_forced: false, bridge: 0, attempts: 3 }
     }
 
-    /// Stops a running PLC if something is to be written, and confirms that by its status. All elements
-    /// are compared again when it has stopped. Without this option a running program may overwrite
-    /// restored elements.
+    /// Sets whether a running PLC is stopped if something is to be written; its status confirms
+    /// that. All elements are compared again when it has stopped. Default: `false`, a running
+    /// program may overwrite restored elements. Replaces [`require_stopped`](Self::require_stopped).
     ///
     /// If another client starts the PLC meanwhile, that is
     /// [`RestoreFailure::SetRunning`](super::RestoreFailure::SetRunning). The status is read just before
     /// the first write and at the end: a PLC that was started and stopped in between is not noticed.
-    pub fn stop_first(self) -> Self {
-        Self { if_running: IfRunning::Stop, ..self }
+    pub fn stop_first(self, stop: bool) -> Self {
+        self.choose(IfRunning::Stop, stop)
     }
 
-    /// Refuses a running PLC with [`RestoreFailure::Running`](super::RestoreFailure::Running) before
-    /// anything is written, and one that is started later with
+    /// Sets whether a running PLC is refused with
+    /// [`RestoreFailure::Running`](super::RestoreFailure::Running) before anything is written, and
+    /// one that is started later with
     /// [`RestoreFailure::SetRunning`](super::RestoreFailure::SetRunning). The status is read as with
-    /// [`stop_first`](Self::stop_first).
-    pub fn require_stopped(self) -> Self {
-        Self { if_running: IfRunning::Refuse, ..self }
+    /// [`stop_first`](Self::stop_first), which this replaces. Default: `false`.
+    pub fn require_stopped(self, require: bool) -> Self {
+        self.choose(IfRunning::Refuse, require)
     }
 
-    /// With [`stop_first`](Self::stop_first): starts the PLC when all elements are restored, if it ran
-    /// before, and confirms that by its status.
-    pub fn run_again(self) -> Self {
-        Self { run_again: true, ..self }
+    /// Chooses one treatment of a PLC that runs, or takes this choice back.
+    fn choose(self, treatment: IfRunning, chosen: bool) -> Self {
+        let if_running = match (chosen, self.if_running == treatment) {
+            (true, _) => treatment,
+            (false, true) => IfRunning::Continue,
+            (false, false) => self.if_running,
+        };
+        Self { if_running, ..self }
     }
 
-    /// Writes disabled discretes, too: their forced state becomes that of the backup.
-    pub fn write_forced(self) -> Self {
-        Self { write_forced: true, ..self }
+    /// With [`stop_first`](Self::stop_first): sets whether the PLC is started when all elements are
+    /// restored, if it ran before; its status confirms that. Default: `false`.
+    pub fn run_again(self, run: bool) -> Self {
+        Self { run_again: run, ..self }
+    }
+
+    /// Sets whether disabled discretes are written, too: their forced state becomes that of the
+    /// backup. Default: `false`.
+    pub fn write_forced(self, write: bool) -> Self {
+        Self { write_forced: write, ..self }
     }
 
     /// Writes up to this number of equal elements between two that differ, if both then fit into one

@@ -46,7 +46,7 @@ fn endpoints_round_trip() {
 #[test]
 fn errors_name_the_input_and_the_rule() {
     for (text, rule) in [
-        ("", "it must begin with `tcp://`, `udp://` or `serial:`"),
+        ("", "it must begin with `tcp://`, `udp://`"),
         ("10.0.0.7:500", "it must begin with `tcp://`"),
         ("/dev/ttyUSB0", "it must begin with `tcp://`"),
         ("tcp:10.0.0.7", "it must begin with `tcp://`"),

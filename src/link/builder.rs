@@ -6,6 +6,7 @@ use tokio::sync::watch;
 use super::call::SpareSlots;
 use super::config::Config;
 use super::connect_limiter::ConnectLimiter;
+use super::connector::Connector;
 use super::core::Core;
 use super::defaults;
 use super::driver::Driver;
@@ -14,7 +15,6 @@ use super::options::{CallOptions, EchoMode};
 use super::shared::Shared;
 use super::stations::OfflineRules;
 use super::stats::SharedStats;
-use super::transport::Connector;
 use super::{Link, LinkInner, LinkState};
 use crate::endpoint::{InStepSettings, SerialSettings};
 use crate::random::Random;
@@ -42,26 +42,26 @@ impl LinkBuilder {
         self
     }
 
-    /// Sets the response timeout, as [`CallOptions::response_timeout`]. Default:
+    /// Sets the response timeout, as [`CallOptions::with_response_timeout`]. Default:
     /// [`RESPONSE_TIMEOUT`](defaults::RESPONSE_TIMEOUT), or
     /// [`SERIAL_RESPONSE_TIMEOUT`](defaults::SERIAL_RESPONSE_TIMEOUT) on
     /// a serial line, where the transmission times come on top.
     pub fn response_timeout(mut self, timeout: Duration) -> Self {
-        self.options = self.options.response_timeout(timeout);
+        self.options = self.options.with_response_timeout(timeout);
         self
     }
 
-    /// Sets the timeout of a whole call, as [`CallOptions::call_timeout`]. Default:
+    /// Sets the timeout of a whole call, as [`CallOptions::with_call_timeout`]. Default:
     /// [`CALL_TIMEOUT`](defaults::CALL_TIMEOUT).
     pub fn call_timeout(mut self, timeout: Duration) -> Self {
-        self.options = self.options.call_timeout(timeout);
+        self.options = self.options.with_call_timeout(timeout);
         self
     }
 
-    /// Sets the number of retries of a read, as [`CallOptions::retries`]. Default:
+    /// Sets the number of retries of a read, as [`CallOptions::with_retries`]. Default:
     /// [`RETRIES`](defaults::RETRIES).
     pub fn retries(mut self, retries: u32) -> Self {
-        self.options = self.options.retries(retries);
+        self.options = self.options.with_retries(retries);
         self
     }
 
@@ -241,7 +241,7 @@ impl LinkBuilder {
         let inner = LinkInner {
             name,
             framing,
-            options: self.options.response_timeout(timeout),
+            options: self.options.with_response_timeout(timeout),
             response_timeout: timeout,
             shared: Arc::new(Shared::new(driver)),
             spares: SpareSlots::default(),

@@ -18,11 +18,11 @@ use tokio_util::codec::Decoder;
 
 use super::call::{self, CallFuture, CallMeta, SpareSlots};
 use super::config::Config;
+use super::connector::Connector;
 use super::core::{Action, Core};
 use super::in_step::{Proof, Shape};
 use super::options::CallOptions;
 use super::stats::{SharedStats, StationState};
-use super::transport::Connector;
 use super::{LinkBuilder, later};
 use crate::command::{Command, ReadRegisters, Spelling};
 use crate::element::Register;
@@ -166,7 +166,7 @@ impl World {
         confirms: Option<C::Reply>,
         part: bool,
     ) -> CallFuture<C> {
-        let options = CallOptions::new().call_timeout(Duration::from_secs(3600)).retries(2);
+        let options = CallOptions::new().with_call_timeout(Duration::from_secs(3600)).with_retries(2);
         let meta = CallMeta {
             station,
             code: C::CODE,

@@ -3,7 +3,8 @@
 //!
 //! [`Core`] ties the parts together: [`Connection`] has the state of the connection, [`Stations`]
 //! that of each station, [`Exchange`] the request on the wire, and [`Scheduler`] the order of
-//! waiting calls. This file decides what is done next; `outcome` handles the result of a request.
+//! waiting calls. This file decides what is done next; `outgoing` chooses the next request, and
+//! `outcome` handles its result.
 //!
 //! The rule of [`InStep`](super::in_step::InStep), one for each station, decides whether a reply
 //! belongs to the request on the wire. It chooses the spelling of a request, asks for a check
@@ -17,29 +18,28 @@
 //! - A station that does not answer costs the others at most one response timeout at a time.
 
 mod outcome;
+mod outgoing;
 #[cfg(test)]
 mod tests;
 
 use std::io;
 use std::sync::Arc;
-use std::time::Duration;
 
 use bytes::BytesMut;
 use tokio::time::Instant;
 
-use super::call::{CallInFraming, PendingCall};
+use super::call::PendingCall;
 use super::config::Config;
 use super::connection::{Connection, ConnectionState};
-use super::exchange::{Exchange, LinkRequest, Outgoing};
-use super::in_step::{self, Choice, InStep, Prices, Proof, Rule, Why};
+use super::exchange::{Exchange, Outgoing};
+use super::in_step::{InStep, Prices, Proof};
 use super::later;
 use super::scheduler::Scheduler;
 use super::stations::Stations;
 use super::stats::{SharedStats, StationState, add};
-use super::transport::LateDatagrams;
-use crate::command::LoopBack;
 use crate::error::Error;
 use crate::random::Random;
+use crate::transport::LateDatagrams;
 
 /// The next thing for the driver to do.
 #[derive(Debug, PartialEq, Eq)]
@@ -84,9 +84,6 @@ pub(crate) struct Core {
 /// Number of such connections after which silence replaces the check.
 const CLOSES_TO_LEARN: u32 = 2;
 
-/// The part of an exchange that is not transmission, for comparing prices: half a scan of a PLC.
-const ASSUMED_RESPONSE_TIME: Duration = Duration::from_millis(5);
-
 impl Core {
     pub(crate) fn new(config: Config, stats: Arc<SharedStats>, seed: u64) -> Self {
         let mut random = Random::new(seed);
@@ -101,7 +98,7 @@ impl Core {
             closing: false,
             nonce: random.next(),
             connection: Connection::new(config.connect_backoff, random),
-            prices: prices(&config),
+            prices: outgoing::prices(&config),
             one_request: config.in_step.one_request(),
             echo_was_last: false,
             closed_behind_echo: 0,
@@ -369,163 +366,10 @@ impl Core {
         }
     }
 
-    /// The rule, with the present settings and figures, for a station.
-    fn rule(&self, station: u8) -> Rule {
-        let settings = self.config.in_step;
-        let quiet = settings.quiet().max(self.stations.longest_timeout(station));
-        let busy = self.prices.line_time(self.exchange.line_bytes());
-        Rule { settings, quiet, one_request: self.one_request, prices: self.prices, busy }
-    }
-
     fn has_work(&mut self, now: Instant) -> bool {
         // An offline station gets nothing but probes, so a due probe is a reason to connect.
         !self.closing
             && (self.resynced.is_some() || self.scheduler.has_work(now) || self.stations.due_probe(now).is_some())
-    }
-
-    fn next_outgoing(&mut self, now: Instant) -> Option<Outgoing> {
-        if self.closing {
-            return None;
-        }
-        match self.resynced.take() {
-            Some(call) if call.is_wanted(now) => {
-                if let Some(outgoing) = self.outgoing_for(call, now) {
-                    return Some(outgoing);
-                }
-            }
-            Some(call) => call.expire(),
-            None => {}
-        }
-        if let Some(station) = self.stations.due_probe(now) {
-            return Some(self.check(station, in_step::Check::Nonce, Why::Confirm, None));
-        }
-        loop {
-            let call = self.scheduler.pop(now)?;
-            if let Some(outgoing) = self.outgoing_for(call, now) {
-                return Some(outgoing);
-            }
-        }
-    }
-
-    /// Chooses what is sent for a call: its request, or a check before it. `None`: the station must
-    /// be silent first, or the call has ended.
-    fn outgoing_for(&mut self, mut call: PendingCall, now: Instant) -> Option<Outgoing> {
-        let station = call.station;
-        if call.is_broadcast() {
-            return Some(Outgoing::Call(call));
-        }
-        if self.exchange.must_learn_echo() {
-            return Some(self.check(station, in_step::Check::Nonce, Why::Connected, Some(call)));
-        }
-        let (rule, framing) = (self.rule(station), self.config.framing);
-        let choice = self.stations.with_in_step(station, |in_step| match call.confirms {
-            true => in_step.confirm(&rule, now).ok_or(in_step.proof()),
-            false => Ok(in_step.choose(&CallInFraming(&call, framing), call.plain, &rule, now)),
-        });
-        match choice {
-            Ok(Choice::Send(_)) if self.may_be_executed(&call) => {
-                let (code, after) = (call.code, now.saturating_duration_since(call.queued_at));
-                call.slot.fail(Error::OutOfStep { station, code, after, sent: true });
-                None
-            }
-            Ok(Choice::Send(spelling)) => {
-                call.refused_at = None;
-                call.slot.spell(spelling);
-                Some(Outgoing::Call(call))
-            }
-            Ok(Choice::Check(check, why)) => Some(self.check(station, check, why, Some(call))),
-            Ok(Choice::Silence(until)) => {
-                call.slot.await_silence();
-                self.stats.count_station(station, |stats| add(&mut stats.silences, 1));
-                self.scheduler.push_front(call);
-                self.scheduler.block(station, until);
-                None
-            }
-            Err(proof) => {
-                call.slot.complete_without_reply(proof);
-                None
-            }
-        }
-    }
-
-    /// Whether a write that was refused in another spelling may have been executed: an unexpected
-    /// frame has come since.
-    fn may_be_executed(&mut self, call: &PendingCall) -> bool {
-        call.refused_at
-            .is_some_and(|strays| self.stations.with_in_step(call.station, |in_step| in_step.strays() != strays))
-    }
-
-    fn begin(&mut self, outgoing: Outgoing, now: Instant) -> Option<Action> {
-        // Not limited by the caller's deadline: a request that is not written in time costs the
-        // connection.
-        let deadline = later(now, self.response_timeout(&outgoing).saturating_add(self.config.frame_time));
-        if let Outgoing::Call(call) = &outgoing
-            && !call.slot.mark_sent()
-        {
-            return None;
-        }
-        let stale = self.exchange.begin(outgoing, now, deadline)?;
-        let active = self.exchange.active()?;
-        let station = active.outgoing.station();
-        if stale > 0 {
-            self.stats.count_link(|link| add(&mut link.stale_bytes, u64::try_from(stale).unwrap_or(u64::MAX)));
-            self.stations.for_all(InStep::input_dropped);
-        }
-        if let Outgoing::Call(call) = &active.outgoing {
-            if call.is_broadcast() {
-                self.stats.count_link(|link| add(&mut link.broadcasts, 1));
-            } else {
-                let (plain, spelling) = (call.slot.plain(), call.slot.spelling());
-                self.stations.note_timeout(station, call.response_timeout);
-                self.stats.count_station(station, |stats| stats.sent(plain, spelling));
-                debug_assert!(
-                    self.stations.with_in_step(station, |in_step| {
-                        in_step.allows(&CallInFraming(call, self.config.framing), spelling)
-                    }),
-                    "something owed could answer {spelling:?}"
-                );
-            }
-        }
-        tracing::trace!(station, bytes = %self.exchange.request().escape_ascii(), "sending");
-        Some(Action::Send(deadline))
-    }
-
-    /// Makes a check of a station, for a call or as a probe.
-    fn check(&mut self, station: u8, check: in_step::Check, why: Why, call: Option<PendingCall>) -> Outgoing {
-        if self.exchange.must_learn_echo() {
-            self.stats.count_station(station, |stats| add(&mut stats.checks, 1));
-            return Outgoing::Link { station, request: LinkRequest::EchoTest, call };
-        }
-        self.stats.count_station(station, |stats| stats.checked(why));
-        tracing::debug!(station, ?check, ?why, "check");
-        let data = if check == in_step::Check::Nonce {
-            self.nonce = self.nonce.wrapping_add(1);
-            LoopBack::nonce(self.nonce)
-        } else {
-            LoopBack::empty()
-        };
-        Outgoing::Link { station, request: LinkRequest::Check(check, data), call }
-    }
-
-    /// The deadline for a reply to a request sent at `now`, and whether it leaves the full response
-    /// timeout.
-    fn response_deadline(&self, outgoing: &Outgoing, now: Instant) -> (Instant, bool) {
-        let deadline = later(now, self.response_timeout(outgoing));
-        match outgoing.call() {
-            Some(call) => (deadline.min(call.deadline), deadline <= call.deadline),
-            None => (deadline, true),
-        }
-    }
-
-    /// The response timeout of a request.
-    fn response_timeout(&self, outgoing: &Outgoing) -> Duration {
-        let Some(call) = outgoing.call() else {
-            return self.config.probe_timeout.max(self.stations.longest_timeout(outgoing.station()));
-        };
-        match call.options.adaptive {
-            Some(shortest) => self.stations.adaptive_timeout(call.station, shortest, call.response_timeout),
-            None => call.response_timeout,
-        }
     }
 
     fn next_timer(&self) -> Option<Instant> {
@@ -534,13 +378,6 @@ impl Core {
         let idle_at = if unblocked.is_none() { self.idle_at() } else { None };
         [unblocked, self.stations.next_probe(), idle_at].into_iter().flatten().min()
     }
-}
-
-fn prices(config: &Config) -> Prices {
-    let byte = config.byte_time;
-    let frames =
-        byte.saturating_mul(2).saturating_mul(u32::try_from(config.framing.frame_overhead()).unwrap_or(u32::MAX));
-    Prices { byte, exchange: frames.saturating_add(ASSUMED_RESPONSE_TIME).saturating_add(config.frame_gap) }
 }
 
 fn offline(call: &PendingCall, probe_at: Instant, now: Instant) -> Error {

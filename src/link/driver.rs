@@ -39,11 +39,12 @@ use super::LinkState;
 use super::buffer;
 use super::call::PendingCall;
 use super::connect_limiter::{ConnectLimiter, ConnectPermit, ConnectSlot};
+use super::connector::Connector;
 use super::core::{Action, Core};
 use super::io_waker::IoWaker;
 use super::later;
 use super::line::Line;
-use super::transport::{BoxIo, Connector, Io};
+use crate::transport::{BoxIo, Io};
 
 /// The connection of a link, and everything needed to open and use it.
 pub(crate) struct Driver {
@@ -324,6 +325,7 @@ impl Driver {
             match self.core.request_bytes().get(writing.written..) {
                 Some(rest) if !rest.is_empty() => match ready!(Pin::new(&mut *io).poll_write(cx, rest)) {
                     Ok(0) => break Err(io::ErrorKind::WriteZero.into()),
+                    // A stream that claims more than it was given has written all of it.
                     Ok(written) => writing.written = writing.written.saturating_add(written),
                     Err(error) => break Err(error),
                 },

@@ -35,7 +35,7 @@ use super::options::EchoMode;
 use crate::command::{self, Command, LoopBack, ReadDetailedStatus, ReadStatus, ReplyError};
 use crate::error::ErrorCode;
 use crate::hex;
-use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side};
+use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side, fingerprint};
 
 /// A request that is sent on the wire.
 #[derive(Debug)]
@@ -404,7 +404,7 @@ impl Exchange {
         tracing::trace!(station, command, %data, "received");
         let framing = self.framing();
         self.on_the_line(frame.data.len().saturating_add(framing.frame_overhead()));
-        let fingerprint = in_step::fingerprint(frame.command, &frame.data);
+        let fingerprint = fingerprint(frame.command, &frame.data);
         let stray = Event::Stray { station: frame.station, command: frame.command, fingerprint };
         if self.is_late_echo(frame) {
             tracing::warn!("the line echoes requests: the status reply that showed otherwise was a late one");
@@ -485,7 +485,8 @@ pub(crate) fn may_contain_reply(reason: Discard) -> bool {
 /// The fingerprint of the frame that an echo of the request would be.
 fn echo_fingerprint(framing: Framing, request: &[u8]) -> u64 {
     // Only an ASCII request looks like a reply: STX, station, command, data, LRC, ETX.
-    let content = request.get(3..request.len().saturating_sub(3)).filter(|_| framing == Framing::Ascii);
-    let Some(([high, low], data)) = content.and_then(<[u8]>::split_first_chunk) else { return 0 };
-    in_step::fingerprint(hex::byte([*high, *low]), data)
+    match (framing, request) {
+        (Framing::Ascii, [_, _, _, high, low, data @ .., _, _, _]) => fingerprint(hex::byte([*high, *low]), data),
+        (Framing::Ascii | Framing::Binary, _) => 0,
+    }
 }

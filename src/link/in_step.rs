@@ -43,9 +43,7 @@ use tokio::time::Instant;
 use self::answered::AnsweredElements;
 use self::command_set::CommandSet;
 use self::terms::ANY_SIZE;
-pub(crate) use self::terms::{
-    Check, Choice, Kind, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why, fingerprint,
-};
+pub(crate) use self::terms::{Check, Choice, Kind, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why};
 use super::later;
 use crate::command::{Candidate, Code, NO_CANDIDATES, Run, Spelling};
 
@@ -385,6 +383,7 @@ impl InStep {
     /// does not count, for a duplicate waits while they use the line.
     fn lapse(&mut self, rule: &Rule, now: Instant) {
         let ends = |taken: &Taken| {
+            debug_assert!(rule.busy >= taken.busy_at, "the time of a line's frames only grows");
             let busy = rule.busy.saturating_sub(taken.busy_at);
             now.saturating_duration_since(taken.heard_at).saturating_sub(busy) >= taken.window
         };

@@ -15,7 +15,7 @@
 // - `job`: several calls that are confirmed together.
 // - `stats`: counters and states. `by_station`: a map. `buffer`: a buffer per thread.
 // - `connect_limiter`: limits the connection attempts of several links.
-// - `transport`: the streams. `line`: transmission times.
+// - `connector`: opens the connections. `line`: transmission times.
 mod buffer;
 mod builder;
 #[cfg(all(test, feature = "sim"))]
@@ -25,6 +25,7 @@ mod call;
 mod config;
 mod connect_limiter;
 mod connection;
+mod connector;
 mod core;
 pub mod defaults;
 mod driver;
@@ -39,7 +40,6 @@ mod options;
 mod scheduler;
 mod stations;
 mod stats;
-mod transport;
 
 use std::fmt;
 use std::future::Future;
@@ -56,12 +56,12 @@ use tracing::Instrument;
 
 use self::call::{CallMeta, SpareSlots};
 pub(crate) use self::connect_limiter::ConnectLimiter;
+pub(crate) use self::connector::Connector;
 pub(crate) use self::in_step::{Proof, Shape};
 use self::shared::Shared;
 use self::stats::SharedStats;
-pub(crate) use self::transport::{BoxIo, Connector};
 use crate::command::{Command, InvalidRequest, Spelling};
-use crate::endpoint::{Endpoint, Transport};
+use crate::endpoint::Endpoint;
 use crate::error::Error;
 use crate::station::{Broadcast, Station};
 use crate::wire::Framing;
@@ -148,12 +148,12 @@ impl Link {
     pub fn builder(endpoint: Endpoint) -> LinkBuilder {
         let framing = endpoint.framing();
         let name = endpoint.to_string();
-        let (transport, in_step) = (endpoint.transport().clone(), endpoint.in_step());
+        let (serial, in_step) = (endpoint.transport().serial_settings(), endpoint.in_step());
         let connector = Connector::Endpoint { endpoint, keep_alive: true };
         let builder = LinkBuilder::with_connector(connector, framing, &name).in_step(in_step);
-        match transport {
-            Transport::Tcp { .. } | Transport::Udp { .. } => builder,
-            Transport::Serial { settings, .. } => builder.serial_line(settings),
+        match serial {
+            Some(settings) => builder.serial_line(settings),
+            None => builder,
         }
     }
 

@@ -12,7 +12,12 @@ use crate::command::Class;
 /// use std::time::Duration;
 /// use fatek::CallOptions;
 ///
-/// let patient = CallOptions::new().response_timeout(Duration::from_secs(3)).retry_writes(true);
+/// let timeout = Duration::from_secs(3);
+/// let patient = CallOptions::new().with_response_timeout(timeout).with_retry_writes(true);
+/// assert_eq!((patient.response_timeout(), patient.retry_writes()), (Some(timeout), true));
+/// // All others have their defaults.
+/// assert_eq!((patient.call_timeout(), patient.retries()), (Duration::from_secs(10), 2));
+/// assert_eq!((patient.background(), patient.adaptive_timeout()), (false, None));
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -43,7 +48,7 @@ impl CallOptions {
     /// [`RESPONSE_TIMEOUT`](defaults::RESPONSE_TIMEOUT), or
     /// [`SERIAL_RESPONSE_TIMEOUT`](defaults::SERIAL_RESPONSE_TIMEOUT) on a serial line.
     #[must_use]
-    pub fn response_timeout(mut self, timeout: Duration) -> Self {
+    pub fn with_response_timeout(mut self, timeout: Duration) -> Self {
         self.response_timeout = Some(timeout);
         self
     }
@@ -53,7 +58,7 @@ impl CallOptions {
     ///
     /// A read or write of more than one request is several calls, each with this timeout.
     #[must_use]
-    pub fn call_timeout(mut self, timeout: Duration) -> Self {
+    pub fn with_call_timeout(mut self, timeout: Duration) -> Self {
         self.call_timeout = timeout;
         self
     }
@@ -61,25 +66,25 @@ impl CallOptions {
     /// Sets how often a request is sent again after a timeout or a bad reply. Default:
     /// [`RETRIES`](defaults::RETRIES).
     ///
-    /// Only reads are retried, unless [`retry_writes`](Self::retry_writes) is set.
+    /// Only reads are retried, unless [`with_retry_writes`](Self::with_retry_writes) is set.
     #[must_use]
-    pub fn retries(mut self, retries: u32) -> Self {
+    pub fn with_retries(mut self, retries: u32) -> Self {
         self.retries = retries;
         self
     }
 
-    /// Allows retries of writes and control commands. Default: `false`.
+    /// Sets whether writes and control commands are retried. Default: `false`.
     ///
     /// The PLC may have executed the first one: allow it only for requests that are idempotent.
     #[must_use]
-    pub fn retry_writes(mut self, retry: bool) -> Self {
+    pub fn with_retry_writes(mut self, retry: bool) -> Self {
         self.retry_writes = retry;
         self
     }
 
-    /// Gives reads the lowest priority on the link, as suits polling. Default: `false`.
+    /// Sets whether reads have the lowest priority on the link, as suits polling. Default: `false`.
     #[must_use]
-    pub fn background(mut self, background: bool) -> Self {
+    pub fn with_background(mut self, background: bool) -> Self {
         self.background = background;
         self
     }
@@ -90,9 +95,46 @@ impl CallOptions {
     /// The estimate is that of TCP (RFC 6298): the smoothed round trip and four times its
     /// deviation, doubled with each timeout.
     #[must_use]
-    pub fn adaptive_timeout(mut self, shortest: Duration) -> Self {
+    pub fn with_adaptive_timeout(mut self, shortest: Duration) -> Self {
         self.adaptive = Some(shortest);
         self
+    }
+
+    /// The response timeout; `None`: that of the link. The options of a
+    /// [`Station`](crate::Station) without options of its own have that of its link.
+    #[must_use]
+    pub fn response_timeout(&self) -> Option<Duration> {
+        self.response_timeout
+    }
+
+    /// The timeout of the whole call.
+    #[must_use]
+    pub fn call_timeout(&self) -> Duration {
+        self.call_timeout
+    }
+
+    /// How often a request is sent again after a timeout or a bad reply.
+    #[must_use]
+    pub fn retries(&self) -> u32 {
+        self.retries
+    }
+
+    /// Whether writes and control commands are retried.
+    #[must_use]
+    pub fn retry_writes(&self) -> bool {
+        self.retry_writes
+    }
+
+    /// Whether reads have the lowest priority on the link.
+    #[must_use]
+    pub fn background(&self) -> bool {
+        self.background
+    }
+
+    /// The shortest adapted response timeout; `None`: it is not adapted.
+    #[must_use]
+    pub fn adaptive_timeout(&self) -> Option<Duration> {
+        self.adaptive
     }
 
     pub(crate) fn lane(&self, class: Class) -> Lane {
@@ -152,7 +194,7 @@ mod tests {
 
     #[test]
     fn only_background_reads_have_the_lowest_priority() {
-        let background = CallOptions::new().background(true);
+        let background = CallOptions::new().with_background(true);
         for (class, lane, in_background) in [
             (Class::Control, Lane::Control, Lane::Control),
             (Class::Write, Lane::Write, Lane::Write),
@@ -165,12 +207,12 @@ mod tests {
 
     #[test]
     fn only_reads_are_retried_unless_writes_are_allowed() {
-        let once = CallOptions::new().retries(5);
+        let once = CallOptions::new().with_retries(5);
         assert_eq!(
             (once.retries_for(Class::Read), once.retries_for(Class::Write), once.retries_for(Class::Control)),
             (5, 0, 0)
         );
-        let all = once.retry_writes(true);
+        let all = once.with_retry_writes(true);
         assert_eq!(
             (all.retries_for(Class::Read), all.retries_for(Class::Write), all.retries_for(Class::Control)),
             (5, 5, 5)
@@ -180,9 +222,13 @@ mod tests {
     #[test]
     fn each_option_changes_itself_and_leaves_the_others() {
         let time = Duration::from_millis(7);
-        let options = CallOptions::new().response_timeout(time).retries(9).background(true).adaptive_timeout(time / 2);
+        let options = CallOptions::new()
+            .with_response_timeout(time)
+            .with_retries(9)
+            .with_background(true)
+            .with_adaptive_timeout(time / 2);
         assert_eq!((options.response_timeout, options.retries, options.adaptive), (Some(time), 9, Some(time / 2)));
         assert_eq!((options.call_timeout, options.retry_writes), (CallOptions::default().call_timeout, false));
-        assert_eq!(options.call_timeout(time), CallOptions { call_timeout: time, ..options });
+        assert_eq!(options.with_call_timeout(time), CallOptions { call_timeout: time, ..options });
     }
 }

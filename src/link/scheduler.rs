@@ -62,6 +62,10 @@ impl Service {
 }
 
 impl Queues {
+    fn lane(&mut self, lane: Lane) -> &mut VecDeque<PendingCall> {
+        of_lane(&mut self.lanes, lane)
+    }
+
     fn len(&self) -> usize {
         self.lanes.iter().map(VecDeque::len).sum()
     }
@@ -93,9 +97,7 @@ impl Scheduler {
             if queues.len() >= capacity {
                 return (Some(call), left);
             }
-            if let Some(lane) = queues.lanes.get_mut(index(call.lane)) {
-                lane.push_back(call);
-            }
+            queues.lane(call.lane).push_back(call);
             (None, left)
         });
         self.count_removed(left);
@@ -107,11 +109,7 @@ impl Scheduler {
     /// applies.
     pub(crate) fn push_front(&mut self, call: PendingCall) {
         self.queue_only();
-        self.queues(call.station, |queues| {
-            if let Some(lane) = queues.lanes.get_mut(index(call.lane)) {
-                lane.push_front(call);
-            }
-        });
+        self.queues(call.station, |queues| queues.lane(call.lane).push_front(call));
         self.queued = self.queued.saturating_add(1);
     }
 
@@ -134,11 +132,10 @@ impl Scheduler {
                     call
                 }
             };
-            let service = &mut self.stations.get_mut(call.station)?.service;
-            self.served = service.used;
-            if let Some(served_at) = service.served_at.get_mut(index(call.lane)) {
-                *served_at = Some(now);
-            }
+            self.served = self.stations.with(call.station, Queues::default, |queues| {
+                *of_lane(&mut queues.service.served_at, call.lane) = Some(now);
+                queues.service.used
+            });
             if keep(&call, now) {
                 return Some(call);
             }
@@ -275,8 +272,9 @@ impl Scheduler {
     /// The lane, less one for each ageing period since then.
     fn rank(&self, lane: usize, since: Instant, now: Instant) -> u128 {
         let waited = now.saturating_duration_since(since).as_nanos();
+        // Without ageing no call rises.
         let risen = waited.checked_div(self.ageing.as_nanos()).unwrap_or_default();
-        u128::try_from(lane).unwrap_or_default().saturating_sub(risen)
+        u128::try_from(lane).unwrap_or(u128::MAX).saturating_sub(risen)
     }
 }
 
@@ -289,220 +287,16 @@ fn keep(call: &PendingCall, now: Instant) -> bool {
     wanted
 }
 
-fn index(lane: Lane) -> usize {
+/// The entry of a lane. Lanes are numbered from the best one.
+fn of_lane<T>(lanes: &mut [T; Lane::COUNT], lane: Lane) -> &mut T {
+    let [control, write, read, background] = lanes;
     match lane {
-        Lane::Control => 0,
-        Lane::Write => 1,
-        Lane::Read => 2,
-        Lane::Background => 3,
+        Lane::Control => control,
+        Lane::Write => write,
+        Lane::Read => read,
+        Lane::Background => background,
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::command::{Command, ReadStatus};
-    use crate::link::call::{self, CallFuture, CallMeta, SpareSlots};
-    use crate::link::options::CallOptions;
-    use crate::random::Random;
-
-    const SECOND: Duration = Duration::from_secs(1);
-
-    fn call(station: u8, lane: Lane, now: Instant) -> (PendingCall, CallFuture<ReadStatus>) {
-        let meta = CallMeta {
-            station,
-            code: ReadStatus::CODE,
-            lane,
-            deadline: now + 1000 * SECOND,
-            queued_at: now,
-            response_timeout: SECOND,
-            options: CallOptions::new(),
-            part: false,
-            confirms: false,
-        };
-        call::new(ReadStatus, None, meta, &SpareSlots::default())
-    }
-
-    /// A scheduler with these calls waiting, and the futures that keep them wanted.
-    fn with(capacity: usize, calls: &[(u8, Lane)], now: Instant) -> (Scheduler, Vec<CallFuture<ReadStatus>>) {
-        let mut scheduler = Scheduler::new(capacity, SECOND);
-        let mut callers = Vec::new();
-        for &(station, lane) in calls {
-            let (call, caller) = call(station, lane, now);
-            assert!(scheduler.push(call, now).is_none(), "the queue has room");
-            callers.push(caller);
-        }
-        (scheduler, callers)
-    }
-
-    fn order(scheduler: &mut Scheduler, now: Instant) -> Vec<(u8, Lane)> {
-        std::iter::from_fn(|| scheduler.pop(now).map(|call| (call.station, call.lane))).collect()
-    }
-
-    #[test]
-    fn a_full_stations_abandoned_calls_make_room() {
-        let now = Instant::now();
-        let (mut scheduler, mut callers) = with(3, &[(1, Lane::Read), (1, Lane::Write), (1, Lane::Read)], now);
-        let (fourth, _caller) = call(1, Lane::Control, now);
-        let fourth = scheduler.push(fourth, now).expect("the queue is full");
-        let (elsewhere, _waits) = call(2, Lane::Read, now);
-        assert!(scheduler.push(elsewhere, now).is_none(), "another station has a queue of its own");
-        callers.pop();
-        assert!(scheduler.push(fourth, now).is_none(), "one call was abandoned");
-        assert_eq!(scheduler.drain(1).len(), 3);
-        assert_eq!(scheduler.drain_all().len(), 1);
-        assert!(scheduler.pop(now).is_none());
-    }
-
-    #[test]
-    fn a_call_put_back_comes_first_even_beyond_the_capacity() {
-        let now = Instant::now();
-        let (mut scheduler, _callers) = with(1, &[(1, Lane::Read)], now);
-        let (mut back, _caller) = call(1, Lane::Read, now);
-        back.retries_left = 9;
-        scheduler.push_front(back);
-        assert_eq!(scheduler.pop(now).map(|call| call.retries_left), Some(9));
-    }
-
-    #[test]
-    fn better_lanes_come_first_and_ageing_prevents_starvation() {
-        let now = Instant::now();
-        let lanes = [Lane::Background, Lane::Read, Lane::Write, Lane::Control];
-        let (mut scheduler, _callers) = with(9, &lanes.map(|lane| (1, lane)), now);
-        assert_eq!(
-            order(&mut scheduler, now).iter().map(|(_, lane)| *lane).collect::<Vec<_>>(),
-            [Lane::Control, Lane::Write, Lane::Read, Lane::Background]
-        );
-        // Two lanes apart: equal after two periods, when the better lane comes first; ahead after
-        // the third.
-        for (waited, first) in
-            [(2 * SECOND, Lane::Write), (3 * SECOND - SECOND / 100, Lane::Write), (3 * SECOND, Lane::Background)]
-        {
-            let (mut scheduler, mut callers) = with(9, &[(1, Lane::Background)], now);
-            let (write, caller) = call(1, Lane::Write, now + waited);
-            assert!(scheduler.push(write, now + waited).is_none());
-            callers.push(caller);
-            assert_eq!(scheduler.pop(now + waited).map(|call| call.lane), Some(first), "after {waited:?}");
-        }
-    }
-
-    #[test]
-    fn the_least_served_station_is_next_and_idling_gives_no_credit() {
-        let now = Instant::now();
-        let (mut scheduler, _callers) = with(9, &[(1, Lane::Read), (1, Lane::Read), (2, Lane::Read)], now);
-        scheduler.charge(1, 5 * SECOND);
-        assert_eq!(order(&mut scheduler, now).iter().map(|(station, _)| *station).collect::<Vec<_>>(), [2, 1, 1]);
-        // Station 3 comes late, and has no credit for the time before.
-        let mut scheduler = Scheduler::new(9, SECOND);
-        let mut callers = Vec::new();
-        let mut push = |scheduler: &mut Scheduler, station| {
-            let (call, caller) = call(station, Lane::Read, now);
-            callers.push(caller);
-            assert!(scheduler.push(call, now).is_none());
-        };
-        push(&mut scheduler, 1);
-        scheduler.charge(1, 10 * SECOND);
-        push(&mut scheduler, 1);
-        assert_eq!(scheduler.pop(now).map(|call| call.station), Some(1));
-        push(&mut scheduler, 3);
-        assert_eq!(
-            scheduler.pop(now).map(|call| call.station),
-            Some(1),
-            "3 starts at the bus time of 1, and came later"
-        );
-        assert_eq!(scheduler.pop(now).map(|call| call.station), Some(3));
-    }
-
-    #[test]
-    fn a_blocked_station_is_skipped_until_its_time() {
-        let now = Instant::now();
-        let (mut scheduler, _callers) = with(9, &[(1, Lane::Control), (2, Lane::Read)], now);
-        scheduler.block(1, now + SECOND);
-        scheduler.block(7, now + SECOND / 2);
-        assert_eq!(scheduler.next_unblocked(), Some(now + SECOND), "7 has no calls");
-        assert_eq!(order(&mut scheduler, now), [(2, Lane::Read)]);
-        assert!(!scheduler.has_work(now) && scheduler.is_waiting(now));
-        assert!(scheduler.has_work(now + SECOND));
-        assert_eq!(order(&mut scheduler, now + SECOND), [(1, Lane::Control)]);
-        assert_eq!(scheduler.next_unblocked(), None);
-    }
-
-    /// A call outside the queues is treated as if it were in one.
-    #[test]
-    fn the_only_call_is_like_any_other() {
-        let start = Instant::now();
-        for seed in 0..500 {
-            let mut random = Random::new(seed);
-            let mut any = |n: u64| random.next() % n;
-            let (mut one, mut other) = (Scheduler::new(3, SECOND), Scheduler::new(3, SECOND));
-            let (mut now, mut calls, mut number) = (start, Vec::new(), 0);
-            let shown = |call: Option<PendingCall>| call.map(|call| (call.station, call.lane, call.retries_left));
-            let all =
-                |calls: VecDeque<PendingCall>| calls.into_iter().map(|call| shown(Some(call))).collect::<Vec<_>>();
-            for step in 0..200 {
-                let (station, at) = (any(3) as u8, format!("seed {seed}, step {step}"));
-                match any(12) {
-                    0..=4 => {
-                        let lane = [Lane::Control, Lane::Write, Lane::Read, Lane::Background][any(4) as usize];
-                        let front = any(6) == 0;
-                        number += 1;
-                        let [first, second] = [&mut one, &mut other].map(|scheduler| {
-                            let (mut call, caller) = call(station, lane, now);
-                            call.retries_left = number;
-                            let refused = if front {
-                                scheduler.push_front(call);
-                                None
-                            } else {
-                                scheduler.push(call, now)
-                            };
-                            (shown(refused), caller)
-                        });
-                        other.queue_only();
-                        assert_eq!(first.0, second.0, "{at}");
-                        calls.push((first.1, second.1));
-                    }
-                    5..=7 => assert_eq!(shown(one.pop(now)), shown(other.pop(now)), "{at}"),
-                    8 => {
-                        let time = Duration::from_millis(any(50));
-                        one.charge(station, time);
-                        other.charge(station, time);
-                    }
-                    9 => {
-                        let until = now + Duration::from_millis(any(40));
-                        one.block(station, until);
-                        other.block(station, until);
-                    }
-                    10 if any(4) == 0 => assert_eq!(all(one.drain(station)), all(other.drain(station)), "{at}"),
-                    10 if !calls.is_empty() => drop(calls.swap_remove(any(calls.len() as u64) as usize)),
-                    _ => now += Duration::from_millis(any(400)),
-                }
-                match any(4) {
-                    0 => assert_eq!(one.has_work(now), other.has_work(now), "{at}"),
-                    1 => assert_eq!(one.is_waiting(now), other.is_waiting(now), "{at}"),
-                    _ => {}
-                }
-                for scheduler in [&one, &other] {
-                    let queued: usize = scheduler.stations.values().map(Queues::len).sum();
-                    assert_eq!(scheduler.queued, queued, "{at}");
-                    assert!(scheduler.only.is_none() || queued == 0, "{at}");
-                }
-                let used = |scheduler: &Scheduler| -> Vec<_> {
-                    scheduler.stations.iter().map(|(station, queues)| (station, queues.service.used)).collect()
-                };
-                assert_eq!((used(&one), one.served), (used(&other), other.served), "{at}");
-            }
-            assert_eq!(all(one.drain_all()), all(other.drain_all()), "seed {seed}");
-        }
-    }
-
-    #[test]
-    fn abandoned_and_expired_calls_are_no_work() {
-        let now = Instant::now();
-        let (mut scheduler, callers) = with(9, &[(1, Lane::Read), (1, Lane::Write)], now);
-        assert!(scheduler.has_work(now) && scheduler.is_waiting(now));
-        drop(callers);
-        assert!(!scheduler.has_work(now));
-        let (mut scheduler, _callers) = with(9, &[(1, Lane::Read)], now);
-        assert!(!scheduler.is_waiting(now + 1000 * SECOND), "its deadline has passed");
-    }
-}
+mod tests;

@@ -10,7 +10,7 @@ use crate::element::{Element, Symbol, Width};
 ///
 /// let limits = Limits::new()
 ///     .max_registers(32)?
-///     .no_mixed_reads()
+///     .mixed_reads(false)
 ///     .readable(element!("R0"), element!("R3839"))? // no other register R
 ///     .readable(element!("R5000"), element!("R5998"))?;
 /// assert!(Limits::new().max_registers(65).is_err());
@@ -77,10 +77,17 @@ impl Limits {
         Ok(Self { max_mixed: check_range("max_mixed", units, 1, MAX_MIXED_READ_UNITS)?, ..self })
     }
 
-    /// Excludes mixed reads, for PLCs without command 48.
+    /// Sets whether mixed reads are used: `false` is for PLCs without command 48. Default: `true`.
+    ///
+    /// [`max_mixed`](Self::max_mixed) allows them again.
     #[must_use]
-    pub fn no_mixed_reads(self) -> Self {
-        Self { max_mixed: 0, ..self }
+    pub fn mixed_reads(self, allowed: bool) -> Self {
+        let max_mixed = match (allowed, self.max_mixed) {
+            (false, _) => 0,
+            (true, 0) => MAX_MIXED_READ_UNITS,
+            (true, units) => units,
+        };
+        Self { max_mixed, ..self }
     }
 
     /// Adds a readable range, from `first` to `last` inclusive.
@@ -111,7 +118,7 @@ impl Limits {
     /// use fatek::wire::Framing;
     ///
     /// let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
-    /// let limits = Limits::new().no_mixed_reads();
+    /// let limits = Limits::new().mixed_reads(false);
     /// let tags = ["R0", "R9"].map(|tag| tag.parse().unwrap());
     /// let plan = |limits| Plan::builder(network).limits(limits).tags(tags).build();
     /// assert_eq!(plan(limits.clone())?.requests().len(), 1); // R0 to R9

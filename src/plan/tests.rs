@@ -42,10 +42,10 @@ fn models() -> Vec<CostModel> {
 fn limits() -> Vec<Limits> {
     vec![
         Limits::new(),
-        Limits::new().no_mixed_reads(),
+        Limits::new().mixed_reads(false),
         Limits::new().max_registers(8).unwrap().max_mixed(4).unwrap().max_points(16).unwrap(),
         Limits::new().max_mixed(3).unwrap(),
-        avoiding().no_mixed_reads(),
+        avoiding().mixed_reads(false),
         avoiding(),
     ]
 }
@@ -332,7 +332,7 @@ fn any_number_of_tags_costs_no_more_than_by_runs_alone() {
         }
         let plan = builder.clone().build().unwrap();
         check(&plan, &model, &limits, &format!("seed {seed}, {model:?}, {limits:?}"));
-        let runs = builder.limits(limits.no_mixed_reads()).build().unwrap();
+        let runs = builder.limits(limits.mixed_reads(false)).build().unwrap();
         assert!(plan.time() <= runs.time(), "seed {seed}: {:?} and {:?}", plan.time(), runs.time());
     }
 }
@@ -348,7 +348,7 @@ fn scattered_tags_fill_all_mixed_reads_but_the_last() {
 #[test]
 fn a_gap_is_read_through_where_it_is_cheaper_than_a_request() {
     let slow = CostModel::serial(SerialSettings::new(Framing::Ascii), Framing::Ascii);
-    let limits = Limits::new().no_mixed_reads();
+    let limits = Limits::new().mixed_reads(false);
     let requests = |model, far: u16| {
         let tags = [Register::r(0), Register::r(far)].map(|r| Tag::from(Element::from(r)));
         Plan::builder(model).limits(limits.clone()).tags(tags).build().unwrap().requests().len()
@@ -391,7 +391,7 @@ fn avoided_elements_are_read_for_their_own_tags_only() {
 #[test]
 fn no_request_reads_outside_of_the_readable_ranges() {
     let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
-    let limits = Limits::new().no_mixed_reads();
+    let limits = Limits::new().mixed_reads(false);
     let limits = limits.readable(crate::element!("R0"), crate::element!("R9")).unwrap();
     let limits = limits.readable(crate::element!("R20"), crate::element!("R29")).unwrap();
     let plan = Plan::builder(network).limits(limits.clone()).tags([tag("R9"), tag("R20")]).build().unwrap();
@@ -409,7 +409,7 @@ fn no_request_reads_outside_of_the_readable_ranges() {
 #[test]
 fn tags_that_do_not_fit_in_one_request_are_refused() {
     let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
-    let limits = Limits::new().no_mixed_reads();
+    let limits = Limits::new().mixed_reads(false);
     let error = Plan::builder(network).limits(limits).one_scan([tag("R0"), tag("M0")]).build().unwrap_err();
     assert_eq!(error, PlanError::OneScan { first: tag("R0"), tags: 2, units: 2, max: 0 });
     let tags = "the 2 tags from R0 on must come from one scan, but no single request can read that";
@@ -432,7 +432,7 @@ fn tags_that_do_not_fit_in_one_request_are_refused() {
 #[test]
 fn a_failed_request_affects_its_own_tags_only() {
     let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
-    let limits = Limits::new().no_mixed_reads();
+    let limits = Limits::new().mixed_reads(false);
     let tags = ["R0", "M0", "R1-R2", "R3:f32"].map(tag);
     let plan = Plan::builder(network).limits(limits).tags(tags).build().unwrap();
     let replies = plan.requests().iter().map(|planned| match &planned.request {
@@ -479,9 +479,9 @@ fn counters_of_32_bits_are_planned_one_by_one() {
         };
         let mixed = plan(Limits::new(), &["RC199", "DRC200-DRC205", "RC256"]);
         assert_eq!(mixed, ["48 RC199 RC256 DRC200 DRC201 DRC202 DRC203 DRC204 DRC205"]);
-        let single = plan(Limits::new().no_mixed_reads(), &["RC198-RC199", "DRC200-DRC202", "RC256"]);
+        let single = plan(Limits::new().mixed_reads(false), &["RC198-RC199", "DRC200-DRC202", "RC256"]);
         assert_eq!(single, ["46 DRC200", "46 DRC201", "46 DRC202", "46 RC198-RC199", "46 RC256"]);
-        let pairs = plan(Limits::new().no_mixed_reads(), &["DRC196-DRC198", "DRC256"]);
+        let pairs = plan(Limits::new().mixed_reads(false), &["DRC196-DRC198", "DRC256"]);
         assert_eq!(pairs, ["46 RC196-RC199", "46 RC256-RC257"]);
     }
     let model = models()[0];

@@ -94,7 +94,7 @@ impl ScanClass {
 /// use fatek::poll::PollTag;
 ///
 /// let level = PollTag::new("level", "R100:f32".parse()?).deadband(0.5).heartbeat(Duration::from_secs(60));
-/// let alarm = PollTag::new("alarm", "M10".parse()?).on_change();
+/// let alarm = PollTag::new("alarm", "M10".parse()?).on_change(true);
 /// assert_eq!(level.name(), "level");
 /// # Ok::<(), fatek::tag::ParseTagError>(())
 /// ```
@@ -114,17 +114,23 @@ pub(super) struct ReportPolicy {
     pub(super) heartbeat: Option<Duration>,
 }
 
+impl ReportPolicy {
+    /// After each reading.
+    const ALWAYS: Self = Self { on_change: false, deadband: 0.0, heartbeat: None };
+}
+
 impl PollTag {
     /// Makes a tag whose samples are reported after each reading.
     ///
     /// The name is copied to the samples; it need not be unique.
     pub fn new(name: impl Into<Arc<str>>, tag: Tag) -> Self {
-        Self { name: name.into(), tag, policy: ReportPolicy { on_change: false, deadband: 0.0, heartbeat: None } }
+        Self { name: name.into(), tag, policy: ReportPolicy::ALWAYS }
     }
 
-    /// Reports a sample only when a value or the quality has changed since the last sample.
-    pub fn on_change(mut self) -> Self {
-        self.policy.on_change = true;
+    /// Sets whether a sample is reported only when a value or the quality has changed since the
+    /// last sample. Default: `false`, which also removes deadband and heartbeat.
+    pub fn on_change(mut self, on_change: bool) -> Self {
+        self.policy = if on_change { ReportPolicy { on_change, ..self.policy } } else { ReportPolicy::ALWAYS };
         self
     }
 

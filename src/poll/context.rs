@@ -90,7 +90,7 @@ impl StationContext {
 
     /// Plans these parts by runs alone.
     pub(super) fn plan_runs(&self, parts: &[TagPart]) -> Result<CompiledPlan, PlanError> {
-        self.compile(parts, &Limits::clone(&self.limits).no_mixed_reads())
+        self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false))
     }
 
     fn compile(&self, parts: &[TagPart], limits: &Limits) -> Result<CompiledPlan, PlanError> {

@@ -8,9 +8,10 @@ use futures::future::{BoxFuture, FutureExt};
 use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::{Pool, PoolShared, PoolState};
-use crate::endpoint::{Endpoint, Transport};
-use crate::link::{BoxIo, ConnectLimiter, Connector, Link, LinkBuilder};
+use crate::endpoint::Endpoint;
+use crate::link::{ConnectLimiter, Connector, Link, LinkBuilder};
 use crate::random::Random;
+use crate::transport::BoxIo;
 
 /// The maximum of connections of a FATEK Ethernet module.
 const MAX_LINKS_PER_ENDPOINT: usize = 8;
@@ -196,8 +197,7 @@ impl PoolSettings {
     pub(super) fn link(&self, endpoint: &Endpoint) -> Link {
         let mut builder = Link::builder(endpoint.clone());
         // Opening a UDP socket or a local port puts no load on a PLC, and must not be delayed.
-        let remote = matches!(endpoint.transport(), Transport::Tcp { .. });
-        if remote || self.connect.is_some() {
+        if endpoint.transport().is_remote() || self.connect.is_some() {
             builder = builder.connect_limiter(self.connect_limiter.clone());
         }
         if let Some(configure) = &self.configure {

@@ -4,23 +4,18 @@ use crate::endpoint::{Endpoint, Transport};
 use crate::link::{Link, LinkStats};
 use crate::wire::Framing;
 
-/// The identity of an endpoint; of a serial port its path alone, because a port has one line.
+/// The identity of an endpoint. The framing is no part of it where all links would share one line.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) enum EndpointKey {
-    Tcp(String, u16, Framing),
-    Udp(String, u16, Framing),
-    Serial(String),
+pub(super) struct EndpointKey {
+    transport: Transport,
+    framing: Option<Framing>,
 }
 
 impl EndpointKey {
     pub(super) fn of(endpoint: &Endpoint) -> Self {
-        let framing = endpoint.framing();
-        // Host names are case-insensitive.
-        match endpoint.transport() {
-            Transport::Tcp { host, port } => Self::Tcp(host.to_ascii_lowercase(), *port, framing),
-            Transport::Udp { host, port } => Self::Udp(host.to_ascii_lowercase(), *port, framing),
-            Transport::Serial { path, .. } => Self::Serial(path.clone()),
-        }
+        let transport = endpoint.transport();
+        let framing = (!transport.is_one_line()).then(|| endpoint.framing());
+        Self { transport: transport.identity(), framing }
     }
 }
 
@@ -48,8 +43,8 @@ impl EndpointLinks {
         settings: &PoolSettings,
     ) -> Result<Link, PoolError> {
         self.remove_closed();
-        let serial = matches!(endpoint.transport(), Transport::Serial { .. });
-        if serial && self.endpoint != *endpoint {
+        let one_line = endpoint.transport().is_one_line();
+        if one_line && self.endpoint != *endpoint {
             if !self.is_unused() {
                 let (asked, known) = (endpoint.to_string(), self.endpoint.to_string());
                 return Err(PoolError::OtherSettings { asked, known });
@@ -60,7 +55,7 @@ impl EndpointLinks {
             self.endpoint = endpoint.clone();
         }
         self.requested_at = requested_at;
-        let limit = if serial { 1 } else { settings.links_per_endpoint };
+        let limit = if one_line { 1 } else { settings.links_per_endpoint };
         let idlest = self.links.iter().min_by_key(|link| link.handles());
         match idlest {
             Some(link) if self.links.len() >= limit || link.handles() == 1 => Ok(link.clone()),

@@ -91,7 +91,7 @@ fn a_transfer_takes_at_most_3_percent_more_than_its_bytes() {
             (1..plc.pages()).for_each(|page| plc.set_page(page, blank(page)).unwrap());
             plc.run();
             let start = world.now;
-            let written = write(&mut world, &program, WriteOptions::new().stop_first().run_again());
+            let written = write(&mut world, &program, WriteOptions::new().stop_first(true).run_again(true));
             // All pages are compared, and all but the header written and read back.
             let least = read_page * pages + (write_page + read_page) * (pages - 1);
             limit("writing what differs", ladder_words, baud, world.now - start, least);
@@ -101,7 +101,7 @@ fn a_transfer_takes_at_most_3_percent_more_than_its_bytes() {
 
             plc.stop();
             let start = world.now;
-            write(&mut world, &program, WriteOptions::new().all_pages());
+            write(&mut world, &program, WriteOptions::new().all_pages(true));
             limit("writing all", ladder_words, baud, world.now - start, (write_page + read_page) * pages);
         }
     }

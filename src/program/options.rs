@@ -9,7 +9,7 @@ use std::time::Duration;
 /// use std::time::Duration;
 /// use fatek::program::WriteOptions;
 ///
-/// let options = WriteOptions::new().stop_first().run_again().page_timeout(Duration::from_secs(5));
+/// let options = WriteOptions::new().stop_first(true).page_timeout(Duration::from_secs(5));
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -36,28 +36,31 @@ impl WriteOptions {
         }
     }
 
-    /// Stops a running PLC if a page is to be written, and confirms that by its status. Without this
-    /// option a running PLC is [`ProgramError::Running`](super::ProgramError::Running), before
-    /// anything is written.
-    pub fn stop_first(self) -> Self {
-        Self { stop_first: true, ..self }
+    /// Sets whether a running PLC is stopped if a page is to be written; its status confirms that.
+    /// Default: `false`, a running PLC is [`ProgramError::Running`](super::ProgramError::Running)
+    /// before anything is written.
+    pub fn stop_first(self, stop: bool) -> Self {
+        Self { stop_first: stop, ..self }
     }
 
-    /// Starts the PLC when all pages are written, if it ran before, and confirms that by its status.
-    pub fn run_again(self) -> Self {
-        Self { run_again: true, ..self }
+    /// Sets whether the PLC is started when all pages are written, if it ran before; its status
+    /// confirms that. Default: `false`.
+    pub fn run_again(self, run: bool) -> Self {
+        Self { run_again: run, ..self }
     }
 
-    /// Writes all pages, not only those that differ. The first run reads no page before it is
-    /// written. Further runs of the same [`WriteProgram`](super::WriteProgram) compare all pages and
-    /// do not repeat those that an earlier run has written.
-    pub fn all_pages(self) -> Self {
-        Self { all_pages: true, ..self }
+    /// Sets whether all pages are written, not only those that differ. Default: `false`. The first
+    /// run reads no page before it is written. Further runs of the same
+    /// [`WriteProgram`](super::WriteProgram) compare all pages and do not repeat those that an
+    /// earlier run has written.
+    pub fn all_pages(self, all: bool) -> Self {
+        Self { all_pages: all, ..self }
     }
 
-    /// Reads and compares all pages at the end, also those that were not written.
-    pub fn verify_all(self) -> Self {
-        Self { verify_all: true, ..self }
+    /// Sets whether all pages are read and compared at the end, also those that were not written.
+    /// Default: `false`.
+    pub fn verify_all(self, verify: bool) -> Self {
+        Self { verify_all: verify, ..self }
     }
 
     /// How often a page is written at most, if its write has no reply or it reads back differently.

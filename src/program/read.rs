@@ -27,10 +27,10 @@ impl ReadProgram {
         Self::default()
     }
 
-    /// Reads all pages a second time and compares them: a page that changed meanwhile is
-    /// [`ProgramError::Changed`].
-    pub fn twice(mut self) -> Self {
-        self.reading.twice = true;
+    /// Sets whether all pages are read a second time and compared: a page that changed meanwhile is
+    /// [`ProgramError::Changed`]. Default: `false`.
+    pub fn twice(mut self, twice: bool) -> Self {
+        self.reading.twice = twice;
         self
     }
 
@@ -50,9 +50,9 @@ impl ReadProgram {
     /// Reads the pages that are missing and returns the program.
     ///
     /// Each request is a read of its own, with the timeouts and retries of the station's
-    /// [options](Station::options); [`CallOptions::background`](crate::CallOptions::background) gives
-    /// all other calls of the link precedence. A check (4E) after every 64 pages and at the end
-    /// confirms that no reply was an out-of-order duplicate. If one was, the pages since the last
+    /// [options](Station::options); [`CallOptions::with_background`](crate::CallOptions::with_background)
+    /// gives all other calls of the link precedence. A check (4E) after every 64 pages and at the
+    /// end confirms that no reply was an out-of-order duplicate. If one was, the pages since the last
     /// check are read again, as often as reads are retried. The future can be dropped at any time.
     ///
     /// # Errors

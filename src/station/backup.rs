@@ -33,7 +33,7 @@ impl Station {
     /// use fatek::backup::RestoreOptions;
     ///
     /// let backup = station.back_up(["D0-D99".parse()?]).await?;
-    /// let report = station.restore(&backup, RestoreOptions::new().stop_first().run_again()).await?;
+    /// let report = station.restore(&backup, RestoreOptions::new().stop_first(true).run_again(true)).await?;
     /// assert!(report.written.is_empty()); // it holds all that
     /// # Ok(()) });
     /// ```

@@ -100,7 +100,7 @@ impl Broadcast {
 
     async fn cast<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
         let Some(reply) = C::BROADCAST_REPLY else { return Err(InvalidRequest::NoBroadcast { code: C::CODE }.into()) };
-        self.link.submit(0, request, Purpose::Broadcast(reply), self.options.retries(0)).await.result
+        self.link.submit(0, request, Purpose::Broadcast(reply), self.options.with_retries(0)).await.result
     }
 }
 

@@ -22,9 +22,9 @@ use crate::link::{CallOptions, CallOutcome, Link, Purpose, StationState, Station
 /// - [`Error::Plc`] if the PLC refuses the request.
 /// - [`Error::Timeout`], [`Error::BadReply`], [`Error::OutOfStep`], [`Error::Disconnected`],
 ///   [`Error::Connect`], [`Error::Offline`], [`Error::QueueFull`] and [`Error::Closed`] if there is
-///   no usable reply. Reads were retried by then, as [`CallOptions::retries`] says; writes and
-///   control commands only if [`CallOptions::retry_writes`] is set. [`Error::may_have_executed`]
-///   tells whether the PLC may have executed the request.
+///   no usable reply. Reads were retried by then, as [`CallOptions::with_retries`] says; writes and
+///   control commands only with [`CallOptions::with_retry_writes`].
+///   [`Error::may_have_executed`] tells whether the PLC may have executed the request.
 ///
 /// # Cancel safety
 ///
@@ -46,8 +46,8 @@ use crate::link::{CallOptions, CallOutcome, Link, Purpose, StationState, Station
 ///   confirms them at the end.
 /// - Other calls of the link come in between, by priority.
 /// - Nothing is sent unless all the elements exist.
-/// - Each request has its own [`CallOptions::call_timeout`] and its own retries. For a limit on the
-///   whole, use a [`tokio::time::timeout`].
+/// - Each request has its own [`CallOptions::with_call_timeout`] and its own retries. For a limit
+///   on the whole, use a [`tokio::time::timeout`].
 /// - A read fails as a whole, with the error of the first request that fails. A write ends there,
 ///   too; if it was not the first request, the error is [`Error::PartlyWritten`], which says how
 ///   much was written. If the future is dropped, all that was sent before stays written.
@@ -93,7 +93,8 @@ impl Station {
     /// # fatek::sim::doctest(|station| async move {
     /// use fatek::CallOptions;
     ///
-    /// let hasty = station.with_options(CallOptions::new().response_timeout(Duration::from_millis(100)).retries(0));
+    /// let options = CallOptions::new().with_response_timeout(Duration::from_millis(100));
+    /// let hasty = station.with_options(options.with_retries(0));
     /// hasty.loop_back("ping").await?;
     /// # Ok(()) });
     /// ```

@@ -168,9 +168,9 @@ async fn call<M: Copy, C: Command>(
 
 /// The station with this response timeout, and a call timeout that can hold it.
 fn patient(station: &Station, timeout: Duration) -> Station {
-    let options = station.options().response_timeout(timeout);
+    let options = station.options().with_response_timeout(timeout);
     let call_timeout = options.call_timeout.max(timeout.saturating_mul(2));
-    station.with_options(options.call_timeout(call_timeout))
+    station.with_options(options.with_call_timeout(call_timeout))
 }
 
 /// Reads elements in one request.

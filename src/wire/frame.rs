@@ -129,6 +129,18 @@ pub enum EncodeError {
     Io(#[from] std::io::Error),
 }
 
+/// A hash of the content of a frame: equal for equal frames, and hardly ever for others.
+pub(crate) fn fingerprint(command: u8, data: &[u8]) -> u64 {
+    const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
+    let (words, rest) = data.as_chunks::<8>();
+    let mut last = [0; 8];
+    last.iter_mut().zip(rest).for_each(|(place, &byte)| *place = byte);
+    let seed = u64::from(command) << 32 | u64::try_from(data.len()).unwrap_or(u64::MAX);
+    words.iter().chain([&last]).fold(seed.wrapping_mul(FACTOR), |hash, word| {
+        (hash.rotate_left(23) ^ u64::from_le_bytes(*word)).wrapping_mul(FACTOR)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

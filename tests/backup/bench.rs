@@ -54,7 +54,7 @@ impl Bench {
     /// A station over a new link of this name.
     pub(crate) fn station_named(&self, name: &str) -> Station {
         let connector = sim::connector(self.bus.clone(), self.framing);
-        let options = CallOptions::new().response_timeout(Duration::from_millis(60));
+        let options = CallOptions::new().with_response_timeout(Duration::from_millis(60));
         Link::connector_builder(name, self.framing, connector).options(options).build().station(1).unwrap()
     }
 

@@ -33,7 +33,7 @@ async fn prepare(framing: Framing) -> (Bench, Backup, Vec<(Element, Value)>) {
 }
 
 fn options() -> RestoreOptions {
-    RestoreOptions::new().stop_first().run_again()
+    RestoreOptions::new().stop_first(true).run_again(true)
 }
 
 /// Checks that a report is true.

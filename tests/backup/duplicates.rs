@@ -52,7 +52,7 @@ async fn a_roaming_duplicate_does_not_spoil_a_restore() {
         }
         plc.run();
         let line = line(&plc, from);
-        let options = RestoreOptions::new().stop_first().run_again();
+        let options = RestoreOptions::new().stop_first(true).run_again(true);
         match line.station.restore(&backup, options).await {
             Ok(report) => assert!(report.in_doubt.is_empty() && report.remaining.is_empty(), "{report}"),
             Err(error) => {

@@ -25,9 +25,9 @@ async fn a_plc_is_stopped_and_run_again_only_on_request() {
     for framing in FRAMINGS {
         for (options, runs, was_stopped) in [
             (RestoreOptions::new(), true, false),
-            (RestoreOptions::new().run_again(), true, false),
-            (RestoreOptions::new().stop_first(), false, true),
-            (RestoreOptions::new().stop_first().run_again(), true, true),
+            (RestoreOptions::new().run_again(true), true, false),
+            (RestoreOptions::new().stop_first(true), false, true),
+            (RestoreOptions::new().stop_first(true).run_again(true), true, true),
         ] {
             let bench = Bench::new(framing, Faults::new(1));
             let backup = prepare(&bench, ["R0-R9"]).await;
@@ -42,11 +42,11 @@ async fn a_plc_is_stopped_and_run_again_only_on_request() {
         }
         let bench = Bench::new(framing, Faults::new(1));
         let backup = prepare(&bench, ["R0-R9"]).await;
-        let error = bench.station().restore(&backup, RestoreOptions::new().require_stopped()).await.unwrap_err();
+        let error = bench.station().restore(&backup, RestoreOptions::new().require_stopped(true)).await.unwrap_err();
         assert!(matches!(error.source, RestoreFailure::Running), "{error}");
         assert_eq!((bench.plc.is_running(), bench.faults.log().writes()), (true, 0));
         bench.plc.stop();
-        bench.station().restore(&backup, RestoreOptions::new().require_stopped()).await.unwrap();
+        bench.station().restore(&backup, RestoreOptions::new().require_stopped(true)).await.unwrap();
     }
 }
 
@@ -55,7 +55,7 @@ async fn a_plc_stopped_by_another_user_is_not_run_again() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         let (backup, station) = (prepare(&bench, ["R0-R9"]).await, bench.station());
-        let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first().run_again());
+        let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first(true).run_again(true));
         restore.run(&station).await.unwrap();
         assert!(bench.plc.is_running());
         bench.plc.stop();
@@ -94,7 +94,7 @@ async fn a_plc_is_not_stopped_without_need() {
     for framing in FRAMINGS {
         let bench = Bench::new(framing, Faults::new(1));
         let station = bench.station();
-        let options = RestoreOptions::new().stop_first().run_again();
+        let options = RestoreOptions::new().stop_first(true).run_again(true);
         let stops = || {
             let log = bench.faults.log().entries();
             log.iter().filter(|entry| entry.request().is_some_and(|request| request.code() == Code::ControlPlc)).count()
@@ -125,7 +125,7 @@ async fn elements_are_compared_again_after_the_stop() {
     bench.plc.run();
     let (plc, reports) = (bench.plc.clone(), std::sync::Arc::new(std::sync::Mutex::new(Vec::new())));
     let report_sink = reports.clone();
-    let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first()).on_progress(move |progress| {
+    let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first(true)).on_progress(move |progress| {
         let mut reports = report_sink.lock().unwrap();
         reports.push((progress.phase.to_string(), progress.done, progress.bytes));
         if reports.len() == 2 {
@@ -148,14 +148,14 @@ async fn an_unanswered_stop_is_confirmed_by_the_status() {
             let bench = Bench::new(framing, Faults::new(1));
             let backup = prepare(&bench, ["R0-R9"]).await;
             bench.faults.set_rules([Rule::new(fault.clone()).command(Code::ControlPlc).times(1)]);
-            let report = bench.station().restore(&backup, RestoreOptions::new().stop_first()).await.unwrap();
+            let report = bench.station().restore(&backup, RestoreOptions::new().stop_first(true)).await.unwrap();
             assert_eq!((bench.plc.is_running(), report.plc), (false, PlcState::Stopped), "{fault:?}");
         }
         // A PLC that never stops: the command does not arrive.
         let bench = Bench::new(framing, Faults::new(1));
         let backup = prepare(&bench, ["R0-R9"]).await;
         bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::ControlPlc)]);
-        let error = bench.station().restore(&backup, RestoreOptions::new().stop_first()).await.unwrap_err();
+        let error = bench.station().restore(&backup, RestoreOptions::new().stop_first(true)).await.unwrap_err();
         assert!(matches!(error.source, RestoreFailure::StillRunning), "{error}");
         assert_eq!((bench.faults.log().writes(), error.report.plc), (0, PlcState::Running));
         assert!(!error.report.was_stopped, "{error}");
@@ -167,7 +167,7 @@ async fn a_plc_that_refuses_to_run_is_restored_completely() {
     let bench = Bench::new(FRAMINGS[0], Faults::new(1));
     let backup = prepare(&bench, ["R0-R9"]).await;
     bench.plc.refuse_run(Some(ErrorCode::LadderChecksum));
-    let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first().run_again());
+    let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first(true).run_again(true));
     let error = restore.run(&bench.station()).await.unwrap_err();
     assert!(matches!(error.source, RestoreFailure::Call { .. }), "{error}");
     assert!(error.to_string().ends_with("10 written; it was stopped, and the PLC is stopped"), "{error}");
@@ -277,7 +277,7 @@ async fn forced_discretes_are_kept_unless_requested() {
         for on in [element!("M3"), element!("Y9"), element!("M70"), element!("M96"), element!("X3"), element!("M66")] {
             assert_eq!(bench.plc.read(on), Value::Bit(true), "{on}");
         }
-        let report = station.restore(&backup, RestoreOptions::new().write_forced()).await.unwrap();
+        let report = station.restore(&backup, RestoreOptions::new().write_forced(true)).await.unwrap();
         assert_eq!((report.written, report.forced), (tags(["M3", "Y9", "DWM64", "WM96"]).to_vec(), vec![]));
         assert_eq!((bench.plc.read(element!("M3")), bench.plc.is_disabled(discrete!("M3"))), (Value::Bit(false), true));
     }
@@ -291,7 +291,7 @@ async fn a_plc_that_refuses_43_is_not_written() {
     let error = bench.station().restore(&backup, RestoreOptions::new()).await.unwrap_err();
     assert!(error.to_string().starts_with("reading which of M"), "{error}");
     assert_eq!(bench.faults.log().writes(), 0);
-    bench.station().restore(&backup, RestoreOptions::new().write_forced()).await.unwrap();
+    bench.station().restore(&backup, RestoreOptions::new().write_forced(true)).await.unwrap();
 }
 
 #[tokio::test(start_paused = true)]
@@ -300,7 +300,7 @@ async fn progress_reports_every_phase_completely() {
     let backup = prepare(&bench, ["R0-R99", "M0-M9"]).await;
     let reports = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
     let report_sink = reports.clone();
-    let options = CallOptions::new().response_timeout(Duration::from_secs(1));
+    let options = CallOptions::new().with_response_timeout(Duration::from_secs(1));
     let restore = Restore::new(&backup, RestoreOptions::new().bridge(10));
     let mut restore = restore.on_progress(move |progress| report_sink.lock().unwrap().push(*progress));
     let report = restore.run(&bench.station().with_options(options)).await.unwrap();

@@ -43,7 +43,7 @@ fn started_meanwhile(
 
 fn options_that_need_a_stopped_plc() -> [RestoreOptions; 3] {
     let options = RestoreOptions::new();
-    [options.require_stopped(), options.stop_first(), options.stop_first().run_again()]
+    [options.require_stopped(true), options.stop_first(true), options.stop_first(true).run_again(true)]
 }
 
 #[tokio::test(start_paused = true)]
@@ -74,7 +74,7 @@ async fn a_plc_started_during_a_restore_is_reported() {
 async fn changes_by_a_started_program_are_reported_too() {
     let (bench, backup) = prepare(FRAMINGS[0]).await;
     let plc = bench.plc.clone();
-    let mut restore = Restore::new(&backup, RestoreOptions::new().require_stopped()).on_progress(move |progress| {
+    let mut restore = Restore::new(&backup, RestoreOptions::new().require_stopped(true)).on_progress(move |progress| {
         if progress.phase == Phase::Writing {
             plc.run();
             plc.write(element!("R5"), 9_u16).unwrap();
@@ -91,14 +91,14 @@ async fn a_plc_started_during_the_comparison_is_not_written() {
     for framing in FRAMINGS {
         let (bench, backup) = prepare(framing).await;
         let mut restore =
-            started_meanwhile(&bench, &backup, RestoreOptions::new().require_stopped(), Phase::Comparing, 2);
+            started_meanwhile(&bench, &backup, RestoreOptions::new().require_stopped(true), Phase::Comparing, 2);
         let error = restore.run(&bench.station()).await.unwrap_err();
         assert!(matches!(error.source, RestoreFailure::Running), "{error}");
         assert_eq!((bench.writes(), error.report.plc), (vec![], PlcState::Running));
 
         // A PLC that may be stopped is stopped, and run again, because it ran before the stop.
         let (bench, backup) = prepare(framing).await;
-        let options = RestoreOptions::new().stop_first().run_again();
+        let options = RestoreOptions::new().stop_first(true).run_again(true);
         let mut restore = started_meanwhile(&bench, &backup, options, Phase::Comparing, 2);
         let report = restore.run(&bench.station()).await.unwrap();
         assert_eq!((report.was_stopped, report.plc, bench.plc.is_running()), (true, PlcState::Running, true));
@@ -118,7 +118,7 @@ async fn a_plc_started_during_the_comparison_is_not_written() {
 async fn a_plc_started_and_stopped_by_others_is_not_run_again() {
     let (bench, backup) = prepare(FRAMINGS[0]).await;
     bench.plc.run();
-    let options = RestoreOptions::new().stop_first().run_again();
+    let options = RestoreOptions::new().stop_first(true).run_again(true);
     let mut restore = started_meanwhile(&bench, &backup, options, Phase::Writing, 1);
     restore.run(&bench.station()).await.unwrap_err();
     bench.plc.stop();
@@ -133,7 +133,7 @@ async fn an_unanswered_last_status_leaves_the_state_unknown() {
         let (bench, backup) = prepare(framing).await;
         // The status is read at the start, before the first write, and at the end.
         bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::ReadStatus).skip(2)]);
-        let restored = bench.station().restore(&backup, RestoreOptions::new().require_stopped()).await;
+        let restored = bench.station().restore(&backup, RestoreOptions::new().require_stopped(true)).await;
         let error = restored.unwrap_err();
         assert!(error.to_string().starts_with("reading the status: station 1 did not answer"), "{error}");
         assert_eq!((error.report.plc, error.report.written), (PlcState::Unknown, tags(["R3", "R70"]).to_vec()));
@@ -146,7 +146,7 @@ async fn a_plc_that_refuses_to_stop_is_reported_running() {
         let (bench, backup) = prepare(framing).await;
         bench.plc.run();
         bench.faults.set_rules([Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ControlPlc)]);
-        let error = bench.station().restore(&backup, RestoreOptions::new().stop_first()).await.unwrap_err();
+        let error = bench.station().restore(&backup, RestoreOptions::new().stop_first(true)).await.unwrap_err();
         assert!(error.to_string().starts_with("stopping the PLC, which still runs: station 1 refused"), "{error}");
         assert_eq!((error.report.plc, error.report.was_stopped), (PlcState::Running, false));
         assert_eq!(bench.writes(), []);
@@ -159,7 +159,7 @@ async fn a_plc_that_refuses_to_run_is_reported_stopped() {
         let (bench, backup) = prepare(framing).await;
         bench.plc.run();
         bench.plc.refuse_run(Some(ErrorCode::LadderChecksum));
-        let options = RestoreOptions::new().stop_first().run_again();
+        let options = RestoreOptions::new().stop_first(true).run_again(true);
         let error = bench.station().restore(&backup, options).await.unwrap_err();
         assert!(error.to_string().starts_with("running the PLC, which is still stopped: station 1 refused"), "{error}");
         assert!(error.to_string().ends_with(" 2 written; it was stopped, and the PLC is stopped"), "{error}");
@@ -172,7 +172,7 @@ async fn state_of_one_plc_is_not_used_on_another() {
     for framing in FRAMINGS {
         let (bench, backup) = prepare(framing).await;
         bench.plc.run();
-        let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first().run_again());
+        let mut restore = Restore::new(&backup, RestoreOptions::new().stop_first(true).run_again(true));
         bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::WriteRegisters)]);
         let error = restore.run(&bench.station()).await.unwrap_err();
         assert!(error.report.was_stopped && !bench.plc.is_running(), "{error}");

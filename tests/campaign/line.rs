@@ -73,7 +73,7 @@ impl LineKind {
             Self::Serial { baud, .. } => baud,
         };
         let line = Line::new(baud).response_time(ms(min), ms(max));
-        if baud > 9600 && rng.percent(5) { line.byte_by_byte() } else { line }
+        if baud > 9600 && rng.percent(5) { line.byte_by_byte(true) } else { line }
     }
 
     pub(crate) fn echoes(self) -> bool {
@@ -93,7 +93,8 @@ impl LineKind {
                 builder.serial_line(SerialSettings::new(framing).with_baud(baud).unwrap()).echo(EchoMode::Auto)
             }
         };
-        let options = CallOptions::new().response_timeout(times.response_timeout).call_timeout(times.call_timeout);
+        let options =
+            CallOptions::new().with_response_timeout(times.response_timeout).with_call_timeout(times.call_timeout);
         builder
             .options(options)
             .connect_backoff(ms(1), ms(10))

@@ -202,7 +202,7 @@ pub(crate) async fn write_program(world: &World, rng: &mut Rng, requests: u64, t
         });
         let program = fatek::Program::from_pages(changed.collect()).unwrap();
         let station = link.station(number).unwrap();
-        let result = station.write_program(&program, WriteOptions::new().stop_first()).await;
+        let result = station.write_program(&program, WriteOptions::new().stop_first(true)).await;
         let Some(result) = call_error(result.map_err(|error| *error.source), tally) else { continue };
         let plc = world.plc(number);
         let holds = |_: &_| (0..).zip(program.pages()).all(|(n, page)| plc.page(n).as_ref() == Some(page));

@@ -140,8 +140,11 @@ pub(crate) async fn broadcast(world: &World, link: &Link, rng: &mut Rng, tally: 
 pub(crate) async fn call(world: &World, station: &Station, rng: &mut Rng, kind: Calls, tally: &mut Tally) {
     let shortest = world.times.response_timeout;
     let retries = rng.below(3) as u32;
-    let options = CallOptions::new().response_timeout(shortest).call_timeout(world.times.call_timeout).retries(retries);
-    let station = station.with_options(options.background(rng.percent(20)));
+    let options = CallOptions::new()
+        .with_response_timeout(shortest)
+        .with_call_timeout(world.times.call_timeout)
+        .with_retries(retries);
+    let station = station.with_options(options.with_background(rng.percent(20)));
     broadcast(world, station.link(), rng, tally).await;
     let began = Instant::now();
     match kind {

@@ -126,7 +126,7 @@ impl Bench {
             Obstacle::SuspectStation => {
                 let late = Fault::Delay { min: RESPONSE_TIMEOUT, max: RESPONSE_TIMEOUT };
                 self.faults.add_rule(Rule::new(late).times(1));
-                let once = self.station().with_options(self.station().options().retries(0));
+                let once = self.station().with_options(self.station().options().with_retries(0));
                 assert!(matches!(once.read_registers(d(0), 3).await, Err(Error::Timeout { .. })));
                 Vec::new()
             }

@@ -50,7 +50,7 @@ impl Bench {
         let plcs: Vec<_> = (1..=STATIONS).map(plc).collect();
         let connector = sim::connector(bus(&plcs).with_faults(faults.clone()), framing);
         let link = Link::connector_builder("the bus", framing, connector)
-            .options(CallOptions::new().response_timeout(RESPONSE_TIMEOUT).call_timeout(call_timeout))
+            .options(CallOptions::new().with_response_timeout(RESPONSE_TIMEOUT).with_call_timeout(call_timeout))
             .seed(1)
             .build();
         let proxy = Arc::new(Proxy::new(link, rules));

@@ -21,7 +21,8 @@ fn server(transport: Transport, run: usize) -> crate::server::Server {
 
 /// Creates a link with the options of `fatek --timeout 200ms`.
 fn link(server: &crate::server::Server, retries: u32) -> Link {
-    let options = CallOptions::new().response_timeout(TIMEOUT).call_timeout(8 * TIMEOUT).retries(retries);
+    let options =
+        CallOptions::new().with_response_timeout(TIMEOUT).with_call_timeout(8 * TIMEOUT).with_retries(retries);
     Link::builder(server.endpoint()).options(options).offline_after(0).build()
 }
 

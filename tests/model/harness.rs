@@ -302,10 +302,10 @@ impl Harness {
         let timeout = self.settings.timeout << u32::from(option_bits >> 3 & 1);
         let call_timeout = if option_bits & 16 == 0 { CALL_TIMEOUT } else { 150 * MS };
         let options = CallOptions::new()
-            .retries(retries)
-            .retry_writes(retry_writes)
-            .response_timeout(Duration::from_micros(timeout))
-            .call_timeout(Duration::from_micros(call_timeout));
+            .with_retries(retries)
+            .with_retry_writes(retry_writes)
+            .with_response_timeout(Duration::from_micros(timeout))
+            .with_call_timeout(Duration::from_micros(call_timeout));
         let number = if broadcast { 0 } else { station };
         let spellings = planned.spellings(self.framing, number);
         if !broadcast {

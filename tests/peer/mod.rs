@@ -127,5 +127,5 @@ pub(crate) fn station(link: &Link) -> Station {
 }
 
 pub(crate) fn once(station: &Station) -> Station {
-    station.with_options(CallOptions::new().retries(0))
+    station.with_options(CallOptions::new().with_retries(0))
 }

@@ -25,7 +25,7 @@ enum Crash {
     Process,
 }
 
-const OPTIONS: fn() -> WriteOptions = || WriteOptions::new().stop_first().run_again();
+const OPTIONS: fn() -> WriteOptions = || WriteOptions::new().stop_first(true).run_again(true);
 
 #[tokio::test(start_paused = true)]
 async fn a_new_process_completes_a_write_after_any_crash() {
@@ -65,7 +65,7 @@ async fn crash_at(crash: Crash, nth: u16, ladder_words: u16, old: &Program, new:
         }
         Crash::NoAnswer | Crash::Process => bench.faults.add_rule(from_here(Fault::DropReply)),
     };
-    let station = bench.station().with_options(CallOptions::new().retries(0));
+    let station = bench.station().with_options(CallOptions::new().with_retries(0));
     let mut write = WriteProgram::new(new, OPTIONS());
     {
         let mut run = Box::pin(write.run(&station));

@@ -55,8 +55,8 @@ async fn a_roaming_duplicate_does_not_spoil_a_program_write() {
         let bench = bench(&old);
         bench.plc.run();
         let line = line(&bench, from);
-        let options = WriteOptions::new().stop_first().run_again();
-        let options = if verify { options.verify_all() } else { options };
+        let options = WriteOptions::new().stop_first(true).run_again(true);
+        let options = if verify { options.verify_all(true) } else { options };
         let report = line.station.write_program(&new, options).await;
         let good = report.is_ok() && bench.pages_held() == new.pages() && bench.plc.is_running();
         if let (false, Err(error)) = (good, report) {

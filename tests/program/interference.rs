@@ -48,7 +48,7 @@ async fn a_running_plc_is_not_written_unless_it_may_be_stopped() {
     assert!(bench.plc.is_running());
 
     // Without a difference the PLC is not stopped.
-    let report = station.write_program(&old, WriteOptions::new().stop_first()).await.unwrap();
+    let report = station.write_program(&old, WriteOptions::new().stop_first(true)).await.unwrap();
     assert!(report.written.is_empty() && !report.was_stopped && report.running && bench.plc.is_running());
     assert_eq!(bench.faults.log().writes(), 0);
 
@@ -56,7 +56,7 @@ async fn a_running_plc_is_not_written_unless_it_may_be_stopped() {
     assert_eq!(compared, (1..=10).collect::<Vec<_>>());
     assert_eq!(bench.faults.log().writes(), 0);
 
-    let report = station.write_program(&new, WriteOptions::new().stop_first()).await.unwrap();
+    let report = station.write_program(&new, WriteOptions::new().stop_first(true)).await.unwrap();
     assert!(report.was_stopped && !report.running && !bench.plc.is_running());
     assert_eq!(bench.pages_held(), new.pages());
 }
@@ -69,7 +69,7 @@ async fn a_plc_started_during_a_write_is_stopped_again() {
     for at in [48, 63, 80, 103] {
         let bench = bench(2560);
         let station = bench.station();
-        let writing = station.write_program(&new, WriteOptions::new().run_again());
+        let writing = station.write_program(&new, WriteOptions::new().run_again(true));
         let starting = async {
             sleep(at * REQUEST).await;
             bench.plc.run();
@@ -118,17 +118,17 @@ async fn a_plc_that_does_not_stop_is_not_written() {
     bench.plc.run();
     bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ControlPlc));
     let new = program(640, 2);
-    let error = bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap_err();
+    let error = bench.station().write_program(&new, WriteOptions::new().stop_first(true)).await.unwrap_err();
     assert!(error.to_string().starts_with("cannot stop the PLC: station 1 did not answer"), "{error}");
     assert_eq!((error.state.plc, bench.faults.log().writes()), (PlcState::Running, 0));
     bench.faults.set_rules([]);
     bench.faults.add_rule(Rule::new(Fault::Error(ErrorCode::IllegalFormat)).command(Code::ControlPlc));
-    let error = bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap_err();
+    let error = bench.station().write_program(&new, WriteOptions::new().stop_first(true)).await.unwrap_err();
     assert!(error.to_string().contains("illegal format, or the command cannot be executed (4)"), "{error}");
     // A STOP that needs two attempts is no error.
     bench.faults.set_rules([]);
     bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::ControlPlc).times(1));
-    bench.station().write_program(&new, WriteOptions::new().stop_first()).await.unwrap();
+    bench.station().write_program(&new, WriteOptions::new().stop_first(true)).await.unwrap();
     assert_eq!(bench.pages_held(), program(640, 2).pages());
 }
 
@@ -138,7 +138,8 @@ async fn a_plc_that_refuses_to_run_keeps_the_whole_program() {
     bench.plc.run();
     bench.plc.refuse_run(Some(ErrorCode::Syntax));
     let new = program(640, 2);
-    let error = bench.station().write_program(&new, WriteOptions::new().stop_first().run_again()).await.unwrap_err();
+    let error =
+        bench.station().write_program(&new, WriteOptions::new().stop_first(true).run_again(true)).await.unwrap_err();
     assert_eq!(
         error.to_string(),
         "the PLC refuses to run the program: cannot run: syntax error (7); the program is written, and the PLC ran before and is stopped \
@@ -156,7 +157,7 @@ async fn an_unanswered_run_is_confirmed_by_the_status() {
         // The first 41 is STOP.
         bench.faults.add_rule(Rule::new(fault).command(Code::ControlPlc).skip(1).times(1));
         let new = program(640, 2);
-        let options = WriteOptions::new().stop_first().run_again().verify_all();
+        let options = WriteOptions::new().stop_first(true).run_again(true).verify_all(true);
         let report = bench.station().write_program(&new, options).await.unwrap();
         assert!(report.was_stopped && report.running && bench.plc.is_running());
         bench.assert_never_ran_a_half(&program(640, 1), &new);
@@ -170,7 +171,8 @@ async fn a_refused_page_leaves_the_plc_stopped() {
     let refused = Rule::new(Fault::Error(ErrorCode::WriteProhibited)).command(Code::WriteProgramPage).skip(3);
     bench.faults.add_rule(refused);
     let new = program(640, 2);
-    let error = bench.station().write_program(&new, WriteOptions::new().stop_first().run_again()).await.unwrap_err();
+    let error =
+        bench.station().write_program(&new, WriteOptions::new().stop_first(true).run_again(true)).await.unwrap_err();
     assert_eq!(
         error.to_string(),
         "cannot write page 4: station 1 refused write program page (50): write prohibited, the PLC has a ROM pack (3); \

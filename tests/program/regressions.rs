@@ -24,7 +24,7 @@ fn bench() -> Bench {
 }
 
 fn once() -> CallOptions {
-    CallOptions::new().retries(0)
+    CallOptions::new().with_retries(0)
 }
 
 #[tokio::test(start_paused = true)]
@@ -58,7 +58,7 @@ async fn a_second_failure_still_reports_the_half_written_program() {
     bench.plc.run();
     let station = bench.station().with_options(once());
     let new = program(640, 2);
-    let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first().run_again());
+    let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first(true).run_again(true));
     bench.faults.add_rule(Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(3));
     let first = write.run(&station).await.unwrap_err();
     assert!(first.state.is_half_written() && first.state.plc == PlcState::Stopped, "{first}");
@@ -84,7 +84,7 @@ async fn a_second_failure_still_reports_the_half_written_program() {
 
 #[tokio::test(start_paused = true)]
 async fn a_half_started_between_two_attempts_is_stopped_again() {
-    for options in [WriteOptions::new(), WriteOptions::new().stop_first()] {
+    for options in [WriteOptions::new(), WriteOptions::new().stop_first(true)] {
         let bench = bench();
         let station = bench.station().with_options(once());
         let new = program(640, 2);
@@ -105,8 +105,8 @@ async fn a_half_started_between_two_attempts_is_stopped_again() {
 
 #[tokio::test(start_paused = true)]
 async fn a_program_completed_by_another_process_is_not_touched() {
-    let stop = WriteOptions::new().stop_first();
-    for options in [WriteOptions::new(), stop, stop.run_again(), stop.all_pages(), stop.verify_all()] {
+    let stop = WriteOptions::new().stop_first(true);
+    for options in [WriteOptions::new(), stop, stop.run_again(true), stop.all_pages(true), stop.verify_all(true)] {
         let bench = bench();
         bench.plc.run();
         let (station, new) = (bench.station().with_options(once()), program(640, 2));
@@ -160,7 +160,7 @@ async fn a_dropped_write_reports_its_progress() {
     let bench = bench();
     bench.plc.run();
     let (station, new) = (bench.station(), program(640, 2));
-    let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first().run_again());
+    let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first(true).run_again(true));
     assert_eq!(write.state().to_string(), "nothing was written, and whether the PLC runs is not known");
     type When = fn(&Request) -> bool;
     let dropped_at: [(When, &str); 3] = [
@@ -197,7 +197,7 @@ async fn a_write_of_all_pages_reports_no_comparison() {
     let bench = bench();
     let (reports, new) = (Arc::<Mutex<Vec<String>>>::default(), program(640, 2));
     let shared = reports.clone();
-    let mut write = WriteProgram::new(&new, WriteOptions::new().all_pages())
+    let mut write = WriteProgram::new(&new, WriteOptions::new().all_pages(true))
         .on_progress(move |progress| shared.lock().unwrap().push(progress.to_string()));
     write.run(&bench.station()).await.unwrap();
     let reports = reports.lock().unwrap();
@@ -211,7 +211,7 @@ async fn a_plc_stopped_by_another_user_is_not_run_again() {
         let bench = bench();
         bench.plc.run();
         let (station, new) = (bench.station().with_options(once()), program(640, 2));
-        let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first().run_again());
+        let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first(true).run_again(true));
         bench.faults.add_rule(Rule::new(fault).command(Code::ControlPlc));
         assert_eq!(write.run(&station).await.unwrap_err().state.plc, PlcState::Running);
         bench.faults.set_rules([]);
@@ -260,7 +260,7 @@ async fn a_refusal_is_reported_even_if_the_next_request_fails() {
 async fn a_write_of_all_pages_resumes_where_it_stopped() {
     let bench = bench();
     let new = program(640, 2);
-    let mut write = WriteProgram::new(&new, WriteOptions::new().all_pages());
+    let mut write = WriteProgram::new(&new, WriteOptions::new().all_pages(true));
     let station = bench.station().with_options(once());
     for (skip, written) in [(5, 1..=5), (3, 6..=8)] {
         bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::WriteProgramPage).skip(skip)]);
@@ -292,7 +292,7 @@ async fn state_of_one_plc_is_not_used_on_another() {
     let (old, new) = (program(640, 1), program(640, 2));
     // The other PLC is stopped on purpose, with the whole program; or it runs, and may not be
     // stopped.
-    let stop = WriteOptions::new().stop_first().run_again();
+    let stop = WriteOptions::new().stop_first(true).run_again(true);
     for (options, holds, runs) in [(stop, &new, false), (WriteOptions::new(), &old, true)] {
         let bench = bench();
         if !runs {

@@ -66,7 +66,7 @@ async fn programs_survive_a_round_trip_under_faults() {
             interrupted.0 += failures;
 
             let station = bench.station();
-            let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first().run_again());
+            let mut write = WriteProgram::new(&new, WriteOptions::new().stop_first(true).run_again(true));
             let report = loop {
                 match write.run(&station).await {
                     Ok(report) => break report,
@@ -97,7 +97,7 @@ async fn a_read_interrupted_at_every_page_is_resumed() {
     let bench = Bench::new(640, PageReply::WithErrorDigit, 1);
     let program = program(640, 7);
     bench.load(&program);
-    let station = bench.station().with_options(fatek::CallOptions::new().retries(0));
+    let station = bench.station().with_options(fatek::CallOptions::new().with_retries(0));
     let mut read = ReadProgram::new();
     for page in 0..11 {
         bench.faults.set_rules([]);
@@ -154,7 +154,7 @@ async fn progress_reports_pages_bytes_and_time_left() {
         move |progress: &Progress| reports.lock().unwrap().push(*progress)
     };
     let station = bench.station();
-    ReadProgram::new().twice().on_progress(report(&reports)).run(&station).await.unwrap();
+    ReadProgram::new().twice(true).on_progress(report(&reports)).run(&station).await.unwrap();
     let seen = std::mem::take(&mut *reports.lock().unwrap());
     let steps: Vec<_> = seen.iter().map(|progress| (progress.phase, progress.done)).collect();
     let reading = (1..=11).map(|done| (Phase::Reading, done));
@@ -187,7 +187,7 @@ async fn in_the_binary_framing_no_program_request_is_sent() {
         "cannot read page 0: invalid request: read program page (4F) does not exist in the binary framing"
     );
     let new = program(640, 1);
-    let error = station.write_program(&new, WriteOptions::new().stop_first()).await.unwrap_err();
+    let error = station.write_program(&new, WriteOptions::new().stop_first(true)).await.unwrap_err();
     assert!(error.state.written.is_empty() && error.state.in_doubt.is_empty());
     assert!(error.to_string().contains("does not exist in the binary framing; nothing was written"), "{error}");
     let error = WriteProgram::new(&new, WriteOptions::new()).compare(&station).await.unwrap_err();

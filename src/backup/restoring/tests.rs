@@ -167,8 +167,8 @@ fn model(seed: u64) -> usize {
     let dice = &mut Choices(Random::new(seed));
     let mut options = RestoreOptions::new().bridge(dice.below(4) as usize).attempts(1 + dice.below(4) as u32);
     options = match dice.below(3) {
-        0 => options.stop_first().run_again(),
-        1 => options.require_stopped(),
+        0 => options.stop_first(true).run_again(true),
+        1 => options.require_stopped(true),
         _ => options,
     };
     let mut memory: Vec<u16> = (0..300).map(|_| dice.below(4).saturating_sub(2) as u16).collect();
@@ -338,7 +338,7 @@ fn restoring_keeps_the_contract_of_a_transfer() {
         }
         let mut options = RestoreOptions::new().bridge(random.next() as usize % 4);
         if random.next().is_multiple_of(2) {
-            options = options.stop_first().run_again();
+            options = options.stop_first(true).run_again(true);
         }
         let mut restoring = Restoring::new(&backup, options);
         for run in 0.. {

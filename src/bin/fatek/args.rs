@@ -214,8 +214,10 @@ pub(crate) struct Consent {
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
+    use fatek::link::defaults;
 
     use super::Cli;
+    use crate::scan;
 
     fn check(command: &clap::Command) {
         for text in [command.get_after_help(), command.get_after_long_help()].into_iter().flatten() {
@@ -224,6 +226,44 @@ mod tests {
             }
         }
         command.get_subcommands().for_each(check);
+    }
+
+    /// Help of the option with this name.
+    fn help(command: &clap::Command, name: &str) -> String {
+        let argument = command.get_arguments().find(|argument| argument.get_id() == name).expect("the option");
+        argument.get_help().expect("a help text").to_string()
+    }
+
+    // The texts repeat the constants, so that they can be read in the source.
+    #[test]
+    fn the_help_states_the_default_timeouts_of_the_library() {
+        let time = humantime::format_duration;
+        let expected = format!(
+            "[default: {}, serial line {}; connection {}]",
+            time(defaults::RESPONSE_TIMEOUT),
+            time(defaults::SERIAL_RESPONSE_TIMEOUT),
+            time(defaults::CONNECT_TIMEOUT)
+        );
+        let text = help(&Cli::command(), "timeout");
+        assert!(text.contains(&expected), "`{text}` should say: {expected}");
+    }
+
+    #[test]
+    fn the_help_states_the_number_of_attempts_and_the_timeout_of_scan() {
+        let command = Cli::command();
+        let timeout = command.get_arguments().find(|argument| argument.get_id() == "timeout").expect("the option");
+        let attempts = ["once", "twice", "three times", "four times"][usize::try_from(defaults::RETRIES).unwrap()];
+        let text = timeout.get_long_help().expect("a long help").to_string();
+        assert!(text.contains(&format!("up to {attempts}")), "{text}");
+
+        let scan = command.find_subcommand("scan").expect("the subcommand");
+        let seconds = (scan::DEFAULT_TIMEOUT * 254).as_secs_f64().ceil();
+        let expected = format!(
+            "The default of --timeout is {}: all 254 stations take up to {seconds} s.",
+            humantime::format_duration(scan::DEFAULT_TIMEOUT)
+        );
+        let text = scan.get_after_help().expect("examples").to_string();
+        assert!(text.contains(&expected), "{text} should say: {expected}");
     }
 
     #[test]

@@ -18,7 +18,7 @@ use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Output, Rows, complain};
 use crate::retry::{Direction, is_line_failure, retry, unless_interrupted, write_progress};
-use crate::transfer::{Reporter, choose, stops, warn_of_unknown_fields, would_stop};
+use crate::transfer::{Reporter, stops, warn_of_unknown_fields, would_stop};
 
 /// Backs up ranges. Resumes after a line failure, while each attempt reads at least one more element.
 /// Checks ranges and file before the first request.
@@ -238,13 +238,7 @@ fn report_skipped(report: &RestoreReport, output: &Output) {
 }
 
 fn options(args: &RestoreArgs) -> RestoreOptions {
-    choose(
-        RestoreOptions::new().bridge(args.bridge),
-        [
-            (args.stop, RestoreOptions::stop_first),
-            (args.run, RestoreOptions::run_again),
-            (args.require_stopped, RestoreOptions::require_stopped),
-            (args.forced, RestoreOptions::write_forced),
-        ],
-    )
+    // The command line excludes --stop with --require-stopped.
+    let options = RestoreOptions::new().stop_first(args.stop).require_stopped(args.require_stopped);
+    options.run_again(args.run).write_forced(args.forced).bridge(args.bridge)
 }

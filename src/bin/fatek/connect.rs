@@ -42,5 +42,5 @@ pub(crate) fn link(endpoint: Endpoint, options: CallOptions, connect_timeout: Op
 pub(crate) fn options(timeout: Option<Duration>) -> CallOptions {
     let Some(timeout) = timeout else { return CallOptions::new() };
     // One connection and three attempts with a loop-back before each need at most 7 timeouts.
-    CallOptions::new().response_timeout(timeout).call_timeout(timeout.saturating_mul(8))
+    CallOptions::new().with_response_timeout(timeout).with_call_timeout(timeout.saturating_mul(8))
 }

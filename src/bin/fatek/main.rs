@@ -79,7 +79,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             Command::Reset(args) => discretes(args, DiscreteControl::Reset).await,
             Command::Ping(args) => {
                 // A retry would hide a lost reply.
-                let station = station(&args.plc)?.with_options(connect::options(timeout).retries(0));
+                let station = station(&args.plc)?.with_options(connect::options(timeout).with_retries(0));
                 ping::ping(&station, args, output).await
             }
             Command::Scan(args) => {

@@ -1,6 +1,6 @@
 //! Subcommand `fatek plan TAG…`.
 
-use fatek::endpoint::{SerialSettings, Transport};
+use fatek::endpoint::SerialSettings;
 use fatek::wire::Framing;
 use fatek::{CostModel, Limits, Plan};
 use serde_json::Value;
@@ -27,10 +27,7 @@ fn cost(link: Option<&str>, args: &PlanArgs) -> Result<CostModel, Failure> {
     let endpoint = link.map(|link| connect::endpoint(Some(link))).transpose()?;
     let link_framing = endpoint.as_ref().map_or(Framing::Ascii, |endpoint| endpoint.framing());
     let framing = args.framing.unwrap_or(link_framing);
-    let settings = match endpoint.as_ref().map(|endpoint| endpoint.transport()) {
-        Some(Transport::Serial { settings, .. }) => Some(*settings),
-        Some(_) | None => None,
-    };
+    let settings = endpoint.and_then(|endpoint| endpoint.transport().serial_settings());
     let settings = match args.baud {
         Some(baud) => {
             let settings = settings.unwrap_or(SerialSettings::new(framing));
@@ -55,9 +52,7 @@ fn limits(args: &PlanArgs) -> Result<Limits, Failure> {
     if let Some(units) = args.max_mixed {
         limits = limits.max_mixed(units).map_err(Failure::usage)?;
     }
-    if args.no_mixed {
-        limits = limits.no_mixed_reads();
-    }
+    limits = limits.mixed_reads(!args.no_mixed);
     for range in &args.readable {
         let last = range.elements().last().unwrap_or(range.first());
         limits = limits.readable(range.first(), last).map_err(Failure::usage)?;

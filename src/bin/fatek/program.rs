@@ -13,7 +13,7 @@ use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Format, Output, Rows, hex, version};
 use crate::retry::{Direction, is_line_failure, retry, unless_interrupted, write_progress};
-use crate::transfer::{Reporter, choose, stops, warn_of_unknown_fields, would_stop};
+use crate::transfer::{Reporter, stops, warn_of_unknown_fields, would_stop};
 
 /// Uploads the program. Resumes after a line failure, while each attempt reads at least one more
 /// page. Checks that the file can be saved before the first request.
@@ -21,8 +21,7 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     let path = &args.file.file;
     can_save(path)?;
     let reporter = Reporter::new(output);
-    let read = ReadProgram::new().on_progress(reporter.callback());
-    let mut read = choose(read, [(args.twice, ReadProgram::twice)]);
+    let mut read = ReadProgram::new().twice(args.twice).on_progress(reporter.callback());
     let run = async |read: &mut ReadProgram| read.run(station).await;
     let progress = |read: &ReadProgram, error: &ProgramError| is_line_failure(error).then(|| read.pages_done());
     let note = |read: &ReadProgram, error: &ProgramError| format!("{error}; {} pages read", read.pages_done());
@@ -155,15 +154,8 @@ fn print_pages(pages: &[u16], output: &Output) -> Result<(), Failure> {
 }
 
 fn options(args: &ProgramWriteArgs) -> WriteOptions {
-    let options = choose(
-        WriteOptions::new(),
-        [
-            (args.stop, WriteOptions::stop_first),
-            (args.run, WriteOptions::run_again),
-            (args.all, WriteOptions::all_pages),
-            (args.verify, WriteOptions::verify_all),
-        ],
-    );
+    let options =
+        WriteOptions::new().stop_first(args.stop).run_again(args.run).all_pages(args.all).verify_all(args.verify);
     args.page_timeout.map_or(options, |timeout| options.page_timeout(timeout))
 }
 

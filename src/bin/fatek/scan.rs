@@ -15,7 +15,7 @@ use crate::output::{Output, Rows, version};
 use crate::progress::StatusLine;
 
 /// Response timeout without `--timeout`.
-const DEFAULT_TIMEOUT: Duration = Duration::from_millis(200);
+pub(crate) const DEFAULT_TIMEOUT: Duration = Duration::from_millis(200);
 /// Shortest connection timeout: the default of the link.
 const MIN_CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// Wait after a reply for that of a second station with the same number.
@@ -30,7 +30,8 @@ pub(crate) async fn scan(
     let response = timeout.unwrap_or(DEFAULT_TIMEOUT);
     // 5 s for the connection on the slowest line; each attempt may have a loop-back before it.
     let call_timeout = Duration::from_secs(5).saturating_add(response.saturating_mul(2 * (args.retries + 1)));
-    let options = CallOptions::new().response_timeout(response).retries(args.retries).call_timeout(call_timeout);
+    let options =
+        CallOptions::new().with_response_timeout(response).with_retries(args.retries).with_call_timeout(call_timeout);
     // A short response timeout must not shorten the connection timeout.
     let link = connect::link(endpoint, options, timeout.filter(|timeout| *timeout > MIN_CONNECT_TIMEOUT));
     let mut found: Vec<Found> = Vec::new();

@@ -48,14 +48,6 @@ fn lock(display: &Mutex<TransferDisplay>) -> MutexGuard<'_, TransferDisplay> {
     display.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// An option of a transfer, and whether it is given.
-type Choice<T> = (bool, fn(T) -> T);
-
-/// Makes the choices whose option is given.
-pub(crate) fn choose<T, const N: usize>(options: T, choices: [Choice<T>; N]) -> T {
-    choices.into_iter().filter(|(chosen, _)| *chosen).fold(options, |options, (_, choice)| choice(options))
-}
-
 /// The consequence for a PLC that runs, for a prompt. `run`: it is started again.
 pub(crate) fn stops(run: bool) -> &'static str {
     if run {

@@ -55,9 +55,8 @@ fn poll_tag(tag: Tag, args: &WatchArgs) -> PollTag {
     match args.deadband {
         // Only numbers have a deadband.
         Some(deadband) if tag.tag_type().is_number() => polled.deadband(deadband),
-        Some(_) => polled.on_change(),
-        None if args.on_change => polled.on_change(),
-        None => polled,
+        Some(_) => polled.on_change(true),
+        None => polled.on_change(args.on_change),
     }
 }
 

@@ -287,6 +287,7 @@ impl<C: Command> AnyCall for CallSlot<C> {
 
     fn uncount_send(&self) {
         let count = self.sends.load(Ordering::Acquire);
+        debug_assert!(count > 0, "a request is uncounted that was not sent");
         self.sends.store(count.saturating_sub(1), Ordering::Release);
     }
 

@@ -43,7 +43,7 @@ fn a_call_is_wanted_until_its_deadline_or_until_abandoned() {
 #[test]
 fn an_expired_call_says_its_timeout_and_whether_it_was_sent() {
     for sends in 0..=2 {
-        let (call, mut future) = call(CallOptions::new().call_timeout(Duration::from_secs(3)));
+        let (call, mut future) = call(CallOptions::new().with_call_timeout(Duration::from_secs(3)));
         for _ in 0..sends {
             assert!(call.slot.mark_sent());
         }

@@ -69,6 +69,7 @@ impl Core {
         self.scheduler.charge(station, took);
         let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
         // How long the line was silent within that time.
+        debug_assert!(self.exchange.line_bytes() >= active.bytes_before, "the bytes of a line only grow");
         let reply_bytes = self.exchange.line_bytes().saturating_sub(active.bytes_before);
         let silent = round_trip.saturating_sub(self.prices.line_time(reply_bytes));
         match active.outgoing {

@@ -14,7 +14,8 @@ use tokio::time::Instant;
 use tokio_util::codec::{Decoder, Encoder};
 
 use crate::link::builder::LinkBuilder;
-use crate::link::transport::{BoxIo, Connector};
+use crate::link::connector::Connector;
+use crate::transport::BoxIo;
 use crate::wire::{Codec, Frame, Framing, Side};
 use crate::{CallOptions, Error, Link, register};
 
@@ -138,7 +139,7 @@ async fn an_unwritable_request_costs_the_connection_at_its_timeout() {
     let line = Line::default();
     let link = line.link();
     let timeout = Duration::from_millis(700);
-    let options = CallOptions::new().retries(0).response_timeout(timeout);
+    let options = CallOptions::new().with_retries(0).with_response_timeout(timeout);
     let station = link.station(1).expect("a station").with_options(options);
     assert_eq!(station.read_registers(register!("R0"), 1).await.expect("it answers"), [0]);
     line.plc().stuck = true;

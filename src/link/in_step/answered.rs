@@ -29,8 +29,9 @@ impl AnsweredElements {
         self.spans.iter().any(|span| span.contains(element.symbol(), element.address()))
     }
 
-    /// Adds consecutive elements.
+    /// Adds consecutive elements, at least one.
     pub(super) fn add(&mut self, first: Element, count: usize) {
+        debug_assert!(count > 0, "a run has no elements");
         let Ok(last) = first.nth(count.saturating_sub(1)) else { return };
         let mut new = Span { symbol: first.symbol(), first: first.address(), last: last.address() };
         let holds = |span: &Span| span.contains(new.symbol, new.first) && span.contains(new.symbol, new.last);

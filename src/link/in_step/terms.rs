@@ -45,7 +45,7 @@ pub(crate) struct Reply {
     /// Shape of the positive reply to the request.
     pub(crate) shape: Shape,
     pub(crate) refused: bool,
-    /// The [`fingerprint`] of the frame.
+    /// The [`fingerprint`](crate::wire::fingerprint) of the frame.
     pub(crate) fingerprint: u64,
 }
 
@@ -153,16 +153,4 @@ impl Prices {
         let rest = self.exchange.saturating_mul(candidate.left.into()).checked_div(u32::from(plain.count.max(1)));
         bytes.saturating_add(rest.unwrap_or_default())
     }
-}
-
-/// A hash of the content of a frame: equal for equal frames, and hardly ever for others.
-pub(crate) fn fingerprint(command: u8, data: &[u8]) -> u64 {
-    const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
-    let (words, rest) = data.as_chunks::<8>();
-    let mut last = [0; 8];
-    last.iter_mut().zip(rest).for_each(|(place, &byte)| *place = byte);
-    let seed = u64::from(command) << 32 | u64::try_from(data.len()).unwrap_or(u64::MAX);
-    words.iter().chain([&last]).fold(seed.wrapping_mul(FACTOR), |hash, word| {
-        (hash.rotate_left(23) ^ u64::from_le_bytes(*word)).wrapping_mul(FACTOR)
-    })
 }

@@ -7,7 +7,7 @@ fn network() -> CostModel {
 #[test]
 fn a_text_is_read_by_one_request_with_all_tags_in_it() {
     let tags = ["R60-R69:text", "R0-R63", "R62:f32", "R69", "R64-R66:text-hi"].map(tag);
-    let plan = Plan::builder(network()).limits(Limits::new().no_mixed_reads()).tags(tags).build().unwrap();
+    let plan = Plan::builder(network()).limits(Limits::new().mixed_reads(false)).tags(tags).build().unwrap();
     check(&plan, &network(), &Limits::new(), "five tags");
     let mut reads: Vec<String> = plan.requests().iter().map(|planned| planned.request.to_string()).collect();
     reads.sort();
@@ -69,7 +69,7 @@ fn a_text_longer_than_any_request_is_refused() {
     let limits = Limits::new().max_registers(9).unwrap();
     let build = |limits: Limits| Plan::builder(network()).limits(limits).tags([tag("R7"), tag("R0-R9:text")]).build();
     assert_eq!(build(limits.clone()).unwrap().requests().len(), 1);
-    let error = build(limits.clone().no_mixed_reads()).unwrap_err();
+    let error = build(limits.clone().mixed_reads(false)).unwrap_err();
     assert_eq!(error, PlanError::OneScan { first: tag("R0-R9:text"), tags: 1, units: 10, max: 0 });
     let error = build(limits.max_mixed(9).unwrap()).unwrap_err();
     assert_eq!(

@@ -69,7 +69,7 @@ fn cycles_missed_by_a_suspended_task_are_overruns() {
 
 #[test]
 fn a_fast_class_runs_between_requests_of_a_slow_one() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     rig.plc.response_time = ms(20);
     let slow: Vec<String> = (0..40).map(|n| format!("R{}", n * 100)).collect();
     let slow: Vec<&str> = slow.iter().map(String::as_str).collect();
@@ -172,7 +172,7 @@ fn a_longer_response_time_makes_fewer_requests() {
     let mut rig = TestRig::new(1);
     let cost = CostModel::network(Framing::Ascii, ms(5)).with_byte_time(ms(1));
     let polled = StationParams { station: 1, retries: 2 };
-    let limits = Arc::new(Limits::new().no_mixed_reads());
+    let limits = Arc::new(Limits::new().mixed_reads(false));
     rig.poller = StationPoller::new(polled, (limits, cost), rig.start, 1, Arc::default());
     let requests = |rig: &TestRig| rig.poller.classes().next().unwrap().requests_per_cycle;
     // The time of the reply's bytes does not count as response time.

@@ -14,7 +14,7 @@ fn every(milliseconds: u64) -> ScanClass {
 
 /// Ten registers read by ten requests whose replies have one shape.
 fn rig() -> TestRig {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     rig.plc.one_shape = true;
     let texts: Vec<String> = (0..10).map(|n| format!("R{}", 100 * n)).collect();
     rig.add(every(1000), &texts.iter().map(String::as_str).collect::<Vec<_>>());

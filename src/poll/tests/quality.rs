@@ -40,7 +40,7 @@ fn a_failure_never_yields_a_value() {
 fn a_value_is_stale_after_a_failure_and_bad_when_too_old() {
     let mut rig = TestRig::new(1);
     let class = every(1000).bad_after(ms(3000));
-    let id = rig.try_add(class, vec![PollTag::new("level", "R0".parse().unwrap()).on_change()], false).unwrap()[0];
+    let id = rig.try_add(class, vec![PollTag::new("level", "R0".parse().unwrap()).on_change(true)], false).unwrap()[0];
     rig.run(ms(500));
     let good = rig.new_samples();
     assert_eq!(kinds(&good), ["good"]);
@@ -62,7 +62,7 @@ fn a_value_is_stale_after_a_failure_and_bad_when_too_old() {
 #[test]
 fn a_value_is_overdue_while_a_reply_takes_long() {
     let mut rig = TestRig::new(1);
-    let tag = PollTag::new("level", "R0".parse().unwrap()).on_change();
+    let tag = PollTag::new("level", "R0".parse().unwrap()).on_change(true);
     rig.try_add(every(100).stale_after(ms(250)).bad_after(ms(600)), vec![tag], false).unwrap();
     rig.run(ms(50));
     rig.new_samples();
@@ -78,7 +78,7 @@ fn on_change_reports_changes_of_value_and_quality() {
     let mut rig = TestRig::new(1);
     rig.plc.timeout = ms(50);
     rig.plc.frozen = true;
-    let tag = PollTag::new("level", "R0-R9".parse().unwrap()).on_change();
+    let tag = PollTag::new("level", "R0-R9".parse().unwrap()).on_change(true);
     rig.try_add(every(100), vec![tag], false).unwrap();
     rig.run(ms(2000));
     assert_eq!(kinds(&rig.new_samples()), ["good"]);

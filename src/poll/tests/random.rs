@@ -90,7 +90,7 @@ impl RandomTest {
             let tags: Vec<Tag> = (0..together).map(|_| self.random.tag()).collect();
             let report = self.random.below(4);
             let polled = tags.iter().map(|tag| match report {
-                0 => PollTag::from(*tag).on_change(),
+                0 => PollTag::from(*tag).on_change(true),
                 1 => PollTag::from(*tag).heartbeat(ms(700)),
                 _ => PollTag::from(*tag),
             });

@@ -49,7 +49,7 @@ fn a_refused_register_is_found_and_the_others_are_read() {
 
 #[test]
 fn a_refused_gap_is_not_read_through_again() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     rig.plc.refused.insert((Symbol::R, 5));
     let ids = rig.add(every(1000), &["R0", "R3", "R8", "R10"]);
     rig.run(ms(500));
@@ -66,7 +66,7 @@ fn a_refused_gap_is_not_read_through_again() {
 
 #[test]
 fn a_lower_length_limit_of_the_plc_is_learned() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     rig.plc.max_registers = 20;
     rig.plc.max_points = 100;
     let mut texts = registers(60, 1);
@@ -158,7 +158,7 @@ fn a_refused_group_is_bad_and_other_tags_are_not() {
 
 #[test]
 fn a_request_without_a_reply_does_not_starve_the_others() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     rig.plc.ignored = Some((Symbol::R, 1000));
     let ids = rig.add(every(1000), &["R0", "R1000", "R2000", "R3000", "D0", "D1000"]);
     rig.run(ms(20_500));

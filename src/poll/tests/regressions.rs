@@ -63,7 +63,7 @@ fn a_probe_without_a_reply_does_not_starve_the_others() {
 /// Values stayed good in a first cycle that took longer than `stale_after`.
 #[test]
 fn a_value_goes_stale_in_a_long_first_cycle() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     rig.plc.response_time = ms(200);
     let texts: Vec<String> = (0..40).map(|n| format!("R{}", n * 95)).collect();
     let ids = add(&mut rig, every(100), &texts);
@@ -82,7 +82,7 @@ fn a_value_goes_stale_in_a_long_first_cycle() {
 
 #[test]
 fn a_value_goes_stale_in_a_first_cycle_without_replies() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     rig.plc.timeout = Duration::from_secs(20);
     rig.plc.ignored = Some((Symbol::R, 1000));
     let ids = rig.add(every(1000), &["R1000", "R0"]);
@@ -100,7 +100,7 @@ fn a_value_goes_stale_in_a_first_cycle_without_replies() {
 /// The refusal of another request made a one-scan group bad for ten minutes.
 #[test]
 fn one_transient_refusal_does_not_make_a_group_bad() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     let group: Vec<String> = (0..40).map(|n| format!("D{n}")).collect();
     let group: Vec<&str> = group.iter().map(String::as_str).collect();
     let group = rig.try_add(every(1000), tags(&group), true).unwrap();
@@ -151,7 +151,7 @@ fn one_transient_refusal_does_not_make_a_group_bad() {
 /// A refusal of six requests within a plan must not raise the requests per cycle afterwards.
 #[test]
 fn a_short_refusal_of_all_leaves_no_learned_limit() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     let texts: Vec<String> = (0..640).map(|n| format!("R{n}")).collect();
     add(&mut rig, every(1000), &texts);
     rig.run(ms(10_500));
@@ -210,7 +210,7 @@ fn a_group_stays_one_scan_when_a_tag_is_removed() {
 /// The refused tag is removed while the poller halves its request.
 #[test]
 fn removing_the_refused_tag_while_halving_learns_nothing() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     rig.plc.refused.insert((Symbol::R, 0));
     let texts: Vec<String> = (0..64).map(|n| format!("R{n}")).collect();
     let ids = add(&mut rig, every(1000), &texts);
@@ -226,7 +226,7 @@ fn removing_the_refused_tag_while_halving_learns_nothing() {
 /// While one half had no reply, the other half was never read.
 #[test]
 fn a_silent_half_does_not_starve_the_other() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     let ids = rig.add(every(1000), &["R0", "R1", "R2", "R3"]);
     let mut samples = Vec::new();
     let end = rig.now + Duration::from_secs(100);
@@ -269,7 +269,7 @@ fn a_refused_group_is_probed_when_its_bad_tag_is_removed() {
 /// The PLC refuses runs across a boundary between two kinds of registers, here R49 and R50.
 #[test]
 fn a_boundary_is_learned_as_a_split_not_as_a_length() {
-    let mut rig = TestRig::with_limits(1, Limits::new().no_mixed_reads());
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
     let texts: Vec<String> = (0..640).map(|n| format!("R{n}")).collect();
     add(&mut rig, every(1000), &texts);
     let long = rig.add(every(1000), &["R40-R60:i16"]);

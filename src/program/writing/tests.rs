@@ -249,15 +249,15 @@ fn seeds(count: u64) -> std::ops::Range<u64> {
 }
 
 fn options(random: &mut Random) -> WriteOptions {
-    let mut options = WriteOptions::new().stop_first();
+    let mut options = WriteOptions::new().stop_first(true);
     if random.next().is_multiple_of(2) {
-        options = options.run_again();
+        options = options.run_again(true);
     }
     if random.next().is_multiple_of(4) {
-        options = options.all_pages();
+        options = options.all_pages(true);
     }
     if random.next().is_multiple_of(4) {
-        options = options.verify_all();
+        options = options.verify_all(true);
     }
     options
 }
@@ -375,7 +375,7 @@ fn a_plc_that_others_start_is_not_reported_as_stopped() {
 
 #[test]
 fn a_plc_started_after_the_last_page_is_stopped_again() {
-    for (options, seed) in [WriteOptions::new(), WriteOptions::new().run_again()].into_iter().zip(1..) {
+    for (options, seed) in [WriteOptions::new(), WriteOptions::new().run_again(true)].into_iter().zip(1..) {
         let mut world = World::new(seed, Chances::default());
         world.plc.stop();
         let mut writing = Writing::new(world.new.clone(), options);
@@ -427,7 +427,8 @@ fn expect(world: &World, state: &WriteState) {
 fn a_page_that_another_client_changes_fails_verify_all() {
     for seed in seeds(200) {
         let mut world = World::new(seed, Chances::default());
-        let mut writing = Writing::new(world.new.clone(), WriteOptions::new().stop_first().run_again().verify_all());
+        let mut writing =
+            Writing::new(world.new.clone(), WriteOptions::new().stop_first(true).run_again(true).verify_all(true));
         let mut changed = None;
         let end = loop {
             match writing.next() {
@@ -483,7 +484,7 @@ fn a_misfit_is_refused_before_anything_is_changed() {
         error.to_string()
     };
     let new = world.new.clone();
-    let stop = WriteOptions::new().stop_first();
+    let stop = WriteOptions::new().stop_first(true);
     assert_eq!(
         error(&mut world, &new, WriteOptions::new()),
         "the PLC runs: stop it first, or choose to have it stopped; nothing was written, and the PLC runs"
@@ -510,7 +511,7 @@ fn a_plc_that_refuses_run_holds_the_program_and_is_stopped() {
         let mut world = World::new(1, Chances::default());
         world.plc.run();
         world.plc.refuse_run(Some(code));
-        let mut writing = Writing::new(world.new.clone(), WriteOptions::new().stop_first().run_again());
+        let mut writing = Writing::new(world.new.clone(), WriteOptions::new().stop_first(true).run_again(true));
         let error = world.run(&mut writing, MANY).unwrap().unwrap_err();
         assert!(matches!(*error.source, ProgramError::RunRefused { error } if error == code), "{error}");
         assert!(

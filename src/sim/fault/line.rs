@@ -57,12 +57,13 @@ impl Line {
         self
     }
 
-    /// Delivers each byte of a reply at its own time, instead of all with the last one.
+    /// Sets whether each byte of a reply is delivered at its own time, instead of all with the last
+    /// one. Default: `false`.
     ///
     /// More realistic, but needs a timer per byte.
     #[must_use]
-    pub fn byte_by_byte(mut self) -> Self {
-        self.byte_by_byte = true;
+    pub fn byte_by_byte(mut self, byte_by_byte: bool) -> Self {
+        self.byte_by_byte = byte_by_byte;
         self
     }
 

@@ -25,7 +25,7 @@ fn bytes_before_a_request_are_dropped_and_counted() {
 #[test]
 fn a_frame_behind_a_false_header_is_found_in_silence() {
     let mut link = TestLink::new(Framing::Binary);
-    let mut call = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let mut call = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     link.expect_send();
     link.receive(b"\x52\x10\x03\x00");
     link.receive_frame(1, 0x46, b"\x00\x12\x34");
@@ -43,7 +43,7 @@ fn a_truncated_reply_is_a_bad_reply_and_no_timeout() {
     ];
     for (framing, bytes, what) in cut_off {
         let mut link = TestLink::new(framing);
-        let mut call = link.call_with(1, read(1), CallOptions::new().retries(0));
+        let mut call = link.call_with(1, read(1), CallOptions::new().with_retries(0));
         link.expect_send();
         link.receive(bytes);
         link.advance(TIMEOUT * 10);
@@ -57,7 +57,7 @@ fn a_truncated_reply_is_a_bad_reply_and_no_timeout() {
 #[test]
 fn garbage_between_frames_does_not_end_the_wait() {
     let mut link = TestLink::new(Framing::Ascii);
-    let mut call = link.call_with(1, read(1), CallOptions::new().retries(1));
+    let mut call = link.call_with(1, read(1), CallOptions::new().with_retries(1));
     link.expect_send();
     link.receive(b"\x00\xFF");
     let end = link.now + TIMEOUT;
@@ -72,7 +72,7 @@ fn garbage_between_frames_does_not_end_the_wait() {
 fn a_corrupt_frame_ends_the_wait_only_if_retries_are_left() {
     for (retries, wait) in [(1, 30 * MS), (0, TIMEOUT)] {
         let mut link = TestLink::new(Framing::Ascii);
-        let _call = link.call_with(1, read(1), CallOptions::new().retries(retries));
+        let _call = link.call_with(1, read(1), CallOptions::new().with_retries(retries));
         link.expect_send();
         link.receive(b"\x020146000011FF\x03");
         assert_eq!(link.next_action(), Action::Wait(Some(link.now + wait)), "{retries} retries");
@@ -86,8 +86,8 @@ fn a_corrupt_frame_ends_the_wait_only_if_retries_are_left() {
 fn a_write_is_sent_once_unless_retries_are_allowed() {
     for (options, sends) in [
         (CallOptions::new(), 1),
-        (CallOptions::new().retry_writes(true), 3),
-        (CallOptions::new().retry_writes(true).retries(0), 1),
+        (CallOptions::new().with_retry_writes(true), 3),
+        (CallOptions::new().with_retry_writes(true).with_retries(0), 1),
     ] {
         let mut link = TestLink::new(Framing::Ascii);
         let mut call = link.call_with(1, write(), options);
@@ -109,7 +109,7 @@ fn a_write_is_sent_once_unless_retries_are_allowed() {
 #[test]
 fn nothing_is_retried_after_the_callers_deadline() {
     let mut link = TestLink::new(Framing::Ascii);
-    let mut call = link.call_with(1, read(1), CallOptions::new().call_timeout(40 * MS));
+    let mut call = link.call_with(1, read(1), CallOptions::new().with_call_timeout(40 * MS));
     link.expect_send();
     assert_eq!(link.next_action(), Action::Wait(Some(link.now + 40 * MS)), "the deadline of the call comes first");
     link.advance(40 * MS);
@@ -149,7 +149,7 @@ fn the_time_of_a_reply_is_when_its_frame_came() {
 #[test]
 fn control_comes_before_writes_and_writes_before_reads() {
     let mut link = TestLink::new(Framing::Ascii);
-    let _read = link.call_with(1, read(1), CallOptions::new().background(true));
+    let _read = link.call_with(1, read(1), CallOptions::new().with_background(true));
     let _status = link.call(1, ReadStatus);
     let _write = link.call(1, write());
     let _stop = link.call(1, ControlPlc::Stop);

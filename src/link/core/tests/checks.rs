@@ -15,7 +15,7 @@ use crate::wire::{FieldWriter as _, Framing, ascii};
 #[test]
 fn a_timed_out_station_is_sent_a_nonce_before_requests() {
     let mut link = TestLink::new(Framing::Ascii);
-    let mut first = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let mut first = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     assert_eq!(link.expect_send(), Code::ReadRegisters);
     link.advance(TIMEOUT);
     assert_eq!(link.next_action(), Action::Wait(Some(link.now)), "received data are read first");
@@ -73,7 +73,7 @@ fn two_fitting_frames_in_one_read_are_no_value() {
         bytes
     };
     let mut link = TestLink::new(Framing::Ascii);
-    let mut call = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let mut call = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     link.expect_send();
     link.receive(&glued([b"00007", b"00008"]));
     assert!(result(&mut call).is_none());
@@ -149,7 +149,7 @@ fn a_frame_of_another_station_does_not_touch_the_exchange() {
 #[test]
 fn after_a_refused_check_only_silence_resynchronises() {
     let mut link = TestLink::new(Framing::Ascii);
-    let _lost = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let _lost = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     link.expect_send();
     link.advance(TIMEOUT);
     link.next_action();
@@ -164,7 +164,7 @@ fn after_a_refused_check_only_silence_resynchronises() {
 #[test]
 fn the_call_behind_a_check_is_sent_before_all_others() {
     let mut link = TestLink::new(Framing::Ascii);
-    let _lost = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let _lost = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     link.expect_send();
     link.advance(TIMEOUT);
     link.next_action();
@@ -180,11 +180,11 @@ fn the_call_behind_a_check_is_sent_before_all_others() {
 #[test]
 fn a_call_that_expires_during_its_check_is_not_sent() {
     let mut link = TestLink::new(Framing::Ascii);
-    let _lost = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let _lost = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     link.expect_send();
     link.advance(TIMEOUT);
     link.next_action();
-    let mut call = link.call_with(1, read(1), CallOptions::new().call_timeout(40 * MS));
+    let mut call = link.call_with(1, read(1), CallOptions::new().with_call_timeout(40 * MS));
     assert_eq!(link.expect_send(), Code::LoopBack);
     link.advance(40 * MS);
     link.receive_echo();

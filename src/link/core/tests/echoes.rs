@@ -9,7 +9,7 @@ use crate::wire::Framing;
 #[test]
 fn a_binary_reply_like_its_request_is_no_echo() {
     let mut link = TestLink::new(Framing::Binary);
-    let _first = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let _first = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     link.expect_send();
     // The content of the request: a count, `R` and its address.
     link.receive_frame(1, 0x46, b"\x01R\x00\x00");
@@ -26,7 +26,7 @@ fn a_binary_reply_like_its_request_is_no_echo() {
 #[test]
 fn only_a_frame_equal_to_the_request_is_an_echo() {
     let mut link = TestLink::new(Framing::Ascii);
-    let mut call = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let mut call = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     link.expect_send();
     assert_eq!(link.sent, b"\x02014601R0000070\x03");
     link.receive_frame(1, 0x46, b"01R00001");

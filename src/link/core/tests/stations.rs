@@ -8,10 +8,10 @@ use crate::wire::Framing;
 
 #[test]
 fn only_full_response_timeouts_take_a_station_offline() {
-    for (options, offline) in [(CallOptions::new().call_timeout(TIMEOUT / 2), false), (CallOptions::new(), true)] {
+    for (options, offline) in [(CallOptions::new().with_call_timeout(TIMEOUT / 2), false), (CallOptions::new(), true)] {
         let mut link = TestLink::new(Framing::Ascii);
         for _ in 0..3 {
-            let _call = link.call_with(1, read(1), options.retries(0));
+            let _call = link.call_with(1, read(1), options.with_retries(0));
             link.expect_send();
             link.advance(TIMEOUT);
             link.next_action();
@@ -25,7 +25,7 @@ fn only_full_response_timeouts_take_a_station_offline() {
 fn bad_replies_do_not_take_a_station_offline() {
     let mut link = TestLink::new(Framing::Ascii);
     for _ in 0..9 {
-        let _call = link.call_with(1, read(1), CallOptions::new().retries(0));
+        let _call = link.call_with(1, read(1), CallOptions::new().with_retries(0));
         if link.expect_send() == Code::LoopBack {
             link.receive_echo();
             link.expect_send();
@@ -41,7 +41,7 @@ fn bad_replies_do_not_take_a_station_offline() {
 #[test]
 fn calls_waiting_for_a_station_that_goes_offline_fail() {
     let mut link = TestLink::with(Framing::Ascii, |config| config.offline_rules.offline_after = 1);
-    let _lost = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let _lost = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     let mut waiting = link.call(1, read(1));
     let mut other = link.call(2, read(1));
     link.expect_send();
@@ -56,7 +56,7 @@ fn calls_waiting_for_a_station_that_goes_offline_fail() {
 #[test]
 fn a_new_connection_probes_offline_stations_at_once() {
     let mut link = TestLink::with(Framing::Ascii, |config| config.offline_rules.offline_after = 1);
-    let _silent = link.call_with(1, read(1), CallOptions::new().retries(0));
+    let _silent = link.call_with(1, read(1), CallOptions::new().with_retries(0));
     link.expect_send();
     link.advance(TIMEOUT);
     link.next_action();

@@ -14,10 +14,10 @@ use crate::element::Register;
 use crate::error::Error;
 use crate::link::call::{self, CallFuture, CallMeta, SpareSlots};
 use crate::link::config::Config;
+use crate::link::connector::Connector;
 use crate::link::in_step::InStep;
 use crate::link::options::CallOptions;
 use crate::link::stats::{LinkStats, SharedStats, StationStats};
-use crate::link::transport::Connector;
 use crate::link::{LinkBuilder, later};
 use crate::wire::{FieldWriter as _, Framing, Side, ascii, binary};
 

@@ -35,7 +35,7 @@ impl Frame {
         self.code == shape.code && (self.refused || self.size == shape.size)
     }
 
-    /// As [`fingerprint`](crate::link::in_step::fingerprint), but a nonce can be renamed in it.
+    /// As [`fingerprint`](crate::wire::fingerprint), but a nonce can be renamed in it.
     pub(super) fn fingerprint(&self) -> u64 {
         u64::from(u8::from(self.code)) << 40
             | u64::from(self.size) << 8

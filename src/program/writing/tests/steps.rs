@@ -20,7 +20,7 @@ fn a_refused_or_unsent_stop_or_run_leaves_a_known_state() {
     let unsent = Error::Timeout { station: 1, code: Code::ControlPlc, after: Duration::ZERO, sent: false };
     let twice = Error::Plc { station: 1, code: Code::ControlPlc, error: ErrorCode::IllegalFormat, repeated: true };
     let refused = refusal(Code::ControlPlc, ErrorCode::IllegalFormat);
-    let options = WriteOptions::new().stop_first().run_again();
+    let options = WriteOptions::new().stop_first(true).run_again(true);
     for (command, before, left) in [
         (Request::Stop, PlcState::Running, "nothing was written, and the PLC runs"),
         (Request::Run, PlcState::Stopped, "the program is written, and the PLC ran before and is stopped now"),

@@ -143,7 +143,7 @@ fn an_echo_comes_at_the_end_of_its_request() {
 
 #[test]
 fn byte_by_byte_delivers_each_byte_at_its_time() {
-    let mut bench = Bench::over(Line::new(1000).byte_by_byte());
+    let mut bench = Bench::over(Line::new(1000).byte_by_byte(true));
     bench.receive(0, READ);
     let (times, bytes): (Vec<_>, Vec<_>) = bench.all().into_iter().unzip();
     assert_eq!(times, (17..=29).map(|n| n * 10_000).collect::<Vec<_>>());

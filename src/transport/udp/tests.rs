@@ -1,5 +1,5 @@
 use super::*;
-use crate::link::transport::BoxIo;
+use crate::transport::BoxIo;
 use futures::future::FutureExt as _;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Wake;

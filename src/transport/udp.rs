@@ -24,9 +24,26 @@ use tokio::task::consume_budget;
 use tokio_util::codec::Decoder;
 use tokio_util::sync::ReusableBoxFuture;
 
-use super::LateDatagrams;
-use crate::link::in_step::fingerprint;
-use crate::wire::{Codec, Framing, MAX_FRAME_LEN, Side};
+use super::{Address, Kind, Transport, authority};
+use crate::wire::{Codec, Framing, MAX_FRAME_LEN, Side, fingerprint};
+
+// Opening a socket sends nothing to the PLC.
+pub(super) static KIND: Kind =
+    Kind { prefix: "udp://", own_options: None, is_remote: false, is_one_line: false, parse };
+
+fn parse(address: &Address<'_>) -> Result<Transport, String> {
+    let (host, port) = authority::parse(address.scheme, address.text, address.framing)?;
+    Ok(Transport::Udp { host, port })
+}
+
+/// Numbers of datagrams that came to the ports of earlier requests.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct LateDatagrams {
+    /// Duplicates of the datagram that was read last from that port.
+    pub(crate) duplicates: u64,
+    /// All others.
+    pub(crate) others: u64,
+}
 
 /// Number of sockets of a connection: a local port is used again after as many requests.
 const SOCKETS: usize = 4;

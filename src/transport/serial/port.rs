@@ -5,10 +5,10 @@ use std::task::{Context, Poll};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio_serial::{ClearBuffer, FlowControl, SerialPort as _, SerialPortBuilder, SerialStream};
 
-use crate::endpoint::{DataBits, Parity, SerialSettings, StopBits};
+use crate::settings::{DataBits, Parity, SerialSettings, StopBits};
 
 /// Opens the port exclusively, and discards what it has received before.
-pub(super) async fn open(path: &str, settings: SerialSettings) -> io::Result<Port> {
+pub(in crate::transport) async fn open(path: &str, settings: SerialSettings) -> io::Result<Port> {
     let builder = builder(path, settings);
     // Opening a device can take long: some drivers look for the hardware first.
     let opening = tokio::task::spawn_blocking(move || {
@@ -60,7 +60,7 @@ fn warn_of_other_settings(stream: &SerialStream, settings: SerialSettings) {
 /// An open port. It must never be flushed: that blocks the thread until the last bit is on the
 /// line.
 #[derive(Debug)]
-pub(super) struct Port {
+pub(in crate::transport) struct Port {
     stream: SerialStream,
 }
 

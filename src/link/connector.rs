@@ -1,11 +1,5 @@
-//! Transports: the streams that a link reads and writes, and how they are opened.
+//! Opens the connections of a link.
 
-#[cfg_attr(not(feature = "serial"), path = "no_serial.rs")]
-mod serial;
-mod tcp;
-mod udp;
-
-use std::any::Any;
 use std::fmt;
 use std::future::Future;
 use std::io;
@@ -14,33 +8,8 @@ use std::time::Duration;
 use futures::future::{BoxFuture, FutureExt};
 use tokio::io::{AsyncRead, AsyncWrite};
 
-use crate::endpoint::{Endpoint, Transport};
-
-/// A connection.
-pub(crate) trait Io: AsyncRead + AsyncWrite + Send + Unpin + Any {}
-impl<T: AsyncRead + AsyncWrite + Send + Unpin + Any> Io for T {}
-
-/// Numbers of datagrams that came to the ports of earlier requests.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct LateDatagrams {
-    /// Duplicates of the datagram that was read last from that port.
-    pub(crate) duplicates: u64,
-    /// All others.
-    pub(crate) others: u64,
-}
-
-impl dyn Io {
-    /// Returns the datagrams of earlier requests dropped since the last call; none for anything but
-    /// UDP.
-    ///
-    /// Not a method of the trait: it would be found on the box first, which is itself a connection.
-    pub(crate) fn take_late(&mut self) -> LateDatagrams {
-        let io: &mut dyn Any = self;
-        io.downcast_mut().map(udp::Datagrams::take_late).unwrap_or_default()
-    }
-}
-
-pub(crate) type BoxIo = Box<dyn Io>;
+use crate::endpoint::Endpoint;
+use crate::transport::BoxIo;
 
 /// Opens connections.
 pub(crate) enum Connector {
@@ -87,7 +56,10 @@ impl Connector {
     /// Begins to open a connection, with this timeout. `None`: there will never be another.
     pub(crate) fn open(&mut self, within: Duration) -> Option<BoxFuture<'static, io::Result<BoxIo>>> {
         let opening = match self {
-            Self::Endpoint { endpoint, keep_alive } => open(endpoint.clone(), *keep_alive).boxed(),
+            Self::Endpoint { endpoint, keep_alive } => {
+                let (endpoint, keep_alive) = (endpoint.clone(), *keep_alive);
+                async move { endpoint.transport().open(endpoint.framing(), keep_alive).await }.boxed()
+            }
             Self::Once(io) => {
                 let io = io.take()?;
                 async move { Ok(io) }.boxed()
@@ -112,14 +84,6 @@ impl fmt::Debug for Connector {
             Self::Custom { .. } => f.write_str("Connector(custom)"),
         }
     }
-}
-
-async fn open(endpoint: Endpoint, keep_alive: bool) -> io::Result<BoxIo> {
-    Ok(match endpoint.transport() {
-        Transport::Tcp { host, port } => Box::new(tcp::connect(host, *port, keep_alive).await?),
-        Transport::Udp { host, port } => Box::new(udp::connect(host, *port, endpoint.framing()).await?),
-        Transport::Serial { path, settings } => Box::new(serial::open(path, *settings).await?),
-    })
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 use std::fmt;
 use std::time::Duration;
 
-use super::InvalidSettings;
+use super::{InvalidSettings, UrlOptions};
 
 /// Assumptions about late and duplicate replies: when a duplicate can come, and how a station is
 /// proven to be in step.
@@ -41,6 +41,9 @@ pub const DEFAULT_COPY_WINDOW: Duration = Duration::from_millis(100);
 
 /// Default of the quiet time: silence that replaces the check of a station that refuses it (4E).
 pub const DEFAULT_QUIET: Duration = Duration::from_secs(1);
+
+/// Names of the options in a URL.
+pub(crate) const URL_OPTIONS: [&str; 4] = ["copies", "window", "quiet", "one_request"];
 
 /// Maximum of the copy window and of the quiet time: a day.
 const MAX_TIME: Duration = Duration::from_secs(86_400);
@@ -120,8 +123,33 @@ impl InStepSettings {
         self.one_request
     }
 
+    /// Reads [`URL_OPTIONS`]. The error is the rule that one of them breaks.
+    pub(crate) fn from_url(options: &UrlOptions<'_>) -> Result<Self, String> {
+        let mut settings = Self::new();
+        if let Some(text) = options.get("copies") {
+            let copies = text.parse().ok().filter(|_| text.bytes().all(|b| b.is_ascii_digit()));
+            settings = copies
+                .and_then(|copies| settings.with_copies(copies).ok())
+                .ok_or_else(|| format!("the option `copies={text}` must be a number from 0 to {MAX_COPIES}"))?;
+        }
+        if let Some(text) = options.get("window") {
+            settings = settings.with_window(time("window", text)?);
+        }
+        if let Some(text) = options.get("quiet") {
+            settings = settings.with_quiet(time("quiet", text)?);
+        }
+        if let Some(text) = options.get("one_request") {
+            settings = settings.with_one_request(match text {
+                "true" => true,
+                "false" => false,
+                _ => return Err(format!("the option `one_request={text}` must be `true` or `false`")),
+            });
+        }
+        Ok(settings)
+    }
+
     /// The options for a URL: those that differ from their defaults.
-    pub(super) fn options(self) -> impl Iterator<Item = String> {
+    pub(crate) fn url_options(self) -> impl Iterator<Item = String> {
         let usual = Self::new();
         let options = [
             (self.copies != usual.copies).then(|| format!("copies={}", self.copies)),
@@ -141,42 +169,6 @@ impl Default for InStepSettings {
 
 const fn bounded(time: Duration) -> Duration {
     if time.as_nanos() > MAX_TIME.as_nanos() { MAX_TIME } else { time }
-}
-
-/// The values of the options in a URL, not parsed.
-#[derive(Default)]
-pub(super) struct InStepOptions<'a> {
-    pub(super) copies: Option<&'a str>,
-    pub(super) window: Option<&'a str>,
-    pub(super) quiet: Option<&'a str>,
-    pub(super) one_request: Option<&'a str>,
-}
-
-impl InStepOptions<'_> {
-    /// Parses the options. The error is the rule that one of them breaks.
-    pub(super) fn parse(&self) -> Result<InStepSettings, String> {
-        let mut settings = InStepSettings::new();
-        if let Some(text) = self.copies {
-            let copies = text.parse().ok().filter(|_| text.bytes().all(|b| b.is_ascii_digit()));
-            settings = copies
-                .and_then(|copies| settings.with_copies(copies).ok())
-                .ok_or_else(|| format!("the option `copies={text}` must be a number from 0 to {MAX_COPIES}"))?;
-        }
-        if let Some(text) = self.window {
-            settings = settings.with_window(time("window", text)?);
-        }
-        if let Some(text) = self.quiet {
-            settings = settings.with_quiet(time("quiet", text)?);
-        }
-        if let Some(text) = self.one_request {
-            settings = settings.with_one_request(match text {
-                "true" => true,
-                "false" => false,
-                _ => return Err(format!("the option `one_request={text}` must be `true` or `false`")),
-            });
-        }
-        Ok(settings)
-    }
 }
 
 fn time(name: &str, text: &str) -> Result<Duration, String> {

@@ -1,8 +1,8 @@
 use std::io;
 
-use crate::endpoint::SerialSettings;
+use crate::settings::SerialSettings;
 
 /// Replaces serial ports in a build without them.
-pub(super) async fn open(_: &str, _: SerialSettings) -> io::Result<tokio::io::Empty> {
+pub(in crate::transport) async fn open(_: &str, _: SerialSettings) -> io::Result<tokio::io::Empty> {
     Err(io::Error::new(io::ErrorKind::Unsupported, "the crate `fatek` is built without its feature `serial`"))
 }

@@ -1,6 +1,6 @@
 use std::fmt;
 
-use super::InvalidSettings;
+use super::{InvalidSettings, UrlOptions};
 use crate::wire::Framing;
 
 /// Settings of a serial port: baud rate, data bits, parity and stop bits. No flow control.
@@ -98,13 +98,50 @@ impl SerialSettings {
         self.stop_bits
     }
 
+    /// Returns these settings, or 8N1 at the same baud rate if the framing needs more data bits.
+    pub(crate) fn for_framing(self, framing: Framing) -> Self {
+        match self.check(framing) {
+            Ok(settings) => settings,
+            Err(_) => self.with_data_bits(DataBits::Eight).with_parity(Parity::None).with_stop_bits(StopBits::One),
+        }
+    }
+
+    /// Reads the options `baud` and `frame`. The error is the rule that one of them breaks.
+    pub(crate) fn from_url(options: &UrlOptions<'_>, framing: Framing) -> Result<Self, String> {
+        let mut settings = Self::new(framing);
+        if let Some(text) = options.get("baud") {
+            let baud = text.parse().ok().filter(|_| text.bytes().all(|b| b.is_ascii_digit()));
+            settings = baud
+                .and_then(|baud| settings.with_baud(baud).ok())
+                .ok_or_else(|| format!("the baud rate `{text}` must be a number from {MIN_BAUD} to {MAX_BAUD}"))?;
+        }
+        if let Some(text) = options.get("frame") {
+            settings = settings.with_character(text).ok_or_else(|| {
+                format!(
+                    "the frame `{text}` must be data bits (7, 8), parity (N, E, O) and stop bits (1, 2), as in `7E1`"
+                )
+            })?;
+        }
+        Ok(settings)
+    }
+
+    /// The options for a URL: those that differ from the defaults of the framing.
+    pub(crate) fn url_options(self, framing: Framing) -> impl Iterator<Item = String> {
+        let usual = Self::new(framing);
+        let options = [
+            (self.baud != usual.baud).then(|| format!("baud={}", self.baud)),
+            (self.character() != usual.character()).then(|| format!("frame={}", self.character())),
+        ];
+        options.into_iter().flatten()
+    }
+
     /// Data bits, parity and stop bits, as in `7E1`.
-    pub(super) fn character(&self) -> String {
+    fn character(&self) -> String {
         format!("{}{}{}", self.data_bits, self.parity, self.stop_bits)
     }
 
     /// Sets data bits, parity and stop bits from a text such as `7E1`; `None` if it is malformed.
-    pub(super) fn with_character(self, text: &str) -> Option<Self> {
+    fn with_character(self, text: &str) -> Option<Self> {
         let mut letters = text.chars();
         let data_bits = match letters.next()? {
             '7' => DataBits::Seven,
@@ -127,7 +164,7 @@ impl SerialSettings {
     }
 
     /// Checks that there are enough data bits: the binary framing uses all values of a byte.
-    pub(super) fn check(self, framing: Framing) -> Result<Self, InvalidSettings> {
+    pub(crate) fn check(self, framing: Framing) -> Result<Self, InvalidSettings> {
         match (framing, self.data_bits) {
             (Framing::Binary, DataBits::Seven) => Err(InvalidSettings::DataBits { settings: self }),
             (Framing::Binary, DataBits::Eight) | (Framing::Ascii, _) => Ok(self),

@@ -4,6 +4,15 @@ use std::time::Duration;
 use socket2::{SockRef, TcpKeepalive};
 use tokio::net::TcpStream;
 
+use super::{Address, Kind, Transport, authority};
+
+pub(super) static KIND: Kind = Kind { prefix: "tcp://", own_options: None, is_remote: true, is_one_line: false, parse };
+
+fn parse(address: &Address<'_>) -> Result<Transport, String> {
+    let (host, port) = authority::parse(address.scheme, address.text, address.framing)?;
+    Ok(Transport::Tcp { host, port })
+}
+
 /// Connects to the first address of the host that accepts.
 pub(super) async fn connect(host: &str, port: u16, keep_alive: bool) -> io::Result<TcpStream> {
     let stream = TcpStream::connect((host, port)).await?;

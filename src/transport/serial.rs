@@ -1,0 +1,38 @@
+//! Serial ports: their URL. `port` opens them.
+
+#[cfg_attr(not(feature = "serial"), path = "serial/no_port.rs")]
+mod port;
+
+pub(super) use self::port::open;
+use super::{Address, Kind, OwnOptions, Transport};
+use crate::settings::SerialSettings;
+use crate::wire::Framing;
+
+pub(super) static KIND: Kind = Kind {
+    prefix: "serial:",
+    own_options: Some(OwnOptions { names: &["baud", "frame"], owner: ("a serial port", "serial ports") }),
+    is_remote: false,
+    is_one_line: true,
+    parse,
+};
+
+/// The port with this path, with the default settings of the ASCII framing.
+pub(super) fn new(path: &str) -> Transport {
+    Transport::Serial { path: path.to_owned(), settings: SerialSettings::new(Framing::Ascii) }
+}
+
+fn parse(address: &Address<'_>) -> Result<Transport, String> {
+    // A URL with an empty authority, `serial:///dev/ttyUSB0`, has the same path.
+    let path = address.text.strip_prefix("//").filter(|path| path.starts_with('/')).unwrap_or(address.text);
+    if path.is_empty() {
+        return Err("the path of the port is missing, as in `serial:/dev/ttyUSB0` or `serial:COM3`".to_owned());
+    }
+    if path.starts_with("//") {
+        return Err("the path follows `serial:` without `//`, as in `serial:/dev/ttyUSB0` or `serial:COM3`".to_owned());
+    }
+    if let Some(c) = path.chars().find(|c| c.is_control()) {
+        return Err(format!("the path has the character {c:?}, which is not valid in the path of a port"));
+    }
+    let settings = SerialSettings::from_url(address.options, address.framing)?;
+    Ok(Transport::Serial { path: path.to_owned(), settings })
+}
