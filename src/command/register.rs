@@ -7,7 +7,7 @@ use crate::element::{Register, Register32};
 use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 
 /// An element of 46 and 47: [`Register`] with a `u16` value, or [`Register32`] with a `u32` value.
-pub trait RegisterElement: ConsecutiveElement {}
+pub trait RegisterElement: ConsecutiveElement + sealed::Sealed {}
 
 impl RegisterElement for Register {}
 impl RegisterElement for Register32 {}
