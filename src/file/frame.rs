@@ -11,14 +11,31 @@ pub(crate) struct Kind(pub(crate) &'static str);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Content<'a> {
     pub(crate) text: &'a str,
-    /// The file has a newer minor version, which may have unknown fields.
-    pub(crate) is_newer: bool,
+    /// The minor version of the file. A newer one may have unknown fields, an older one lacks those of
+    /// [`ADDED`] that are newer.
+    pub(crate) minor: usize,
 }
 
 const MAGIC: &str = "fatek file ";
 /// The version of files that are written: see [the module](super#versions).
 const MAJOR: u32 = 1;
-const MINOR: u32 = 0;
+pub(crate) const MINOR: usize = newest(ADDED);
+
+/// A field that was added to a content, and the minor version that has it first.
+pub(crate) type AddedField = (&'static str, usize);
+
+/// The fields added since version 1.0, read by [`Lines::optional`](super::Lines::optional): their value
+/// is not known in an older file. A row here is a new minor version.
+pub(crate) const ADDED: &[AddedField] = &[];
+
+const fn newest(added: &[AddedField]) -> usize {
+    match added.split_last() {
+        Some(((_, minor), rest)) if *minor > newest(rest) => *minor,
+        Some((_, rest)) => newest(rest),
+        None => 0,
+    }
+}
+
 const LENGTH: &str = "length";
 const CHECKSUM: &str = "crc32";
 /// `crc32 1A2B3C4D` and a line feed.
@@ -88,7 +105,7 @@ pub(crate) fn unframe(kind: Kind, file: &[u8]) -> Result<Content<'_>, FormatErro
     }
     let (content, _) = rest.split_at_checked(length).unwrap_or((rest, &[]));
     let text = std::str::from_utf8(content).map_err(|_| FormatError::line(3, "the content is not UTF-8"))?;
-    Ok(Content { text, is_newer: u32::try_from(minor).map_or(true, |minor| minor > MINOR) })
+    Ok(Content { text, minor })
 }
 
 /// The first line, without its line feed, and what follows.

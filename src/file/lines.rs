@@ -1,5 +1,5 @@
 use super::FormatError;
-use super::frame::Content;
+use super::frame::{ADDED, AddedField, Content, MINOR};
 
 /// The lines of a content, one field each: `name value`.
 ///
@@ -10,7 +10,8 @@ pub(crate) struct Lines<'a> {
     /// The number of the last line in the file.
     number: usize,
     is_known: fn(&str) -> bool,
-    is_newer: bool,
+    minor: usize,
+    added: &'static [AddedField],
     unknown: Vec<String>,
 }
 
@@ -21,8 +22,8 @@ const ABOUT: &str = "about";
 
 impl<'a> Lines<'a> {
     pub(crate) fn new(content: Content<'a>, is_known: fn(&str) -> bool) -> Self {
-        let Content { text, is_newer } = content;
-        Self { rest: text, number: LINES_BEFORE, is_known, is_newer, unknown: Vec::new() }
+        let Content { text, minor } = content;
+        Self { rest: text, number: LINES_BEFORE, is_known, minor, added: ADDED, unknown: Vec::new() }
     }
 
     /// Takes the next line, which must have this name, and returns its value.
@@ -34,13 +35,17 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Takes the next line, which must have this name, and parses its value; `-` is `None`.
+    /// Takes the next line, which must have this name, and parses its value; `-` is `None`, and so is
+    /// a field that files of this version do not have yet.
     pub(crate) fn optional<T>(
         &mut self,
         name: &str,
         rule: &str,
         parse: impl FnOnce(&str) -> Option<T>,
     ) -> Result<Option<T>, FormatError> {
+        if self.is_later(name) {
+            return Ok(None);
+        }
         let text = self.field(name)?;
         if text == UNKNOWN {
             return Ok(None);
@@ -66,8 +71,11 @@ impl<'a> Lines<'a> {
     ///
     /// Returns the names of the fields that were skipped.
     pub(crate) fn in_form(self, content: Content<'_>, form: &str) -> Result<Vec<String>, FormatError> {
-        let mut lines = Lines::new(content, self.is_known);
+        let mut lines = Lines { added: self.added, ..Lines::new(content, self.is_known) };
         for expected in form.lines() {
+            if expected.split_once(' ').is_some_and(|(name, _)| self.is_later(name)) {
+                continue;
+            }
             let (found, wanted) = (lines.any_field()?, expected.split_once(' '));
             let is_about = |field: Option<(&str, &str)>| field.is_some_and(|(name, _)| name == ABOUT);
             if found != wanted && !(is_about(found) && is_about(wanted)) {
@@ -80,6 +88,11 @@ impl<'a> Lines<'a> {
         } else {
             Err(lines.error("the last line should end with a line feed"))
         }
+    }
+
+    /// Whether a field was added in a later version than that of the file.
+    fn is_later(&self, name: &str) -> bool {
+        self.added.iter().any(|&(added, since)| added == name && self.minor < since)
     }
 
     /// An error of the line that was taken last.
@@ -97,7 +110,7 @@ impl<'a> Lines<'a> {
             let (line, rest) = self.rest.split_once('\n').unwrap_or((self.rest, ""));
             self.rest = rest;
             let (name, _) = line.split_once(' ').unwrap_or((line, ""));
-            if !self.is_newer || (self.is_known)(name) {
+            if self.minor <= MINOR || (self.is_known)(name) {
                 return Some(line);
             }
             if !self.unknown.iter().any(|unknown| unknown == name) {
@@ -115,7 +128,7 @@ mod tests {
     use super::*;
 
     fn content(text: &str) -> Content<'_> {
-        Content { text, is_newer: false }
+        Content { text, minor: MINOR }
     }
 
     fn lines(text: &str) -> Lines<'_> {
@@ -157,9 +170,28 @@ mod tests {
     }
 
     #[test]
+    fn a_field_added_later_is_unknown_in_an_older_content() {
+        let (old, new) = ("a 1\nc 3\n", "a 1\nb 2\nc 3\n");
+        let added: &[AddedField] = &[("b", 1)];
+        let read = |text, minor| {
+            let content = Content { text, minor };
+            let mut lines = Lines { added, ..Lines::new(content, |_| true) };
+            lines.field("a")?;
+            let b = lines.optional("b", "a number", |text| text.parse::<u8>().ok())?;
+            lines.field("c")?;
+            let form = format!("a 1\nb {}\nc 3\n", b.map_or(UNKNOWN.to_owned(), |b| b.to_string()));
+            lines.in_form(content, &form).map(|_| b)
+        };
+        assert_eq!(read(old, 0), Ok(None));
+        assert_eq!(read(new, 1), Ok(Some(2)));
+        assert_eq!(read(old, 1).unwrap_err().to_string(), "line 4: `b` was expected");
+        assert_eq!(read(new, 0).unwrap_err().to_string(), "line 4: `c` was expected");
+    }
+
+    #[test]
     fn unknown_fields_are_skipped_in_a_newer_content_only() {
         let text = "new\na 1\nnewer 2\nnewer 3\nb 2\nlast 4\n";
-        let newer = Content { text, is_newer: true };
+        let newer = Content { text, minor: MINOR + 1 };
         let mut skipping = Lines::new(newer, |name| name.len() == 1);
         assert_eq!((skipping.field("a"), skipping.field("b")), (Ok("1"), Ok("2")));
         assert_eq!(skipping.error("x").to_string(), "line 7: x");

@@ -6,7 +6,7 @@ const NOTES: Kind = Kind("notes");
 const CONTENT: &str = "about a pump\nwords 0001 00FF\n";
 
 fn same(text: &str) -> Content<'_> {
-    Content { text, is_newer: false }
+    Content { text, minor: super::MINOR }
 }
 
 /// The file with another version, and a good checksum.
@@ -18,10 +18,10 @@ fn of_version(version: &str) -> String {
 
 #[test]
 fn newer_minor_versions_are_read_and_other_major_ones_not() {
-    for (version, is_newer) in [("1", false), ("1.1", true), ("1.987654321", true)] {
+    for (version, minor) in [("1", 0), ("1.1", 1), ("1.987654321", 987_654_321)] {
         assert_eq!(
             unframe(NOTES, of_version(version).as_bytes()),
-            Ok(Content { text: CONTENT, is_newer }),
+            Ok(Content { text: CONTENT, minor }),
             "{version}"
         );
     }
