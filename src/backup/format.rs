@@ -94,8 +94,8 @@ fn per_line(width: Width) -> usize {
 /// Whether this version has such a field. Names of elements have upper-case letters, and names of
 /// fields do not.
 fn is_known(name: &str) -> bool {
-    let is_field = matches!(name, "station" | "read" | "about" | "brief" | "status" | RANGE | MISSING);
-    is_field || name.starts_with(|first: char| first.is_ascii_uppercase())
+    let is_field = matches!(name, "station" | RANGE | MISSING);
+    is_field || Origin::FIELDS.contains(&name) || name.starts_with(|first: char| first.is_ascii_uppercase())
 }
 
 fn parse(content: Content<'_>) -> Result<Backup, FormatError> {

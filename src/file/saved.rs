@@ -21,6 +21,9 @@ pub(crate) fn optional_field(value: Option<String>) -> String {
 }
 
 impl Origin {
+    /// The names of its fields.
+    pub(crate) const FIELDS: [&str; 4] = ["read", "about", "brief", "status"];
+
     /// Its lines in a file. `about` is for people; it follows from other fields.
     pub(crate) fn lines(&self, about: Option<String>) -> String {
         format!(

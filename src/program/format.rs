@@ -44,7 +44,7 @@ fn about(program: &Program) -> String {
 }
 
 fn parse(content: Content<'_>) -> Result<Program, FormatError> {
-    let is_known = |name: &str| matches!(name, "read" | "about" | "brief" | "status" | "pages" | "page");
+    let is_known = |name: &str| Origin::FIELDS.contains(&name) || matches!(name, "pages" | "page");
     let mut lines = Lines::new(content, is_known);
     let origin = Origin::parse(&mut lines)?;
     let known = origin.read_at.is_some();
