@@ -34,12 +34,13 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 OUT = pathlib.Path(os.environ.get("MUTANTS_DIR", ROOT / "target/mutants-in-one-build"))
 TREE = OUT / "tree"
-GLOBS = ["src/wire/**", "src/command/**", "src/link/**", "src/transport/**"]
+GLOBS = ["src/hex.rs", "src/wire/**", "src/command/**", "src/link/**", "src/transport/**"]
 FEATURES = ["--features", "serial,sim"]
-# Tests that need the command line, or reach these folders only by paths of other tests.
-SKIPPED_TESTS = re.compile(r"^(cli.*|gateway|plan|program|backup|peers)$")
+# Tests that need the command line or another program, take minutes, or reach these folders only by paths of other
+# tests.
+SKIPPED_TESTS = re.compile(r"^(cli.*|gateway|in_step|plan|program|backup|peers|saved_files)$")
 # Tests in real time: a failure counts only if it is repeated.
-WALL_CLOCK = {"tcp", "udp", "serial", "pool"}
+WALL_CLOCK = {"tcp", "udp", "serial", "pool", "campaign"}
 SWITCH = """//! The active mutant.
 use std::io::Write as _;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -31,9 +31,11 @@ pub use crate::transport::{DEFAULT_PORT, Transport};
 ///   request of a connection waits this long, and so does the first after an unexpected reply.
 /// - `one_request=false`: `true` if the gateway closes the connection after each reply. Each
 ///   request waits for the quiet time, since a check would use up the connection.
+/// - `settle=0ms`: pause after the connection is opened, for devices that lose what they are sent
+///   just after that.
 ///
 /// Times are in `ms` or `s`, at most a day, and can have decimals: `1.5s`. See [`InStepSettings`]
-/// for the last four options.
+/// for the last five options.
 ///
 /// Default port: 500 with the ASCII framing; required with the binary framing. An IPv6 address is
 /// in brackets. Default of a serial port: 9600 baud and 7E1, or 8N1 with the binary framing,

@@ -1,10 +1,16 @@
 //! Errors of calls, and the error codes of replies.
 
+mod seen;
+
+use std::fmt;
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::command::{Code, InvalidRequest};
+
+pub(crate) use self::seen::Rounded;
+pub use self::seen::Seen;
 
 /// Error code of a refusal.
 ///
@@ -79,15 +85,14 @@ impl From<ErrorCode> for u8 {
 
 /// Why a call failed.
 ///
-/// [`may_have_executed`](Self::may_have_executed) tells whether the PLC can have executed it.
-#[derive(Clone, Debug, thiserror::Error)]
+/// [`may_have_executed`](Self::may_have_executed) tells whether the PLC can have executed it. The
+/// text has the whole cause; [`source`](std::error::Error::source) has only what is behind that.
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Error {
     /// The request breaks a rule of the protocol. Nothing was sent.
-    #[error("invalid request: {0}")]
-    Invalid(#[from] InvalidRequest),
+    Invalid(InvalidRequest),
     /// The PLC refused the request.
-    #[error("station {station} refused {code}: {error}")]
     #[non_exhaustive]
     Plc {
         /// The station.
@@ -100,51 +105,57 @@ pub enum Error {
         repeated: bool,
     },
     /// No reply came within the timeout.
-    #[error("station {station} did not answer {code} within {after:?}{}", unsent(*sent))]
     #[non_exhaustive]
     Timeout {
         /// The station.
         station: u8,
         /// The command.
         code: Code,
-        /// The time waited.
+        /// The time since the call was made.
         after: Duration,
-        /// Whether the request was sent. `false` if the check (4E) before it was not answered.
+        /// Whether the request was sent.
         sent: bool,
+        /// Number of times that the request was sent. 0 although the station was asked: the check
+        /// (4E) before it was not answered.
+        attempts: u32,
+        /// Whether a check (4E) was sent for the call. If neither that nor the request was sent,
+        /// the call was queued behind others all the time.
+        checked: bool,
+        /// What came instead of the reply.
+        seen: Seen,
     },
     /// Frames came within the timeout, but no reply to this request.
-    #[error("station {station} gave no usable reply to {code} within {after:?}: {reason}")]
     #[non_exhaustive]
     BadReply {
         /// The station.
         station: u8,
         /// The command.
         code: Code,
-        /// The time waited.
+        /// The time since the call was made.
         after: Duration,
-        /// Why the last frame was not a reply to this request.
+        /// Why the first such frame was not a reply to this request.
         reason: String,
         /// Whether the request was sent.
         sent: bool,
+        /// Number of times that the request was sent.
+        attempts: u32,
+        /// What else came.
+        seen: Seen,
     },
     /// Replies to earlier requests may still come, so that no reply can be matched to this request.
-    #[error("station {station}, {code}: {}", out_of_step(*sent, *after))]
     #[non_exhaustive]
     OutOfStep {
         /// The station.
         station: u8,
         /// The command.
         code: Code,
-        /// The time waited.
+        /// The time since the call was made.
         after: Duration,
         /// Whether the request was sent. `false` if the station refuses the check (4E) and the quiet
         /// time did not pass or is longer than the timeout of the call.
         sent: bool,
     },
     /// Duplicates came out of order during a job of several requests, also in all its repetitions.
-    #[error(
-        "station {station} sends duplicates of replies out of order: the results of several requests cannot be trusted"
-    )]
     #[non_exhaustive]
     Duplicates {
         /// The station.
@@ -153,7 +164,6 @@ pub enum Error {
         sent: bool,
     },
     /// The station did not answer several times in a row: calls fail until it answers a probe.
-    #[error("station {station} is offline; the next probe is due in {probe_in:?}")]
     #[non_exhaustive]
     Offline {
         /// The station.
@@ -164,7 +174,6 @@ pub enum Error {
         sent: bool,
     },
     /// The queue of calls for this station is full. Nothing was sent.
-    #[error("{limit} calls are waiting for station {station} already")]
     #[non_exhaustive]
     QueueFull {
         /// The station.
@@ -173,7 +182,6 @@ pub enum Error {
         limit: usize,
     },
     /// The connection could not be opened.
-    #[error("cannot connect to {endpoint}: {source}")]
     #[non_exhaustive]
     Connect {
         /// The endpoint.
@@ -184,7 +192,6 @@ pub enum Error {
         sent: bool,
     },
     /// The connection was lost.
-    #[error("the connection to {endpoint} was lost: {source}")]
     #[non_exhaustive]
     Disconnected {
         /// The endpoint.
@@ -195,7 +202,6 @@ pub enum Error {
         sent: bool,
     },
     /// A write of several requests failed after the first one, or was not confirmed at its end.
-    #[error("{written} of {count} values were written, and then: {source}")]
     #[non_exhaustive]
     PartlyWritten {
         /// Number of values, from the first on, that were certainly written.
@@ -209,7 +215,6 @@ pub enum Error {
         source: Box<Error>,
     },
     /// The link is closed, or its task has ended with its runtime.
-    #[error("the link is closed")]
     #[non_exhaustive]
     Closed {
         /// Whether the request was sent before.
@@ -217,17 +222,97 @@ pub enum Error {
     },
 }
 
-fn unsent(sent: bool) -> &'static str {
-    if sent { "" } else { "; the request was not sent: other requests, or the check before it, had not been answered" }
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Invalid(invalid) => write!(f, "invalid request: {invalid}"),
+            Self::Plc { station, code, error, repeated: _ } => write!(f, "station {station} refused {code}: {error}"),
+            Self::Timeout { station, code, after, sent, attempts, checked, seen } => {
+                let after = Rounded(*after);
+                match (sent, checked) {
+                    (true, _) => {
+                        write!(f, "station {station} did not answer {code} within {after}")?;
+                        if *attempts > 1 {
+                            write!(f, ", sent {attempts} times")?;
+                        }
+                    }
+                    (false, true) => write!(
+                        f,
+                        "station {station} did not answer the check before {code} within {after}, and the \
+                         request was not sent"
+                    )?,
+                    (false, false) => write!(f, "{code} to station {station} was queued for {after} and never sent")?,
+                }
+                came(seen, "; instead came: ", f)
+            }
+            Self::BadReply { station, code, after, reason, sent: _, attempts, seen } => {
+                write!(f, "station {station} gave no usable reply to {code} within {}", Rounded(*after))?;
+                if *attempts > 1 {
+                    write!(f, ", sent {attempts} times")?;
+                }
+                write!(f, ": {reason}")?;
+                came(seen, "; besides came: ", f)
+            }
+            Self::OutOfStep { station, code, after: _, sent: true } => write!(
+                f,
+                "station {station}, {code}: the reply may be a late one, or a duplicate of one, to an earlier request"
+            ),
+            Self::OutOfStep { station, code, after, sent: false } => write!(
+                f,
+                "station {station}, {code}: not sent within {}: replies to earlier requests may be under way, and the \
+                 station refuses the check, so it must be silent for the quiet time first",
+                Rounded(*after)
+            ),
+            Self::Duplicates { station, sent: _ } => write!(
+                f,
+                "station {station} sends duplicates of replies out of order: the results of several requests cannot be \
+                 trusted"
+            ),
+            Self::Offline { station, probe_in, sent: _ } => {
+                write!(f, "station {station} is offline; the next probe is due in {}", Rounded(*probe_in))
+            }
+            Self::QueueFull { station, limit } => {
+                write!(f, "{limit} calls are waiting for station {station} already")
+            }
+            Self::Connect { endpoint, source, sent: _ } => write!(f, "cannot connect to {endpoint}: {source}"),
+            Self::Disconnected { endpoint, source, sent: _ } => {
+                write!(f, "the connection to {endpoint} was lost: {source}")
+            }
+            Self::PartlyWritten { written, count, source } => {
+                write!(f, "{written} of {count} values were written, and then: {source}")
+            }
+            Self::Closed { sent: _ } => f.write_str("the link is closed"),
+        }
+    }
 }
 
-fn out_of_step(sent: bool, after: Duration) -> String {
-    match sent {
-        true => "the reply may be a late one, or a duplicate of one, to an earlier request".to_owned(),
-        false => format!(
-            "not sent within {after:?}: replies to earlier requests may be under way, and the station refuses the \
-             check, so it must be silent for the quiet time first"
-        ),
+fn came(seen: &Seen, before: &str, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    if seen.is_nothing() { Ok(()) } else { write!(f, "{before}{seen}") }
+}
+
+impl std::error::Error for Error {
+    /// The cause behind the one that the text already has, so that a chain of causes names each
+    /// once.
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Invalid(invalid) => invalid.source(),
+            Self::Connect { source, .. } | Self::Disconnected { source, .. } => source.source(),
+            Self::PartlyWritten { source, .. } => source.source(),
+            Self::Plc { .. }
+            | Self::Timeout { .. }
+            | Self::BadReply { .. }
+            | Self::OutOfStep { .. }
+            | Self::Duplicates { .. }
+            | Self::Offline { .. }
+            | Self::QueueFull { .. }
+            | Self::Closed { .. } => None,
+        }
+    }
+}
+
+impl From<InvalidRequest> for Error {
+    fn from(invalid: InvalidRequest) -> Self {
+        Self::Invalid(invalid)
     }
 }
 
@@ -312,6 +397,13 @@ impl Error {
         }
     }
 
+    /// A timeout of a call that nothing else is known of.
+    #[cfg(test)]
+    pub(crate) fn timeout(station: u8, code: Code, after: Duration, sent: bool) -> Self {
+        let attempts = u32::from(sent);
+        Self::Timeout { station, code, after, sent, attempts, checked: false, seen: Seen::default() }
+    }
+
     /// The error code of the PLC, if it refused the request.
     #[must_use]
     pub fn error_code(&self) -> Option<ErrorCode> {
@@ -338,7 +430,7 @@ mod tests {
 
     #[test]
     fn errors_tell_what_kind_they_are() {
-        let timeout = Error::Timeout { station: 1, code: Code::ReadStatus, after: Duration::from_secs(1), sent: true };
+        let timeout = Error::timeout(1, Code::ReadStatus, Duration::from_secs(1), true);
         let partly = Error::PartlyWritten { written: 64, count: 100, source: Box::new(timeout.clone()) };
         for error in [timeout, partly] {
             assert_eq!((error.is_timeout(), error.is_connect(), error.is_transient()), (true, false, true), "{error}");

@@ -136,7 +136,7 @@ pub use backup::Backup;
 pub use command::InvalidRequest;
 pub use element::{Discrete, Element, Register, Register32, Symbol, Value, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};
-pub use error::{Error, ErrorCode};
+pub use error::{Error, ErrorCode, Seen};
 pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
 pub use plan::{CostModel, Limits, Plan};
 pub use poll::Poller;

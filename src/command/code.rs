@@ -34,9 +34,9 @@ impl Code {
 }
 
 impl fmt::Display for Code {
-    /// The name and the code: `read registers (46)`.
+    /// The name and the code: `read registers (46h)`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} ({:02X})", self.name(), u8::from(*self))
+        write!(f, "{} ({:02X}h)", self.name(), u8::from(*self))
     }
 }
 

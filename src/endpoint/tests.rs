@@ -28,8 +28,8 @@ fn endpoints_round_trip() {
         ("tcp://plc?copies=1&window=100ms&quiet=1s&one_request=false", "tcp://plc:500"),
         ("udp://plc?window=0.1s&quiet=1000ms&copies=01", "udp://plc:500"),
         (
-            "udp://plc?one_request=true&quiet=1.50s&window=0.250s&copies=0",
-            "udp://plc:500?copies=0&window=250ms&quiet=1.5s&one_request=true",
+            "udp://plc?settle=0.70s&one_request=true&quiet=1.50s&window=0.250s&copies=0",
+            "udp://plc:500?copies=0&window=250ms&quiet=1.5s&one_request=true&settle=700ms",
         ),
         (
             "serial:COM3?copies=8&frame=8N1&framing=binary&baud=300&window=99.5ms",
@@ -88,7 +88,7 @@ fn errors_name_the_input_and_the_rule() {
         ("serial:COM3?parity=E", "unknown option `parity=E`"),
         (
             "tcp://plc?speed=9600",
-            "it must be `framing`, `copies`, `window`, `quiet` or `one_request`, or, for a serial",
+            "it must be `framing`, `copies`, `window`, `quiet`, `one_request` or `settle`, or, for a serial",
         ),
         ("tcp://plc?copies=9", "the option `copies=9` must be a number from 0 to 8"),
         ("tcp://plc?copies=256", "the option `copies=256` must be a number from 0 to 8"),
@@ -99,6 +99,8 @@ fn errors_name_the_input_and_the_rule() {
         ("tcp://plc?window=1s&window=1s", "the option `window` is given twice"),
         ("tcp://plc?quiet=1s&quiet=2s", "the option `quiet` is given twice"),
         ("tcp://plc?one_request=true&one_request=true", "the option `one_request` is given twice"),
+        ("tcp://plc?settle=1s&settle=2s", "the option `settle` is given twice"),
+        ("tcp://plc?settle=700", "the option `settle=700` must be a time in `ms` or `s`"),
         ("tcp://plc?window=100", "the option `window=100` must be a time in `ms` or `s`, such as `100ms` or `1.5s`"),
         ("tcp://plc?quiet=25h", "the option `quiet=25h` must be a time in `ms` or `s`"),
         ("tcp://plc?quiet=86400.000000001s", "the option `quiet=86400.000000001s` must be a time"),
@@ -161,7 +163,7 @@ fn in_step_settings_have_defaults_and_limits() {
     let usual = InStepSettings::new();
     assert_eq!(usual, InStepSettings::default());
     assert_eq!((usual.copies(), usual.window(), usual.quiet()), (DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET));
-    assert!(!usual.one_request());
+    assert!(!usual.one_request() && usual.settle().is_zero());
     assert_eq!(Endpoint::udp("plc", 500).in_step(), usual);
 
     for copies in 0..=u8::MAX {
@@ -184,6 +186,7 @@ fn in_step_settings_have_defaults_and_limits() {
         (Duration::MAX, DAY),
     ] {
         assert_eq!((usual.with_window(time).window(), usual.with_window(time).quiet()), (bounded, DEFAULT_QUIET));
+        assert_eq!(usual.with_settle(time).settle(), bounded);
         assert_eq!((usual.with_quiet(time).quiet(), usual.with_quiet(time).window()), (bounded, DEFAULT_COPY_WINDOW));
     }
     assert!(usual.with_one_request(true).one_request());

@@ -192,6 +192,19 @@ impl LinkBuilder {
         self
     }
 
+    /// Sets the mute timeout: a connection over which no request was answered for this time, by any
+    /// station, is closed, and another is opened. At least three requests must have failed. `None`:
+    /// never. Default: [`MUTE_TIMEOUT`](defaults::MUTE_TIMEOUT).
+    ///
+    /// Some devices and networks drop a connection without closing it. The connections after it are
+    /// opened with a [back-off](Self::connect_backoff) until one is answered. One silent station
+    /// among others that answer does not make a connection mute. A connection that cannot be opened
+    /// again ([`Link::from_stream`]) stays open.
+    pub fn mute_timeout(mut self, timeout: impl Into<Option<Duration>>) -> Self {
+        self.config.mute_timeout = timeout.into();
+        self
+    }
+
     /// Sets what is assumed of the line's replies: how late a duplicate may come, and what replaces
     /// the check where a device does not know it. Default: that of the
     /// [`Endpoint`](crate::Endpoint).
@@ -205,6 +218,13 @@ impl LinkBuilder {
     /// ```
     pub fn in_step(mut self, settings: InStepSettings) -> Self {
         self.config.in_step = settings;
+        self
+    }
+
+    /// Sets the settle time, as [`InStepSettings::with_settle`]: a pause between opening a connection
+    /// and the first request on it. Default: that of the [`Endpoint`](crate::Endpoint), or none.
+    pub fn settle(mut self, time: Duration) -> Self {
+        self.config.in_step = self.config.in_step.with_settle(time);
         self
     }
 
@@ -231,9 +251,11 @@ impl LinkBuilder {
     pub fn build(self) -> Link {
         let (state, watcher) = watch::channel(LinkState::Idle);
         let timeout = self.options.response_timeout.unwrap_or(self.response_timeout);
-        // A connection that cannot be opened again is not closed for being idle.
-        let idle_timeout = self.config.idle_timeout.filter(|_| !matches!(self.connector, Connector::Once(_)));
-        let config = Config { probe_timeout: timeout, idle_timeout, ..self.config };
+        // A connection that cannot be opened again is not closed.
+        let reopens = !matches!(self.connector, Connector::Once(_));
+        let idle_timeout = self.config.idle_timeout.filter(|_| reopens);
+        let mute_timeout = self.config.mute_timeout.filter(|_| reopens);
+        let config = Config { probe_timeout: timeout, idle_timeout, mute_timeout, ..self.config };
         let stats = Arc::new(SharedStats::default());
         let (name, framing) = (config.name.clone(), config.framing);
         let core = Core::new(config, stats.clone(), self.seed.unwrap_or_else(Random::seed));
@@ -271,6 +293,9 @@ impl LinkBuilder {
             byte_time: NETWORK_BYTE,
             settle: Duration::from_millis(30),
             frame_time: Duration::ZERO,
+            byte_timeout: defaults::BYTE_TIMEOUT,
+            slow_frame_time: defaults::SLOW_FRAME_TIME,
+            mute_timeout: Some(defaults::MUTE_TIMEOUT),
             frame_gap: Duration::ZERO,
             broadcast_gap: Duration::ZERO,
             echo: EchoMode::Off,

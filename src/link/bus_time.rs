@@ -76,6 +76,7 @@ impl World {
         let mut config = LinkBuilder::with_connector(Connector::Once(None), framing, "a line").config;
         config.frame_time = line.transmission(1024);
         config.probe_timeout = RESPONSE_TIMEOUT;
+        config.mute_timeout = None;
         if baud > 0 {
             config.byte_time = line.transmission(1);
         }
@@ -112,7 +113,8 @@ impl World {
         while self.now < end {
             match self.core.next_action(self.now) {
                 Action::Connect => self.core.connected(self.now),
-                Action::Disconnect => unreachable!("there is no idle timeout"),
+                Action::Disconnect | Action::Replace(_) => unreachable!("there is no idle timeout, nor a mute one"),
+                Action::ReadAgain => {}
                 Action::Send(_) => self.send(),
                 Action::Wait(until) => self.wait(until.unwrap_or(end).min(end)),
             }
@@ -136,7 +138,8 @@ impl World {
             }
             match self.core.next_action(self.now) {
                 Action::Connect => self.core.connected(self.now),
-                Action::Disconnect => unreachable!("there is no idle timeout"),
+                Action::Disconnect | Action::Replace(_) => unreachable!("there is no idle timeout, nor a mute one"),
+                Action::ReadAgain => {}
                 Action::Send(_) => self.send(),
                 // A confirmation may need no check.
                 Action::Wait(None) => {}

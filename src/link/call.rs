@@ -33,7 +33,7 @@ pub(crate) use self::spares::SpareSlots;
 use super::in_step::{Kind, Proof, Shape, Spelled};
 use super::options::{CallOptions, Lane};
 use crate::command::{Candidates, Code, Command, InvalidRequest, Run, Spelling};
-use crate::error::{Error, ErrorCode};
+use crate::error::{Error, ErrorCode, Seen};
 use crate::wire::{FieldError, Framing};
 
 /// A call as the link sees it, without the type of its request.
@@ -91,17 +91,24 @@ pub(crate) trait AnyCall: Send + Sync {
     /// transmission does not count as a repetition.
     fn uncount_send(&self);
 
+    /// Notes that a check was sent for the call.
+    fn mark_checked(&self);
+
+    /// Notes what came instead of the reply.
+    fn note(&self, seen: &Seen);
+
     /// Marks the call as waiting for the quiet time of a suspect station.
     fn await_silence(&self);
-
-    /// Whether the call waits for the quiet time of its station.
-    fn awaits_silence(&self) -> bool;
 
     /// Ends a call that has no reply of its own: a broadcast or a confirmation.
     fn complete_without_reply(&self, proof: Proof);
 
     /// Ends the call with an error.
     fn fail(&self, error: Error);
+
+    /// The error of a call that has no reply after this time: a timeout, or a bad reply if `fault`
+    /// has its reason.
+    fn unanswered(&self, after: Duration, fault: Option<String>) -> Error;
 
     /// Ends the call with [`Error::Closed`] unless it has ended.
     fn fail_if_pending(&self);
@@ -144,6 +151,18 @@ pub(crate) struct PendingCall {
     /// A write was refused in another spelling when the station had this number of strays. With one
     /// more, the refusal may have been another request's, and the write may have been executed.
     pub(crate) refused_at: Option<u32>,
+    /// How often the check before a write may still be repeated: nothing was sent then.
+    pub(crate) check_retries_left: u32,
+    /// Why the first attempt of the request itself has failed.
+    pub(crate) cause: Option<Cause>,
+}
+
+/// Why an attempt has failed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Cause {
+    Silence,
+    /// A frame came that was not the reply, for this reason.
+    Fault(String),
 }
 
 /// A call in the framing of its link, as the rule of `in_step` sees it.
@@ -183,12 +202,16 @@ impl PendingCall {
 
     /// Ends a call whose deadline has passed or whose caller has given up.
     pub(crate) fn expire(&self) {
-        let CallMeta { station, code, options, .. } = **self;
-        let (after, sent) = (options.call_timeout, self.slot.was_sent());
-        self.slot.fail(match self.slot.awaits_silence() {
-            true => Error::OutOfStep { station, code, after, sent },
-            false => Error::Timeout { station, code, after, sent },
-        });
+        self.slot.fail(self.unanswered(self.options.call_timeout));
+    }
+
+    /// The error of the call if it ends without a reply after this time.
+    pub(crate) fn unanswered(&self, after: Duration) -> Error {
+        let fault = match &self.cause {
+            Some(Cause::Fault(reason)) => Some(reason.clone()),
+            Some(Cause::Silence) | None => None,
+        };
+        self.slot.unanswered(after, fault)
     }
 
     pub(crate) fn is_broadcast(&self) -> bool {
@@ -215,6 +238,7 @@ pub(crate) fn new<C: Command>(
     spares: &SpareSlots,
 ) -> (PendingCall, CallFuture<C>) {
     let retries_left = meta.options.retries_for(C::CODE.class());
+    let check_retries_left = meta.options.retries.saturating_sub(retries_left);
     let slot = match spares.take::<CallSlot<C>>() {
         None => Arc::new(CallSlot::new(request, implied_reply, meta)),
         Some(mut spare) => match Arc::get_mut(&mut spare) {
@@ -225,7 +249,15 @@ pub(crate) fn new<C: Command>(
             }
         },
     };
-    let call = PendingCall { slot: slot.clone(), retries_left, unproven_once: false, plain: false, refused_at: None };
+    let call = PendingCall {
+        slot: slot.clone(),
+        retries_left,
+        unproven_once: false,
+        plain: false,
+        refused_at: None,
+        check_retries_left,
+        cause: None,
+    };
     (call, CallFuture::new(slot))
 }
 

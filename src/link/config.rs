@@ -29,6 +29,12 @@ pub(crate) struct Config {
     pub(crate) settle: Duration,
     /// Transmission time of the longest frame; zero on a network.
     pub(crate) frame_time: Duration,
+    /// How long to wait for the next byte of a frame that comes after the response timeout.
+    pub(crate) byte_timeout: Duration,
+    /// How long after the response timeout a frame may end whose bytes keep coming.
+    pub(crate) slow_frame_time: Duration,
+    /// Silence of all stations after which the connection is replaced; `None`: never.
+    pub(crate) mute_timeout: Option<Duration>,
     /// Silence between a reply and the next request.
     pub(crate) frame_gap: Duration,
     /// Silence after a broadcast.

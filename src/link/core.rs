@@ -24,6 +24,7 @@ mod tests;
 
 use std::io;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::BytesMut;
 use tokio::time::Instant;
@@ -34,10 +35,11 @@ use super::connection::{Connection, ConnectionState};
 use super::exchange::{Exchange, Outgoing};
 use super::in_step::{InStep, Prices, Proof};
 use super::later;
+use super::mute::MuteDetector;
 use super::scheduler::Scheduler;
 use super::stations::Stations;
 use super::stats::{SharedStats, StationState, add};
-use crate::error::Error;
+use crate::error::{Error, Seen};
 use crate::random::Random;
 use crate::transport::LateDatagrams;
 
@@ -54,6 +56,13 @@ pub(crate) enum Action {
     Send(Instant),
     /// Nothing, until bytes or a call come, or until this instant.
     Wait(Option<Instant>),
+    /// The response timeout of the request on the wire has passed. Read all data that have come by
+    /// now, also those that the operating system has and the runtime has not seen, and call
+    /// [`Core::next_action`] again.
+    ReadAgain,
+    /// Nothing was answered over the connection for this time: call [`Core::disconnected`], so that
+    /// another is opened.
+    Replace(Duration),
 }
 
 #[derive(Debug)]
@@ -79,6 +88,11 @@ pub(crate) struct Core {
     echo_was_last: bool,
     /// Number of connections in a row that were closed right after the echo of a check.
     closed_behind_echo: u32,
+    mute: MuteDetector,
+    /// The station of the last request without a reply, and when it was given up.
+    timed_out: Option<(u8, Instant)>,
+    /// All data were read after the response timeout of the request on the wire.
+    has_read_again: bool,
 }
 
 /// Number of such connections after which silence replaces the check.
@@ -102,6 +116,9 @@ impl Core {
             one_request: config.in_step.one_request(),
             echo_was_last: false,
             closed_behind_echo: 0,
+            mute: MuteDetector::new(config.mute_timeout),
+            timed_out: None,
+            has_read_again: false,
             config,
         }
     }
@@ -126,8 +143,14 @@ impl Core {
         loop {
             if let Some(active) = self.exchange.active() {
                 if now < active.deadline {
+                    self.has_read_again = false;
                     return Action::Wait(Some(active.deadline));
                 }
+                // This process may have been stopped, with the reply in the socket.
+                if !std::mem::replace(&mut self.has_read_again, true) {
+                    return Action::ReadAgain;
+                }
+                self.has_read_again = false;
                 self.give_up(now);
                 // Data that have come by now are read before anything else is sent.
                 return Action::Wait(Some(now));
@@ -158,6 +181,11 @@ impl Core {
                     return Action::Connect;
                 }
                 ConnectionState::Up { .. } => {}
+            }
+            if let Some(silent) = self.mute.mute_for(now) {
+                self.mute.reset();
+                self.stats.count_link(|link| add(&mut link.mute_connections, 1));
+                return Action::Replace(silent);
             }
             if let Some(until) = self.hold_until.filter(|&until| now < until) {
                 return Action::Wait(Some(until));
@@ -194,8 +222,8 @@ impl Core {
             self.hold_until = Some(later(at, self.config.broadcast_gap));
             return;
         }
-        let (deadline, full_timeout) = self.response_deadline(&active.outgoing, at);
-        self.exchange.sent(at, deadline, full_timeout);
+        let deadline = later(at, self.response_timeout(&active.outgoing));
+        self.exchange.sent(at, deadline);
     }
 
     /// Notes that datagrams came to the ports of earlier requests, and were dropped.
@@ -228,10 +256,14 @@ impl Core {
         if let (Some(active), false) = (self.exchange.active(), self.exchange.received.is_empty())
             && let Some(sent) = active.sent
         {
-            let (usual, _) = self.response_deadline(&active.outgoing, sent);
-            let latest = active.outgoing.call().map_or(usual, |call| call.deadline);
-            let extended = later(now, self.config.settle).min(later(usual, self.config.frame_time)).min(latest);
-            self.exchange.expect_until(extended.max(active.deadline));
+            let usual = later(sent, self.response_timeout(&active.outgoing));
+            let extended = later(now, self.config.byte_timeout).min(later(usual, self.config.slow_frame_time));
+            if extended > active.deadline {
+                if let Some(call) = active.outgoing.call() {
+                    call.slot.note(&Seen { half_frame: true, ..Seen::default() });
+                }
+                self.exchange.expect_until(extended);
+            }
         }
     }
 
@@ -253,6 +285,8 @@ impl Core {
             self.stations.probe_soon(now);
         }
         self.connection.opened();
+        self.mute.reset();
+        self.hold_until = Some(later(now, self.config.in_step.settle()));
         self.stats.count_link(|link| add(&mut link.connects, 1));
     }
 
@@ -284,7 +318,11 @@ impl Core {
                 Some(call) => {
                     let endpoint = self.config.name.to_string();
                     let source = error.clone();
-                    self.retry_or_fail(call, now, |sent| Error::Disconnected { endpoint, source, sent });
+                    self.retry_or_fail(call, now, |call, _| Error::Disconnected {
+                        endpoint,
+                        source,
+                        sent: call.slot.was_sent(),
+                    });
                 }
             }
         }
@@ -313,6 +351,16 @@ impl Core {
             let endpoint = self.config.name.to_string();
             call.slot.fail(Error::Disconnected { endpoint, source: error.clone(), sent });
         }
+    }
+
+    /// Fails all calls, and begins anew as without a connection.
+    pub(crate) fn runtime_ended(&mut self, error: &Arc<io::Error>) {
+        self.abort(error);
+        self.connection.closed();
+        self.exchange.forget();
+        self.mute.reset();
+        self.hold_until = None;
+        self.has_read_again = false;
     }
 
     /// Whether no request is on the wire.

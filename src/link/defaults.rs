@@ -29,5 +29,14 @@ pub const OFFLINE_AFTER: u32 = 3;
 /// Shortest and longest interval between probes of an offline station.
 pub const PROBE_INTERVAL: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 
+/// Silence of all stations of a connection after which it is replaced.
+pub const MUTE_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Time to wait for the next byte of a reply that comes slowly.
+pub const BYTE_TIMEOUT: Duration = Duration::from_millis(100);
+
+/// Time after the response timeout in which a reply must end whose bytes keep coming.
+pub const SLOW_FRAME_TIME: Duration = Duration::from_secs(8);
+
 /// Calls that can wait for one station.
 pub const QUEUE_CAPACITY: usize = 1024;

@@ -44,6 +44,7 @@ use super::core::{Action, Core};
 use super::io_waker::IoWaker;
 use super::later;
 use super::line::Line;
+use crate::error::Rounded;
 use crate::transport::{BoxIo, Io};
 
 /// The connection of a link, and everything needed to open and use it.
@@ -73,6 +74,8 @@ pub(crate) struct Driver {
     orphaned: bool,
     /// Nothing new is begun.
     ending: bool,
+    /// Number of bytes that were received since other tasks could run.
+    received: usize,
 }
 
 /// A request that is being written.
@@ -93,6 +96,8 @@ pub(crate) enum DriverStatus {
     NeedsTask,
     /// Other tasks must run first: there is more to do.
     Yield,
+    /// The runtime must look for I/O events first.
+    AfterEvents,
     /// The link has ended.
     Ended,
 }
@@ -122,6 +127,10 @@ impl Clock {
 /// Maximum number of reads before a request, and of actions before other tasks run.
 const MAX_AT_ONCE: usize = 64;
 
+/// Maximum number of received bytes that are handled before other tasks run: a peer that never stops
+/// must not hold up the runtime.
+const MAX_BYTES_AT_ONCE: usize = 8 * buffer::LEN;
+
 impl Driver {
     pub(crate) fn new(
         core: Core,
@@ -148,6 +157,7 @@ impl Driver {
             writing: None,
             orphaned: false,
             ending: false,
+            received: 0,
         }
     }
 
@@ -161,6 +171,24 @@ impl Driver {
         if !self.core.is_closing() {
             self.core.close();
         }
+    }
+
+    /// Closes the connection and fails all calls: the runtime that the connection belongs to has
+    /// ended. Returns `false` if there can be no other connection.
+    pub(crate) fn runtime_ended(&mut self) -> bool {
+        if !self.connector.reopens() || self.ending || self.core.is_closing() {
+            return false;
+        }
+        self.io = None;
+        self.opening = None;
+        self.open_requested = false;
+        self.writing = None;
+        self.sent_until = None;
+        self.read_armed = false;
+        let error = Arc::new(io::Error::other("the runtime of the link's task has ended"));
+        self.core.runtime_ended(&error);
+        self.state.send_replace(LinkState::Down { error });
+        true
     }
 
     /// Notes that the last handle was dropped.
@@ -206,7 +234,16 @@ impl Driver {
         // A user's stream may have data without waking its reader.
         self.read_armed = self.read_armed && self.connector.wakes_reader();
         let mut sends = false;
+        if by == AdvancedBy::LinkTask {
+            self.received = 0;
+        }
         for _ in 0..MAX_AT_ONCE {
+            if self.received >= MAX_BYTES_AT_ONCE {
+                return match by {
+                    AdvancedBy::Caller => DriverStatus::NeedsTask,
+                    AdvancedBy::LinkTask => DriverStatus::AfterEvents,
+                };
+            }
             if self.ending {
                 return self.end(clock.now());
             }
@@ -258,6 +295,19 @@ impl Driver {
                 // The exchange on the wire ends first: the PLC must not be cut off in its reply.
                 Action::Wait(_) if (self.core.is_closing() || self.orphaned) && self.core.is_idle() => {
                     self.ending = true
+                }
+                Action::ReadAgain => {
+                    self.read_armed = false;
+                    if by == AdvancedBy::Caller {
+                        return DriverStatus::NeedsTask;
+                    }
+                    return DriverStatus::AfterEvents;
+                }
+                Action::Replace(silent) => {
+                    let silent = Rounded(silent);
+                    tracing::debug!(%silent, "nothing is answered over the connection");
+                    let reason = format!("no station answered over the connection for {silent}");
+                    self.connection_lost(io::Error::new(io::ErrorKind::TimedOut, reason), now);
                 }
                 Action::Wait(until) => {
                     if self.opening.is_some() || self.open_requested {
@@ -341,7 +391,7 @@ impl Driver {
     /// Reads all data and passes them to the core. Returns whether all were read: from a peer that
     /// never stops, only a number of reads are taken.
     fn read_all(&mut self, cx: &mut Context<'_>, clock: &mut Clock) -> io::Result<bool> {
-        for _ in 0..MAX_AT_ONCE {
+        while self.received < MAX_BYTES_AT_ONCE {
             let Some(io) = &mut self.io else { return Ok(true) };
             self.io_waker.clear_ready();
             let mut bytes = [const { MaybeUninit::uninit() }; buffer::LEN];
@@ -364,6 +414,7 @@ impl Driver {
     }
 
     fn process_bytes(&mut self, bytes: &[u8], now: Instant) {
+        self.received = self.received.saturating_add(bytes.len());
         let borrows = self.core.receive_buffer().is_empty();
         if borrows {
             *self.core.receive_buffer() = buffer::borrow();

@@ -149,8 +149,6 @@ pub(crate) struct Active {
     pub(crate) sent: Option<Instant>,
     /// When the reply is given up.
     pub(crate) deadline: Instant,
-    /// Whether the deadline leaves the station the full response timeout.
-    pub(crate) full_timeout: bool,
     /// The error in the last frame that came instead of the reply.
     pub(crate) fault: Option<String>,
     /// Shape of the positive reply.
@@ -284,7 +282,6 @@ impl Exchange {
             began: now,
             sent: None,
             deadline,
-            full_timeout: false,
             fault: None,
             echoed: false,
             discarded: 0,
@@ -293,12 +290,11 @@ impl Exchange {
     }
 
     /// Notes that the request was sent at `at`, and sets the deadline of its reply.
-    pub(crate) fn sent(&mut self, at: Instant, deadline: Instant, full_timeout: bool) {
+    pub(crate) fn sent(&mut self, at: Instant, deadline: Instant) {
         self.written();
         if let Some(active) = &mut self.active {
             active.sent = Some(at);
             active.deadline = deadline;
-            active.full_timeout = full_timeout;
         }
     }
 

@@ -14,6 +14,7 @@
 // - `call`: the state that a caller and the link share for one call.
 // - `job`: several calls that are confirmed together.
 // - `stats`: counters and states. `by_station`: a map. `buffer`: a buffer per thread.
+// - `mute`: detects connections over which nothing is answered any more.
 // - `connect_limiter`: limits the connection attempts of several links.
 // - `connector`: opens the connections. `line`: transmission times.
 mod buffer;
@@ -34,6 +35,7 @@ mod in_step;
 mod io_waker;
 pub(crate) mod job;
 mod line;
+mod mute;
 mod shared;
 pub(crate) use line::Line;
 mod options;
@@ -47,10 +49,11 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use futures::FutureExt;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
-use tokio::task::consume_budget;
+use tokio::task::{consume_budget, yield_now};
 use tokio::time::{Instant, timeout_at};
 use tracing::Instrument;
 
@@ -62,7 +65,7 @@ use self::shared::Shared;
 use self::stats::SharedStats;
 use crate::command::{Command, InvalidRequest, Spelling};
 use crate::endpoint::Endpoint;
-use crate::error::Error;
+use crate::error::{Error, Rounded};
 use crate::station::{Broadcast, Station};
 use crate::wire::Framing;
 
@@ -315,18 +318,27 @@ impl Link {
         let span = tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name());
         // Work for the link may also serve calls of others, so it runs in the link's span.
         self.span().in_scope(|| self.inner.shared.submit(call));
+        // The runtime of the task may have ended just before.
+        if let Err(error) = self.start() {
+            return CallOutcome::none(Err(error), future.spelling());
+        }
         // A call may be ready at once: a broadcast is done when it is written. Other tasks must run
         // all the same.
         consume_budget().await;
-        let answered = timeout_at(deadline, &mut future).await;
+        let mut answered = timeout_at(deadline, &mut future).await.ok();
+        // This process may have been stopped until now, with the reply in the socket: the runtime
+        // looks for events, and then the link's task reads it.
+        for _ in 0..LOOKS_AT_DEADLINE {
+            if answered.is_some() {
+                break;
+            }
+            yield_now().await;
+            answered = (&mut future).now_or_never();
+        }
         drop(span);
-        let result = answered.unwrap_or_else(|_| {
-            let after = queued_at.elapsed();
-            let (code, sent) = (C::CODE, future.abandon());
-            Err(match future.awaits_silence() {
-                true => Error::OutOfStep { station, code, after, sent },
-                false => Error::Timeout { station, code, after, sent },
-            })
+        let result = answered.unwrap_or_else(|| {
+            future.abandon();
+            Err(future.unanswered(queued_at.elapsed()))
         });
         let mut outcome = CallOutcome::none(result.map_err(|error| self.explain(error, deadline)), future.spelling());
         outcome.replied_at = future.replied_at();
@@ -341,29 +353,30 @@ impl Link {
     /// Replaces a timeout by the connection's error if the call waited for the connection until its
     /// deadline.
     fn explain(&self, error: Error, deadline: Instant) -> Error {
+        let Error::Timeout { after, sent, .. } = error else { return error };
         // Before its deadline a call times out because its station is silent, not because of the
         // connection.
-        if !matches!(error, Error::Timeout { sent: false, .. }) || Instant::now() < deadline {
+        if Instant::now() < deadline {
             return error;
         }
-        match &*self.inner.state.borrow() {
-            LinkState::Down { error } => self.connect_error(error.clone()),
-            LinkState::Waiting => {
-                let reason = "still waiting for other connections to be opened";
-                self.connect_error(Arc::new(io::Error::new(io::ErrorKind::TimedOut, reason)))
-            }
-            LinkState::Idle | LinkState::Connecting | LinkState::Up | LinkState::Closed => error,
-        }
+        let still = |doing: &str| {
+            Arc::new(io::Error::new(io::ErrorKind::TimedOut, format!("still {doing} after {}", Rounded(after))))
+        };
+        let source = match &*self.inner.state.borrow() {
+            LinkState::Down { error } => error.clone(),
+            LinkState::Connecting => still("connecting"),
+            LinkState::Waiting => still("waiting for other connections to be opened"),
+            LinkState::Idle | LinkState::Up | LinkState::Closed => return error,
+        };
+        Error::Connect { endpoint: self.inner.name.to_string(), source, sent }
     }
 
-    /// Starts the task with the first call.
+    /// Starts the task with the first call, and with the first one after its runtime has ended.
     fn start(&self) -> Result<(), Error> {
-        if self.inner.shared.is_started(false) {
-            return Ok(());
-        }
         // Fails before the task is taken, so that a caller without a runtime does not use it up.
+        // A started task does not need the caller's runtime, but the caller's timer does.
         let runtime = Handle::try_current().map_err(|error| self.connect_error(Arc::new(io::Error::other(error))))?;
-        if !self.inner.shared.is_started(true) {
+        if !self.inner.shared.is_started(false) && !self.inner.shared.is_started(true) {
             let task = self.inner.shared.clone().run();
             runtime.spawn(task.instrument(self.span()));
         }
@@ -379,6 +392,10 @@ impl Link {
         Error::Connect { endpoint: self.inner.name.to_string(), source, sent: false }
     }
 }
+
+/// How often the runtime looks for events after the deadline of a call: once for the caller, and
+/// once more for the link's task.
+const LOOKS_AT_DEADLINE: u32 = 3;
 
 /// Purpose of a call.
 pub(crate) enum Purpose<C: Command> {

@@ -36,7 +36,15 @@ pub(crate) struct Scheduler {
     ageing: Duration,
     /// Used bus time of the station that was served last: an idle station starts from there.
     served: Duration,
+    /// Bus time of timeouts that need not be charged.
+    allowance: Duration,
 }
+
+/// The part of the bus time, one in so many, by which the allowance grows.
+const ALLOWANCE_SHARE: u32 = 50;
+
+/// The most that the allowance can be.
+const MAX_ALLOWANCE: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Default)]
 struct Queues {
@@ -73,7 +81,15 @@ impl Queues {
 
 impl Scheduler {
     pub(crate) fn new(capacity: usize, ageing: Duration) -> Self {
-        Self { only: None, queued: 0, stations: ByStation::new(), capacity, ageing, served: Duration::ZERO }
+        Self {
+            only: None,
+            queued: 0,
+            stations: ByStation::new(),
+            capacity,
+            ageing,
+            served: Duration::ZERO,
+            allowance: MAX_ALLOWANCE,
+        }
     }
 
     /// Appends a call to its queue. Returns it if the station's queues are full.
@@ -200,8 +216,30 @@ impl Scheduler {
         queues.flat_map(std::mem::take).collect()
     }
 
+    /// Adds a timeout to the used bus time of a station, but no more than a place at the end of the
+    /// present round if the allowance covers the rest. So a station that has lost one reply is
+    /// served again in the next round, and one that loses many pays for them.
+    pub(crate) fn charge_timeout(&mut self, station: u8, time: Duration) {
+        let used = |queues: &Queues| queues.service.used;
+        let others = self.stations.iter().filter(|&(other, queues)| other != station && queues.len() > 0);
+        let end_of_round = others.map(|(_, queues)| used(queues)).max().unwrap_or(self.served);
+        let before = self.stations.get(station).map(used).unwrap_or_default();
+        let debt = before.saturating_add(time).saturating_sub(end_of_round.max(before));
+        let Some(rest) = self.allowance.checked_sub(debt) else { return self.charge(station, time) };
+        self.allowance = rest;
+        self.charge(station, time.saturating_sub(debt));
+    }
+
+    /// Forgets what a station has used more than others: it is back after it was offline.
+    pub(crate) fn forgive(&mut self, station: u8) {
+        let served = self.served;
+        self.queues(station, |queues| queues.service.used = queues.service.used.min(served));
+    }
+
     /// Adds to the used bus time of a station.
     pub(crate) fn charge(&mut self, station: u8, time: Duration) {
+        let grown = time.checked_div(ALLOWANCE_SHARE).unwrap_or_default();
+        self.allowance = self.allowance.saturating_add(grown).min(MAX_ALLOWANCE);
         self.queues(station, |queues| queues.service.used = queues.service.used.saturating_add(time));
     }
 

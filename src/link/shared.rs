@@ -15,7 +15,8 @@
 //! - A call that is in the inbox when the lock is released is taken by the thread that has released
 //!   it, or by the next holder.
 //! - The task's timer is due no later than the first instant that the driver waits for.
-//! - When the task has ended, for any reason, no call waits.
+//! - When the task has ended, for any reason, no call waits. If it has ended with its runtime, the
+//!   next call starts another.
 //! - A transport that panics ends the task, even if a caller was advancing the driver, and no
 //!   caller.
 //!
@@ -33,7 +34,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::task::{Context, Poll};
 
 use futures::future::FutureExt;
-use tokio::task::unconstrained;
+use tokio::task::{unconstrained, yield_now};
 use tokio::time::{Instant, Sleep, sleep_until};
 
 use super::call::PendingCall;
@@ -176,20 +177,24 @@ impl Shared {
     pub(crate) fn run(self: Arc<Self>) -> impl Future<Output = ()> + Send {
         // Ends the link also if the task is dropped with its runtime, even before it was first
         // polled.
-        let shared = EndOnDrop(self);
+        let shared = EndOnDrop { link: self, finished: false };
         async move {
-            let shared = shared;
+            let mut shared = shared;
             let mut timer = pin!(sleep_until(Instant::now()));
             // Tokio's budget is not needed: `advance` yields by itself after a number of actions.
-            unconstrained(poll_fn(|cx| shared.0.poll(cx, timer.as_mut()))).await;
+            while unconstrained(poll_fn(|cx| shared.link.poll(cx, timer.as_mut()))).await == TaskStatus::AfterEvents {
+                // Tokio looks for I/O events before the task goes on.
+                yield_now().await;
+            }
+            shared.finished = true;
         }
     }
 
-    fn poll(&self, cx: &mut Context<'_>, mut timer: Pin<&mut Sleep>) -> Poll<()> {
+    fn poll(&self, cx: &mut Context<'_>, mut timer: Pin<&mut Sleep>) -> Poll<TaskStatus> {
         self.io_waker.register(cx.waker());
         loop {
             let mut guard = lock(&self.slot);
-            let Some(slot) = guard.as_mut() else { return Poll::Ready(()) };
+            let Some(slot) = guard.as_mut() else { return Poll::Ready(TaskStatus::Ended) };
             if let Some(panic) = slot.panic.take() {
                 drop(guard);
                 resume_unwind(panic);
@@ -206,7 +211,8 @@ impl Shared {
                 slot.driver.push(call, now);
             }
             match slot.driver.advance(AdvancedBy::LinkTask, now) {
-                DriverStatus::Ended => return Poll::Ready(()),
+                DriverStatus::Ended => return Poll::Ready(TaskStatus::Ended),
+                DriverStatus::AfterEvents => return Poll::Ready(TaskStatus::AfterEvents),
                 DriverStatus::NeedsTask | DriverStatus::Yield => {
                     cx.waker().wake_by_ref();
                     return Poll::Pending;
@@ -237,6 +243,27 @@ impl Shared {
     #[cfg(test)]
     pub(crate) fn debug_text(&self) -> String {
         lock(&self.slot).as_ref().map(|slot| slot.driver.debug_text()).unwrap_or_default()
+    }
+
+    /// Detaches the link from a runtime that has ended: its calls fail, its connection is closed, and
+    /// the next call starts a task again. Returns `false` if the link ends instead.
+    fn detach(&self) -> bool {
+        if self.is_closed() || self.orphaned.load(Ordering::Acquire) {
+            return false;
+        }
+        let mut guard = lock(&self.slot);
+        let Some(slot) = guard.as_mut() else { return false };
+        if slot.panic.is_some() || !slot.driver.runtime_ended() {
+            return false;
+        }
+        slot.timer = None;
+        // Before the inbox is emptied: a call that comes later finds that the task must be started.
+        self.started.store(false, Ordering::Release);
+        drop(guard);
+        // A waker keeps the memory of its task, and with it that of the runtime.
+        self.io_waker.unregister();
+        drop(self.take_inbox());
+        true
     }
 
     fn end(&self) {
@@ -284,12 +311,26 @@ impl DriverSlot {
     }
 }
 
-/// Ends the link when it is dropped.
-struct EndOnDrop(Arc<Shared>);
+/// Why the task has stopped to poll the driver.
+#[derive(Debug, PartialEq, Eq)]
+enum TaskStatus {
+    Ended,
+    /// The runtime must look for I/O events first.
+    AfterEvents,
+}
+
+/// Ends the link when it is dropped, or leaves it to a task of another runtime.
+struct EndOnDrop {
+    link: Arc<Shared>,
+    /// The task has ended by itself, and not with its runtime.
+    finished: bool,
+}
 
 impl Drop for EndOnDrop {
     fn drop(&mut self) {
-        self.0.end();
+        if self.finished || std::thread::panicking() || !self.link.detach() {
+            self.link.end();
+        }
     }
 }
 

@@ -178,6 +178,11 @@ impl Stations {
         estimate.map_or(longest, |estimate| estimate.max(shortest).min(longest))
     }
 
+    /// The round trip of a station, with a margin for its deviation; `None`: not known.
+    pub(crate) fn round_trip(&self, station: u8) -> Option<Duration> {
+        self.stations.get(station)?.round_trip.expected()
+    }
+
     fn health<R>(&mut self, station: u8, work: impl FnOnce(&mut Health) -> R) -> R {
         let new = || Health {
             in_step: InStep::new(),
@@ -211,6 +216,12 @@ impl RoundTrip {
         self.deviation = self.deviation.saturating_sub(quarter(self.deviation)).saturating_add(quarter(off));
         let eighth = |time| half(quarter(time));
         self.smoothed = Some(smoothed.saturating_sub(eighth(smoothed)).saturating_add(eighth(sample)));
+    }
+
+    /// The smoothed round trip, and its deviation or a quarter, whichever is more.
+    fn expected(&self) -> Option<Duration> {
+        let smoothed = self.smoothed?;
+        Some(smoothed.saturating_add(self.deviation.max(quarter(smoothed))))
     }
 
     fn timed_out(&mut self) {

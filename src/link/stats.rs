@@ -127,6 +127,8 @@ pub struct LinkStats {
     pub disconnects: u64,
     /// Connections closed because the link was idle.
     pub idle_closes: u64,
+    /// Connections that were replaced because nothing was answered over them.
+    pub mute_connections: u64,
     /// Attempts to connect that failed.
     pub connect_failures: u64,
     /// Whether the device closes its connection after each reply, as
@@ -164,6 +166,7 @@ impl LinkStats {
             connects: self.connects.saturating_add(other.connects),
             disconnects: self.disconnects.saturating_add(other.disconnects),
             idle_closes: self.idle_closes.saturating_add(other.idle_closes),
+            mute_connections: self.mute_connections.saturating_add(other.mute_connections),
             connect_failures: self.connect_failures.saturating_add(other.connect_failures),
             one_request: self.one_request || other.one_request,
         }
@@ -310,6 +313,7 @@ mod tests {
             connects: 7,
             disconnects: 8,
             idle_closes: 9,
+            mute_connections: 10,
             connect_failures: 10,
             one_request: true,
         };

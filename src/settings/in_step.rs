@@ -28,6 +28,7 @@ pub struct InStepSettings {
     window: Duration,
     quiet: Duration,
     one_request: bool,
+    settle: Duration,
 }
 
 /// Default number of exchanges after which a duplicate of a reply can still come.
@@ -43,7 +44,7 @@ pub const DEFAULT_COPY_WINDOW: Duration = Duration::from_millis(100);
 pub const DEFAULT_QUIET: Duration = Duration::from_secs(1);
 
 /// Names of the options in a URL.
-pub(crate) const URL_OPTIONS: [&str; 4] = ["copies", "window", "quiet", "one_request"];
+pub(crate) const URL_OPTIONS: [&str; 5] = ["copies", "window", "quiet", "one_request", "settle"];
 
 /// Maximum of the copy window and of the quiet time: a day.
 const MAX_TIME: Duration = Duration::from_secs(86_400);
@@ -53,7 +54,13 @@ impl InStepSettings {
     /// number of requests.
     #[must_use]
     pub const fn new() -> Self {
-        Self { copies: DEFAULT_COPIES, window: DEFAULT_COPY_WINDOW, quiet: DEFAULT_QUIET, one_request: false }
+        Self {
+            copies: DEFAULT_COPIES,
+            window: DEFAULT_COPY_WINDOW,
+            quiet: DEFAULT_QUIET,
+            one_request: false,
+            settle: Duration::ZERO,
+        }
     }
 
     /// Sets the number of exchanges after which a duplicate of a reply can still come.
@@ -96,6 +103,16 @@ impl InStepSettings {
     #[must_use]
     pub const fn with_one_request(mut self, one_request: bool) -> Self {
         self.one_request = one_request;
+        self
+    }
+
+    /// Sets the settle time: a pause between opening a connection and the first request on it.
+    ///
+    /// For devices that lose what they are sent just after a connection was opened. Default: none.
+    /// Limited to a day.
+    #[must_use]
+    pub const fn with_settle(mut self, settle: Duration) -> Self {
+        self.settle = bounded(settle);
         self
     }
 
@@ -145,7 +162,16 @@ impl InStepSettings {
                 _ => return Err(format!("the option `one_request={text}` must be `true` or `false`")),
             });
         }
+        if let Some(text) = options.get("settle") {
+            settings = settings.with_settle(time("settle", text)?);
+        }
         Ok(settings)
+    }
+
+    /// The settle time: a pause between opening a connection and the first request on it.
+    #[must_use]
+    pub const fn settle(&self) -> Duration {
+        self.settle
     }
 
     /// The options for a URL: those that differ from their defaults.
@@ -156,6 +182,7 @@ impl InStepSettings {
             (self.window != usual.window).then(|| format!("window={}", Time(self.window))),
             (self.quiet != usual.quiet).then(|| format!("quiet={}", Time(self.quiet))),
             (self.one_request != usual.one_request).then(|| format!("one_request={}", self.one_request)),
+            (self.settle != usual.settle).then(|| format!("settle={}", Time(self.settle))),
         ];
         options.into_iter().flatten()
     }

@@ -98,7 +98,7 @@ pub(crate) fn run<T: Transfer>(transfer: &mut T, plc: &Plc, random: &mut Random,
 }
 
 fn timeout(code: Code, sent: bool) -> Error {
-    Error::Timeout { station: 1, code, after: Duration::ZERO, sent }
+    Error::timeout(1, code, Duration::ZERO, sent)
 }
 
 fn refusal(code: Code) -> impl Fn(ErrorCode) -> Error {

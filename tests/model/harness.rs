@@ -40,6 +40,8 @@ fn settings(framing: Framing) -> LinkSettings {
         framing,
         timeout: 100 * MS,
         settle: 30 * MS,
+        byte_timeout: 100 * MS,
+        slow_frame: 8000 * MS,
         offline_after: 3,
         probe_interval: (50 * MS, 200 * MS),
         probe_pause: 19,
@@ -318,6 +320,7 @@ impl Harness {
             spellings,
             words: planned.words(),
             retries: if lane == 2 || retry_writes { retries } else { 0 },
+            check_retries: if lane == 2 || retry_writes { 0 } else { retries },
             timeout,
             deadline: self.now() + call_timeout,
         };
@@ -391,7 +394,7 @@ async fn call_link(link: &Link, station: u8, planned: PlannedCall, options: Call
         Err(Error::Offline { sent, .. }) => CallResult::Offline { sent },
         Err(Error::Disconnected { sent, .. }) => CallResult::Disconnected { sent },
         Err(Error::OutOfStep { sent, .. }) => CallResult::OutOfStep { sent },
-        Err(Error::Connect { sent: false, .. }) => CallResult::NotConnected,
+        Err(Error::Connect { sent, .. }) => CallResult::NotConnected { sent },
         Err(Error::QueueFull { .. }) => CallResult::QueueFull,
         Err(error) => panic!("no call of the model can end with {error:?}"),
     }

@@ -38,7 +38,18 @@ pub(crate) async fn next_idle() {
     idle_after(Some(Instant::now())).await;
 }
 
+/// Number of times that the thread must park: a task that yields to the runtime's events makes it
+/// park once for each time that it yields.
+const PARKS: usize = 6;
+
 async fn idle_after(time: Option<Instant>) {
+    park_after(time).await;
+    for _ in 1..PARKS {
+        park_after(None).await;
+    }
+}
+
+async fn park_after(time: Option<Instant>) {
     let mut waits = false;
     poll_fn(|cx| {
         if !std::mem::replace(&mut waits, true) {

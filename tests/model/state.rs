@@ -16,6 +16,9 @@ pub(crate) struct LinkSettings {
     pub(crate) timeout: Micros,
     /// Settling time of the line after corrupt bytes.
     pub(crate) settle: Micros,
+    /// Time to wait for the next byte of a frame, and for its end, after the response timeout.
+    pub(crate) byte_timeout: Micros,
+    pub(crate) slow_frame: Micros,
     pub(crate) offline_after: u32,
     pub(crate) probe_interval: (Micros, Micros),
     /// Pause after a probe, as a multiple of its duration.
@@ -40,6 +43,8 @@ pub(crate) struct Call {
     /// Number of registers in the result.
     pub(crate) words: usize,
     pub(crate) retries: u32,
+    /// Number of retries of a check before the request, beyond those of the request.
+    pub(crate) check_retries: u32,
     pub(crate) timeout: Micros,
     pub(crate) deadline: Micros,
 }
@@ -90,7 +95,9 @@ pub(crate) enum CallResult {
     OutOfStep {
         sent: bool,
     },
-    NotConnected,
+    NotConnected {
+        sent: bool,
+    },
     QueueFull,
 }
 
@@ -115,6 +122,10 @@ pub(crate) enum Event {
 pub(crate) struct CallState {
     pub(crate) call: Call,
     pub(crate) retries_left: u32,
+    pub(crate) check_retries_left: u32,
+    pub(crate) called_at: Micros,
+    /// Whether frames came instead of the reply when the request itself was first unanswered.
+    pub(crate) cause: Option<bool>,
     /// Number of requests sent, without those whose spelling was refused.
     pub(crate) sends: u32,
     pub(crate) was_sent: bool,
@@ -144,8 +155,6 @@ pub(crate) struct InFlight {
     pub(crate) give_up: Micros,
     /// Latest timeout that a frame in progress can cause.
     pub(crate) limit: Micros,
-    /// The timeout is the station's whole response timeout.
-    pub(crate) full_timeout: bool,
     pub(crate) bad_reply: bool,
     pub(crate) echoed: bool,
     pub(crate) noise: usize,

@@ -9,6 +9,7 @@ use std::pin::Pin;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll};
+use std::time::Duration;
 
 use bytes::BytesMut;
 use futures::task::AtomicWaker;
@@ -18,7 +19,7 @@ use super::{AnyCall, CallMeta, SpareSlots, lock};
 use crate::command::{
     self, Candidates, Class, Code, Command, InvalidRequest, NO_CANDIDATES, ReplyError, Run, Spelling,
 };
-use crate::error::{Error, ErrorCode};
+use crate::error::{Error, ErrorCode, Seen};
 use crate::link::in_step::{Kind, Proof, Shape};
 use crate::wire::{FieldError, Framing};
 
@@ -40,9 +41,9 @@ impl<C: Command> CallFuture<C> {
         self.slot.state.fetch_or(ABANDONED, Ordering::AcqRel) & SENT != 0
     }
 
-    /// Whether the call waits for the quiet time of its station.
-    pub(crate) fn awaits_silence(&self) -> bool {
-        self.slot.awaits_silence()
+    /// The error of the call if it ends without a reply after this time.
+    pub(crate) fn unanswered(&self, after: Duration) -> Error {
+        self.slot.unanswered(after, None)
     }
 
     /// When the reply came: after the future is ready, and if there was a reply.
@@ -120,6 +121,8 @@ pub(super) struct CallSlot<C: Command> {
     spelling: AtomicU32,
     /// The upper half is the number of proofs, the lower half that of doubts.
     proof: AtomicU64,
+    /// What came instead of the reply.
+    seen: Mutex<Seen>,
     result: Mutex<Option<TimedResult<C>>>,
     waker: AtomicWaker,
 }
@@ -134,6 +137,8 @@ const ABANDONED: u8 = 2;
 const SENT: u8 = 4;
 /// The call waits for the quiet time of its station.
 const AWAITS_SILENCE: u8 = 8;
+/// A check was sent for the call.
+const CHECKED: u8 = 16;
 
 impl<C: Command> CallSlot<C> {
     pub(super) fn new(request: C, implied_reply: Option<C::Reply>, meta: CallMeta) -> Self {
@@ -145,6 +150,7 @@ impl<C: Command> CallSlot<C> {
             sends: AtomicU8::new(0),
             spelling: AtomicU32::new(0),
             proof: AtomicU64::new(0),
+            seen: Mutex::default(),
             result: Mutex::new(None),
             waker: AtomicWaker::new(),
         }
@@ -159,6 +165,7 @@ impl<C: Command> CallSlot<C> {
         *self.sends.get_mut() = 0;
         *self.spelling.get_mut() = 0;
         *self.proof.get_mut() = 0;
+        *self.seen.get_mut().unwrap_or_else(PoisonError::into_inner) = Seen::default();
         *self.result.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
@@ -303,12 +310,17 @@ impl<C: Command> AnyCall for CallSlot<C> {
         sends
     }
 
-    fn await_silence(&self) {
-        self.state.fetch_or(AWAITS_SILENCE, Ordering::AcqRel);
+    fn mark_checked(&self) {
+        self.state.fetch_or(CHECKED, Ordering::AcqRel);
+        self.state.fetch_and(!AWAITS_SILENCE, Ordering::AcqRel);
     }
 
-    fn awaits_silence(&self) -> bool {
-        self.state.load(Ordering::Acquire) & AWAITS_SILENCE != 0
+    fn note(&self, seen: &Seen) {
+        lock(&self.seen).add(seen);
+    }
+
+    fn await_silence(&self) {
+        self.state.fetch_or(AWAITS_SILENCE, Ordering::AcqRel);
     }
 
     fn complete_without_reply(&self, proof: Proof) {
@@ -319,6 +331,25 @@ impl<C: Command> AnyCall for CallSlot<C> {
 
     fn fail(&self, error: Error) {
         self.finish(Err(error), None);
+    }
+
+    fn unanswered(&self, after: Duration, fault: Option<String>) -> Error {
+        let (station, code) = (self.meta.station, C::CODE);
+        let state = self.state.load(Ordering::Acquire);
+        let sent = state & SENT != 0;
+        if state & AWAITS_SILENCE != 0 {
+            return Error::OutOfStep { station, code, after, sent };
+        }
+        let attempts = self.sends.load(Ordering::Acquire).into();
+        let seen = *lock(&self.seen);
+        match fault {
+            // The reason names an incomplete frame.
+            Some(reason) => {
+                let seen = Seen { half_frame: false, ..seen };
+                Error::BadReply { station, code, after, reason, sent, attempts, seen }
+            }
+            None => Error::Timeout { station, code, after, sent, attempts, checked: state & CHECKED != 0, seen },
+        }
     }
 
     fn fail_if_pending(&self) {

@@ -49,10 +49,12 @@ fn an_expired_call_says_its_timeout_and_whether_it_was_sent() {
         }
         call.expire();
         drop(call);
-        let Some(Err(Error::Timeout { station: 7, code: Code::ReadStatus, after, sent })) = result(&mut future) else {
+        let Some(Err(Error::Timeout { station: 7, code: Code::ReadStatus, after, sent, attempts, .. })) =
+            result(&mut future)
+        else {
             panic!("expected the timeout, which was first")
         };
-        assert_eq!((after, sent), (Duration::from_secs(3), sends > 0));
+        assert_eq!((after, sent, attempts), (Duration::from_secs(3), sends > 0, sends));
     }
 }
 
@@ -106,5 +108,5 @@ fn a_refusal_says_whether_the_request_was_repeated() {
 #[test]
 fn debug_output_names_station_command_and_lane() {
     let (call, _completion) = call(CallOptions::new());
-    assert_eq!(format!("{call:?}"), "PendingCall(station 7, read brief status (40), Read)");
+    assert_eq!(format!("{call:?}"), "PendingCall(station 7, read brief status (40h), Read)");
 }

@@ -6,8 +6,8 @@ use tokio::time::Instant;
 
 use super::{Core, offline};
 use crate::command::Code;
-use crate::error::{Error, ErrorCode};
-use crate::link::call::PendingCall;
+use crate::error::{Error, ErrorCode, Seen};
+use crate::link::call::{Cause, PendingCall};
 use crate::link::exchange::{Active, Event, LinkRequest, Outgoing, may_contain_reply};
 use crate::link::in_step::{InStep, Kind, Reply, Stray};
 use crate::link::later;
@@ -17,11 +17,17 @@ impl Core {
     pub(super) fn on_event(&mut self, event: Event, now: Instant) {
         match event {
             Event::Replied => {}
-            Event::Echoed => self.stats.count_link(|link| add(&mut link.echoes, 1)),
+            Event::Echoed => {
+                self.stats.count_link(|link| add(&mut link.echoes, 1));
+                self.note(&Seen { echo: true, ..Seen::default() });
+            }
             Event::Duplicate { station } => self.stats.count_station(station, |stats| add(&mut stats.duplicates, 1)),
             Event::Stray { station, command, fingerprint } => self.stray(station, command, fingerprint, now),
             Event::Noise { reason, bytes } => {
                 self.stats.count_discarded(reason, bytes);
+                if !may_contain_reply(reason) {
+                    self.note(&Seen { garbage: u64::try_from(bytes).unwrap_or(u64::MAX), ..Seen::default() });
+                }
                 // The reply may have been among these bytes. If not, it comes at once, or finds the
                 // station suspect. A call without retries gains nothing by giving up early.
                 if let (Some(active), true) = (self.exchange.active(), may_contain_reply(reason))
@@ -43,13 +49,25 @@ impl Core {
             None if station == BROADCAST => Stray::Broadcast,
             None => Stray::Unexpected,
         };
-        tracing::debug!(station, command, ?stray, "stray frame");
+        self.mute.reset();
+        let late_by = self.timed_out.filter(|&(of, _)| of == station && stray == Stray::Late);
+        let late_by = late_by.map(|(_, at)| now.saturating_duration_since(at));
+        tracing::debug!(station, command = format_args!("{command:02X}h"), ?stray, ?late_by, "stray frame");
+        let own = self.exchange.active().is_some_and(|active| active.outgoing.station() == station);
+        self.note(&Seen { late_by, other_station: (!own).then_some(station), ..Seen::default() });
         self.stats.count_station(station, |stats| match stray {
             Stray::Duplicate => add(&mut stats.duplicates, 1),
             Stray::Late => add(&mut stats.late_replies, 1),
             Stray::Broadcast => add(&mut stats.broadcast_answers, 1),
             Stray::Unexpected => add(&mut stats.stray_frames, 1),
         });
+    }
+
+    /// Notes what came instead of the reply, for the error of the call that waits.
+    fn note(&self, seen: &Seen) {
+        if let Some(call) = self.exchange.active().and_then(|active| active.outgoing.call()) {
+            call.slot.note(seen);
+        }
     }
 
     /// Ends the exchange if its reply has come and all frames that came with it are handled.
@@ -64,6 +82,7 @@ impl Core {
     fn replied(&mut self, active: Active, reply: Reply, now: Instant) {
         let station = active.outgoing.station();
         self.connection.replied();
+        self.mute.reset();
         self.hold_until = Some(later(now, self.config.frame_gap));
         let took = now.saturating_duration_since(active.began);
         self.scheduler.charge(station, took);
@@ -156,6 +175,7 @@ impl Core {
     fn mark_online(&mut self, station: u8, round_trip: Duration, now: Instant) {
         if self.stations.answered(station, round_trip, now) {
             tracing::info!(station, "station is back");
+            self.scheduler.forgive(station);
         }
         self.stats.mark_online(station, |_| ());
     }
@@ -175,8 +195,12 @@ impl Core {
             self.scheduler.push_front(call);
             return;
         }
-        let (code, after) = (call.code, now.saturating_duration_since(call.queued_at));
-        self.retry_or_fail(call, now, |sent| Error::OutOfStep { station, code, after, sent });
+        self.retry_or_fail(call, now, |call, after| Error::OutOfStep {
+            station,
+            code: call.code,
+            after,
+            sent: call.slot.was_sent(),
+        });
     }
 
     /// Sends a request as the caller made it after another spelling was refused.
@@ -198,29 +222,47 @@ impl Core {
         let Some(active) = self.exchange.give_up() else { return };
         let station = active.outgoing.station();
         let after = now.saturating_duration_since(active.began);
-        self.scheduler.charge(station, after);
+        let own = matches!(active.outgoing, Outgoing::Call(_));
+        self.scheduler.charge_timeout(station, after);
         self.echo_was_last = false;
+        self.timed_out = Some((station, now));
         self.stations.with_in_step(station, |in_step| in_step.timed_out(active.shape.code));
         self.stats.count_station(station, |stats| match &active.fault {
             Some(_) => add(&mut stats.bad_replies, 1),
             None => add(&mut stats.timeouts, 1),
         });
-        // A timeout by the caller's own, earlier deadline says nothing about the station.
-        let silent = active.fault.is_none() && active.full_timeout;
+        let silent = active.fault.is_none();
+        let began = active.began;
         match active.outgoing.into_call() {
             None => {
                 self.stations.probe_ended(after, now);
                 self.probe_failed(station, now);
             }
-            Some(call) => {
+            Some(mut call) => {
                 self.used_at = Some(now);
-                let code = call.code;
-                let fault = active.fault;
-                self.retry_or_fail(call, now, |sent| match fault {
-                    Some(reason) => Error::BadReply { station, code, after, reason, sent },
-                    None => Error::Timeout { station, code, after, sent },
-                });
+                let cause = active.fault.map_or(Cause::Silence, Cause::Fault);
+                tracing::debug!(station, command = %call.code, check = !own, ?cause, after = ?after, "no reply");
+                // The cause of the request's own failure is not replaced by that of a check.
+                if own {
+                    call.cause.get_or_insert(cause);
+                    self.retry_or_fail(call, now, PendingCall::unanswered);
+                } else if let Some(left) = call.check_retries_left.checked_sub(1)
+                    && call.is_wanted(now)
+                    && !self.closing
+                {
+                    // Nothing was sent for the call itself.
+                    call.check_retries_left = left;
+                    self.retry(call);
+                } else {
+                    self.retry_or_fail(call, now, move |call, after| match (&call.cause, cause) {
+                        (None, Cause::Fault(reason)) => call.slot.unanswered(after, Some(reason)),
+                        (Some(_), _) | (None, Cause::Silence) => call.unanswered(after),
+                    });
+                }
             }
+        }
+        if silent {
+            self.mute.unanswered(began);
         }
         if silent && let Some(probe_at) = self.stations.timed_out(station, now) {
             tracing::warn!(station, "station is offline");
@@ -231,15 +273,27 @@ impl Core {
         }
     }
 
-    pub(super) fn retry_or_fail(&mut self, mut call: PendingCall, now: Instant, error: impl FnOnce(bool) -> Error) {
+    /// Sends a call again if it has retries left, else ends it with this error, made of the call
+    /// and the time since it was made.
+    pub(super) fn retry_or_fail(
+        &mut self,
+        mut call: PendingCall,
+        now: Instant,
+        error: impl FnOnce(&PendingCall, Duration) -> Error,
+    ) {
         match call.retries_left.checked_sub(1) {
             Some(left) if call.is_wanted(now) && !self.closing => {
                 call.retries_left = left;
-                self.stats.count_station(call.station, |stats| add(&mut stats.retries, 1));
-                self.scheduler.push_front(call);
+                self.retry(call);
             }
-            _ => call.slot.fail(error(call.slot.was_sent())),
+            _ => call.slot.fail(error(&call, now.saturating_duration_since(call.queued_at))),
         }
+    }
+
+    fn retry(&mut self, call: PendingCall) {
+        tracing::debug!(station = call.station, command = %call.code, left = call.retries_left, "retry");
+        self.stats.count_station(call.station, |stats| add(&mut stats.retries, 1));
+        self.scheduler.push_front(call);
     }
 
     pub(super) fn probe_failed(&mut self, station: u8, now: Instant) {

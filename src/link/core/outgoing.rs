@@ -17,6 +17,9 @@ use crate::link::stats::add;
 /// The part of an exchange that is not transmission, for comparing prices: half a scan of a PLC.
 const ASSUMED_RESPONSE_TIME: Duration = Duration::from_millis(5);
 
+/// A call that has waited for less than this is sent, however little time is left.
+const SHORT_WAIT: Duration = Duration::from_millis(1);
+
 impl Core {
     /// The rule, with the present settings and figures, for a station.
     pub(super) fn rule(&self, station: u8) -> Rule {
@@ -44,10 +47,25 @@ impl Core {
         }
         loop {
             let call = self.scheduler.pop(now)?;
+            if !self.can_be_answered(&call, now) {
+                call.slot.fail(call.unanswered(now.saturating_duration_since(call.queued_at)));
+                continue;
+            }
             if let Some(outgoing) = self.outgoing_for(call, now) {
                 return Some(outgoing);
             }
         }
+    }
+
+    /// Whether the reply to a call can still come before its deadline, as far as the round trips of
+    /// its station show. Otherwise the PLC would work for a caller that has gone, and the calls
+    /// behind would come too late as well.
+    ///
+    /// A call that has not waited is sent in any case: it shows when the round trips become shorter.
+    fn can_be_answered(&self, call: &PendingCall, now: Instant) -> bool {
+        let waited = now.saturating_duration_since(call.queued_at);
+        let left = call.deadline.saturating_duration_since(now);
+        waited < SHORT_WAIT || self.stations.round_trip(call.station).is_none_or(|round_trip| round_trip <= left)
     }
 
     /// Chooses what is sent for a call: its request, or a check before it. `None`: the station must
@@ -135,6 +153,9 @@ impl Core {
 
     /// Makes a check of a station, for a call or as a probe.
     fn check(&mut self, station: u8, check: in_step::Check, why: Why, call: Option<PendingCall>) -> Outgoing {
+        if let Some(call) = &call {
+            call.slot.mark_checked();
+        }
         if self.exchange.must_learn_echo() {
             self.stats.count_station(station, |stats| add(&mut stats.checks, 1));
             return Outgoing::Link { station, request: LinkRequest::EchoTest, call };
@@ -150,18 +171,9 @@ impl Core {
         Outgoing::Link { station, request: LinkRequest::Check(check, data), call }
     }
 
-    /// The deadline for a reply to a request sent at `now`, and whether it leaves the full response
-    /// timeout.
-    pub(super) fn response_deadline(&self, outgoing: &Outgoing, now: Instant) -> (Instant, bool) {
-        let deadline = later(now, self.response_timeout(outgoing));
-        match outgoing.call() {
-            Some(call) => (deadline.min(call.deadline), deadline <= call.deadline),
-            None => (deadline, true),
-        }
-    }
-
-    /// The response timeout of a request.
-    fn response_timeout(&self, outgoing: &Outgoing) -> Duration {
+    /// The response timeout of a request. It does not end with the deadline of the call: a reply
+    /// that its caller no longer awaits is still the reply to this request, and no stray.
+    pub(super) fn response_timeout(&self, outgoing: &Outgoing) -> Duration {
         let Some(call) = outgoing.call() else {
             return self.config.probe_timeout.max(self.stations.longest_timeout(outgoing.station()));
         };

@@ -146,8 +146,8 @@ async fn an_unwritable_request_costs_the_connection_at_its_timeout() {
     let began = Instant::now();
     let error = station.read_registers(register!("R0"), 1).await.expect_err("it does not get there");
     assert!(matches!(error, Error::Disconnected { sent: true, .. }), "{error:?}");
-    let source = std::error::Error::source(&error).expect("a source").to_string();
-    assert_eq!(source, "the request was not written in time");
+    assert!(error.to_string().ends_with(": the request was not written in time"), "{error}");
+    assert!(std::error::Error::source(&error).is_none(), "the text has the cause already");
     let took = began.elapsed();
     assert!((timeout..timeout * 2).contains(&took), "{took:?}");
     line.plc().stuck = false;

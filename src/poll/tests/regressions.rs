@@ -240,7 +240,7 @@ fn a_silent_half_does_not_starve_the_other() {
                     Err(refusal())
                 } else if cells.contains(&0) {
                     rig.now += ms(300);
-                    Err(Error::Timeout { station: 1, code: Code::ReadRegisters, after: ms(300), sent: true })
+                    Err(Error::timeout(1, Code::ReadRegisters, ms(300), true))
                 } else {
                     Ok(Reply::Words(vec![1; cells.len()]))
                 };

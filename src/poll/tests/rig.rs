@@ -158,7 +158,7 @@ impl FakePlc {
         let code = Code::ReadRegisters;
         let silent = self.ignored.is_some_and(|cell| elements(request).into_iter().flat_map(cells).any(|c| c == cell));
         if self.silent || silent {
-            let error = Error::Timeout { station: 1, code, after: self.timeout, sent: true };
+            let error = Error::timeout(1, code, self.timeout, true);
             return (Err(error), self.timeout);
         }
         if let Err(error) = self.takes(request) {
@@ -195,7 +195,7 @@ impl FakePlc {
         self.checks += 1;
         if self.silent {
             let code = Code::LoopBack;
-            return (Err(Error::Timeout { station: 1, code, after: self.timeout, sent: true }), self.timeout);
+            return (Err(Error::timeout(1, code, self.timeout, true)), self.timeout);
         }
         self.stray();
         self.proof.proofs += 1;

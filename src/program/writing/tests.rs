@@ -216,7 +216,7 @@ fn is_command(request: &Request) -> bool {
 }
 
 fn timeout(code: Code) -> Error {
-    Error::Timeout { station: 1, code, after: Duration::ZERO, sent: true }
+    Error::timeout(1, code, Duration::ZERO, true)
 }
 
 fn refusal(code: Code, error: ErrorCode) -> Error {

@@ -14,7 +14,7 @@ fn status(running: bool) -> Result<Reply, Error> {
 }
 
 fn timeout(sent: bool) -> Error {
-    Error::Timeout { station: 1, code: Code::ControlPlc, after: Duration::ZERO, sent }
+    Error::timeout(1, Code::ControlPlc, Duration::ZERO, sent)
 }
 
 fn refusal() -> Error {

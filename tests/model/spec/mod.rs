@@ -131,6 +131,7 @@ impl Spec {
 
     fn called(&mut self, id: Id, call: Call, at: Micros) {
         let (station, lane, retries_left) = (call.station, call.lane, call.retries);
+        let check_retries_left = call.check_retries;
         let full = self.queues.get(&station).is_some_and(|lanes| {
             lanes.iter().flatten().filter(|id| self.is_pending(**id, at)).count() >= self.settings.queue
         });
@@ -145,6 +146,9 @@ impl Spec {
         let state = CallState {
             call,
             retries_left,
+            check_retries_left,
+            called_at: at,
+            cause: None,
             sends: 0,
             was_sent: false,
             extra_attempt: false,
@@ -163,20 +167,43 @@ impl Spec {
         }
         state.ended = true;
         self.oracle.ended(id, &end)?;
+        let too_late = self.may_be_too_late(id, at);
+        let state = self.calls.get(&id).ok_or("an unknown call has ended")?;
         let sent = state.was_sent;
         let late = at >= whole_ms(state.call.deadline);
         let allowed = match &end {
-            CallResult::Timeout { sent: reported } if late && *reported == sent => true,
-            CallResult::OutOfStep { sent: reported } if late && *reported == sent && state.waited_for_silence => true,
+            CallResult::Timeout { sent: reported } if (late || too_late) && *reported == sent => true,
+            CallResult::BadReply { sent: reported }
+                if (late || too_late) && *reported == sent && state.cause == Some(true) =>
+            {
+                true
+            }
+            CallResult::OutOfStep { sent: reported }
+                if (late || too_late) && *reported == sent && state.waited_for_silence =>
+            {
+                true
+            }
             // The refused spelling's refusal may have belonged to another request.
             CallResult::OutOfStep { sent: true } if state.plain_only && state.call.class == CallClass::Write => true,
-            CallResult::NotConnected if late && !sent && !up => true,
+            CallResult::NotConnected { sent: reported } if late && *reported == sent && !up => true,
             end => state.due.as_ref() == Some(end),
         };
-        match allowed {
-            true => Ok(()),
-            false => Err(format!("call {id} has ended with {end:?}, allowed: {:?} (sent: {sent})", state.due)),
+        if !allowed {
+            return Err(format!("call {id} has ended with {end:?}, allowed: {:?} (sent: {sent})", state.due));
         }
+        // The link found the call too late, so the check on the wire is for the next one.
+        let own = self.in_flight.as_ref().filter(|in_flight| in_flight.call == Some(id));
+        if let Some(station) = own.filter(|it| it.purpose != Purpose::Call && too_late && !late).map(|it| it.station) {
+            let next = self.next_call(station, at);
+            next.into_iter().for_each(|next| self.dequeue(next));
+            let timeout = next.map_or(self.settings.timeout, |id| self.calls[&id].call.timeout);
+            if let Some(in_flight) = &mut self.in_flight {
+                in_flight.call = next;
+                in_flight.give_up = in_flight.sent + timeout;
+                in_flight.limit = in_flight.give_up + self.settings.slow_frame;
+            }
+        }
+        Ok(())
     }
 
     fn connecting(&mut self, at: Micros) -> RuleResult {
@@ -184,7 +211,8 @@ impl Spec {
             return Err("there is a connection already".to_owned());
         }
         (self.up, self.connecting, self.unconnected_since) = (false, true, None);
-        let waits = self.queues.keys().any(|&station| self.next_call(station, at).is_some());
+        let mut queued = self.queues.values().flatten().flatten();
+        let waits = queued.any(|id| self.is_pending(*id, at));
         let probes = self.stations.values().any(|station| station.offline.is_some());
         if waits || probes { Ok(()) } else { Err("connects without a waiting call".to_owned()) }
     }
@@ -246,15 +274,22 @@ impl Spec {
         }
         self.echo_was_last = false;
         self.stations.entry(in_flight.station).or_default().make_suspect(at);
+        let check_fails = in_flight.purpose != Purpose::Call;
+        let state = in_flight.call.and_then(|id| self.calls.get_mut(&id));
+        let bad_reply = state.map_or(in_flight.bad_reply, |state| match check_fails {
+            true => state.cause.unwrap_or(in_flight.bad_reply),
+            false => *state.cause.get_or_insert(in_flight.bad_reply),
+        });
         match in_flight.call {
-            Some(id) if in_flight.bad_reply => self.retry_or(id, at, |sent| CallResult::BadReply { sent }),
+            Some(id) if check_fails && self.repeats_check(id, at) => self.requeue(id),
+            Some(id) if bad_reply => self.retry_or(id, at, |sent| CallResult::BadReply { sent }),
             Some(id) => self.retry_or(id, at, |sent| CallResult::Timeout { sent }),
             None => {
                 self.no_probe_before = at + (at - in_flight.sent) * self.settings.probe_pause;
                 self.probe_failed(in_flight.station, at);
             }
         }
-        if !in_flight.bad_reply && in_flight.full_timeout {
+        if !in_flight.bad_reply {
             self.timed_out(in_flight.station, at);
         }
     }
@@ -270,6 +305,18 @@ impl Spec {
             for id in self.queues.remove(&station).into_iter().flatten().flatten() {
                 self.end_with(id, |sent| CallResult::Offline { sent });
             }
+        }
+    }
+
+    /// Takes a retry of the check before a request that must not be repeated itself.
+    fn repeats_check(&mut self, id: Id, at: Micros) -> bool {
+        let is_pending = self.is_pending(id, at);
+        match self.calls.get_mut(&id).filter(|state| state.check_retries_left > 0 && is_pending) {
+            Some(state) => {
+                state.check_retries_left -= 1;
+                true
+            }
+            None => false,
         }
     }
 
@@ -310,9 +357,10 @@ impl Spec {
         self.calls.get(&id).is_some_and(|state| !state.ended && state.due.is_none() && at < state.call.deadline)
     }
 
-    /// Next call of a station.
+    /// Next call of a station, without those that the link finds too late.
     fn next_call(&self, station: u8, at: Micros) -> Option<Id> {
-        self.queues.get(&station)?.iter().flatten().copied().find(|id| self.is_pending(*id, at))
+        let calls = self.queues.get(&station)?.iter().flatten().copied();
+        calls.into_iter().find(|id| self.is_pending(*id, at) && !self.is_too_late(*id, at, 0))
     }
 
     fn dequeue(&mut self, id: Id) {

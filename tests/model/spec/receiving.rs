@@ -17,7 +17,7 @@ impl Spec {
         self.finish_read(at);
         // A frame in progress extends the timeout by its transmission time.
         if let (Some(in_flight), true) = (&mut self.in_flight, self.decoder.has_partial_frame()) {
-            in_flight.give_up = in_flight.give_up.max(in_flight.limit.min(at + self.settings.settle));
+            in_flight.give_up = in_flight.give_up.max(in_flight.limit.min(at + self.settings.byte_timeout));
         }
     }
 
@@ -124,7 +124,7 @@ impl Spec {
             entry.make_suspect(at);
             return self.reply_unproven(id, class, at);
         }
-        self.station_answered(in_flight.station, at);
+        self.station_answered(in_flight, at);
         let entry = self.stations.entry(in_flight.station).or_default();
         entry.reply_taken(in_flight, shape, held, &self.settings, at);
         let Some(state) = self.calls.get_mut(&id) else { return };
@@ -170,7 +170,7 @@ impl Spec {
     }
 
     fn check_replied(&mut self, in_flight: &InFlight, held: &HeldReply, at: Micros) {
-        self.station_answered(in_flight.station, at);
+        self.station_answered(in_flight, at);
         let (settings, shape) = (self.settings, shape(self.settings.framing, in_flight.command, &in_flight.data));
         let entry = self.stations.entry(in_flight.station).or_default();
         let passed = match in_flight.purpose {
@@ -196,9 +196,10 @@ impl Spec {
     }
 
     /// Records that a station has answered.
-    fn station_answered(&mut self, station: u8, at: Micros) {
-        let entry = self.stations.entry(station).or_default();
+    fn station_answered(&mut self, in_flight: &InFlight, at: Micros) {
+        let entry = self.stations.entry(in_flight.station).or_default();
         entry.timeouts = 0;
+        entry.measured(at - in_flight.sent);
         if entry.offline.take().is_some() {
             self.probe_now(at);
         }

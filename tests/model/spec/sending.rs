@@ -3,8 +3,8 @@
 use fatek::wire::Side;
 
 use super::super::replies::shape;
-use super::super::state::{CallClass, CallResult, Id, InFlight, LineEcho, Micros, Purpose};
-use super::station::{Ambiguity, Shape};
+use super::super::state::{CallClass, CallResult, CallState, Id, InFlight, LineEcho, Micros, Purpose};
+use super::station::{Ambiguity, Shape, Station};
 use super::{ONLY_READ_ELEMENTS_ARE_KNOWN, RuleResult, Spec};
 use crate::reference::{frame_content, framed};
 
@@ -56,7 +56,6 @@ impl Spec {
             entry.longest_timeout =
                 if purpose == Purpose::Call { longest_timeout.max(timeout) } else { longest_timeout };
         }
-        let limit = call.map_or(at + timeout, |id| self.calls[&id].call.deadline.min(at + timeout));
         self.in_flight = Some(InFlight {
             purpose,
             station,
@@ -66,9 +65,8 @@ impl Spec {
             data,
             request,
             sent: at,
-            give_up: limit,
-            limit,
-            full_timeout: limit == at + timeout,
+            give_up: at + timeout,
+            limit: at + timeout + self.settings.slow_frame,
             bad_reply: false,
             echoed: false,
             noise: 0,
@@ -92,10 +90,11 @@ impl Spec {
         // A refused write is not sent again if the refusal may have been another request's.
         let is_skipped = |id: Id| {
             let elsewhere = self.calls[&id].call.station != station;
-            self.may_have_failed(id) && (elsewhere || !is_check && !self.has_spelling(id, sent))
+            let ended = self.may_have_failed(id) || self.may_be_too_late(id, at);
+            ended && (elsewhere || !is_check && !self.has_spelling(id, sent))
         };
         if let Some(id) = resynced.take_if(|id| is_skipped(*id)) {
-            self.end_with(id, |sent| CallResult::OutOfStep { sent });
+            self.skip(id);
         }
         if let Some(id) = resynced.filter(|id| self.calls[id].call.station != station) {
             return Err(format!("call {id} has passed its check, but another station gets a request"));
@@ -115,7 +114,8 @@ impl Spec {
             Some(id) => id,
             None => loop {
                 let id = self.next_call(station, at).ok_or_else(|| format!("station {station} has no call to send"))?;
-                let skipped = !is_check && self.may_have_failed(id) && !self.has_spelling(id, sent);
+                let ended = self.may_have_failed(id) || self.may_be_too_late(id, at);
+                let skipped = !is_check && ended && !self.has_spelling(id, sent);
                 if !skipped {
                     self.check_lane_order(id, at)?;
                 }
@@ -123,7 +123,7 @@ impl Spec {
                 if !skipped {
                     break id;
                 }
-                self.end_with(id, |sent| CallResult::OutOfStep { sent });
+                self.skip(id);
             },
         };
         if !is_check {
@@ -136,6 +136,27 @@ impl Spec {
 
     fn has_spelling(&self, id: Id, sent: &SentFrame<'_>) -> bool {
         self.calls[&id].call.spellings.iter().any(|spelling| spelling.request == sent.request)
+    }
+
+    /// Notes that the link has ended a call, and that its caller has not seen it yet.
+    fn skip(&mut self, id: Id) {
+        match self.may_have_failed(id) {
+            true => self.end_with(id, |sent| CallResult::OutOfStep { sent }),
+            false => self.end_with(id, |sent| CallResult::Timeout { sent }),
+        }
+    }
+
+    /// Whether the reply to a call that has waited cannot come before its deadline, as the round trips
+    /// of its station show: then the call ends and is not sent.
+    pub(super) fn is_too_late(&self, id: Id, at: Micros, tolerance: Micros) -> bool {
+        let CallState { call, called_at, .. } = &self.calls[&id];
+        let expected = self.stations.get(&call.station).map_or(0, Station::expected_round_trip);
+        at + tolerance >= called_at + 1000 && expected > 0 && at + expected > call.deadline
+    }
+
+    /// As [`is_too_late`](Self::is_too_late), also if it is so just not, or has been so just before.
+    pub(super) fn may_be_too_late(&self, id: Id, at: Micros) -> bool {
+        self.is_too_late(id, at + 1000, 1000)
     }
 
     /// Whether the link may have ended a call without its caller having seen it: a write whose other
@@ -250,7 +271,8 @@ impl Spec {
     /// Checks that no call of a higher lane can be sent.
     fn check_lane_order(&self, id: Id, at: Micros) -> RuleResult {
         let lane = self.calls[&id].call.lane;
-        let better = |station: u8| self.next_call(station, at).filter(|other| self.calls[other].call.lane < lane);
+        let is_better = |other: &Id| self.calls[other].call.lane < lane && !self.may_be_too_late(*other, at);
+        let better = |station: u8| self.next_call(station, at).filter(is_better);
         match self.queues.keys().copied().filter(|&station| self.is_sendable(station, at)).find_map(better) {
             Some(other) => Err(format!("call {other} has a higher lane than call {id}")),
             None => Ok(()),

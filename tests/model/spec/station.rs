@@ -27,6 +27,14 @@ pub(crate) struct Station {
     pub(crate) offline: Option<ProbeTimer>,
     /// Longest response timeout of any request so far.
     pub(crate) longest_timeout: Micros,
+    round_trip: Option<RoundTrip>,
+}
+
+/// Smoothed round trip and deviation, as of RFC 6298, in nanoseconds.
+#[derive(Clone, Copy, Debug)]
+struct RoundTrip {
+    smoothed: u64,
+    deviation: u64,
 }
 
 /// Shape of a positive reply. A refusal matches every size of its command.
@@ -58,6 +66,27 @@ pub(crate) enum Ambiguity {
     Reply,
 }
 
+impl Station {
+    /// Takes the round trip of a proven reply.
+    pub(crate) fn measured(&mut self, sample: Micros) {
+        let sample = sample * 1000;
+        let next = self.round_trip.map_or(RoundTrip { smoothed: sample, deviation: sample / 2 }, |before| {
+            let off = before.smoothed.abs_diff(sample);
+            RoundTrip {
+                smoothed: before.smoothed - before.smoothed / 8 + sample / 8,
+                deviation: before.deviation - before.deviation / 4 + off / 4,
+            }
+        });
+        self.round_trip = Some(next);
+    }
+
+    /// The round trip to be expected; 0: not known.
+    pub(crate) fn expected_round_trip(&self) -> Micros {
+        let expected = |known: RoundTrip| known.smoothed + known.deviation.max(known.smoothed / 4);
+        self.round_trip.map_or(0, expected) / 1000
+    }
+}
+
 impl Default for Station {
     fn default() -> Self {
         Self {
@@ -67,6 +96,7 @@ impl Default for Station {
             broadcasts: BTreeSet::new(),
             last: None,
             answered: BTreeSet::new(),
+            round_trip: None,
             silence_from: 0,
             slowest: 0,
             timeouts: 0,

@@ -111,11 +111,55 @@ fn nothing_is_retried_after_the_callers_deadline() {
     let mut link = TestLink::new(Framing::Ascii);
     let mut call = link.call_with(1, read(1), CallOptions::new().with_call_timeout(40 * MS));
     link.expect_send();
-    assert_eq!(link.next_action(), Action::Wait(Some(link.now + 40 * MS)), "the deadline of the call comes first");
     link.advance(40 * MS);
+    // The caller's own timer has gone off.
+    call.abandon();
+    assert_eq!(link.next_action(), Action::Wait(Some(link.now + 60 * MS)), "the reply may still come");
+    link.advance(60 * MS);
     link.next_action();
-    assert!(matches!(result(&mut call), Some(Err(Error::Timeout { .. }))));
+    assert!(result(&mut call).is_none());
     assert_eq!((link.station_stats(1).retries, link.next_action()), (0, Action::Wait(None)));
+}
+
+/// Before, the exchange ended with the caller's deadline, and the reply was a stray: the next
+/// request needed a check, and with many impatient callers nothing but checks was answered.
+#[test]
+fn a_reply_after_the_callers_deadline_is_no_stray() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let call = link.call_with(1, read(1), CallOptions::new().call_timeout(40 * MS));
+    link.expect_send();
+    link.advance(50 * MS);
+    call.abandon();
+    link.receive_reply(1, &read(1), &vec![0]);
+    let stats = link.station_stats(1);
+    assert_eq!((stats.replies, stats.late_replies, stats.stray_frames, stats.timeouts), (1, 0, 0, 0));
+    let _next = link.call(1, read(2));
+    assert_eq!(link.expect_send(), Code::ReadRegisters, "the station is in step");
+}
+
+#[test]
+fn a_call_that_cannot_be_answered_in_time_is_not_sent() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let impatient = CallOptions::new().call_timeout(50 * MS);
+    let first = link.call_with(1, read(1), impatient);
+    link.expect_send();
+    link.advance(30 * MS);
+    link.receive_reply(1, &read(1), &vec![0]);
+    drop(first);
+    // A round trip takes 30 ms, so a call with 20 ms left would be answered in vain.
+    let busy = link.call_with(1, read(2), CallOptions::new());
+    let mut waits = link.call_with(1, read(3), impatient);
+    link.expect_send();
+    link.advance(30 * MS);
+    link.receive_reply(1, &read(2), &vec![0, 0]);
+    drop(busy);
+    assert_eq!(link.next_action(), Action::Wait(None));
+    let error = result(&mut waits).expect("it has ended").expect_err("it was not sent");
+    assert_eq!(error.to_string(), "read registers (46h) to station 1 was queued for 30 ms and never sent");
+    assert!(!error.may_have_executed());
+    // A call that has not waited shows whether the round trip is still as long.
+    let _short = link.call_with(1, read(3), CallOptions::new().call_timeout(10 * MS));
+    link.expect_send();
 }
 
 #[test]

@@ -7,8 +7,8 @@ use crate::link::options::CallOptions;
 use crate::wire::Framing;
 
 #[test]
-fn only_full_response_timeouts_take_a_station_offline() {
-    for (options, offline) in [(CallOptions::new().with_call_timeout(TIMEOUT / 2), false), (CallOptions::new(), true)] {
+fn response_timeouts_take_a_station_offline_also_of_calls_with_an_earlier_deadline() {
+    for options in [CallOptions::new().with_call_timeout(TIMEOUT / 2), CallOptions::new()] {
         let mut link = TestLink::new(Framing::Ascii);
         for _ in 0..3 {
             let _call = link.call_with(1, read(1), options.with_retries(0));
@@ -17,7 +17,7 @@ fn only_full_response_timeouts_take_a_station_offline() {
             link.next_action();
         }
         let mut call = link.call(1, read(1));
-        assert_eq!(matches!(result(&mut call), Some(Err(Error::Offline { sent: false, .. }))), offline);
+        assert!(matches!(result(&mut call), Some(Err(Error::Offline { sent: false, .. }))));
     }
 }
 

@@ -60,6 +60,7 @@ impl TestLink {
     pub(super) fn with(framing: Framing, set: impl FnOnce(&mut Config)) -> Self {
         let mut config = LinkBuilder::with_connector(Connector::Once(None), framing, "desk").config;
         config.probe_timeout = TIMEOUT;
+        config.mute_timeout = None;
         config.in_step = config.in_step.with_quiet(TIMEOUT);
         set(&mut config);
         let stats = Arc::new(SharedStats::default());
@@ -100,7 +101,11 @@ impl TestLink {
     }
 
     pub(super) fn next_action(&mut self) -> Action {
-        self.core.next_action(self.now)
+        match self.core.next_action(self.now) {
+            // All data were read.
+            Action::ReadAgain => self.core.next_action(self.now),
+            action => action,
+        }
     }
 
     /// Sends the next request and returns its command. Fails the test if nothing is to be sent.

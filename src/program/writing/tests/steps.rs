@@ -17,7 +17,7 @@ fn at(world: &mut World, options: WriteOptions, is_next: impl Fn(&Request) -> bo
 
 #[test]
 fn a_refused_or_unsent_stop_or_run_leaves_a_known_state() {
-    let unsent = Error::Timeout { station: 1, code: Code::ControlPlc, after: Duration::ZERO, sent: false };
+    let unsent = Error::timeout(1, Code::ControlPlc, Duration::ZERO, false);
     let twice = Error::Plc { station: 1, code: Code::ControlPlc, error: ErrorCode::IllegalFormat, repeated: true };
     let refused = refusal(Code::ControlPlc, ErrorCode::IllegalFormat);
     let options = WriteOptions::new().stop_first(true).run_again(true);

@@ -1,0 +1,81 @@
+//! Detects a connection over which nothing is answered any more.
+//!
+//! A device or a network in between can drop a connection without closing it: the operating system
+//! still sends, and nothing comes back, while a new connection would be served. A station that is
+//! switched off looks the same, so all stations of the connection count: one frame from any of
+//! them, and the connection is not mute.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+#[derive(Debug)]
+pub(crate) struct MuteDetector {
+    /// Silence after which a connection is mute; `None`: never.
+    limit: Option<Duration>,
+    unanswered: Option<Unanswered>,
+}
+
+/// Requests without any frame since.
+#[derive(Debug)]
+struct Unanswered {
+    /// When the first of them was sent.
+    since: Instant,
+    requests: u32,
+}
+
+/// A connection is not mute before this number of requests.
+const MIN_REQUESTS: u32 = 3;
+
+impl MuteDetector {
+    pub(crate) fn new(limit: Option<Duration>) -> Self {
+        Self { limit, unanswered: None }
+    }
+
+    /// Notes a frame, or a new connection.
+    pub(crate) fn reset(&mut self) {
+        self.unanswered = None;
+    }
+
+    /// Notes that a request, begun at `began`, was not answered.
+    pub(crate) fn unanswered(&mut self, began: Instant) {
+        let unanswered = self.unanswered.get_or_insert(Unanswered { since: began, requests: 0 });
+        unanswered.requests = unanswered.requests.saturating_add(1);
+    }
+
+    /// The time of silence if the connection is mute.
+    pub(crate) fn mute_for(&self, now: Instant) -> Option<Duration> {
+        let unanswered = self.unanswered.as_ref()?;
+        let silent = now.saturating_duration_since(unanswered.since);
+        (unanswered.requests >= MIN_REQUESTS && silent >= self.limit?).then_some(silent)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: Duration = Duration::from_secs(1);
+
+    #[test]
+    fn it_takes_several_requests_and_the_limit() {
+        let now = Instant::now();
+        let mut detector = MuteDetector::new(Some(5 * SECOND));
+        detector.unanswered(now);
+        detector.unanswered(now + SECOND);
+        assert_eq!(detector.mute_for(now + 9 * SECOND), None, "two requests");
+        detector.unanswered(now + 2 * SECOND);
+        assert_eq!(detector.mute_for(now + 4 * SECOND), None, "4 s");
+        assert_eq!(detector.mute_for(now + 5 * SECOND), Some(5 * SECOND));
+        detector.reset();
+        assert_eq!(detector.mute_for(now + 9 * SECOND), None);
+    }
+
+    #[test]
+    fn without_a_limit_no_connection_is_mute() {
+        let now = Instant::now();
+        let mut detector = MuteDetector::new(None);
+        (0..9).for_each(|_| detector.unanswered(now));
+        assert_eq!(detector.mute_for(now + 900 * SECOND), None);
+    }
+}
