@@ -1,8 +1,11 @@
 //! Clients: their connections and limits, and the decoding of their requests.
 //!
-//! The requests of a client are handled one at a time, in order of arrival. During a request
-//! nothing is read from that client, so its own connection has the backpressure. The gateway
+//! The requests of a client are handled one at a time, in order of arrival. During a request at most
+//! one frame more is read from that client, so its own connection has the backpressure. The gateway
 //! buffers one frame per client and direction.
+//!
+//! A client that closes its connection is noticed during its request. A request that still waits for
+//! the bus is then not sent: no client would take the reply.
 //!
 //! A client is disconnected
 //! - above the limit of clients ([`Limits::clients`]);
@@ -111,7 +114,13 @@ pub(crate) async fn serve_client(
     let mut deadline = Instant::now() + limits.idle;
     loop {
         while let Some((frame, framing)) = requests.next()? {
-            proxy.answer(&frame, framing, &mut reply).await;
+            tokio::select! {
+                biased;
+                () = proxy.answer(&frame, framing, &mut reply) => {}
+                closed = closed(&mut stream, &mut requests.received) => {
+                    return closed.map(|()| DisconnectReason::ClosedByClient);
+                }
+            }
             match timeout(limits.idle, stream.write_all(&reply)).await {
                 Ok(written) => written?,
                 Err(_) => return Ok(DisconnectReason::NotReading),
@@ -139,6 +148,16 @@ pub(crate) async fn serve_client(
             }
         }
     }
+}
+
+/// Reads ahead, at most a frame, until the client closes the connection.
+async fn closed(stream: &mut (impl AsyncRead + Unpin), received: &mut BytesMut) -> io::Result<()> {
+    while received.len() < MAX_FRAME_LEN {
+        if stream.read_buf(received).await? == 0 {
+            return Ok(());
+        }
+    }
+    std::future::pending().await
 }
 
 /// Decoder of requests.

@@ -4,3 +4,4 @@
 mod connections;
 mod device;
 mod load;
+mod runtimes;

@@ -10,6 +10,7 @@ mod server;
 
 mod bad_clients;
 mod bench;
+mod overload;
 mod ports;
 mod soak;
 
