@@ -181,7 +181,7 @@ fn a_run_of_counters_of_32_bits_is_no_request() {
     let error = ReadRegisters::new(register32!("DRC200"), 2).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "read registers (46): DRC200 is a counter of 32 bits, and these are read and written one by one, not 2 at once"
+        "read registers (46h): DRC200 is a counter of 32 bits, and these are read and written one by one, not 2 at once"
     );
     assert!(one_by_one(error) && one_by_one(WriteRegisters::new(register32!("DRC254"), [1, 2]).unwrap_err()));
     assert!(ReadRegisters::new(register32!("DRC255"), 1).is_ok());

@@ -227,7 +227,7 @@ async fn a_write_that_fails_midway_reports_what_is_written() {
         assert_eq!(error.error_code(), Some(ErrorCode::IllegalAddress));
         assert_eq!(
             error.to_string(),
-            "96 of 200 values were written, and then: station 1 refused write registers (47): illegal address (A)"
+            "96 of 200 values were written, and then: station 1 refused write registers (47h): illegal address (A)"
         );
         assert_eq!(bench.plc.read(register!("R95")), 96_u16.into());
         assert_eq!(bench.plc.read(register!("R96")), 0_u16.into());

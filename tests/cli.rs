@@ -236,7 +236,7 @@ fn an_error_of_the_plc_is_status_3() {
         let sim = Sim::start(&["--framing", framing, "--last", "R100"]);
         let refused = sim.fatek(&["read", "R0", "R101"]);
         assert_eq!((refused.status, refused.stdout.as_str()), (3, ""));
-        assert_eq!(refused.stderr, "error: R101: station 1 refused read registers (46): illegal address (A)\n");
+        assert_eq!(refused.stderr, "error: R101: station 1 refused read registers (46h): illegal address (A)\n");
         assert_eq!(sim.fatek(&["write", "R100:f32=1"]).status, 3);
         sim.fatek(&["read", "R100"]).ok();
     }
@@ -247,11 +247,11 @@ fn no_reply_is_status_4() {
     let sim = Sim::start(&[]);
     let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "read", "R0"]);
     assert_eq!((absent.status, absent.stdout.as_str()), (4, ""), "{absent:?}");
-    assert!(absent.stderr.starts_with("error: R0: station 9 did not answer read registers (46)"), "{absent:?}");
+    assert!(absent.stderr.starts_with("error: R0: station 9 did not answer read registers (46h)"), "{absent:?}");
     let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "write", "R0=1"]);
     assert_eq!(absent.status, 4, "{absent:?}");
     // Even the check was not answered.
-    assert!(absent.stderr.starts_with("error: R0: station 9 did not answer write registers (47)"), "{absent:?}");
+    assert!(absent.stderr.starts_with("error: R0: station 9 did not answer write registers (47h)"), "{absent:?}");
     assert!(absent.stderr.contains("the request was not sent"), "{absent:?}");
     let silent = ScriptedPlc::start(|_| Vec::new());
     let unanswered = silent.fatek(&["--timeout", "100ms", "write", "R0=1"]);
@@ -277,7 +277,7 @@ fn a_bad_reply_is_status_6() {
     let too_short = ScriptedPlc::start(|_| ascii("01460ABCD"));
     let read = too_short.fatek(&["--timeout", "200ms", "read", "R0-R1"]);
     assert_eq!((read.status, read.stdout.as_str()), (6, ""), "{read:?}");
-    assert!(read.stderr.contains("gave no usable reply to read registers (46)"), "{read:?}");
+    assert!(read.stderr.contains("gave no usable reply to read registers (46h)"), "{read:?}");
 }
 
 #[test]
@@ -372,7 +372,7 @@ fn decode_explains_good_and_bad_frames() {
     let bad = fatek(&["decode", "51 10 00 02 01 40 A1 85 55 AA"]);
     assert_eq!(bad.status, 6);
     assert!(bad.stdout.contains("frame  CRC         A1 85  BAD: found A1 85, computed A1 84\n"), "{bad:?}");
-    assert!(bad.stdout.contains("frame  command     40     read brief status (40)\n"), "{bad:?}");
+    assert!(bad.stdout.contains("frame  command     40     read brief status (40h)\n"), "{bad:?}");
     assert!(bad.stderr.contains("fault: CRC: found A1 85"), "{bad:?}");
 
     let query = "51 10 00 02 01 40 A1 84 55 AA";

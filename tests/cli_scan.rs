@@ -119,13 +119,13 @@ async fn each_kind_of_bad_reply_is_reported_with_status_6() {
         assert_eq!(what("answer"), ["ok", "bad", "bad", "bad", "refused", "late", "bad", "ok"], "{found:#?}");
         let note = |station: usize| found[station - 1]["note"].as_str().unwrap_or_default().to_owned();
         assert_eq!(found[0]["note"], Value::Null);
-        assert!(note(2).contains("read brief status (40): "), "{}", note(2));
+        assert!(note(2).contains("read brief status (40h): "), "{}", note(2));
         assert!(note(3).contains("; second station with this number?"), "{}", note(3));
         assert!(note(4).contains("garbage: "), "{}", note(4));
-        assert!(note(5).contains("read brief status (40): illegal format"), "{}", note(5));
+        assert!(note(5).contains("read brief status (40h): illegal format"), "{}", note(5));
         assert!(note(6).contains("frames after the timeout: "), "{}", note(6));
         assert!(note(7).contains("a reply to command"), "{}", note(7));
-        assert!(note(8).contains("did not answer read detailed status (53)"), "{}", note(8));
+        assert!(note(8).contains("did not answer read detailed status (53h)"), "{}", note(8));
         assert_eq!((&found[7]["running"], &found[7]["main_unit"]), (&json!(false), &Value::Null));
 
         // Stations are scanned in order, and never the broadcast address.

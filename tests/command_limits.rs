@@ -90,11 +90,11 @@ fn errors_of_broken_limits_name_input_and_rule() {
     let writes = |n: usize, e: Element| vec![(e, common::value(e, 0)); n];
     assert_message(
         ReadDisabled::new(discrete!("X0"), 0),
-        "read enable/disable (43): 0 items were asked for, and it takes 1 to 256",
+        "read enable/disable (43h): 0 items were asked for, and it takes 1 to 256",
     );
     assert_message(
         ReadDiscretes::new(discrete!("X0"), 257),
-        "read discretes (44): 257 items were asked for, and it takes 1 to 256",
+        "read discretes (44h): 257 items were asked for, and it takes 1 to 256",
     );
     assert_message(
         WriteDiscretes::new(discrete!("X65534"), [true; 3]),
@@ -102,11 +102,11 @@ fn errors_of_broken_limits_name_input_and_rule() {
     );
     assert_message(
         ReadRegisters::new(register!("R0"), 65),
-        "read registers (46): 65 items were asked for, and it takes 1 to 64",
+        "read registers (46h): 65 items were asked for, and it takes 1 to 64",
     );
     assert_message(
         ReadRegisters::new(register32!("DR0"), 33),
-        "read registers (46): 33 items were asked for, and it takes 1 to 32",
+        "read registers (46h): 33 items were asked for, and it takes 1 to 32",
     );
     assert_message(
         ReadRegisters::new(register!("WX65520"), 2),
@@ -114,43 +114,43 @@ fn errors_of_broken_limits_name_input_and_rule() {
     );
     assert_message(
         WriteRegisters::new(register!("R0"), []),
-        "write registers (47): 0 items were asked for, and it takes 1 to 64",
+        "write registers (47h): 0 items were asked for, and it takes 1 to 64",
     );
     assert_message(
         WriteRegisters::new(register32!("DR65534"), [1, 2]),
         "2 elements from DR65534 on reach past the last address, DR65534",
     );
-    assert_message(ReadMixed::new([]), "mixed read (48): 0 items were asked for, and it takes 1 to 64");
+    assert_message(ReadMixed::new([]), "mixed read (48h): 0 items were asked for, and it takes 1 to 64");
     assert_message(
         ReadMixed::new(mixed(65, element!("X0"))),
-        "mixed read (48): 65 items were asked for, and it takes 1 to 64",
+        "mixed read (48h): 65 items were asked for, and it takes 1 to 64",
     );
     assert_message(
         ReadMixed::new(mixed(33, element!("DR0"))),
-        "mixed read (48): the elements count 66 units (a 32-bit register counts 2), and it takes at most 64",
+        "mixed read (48h): the elements count 66 units (a 32-bit register counts 2), and it takes at most 64",
     );
-    assert_message(WriteMixed::new([]), "mixed write (49): 0 items were asked for, and it takes 1 to 32");
+    assert_message(WriteMixed::new([]), "mixed write (49h): 0 items were asked for, and it takes 1 to 32");
     assert_message(
         WriteMixed::new(writes(17, element!("DR0"))),
-        "mixed write (49): the elements count 34 units (a 32-bit register counts 2), and it takes at most 32",
+        "mixed write (49h): the elements count 34 units (a 32-bit register counts 2), and it takes at most 32",
     );
     assert_message(
         WriteMixed::new([(element!("R5"), Value::DWord(70_000))]),
         "R5 is a 16-bit register, not a 32-bit register",
     );
     assert_message(WriteMixed::new([(element!("Y5"), Value::Word(2))]), "Y5 is a discrete, not a 16-bit register");
-    assert_message(LoopBack::new(vec![0; 257]), "loop back (4E): 257 items were asked for, and it takes 0 to 256");
+    assert_message(LoopBack::new(vec![0; 257]), "loop back (4Eh): 257 items were asked for, and it takes 0 to 256");
     assert_message(
         send(&LoopBack::new("AB\x03").unwrap(), Framing::Ascii),
-        "loop back (4E): the byte 03h at position 2 cannot be sent in the ASCII framing (20h to 7Eh can)",
+        "loop back (4Eh): the byte 03h at position 2 cannot be sent in the ASCII framing (20h to 7Eh can)",
     );
     assert_message(
         send(&ReadProgramPage::new(1), Framing::Binary),
-        "read program page (4F) does not exist in the binary framing",
+        "read program page (4Fh) does not exist in the binary framing",
     );
     assert_message(
         send(&WriteProgramPage::new(1, ProgramPage::new([0; PAGE_WORDS])), Framing::Binary),
-        "write program page (50) does not exist in the binary framing",
+        "write program page (50h) does not exist in the binary framing",
     );
 }
 
@@ -223,7 +223,7 @@ fn faulty_requests_have_a_message_and_an_error_code() {
         (0x44, b"06R00000", "R0 is a 16-bit register, not a discrete", 4),
         (0x45, b"01X00002", "2 is not the state of a discrete (0 or 1)", 2),
         (0x46, b"01R65536", "R65536 is past the last address, R65535", 0xA),
-        (0x46, b"41R00000", "read registers (46): 65 items were asked for, and it takes 1 to 64", 2),
+        (0x46, b"41R00000", "read registers (46h): 65 items were asked for, and it takes 1 to 64", 2),
         (0x46, b"01WX0004", "WX4: the address of WX must be a multiple of 8", 0xA),
         (0x46, b"01X0000", "X0 is a discrete, not a 16-bit register", 4),
         (0x41, b"2", "2 is not a code of this command", 2),

@@ -36,7 +36,7 @@ async fn invalid_arguments_are_errors_and_are_not_sent() {
     };
     assert_eq!(
         reading("R0", 0).await,
-        "invalid request: read registers (46): 0 items were asked for, and it takes 1 to 65536"
+        "invalid request: read registers (46h): 0 items were asked for, and it takes 1 to 65536"
     );
     assert_eq!(
         reading("R1", usize::MAX).await,
@@ -49,7 +49,7 @@ async fn invalid_arguments_are_errors_and_are_not_sent() {
     let error = Error::from(ReadRegisters::new(register!("R0"), 65).unwrap_err());
     assert_eq!(
         error.to_string(),
-        "invalid request: read registers (46): 65 items were asked for, and it takes 1 to 64"
+        "invalid request: read registers (46h): 65 items were asked for, and it takes 1 to 64"
     );
     let error = Error::from(WriteRegisters::new(register32!("DR0"), [0; 33]).unwrap_err());
     assert!(error.to_string().contains("33 items were asked for, and it takes 1 to 32"), "{error}");
@@ -68,7 +68,7 @@ async fn program_pages_are_invalid_in_the_binary_framing() {
     let (client, mut plc) = duplex(64);
     let link = Link::from_stream(client, Framing::Binary);
     let error = station(&link).read_program_page(0).await.unwrap_err();
-    assert_eq!(error.to_string(), "invalid request: read program page (4F) does not exist in the binary framing");
+    assert_eq!(error.to_string(), "invalid request: read program page (4Fh) does not exist in the binary framing");
     drop(link);
     assert_eq!(plc.read(&mut [0; 8]).await.unwrap(), 0);
 }
@@ -82,7 +82,7 @@ async fn a_refusal_is_a_typed_error() {
     peer.reply(1, 0x47, "A").await;
     let error = call.await.unwrap().unwrap_err();
     assert_eq!(error.error_code(), Some(ErrorCode::IllegalAddress));
-    assert_eq!(error.to_string(), "station 1 refused write registers (47): illegal address (A)");
+    assert_eq!(error.to_string(), "station 1 refused write registers (47h): illegal address (A)");
     assert!(!error.may_have_executed());
 }
 

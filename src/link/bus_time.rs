@@ -345,8 +345,12 @@ fn a_station_that_lost_one_reply_is_read_again_within_about_one_round() {
         let gap = world.longest_gaps[&7];
         println!("{registers} registers, {baud} baud: round {round:?}, without a reply for {gap:?}");
         // The round in which it was lost, the timeout, and the round until it is next.
-        assert!(gap <= round * 3 + RESPONSE_TIMEOUT * 2, "{registers} registers, {baud} baud: {gap:?}, round {round:?}");
-        let others = world.longest_gaps.iter().filter(|(station, _)| **station != 7).map(|(_, gap)| *gap).max().unwrap();
+        assert!(
+            gap <= round * 3 + RESPONSE_TIMEOUT * 2,
+            "{registers} registers, {baud} baud: {gap:?}, round {round:?}"
+        );
+        let others =
+            world.longest_gaps.iter().filter(|(station, _)| **station != 7).map(|(_, gap)| *gap).max().unwrap();
         assert!(others <= round + RESPONSE_TIMEOUT * 2, "{others:?}");
     }
 }

@@ -2,7 +2,9 @@
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener};
-use std::sync::OnceLock;
+use std::pin::pin;
+use std::sync::{Arc, OnceLock};
+use std::task::{Context, Poll, Wake, Waker};
 use std::thread;
 use std::time::Duration;
 
@@ -19,6 +21,24 @@ const MS: Duration = Duration::from_millis(1);
 
 fn runtime() -> Runtime {
     Builder::new_current_thread().enable_all().build().unwrap()
+}
+
+/// Runs a future on this thread, without Tokio.
+fn block_on<F: Future>(future: F) -> F::Output {
+    struct Unpark(thread::Thread);
+    impl Wake for Unpark {
+        fn wake(self: Arc<Self>) {
+            self.0.unpark();
+        }
+    }
+    let waker = Waker::from(Arc::new(Unpark(thread::current())));
+    let mut future = pin!(future);
+    loop {
+        if let Poll::Ready(output) = future.as_mut().poll(&mut Context::from_waker(&waker)) {
+            return output;
+        }
+        thread::park();
+    }
 }
 
 /// A simulated PLC on a runtime and a thread of its own.
@@ -86,7 +106,7 @@ fn a_call_outside_of_tokio_is_an_error() {
     let address = serve(bus());
     let station = Link::new(address.into()).station(1).unwrap();
     for _ in 0..2 {
-        let error = futures::executor::block_on(station.read_registers(register!("R0"), 1)).unwrap_err();
+        let error = block_on(station.read_registers(register!("R0"), 1)).unwrap_err();
         assert!(matches!(error, Error::Connect { .. }), "{error:?}");
         assert!(error.to_string().contains("Tokio"), "{error}");
         // The second time the link's task runs.
@@ -108,9 +128,9 @@ fn a_poller_ends_its_stream_with_its_runtime() {
     });
     drop(runtime);
     // What was read before it ended comes first.
-    let rest = futures::executor::block_on(async { poller.by_ref().take(1000).count().await });
+    let rest = block_on(async { poller.by_ref().take(1000).count().await });
     assert!(rest < 1000, "{rest}");
-    assert!(futures::executor::block_on(poller.next()).is_none());
+    assert!(block_on(poller.next()).is_none());
 }
 
 /// The thread is stopped from the moment of the request until after the deadline of the call, as by

@@ -22,16 +22,19 @@ async fn requests_of_clients_that_hung_up_are_not_sent() {
         let slow = Faults::new(0).line(Line::new(0).response_time(20 * MS, 20 * MS));
         let bench = Bench::with_faults(Framing::Ascii, UNRESTRICTED, slow, CALL_TIMEOUT);
         let end = Instant::now() + Duration::from_secs(20);
-        let tasks = (0..clients).map(|number| async {
-            let (mut good, mut client) = (0_u32, bench.client(Framing::Ascii));
-            let request = ReadRegisters::new(Register::d(number), 1).unwrap();
-            while Instant::now() < end {
-                match timeout(290 * MS, client.call(1, &request)).await {
-                    Ok(reply) => good += u32::from(reply.is_ok()),
-                    Err(_) => client = bench.client(Framing::Ascii),
+        let tasks = (0..clients).map(|number| {
+            let bench = &bench;
+            async move {
+                let (mut good, mut client) = (0_u32, bench.client(Framing::Ascii));
+                let request = ReadRegisters::new(Register::d(number), 1).unwrap();
+                while Instant::now() < end {
+                    match timeout(290 * MS, client.call(1, &request)).await {
+                        Ok(reply) => good += u32::from(reply.is_ok()),
+                        Err(_) => client = bench.client(Framing::Ascii),
+                    }
                 }
+                good
             }
-            good
         });
         let good: u32 = futures::future::join_all(tasks).await.into_iter().sum();
         let good = f64::from(good) / 20.0;

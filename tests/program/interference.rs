@@ -175,7 +175,7 @@ async fn a_refused_page_leaves_the_plc_stopped() {
         bench.station().write_program(&new, WriteOptions::new().stop_first(true).run_again(true)).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "cannot write page 4: station 1 refused write program page (50): write prohibited, the PLC has a ROM pack (3); \
+        "cannot write page 4: station 1 refused write program page (50h): write prohibited, the PLC has a ROM pack (3); \
          3 of the 10 pages that differ are written (1-3), and the PLC ran before and is stopped now: \
          write the rest before it runs"
     );

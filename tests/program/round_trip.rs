@@ -184,7 +184,7 @@ async fn in_the_binary_framing_no_program_request_is_sent() {
     let error = station.read_program().await.unwrap_err().to_string();
     assert_eq!(
         error,
-        "cannot read page 0: invalid request: read program page (4F) does not exist in the binary framing"
+        "cannot read page 0: invalid request: read program page (4Fh) does not exist in the binary framing"
     );
     let new = program(640, 1);
     let error = station.write_program(&new, WriteOptions::new().stop_first(true)).await.unwrap_err();

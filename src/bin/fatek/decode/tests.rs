@@ -56,7 +56,7 @@ const MANUALS: &[(&str, &[&str])] = &[
         &["request Y0 on (1)", "request WM8 5555h: 21845", "request DR2 000000FFh: 255"],
     ),
     ("02 30 31 34 45 41 42 43 44 45 46 47 42 38 03", &["request data \"ABCDEFG\"", "reply data \"ABCDEFG\""]),
-    ("02 30 31 35 33 43 42 03", &["frame command read detailed status (53)"]),
+    ("02 30 31 35 33 43 42 03", &["frame command read detailed status (53h)"]),
     ("51 10 00 02 01 40 A1 84 55 AA", &["frame header request", "frame CRC A1 84, as computed"]),
     ("52 10 00 06 01 40 00 01 00 00 77 D5 55 AA", &["frame header reply", "reply STATUS1 RUN"]),
     ("51 10 00 06 01 42 03 59 00 64 8E 69 55 AA", &["request control set (3)", "request element Y100, a discrete"]),
@@ -104,7 +104,7 @@ fn bad_frames_are_explained_with_their_faults() {
         ("51 11 00 02 01 40 A1 84 55 AA", &["id: expected 10"], "frame CRC A1 84, as computed"),
         (
             "51 10 00 04 01 4F 00 00 80 0A 55 AA",
-            &["command: read program page (4F) does not exist in the binary framing"],
+            &["command: read program page (4Fh) does not exist in the binary framing"],
             "frame station 1",
         ),
         ("51 10 00 02 01 40 A1 84 55 AB", &["terminator: expected 55 AA"], "frame CRC A1 84, as computed"),

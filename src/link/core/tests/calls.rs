@@ -126,7 +126,7 @@ fn nothing_is_retried_after_the_callers_deadline() {
 #[test]
 fn a_reply_after_the_callers_deadline_is_no_stray() {
     let mut link = TestLink::new(Framing::Ascii);
-    let call = link.call_with(1, read(1), CallOptions::new().call_timeout(40 * MS));
+    let call = link.call_with(1, read(1), CallOptions::new().with_call_timeout(40 * MS));
     link.expect_send();
     link.advance(50 * MS);
     call.abandon();
@@ -140,7 +140,7 @@ fn a_reply_after_the_callers_deadline_is_no_stray() {
 #[test]
 fn a_call_that_cannot_be_answered_in_time_is_not_sent() {
     let mut link = TestLink::new(Framing::Ascii);
-    let impatient = CallOptions::new().call_timeout(50 * MS);
+    let impatient = CallOptions::new().with_call_timeout(50 * MS);
     let first = link.call_with(1, read(1), impatient);
     link.expect_send();
     link.advance(30 * MS);
@@ -158,7 +158,7 @@ fn a_call_that_cannot_be_answered_in_time_is_not_sent() {
     assert_eq!(error.to_string(), "read registers (46h) to station 1 was queued for 30 ms and never sent");
     assert!(!error.may_have_executed());
     // A call that has not waited shows whether the round trip is still as long.
-    let _short = link.call_with(1, read(3), CallOptions::new().call_timeout(10 * MS));
+    let _short = link.call_with(1, read(3), CallOptions::new().with_call_timeout(10 * MS));
     link.expect_send();
 }
 
