@@ -32,7 +32,7 @@ use self::slot::CallSlot;
 pub(crate) use self::spares::SpareSlots;
 use super::in_step::{Kind, Proof, Shape, Spelled};
 use super::options::{CallOptions, Lane};
-use crate::command::{Candidates, Code, Command, InvalidRequest, Run, Spelling};
+use crate::command::{Candidates, Class, Code, Command, InvalidRequest, Run, Spelling};
 use crate::error::{Error, ErrorCode, Seen};
 use crate::wire::{FieldError, Framing};
 
@@ -212,6 +212,11 @@ impl PendingCall {
             Some(Cause::Silence) | None => None,
         };
         self.slot.unanswered(after, fault)
+    }
+
+    /// Whether the request is a write or a control command.
+    pub(crate) fn is_write(&self) -> bool {
+        self.code.class() != Class::Read
     }
 
     pub(crate) fn is_broadcast(&self) -> bool {

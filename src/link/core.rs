@@ -363,6 +363,12 @@ impl Core {
         self.has_read_again = false;
     }
 
+    /// Whether the next request may be one that must not be repeated: a write or control command.
+    pub(crate) fn may_send_write(&self) -> bool {
+        let resynced = || self.resynced.as_ref().is_some_and(PendingCall::is_write);
+        self.is_idle() && (resynced() || self.scheduler.has_write())
+    }
+
     /// Whether no request is on the wire.
     pub(crate) fn is_idle(&self) -> bool {
         self.exchange.active().is_none()

@@ -124,6 +124,8 @@ impl Clock {
     }
 }
 
+const CLOSED_BY_PEER: &str = "the peer closed the connection";
+
 /// Maximum number of reads before a request, and of actions before other tasks run.
 const MAX_AT_ONCE: usize = 64;
 
@@ -275,6 +277,12 @@ impl Driver {
                 }
             }
             let now = clock.now();
+            // A write must not go into a connection that is closed already: whether it was executed
+            // would not be known.
+            if self.core.may_send_write() && self.io.as_deref().is_some_and(<dyn Io>::is_closed_by_peer) {
+                self.connection_lost(io::Error::new(io::ErrorKind::UnexpectedEof, CLOSED_BY_PEER), now);
+                continue;
+            }
             match self.core.next_action(now) {
                 Action::Connect => {
                     self.io = None;
@@ -401,7 +409,7 @@ impl Driver {
                 Poll::Ready(result) => result?,
             }
             if bytes.filled().is_empty() {
-                return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the peer closed the connection"));
+                return Err(io::Error::new(io::ErrorKind::UnexpectedEof, CLOSED_BY_PEER));
             }
             // Read after the data: the frame gap of a serial line begins now.
             self.process_bytes(bytes.filled(), clock.look());

@@ -158,6 +158,15 @@ impl Scheduler {
         }
     }
 
+    /// Whether a write or a control command waits.
+    pub(crate) fn has_write(&self) -> bool {
+        let writes = |queues: &Queues| {
+            let [control, write, _read, _background] = &queues.lanes;
+            !control.is_empty() || !write.is_empty()
+        };
+        self.only.as_ref().is_some_and(PendingCall::is_write) || self.queued > 0 && self.stations.values().any(writes)
+    }
+
     /// Whether a call waits whose station may be served now.
     pub(crate) fn has_work(&mut self, now: Instant) -> bool {
         self.only.take_if(|call| !keep(call, now));

@@ -12,18 +12,30 @@ use crate::command::LoopBack;
 use crate::link::{CallOutcome, Purpose};
 
 /// Stops polling when the task ends for any reason, so that a dead station does not look polled.
-struct StopOnDrop(Arc<PollerShared>, Arc<StationShared>);
+struct StopOnDrop {
+    shared: Arc<PollerShared>,
+    station: Arc<StationShared>,
+    /// The task has ended by itself, and not with its runtime.
+    finished: bool,
+}
 
 impl Drop for StopOnDrop {
     fn drop(&mut self) {
-        self.0.stop(&self.1);
+        self.shared.stop(&self.station);
+        if !self.finished {
+            self.shared.close_if_nothing_is_polled();
+        }
     }
 }
 
 /// Polls a station until it is stopped.
 pub(super) async fn run(shared: Arc<PollerShared>, station: Arc<StationShared>) {
-    let guard = StopOnDrop(shared, station);
-    let StopOnDrop(shared, station) = &guard;
+    let mut guard = StopOnDrop { shared, station, finished: false };
+    poll_until_stopped(&guard.shared, &guard.station).await;
+    guard.finished = true;
+}
+
+async fn poll_until_stopped(shared: &PollerShared, station: &StationShared) {
     loop {
         let step = advance(shared, station, StationPoller::next_step);
         let repeated = match step {

@@ -60,6 +60,14 @@ impl PollerShared {
         self.queue.close();
     }
 
+    /// Closes the poller if none of its stations is polled any more: their runtime has ended, and its
+    /// stream must end, too.
+    pub(super) fn close_if_nothing_is_polled(&self) {
+        if self.active_stations().iter().all(|station| lock(&station.poller).is_none()) {
+            self.close();
+        }
+    }
+
     /// Stops polling a station and keeps its counters.
     pub(super) fn stop(&self, station: &StationShared) {
         // Under the registry's lock, so that statistics count the station exactly once.

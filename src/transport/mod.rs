@@ -231,6 +231,13 @@ impl<T: AsyncRead + AsyncWrite + Send + Unpin + Any> Io for T {}
 pub(crate) type BoxIo = Box<dyn Io>;
 
 impl dyn Io {
+    /// Whether the peer has closed the connection, as the operating system knows: the runtime may not
+    /// have looked since. Of TCP only.
+    pub(crate) fn is_closed_by_peer(&self) -> bool {
+        let io: &dyn Any = self;
+        io.downcast_ref().is_some_and(tcp::is_closed_by_peer)
+    }
+
     /// Returns the datagrams of earlier requests dropped since the last call; none for anything but
     /// UDP.
     ///
