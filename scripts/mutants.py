@@ -74,8 +74,13 @@ def listed():
 
 
 def is_left_out(mutant):
-    """Returns whether the mutant is left to cargo-mutants: outside of functions, or with branches of several types."""
-    return not mutant.get("function") or "-> impl " in mutant["function"]["return_type"]
+    """Returns whether the mutant is left to cargo-mutants: outside of functions, in a constant one, or with branches of
+    several types."""
+    if not mutant.get("function") or "-> impl " in mutant["function"]["return_type"]:
+        return True
+    source = Text(ROOT / mutant["file"])
+    start, end = source.span(mutant["function"]["span"])
+    return bool(re.search(r"\bconst\s+fn\s", source.text[start:end].split("{", 1)[0]))
 
 
 class Text:
