@@ -313,7 +313,7 @@ mod tests {
             connects: 7,
             disconnects: 8,
             idle_closes: 9,
-            mute_connections: 10,
+            mute_connections: 12,
             connect_failures: 10,
             one_request: true,
         };
@@ -322,7 +322,7 @@ mod tests {
             [two.stations.requests, two.broadcasts, two.checksum_errors, two.garbage_bytes, two.stale_bytes],
             [2, 4, 6, 8, 10]
         );
-        assert_eq!((two.late_datagrams, two.one_request), (22, true));
+        assert_eq!((two.late_datagrams, two.one_request, two.mute_connections), (22, true, 24));
         assert_eq!(
             [two.echoes, two.connects, two.disconnects, two.idle_closes, two.connect_failures],
             [12, 14, 16, 18, 20]
