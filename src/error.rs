@@ -121,7 +121,7 @@ pub enum Error {
         /// Whether a check (4E) was sent for the call. If neither that nor the request was sent,
         /// the call was queued behind others all the time.
         checked: bool,
-        /// What came instead of the reply.
+        /// Traffic received instead of the reply.
         seen: Seen,
     },
     /// Frames came within the timeout, but no reply to this request.
@@ -139,7 +139,7 @@ pub enum Error {
         sent: bool,
         /// Number of times that the request was sent.
         attempts: u32,
-        /// What else came.
+        /// Other traffic received.
         seen: Seen,
     },
     /// Replies to earlier requests may still come, so that no reply can be matched to this request.

@@ -1,9 +1,9 @@
-//! What came while a call waited, and times in error texts.
+//! Traffic received while a call waited, and times in error texts.
 
 use std::fmt;
 use std::time::Duration;
 
-/// What came while a call waited for its reply, in all its attempts.
+/// Traffic received while a call waited for its reply, in all its attempts.
 ///
 /// A cause of timeouts can be read from it: bytes that form no frame come from a wrong baud rate or
 /// parity, or from noise; frames of another station from a wrong station number.

@@ -94,7 +94,7 @@ pub(crate) trait AnyCall: Send + Sync {
     /// Notes that a check was sent for the call.
     fn mark_checked(&self);
 
-    /// Notes what came instead of the reply.
+    /// Notes traffic received instead of the reply.
     fn note(&self, seen: &Seen);
 
     /// Marks the call as waiting for the quiet time of a suspect station.

@@ -40,7 +40,7 @@ pub(crate) struct Scheduler {
     allowance: Duration,
 }
 
-/// The part of the bus time, one in so many, by which the allowance grows.
+/// The allowance grows by the bus time divided by this.
 const ALLOWANCE_SHARE: u32 = 50;
 
 /// The most that the allowance can be.

@@ -22,7 +22,7 @@ pub(crate) struct Behaviour {
     pub(crate) plc_time: Duration,
     /// Bytes that come within this time after the connection is opened are lost.
     pub(crate) deaf: Duration,
-    /// The connection with this number answers so many replies, and none after.
+    /// Number of a connection, and of the replies after which it is mute.
     pub(crate) mute: Option<(usize, usize)>,
     /// The connection is closed this long after each reply.
     pub(crate) closes_after: Option<Duration>,

@@ -127,7 +127,7 @@ fn a_poller_ends_its_stream_with_its_runtime() {
         poller
     });
     drop(runtime);
-    // What was read before it ended comes first.
+    // Samples taken before it ended come first.
     let rest = block_on(async { poller.by_ref().take(1000).count().await });
     assert!(rest < 1000, "{rest}");
     assert!(block_on(poller.next()).is_none());

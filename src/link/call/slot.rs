@@ -121,7 +121,7 @@ pub(super) struct CallSlot<C: Command> {
     spelling: AtomicU32,
     /// The upper half is the number of proofs, the lower half that of doubts.
     proof: AtomicU64,
-    /// What came instead of the reply.
+    /// Traffic received instead of the reply.
     seen: Mutex<Seen>,
     result: Mutex<Option<TimedResult<C>>>,
     waker: AtomicWaker,

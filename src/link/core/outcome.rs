@@ -63,7 +63,7 @@ impl Core {
         });
     }
 
-    /// Notes what came instead of the reply, for the error of the call that waits.
+    /// Notes traffic received instead of the reply, for the error of the call that waits.
     fn note(&self, seen: &Seen) {
         if let Some(call) = self.exchange.active().and_then(|active| active.outgoing.call()) {
             call.slot.note(seen);
