@@ -19,11 +19,7 @@ fn of_version(version: &str) -> String {
 #[test]
 fn newer_minor_versions_are_read_and_other_major_ones_not() {
     for (version, minor) in [("1", 0), ("1.1", 1), ("1.987654321", 987_654_321)] {
-        assert_eq!(
-            unframe(NOTES, of_version(version).as_bytes()),
-            Ok(Content { text: CONTENT, minor }),
-            "{version}"
-        );
+        assert_eq!(unframe(NOTES, of_version(version).as_bytes()), Ok(Content { text: CONTENT, minor }), "{version}");
     }
     for version in ["0", "2", "2.1", "11", "999999999"] {
         let error = unframe(NOTES, of_version(version).as_bytes()).unwrap_err();
