@@ -133,6 +133,9 @@ pub(crate) struct CallState {
     pub(crate) extra_attempt: bool,
     /// A spelling was refused, so only the plain one may be sent.
     pub(crate) plain_only: bool,
+    /// Number of the station's strays when the spelling of a write was refused, until the write is
+    /// sent again.
+    pub(crate) refused_at: Option<u32>,
     /// The call has waited for silence of its station since it was last sent.
     pub(crate) waited_for_silence: bool,
     /// The result that the call must end with, once it is decided.

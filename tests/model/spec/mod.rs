@@ -21,8 +21,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use super::decoder::LineDecoder;
 use super::oracle::Oracle;
 use super::state::{
-    Call, CallClass, CallResult, CallState, Event, Id, InFlight, LineEcho, LinkSettings, Micros, ProbeTimer, Purpose,
-    Station,
+    Call, CallResult, CallState, Event, Id, InFlight, LineEcho, LinkSettings, Micros, ProbeTimer, Purpose, Station,
 };
 
 /// Whether a stray after the echo of a check makes the station suspect.
@@ -153,6 +152,7 @@ impl Spec {
             was_sent: false,
             extra_attempt: false,
             plain_only: false,
+            refused_at: None,
             waited_for_silence: false,
             due,
             ended: false,
@@ -184,21 +184,24 @@ impl Spec {
                 true
             }
             // The refused spelling's refusal may have belonged to another request.
-            CallResult::OutOfStep { sent: true } if state.plain_only && state.call.class == CallClass::Write => true,
+            CallResult::OutOfStep { sent: true } if self.may_have_failed(id) => true,
             CallResult::NotConnected { sent: reported } if late && *reported == sent && !up => true,
             end => state.due.as_ref() == Some(end),
         };
         if !allowed {
             return Err(format!("call {id} has ended with {end:?}, allowed: {:?} (sent: {sent})", state.due));
         }
-        // The link found the call too late, so the check on the wire is for the next one.
+        // The link ended the call before it chose a request, so the check on the wire is for the next
+        // one.
         let own = self.in_flight.as_ref().filter(|in_flight| in_flight.call == Some(id));
-        if let Some(station) = own.filter(|it| it.purpose != Purpose::Call && too_late && !late).map(|it| it.station) {
-            let next = self.next_call(station, at);
-            next.into_iter().for_each(|next| self.dequeue(next));
-            let timeout = next.map_or(self.settings.timeout, |id| self.calls[&id].call.timeout);
+        let skipped = !late && (too_late || self.may_have_failed(id));
+        if let Some(station) = own.filter(|it| it.purpose != Purpose::Call && skipped).map(|it| it.station) {
+            let next = self.next_call(station, at).ok_or("the check on the wire is for no call")?;
+            self.check_lane_order(next, at)?;
+            self.dequeue(next);
+            let timeout = self.calls[&next].call.timeout;
             if let Some(in_flight) = &mut self.in_flight {
-                in_flight.call = next;
+                in_flight.call = Some(next);
                 in_flight.give_up = in_flight.sent + timeout;
                 in_flight.limit = in_flight.give_up + self.settings.slow_frame;
             }

@@ -77,7 +77,12 @@ impl Spec {
         };
         match (&in_flight.held, answer) {
             (Some(held), _) if own && command == in_flight.command && held.data == data => return,
-            (Some(_), _) => in_flight.followed_by_other |= own,
+            (Some(_), _) => {
+                in_flight.followed_by_other |= own;
+                if let Some(entry) = self.stations.get_mut(&station).filter(|_| own) {
+                    entry.strays += 1;
+                }
+            }
             (None, Some(answer)) => {
                 in_flight.held = Some(HeldReply { data: data.to_vec(), answer });
                 if in_flight.purpose == Purpose::LearnEcho
@@ -135,6 +140,7 @@ impl Spec {
             state.plain_only = true;
             state.sends -= 1;
             if class == CallClass::Write {
+                state.refused_at = Some(entry.strays);
                 entry.make_suspect(at);
             }
             return self.requeue(id);

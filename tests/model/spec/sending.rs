@@ -90,8 +90,7 @@ impl Spec {
         // A refused write is not sent again if the refusal may have been another request's.
         let is_skipped = |id: Id| {
             let elsewhere = self.calls[&id].call.station != station;
-            let ended = self.may_have_failed(id) || self.may_be_too_late(id, at);
-            ended && (elsewhere || !is_check && !self.has_spelling(id, sent))
+            self.may_be_skipped(id, at) && (elsewhere || !is_check && !self.has_spelling(id, sent))
         };
         if let Some(id) = resynced.take_if(|id| is_skipped(*id)) {
             self.skip(id);
@@ -114,8 +113,7 @@ impl Spec {
             Some(id) => id,
             None => loop {
                 let id = self.next_call(station, at).ok_or_else(|| format!("station {station} has no call to send"))?;
-                let ended = self.may_have_failed(id) || self.may_be_too_late(id, at);
-                let skipped = !is_check && ended && !self.has_spelling(id, sent);
+                let skipped = !is_check && self.may_be_skipped(id, at) && !self.has_spelling(id, sent);
                 if !skipped {
                     self.check_lane_order(id, at)?;
                 }
@@ -160,10 +158,16 @@ impl Spec {
     }
 
     /// Whether the link may have ended a call without its caller having seen it: a write whose other
-    /// spelling was refused, perhaps by the reply to another request.
+    /// spelling was refused, and a stray since then shows that the refusal may be another request's.
     pub(super) fn may_have_failed(&self, id: Id) -> bool {
         let state = &self.calls[&id];
-        state.plain_only && state.call.class == CallClass::Write
+        let strays = self.stations.get(&state.call.station).map_or(0, |entry| entry.strays);
+        state.refused_at.is_some_and(|refused_at| refused_at != strays)
+    }
+
+    /// Whether the link may have ended a waiting call instead of sending it.
+    fn may_be_skipped(&self, id: Id, at: Micros) -> bool {
+        self.may_have_failed(id) || self.may_be_too_late(id, at)
     }
 
     /// Checks a request of the link itself: a check, a probe, or a status request that learns the
@@ -229,7 +233,7 @@ impl Spec {
             return Err(format!("call {id} must use its plain spelling after a refusal"));
         }
         state.sends += 1;
-        (state.was_sent, state.waited_for_silence) = (true, false);
+        (state.was_sent, state.waited_for_silence, state.refused_at) = (true, false, None);
         if state.sends > 1 + state.call.retries + u32::from(state.extra_attempt) {
             return Err(format!("call {id} is sent {} times", state.sends));
         }
@@ -268,14 +272,20 @@ impl Spec {
         shape(self.settings.framing, frame.command, &frame.data)
     }
 
-    /// Checks that no call of a higher lane can be sent.
-    fn check_lane_order(&self, id: Id, at: Micros) -> RuleResult {
+    /// Checks that no call of a higher lane can be sent. One that the link may have ended instead has
+    /// ended.
+    pub(super) fn check_lane_order(&mut self, id: Id, at: Micros) -> RuleResult {
         let lane = self.calls[&id].call.lane;
-        let is_better = |other: &Id| self.calls[other].call.lane < lane && !self.may_be_too_late(*other, at);
-        let better = |station: u8| self.next_call(station, at).filter(is_better);
-        match self.queues.keys().copied().filter(|&station| self.is_sendable(station, at)).find_map(better) {
-            Some(other) => Err(format!("call {other} has a higher lane than call {id}")),
-            None => Ok(()),
+        let sendable: Vec<u8> = self.queues.keys().copied().filter(|&station| self.is_sendable(station, at)).collect();
+        for station in sendable {
+            while let Some(other) = self.next_call(station, at).filter(|other| self.calls[other].call.lane < lane) {
+                if !self.may_be_skipped(other, at) {
+                    return Err(format!("call {other} has a higher lane than call {id}"));
+                }
+                self.dequeue(other);
+                self.skip(other);
+            }
         }
+        Ok(())
     }
 }

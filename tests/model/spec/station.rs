@@ -17,6 +17,8 @@ pub(crate) struct Station {
     broadcasts: BTreeSet<u8>,
     /// Command and data of the last taken reply.
     last: Option<(u8, Vec<u8>)>,
+    /// Number of frames that no request took, without copies of the last taken reply.
+    pub(crate) strays: u32,
     /// Registers that exist, as replies have shown.
     pub(crate) answered: BTreeSet<u16>,
     /// Last event that restarts the silence: a frame, a timeout, a new connection.
@@ -95,6 +97,7 @@ impl Default for Station {
             owed: None,
             broadcasts: BTreeSet::new(),
             last: None,
+            strays: 0,
             answered: BTreeSet::new(),
             round_trip: None,
             silence_from: 0,
@@ -126,6 +129,7 @@ impl Station {
         }
         let is_copy = self.last.as_ref().is_some_and(|(last, content)| (*last, &content[..]) == (command, data));
         self.suspect |= !is_copy;
+        self.strays += u32::from(!is_copy);
     }
 
     pub(crate) fn broadcast(&mut self, command: u8, at: Micros) {
