@@ -49,6 +49,7 @@ fn settings(framing: Framing) -> LinkSettings {
         backoff: 40 * MS,
         window: 100 * MS,
         quiet: 150 * MS,
+        mute: 1000 * MS,
     }
 }
 
@@ -139,6 +140,7 @@ impl Harness {
             .connect_backoff(micros(settings.backoff / 4), micros(settings.backoff))
             .probe_interval(micros(settings.probe_interval.0), micros(settings.probe_interval.1))
             .offline_after(settings.offline_after)
+            .mute_timeout(micros(settings.mute))
             .queue_capacity(settings.queue)
             .in_step(InStepSettings::new().with_window(micros(settings.window)).with_quiet(micros(settings.quiet)))
             .seed(seed)
@@ -446,6 +448,12 @@ impl Drop for Unanswered {
 /// Client end of the line.
 struct LinkStream {
     line: Arc<Mutex<SharedLine>>,
+}
+
+impl Drop for LinkStream {
+    fn drop(&mut self) {
+        lock(&self.line).record(Event::Dropped);
+    }
 }
 
 impl AsyncRead for LinkStream {

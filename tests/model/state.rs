@@ -4,6 +4,7 @@ use fatek::wire::Framing;
 
 use super::oracle::Mark;
 pub(crate) use super::spec::station::Station;
+use super::spec::station::Strays;
 
 pub(crate) type Micros = u64;
 pub(crate) type Id = usize;
@@ -30,6 +31,8 @@ pub(crate) struct LinkSettings {
     pub(crate) window: Micros,
     /// Minimum quiet time: silence that replaces a check.
     pub(crate) quiet: Micros,
+    /// Mute timeout: silence of all stations after which a connection is replaced.
+    pub(crate) mute: Micros,
 }
 
 #[derive(Clone, Debug)]
@@ -110,6 +113,8 @@ pub(crate) enum Event {
     Connected,
     NotConnected,
     Lost,
+    /// The link has dropped its stream.
+    Dropped,
     /// The link wrote a request.
     Wrote(Vec<u8>),
     /// The link wrote a request when the connection was lost.
@@ -133,9 +138,8 @@ pub(crate) struct CallState {
     pub(crate) extra_attempt: bool,
     /// A spelling was refused, so only the plain one may be sent.
     pub(crate) plain_only: bool,
-    /// Number of the station's strays when the spelling of a write was refused, until the write is
-    /// sent again.
-    pub(crate) refused_at: Option<u32>,
+    /// The station's strays when the spelling of a write was refused, until the write is sent again.
+    pub(crate) refused_at: Option<Strays>,
     /// The call has waited for silence of its station since it was last sent.
     pub(crate) waited_for_silence: bool,
     /// The result that the call must end with, once it is decided.

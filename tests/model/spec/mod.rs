@@ -56,6 +56,8 @@ pub(crate) struct Spec {
     echo_was_last: bool,
     /// Consecutive connections that were closed in that state.
     closed_behind_echo: u32,
+    /// Consecutive requests without a reply, and when the first was sent: no frame has come since.
+    unanswered: Option<(Micros, u32)>,
     /// Each connection carries one request only.
     one_request: bool,
     /// The request of this connection has been answered.
@@ -89,6 +91,7 @@ impl Spec {
             connecting: false,
             echo_was_last: false,
             closed_behind_echo: 0,
+            unanswered: None,
             one_request: false,
             spent: false,
             silences: BTreeMap::new(),
@@ -110,6 +113,7 @@ impl Spec {
             Event::Connected => self.connected(at),
             Event::NotConnected => self.connecting = false,
             Event::Lost => self.lost(at),
+            Event::Dropped => return self.dropped(at),
             Event::Wrote(bytes) => {
                 let count = bytes.len();
                 self.wrote(bytes, true, at)?;
@@ -227,12 +231,30 @@ impl Spec {
             self.echo = LineEcho::Unknown;
         }
         self.learned_from = None;
+        self.unanswered = None;
         self.echo_was_last = false;
         // Replies to requests over earlier connections, or of other clients, may still arrive.
         self.stations.values_mut().for_each(|entry| entry.reconnected(at));
         if !std::mem::take(&mut self.spent) {
             self.probe_now(at);
         }
+    }
+
+    /// The link drops a stream that is lost or spent, and one that is mute.
+    fn dropped(&mut self, at: Micros) -> RuleResult {
+        if self.up && !self.spent {
+            if !self.is_mute(at) {
+                return Err(format!("a connection that is not mute is closed: {:?}", self.unanswered));
+            }
+            self.lost(at);
+        }
+        Ok(())
+    }
+
+    /// Whether nothing is answered over the connection any more.
+    fn is_mute(&self, at: Micros) -> bool {
+        self.in_flight.is_none()
+            && self.unanswered.is_some_and(|(since, count)| count >= 3 && at >= since + self.settings.mute)
     }
 
     fn lost(&mut self, at: Micros) {
@@ -276,7 +298,7 @@ impl Spec {
             self.echo = LineEcho::Unknown;
         }
         self.echo_was_last = false;
-        self.stations.entry(in_flight.station).or_default().make_suspect(at);
+        self.stations.entry(in_flight.station).or_default().timed_out(in_flight.command, at);
         let check_fails = in_flight.purpose != Purpose::Call;
         let state = in_flight.call.and_then(|id| self.calls.get_mut(&id));
         let bad_reply = state.map_or(in_flight.bad_reply, |state| match check_fails {
@@ -293,6 +315,7 @@ impl Spec {
             }
         }
         if !in_flight.bad_reply {
+            self.unanswered.get_or_insert((in_flight.sent, 0)).1 += 1;
             self.timed_out(in_flight.station, at);
         }
     }

@@ -16,11 +16,11 @@ impl Spec {
             }
         }
         let askable = self.queues.keys().filter(|&&station| self.is_sendable(station, at));
-        let waits = askable.copied().find_map(|station| self.next_call(station, at));
-        let waits = waits.filter(|&id| !self.may_have_failed(id) && !self.may_be_too_late(id, at));
+        let waits =
+            askable.filter_map(|station| self.next_call(*station, at)).find(|id| !self.may_be_too_late(*id, at));
         let resynced = self.resynced.filter(|id| {
             let station = self.calls[id].call.station;
-            self.is_pending(*id, at) && self.is_sendable(station, at) && !self.may_have_failed(*id)
+            self.is_pending(*id, at) && self.is_sendable(station, at)
         });
         let usable = self.up && !self.spent;
         if let (Some(id), true, None) = (waits.or(resynced), usable, &self.in_flight) {
@@ -31,8 +31,8 @@ impl Spec {
             let quiet = entry.map_or(self.settings.quiet, |entry| entry.quiet_time(&self.settings));
             // A frame within the silence is noticed at its end.
             let next = self.next_call(*station, at);
-            let has_failed = next.is_some_and(|id| self.may_have_failed(id) || self.may_be_too_late(id, at));
-            if usable && !has_failed && self.in_flight.is_none() && at > whole_ms(since + 2 * quiet) + 1000 {
+            let is_too_late = next.is_some_and(|id| self.may_be_too_late(id, at));
+            if usable && !is_too_late && self.in_flight.is_none() && at > whole_ms(since + 2 * quiet) + 1000 {
                 return Err(format!(
                     "station {station} was silent from {since} for {quiet}, but a call still waits at {at}"
                 ));

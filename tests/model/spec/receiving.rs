@@ -36,6 +36,7 @@ impl Spec {
             Decoded::Frame { station, command, data, bytes, mark } => {
                 self.stations.values_mut().for_each(|station| station.add_busy(bytes.len()));
                 if !self.is_echo(station, command, &data, &bytes) {
+                    self.unanswered = None;
                     self.oracle.frame_received(station, mark, at);
                     self.frame(station, command, &data, at);
                 }
@@ -80,7 +81,7 @@ impl Spec {
             (Some(_), _) => {
                 in_flight.followed_by_other |= own;
                 if let Some(entry) = self.stations.get_mut(&station).filter(|_| own) {
-                    entry.strays += 1;
+                    entry.strays.all += 1;
                 }
             }
             (None, Some(answer)) => {

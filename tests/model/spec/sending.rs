@@ -4,7 +4,7 @@ use fatek::wire::Side;
 
 use super::super::replies::shape;
 use super::super::state::{CallClass, CallResult, CallState, Id, InFlight, LineEcho, Micros, Purpose};
-use super::station::{Ambiguity, Shape, Station};
+use super::station::{Ambiguity, Shape, Station, Strays};
 use super::{ONLY_READ_ELEMENTS_ARE_KNOWN, RuleResult, Spec};
 use crate::reference::{frame_content, framed};
 
@@ -26,6 +26,9 @@ impl Spec {
         }
         if !self.up || self.spent {
             return Err("there is no connection".to_owned());
+        }
+        if self.is_mute(at) {
+            return Err("a request over a mute connection".to_owned());
         }
         let frame = frame_content(self.settings.framing, &request);
         let (station, command, data) = (frame.station, frame.command, frame.data.to_vec());
@@ -161,8 +164,12 @@ impl Spec {
     /// spelling was refused, and a stray since then shows that the refusal may be another request's.
     pub(super) fn may_have_failed(&self, id: Id) -> bool {
         let state = &self.calls[&id];
-        let strays = self.stations.get(&state.call.station).map_or(0, |entry| entry.strays);
-        state.refused_at.is_some_and(|refused_at| refused_at != strays)
+        let strays = self.strays_at(state.call.station);
+        state.refused_at.is_some_and(|before| before.all != strays.all)
+    }
+
+    fn strays_at(&self, station: u8) -> Strays {
+        self.stations.get(&station).map(|entry| entry.strays).unwrap_or_default()
     }
 
     /// Whether the link may have ended a waiting call instead of sending it.
@@ -228,7 +235,11 @@ impl Spec {
         if station != 0 {
             self.check_may_send(id, spelling, sent, at)?;
         }
+        let strays = self.strays_at(station);
         let state = self.calls.get_mut(&id).ok_or("no such call")?;
+        if state.refused_at.is_some_and(|before| before.unexpected != strays.unexpected) {
+            return Err(format!("call {id} is sent again, though its refusal may be another request's"));
+        }
         if spelling > 0 && state.plain_only {
             return Err(format!("call {id} must use its plain spelling after a refusal"));
         }

@@ -17,8 +17,9 @@ pub(crate) struct Station {
     broadcasts: BTreeSet<u8>,
     /// Command and data of the last taken reply.
     last: Option<(u8, Vec<u8>)>,
-    /// Number of frames that no request took, without copies of the last taken reply.
-    pub(crate) strays: u32,
+    pub(crate) strays: Strays,
+    /// Commands of requests that were not answered in time, since the last proof.
+    late: BTreeSet<u8>,
     /// Registers that exist, as replies have shown.
     pub(crate) answered: BTreeSet<u16>,
     /// Last event that restarts the silence: a frame, a timeout, a new connection.
@@ -48,6 +49,14 @@ pub(crate) struct Shape {
 
 /// Transmission time of a byte, as a link assumes it for a network.
 const BYTE_NANOS: Micros = 800;
+
+/// Numbers of frames that no request took, without copies of the last taken reply.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Strays {
+    pub(crate) all: u32,
+    /// Those that are no late reply and no answer to a broadcast.
+    pub(crate) unexpected: u32,
+}
 
 #[derive(Debug)]
 struct Owed {
@@ -97,7 +106,8 @@ impl Default for Station {
             owed: None,
             broadcasts: BTreeSet::new(),
             last: None,
-            strays: 0,
+            strays: Strays::default(),
+            late: BTreeSet::new(),
             answered: BTreeSet::new(),
             round_trip: None,
             silence_from: 0,
@@ -121,6 +131,12 @@ impl Station {
         self.refused = false;
     }
 
+    /// Handles a timeout: the reply may come late.
+    pub(crate) fn timed_out(&mut self, command: u8, at: Micros) {
+        self.make_suspect(at);
+        self.late.insert(command);
+    }
+
     /// Handles a frame that no request takes.
     pub(crate) fn stray(&mut self, command: u8, data: &[u8], at: Micros) {
         self.silence_from = at;
@@ -129,7 +145,9 @@ impl Station {
         }
         let is_copy = self.last.as_ref().is_some_and(|(last, content)| (*last, &content[..]) == (command, data));
         self.suspect |= !is_copy;
-        self.strays += u32::from(!is_copy);
+        let is_unexpected = !is_copy && !self.late.contains(&command) && !self.broadcasts.contains(&command);
+        self.strays.all += u32::from(!is_copy);
+        self.strays.unexpected += u32::from(is_unexpected);
     }
 
     pub(crate) fn broadcast(&mut self, command: u8, at: Micros) {
@@ -222,6 +240,7 @@ impl Station {
         }
         if echo {
             self.suspect = false;
+            self.late.clear();
         }
         self.refused = false;
         self.reply_taken(in_flight, shape, held, settings, at);
@@ -232,6 +251,7 @@ impl Station {
     pub(crate) fn was_silent(&mut self) {
         (self.suspect, self.refused, self.owed) = (false, false, None);
         self.broadcasts.clear();
+        self.late.clear();
     }
 
     pub(crate) fn quiet_time(&self, settings: &LinkSettings) -> Micros {
