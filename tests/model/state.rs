@@ -138,7 +138,7 @@ pub(crate) struct CallState {
     pub(crate) extra_attempt: bool,
     /// A spelling was refused, so only the plain one may be sent.
     pub(crate) plain_only: bool,
-    /// The station's strays when the spelling of a write was refused, until the write is sent again.
+    /// The station's strays when the spelling of a write was refused, until it is sent again.
     pub(crate) refused_at: Option<Strays>,
     /// The call has waited for silence of its station since it was last sent.
     pub(crate) waited_for_silence: bool,

@@ -195,8 +195,8 @@ impl Spec {
         if !allowed {
             return Err(format!("call {id} has ended with {end:?}, allowed: {:?} (sent: {sent})", state.due));
         }
-        // The link ended the call before it chose a request, so the check on the wire is for the next
-        // one.
+        // The link ended the call before it chose a request, so the check on the wire is for the
+        // next one.
         let own = self.in_flight.as_ref().filter(|in_flight| in_flight.call == Some(id));
         let skipped = !late && (too_late || self.may_have_failed(id));
         if let Some(station) = own.filter(|it| it.purpose != Purpose::Call && skipped).map(|it| it.station) {

@@ -160,8 +160,8 @@ impl Spec {
         self.is_too_late(id, at + 1000, 1000)
     }
 
-    /// Whether the link may have ended a call without its caller having seen it: a write whose other
-    /// spelling was refused, and a stray since then shows that the refusal may be another request's.
+    /// Whether the link may have ended a call without its caller having seen it: a write whose
+    /// other spelling was refused. A stray since then shows that the refusal may be another's.
     pub(super) fn may_have_failed(&self, id: Id) -> bool {
         let state = &self.calls[&id];
         let strays = self.strays_at(state.call.station);
@@ -283,8 +283,8 @@ impl Spec {
         shape(self.settings.framing, frame.command, &frame.data)
     }
 
-    /// Checks that no call of a higher lane can be sent. One that the link may have ended instead has
-    /// ended.
+    /// Checks that no call of a higher lane can be sent. One that the link may have ended instead
+    /// has ended.
     pub(super) fn check_lane_order(&mut self, id: Id, at: Micros) -> RuleResult {
         let lane = self.calls[&id].call.lane;
         let sendable: Vec<u8> = self.queues.keys().copied().filter(|&station| self.is_sendable(station, at)).collect();
