@@ -110,7 +110,8 @@ impl<'a> Lines<'a> {
             let (line, rest) = self.rest.split_once('\n').unwrap_or((self.rest, ""));
             self.rest = rest;
             let (name, _) = line.split_once(' ').unwrap_or((line, ""));
-            if self.minor <= MINOR || (self.is_known)(name) {
+            let is_newer = self.minor.checked_sub(MINOR).is_some_and(|later| later > 0);
+            if !is_newer || (self.is_known)(name) {
                 return Some(line);
             }
             if !self.unknown.iter().any(|unknown| unknown == name) {
