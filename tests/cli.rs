@@ -247,11 +247,17 @@ fn no_reply_is_status_4() {
     let sim = Sim::start(&[]);
     let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "read", "R0"]);
     assert_eq!((absent.status, absent.stdout.as_str()), (4, ""), "{absent:?}");
-    assert!(absent.stderr.starts_with("error: R0: station 9 did not answer read registers (46h)"), "{absent:?}");
+    assert!(
+        absent.stderr.starts_with("error: R0: station 9 did not answer the check before read registers (46h)"),
+        "{absent:?}"
+    );
     let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "write", "R0=1"]);
     assert_eq!(absent.status, 4, "{absent:?}");
     // Even the check was not answered.
-    assert!(absent.stderr.starts_with("error: R0: station 9 did not answer write registers (47h)"), "{absent:?}");
+    assert!(
+        absent.stderr.starts_with("error: R0: station 9 did not answer the check before write registers (47h)"),
+        "{absent:?}"
+    );
     assert!(absent.stderr.contains("the request was not sent"), "{absent:?}");
     let silent = ScriptedPlc::start(|_| Vec::new());
     let unanswered = silent.fatek(&["--timeout", "100ms", "write", "R0=1"]);

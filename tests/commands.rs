@@ -170,7 +170,7 @@ async fn the_plc_refuses_addresses_outside_its_model() {
         assert_eq!(error.error_code(), Some(ErrorCode::IllegalAddress));
         plc.refuse_run(Some(ErrorCode::Syntax));
         let error = station.run().await.unwrap_err();
-        assert_eq!(error.to_string(), "station 1 refused control RUN/STOP (41): cannot run: syntax error (7)");
+        assert_eq!(error.to_string(), "station 1 refused control RUN/STOP (41h): cannot run: syntax error (7)");
     }
 }
 

@@ -422,7 +422,7 @@ async fn a_quiet_time_does_not_count_as_idle() {
 #[tokio::test(start_paused = true)]
 async fn an_idle_link_sends_no_probes_and_forgets_offline_stations() {
     let (builder, mut peers) = reconnecting(|_| true);
-    let link = builder.idle_timeout(MINUTE).build();
+    let link = builder.idle_timeout(MINUTE).mute_timeout(None).build();
     let plc = station(&link);
     assert!(plc.read_status().await.is_err()); // three timeouts
     assert!(matches!(*plc.watch_state().borrow(), StationState::Offline { .. }));

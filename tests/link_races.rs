@@ -201,7 +201,9 @@ async fn caller(station: Station, address: u16, mut rng: Rng, closes: bool) -> C
             match within(cancel_after, station.write_registers(register, &[value])).await {
                 None => counts.given_up += 1,
                 Some(Ok(())) => (held, counts.done) = (vec![value], counts.done + 1),
-                Some(Err(error)) if closes && matches!(error, Error::Closed { .. }) => return closed(counts),
+                Some(Err(error)) if closes && matches!(error, Error::Closed { .. } | Error::Disconnected { .. }) => {
+                    return closed(counts);
+                }
                 Some(Err(error)) => panic!("{error}"),
             }
         } else {
@@ -214,7 +216,9 @@ async fn caller(station: Station, address: u16, mut rng: Rng, closes: bool) -> C
                     held.drain(..at.unwrap_or_else(|| panic!("{values:?} is none of {held:?}")));
                     counts.done += 1;
                 }
-                Some(Err(error)) if closes && matches!(error, Error::Closed { .. }) => return closed(counts),
+                Some(Err(error)) if closes && matches!(error, Error::Closed { .. } | Error::Disconnected { .. }) => {
+                    return closed(counts);
+                }
                 Some(Err(error)) => panic!("{error}"),
             }
         }

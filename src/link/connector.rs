@@ -43,6 +43,11 @@ impl Connector {
         Self::Custom { open, wakes_reader: false }
     }
 
+    /// Whether there is only one connection ever.
+    pub(crate) fn is_once(&self) -> bool {
+        matches!(self, Self::Once(_))
+    }
+
     /// Whether another connection can be opened.
     pub(crate) fn reopens(&self) -> bool {
         !matches!(self, Self::Once(None))

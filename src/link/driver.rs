@@ -178,7 +178,7 @@ impl Driver {
     /// Closes the connection and fails all calls: the runtime that the connection belongs to has
     /// ended. Returns `false` if there can be no other connection.
     pub(crate) fn runtime_ended(&mut self) -> bool {
-        if !self.connector.reopens() || self.ending || self.core.is_closing() {
+        if self.connector.is_once() || self.ending || self.core.is_closing() {
             return false;
         }
         self.io = None;

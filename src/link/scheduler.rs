@@ -43,6 +43,9 @@ pub(crate) struct Scheduler {
 /// The allowance grows by the bus time divided by this.
 const ALLOWANCE_SHARE: u32 = 50;
 
+/// Distance to the last station of a round.
+const BEHIND: Duration = Duration::from_micros(1);
+
 /// The most that the allowance can be.
 const MAX_ALLOWANCE: Duration = Duration::from_secs(2);
 
@@ -233,7 +236,8 @@ impl Scheduler {
         let others = self.stations.iter().filter(|&(other, queues)| other != station && queues.len() > 0);
         let end_of_round = others.map(|(_, queues)| used(queues)).max().unwrap_or(self.served);
         let before = self.stations.get(station).map(used).unwrap_or_default();
-        let debt = before.saturating_add(time).saturating_sub(end_of_round.max(before));
+        let behind = end_of_round.max(before).saturating_add(BEHIND);
+        let debt = before.saturating_add(time).saturating_sub(behind);
         let Some(rest) = self.allowance.checked_sub(debt) else { return self.charge(station, time) };
         self.allowance = rest;
         self.charge(station, time.saturating_sub(debt));
