@@ -12,6 +12,17 @@
 //! Lines end with a line feed, and the last line ends the file. A file that is cut off, longer, or
 //! different in a single bit is refused; the error names the line and the rule.
 //!
+//! # Saving
+//!
+//! A file is saved as a new one in its folder, `.fatek-TARGET-PROCESS-N.new`, which then replaces
+//! it. `TARGET` is a checksum of the name of the file. The process holds a lock on the new file
+//! until it has its final name.
+//!
+//! A process that is killed leaves the new file behind. The next save of the same file removes it:
+//! every file in the folder whose name has this form and `TARGET`, and that no process has locked.
+//! On systems other than Unix it must also be older than a minute. A file system without locks
+//! keeps such files. One that several computers use must share their locks.
+//!
 //! # Versions
 //!
 //! The version is `major` or `major.minor`; this library writes 1.
@@ -26,6 +37,7 @@
 
 mod error;
 mod frame;
+mod left_over;
 mod lines;
 mod save;
 mod saved;

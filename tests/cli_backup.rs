@@ -383,9 +383,10 @@ fn an_interrupted_restore_reports_its_progress() {
     Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     let ended = child.wait_with_output().unwrap();
     let stderr = String::from_utf8(ended.stderr).unwrap();
-    assert_eq!(ended.status.code(), Some(1), "{stderr}");
+    assert_eq!(ended.status.code(), Some(130), "{stderr}");
     assert!(
-        stderr.ends_with("error: interrupted: 1 elements compared, 1 differed, 0 written, 1 perhaps written\n"),
+        stderr
+            .ends_with("error: interrupted by SIGINT: 1 elements compared, 1 differed, 0 written, 1 perhaps written\n"),
         "{stderr}"
     );
 }

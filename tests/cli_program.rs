@@ -147,9 +147,21 @@ fn count(received: &[u8], command: &[u8; 2]) -> usize {
 #[test]
 #[cfg(unix)]
 fn an_interrupted_write_reports_its_pages_and_the_remedy() {
-    use self::process::run_and_interrupt;
+    interrupted_write("INT", 130);
+}
 
-    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-interrupted"));
+/// Before: the process was killed, and left the PLC stopped without a word.
+#[test]
+#[cfg(unix)]
+fn a_write_ends_in_order_when_the_terminal_is_closed() {
+    interrupted_write("HUP", 129);
+}
+
+#[cfg(unix)]
+fn interrupted_write(signal: &str, expected: i32) {
+    use self::process::run_and_signal;
+
+    let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new(&format!("program-interrupted-{signal}")));
     let raw = folder.file("new.bin");
     fs::write(&raw, raw_program()).unwrap();
     sim.fatek(&["run"]).ok();
@@ -159,16 +171,14 @@ fn an_interrupted_write_reports_its_pages_and_the_remedy() {
         !is_command(request, b"50") || pages.fetch_add(1, Ordering::Relaxed) < 3
     });
     let write = ["program", "write", "--raw", &raw, "--yes", "--all", "--stop", "--run"];
-    let (status, stderr) = run_and_interrupt(&plc, &write, |received| count(received, b"50") == 4);
-    assert_eq!(status, 1, "{stderr}");
-    assert!(
-        stderr.ends_with(
-            "error: interrupted: 3 of the 11 pages that differ are written (1-3), page 4 perhaps, and the PLC ran before \
-             and is stopped now: write the rest before it runs; repeat the command, then start the PLC with `fatek \
-             run`\n"
-        ),
-        "{stderr}"
+    let (status, stderr) = run_and_signal(&plc, signal, &write, |received| count(received, b"50") == 4);
+    assert_eq!(status, expected, "{stderr}");
+    let state = format!(
+        "error: interrupted by SIG{signal}: 3 of the 11 pages that differ are written (1-3), page 4 perhaps, and the \
+         PLC ran before and is stopped now: write the rest before it runs; repeat the command, then start the PLC \
+         with `fatek run`\n"
     );
+    assert!(stderr.ends_with(&state), "{stderr}");
     assert!(sim.fatek(&["status", "--format", "csv"]).ok().contains("brief,running,false"));
     let again = sim.fatek(&write);
     assert!(again.stderr.ends_with("pages written and compared; the PLC is stopped\n"), "{again:?}");
@@ -179,7 +189,7 @@ fn an_interrupted_write_reports_its_pages_and_the_remedy() {
 #[test]
 #[cfg(unix)]
 fn an_interrupted_read_leaves_the_old_file() {
-    use self::process::run_and_interrupt;
+    use self::process::run_and_signal;
 
     let (sim, folder) = (Sim::start(&["--ladder-words", "640"]), Folder::new("program-read-interrupted"));
     let file = folder.file("a.program");
@@ -188,11 +198,12 @@ fn an_interrupted_read_leaves_the_old_file() {
     let plc = ScriptedPlc::proxy(&sim, move |request| {
         !is_command(request, b"4F") || pages.fetch_add(1, Ordering::Relaxed) < 5
     });
-    let (status, stderr) = run_and_interrupt(&plc, &["program", "read", &file], |received| count(received, b"4F") == 6);
-    assert_eq!(status, 1, "{stderr}");
+    let (status, stderr) =
+        run_and_signal(&plc, "INT", &["program", "read", &file], |received| count(received, b"4F") == 6);
+    assert_eq!(status, 130, "{stderr}");
     // The pages are blank, and a page equal to the one before it is read twice. Only pages
     // confirmed by a check count.
-    assert!(stderr.contains("\nerror: interrupted after "), "{stderr}");
+    assert!(stderr.contains("\nerror: interrupted by SIGINT after "), "{stderr}");
     assert!(stderr.ends_with(" pages: nothing was saved\n"), "{stderr}");
     assert_eq!(fs::read_to_string(&file).unwrap(), "the old one");
     assert_eq!(fs::read_dir(&folder.0).unwrap().count(), 1);
@@ -256,7 +267,7 @@ fn an_unwritable_file_sends_nothing() {
     for (file, message) in [
         (folder.file("none/a"), "none/a: cannot make a new file in its folder: No such file"),
         (folder.file("a/b"), "a/b: cannot find it: Not a directory"),
-        (folder.file("."), "not a regular file, so it is not replaced"),
+        (folder.file("."), "not a regular file"),
     ] {
         for args in [&["program", "read", &file][..], &["backup", &file, "R0-R9"]] {
             // A request would give status 5.

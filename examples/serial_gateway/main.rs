@@ -22,7 +22,7 @@ mod server;
 
 use std::error::Error;
 use std::future::Future;
-use std::io::IsTerminal;
+use std::io::{self, IsTerminal};
 use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -60,6 +60,9 @@ struct Args {
     /// Idle timeout of a client, such as 60s or 2h
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = humantime::parse_duration)]
     idle: Duration,
+    /// Idle time after which a client makes room for a new one at the limit of clients
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = humantime::parse_duration)]
+    make_room_after: Duration,
     /// Deadline of a request, queueing included, such as 2s
     ///
     /// Use less than the timeout of the clients: a client takes a late reply for that of its next
@@ -87,15 +90,17 @@ async fn main() -> Result<(), Box<dyn Error>> {
         // Each client has at most one request in the queue.
         .queue_capacity(args.max_clients.get())
         .build();
+    // The handlers are installed before clients can connect.
+    let stop = signalled()?;
     let listener = TcpListener::bind(&args.listen).await?;
     let bus = args.bus.as_ref().map_or("simulated".to_owned(), ToString::to_string);
     let rules = Rules { stations: args.stations, read_only: args.read_only };
-    tracing::info!(%bus, clients = %listener.local_addr()?, ?rules, "Ctrl-C stops");
+    tracing::info!(%bus, clients = %listener.local_addr()?, ?rules, "Ctrl-C or SIGTERM stops");
 
     let proxy = Arc::new(Proxy::new(link, rules));
     let reports = tokio::spawn(report(Arc::clone(&proxy)));
-    let limits = Limits { clients: args.max_clients.get(), idle: args.idle };
-    server::serve(listener, Arc::clone(&proxy), limits, interrupted()).await;
+    let limits = Limits { clients: args.max_clients.get(), idle: args.idle, make_room_after: args.make_room_after };
+    server::serve(listener, Arc::clone(&proxy), limits, stop).await;
     reports.abort();
     if let Some(process) = process {
         process.abort();
@@ -104,10 +109,30 @@ async fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-async fn interrupted() {
-    if let Err(error) = tokio::signal::ctrl_c().await {
-        tracing::error!(%error, "no handler for Ctrl-C");
-    }
+/// Installs the handlers of SIGINT and SIGTERM, and waits for the first of them.
+///
+/// SIGHUP has no handler: it would replace the setting of `nohup`.
+#[cfg(unix)]
+fn signalled() -> io::Result<impl Future<Output = ()>> {
+    use tokio::signal::unix::{SignalKind, signal};
+
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
+    })
+}
+
+/// Installs the handler of Ctrl-C, and waits for it.
+#[cfg(not(unix))]
+fn signalled() -> io::Result<impl Future<Output = ()>> {
+    let mut interrupt = tokio::signal::windows::ctrl_c()?;
+    Ok(async move {
+        interrupt.recv().await;
+    })
 }
 
 /// Parses `3` or `1-8`.

@@ -7,15 +7,19 @@
 //! A client that closes its connection is noticed during its request. A request that still waits for
 //! the bus is then not sent: no client would take the reply.
 //!
+//! A new client above the limit ([`Limits::clients`]) takes the place of the client that is idle
+//! longest, if that has been idle for [`Limits::make_room_after`]. Otherwise it is disconnected.
+//!
 //! A client is disconnected
-//! - above the limit of clients ([`Limits::clients`]);
+//! - when it makes room for a new one;
 //! - after no request, or no read of a reply, for the idle timeout ([`Limits::idle`]);
 //! - after too much noise ([`MAX_NOISE`]).
 
+use std::collections::HashMap;
 use std::future::Future;
 use std::io;
 use std::pin::pin;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bytes::{Buf, BytesMut};
@@ -23,7 +27,7 @@ use fatek::wire::{Codec, Frame, Framing, MAX_FRAME_LEN, Received, Side, ascii, b
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
-use tokio::task::JoinSet;
+use tokio::task::{Id, JoinSet};
 use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tokio_util::codec::Decoder;
 
@@ -36,6 +40,8 @@ pub(crate) struct Limits {
     pub(crate) clients: usize,
     /// Idle timeout: time without a request, and time to accept a reply.
     pub(crate) idle: Duration,
+    /// Time without a request after which a client makes room for a new one.
+    pub(crate) make_room_after: Duration,
 }
 
 /// Limit of noise bytes between two requests.
@@ -50,26 +56,33 @@ const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(1);
 /// Serves clients until `stop`. Then completes the request on the wire, closes the link, and
 /// returns.
 pub(crate) async fn serve(listener: TcpListener, proxy: Arc<Proxy>, limits: Limits, stop: impl Future<Output = ()>) {
-    let (stopping, stopped) = watch::channel(());
     let mut clients = JoinSet::new();
+    let mut places = Places(HashMap::new());
     let mut stop = pin!(stop);
     loop {
         tokio::select! {
             () = &mut stop => break,
-            Some(_) = clients.join_next() => {}
+            Some(ended) = clients.join_next_with_id() => {
+                places.0.remove(&ended.map_or_else(|error| error.id(), |(id, ())| id));
+            }
             accepted = listener.accept() => match accepted {
-                Ok((_, peer)) if clients.len() >= limits.clients => tracing::debug!(%peer, "client limit reached"),
+                Ok((_, peer)) if places.0.len() >= limits.clients && !places.make_room(limits.make_room_after) => {
+                    tracing::debug!(%peer, "client limit reached");
+                }
                 Ok((stream, peer)) => {
                     // A reply is one small segment that must not be delayed.
                     let _ = stream.set_nodelay(true);
-                    let (proxy, stopped) = (Arc::clone(&proxy), stopped.clone());
-                    clients.spawn(async move {
+                    let (proxy, activity) = (Arc::clone(&proxy), Activity::default());
+                    let (leave, stopped) = watch::channel(());
+                    let place = Place { leave, activity: activity.clone() };
+                    let task = clients.spawn(async move {
                         tracing::info!(%peer, "connected");
-                        match serve_client(stream, &proxy, limits, stopped).await {
+                        match serve_client(stream, &proxy, limits, &activity, stopped).await {
                             Ok(reason) => tracing::info!(%peer, ?reason, "disconnected"),
                             Err(error) => tracing::info!(%peer, %error, "disconnected"),
                         }
                     });
+                    places.0.insert(task.id(), place);
                 }
                 Err(error) => {
                     // A temporary error, such as too many open files.
@@ -80,11 +93,55 @@ pub(crate) async fn serve(listener: TcpListener, proxy: Arc<Proxy>, limits: Limi
         }
     }
     drop(listener);
-    drop(stopping);
+    drop(places);
     // The request on the wire is completed, queued ones fail.
     proxy.link().close().await;
     let _ = timeout(SHUTDOWN_TIMEOUT, async { while clients.join_next().await.is_some() {} }).await;
     clients.shutdown().await;
+}
+
+/// Connected clients by their tasks.
+struct Places(HashMap<Id, Place>);
+
+struct Place {
+    /// A message makes the client leave for a new one; dropping it, since the gateway stops.
+    leave: watch::Sender<()>,
+    activity: Activity,
+}
+
+impl Places {
+    /// Disconnects the client that is idle longest, if that has been idle for this time.
+    fn make_room(&mut self, after: Duration) -> bool {
+        let idle = self.0.iter().filter_map(|(id, place)| Some((place.activity.idle_time()?, *id)));
+        match idle.max_by_key(|(idle, _)| *idle) {
+            Some((idle, id)) if idle >= after => self.0.remove(&id).is_some_and(|place| place.leave.send(()).is_ok()),
+            Some(_) | None => false,
+        }
+    }
+}
+
+/// Activity of a client, shared with the task that accepts clients.
+#[derive(Clone, Debug)]
+pub(crate) struct Activity {
+    /// End of its last request; `None` during a request.
+    idle_since: Arc<Mutex<Option<Instant>>>,
+}
+
+impl Default for Activity {
+    fn default() -> Self {
+        Self { idle_since: Arc::new(Mutex::new(Some(Instant::now()))) }
+    }
+}
+
+impl Activity {
+    fn set(&self, idle_since: Option<Instant>) {
+        *self.idle_since.lock().unwrap_or_else(PoisonError::into_inner) = idle_since;
+    }
+
+    /// Time since its last request; `None` during a request.
+    fn idle_time(&self) -> Option<Duration> {
+        self.idle_since.lock().unwrap_or_else(PoisonError::into_inner).map(|since| since.elapsed())
+    }
 }
 
 /// Reason for the end of a connection.
@@ -98,15 +155,18 @@ pub(crate) enum DisconnectReason {
     NotReading,
     /// Too many bytes that are not requests.
     Noise,
+    /// Idle longest when a new client connected at the limit.
+    MadeRoom,
     /// The gateway was stopped.
     Stopped,
 }
 
-/// Serves one client until it disconnects, breaks a limit, or the sender of `stopped` is dropped.
+/// Serves one client until it disconnects, breaks a limit, or `stopped` has a message or no sender.
 pub(crate) async fn serve_client(
     mut stream: impl AsyncRead + AsyncWrite + Unpin,
     proxy: &Proxy,
     limits: Limits,
+    activity: &Activity,
     mut stopped: watch::Receiver<()>,
 ) -> io::Result<DisconnectReason> {
     let mut requests = Requests::new();
@@ -114,6 +174,7 @@ pub(crate) async fn serve_client(
     let mut deadline = Instant::now() + limits.idle;
     loop {
         while let Some((frame, framing)) = requests.next()? {
+            activity.set(None);
             tokio::select! {
                 biased;
                 () = proxy.answer(&frame, framing, &mut reply) => {}
@@ -127,6 +188,7 @@ pub(crate) async fn serve_client(
             }
             reply.clear();
             deadline = Instant::now() + limits.idle;
+            activity.set(Some(Instant::now()));
         }
         if requests.noise > MAX_NOISE {
             return Ok(DisconnectReason::Noise);
@@ -137,7 +199,9 @@ pub(crate) async fn serve_client(
         }
         let until = if requests.received.is_empty() { deadline } else { deadline.min(Instant::now() + MAX_GAP) };
         tokio::select! {
-            _ = stopped.changed() => return Ok(DisconnectReason::Stopped),
+            made_room = stopped.changed() => {
+                return Ok(made_room.map_or(DisconnectReason::Stopped, |()| DisconnectReason::MadeRoom));
+            }
             read = timeout_at(until, stream.read_buf(&mut requests.received)) => {
                 requests.silence = read.is_err();
                 if let Ok(len) = read

@@ -97,8 +97,9 @@ pub enum FileError {
         /// The error of the system.
         source: Arc<io::Error>,
     },
-    /// The name belongs to a folder, a device or a broken link, which is not replaced.
-    #[error("{}: not a regular file, so it is not replaced", path.display())]
+    /// The name belongs to a folder, a pipe, a device or a broken link. These are neither read nor
+    /// replaced: opening a pipe, for instance, could block for ever.
+    #[error("{}: not a regular file", path.display())]
     #[non_exhaustive]
     NotAFile {
         /// The name.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf, is_separator};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::left_over::{self, lock, name_of};
 use super::{FileError, FormatError};
 
 /// The largest file that is read; those of this library are smaller.
@@ -18,9 +19,13 @@ pub(crate) fn save(path: &Path, content: &[u8]) -> Result<(), FileError> {
     save_with(path, |file| file.write_all(content))
 }
 
-/// Reads the bytes of a file.
+/// Reads the bytes of a regular file.
 pub(crate) fn load(path: &Path) -> Result<Vec<u8>, FileError> {
     let failed = failed(path, "read it");
+    // Checked before it is opened: that blocks for a pipe without a writer, and devices react to it.
+    if !fs::metadata(path).map_err(&failed)?.is_file() {
+        return Err(FileError::NotAFile { path: path.to_owned() });
+    }
     let file = File::open(path).map_err(&failed)?;
     let mut content = Vec::new();
     file.take(MAX_LEN.saturating_add(1)).read_to_end(&mut content).map_err(&failed)?;
@@ -49,12 +54,16 @@ pub fn can_save(path: impl AsRef<Path>) -> Result<(), FileError> {
 
 fn save_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<(), FileError> {
     let NewFile { target, old, mut temporary, mut file } = NewFile::create(path)?;
+    // Before the first byte is written: they may fill the disk.
+    left_over::remove(&target);
     // Before the first byte: a secret of the old file must not be readable in the new one.
     let permitted = old.map_or(Ok(()), |old| file.set_permissions(old.permissions()));
     let written = permitted.and_then(|()| write(&mut file)).and_then(|()| file.sync_all());
-    drop(file);
+    // Closed later on Unix: until it is renamed, the lock keeps other processes from removing it.
+    let locked = cfg!(unix).then_some(file);
     written.map_err(failed(path, "write it"))?;
     fs::rename(&temporary.path, &target).map_err(failed(path, "replace it"))?;
+    drop(locked);
     temporary.renamed = true;
     sync_folder(&target);
     Ok(())
@@ -104,15 +113,16 @@ struct Temporary {
 impl Temporary {
     fn create(target: &Path) -> io::Result<(Self, File)> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
-        target.file_name().ok_or(io::ErrorKind::InvalidFilename)?;
+        let target_name = target.file_name().ok_or(io::ErrorKind::InvalidFilename)?;
         for _ in 0..NAMES {
-            // Not derived from the target's name, which may have the maximum length.
-            let hidden = format!(".fatek-{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
-            let path = target.with_file_name(hidden);
+            let path = target.with_file_name(name_of(target_name, NEXT.fetch_add(1, Ordering::Relaxed)));
             match OpenOptions::new().write(true).create_new(true).open(&path) {
                 // Left by a killed process with this number: in containers numbers repeat.
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-                result => return result.map(|file| (Self { path, renamed: false }, file)),
+                Err(error) => return Err(error),
+                // Otherwise another process is removing it: it was not locked for a moment.
+                Ok(file) if lock(&file) => return Ok((Self { path, renamed: false }, file)),
+                Ok(_) => {}
             }
         }
         Err(io::ErrorKind::AlreadyExists.into())
@@ -122,7 +132,7 @@ impl Temporary {
 impl Drop for Temporary {
     fn drop(&mut self) {
         if !self.renamed {
-            // A file that cannot be removed stays; the next save ignores it.
+            // A file that cannot be removed stays until the next save.
             let _ = fs::remove_file(&self.path);
         }
     }

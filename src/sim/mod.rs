@@ -3,7 +3,8 @@
 //! - [`Plc`]: one PLC of a given [`Model`], with memory, program and RUN/STOP. A cheap handle: a
 //!   test can keep one to read the PLC, or to act as the process, while a client is connected.
 //! - [`Bus`]: a line with PLCs at their station numbers. Frames in, replies out, no I/O.
-//! - [`serve`] serves a bus over any stream, [`Server`] over TCP, [`UdpServer`] over UDP.
+//! - [`serve`] serves a bus over any stream, [`Server`] over TCP, [`UdpServer`] over UDP,
+//!   [`SerialServer`] on a serial port.
 //!   [`connector`] connects a [`Link`](crate::Link) to it in memory.
 //! - [`Faults`]: silence, delays, garbage, lost connections and line speed, with a log of the
 //!   requests that arrived. See [`fault`].
@@ -56,4 +57,4 @@ pub use fault::{DisconnectAt, Fault, Faults, LeftOver, Line, Log, LogEntry, Rule
 pub(crate) use fault::{Output, Session};
 pub use model::{Model, PageReply};
 pub use plc::Plc;
-pub use server::{MAX_CONNECTIONS, Server, UdpServer, connector, serve};
+pub use server::{MAX_CONNECTIONS, SerialServer, Server, UdpServer, connector, serve};

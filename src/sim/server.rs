@@ -1,31 +1,31 @@
+//! Servers of a bus: over streams, TCP, UDP and serial ports.
+
+mod connection;
+mod serial;
 mod session;
+mod tcp;
 mod udp;
 
 use std::future::{Ready, ready};
 use std::io;
-use std::net::SocketAddr;
-use std::pin::pin;
 use std::time::Duration;
 
 use bytes::BytesMut;
-use futures::future;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, DuplexStream, duplex};
-use tokio::net::{TcpListener, ToSocketAddrs};
 use tokio::runtime::Handle;
-use tokio::sync::oneshot;
-use tokio::task::{JoinHandle, JoinSet};
 use tokio::time;
 use tokio_util::codec::Decoder;
-use tracing::debug;
 
+pub use self::serial::SerialServer;
 use self::session::run_session;
+pub use self::tcp::{MAX_CONNECTIONS, Server};
 pub use self::udp::UdpServer;
 use super::Bus;
 use super::fault::{Faults, Session};
 use crate::wire::{Codec, Framing, MAX_FRAME_LEN, Side};
 
-/// Maximum number of connections of a [`Server`]. Further ones wait until one of them ends.
-pub const MAX_CONNECTIONS: usize = 64;
+/// Time for the replies to requests that have arrived when a server is shut down.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Serves a bus over a stream, until the stream ends.
 ///
@@ -142,87 +142,6 @@ fn connect(bus: &Bus, framing: Framing) -> io::Result<DuplexStream> {
     let (client, line) = duplex(4 * MAX_FRAME_LEN);
     runtime.spawn(serve(line, bus.clone(), framing));
     Ok(client)
-}
-
-/// A TCP server for a [`Bus`], as an Ethernet module.
-///
-/// Dropping it closes the port and all connections; [`shutdown`](Self::shutdown) also waits for
-/// that. The [module](super) has an example.
-#[derive(Debug)]
-pub struct Server {
-    local_addr: SocketAddr,
-    /// Stops the task when dropped.
-    stop: oneshot::Sender<()>,
-    task: JoinHandle<()>,
-}
-
-impl Server {
-    /// Listens on an address, such as `127.0.0.1:0` for any free local port.
-    ///
-    /// Each connection is served as by [`serve`], at most [`MAX_CONNECTIONS`] at a time.
-    ///
-    /// # Errors
-    /// The address cannot be bound.
-    pub async fn bind(address: impl ToSocketAddrs, bus: Bus, framing: Framing) -> io::Result<Self> {
-        let listener = TcpListener::bind(address).await?;
-        let local_addr = listener.local_addr()?;
-        let (stop, stopped) = oneshot::channel();
-        let task = tokio::spawn(serve_until(stopped, listener, bus, framing));
-        Ok(Self { local_addr, stop, task })
-    }
-
-    /// The address it listens on.
-    #[must_use]
-    pub fn local_addr(&self) -> SocketAddr {
-        self.local_addr
-    }
-
-    /// Closes the port and all connections, and returns when that is done.
-    pub async fn shutdown(self) {
-        drop(self.stop);
-        if let Err(error) = self.task.await {
-            debug!(%error, "the task of the simulated PLC failed");
-        }
-    }
-}
-
-async fn serve_until(stopped: oneshot::Receiver<()>, listener: TcpListener, bus: Bus, framing: Framing) {
-    let mut connections = JoinSet::new();
-    {
-        let accepting = pin!(accept(&listener, &mut connections, &bus, framing));
-        future::select(accepting, stopped).await;
-    }
-    // The port is closed first: a client can reconnect as soon as its connection ends.
-    drop(listener);
-    connections.shutdown().await;
-}
-
-/// Accepts connections. Never returns.
-async fn accept(listener: &TcpListener, connections: &mut JoinSet<()>, bus: &Bus, framing: Framing) {
-    loop {
-        while connections.try_join_next().is_some() {}
-        if connections.len() >= MAX_CONNECTIONS {
-            connections.join_next().await;
-        }
-        match listener.accept().await {
-            Ok((_, peer)) if bus.faults().is_some_and(Faults::refuse_connection) => debug!(%peer, "refused"),
-            Ok((stream, peer)) => {
-                debug!(%peer, "accepted");
-                let bus = bus.clone();
-                connections.spawn(async move {
-                    // A reply is one small segment: without this, Nagle's algorithm delays it.
-                    let _ = stream.set_nodelay(true);
-                    let result = serve(stream, bus, framing).await;
-                    debug!(%peer, ?result, "closed");
-                });
-            }
-            Err(error) => {
-                // For instance too many open files. The pause prevents a busy loop.
-                debug!(%error, "cannot accept");
-                time::sleep(FRAME_TIMEOUT).await;
-            }
-        }
-    }
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use tokio::time::timeout;
 use tokio_util::codec::Decoder;
 
 use crate::proxy::{Proxy, Rules};
-use crate::server::{DisconnectReason, Limits, serve_client};
+use crate::server::{Activity, DisconnectReason, Limits, serve_client};
 
 /// Number of PLCs, from station 1 on.
 pub(crate) const STATIONS: u8 = 8;
@@ -27,7 +27,8 @@ pub(crate) const READ_ONLY: u16 = 256;
 
 pub(crate) const RESPONSE_TIMEOUT: Duration = Duration::from_millis(100);
 pub(crate) const CALL_TIMEOUT: Duration = Duration::from_secs(2);
-pub(crate) const LIMITS: Limits = Limits { clients: 64, idle: Duration::from_secs(60) };
+pub(crate) const LIMITS: Limits =
+    Limits { clients: 64, idle: Duration::from_secs(60), make_room_after: Duration::from_secs(5) };
 
 pub(crate) const UNRESTRICTED: Rules = Rules { stations: 0..=254, read_only: false };
 pub(crate) const READ_ONLY_MODE: Rules = Rules { stations: 0..=254, read_only: true };
@@ -69,7 +70,8 @@ impl Bench {
     ) -> (Client, JoinHandle<io::Result<DisconnectReason>>) {
         let (near, far) = duplex(buffer);
         let (proxy, stopped) = (Arc::clone(&self.proxy), self.stopping.subscribe());
-        let serving = tokio::spawn(async move { serve_client(far, &proxy, LIMITS, stopped).await });
+        let serving =
+            tokio::spawn(async move { serve_client(far, &proxy, LIMITS, &Activity::default(), stopped).await });
         (Client::new(near, framing, self.call_timeout + Duration::from_millis(50)), serving)
     }
 

@@ -31,11 +31,14 @@ struct Gateway {
 
 impl Gateway {
     async fn new(link: Link, clients: usize) -> Self {
+        Self::with_limits(link, Limits { clients, idle: LONG, make_room_after: LONG }).await
+    }
+
+    async fn with_limits(link: Link, limits: Limits) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let proxy = Arc::new(Proxy::new(link, UNRESTRICTED));
         let (stop, stopped) = oneshot::channel::<()>();
-        let limits = Limits { clients, idle: LONG };
         let serving = tokio::spawn(serve(listener, Arc::clone(&proxy), limits, async move { drop(stopped.await) }));
         Self { address, proxy, stop, serving }
     }
@@ -97,6 +100,29 @@ async fn a_client_over_the_limit_is_rejected_until_one_leaves() {
     };
     timeout(LONG, comes_in).await.unwrap();
     second.read_status().await.unwrap();
+}
+
+/// Before: a new client was disconnected until an idle one had left, after 60 s.
+#[tokio::test]
+async fn an_idle_client_makes_room_for_a_new_one() {
+    let module = Server::bind("127.0.0.1:0", bus(&[plc(1)]), Framing::Ascii).await.unwrap();
+    let link = Link::builder(module.local_addr().into()).response_timeout(LONG).build();
+    let after = Duration::from_millis(300);
+    let gateway = Gateway::with_limits(link, Limits { clients: 2, idle: LONG, make_room_after: after }).await;
+    let mut idle = TcpStream::connect(gateway.address).await.unwrap();
+    let active = gateway.station(Framing::Ascii, 1);
+    active.read_status().await.unwrap();
+    let mut early = TcpStream::connect(gateway.address).await.unwrap();
+    assert_eq!(timeout(LONG, early.read(&mut [0])).await.unwrap().unwrap(), 0, "no client is idle yet");
+    tokio::time::sleep(after).await;
+    active.read_status().await.unwrap();
+
+    let new = gateway.station(Framing::Binary, 1);
+    new.read_status().await.unwrap();
+    assert_eq!(timeout(LONG, idle.read(&mut [0])).await.unwrap().unwrap(), 0, "closed");
+    let connections = active.link().stats().connects;
+    active.read_status().await.unwrap();
+    assert_eq!(active.link().stats().connects, connections, "the active client stays");
 }
 
 #[tokio::test]

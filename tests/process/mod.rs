@@ -160,17 +160,22 @@ impl ScriptedPlc {
     }
 }
 
-/// Runs the command line, sends SIGINT when `when` holds of the received bytes, and returns status
-/// and stderr.
+/// Runs the command line, sends a signal such as `INT` when `when` holds of the received bytes, and
+/// returns status and stderr.
 #[cfg(unix)]
-pub(crate) fn run_and_interrupt(plc: &ScriptedPlc, args: &[&str], when: impl Fn(&[u8]) -> bool) -> (i32, String) {
+pub(crate) fn run_and_signal(
+    plc: &ScriptedPlc,
+    signal: &str,
+    args: &[&str],
+    when: impl Fn(&[u8]) -> bool,
+) -> (i32, String) {
     let mut command = Command::new(FATEK);
     command.args(["--link", &plc.url, "--station", "1", "--timeout", "60s"]).args(args);
     let child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     while !when(&plc.received()) {
         thread::sleep(Duration::from_millis(5));
     }
-    Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status().unwrap();
     let ended = child.wait_with_output().unwrap();
     (ended.status.code().expect("no signal"), String::from_utf8(ended.stderr).unwrap())
 }

@@ -64,13 +64,15 @@ Times:
 
 Exit status:
   0  success
-  1  file or output error, no confirmation, or interrupted
+  1  file or output error, or no confirmation
   2  usage error: nothing was sent
   3  error code from the PLC; backup: also for a part of the ranges
   4  timeout: no reply; scan: from no station
   5  no connection
   6  bad reply; scan: also from one station of several; decode: bad frame
   7  file damaged or not for this PLC, or contents differ
+  129, 130, 143  ended by SIGHUP, by SIGINT (Ctrl-C), or by SIGTERM; watch
+     and sim end with 0
 
 Examples:
   fatek sim --listen tcp://127.0.0.1:5000 --set R0=5

@@ -17,7 +17,8 @@ use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Output, Rows, complain};
-use crate::retry::{Direction, is_line_failure, retry, unless_interrupted, write_progress};
+use crate::retry::{Direction, is_line_failure, retry, write_progress};
+use crate::signal::unless_signalled;
 use crate::transfer::{Reporter, stops, warn_of_unknown_fields, would_stop};
 
 /// Backs up ranges. Resumes after a line failure, while each attempt reads at least one more element.
@@ -46,7 +47,13 @@ pub(crate) async fn backup(
         format!("{cause}; {} elements read", taking.partial().value_count())
     };
     let repeated = retry(&mut taking, Direction::Read, &reporter, run, progress, note);
-    let backup = reporter.until_end(repeated).await.map_err(|error| match error {
+    let ended = reporter.until_end(unless_signalled(repeated)).await?;
+    let interrupted = |signal| {
+        let partial = taking.partial();
+        let (values, all) = (partial.value_count(), partial.element_count());
+        Failure::interrupted(format!(" after {values} of {all} elements: nothing was saved"))(signal)
+    };
+    let backup = ended.map_err(interrupted)?.map_err(|error| match error {
         BackupError::Call { source, partial, .. } if partial.value_count() > 0 => {
             let (values, all) = (partial.value_count(), partial.element_count());
             Failure::of(format_args!("nothing was saved, {values} of {all} elements read"))(source)
@@ -115,7 +122,7 @@ pub(crate) async fn restore(
             return Ok(());
         }
         let (file, stopped) = (args.file.display(), if stops_plc { stops(args.run) } else { "" });
-        confirm(&format!("Write {written} of {all} elements of {file} to {plc}?{stopped}"), false)?;
+        confirm(&format!("Write {written} of {all} elements of {file} to {plc}?{stopped}"), false).await?;
     }
     let reporter = Reporter::new(output);
     let mut restore = Restore::new(&backup, options(args)).on_progress(reporter.callback());
@@ -131,14 +138,12 @@ pub(crate) async fn restore(
         error.to_string()
     };
     let repeated = retry(&mut restore, Direction::Write, &reporter, run, progress, note);
-    let ended = reporter.until_end(unless_interrupted(repeated)).await?;
+    let ended = reporter.until_end(unless_signalled(repeated)).await?;
     let before = if before > 0 { format!("{before} written by earlier attempts") } else { String::new() };
-    if !matches!(ended, Some(Ok(_))) && !before.is_empty() {
+    if !matches!(ended, Ok(Ok(_))) && !before.is_empty() {
         complain(format_args!("{before}"));
     }
-    let Some(ended) = ended else {
-        return Err(Failure::RestoreInterrupted(Box::new(restore.report())));
-    };
+    let ended = ended.map_err(|signal| Failure::interrupted(format!(": {}", restore.report()))(signal))?;
     let report = ended.or_else(|error| explain(error, output))?;
     report_skipped(&report, output);
     let separator = if before.is_empty() { "" } else { "; " };

@@ -1,8 +1,13 @@
 //! Confirmation before a PLC is changed.
 
 use std::io::{self, BufRead, IsTerminal, Write};
+use std::thread;
+
+use tokio::sync::oneshot;
 
 use crate::failure::Failure;
+use crate::output::complain;
+use crate::signal::unless_signalled;
 
 /// Fails without `--yes` and without a terminal. Call it before the first request.
 pub(crate) fn can_be_confirmed(yes: bool) -> Result<(), Failure> {
@@ -12,17 +17,30 @@ pub(crate) fn can_be_confirmed(yes: bool) -> Result<(), Failure> {
     Err(Failure::Usage("confirmation required, but there is no terminal: give --yes or --dry-run".to_owned()))
 }
 
-/// Prompts for confirmation, unless `--yes` was given.
-pub(crate) fn confirm(question: &str, yes: bool) -> Result<(), Failure> {
+/// Prompts for confirmation, unless `--yes` was given. A signal ends the prompt.
+pub(crate) async fn confirm(question: &str, yes: bool) -> Result<(), Failure> {
     can_be_confirmed(yes)?;
     if yes {
         return Ok(());
     }
     let mut stderr = io::stderr().lock();
-    let prompted = write!(stderr, "{question} [y/N] ").and_then(|()| stderr.flush());
-    let mut line = String::new();
-    prompted.and_then(|()| io::stdin().lock().read_line(&mut line)).map_err(Failure::Runtime)?;
+    write!(stderr, "{question} [y/N] ").and_then(|()| stderr.flush()).map_err(Failure::Runtime)?;
+    drop(stderr);
+    let (sender, line) = oneshot::channel();
+    // Not a blocking task of the runtime, which would wait for it at its end.
+    thread::spawn(move || sender.send(read_line()));
+    let interrupted = Failure::interrupted(": nothing was changed");
+    let line = unless_signalled(line).await?.map_err(|signal| {
+        complain(format_args!(""));
+        interrupted(signal)
+    })?;
+    let line = line.unwrap_or_else(|_| Err(io::ErrorKind::BrokenPipe.into())).map_err(Failure::Runtime)?;
     if means_yes(&line) { Ok(()) } else { Err(Failure::Declined) }
+}
+
+fn read_line() -> io::Result<String> {
+    let mut line = String::new();
+    io::stdin().lock().read_line(&mut line).map(|_| line)
 }
 
 fn means_yes(line: &str) -> bool {

@@ -1,5 +1,6 @@
 //! Subcommands `fatek run`, `stop`, and `enable`, `disable`, `set` and `reset DISCRETE…`.
 
+use std::cell::Cell;
 use std::fmt;
 
 use fatek::command::{Command, ControlDiscrete, ControlPlc, DiscreteControl};
@@ -7,6 +8,7 @@ use fatek::{Discrete, Station};
 
 use crate::failure::Failure;
 use crate::output::Output;
+use crate::signal::unless_signalled;
 
 pub(crate) async fn plc(station: &Station, control: ControlPlc, output: &Output) -> Result<(), Failure> {
     send(station, control, &name(control), output).await
@@ -19,11 +21,20 @@ pub(crate) async fn discretes(
     discretes: &[Discrete],
     output: &Output,
 ) -> Result<(), Failure> {
-    for &discrete in discretes {
-        let action = format!("{} {discrete}", name(control));
-        send(station, ControlDiscrete::new(control, discrete), &action, output).await?;
-    }
-    Ok(())
+    let done = Cell::new(0);
+    let action = |discrete: &Discrete| format!("{} {discrete}", name(control));
+    let all = async {
+        for &discrete in discretes {
+            send(station, ControlDiscrete::new(control, discrete), &action(&discrete), output).await?;
+            done.set(done.get() + 1);
+        }
+        Ok(())
+    };
+    unless_signalled(all).await?.map_err(|signal| {
+        let perhaps = discretes.get(done.get()).map_or(String::new(), |next| format!(", {} perhaps", action(next)));
+        let executed = format!(": {} of {} commands were executed{perhaps}", done.get(), discretes.len());
+        Failure::interrupted(executed)(signal)
+    })?
 }
 
 /// The subcommand of a variant: `stop` of `Stop`.

@@ -4,9 +4,11 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::{fmt, io, iter};
 
-use fatek::backup::{RestoreError, RestoreFailure, RestoreReport};
+use fatek::backup::{RestoreError, RestoreFailure};
 use fatek::file::FileError;
 use fatek::program::{PlcState, ProgramError, WriteProgramError, WriteState};
+
+use crate::signal::Signal;
 
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Failure {
@@ -55,21 +57,15 @@ pub(crate) enum Failure {
     /// A backup could not be restored.
     #[error(transparent)]
     Restore(#[from] RestoreError),
-    /// The user interrupted a restore.
-    #[error("interrupted: {0}")]
-    RestoreInterrupted(Box<RestoreReport>),
     /// Elements refused by the PLC. `file` has the others, if there are any.
     #[error(
         "{missing} of {all} elements are missing; {}",
         file.as_ref().map_or("nothing was saved".into(), |file| format!("the others were saved to {}", file.display()))
     )]
     Missing { missing: usize, all: usize, file: Option<PathBuf> },
-    /// The user interrupted a program download.
-    #[error("interrupted: {}{}", .0, remedy(.0))]
-    WriteInterrupted(Box<WriteState>),
-    /// The user interrupted a program upload.
-    #[error("interrupted after {pages} pages: nothing was saved")]
-    ReadInterrupted { pages: usize },
+    /// A signal ended the command. `done`: how far it came.
+    #[error("interrupted by {signal}{done}")]
+    Interrupted { signal: Signal, done: String },
     /// Contents of PLC and file differ. `parts` is pages or elements.
     #[error("{differing} of {all} {parts} differ")]
     Differs { parts: &'static str, differing: usize, all: usize },
@@ -94,6 +90,12 @@ impl Failure {
         move |error| Self::CallOf { subject: subject.to_string(), error }
     }
 
+    /// Returns a constructor of [`Failure::Interrupted`]. `done`: how far the command came, empty or
+    /// after a colon or a blank.
+    pub(crate) fn interrupted(done: impl Into<String>) -> impl FnOnce(Signal) -> Self {
+        move |signal| Self::Interrupted { signal, done: done.into() }
+    }
+
     /// Whether the reader of stdout has closed it.
     pub(crate) fn is_broken_pipe(&self) -> bool {
         matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::BrokenPipe)
@@ -104,7 +106,7 @@ impl Failure {
         match self {
             Self::Output(_) | Self::Runtime(_) | Self::Declined => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
-            Self::RestoreInterrupted(_) | Self::WriteInterrupted(_) | Self::ReadInterrupted { .. } => 1,
+            Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) => 2,
             Self::Missing { .. } => 3,
             Self::Call(error) | Self::CallOf { error, .. } => of_call(error),
@@ -129,6 +131,11 @@ fn not_written(error: &WriteProgramError) -> String {
 
 fn is_run_refused(error: &WriteProgramError) -> bool {
     matches!(*error.source, ProgramError::RunRefused { .. })
+}
+
+/// State of an interrupted program download, with the commands that complete it.
+pub(crate) fn interrupted_write(state: &WriteState) -> String {
+    format!(": {state}{}", remedy(state))
 }
 
 /// The commands that complete an interrupted program download.

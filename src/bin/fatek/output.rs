@@ -62,6 +62,29 @@ pub(crate) fn print(line: fmt::Arguments<'_>) -> Result<(), Failure> {
     writeln!(stdout, "{line}").and_then(|()| stdout.flush()).map_err(Failure::Output)
 }
 
+/// Waits until the reader of stdout has closed it, and returns the error that a write would have.
+///
+/// Never returns if stdout is a file, or the system cannot tell.
+#[cfg(unix)]
+#[allow(deprecated, reason = "the function that replaces `with_interest` needs a newer Tokio than Cargo.toml")]
+pub(crate) async fn stdout_closed() -> io::Error {
+    use tokio::io::Interest;
+    use tokio::io::unix::AsyncFd;
+
+    if let Ok(stdout) = AsyncFd::with_interest(io::stdout(), Interest::ERROR)
+        && stdout.ready(Interest::ERROR).await.is_ok()
+    {
+        return io::ErrorKind::BrokenPipe.into();
+    }
+    std::future::pending().await
+}
+
+/// Never returns.
+#[cfg(not(unix))]
+pub(crate) async fn stdout_closed() -> io::Error {
+    std::future::pending().await
+}
+
 /// Prints a line of comma-separated values on stdout.
 pub(crate) fn csv_line<const N: usize>(values: [&str; N]) -> Result<(), Failure> {
     print_csv([&values[..]].into_iter()).map_err(Failure::Output)

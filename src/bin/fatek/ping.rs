@@ -1,5 +1,6 @@
 //! Subcommand `fatek ping`.
 
+use std::cell::Cell;
 use std::time::{Duration, Instant};
 
 use fatek::{Error, Station};
@@ -7,21 +8,33 @@ use fatek::{Error, Station};
 use crate::args::PingArgs;
 use crate::failure::Failure;
 use crate::output::{Format, Output, Rows, print};
+use crate::signal::unless_signalled;
 
 pub(crate) async fn ping(station: &Station, args: &PingArgs, output: &Output) -> Result<(), Failure> {
     let mut tally = Tally::default();
     let mut rows = Rows::new(["sequence", "bytes", "time_ms"]);
     let mut result = Ok(());
     for sequence in 1..=args.count {
-        if sequence > 1 {
-            tokio::time::sleep(args.interval).await;
-        }
-        let sent_at = Instant::now();
-        let echo = station.loop_back(payload(sequence, args.size.into())).await;
+        let sent_at = Cell::new(Instant::now());
+        let exchange = async {
+            if sequence > 1 {
+                tokio::time::sleep(args.interval).await;
+            }
+            sent_at.set(Instant::now());
+            station.loop_back(payload(sequence, args.size.into())).await
+        };
+        let echo = match unless_signalled(exchange).await? {
+            Ok(echo) => echo,
+            Err(signal) => {
+                result = Err(Failure::interrupted("")(signal));
+                break;
+            }
+        };
+        let sent_at = sent_at.get();
         let time = match tally.count(echo, sent_at.elapsed()) {
             Ok(time) => time,
             Err(error) => {
-                result = Err(error);
+                result = Err(error.into());
                 break;
             }
         };

@@ -10,9 +10,10 @@ use serde_json::Value;
 use crate::args::{Plc, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
 use crate::confirm::confirm;
 use crate::connect;
-use crate::failure::Failure;
+use crate::failure::{Failure, interrupted_write};
 use crate::output::{Cell, Format, Output, Rows, hex, version};
-use crate::retry::{Direction, is_line_failure, retry, unless_interrupted, write_progress};
+use crate::retry::{Direction, is_line_failure, retry, write_progress};
+use crate::signal::unless_signalled;
 use crate::transfer::{Reporter, stops, warn_of_unknown_fields, would_stop};
 
 /// Uploads the program. Resumes after a line failure, while each attempt reads at least one more
@@ -26,10 +27,12 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     let progress = |read: &ReadProgram, error: &ProgramError| is_line_failure(error).then(|| read.pages_done());
     let note = |read: &ReadProgram, error: &ProgramError| format!("{error}; {} pages read", read.pages_done());
     let repeated = retry(&mut read, Direction::Read, &reporter, run, progress, note);
-    let ended = reporter.until_end(unless_interrupted(repeated)).await?;
-    let Some(program) = ended.transpose()? else {
-        return Err(Failure::ReadInterrupted { pages: read.pages_done() });
+    let ended = reporter.until_end(unless_signalled(repeated)).await?;
+    let interrupted = |signal| {
+        let done = format!(" after {} pages: nothing was saved", read.pages_done());
+        Failure::interrupted(done)(signal)
     };
+    let program = ended.map_err(interrupted)??;
     if args.file.raw { program.save_raw(path) } else { program.save(path) }?;
     output.remark(format_args!("{}: {}, {} pages", path.display(), program.header(), program.pages().len()));
     Ok(())
@@ -54,17 +57,15 @@ pub(crate) async fn write(
         output.remark(format_args!("{} of {} pages would be written{effect}", pages.len(), program.pages().len()));
         return Ok(());
     }
-    confirm(&question(plc, &program, args), args.consent.yes)?;
+    confirm(&question(plc, &program, args), args.consent.yes).await?;
     let run = async |write: &mut WriteProgram| write.run(&station).await;
     let progress = |_: &WriteProgram, error: &WriteProgramError| {
         write_progress(error.state.written.len(), error.state.left()).filter(|_| is_line_failure(error))
     };
     let note = |_: &WriteProgram, error: &WriteProgramError| error.to_string();
     let repeated = retry(&mut write, Direction::Write, &reporter, run, progress, note);
-    let ended = reporter.until_end(unless_interrupted(repeated)).await?;
-    let Some(report) = ended.transpose()? else {
-        return Err(Failure::WriteInterrupted(Box::new(write.state())));
-    };
+    let ended = reporter.until_end(unless_signalled(repeated)).await?;
+    let report = ended.map_err(|signal| Failure::interrupted(interrupted_write(&write.state()))(signal))??;
     let state = match (report.was_stopped, report.running) {
         (_, true) => "the PLC runs",
         (true, false) => "the PLC ran before and is now stopped",

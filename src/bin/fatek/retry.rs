@@ -6,8 +6,7 @@ use std::time::Duration;
 use fatek::Error::{BadReply, Connect, Disconnected, Timeout};
 use tokio::time::sleep;
 
-use crate::failure::{Failure, call_error};
-use crate::signal;
+use crate::failure::call_error;
 use crate::transfer::Reporter;
 
 /// Limit of repetitions of a transfer that writes.
@@ -51,16 +50,6 @@ pub(crate) async fn retry<T, O, E>(
         if direction == Direction::Write {
             sleep(PAUSE).await;
         }
-    }
-}
-
-/// Waits for the end of a transfer; `None` if the user interrupts it.
-pub(crate) async fn unless_interrupted<T>(transfer: impl Future<Output = T>) -> Result<Option<T>, Failure> {
-    let stopped = signal::stopped().map_err(Failure::Runtime)?;
-    tokio::select! {
-        biased;
-        _ = stopped => Ok(None),
-        ended = transfer => Ok(Some(ended)),
     }
 }
 

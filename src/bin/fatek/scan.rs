@@ -13,6 +13,7 @@ use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Output, Rows, version};
 use crate::progress::StatusLine;
+use crate::signal::unless_signalled;
 
 /// Response timeout without `--timeout`.
 pub(crate) const DEFAULT_TIMEOUT: Duration = Duration::from_millis(200);
@@ -35,7 +36,8 @@ pub(crate) async fn scan(
     // A short response timeout must not shorten the connection timeout.
     let link = connect::link(endpoint, options, timeout.filter(|timeout| *timeout > MIN_CONNECT_TIMEOUT));
     let mut found: Vec<Found> = Vec::new();
-    let scanned = scan_all(&link, args, output, &mut found).await;
+    let scanned = unless_signalled(scan_all(&link, args, output, &mut found)).await?;
+    let scanned = scanned.unwrap_or_else(|signal| Err(Failure::interrupted("")(signal)));
     if scanned.is_ok() {
         // For late and duplicate replies of the last stations.
         tokio::time::sleep(response).await;

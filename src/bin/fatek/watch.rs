@@ -1,5 +1,6 @@
 //! Subcommand `fatek watch TAG…`.
 
+use std::pin::pin;
 use std::time::SystemTime;
 
 use fatek::Station;
@@ -11,12 +12,12 @@ use serde_json::Value;
 
 use crate::args::WatchArgs;
 use crate::failure::Failure;
-use crate::output::{Cell, Format, Output, complain, csv_line, print};
-use crate::signal;
+use crate::output::{Cell, Format, Output, complain, csv_line, print, stdout_closed};
+use crate::signal::Stop;
 
 pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) -> Result<(), Failure> {
-    let stopped = signal::stopped().map_err(Failure::Runtime)?;
-    tokio::pin!(stopped);
+    let mut stop = Stop::new()?;
+    let mut closed = pin!(stdout_closed());
     let mut poller = Poller::new();
     let polled = poller.station(station).map_err(Failure::usage)?;
     // One tag per value, so that each change is reported alone.
@@ -30,7 +31,9 @@ pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) 
     while args.count.is_none_or(|count| lines < count) {
         let sample = tokio::select! {
             biased;
-            _ = &mut stopped => break,
+            _ = stop.signalled() => break,
+            // Noticed without a line to print: there may be none for a long time.
+            closed = &mut closed => return Err(Failure::Output(closed)),
             sample = poller.next() => sample,
         };
         match sample {

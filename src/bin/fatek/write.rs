@@ -1,12 +1,27 @@
 //! Subcommand `fatek write TAG=VALUE…`.
 
+use std::cell::Cell;
+
 use fatek::tag::Assignment;
 use fatek::{Element, Error, Station, Value};
 
 use crate::failure::Failure;
 use crate::output::Output;
+use crate::signal::unless_signalled;
 
 pub(crate) async fn write(station: &Station, assignments: &[Assignment], output: &Output) -> Result<(), Failure> {
+    let done = Cell::new(0);
+    let ended = unless_signalled(write_all(station, assignments, output, &done)).await?;
+    ended.map_err(|signal| Failure::interrupted(progress(assignments, done.get()))(signal))?
+}
+
+/// Writes the values in their order. `done`: the number of assignments written.
+async fn write_all(
+    station: &Station,
+    assignments: &[Assignment],
+    output: &Output,
+    done: &Cell<usize>,
+) -> Result<(), Failure> {
     for assignment in assignments {
         send(station, assignment).await.map_err(|error| {
             let tag = assignment.tag();
@@ -15,9 +30,24 @@ pub(crate) async fn write(station: &Station, assignments: &[Assignment], output:
             let doubt = if in_doubt { " (it may have been written)" } else { "" };
             Failure::of(format_args!("{tag}{doubt}"))(error)
         })?;
+        done.set(done.get() + 1);
         output.remark(format_args!("wrote {assignment}"));
     }
     Ok(())
+}
+
+/// Number of values written, and the tag whose write was interrupted.
+fn progress(assignments: &[Assignment], done: usize) -> String {
+    let count = |assignments: &[Assignment]| -> usize {
+        assignments.iter().map(|assignment| assignment.tag().singles().count()).sum()
+    };
+    let (written, rest) = assignments.split_at(done.min(assignments.len()));
+    let perhaps = match rest.first().map(Assignment::tag) {
+        Some(tag) if tag.singles().count() > 1 => format!(", {tag} perhaps or in part"),
+        Some(tag) => format!(", {tag} perhaps"),
+        None => String::new(),
+    };
+    format!(": {} of {} values were written{perhaps}", count(written), count(assignments))
 }
 
 /// Writes the elements of a tag.

@@ -97,15 +97,57 @@ fn a_name_of_the_maximum_length_can_be_saved() {
     assert_eq!((load(&path).unwrap(), folder.names().len()), (b"two".to_vec(), 1));
 }
 
+/// Before: files left over by killed processes stayed for ever.
+#[cfg(unix)]
 #[test]
-fn files_of_a_killed_process_are_no_obstacle() {
+fn left_over_files_of_the_same_target_are_removed() {
     let folder = Folder::new("left");
     let path = folder.0.join("a");
+    let mut others = vec!["a".to_owned()];
     for number in 0..200 {
-        fs::write(folder.0.join(format!(".fatek-{}-{number}.new", std::process::id())), b"half").unwrap();
+        // Of this process, whose number a killed process had before: the names are in use.
+        fs::write(folder.0.join(name_of("a".as_ref(), number)), b"half").unwrap();
+        fs::write(folder.0.join(name_of("b".as_ref(), number)), b"half").unwrap();
+        others.push(name_of("b".as_ref(), number));
     }
+    for name in ["x", "1", "1-", "-1", "1-1x", "1-1-1"] {
+        let name = name_of("a".as_ref(), 0).replace(&format!("{}-0", std::process::id()), name);
+        fs::write(folder.0.join(&name), b"another program's").unwrap();
+        others.push(name);
+    }
+    others.sort();
     save(&path, b"new").unwrap();
-    assert_eq!((load(&path).unwrap(), folder.names().len()), (b"new".to_vec(), 201));
+    assert_eq!((load(&path).unwrap(), folder.names()), (b"new".to_vec(), others));
+}
+
+#[cfg(unix)]
+#[test]
+fn the_file_of_a_running_save_is_not_removed() {
+    let folder = Folder::new("running");
+    let path = folder.0.join("a");
+    save_with(&path, |file| {
+        // Another save of the same file, as by another process: locks belong to open files.
+        save(&path, b"other").unwrap();
+        assert_eq!(folder.names().len(), 2, "{:?}", folder.names());
+        file.write_all(b"slow")
+    })
+    .unwrap();
+    assert_eq!((load(&path).unwrap(), folder.names()), (b"slow".to_vec(), vec!["a".to_owned()]));
+}
+
+/// Before: loading a pipe blocked until another program wrote to it.
+#[cfg(unix)]
+#[test]
+fn pipes_and_devices_are_not_read() {
+    let folder = Folder::new("pipe");
+    let pipe = folder.0.join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    for path in [pipe.as_path(), Path::new("/dev/zero"), &folder.0] {
+        let error = load(path).unwrap_err();
+        assert!(matches!(error, FileError::NotAFile { .. }), "{error}");
+        assert!(error.to_string().ends_with(": not a regular file"), "{error}");
+        assert!(matches!(can_save(path), Err(FileError::NotAFile { .. })));
+    }
 }
 
 #[cfg(unix)]

@@ -1,10 +1,11 @@
-use tokio::net::TcpStream;
+use tokio::net::{TcpStream, UdpSocket};
+use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
 use super::*;
 use crate::command::Value;
 use crate::register;
-use crate::sim::Plc;
+use crate::sim::{Line, Plc};
 
 mod faults;
 mod left_overs;
@@ -121,6 +122,54 @@ async fn connections_above_the_limit_wait() {
     assert!(waiting.is_err(), "{waiting:?}");
     drop(clients.pop());
     expect(&mut next, DONE).await;
+}
+
+/// Before: a new connection waited for ever behind 64 idle ones.
+#[tokio::test]
+async fn the_connection_idle_longest_makes_room() {
+    let server = bind_tcp(&Plc::new()).await;
+    server.make_room_after(Duration::from_millis(200));
+    let mut clients = Vec::new();
+    for _ in 0..MAX_CONNECTIONS {
+        clients.push(TcpStream::connect(server.local_addr()).await.unwrap());
+    }
+    // The others are in use.
+    let mut idle = clients.remove(3);
+    for client in &mut clients {
+        send(client, RUN).await;
+        expect(client, DONE).await;
+    }
+    let mut next = TcpStream::connect(server.local_addr()).await.unwrap();
+    send(&mut next, RUN).await;
+    expect(&mut next, DONE).await;
+    assert_eq!(idle.read(&mut [0]).await.unwrap(), 0, "closed");
+    for client in &mut clients {
+        send(client, RUN).await;
+        expect(client, DONE).await;
+    }
+}
+
+/// Before: the connection was closed before the reply, which a fault delays by 300 ms.
+#[tokio::test]
+async fn shutdown_answers_requests_that_have_arrived() {
+    let slow = Line::new(0).response_time(Duration::from_millis(300), Duration::from_millis(300));
+    let bus = bus(&Plc::new()).with_faults(Faults::new(0).line(slow));
+    let server = Server::bind("127.0.0.1:0", bus.clone(), Framing::Ascii).await.unwrap();
+    let udp_server = UdpServer::bind("127.0.0.1:0", bus, Framing::Ascii).await.unwrap();
+    let mut client = TcpStream::connect(server.local_addr()).await.unwrap();
+    send(&mut client, RUN).await;
+    let udp_client = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    udp_client.send_to(RUN, udp_server.local_addr()).await.unwrap();
+    time::sleep(Duration::from_millis(50)).await;
+
+    let begun = Instant::now();
+    tokio::join!(server.shutdown(), udp_server.shutdown());
+    assert!(begun.elapsed() < SHUTDOWN_TIMEOUT, "{:?}", begun.elapsed());
+    expect(&mut client, DONE).await;
+    assert_eq!(client.read(&mut [0]).await.unwrap(), 0);
+    let mut reply = [0; 64];
+    let len = time::timeout(FRAME_TIMEOUT, udp_client.recv(&mut reply)).await.expect("a reply").unwrap();
+    assert_eq!(&reply[..len], DONE);
 }
 
 #[tokio::test]

@@ -1,11 +1,9 @@
 use std::io;
 use std::net::SocketAddr;
-use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use bytes::{Bytes, BytesMut};
-use futures::future;
 use tokio::net::{ToSocketAddrs, UdpSocket};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -13,8 +11,8 @@ use tokio::time::{self, Instant};
 use tokio_util::codec::Decoder;
 use tracing::debug;
 
-use super::FRAME_TIMEOUT;
 use super::session::sleep_until_due;
+use super::{FRAME_TIMEOUT, SHUTDOWN_TIMEOUT};
 use crate::sim::Bus;
 use crate::sim::fault::{Conditions, Faults, Output, Session};
 use crate::wire::{Codec, Framing, Side};
@@ -74,11 +72,7 @@ impl UdpServer {
         let local_addr = socket.local_addr()?;
         let to_last_sender = Arc::new(AtomicBool::new(false));
         let (stop, stopped) = oneshot::channel();
-        let serving = serve_datagrams(socket, bus, framing, to_last_sender.clone());
-        let task = tokio::spawn(async move {
-            let serving = pin!(serving);
-            future::select(serving, stopped).await;
-        });
+        let task = tokio::spawn(serve_datagrams(socket, bus, framing, to_last_sender.clone(), stopped));
         Ok(Self { local_addr, to_last_sender, stop, task })
     }
 
@@ -96,6 +90,8 @@ impl UdpServer {
     }
 
     /// Closes the socket, and returns when that is done.
+    ///
+    /// Requests that have arrived are answered first, within one second.
     pub async fn shutdown(self) {
         drop(self.stop);
         if let Err(error) = self.task.await {
@@ -104,13 +100,21 @@ impl UdpServer {
     }
 }
 
-/// Serves datagrams. Never returns.
-async fn serve_datagrams(socket: UdpSocket, bus: Bus, framing: Framing, to_last_sender: Arc<AtomicBool>) {
+/// Serves datagrams until it is stopped.
+async fn serve_datagrams(
+    socket: UdpSocket,
+    bus: Bus,
+    framing: Framing,
+    to_last_sender: Arc<AtomicBool>,
+    mut stopped: oneshot::Receiver<()>,
+) {
     let conditions = bus.conditions().cloned();
     let conditions = conditions.unwrap_or_else(|| Conditions::new(Faults::new(0).log_capacity(0).journal_capacity(0)));
     let mut session = Session::of_datagrams(bus, conditions, framing);
     let mut last_sender = None;
     let mut buffer = vec![0; MAX_DATAGRAM_LEN];
+    // Set when it is stopped: the time at which it ends, with or without replies that are due.
+    let mut end_at: Option<Instant> = None;
     loop {
         match session.next_addressed_output(Instant::now()) {
             Some((to, Output::Bytes(bytes))) => {
@@ -125,10 +129,21 @@ async fn serve_datagrams(socket: UdpSocket, bus: Bus, framing: Framing, to_last_
             None => {}
         }
         let due = session.due();
+        if end_at.is_some_and(|end_at| due.is_none() || Instant::now() >= end_at) {
+            return;
+        }
         tokio::select! {
             biased;
-            () = sleep_until_due(due) => {}
-            received = socket.recv_from(&mut buffer), if session.has_room() => match received {
+            _ = &mut stopped, if end_at.is_none() => {
+                end_at = Some(Instant::now() + SHUTDOWN_TIMEOUT);
+                while session.has_room()
+                    && let Ok((len, from)) = socket.try_recv_from(&mut buffer)
+                {
+                    receive_datagram(&mut session, &buffer[..len], from, framing);
+                }
+            }
+            () = sleep_until_due(due.into_iter().chain(end_at).min()) => {}
+            received = socket.recv_from(&mut buffer), if session.has_room() && end_at.is_none() => match received {
                 Ok((len, from)) => {
                     if last_sender.replace(from) != Some(from) {
                         session.change_client(Instant::now());

@@ -1,21 +1,33 @@
 //! Arguments of `fatek sim`.
 
+use std::time::Duration;
+
 use clap::Args;
 use fatek::Element;
 use fatek::tag::Assignment;
 use fatek::wire::Framing;
 
-/// Simulate one or more PLCs on a TCP port until interrupted
+use crate::duration;
+
+/// Simulate one or more PLCs over TCP, UDP or a serial port until interrupted
 ///
-/// Prints one line, `listening tcp://HOST:PORT`, as soon as clients can connect.
+/// Prints a line such as `listening tcp://HOST:PORT` for each --listen, as soon as clients can
+/// connect. At Ctrl-C, SIGTERM and SIGHUP requests that have arrived are answered, and the exit
+/// status is 0.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   fatek sim --listen tcp://127.0.0.1:0 --set R0=5 R100:f32=1.5 M0-M2=1,0,1
-  fatek sim --listen tcp://0.0.0.0:5000 --station 1 --station 2 --framing binary")]
+  fatek sim --listen tcp://0.0.0.0:5000 --station 1 --station 2 --framing binary
+  fatek sim --listen udp://127.0.0.1:5000 --listen tcp://127.0.0.1:5000
+  fatek sim --listen \"serial:/dev/ttyUSB1?baud=19200\"")]
 pub(crate) struct SimArgs {
-    /// Listening address; port 0: any free port
+    /// Where to listen: tcp://HOST:PORT, udp://HOST:PORT or serial:PATH?baud=9600&frame=7E1; port 0: any
+    /// free port; repeat to serve the same PLCs there, too
     #[arg(long, value_name = "URL", default_value = "tcp://127.0.0.1:0")]
-    pub(crate) listen: String,
+    pub(crate) listen: Vec<String>,
+    /// Idle time after which a TCP connection makes room for a new one, when there are 64
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = duration::parse_positive)]
+    pub(crate) make_room_after: Duration,
     /// Station number, 1 to 254; repeat for several PLCs, each with its own memory
     #[arg(
         long = "station",

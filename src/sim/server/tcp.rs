@@ -1,0 +1,179 @@
+//! Server over TCP.
+
+use std::collections::HashMap;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::net::{TcpListener, TcpStream, ToSocketAddrs};
+use tokio::sync::oneshot;
+use tokio::task::{AbortHandle, Id, JoinHandle, JoinSet};
+use tokio::time;
+use tracing::debug;
+
+use super::connection::{Connection, ConnectionHandle};
+use super::{FRAME_TIMEOUT, SHUTDOWN_TIMEOUT, serve};
+use crate::sim::Bus;
+use crate::sim::fault::Faults;
+use crate::wire::Framing;
+
+/// Maximum number of connections of a [`Server`]. A further one takes the place of the connection
+/// that is idle longest, after [`Server::make_room_after`], or waits until one ends.
+pub const MAX_CONNECTIONS: usize = 64;
+
+/// Default of [`Server::make_room_after`].
+const MAKE_ROOM_AFTER: Duration = Duration::from_secs(5);
+
+/// A TCP server for a [`Bus`], as an Ethernet module.
+///
+/// Dropping it closes the port and all connections; [`shutdown`](Self::shutdown) also waits for
+/// that. The [module](crate::sim) has an example.
+#[derive(Debug)]
+pub struct Server {
+    local_addr: SocketAddr,
+    make_room_after: Arc<Mutex<Duration>>,
+    /// Stops the task when dropped.
+    stop: oneshot::Sender<()>,
+    task: JoinHandle<()>,
+}
+
+impl Server {
+    /// Listens on an address, such as `127.0.0.1:0` for any free local port.
+    ///
+    /// Each connection is served as by [`serve`], at most [`MAX_CONNECTIONS`] at a time.
+    ///
+    /// # Errors
+    /// The address cannot be bound.
+    pub async fn bind(address: impl ToSocketAddrs, bus: Bus, framing: Framing) -> io::Result<Self> {
+        let listener = TcpListener::bind(address).await?;
+        let local_addr = listener.local_addr()?;
+        let make_room_after = Arc::new(Mutex::new(MAKE_ROOM_AFTER));
+        let connections = Connections::new(bus, framing, make_room_after.clone());
+        let (stop, stopped) = oneshot::channel();
+        let task = tokio::spawn(serve_until(stopped, listener, connections));
+        Ok(Self { local_addr, make_room_after, stop, task })
+    }
+
+    /// The address it listens on.
+    #[must_use]
+    pub fn local_addr(&self) -> SocketAddr {
+        self.local_addr
+    }
+
+    /// Sets the idle time after which a connection makes room for a new one. That is the time
+    /// since the last byte in either direction.
+    ///
+    /// At the limit of connections, the one that is idle longest is closed if it has been idle for
+    /// this time. Otherwise the new one waits. Default: 5 s.
+    pub fn make_room_after(&self, idle: Duration) {
+        *self.make_room_after.lock().unwrap_or_else(PoisonError::into_inner) = idle;
+    }
+
+    /// Closes the port and all connections, and returns when that is done.
+    ///
+    /// Requests that have arrived are answered first, within one second.
+    pub async fn shutdown(self) {
+        drop(self.stop);
+        if let Err(error) = self.task.await {
+            debug!(%error, "the task of the simulated PLC failed");
+        }
+    }
+}
+
+async fn serve_until(mut stopped: oneshot::Receiver<()>, listener: TcpListener, mut connections: Connections) {
+    tokio::select! {
+        biased;
+        _ = &mut stopped => {}
+        () = accept(&listener, &mut connections) => {}
+    }
+    // The port is closed first: a client can reconnect as soon as its connection ends.
+    drop(listener);
+    connections.close_all().await;
+}
+
+/// Accepts connections. Never returns.
+async fn accept(listener: &TcpListener, connections: &mut Connections) {
+    loop {
+        match listener.accept().await {
+            Ok((_, peer)) if connections.bus.faults().is_some_and(Faults::refuse_connection) => {
+                debug!(%peer, "refused")
+            }
+            Ok((stream, peer)) => {
+                connections.make_room().await;
+                connections.serve(stream, peer);
+            }
+            Err(error) => {
+                // For instance too many open files. The pause prevents a busy loop.
+                debug!(%error, "cannot accept");
+                time::sleep(FRAME_TIMEOUT).await;
+            }
+        }
+    }
+}
+
+/// The connections of a server. Dropping it closes them.
+struct Connections {
+    bus: Bus,
+    framing: Framing,
+    make_room_after: Arc<Mutex<Duration>>,
+    tasks: JoinSet<()>,
+    /// Handles of the running tasks.
+    handles: HashMap<Id, (ConnectionHandle, AbortHandle)>,
+}
+
+impl Connections {
+    fn new(bus: Bus, framing: Framing, make_room_after: Arc<Mutex<Duration>>) -> Self {
+        Self { bus, framing, make_room_after, tasks: JoinSet::new(), handles: HashMap::new() }
+    }
+
+    fn serve(&mut self, stream: TcpStream, peer: SocketAddr) {
+        debug!(%peer, "accepted");
+        // A reply is one small segment: without this, Nagle's algorithm delays it.
+        let _ = stream.set_nodelay(true);
+        let handle = ConnectionHandle::new();
+        let serving = serve(Connection::new(stream, handle.clone()), self.bus.clone(), self.framing);
+        let task = self.tasks.spawn(async move {
+            let result = serving.await;
+            debug!(%peer, ?result, "closed");
+        });
+        self.handles.insert(task.id(), (handle, task));
+    }
+
+    /// Waits until a connection is free. Closes the one that is idle longest when it may.
+    async fn make_room(&mut self) {
+        while let Some(ended) = self.tasks.try_join_next_with_id() {
+            self.remove(ended);
+        }
+        while self.tasks.len() >= MAX_CONNECTIONS {
+            let after = *self.make_room_after.lock().unwrap_or_else(PoisonError::into_inner);
+            let longest = self.handles.values().max_by_key(|(handle, _)| handle.idle_time()).cloned();
+            let Some((handle, task)) = longest else { return };
+            let left = after.saturating_sub(handle.idle_time());
+            if left.is_zero() {
+                if handle.is_closing() {
+                    // Its client does not read the last reply, or a fault delays it.
+                    task.abort();
+                }
+                handle.close();
+            }
+            let wait = if left.is_zero() { FRAME_TIMEOUT } else { left.min(FRAME_TIMEOUT) };
+            if let Ok(Some(ended)) = time::timeout(wait, self.tasks.join_next_with_id()).await {
+                self.remove(ended);
+            }
+        }
+    }
+
+    fn remove(&mut self, ended: Result<(Id, ()), tokio::task::JoinError>) {
+        let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
+        self.handles.remove(&id);
+    }
+
+    /// Answers the requests that have arrived, and closes all connections.
+    async fn close_all(mut self) {
+        self.handles.values().for_each(|(handle, _)| handle.close());
+        let ended = async { while self.tasks.join_next().await.is_some() {} };
+        let _ = time::timeout(SHUTDOWN_TIMEOUT, ended).await;
+        self.tasks.shutdown().await;
+    }
+}
