@@ -3,6 +3,7 @@
 use std::io::{self, BufRead, IsTerminal, Write};
 
 use crate::failure::Failure;
+use crate::printable::printable;
 
 /// Fails without `--yes` and without a terminal. Call it before the first request.
 pub(crate) fn can_be_confirmed(yes: bool) -> Result<(), Failure> {
@@ -19,7 +20,7 @@ pub(crate) fn confirm(question: &str, yes: bool) -> Result<(), Failure> {
         return Ok(());
     }
     let mut stderr = io::stderr().lock();
-    let prompted = write!(stderr, "{question} [y/N] ").and_then(|()| stderr.flush());
+    let prompted = write!(stderr, "{} [y/N] ", printable(question)).and_then(|()| stderr.flush());
     let mut line = String::new();
     prompted.and_then(|()| io::stdin().lock().read_line(&mut line)).map_err(Failure::Runtime)?;
     if means_yes(&line) { Ok(()) } else { Err(Failure::Declined) }

@@ -5,6 +5,7 @@ use fatek::sim::{Bus, Model, Plc, Server};
 use crate::args::SimArgs;
 use crate::failure::Failure;
 use crate::output::print;
+use crate::printable::excerpt;
 use crate::signal;
 
 pub(crate) async fn sim(args: &SimArgs) -> Result<(), Failure> {
@@ -26,7 +27,8 @@ fn bus(args: &SimArgs) -> Result<Bus, Failure> {
         let plc = Plc::with_model(model(args));
         for assignment in &args.assignments {
             for (element, value) in assignment.tag().elements().zip(assignment.encode()) {
-                plc.write(element, value).map_err(|error| Failure::Usage(format!("--set {assignment}: {error}")))?;
+                plc.write(element, value)
+                    .map_err(|error| Failure::Usage(format!("--set {}: {error}", excerpt(&assignment.to_string()))))?;
             }
         }
         bus = bus.with_station(station, plc).map_err(Failure::usage)?;
@@ -44,7 +46,7 @@ fn model(args: &SimArgs) -> Model {
 
 /// Returns `HOST:PORT` of `tcp://HOST:PORT`.
 fn address(url: &str) -> Result<&str, Failure> {
-    let rule = |rule: &str| Failure::Usage(format!("cannot listen on `{url}`: {rule}"));
+    let rule = |rule: &str| Failure::Usage(format!("cannot listen on `{}`: {rule}", excerpt(url)));
     let address = url.strip_prefix("tcp://").ok_or_else(|| rule("it must begin with `tcp://`"))?;
     if address.contains('?') {
         return Err(rule("it takes no options; for the framing give --framing"));
