@@ -66,6 +66,9 @@
 //! - If a write was sent, all elements are read back. Success means that each element then held its
 //!   value, except those that were left out. Elements overwritten by the running program are reported
 //!   as errors.
+//! - A backup is restored only to the PLC that it states, by station number, model and version of the
+//!   operating system, unless [`RestoreOptions::accept_other_plc`] is chosen. Each run reads the status
+//!   (40, 53) first to find out.
 //! - A PLC is stopped only by option, and only if an element is to be written and the PLC has all
 //!   elements; all are compared again then. It is started again only by option, if it ran before, and
 //!   if all elements are restored.

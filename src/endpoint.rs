@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::printable::excerpt;
 use crate::settings::{URL_OPTIONS, UrlOptions, one_of};
 use crate::wire::Framing;
 
@@ -215,7 +216,7 @@ impl fmt::Display for Endpoint {
 
 /// A text that is not an endpoint, with the rule that it breaks.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{input}` is not an endpoint: {rule}")]
+#[error("`{}` is not an endpoint: {rule}", excerpt(input))]
 pub struct ParseEndpointError {
     input: String,
     rule: String,
@@ -243,10 +244,10 @@ fn split_options(text: &str) -> Result<(&str, UrlOptions<'_>), String> {
         let (name, value) = option.split_once('=').unwrap_or((option, ""));
         if name != "framing" && !URL_OPTIONS.contains(&name) && !Transport::has_url_option(name) {
             let (common, own) = (one_of(["framing"].into_iter().chain(URL_OPTIONS)), Transport::own_url_options());
-            return Err(format!("unknown option `{option}`: it must be {common}{own}"));
+            return Err(format!("unknown option `{}`: it must be {common}{own}", excerpt(option)));
         }
         if !options.add(name, value) {
-            return Err(format!("the option `{name}` is given twice"));
+            return Err(format!("the option `{}` is given twice", excerpt(name)));
         }
     }
     Ok((address, options))

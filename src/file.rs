@@ -35,6 +35,7 @@
 //! To add a field: raise the minor version in `frame.rs`, write the field, and read it as unknown
 //! from files of older versions. The folder `tests/fixtures` has a file of each version.
 
+mod difference;
 mod error;
 mod frame;
 mod left_over;
@@ -43,6 +44,8 @@ mod save;
 mod saved;
 mod utc;
 
+pub use self::difference::PlcDifference;
+pub(crate) use self::difference::{listed, model_differences};
 pub use self::error::{FileError, FormatError};
 pub(crate) use self::frame::{Content, Kind, frame, unframe};
 pub(crate) use self::lines::{Lines, UNKNOWN};

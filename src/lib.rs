@@ -112,6 +112,7 @@ pub mod link;
 pub mod plan;
 pub mod poll;
 pub mod pool;
+mod printable;
 pub mod program;
 pub mod progress;
 mod random;

@@ -78,7 +78,8 @@
 //! writing would fail. A comparison ignores whether the PLC runs or has a ROM pack.
 //!
 //! Invariants:
-//! - Nothing is written or stopped unless the program fits the PLC: size, kind, no ROM pack. The
+//! - Nothing is written or stopped unless the program fits the PLC: size, kind, no ROM pack, and model and
+//!   OS version of the PLC that it was read from, unless [`WriteOptions::accept_other_plc`] is chosen. The
 //!   exception is a PLC that an earlier run of the same [`WriteProgram`] has left half-written.
 //! - Nothing is written before the status of the PLC has shown that it is stopped.
 //! - Replies are used only when a check (4E) has confirmed them: the comparison before the first
@@ -134,8 +135,8 @@ mod writing;
 use std::fmt;
 use std::path::Path;
 
-use crate::command::{PAGE_WORDS, ProgramPage};
-use crate::file::{self, FileError, FormatError, Origin, file_methods};
+use crate::command::{DetailedStatus, PAGE_WORDS, ProgramPage};
+use crate::file::{self, FileError, FormatError, Origin, PlcDifference, file_methods, model_differences};
 
 pub use self::error::{InvalidProgram, ProgramAction, ProgramError, WriteProgramError};
 pub use self::header::{ProgramHeader, ProgramKind};
@@ -236,6 +237,13 @@ impl Program {
     pub fn differing_pages(&self, other: &Self) -> Vec<u16> {
         let count = self.header.page_count().max(other.header.page_count());
         (0..count).filter(|&page| self.page(page) != other.page(page)).collect()
+    }
+
+    /// The differences of model and operating system between the PLC that the program was read from and
+    /// one with this status. Empty if that PLC is not known, as for a raw file.
+    #[must_use]
+    pub fn plc_differences(&self, status: &DetailedStatus) -> Vec<PlcDifference> {
+        self.status().map(|file| model_differences(file, status)).unwrap_or_default()
     }
 
     /// Saves the [bytes](Self::to_bytes) alone, for other tools. Such a file has no checksum.

@@ -1,6 +1,7 @@
 use super::{Backup, RestoreReport};
 use crate::command::DetailedStatus;
 use crate::error::Error;
+use crate::printable::excerpt;
 use crate::tag::Tag;
 use crate::transfer::{OtherStation, RunCause, RunCommand, RunFailure};
 
@@ -100,7 +101,7 @@ pub enum RestoreFailure {
     },
     /// An earlier run has stopped another station, and did not succeed. Nothing was sent, and the
     /// report is about the other station.
-    #[error("restoring was begun with {begun}, and cannot continue with {station}")]
+    #[error("restoring was begun with {}, and cannot continue with {}", excerpt(begun), excerpt(station))]
     #[non_exhaustive]
     OtherStation {
         /// The station of the earlier run, and its endpoint.
@@ -108,6 +109,9 @@ pub enum RestoreFailure {
         /// The station of this run, and its endpoint.
         station: String,
     },
+    /// The PLC is not the one that was read: see [`RestoreReport::other_plc`]. Nothing was written.
+    #[error("the backup is of another PLC, and `RestoreOptions::accept_other_plc` was not chosen")]
+    OtherPlc,
     /// The PLC runs, and had to be stopped already. Nothing was written.
     #[error("the PLC runs: stop it first, or choose `RestoreOptions::stop_first`")]
     Running,

@@ -1,7 +1,7 @@
 /// Options for restoring a backup.
 ///
-/// By default a running PLC keeps running, only elements that differ are written, and forced
-/// discretes stay as they are.
+/// By default a running PLC keeps running, only elements that differ are written, forced discretes
+/// stay as they are, and the backup of another PLC is refused.
 ///
 /// ```
 /// use fatek::backup::RestoreOptions;
@@ -15,6 +15,7 @@ pub struct RestoreOptions {
     pub(super) if_running: IfRunning,
     pub(super) run_again: bool,
     pub(super) write_forced: bool,
+    pub(super) accept_other_plc: bool,
     pub(super) bridge: usize,
     pub(super) attempts: u32,
 }
@@ -30,7 +31,14 @@ pub(super) enum IfRunning {
 impl RestoreOptions {
     /// The defaults.
     pub fn new() -> Self {
-        Self { if_running: IfRunning::Continue, run_again: false, write_forced: false, bridge: 0, attempts: 3 }
+        Self {
+            if_running: IfRunning::Continue,
+            run_again: false,
+            write_forced: false,
+            accept_other_plc: false,
+            bridge: 0,
+            attempts: 3,
+        }
     }
 
     /// Sets whether a running PLC is stopped if something is to be written; its status confirms
@@ -73,6 +81,14 @@ impl RestoreOptions {
     /// backup. Default: `false`.
     pub fn write_forced(self, write: bool) -> Self {
         Self { write_forced: write, ..self }
+    }
+
+    /// Sets whether the backup of another PLC is restored: one with another station number, model or
+    /// version of the operating system than the backup states. Default: `false`, that is
+    /// [`RestoreFailure::OtherPlc`](super::RestoreFailure::OtherPlc) before anything is written.
+    /// [`RestoreReport::other_plc`](super::RestoreReport::other_plc) has the differences in either case.
+    pub fn accept_other_plc(self, accept: bool) -> Self {
+        Self { accept_other_plc: accept, ..self }
     }
 
     /// Writes up to this number of equal elements between two that differ, if both then fit into one

@@ -2,6 +2,7 @@ use std::fmt;
 
 use super::{Difference, MissingRange};
 use crate::error::ErrorCode;
+use crate::file::{PlcDifference, listed};
 use crate::tag::Tag;
 use crate::transfer::PlcState;
 
@@ -36,6 +37,9 @@ pub struct RestoreReport {
     pub left_out_differences: Vec<Difference>,
     /// Elements without a value in the backup. They were neither compared nor written.
     pub missing: Vec<MissingRange>,
+    /// How the PLC differs from the one that was read, as far as the backup states that: station number,
+    /// model, version of the operating system. Empty until the status of the PLC is read.
+    pub other_plc: Vec<PlcDifference>,
     /// Elements that did not hold their value when all were read back.
     pub remaining: Vec<Difference>,
     /// Whether the PLC ran and was stopped, by this run or an earlier one of the same
@@ -70,6 +74,9 @@ impl fmt::Display for RestoreReport {
         if !self.missing.is_empty() {
             let missing: usize = self.missing.iter().map(|missing| missing.range.element_count()).sum();
             write!(f, ", {missing} missing in the backup")?;
+        }
+        if !self.other_plc.is_empty() {
+            write!(f, "; another PLC than that of the backup: {}", listed(&self.other_plc))?;
         }
         if self.was_stopped { write!(f, "; it was stopped, and {}", self.plc) } else { Ok(()) }
     }

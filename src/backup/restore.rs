@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::options::RestoreOptions;
 use super::restoring::{RestoreGoal, Restoring};
-use super::take::check_in;
+use super::take::{check_in, read_statuses};
 use super::{Backup, RestoreError, RestoreFailure, RestoreReport};
 use crate::progress::Progress;
 use crate::station::Station;
@@ -35,7 +35,8 @@ impl Restore {
         self
     }
 
-    /// Compares all elements and changes nothing. Inputs and contacts are compared, too. With
+    /// Compares all elements and changes nothing. Another PLC than that of the backup is no error here:
+    /// [`RestoreReport::other_plc`] has the differences. Inputs and contacts are compared, too. With
     /// [`stop_first`](RestoreOptions::stop_first) it reports whether the PLC runs;
     /// [`require_stopped`](RestoreOptions::require_stopped) refuses a running one here, too.
     ///
@@ -54,8 +55,8 @@ impl Restore {
     /// [`RestoreError`]: the reason, the elements that are written and those that are not, and the
     /// state of the PLC. Its [`source`](RestoreError::source) is
     /// - [`OtherStation`](RestoreFailure::OtherStation) before anything is sent;
-    /// - [`Running`](RestoreFailure::Running) and [`NotThere`](RestoreFailure::NotThere) before anything
-    ///   is written;
+    /// - [`OtherPlc`](RestoreFailure::OtherPlc), [`Running`](RestoreFailure::Running) and
+    ///   [`NotThere`](RestoreFailure::NotThere) before anything is written;
     /// - [`Call`](RestoreFailure::Call) if a request fails: run it again when the PLC is back;
     /// - [`Differs`](RestoreFailure::Differs) if elements were written and not all hold their value;
     /// - [`SetRunning`](RestoreFailure::SetRunning) if another client started a PLC that had to be
@@ -79,8 +80,22 @@ impl Restore {
             self.failed(RestoreFailure::Call { doing: "checking the addresses".to_owned(), source })
         })?;
         self.restoring.begin(goal);
+        self.check_origin(station, goal).await.map_err(|source| self.failed(source))?;
         let driven = self.driver.run(&mut self.restoring, station).await;
         driven.map(|()| self.report()).map_err(|source| self.failed(source))
+    }
+
+    /// Compares the PLC with the one that was read, as far as the backup states it.
+    async fn check_origin(&mut self, station: &Station, goal: RestoreGoal) -> Result<(), RestoreFailure> {
+        if self.restoring.has_origin() {
+            let plc = read_statuses(station).await;
+            let plc = plc.map_err(|source| RestoreFailure::Call { doing: "reading the status".to_owned(), source })?;
+            self.restoring.compare_origin(station.number(), &plc);
+        }
+        if goal == RestoreGoal::Restore && !self.restoring.accepts_plc() {
+            return Err(RestoreFailure::OtherPlc);
+        }
+        Ok(())
     }
 
     fn failed(&self, source: RestoreFailure) -> RestoreError {

@@ -1,6 +1,7 @@
 //! Restoring a backup as a [`Transfer`], as the [module](super) draws it: compare, write, verify.
 
 mod control;
+mod origin;
 
 use std::ops::Range;
 
@@ -12,6 +13,7 @@ use super::target::{ElementState, Target, TargetElement};
 use super::{Backup, Difference, MissingRange, RestoreFailure, RestoreReport};
 use crate::command::Value;
 use crate::error::{Error, ErrorCode};
+use crate::file::{Origin, PlcDifference};
 use crate::progress::Phase;
 use crate::tag::Tag;
 use crate::transfer::{Position, Reply, Request, RunControl, Step, Transfer};
@@ -71,6 +73,11 @@ enum Pending {
 #[derive(Clone, Debug)]
 pub(super) struct Restoring {
     options: RestoreOptions,
+    /// The PLC that was read.
+    station: Option<u8>,
+    origin: Origin,
+    /// How the PLC of this run differs from it.
+    other_plc: Vec<PlcDifference>,
     targets: Vec<Target>,
     /// Ranges that are compared and never written.
     left_out: Vec<Target>,
@@ -97,6 +104,9 @@ impl Restoring {
             backup.blocks.iter().partition(|block| is_never_restored(block.range));
         Self {
             options,
+            station: backup.station,
+            origin: backup.origin.clone(),
+            other_plc: Vec::new(),
             targets: restored.into_iter().map(Target::new).collect(),
             left_out: left_out.into_iter().map(Target::new).collect(),
             missing: backup.missing(),
@@ -118,6 +128,7 @@ impl Restoring {
         self.control.begin(self.is_over());
         self.forget();
         self.remaining.clear();
+        self.other_plc.clear();
         self.to_confirm = None;
         self.goal = goal;
         // A comparison does not depend on whether the PLC runs.
@@ -348,6 +359,7 @@ impl Restoring {
             left_out: self.left_out.iter().map(|target| target.range).collect(),
             left_out_differences: self.left_out.iter().flat_map(Target::differences).collect(),
             missing: self.missing.clone(),
+            other_plc: self.other_plc.clone(),
             remaining: self.remaining.clone(),
             was_stopped: self.control.was_stopped(),
             plc: self.control.plc(),

@@ -96,10 +96,9 @@ impl TakeBackup {
 
     async fn read_origin(&mut self, station: &Station) -> Result<(), Error> {
         let read_at = Some(whole_seconds(SystemTime::now()));
-        let brief = unless_refused(station.read_status().await)?;
-        let detailed = unless_refused(station.read_detailed_status().await)?;
+        let statuses = read_statuses(station).await?;
         self.taking.backup.station = Some(station.number());
-        self.taking.backup.origin = Origin { read_at, brief, detailed };
+        self.taking.backup.origin = Origin { read_at, ..statuses };
         Ok(())
     }
 
@@ -133,6 +132,13 @@ impl fmt::Debug for TakeBackup {
 pub(super) fn check_in(mut ranges: impl Iterator<Item = Tag>, station: &Station) -> Result<(), Error> {
     let framing = station.link().framing();
     ranges.try_for_each(|range| range.check_in(framing)).map_err(|error| InvalidRequest::from(error).into())
+}
+
+/// Reads both statuses of a PLC, without the time.
+pub(super) async fn read_statuses(station: &Station) -> Result<Origin, Error> {
+    let brief = unless_refused(station.read_status().await)?;
+    let detailed = unless_refused(station.read_detailed_status().await)?;
+    Ok(Origin { read_at: None, brief, detailed })
 }
 
 /// `None` for a refusal: not every model has every status.

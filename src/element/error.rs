@@ -1,6 +1,7 @@
 use std::fmt;
 
 use super::{Element, Symbol, Width};
+use crate::printable::excerpt;
 use crate::wire::Framing;
 
 /// The rule of the protocol that a symbol or an address breaks.
@@ -84,7 +85,7 @@ pub enum ElementError {
 
 /// A text that is not an element, and the rule that it breaks.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{input}` is not an element: {reason}")]
+#[error("`{}` is not an element: {reason}", excerpt(input))]
 pub struct ParseElementError {
     pub(super) input: String,
     pub(super) reason: ElementError,

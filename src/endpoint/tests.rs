@@ -110,7 +110,8 @@ fn errors_name_the_input_and_the_rule() {
         ("serial:COM3?framing=binary&frame=7E1", "the binary framing needs 8 data bits, and 9600 baud 7E1 has 7"),
     ] {
         let message = text.parse::<Endpoint>().unwrap_err().to_string();
-        assert!(message.starts_with(&format!("`{text}` is not an endpoint: ")), "{message}");
+        let shown = text.replace('\0', r"\0");
+        assert!(message.starts_with(&format!("`{shown}` is not an endpoint: ")), "{message}");
         assert!(message.contains(rule), "{message} should say: {rule}");
     }
 }

@@ -1,5 +1,6 @@
+use crate::printable::excerpt;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Error: the content of a file cannot be read.
@@ -10,7 +11,7 @@ pub enum FormatError {
     #[error("not a file of this kind: it does not begin with `fatek file`")]
     Foreign,
     /// The file has another major version.
-    #[error("format version {found} needs a newer version of this library, which reads version {known}")]
+    #[error("format version {} needs a newer version of this library, which reads version {known}", excerpt(found))]
     #[non_exhaustive]
     Version {
         /// The version of the file.
@@ -19,7 +20,7 @@ pub enum FormatError {
         known: u32,
     },
     /// The file has another kind of content.
-    #[error("it holds `{found}`, where `{expected}` was expected")]
+    #[error("it holds `{}`, where `{expected}` was expected", excerpt(found))]
     #[non_exhaustive]
     Kind {
         /// The kind of its content.
@@ -87,7 +88,7 @@ impl FormatError {
 #[non_exhaustive]
 pub enum FileError {
     /// The system refused.
-    #[error("{}: cannot {doing}: {source}", path.display())]
+    #[error("{}: cannot {doing}: {source}", shown(path))]
     #[non_exhaustive]
     Io {
         /// The file.
@@ -99,14 +100,14 @@ pub enum FileError {
     },
     /// The name belongs to a folder, a pipe, a device or a broken link. These are neither read nor
     /// replaced: opening a pipe, for instance, could block for ever.
-    #[error("{}: not a regular file", path.display())]
+    #[error("{}: not a regular file", shown(path))]
     #[non_exhaustive]
     NotAFile {
         /// The name.
         path: PathBuf,
     },
     /// The file is larger than any file of this library.
-    #[error("{}: not a file of this kind: it has more than {limit} bytes", path.display())]
+    #[error("{}: not a file of this kind: it has more than {limit} bytes", shown(path))]
     #[non_exhaustive]
     TooLarge {
         /// The file.
@@ -115,7 +116,7 @@ pub enum FileError {
         limit: u64,
     },
     /// The content of the file is wrong.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {source}", shown(path))]
     #[non_exhaustive]
     Format {
         /// The file.
@@ -123,4 +124,9 @@ pub enum FileError {
         /// The fault.
         source: FormatError,
     },
+}
+
+/// The name of a file on one line, shortened if it is very long.
+fn shown(path: &Path) -> String {
+    excerpt(&path.to_string_lossy()).to_string()
 }

@@ -3,6 +3,7 @@ use std::fmt;
 use super::header::ProgramKind;
 use super::write_state::WriteState;
 use crate::error::{Error, ErrorCode};
+use crate::printable::excerpt;
 use crate::transfer::{OtherStation, RunCause, RunCommand, RunFailure};
 
 /// Error: pages are not a program.
@@ -115,7 +116,7 @@ pub enum ProgramError {
     },
     /// An earlier run has read pages of another station, or has stopped or written it, and did not
     /// succeed. Nothing was sent, and a [`WriteState`] is that of the other station.
-    #[error("this was begun with {begun}, and cannot continue with {station}")]
+    #[error("this was begun with {}, and cannot continue with {}", excerpt(begun), excerpt(station))]
     #[non_exhaustive]
     OtherStation {
         /// The station of the earlier run, and its endpoint.
@@ -141,6 +142,10 @@ pub enum ProgramError {
         /// The kind of the program in the PLC.
         plc: ProgramKind,
     },
+    /// The PLC is not the one that the program was read from: see
+    /// [`WriteState::other_plc`](super::WriteState::other_plc).
+    #[error("the program is of another PLC, and `WriteOptions::accept_other_plc` was not chosen")]
+    OtherPlc,
     /// The PLC uses a ROM pack or memory card, and would refuse every page.
     #[error("the PLC has a ROM pack or memory card in use, which cannot be written")]
     MemoryCard,

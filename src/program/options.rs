@@ -2,8 +2,8 @@ use std::time::Duration;
 
 /// Options for writing a program.
 ///
-/// By default a running PLC is refused, only pages that differ are written, each written page is
-/// read back, and the PLC stays stopped.
+/// By default a running PLC and the program of another PLC are refused, only pages that differ are
+/// written, each written page is read back, and the PLC stays stopped.
 ///
 /// ```
 /// use std::time::Duration;
@@ -19,6 +19,7 @@ pub struct WriteOptions {
     pub(super) run_again: bool,
     pub(super) all_pages: bool,
     pub(super) verify_all: bool,
+    pub(super) accept_other_plc: bool,
     pub(super) attempts: u32,
     pub(super) page_timeout: Option<Duration>,
 }
@@ -31,6 +32,7 @@ impl WriteOptions {
             run_again: false,
             all_pages: false,
             verify_all: false,
+            accept_other_plc: false,
             attempts: 3,
             page_timeout: None,
         }
@@ -61,6 +63,14 @@ impl WriteOptions {
     /// Default: `false`.
     pub fn verify_all(self, verify: bool) -> Self {
         Self { verify_all: verify, ..self }
+    }
+
+    /// Sets whether the program of another PLC is written: one with another model or version of the
+    /// operating system than the file states. Default: `false`, that is
+    /// [`ProgramError::OtherPlc`](super::ProgramError::OtherPlc) before anything is changed.
+    /// [`WriteState::other_plc`](super::WriteState::other_plc) has the differences in either case.
+    pub fn accept_other_plc(self, accept: bool) -> Self {
+        Self { accept_other_plc: accept, ..self }
     }
 
     /// How often a page is written at most, if its write has no reply or it reads back differently.

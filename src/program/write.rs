@@ -60,8 +60,8 @@ impl WriteProgram {
     /// state of the PLC. Its [`source`](WriteProgramError::source) is
     /// - [`OtherStation`](super::ProgramError::OtherStation) before anything is sent;
     /// - [`SizeMisfit`](super::ProgramError::SizeMisfit), [`KindMisfit`](super::ProgramError::KindMisfit),
-    ///   [`MemoryCard`](super::ProgramError::MemoryCard) and [`Running`](super::ProgramError::Running)
-    ///   before anything is changed;
+    ///   [`OtherPlc`](super::ProgramError::OtherPlc), [`MemoryCard`](super::ProgramError::MemoryCard) and
+    ///   [`Running`](super::ProgramError::Running) before anything is changed;
     /// - [`Call`](super::ProgramError::Call) if a request fails: run it again when the PLC is back;
     /// - [`StillRunning`](super::ProgramError::StillRunning), [`NotTaken`](super::ProgramError::NotTaken),
     ///   [`SetRunning`](super::ProgramError::SetRunning) and [`Differs`](super::ProgramError::Differs)

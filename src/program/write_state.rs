@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use crate::file::{PlcDifference, listed};
 use crate::transfer::PlcState;
 
 /// Result of writing a program, by the run that succeeded and the runs before it: the PLC holds it.
@@ -20,6 +21,8 @@ pub struct WriteReport {
     pub was_stopped: bool,
     /// Whether the PLC runs now.
     pub running: bool,
+    /// How the PLC differs from the one that the program was read from: see [`WriteState::other_plc`].
+    pub other_plc: Vec<PlcDifference>,
 }
 
 /// How far the writing of a program has come, and the state of the PLC.
@@ -50,6 +53,9 @@ pub struct WriteState {
     pub was_stopped: bool,
     /// Whether the PLC runs.
     pub plc: PlcState,
+    /// How the PLC differs from the one that the program was read from, as far as that is known: model
+    /// and version of the operating system. Empty until the status of the PLC is read.
+    pub other_plc: Vec<PlcDifference>,
 }
 
 impl WriteState {
@@ -69,6 +75,17 @@ impl WriteState {
 
 impl fmt::Display for WriteState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.write_pages(f)?;
+        if self.other_plc.is_empty() {
+            return Ok(());
+        }
+        write!(f, "; another PLC than that of the program: {}", listed(&self.other_plc))
+    }
+}
+
+impl WriteState {
+    /// Writes the pages and the state of the PLC.
+    fn write_pages(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { written, written_before, in_doubt, plc, .. } = self;
         let plc = match (plc, self.was_stopped) {
             (PlcState::Stopped, true) => "the PLC ran before and is stopped now".to_owned(),

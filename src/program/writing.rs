@@ -10,6 +10,7 @@ use self::confirm::Pending;
 use super::{Program, ProgramAction, ProgramError, WriteOptions};
 use crate::command::ProgramPage;
 use crate::error::Error;
+use crate::file::PlcDifference;
 use crate::progress::Phase;
 use crate::transfer::{Position, Reply, Request, RunControl, RunEvent, Step, Transfer};
 
@@ -77,6 +78,8 @@ pub(super) struct WriteMark {
 pub(super) struct Writing {
     program: Program,
     options: WriteOptions,
+    /// How the PLC differs from the one that the program was read from.
+    other_plc: Vec<PlcDifference>,
     goal: WriteGoal,
     stage: WriteStage,
     control: RunControl,
@@ -121,6 +124,7 @@ impl Writing {
         Self {
             program,
             options,
+            other_plc: Vec::new(),
             goal: WriteGoal::Write,
             stage: WriteStage::Fit,
             control: RunControl::new(CONTROL_ATTEMPTS),

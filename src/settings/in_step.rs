@@ -2,6 +2,7 @@ use std::fmt;
 use std::time::Duration;
 
 use super::{InvalidSettings, UrlOptions};
+use crate::printable::excerpt;
 
 /// Assumptions about late and duplicate replies: when a duplicate can come, and how a station is
 /// proven to be in step.
@@ -145,9 +146,9 @@ impl InStepSettings {
         let mut settings = Self::new();
         if let Some(text) = options.get("copies") {
             let copies = text.parse().ok().filter(|_| text.bytes().all(|b| b.is_ascii_digit()));
-            settings = copies
-                .and_then(|copies| settings.with_copies(copies).ok())
-                .ok_or_else(|| format!("the option `copies={text}` must be a number from 0 to {MAX_COPIES}"))?;
+            settings = copies.and_then(|copies| settings.with_copies(copies).ok()).ok_or_else(|| {
+                format!("the option `copies={}` must be a number from 0 to {MAX_COPIES}", excerpt(text))
+            })?;
         }
         if let Some(text) = options.get("window") {
             settings = settings.with_window(time("window", text)?);
@@ -159,7 +160,7 @@ impl InStepSettings {
             settings = settings.with_one_request(match text {
                 "true" => true,
                 "false" => false,
-                _ => return Err(format!("the option `one_request={text}` must be `true` or `false`")),
+                _ => return Err(format!("the option `one_request={}` must be `true` or `false`", excerpt(text))),
             });
         }
         if let Some(text) = options.get("settle") {
@@ -200,7 +201,10 @@ const fn bounded(time: Duration) -> Duration {
 
 fn time(name: &str, text: &str) -> Result<Duration, String> {
     parse_time(text).filter(|&time| time <= MAX_TIME).ok_or_else(|| {
-        format!("the option `{name}={text}` must be a time in `ms` or `s`, such as `100ms` or `1.5s`, at most a day")
+        format!(
+            "the option `{name}={}` must be a time in `ms` or `s`, such as `100ms` or `1.5s`, at most a day",
+            excerpt(text)
+        )
     })
 }
 

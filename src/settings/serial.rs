@@ -1,6 +1,7 @@
 use std::fmt;
 
 use super::{InvalidSettings, UrlOptions};
+use crate::printable::excerpt;
 use crate::wire::Framing;
 
 /// Settings of a serial port: baud rate, data bits, parity and stop bits. No flow control.
@@ -111,14 +112,15 @@ impl SerialSettings {
         let mut settings = Self::new(framing);
         if let Some(text) = options.get("baud") {
             let baud = text.parse().ok().filter(|_| text.bytes().all(|b| b.is_ascii_digit()));
-            settings = baud
-                .and_then(|baud| settings.with_baud(baud).ok())
-                .ok_or_else(|| format!("the baud rate `{text}` must be a number from {MIN_BAUD} to {MAX_BAUD}"))?;
+            settings = baud.and_then(|baud| settings.with_baud(baud).ok()).ok_or_else(|| {
+                format!("the baud rate `{}` must be a number from {MIN_BAUD} to {MAX_BAUD}", excerpt(text))
+            })?;
         }
         if let Some(text) = options.get("frame") {
             settings = settings.with_character(text).ok_or_else(|| {
                 format!(
-                    "the frame `{text}` must be data bits (7, 8), parity (N, E, O) and stop bits (1, 2), as in `7E1`"
+                    "the frame `{}` must be data bits (7, 8), parity (N, E, O) and stop bits (1, 2), as in `7E1`",
+                    excerpt(text)
                 )
             })?;
         }

@@ -1,8 +1,8 @@
 use std::fmt;
 
-use super::text::Quoted;
 use super::{ScaleError, Tag, TagType, TagValue};
 use crate::element::{Element, ElementError, Symbol, Width};
+use crate::printable::excerpt;
 
 /// A rule that a tag breaks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -103,7 +103,7 @@ pub enum TagError {
 
 /// A text that is not a tag, with the rule that it breaks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("`{input}` is not a tag: {reason}")]
+#[error("`{}` is not a tag: {reason}", excerpt(input))]
 pub struct ParseTagError {
     pub(super) input: String,
     pub(super) reason: TagError,
@@ -125,7 +125,7 @@ impl ParseTagError {
 
 /// A text that is not the name of a type.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not a type (known: {known})", known = Names(TagType::ALL.iter().copied()))]
+#[error("`{}` is not a type (known: {known})", excerpt(.0), known = Names(TagType::ALL.iter().copied()))]
 pub struct ParseTagTypeError(pub(super) String);
 
 /// A rule that a value, or the number of values, breaks.
@@ -180,7 +180,7 @@ pub enum ValueError {
     #[error("a scaled value is a decimal number, such as 12.3 or -1e3")]
     NotDecimal,
     /// The text is longer than the elements.
-    #[error("{} has {characters} characters, and {max} fit", Quoted(text))]
+    #[error("\"{}\" has {characters} characters, and {max} fit", excerpt(text))]
     #[non_exhaustive]
     TooLong {
         /// The text.
@@ -191,7 +191,7 @@ pub enum ValueError {
         max: usize,
     },
     /// A character is not Latin-1.
-    #[error("{} has the character {character:?}, which is not Latin-1", Quoted(text))]
+    #[error("\"{}\" has the character {character:?}, which is not Latin-1", excerpt(text))]
     #[non_exhaustive]
     NotLatin1 {
         /// The text.
@@ -236,7 +236,7 @@ pub enum ValueError {
 
 /// A text that is not a value of a tag, with the rule that it breaks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("`{input}` is not a value for {tag}: {reason}")]
+#[error("`{}` is not a value for {tag}: {reason}", excerpt(input))]
 pub struct ParseValueError {
     input: String,
     tag: Tag,
@@ -273,7 +273,7 @@ impl ParseValueError {
 #[non_exhaustive]
 pub enum ParseAssignmentError {
     /// The text has no `=`.
-    #[error("`{input}` is not an assignment: it must be TAG=VALUE, such as R5=7")]
+    #[error("`{}` is not an assignment: it must be TAG=VALUE, such as R5=7", excerpt(input))]
     NoValue {
         /// The text.
         input: String,

@@ -16,6 +16,7 @@ use std::str::FromStr;
 use super::ValueError;
 use super::codec::{decimals, has_overflowed};
 use super::types::Format;
+use crate::printable::excerpt;
 
 /// A gain and an offset: `value = raw × gain + offset`.
 ///
@@ -68,7 +69,10 @@ pub enum ScaleError {
         offset: f64,
     },
     /// The text is not a scale.
-    #[error("`{input}` is not a scale: it must be *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40")]
+    #[error(
+        "`{}` is not a scale: it must be *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40",
+        excerpt(input)
+    )]
     #[non_exhaustive]
     Malformed {
         /// The text.

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use crate::printable::excerpt;
 use crate::wire::Framing;
 
 /// Default port, TCP and UDP: that of FATEK's Ethernet modules.
@@ -16,7 +17,7 @@ pub(super) fn parse(scheme: &str, authority: &str, framing: Framing) -> Result<(
     let port = match (port, framing) {
         (Some(port), _) => match port.parse() {
             Ok(number) if number > 0 && port.bytes().all(|b| b.is_ascii_digit()) => number,
-            _ => return Err(format!("the port `{port}` must be a number from 1 to 65535")),
+            _ => return Err(format!("the port `{}` must be a number from 1 to 65535", excerpt(port))),
         },
         (None, Framing::Ascii) => DEFAULT_PORT,
         (None, Framing::Binary) => {
@@ -43,12 +44,12 @@ fn split(authority: &str) -> Result<(&str, Option<&str>), String> {
     let (host, port) = if let Some(bracketed) = authority.strip_prefix('[') {
         let (host, rest) = bracketed.split_once(']').ok_or("the bracket of the IPv6 address is not closed")?;
         if host.parse::<std::net::Ipv6Addr>().is_err() {
-            return Err(format!("`{host}` is not an IPv6 address"));
+            return Err(format!("`{}` is not an IPv6 address", excerpt(host)));
         }
         match rest.strip_prefix(':') {
             Some(port) => (host, Some(port)),
             None if rest.is_empty() => (host, None),
-            None => return Err(format!("`{rest}` follows the IPv6 address where only `:port` can")),
+            None => return Err(format!("`{}` follows the IPv6 address where only `:port` can", excerpt(rest))),
         }
     } else {
         match authority.split_once(':') {
@@ -61,7 +62,9 @@ fn split(authority: &str) -> Result<(&str, Option<&str>), String> {
     }
     let invalid = host.chars().find(|c| !(c.is_alphanumeric() || "-._:".contains(*c)));
     match invalid {
-        Some(c) => Err(format!("the host `{host}` has the character {c:?}, which is not valid in a host name")),
+        Some(c) => {
+            Err(format!("the host `{}` has the character {c:?}, which is not valid in a host name", excerpt(host)))
+        }
         None => Ok((host, port)),
     }
 }

@@ -15,6 +15,7 @@ use std::io;
 
 use tokio::io::{AsyncRead, AsyncWrite};
 
+use crate::printable::excerpt;
 use crate::settings::{SerialSettings, UrlOptions, one_of};
 use crate::wire::Framing;
 
@@ -187,7 +188,7 @@ impl Transport {
             }
             None if rest.starts_with("//") => {
                 let schemes = one_of(KINDS.map(Kind::scheme));
-                Err(format!("unknown transport `{written}`: it must be {schemes}"))
+                Err(format!("unknown transport `{}`: it must be {schemes}", excerpt(written)))
             }
             None => Err(prefixes()),
         }

@@ -1,3 +1,4 @@
+use crate::printable::excerpt;
 use std::fmt;
 use std::str::FromStr;
 
@@ -35,5 +36,5 @@ impl FromStr for Framing {
 
 /// A text that names no framing.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not a framing: it must be `ascii` or `binary`")]
+#[error("`{}` is not a framing: it must be `ascii` or `binary`", excerpt(.0))]
 pub struct ParseFramingError(String);

@@ -9,7 +9,7 @@ use fatek::sim::{Fault, Faults, Rule};
 use fatek::tag::Tag;
 use fatek::{CallOptions, ErrorCode, Value, discrete, element, register};
 
-use crate::bench::{Bench, FRAMINGS, Rng, tags};
+use crate::bench::{Bench, FRAMINGS, Rng, model, tags};
 
 /// Creates a backup of these ranges, and a running PLC with other values.
 async fn prepare<const N: usize>(bench: &Bench, ranges: [&str; N]) -> Backup {
@@ -326,4 +326,32 @@ async fn progress_reports_every_phase_completely() {
     assert!(reports.is_sorted_by_key(|reports| {
         ["comparing", "writing", "verifying"].iter().position(|phase| *phase == reports.0)
     }));
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_backup_of_another_plc_is_restored_only_by_option() {
+    for framing in FRAMINGS {
+        let (own, other) = (
+            Bench::new(framing, Faults::new(1)),
+            Bench::with_model(framing, Faults::new(2), model().os_version(4, 0).main_unit(0)),
+        );
+        let backup = prepare(&own, ["R0-R9"]).await;
+        other.plc.write(register!("R5"), 7_u16).unwrap();
+        // Before: it was written, and the report did not say that the PLC is another one.
+        let error = other.station().restore(&backup, RestoreOptions::new()).await.unwrap_err();
+        assert!(matches!(error.source, RestoreFailure::OtherPlc), "{error}");
+        assert_eq!(other.writes(), []);
+        let differences = "main unit MA/MU instead of MC, OS version 4.0 instead of 3.1";
+        let shown = format!("; another PLC than that of the backup: {differences}");
+        assert!(error.to_string().ends_with(&shown), "{error}");
+        // A comparison only tells it.
+        let compared = Restore::new(&backup, RestoreOptions::new()).compare(&other.station()).await.unwrap();
+        assert_eq!((compared.other_plc.len(), compared.differences.len()), (2, 1), "{compared}");
+        let options = RestoreOptions::new().accept_other_plc(true);
+        let report = other.station().restore(&backup, options).await.unwrap();
+        assert_eq!(report.other_plc, compared.other_plc);
+        assert_eq!(report.written, tags(["R5"]));
+        let report = own.station().restore(&backup, RestoreOptions::new()).await.unwrap();
+        assert_eq!(report.other_plc, []);
+    }
 }

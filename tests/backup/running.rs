@@ -131,8 +131,8 @@ async fn a_plc_started_and_stopped_by_others_is_not_run_again() {
 async fn an_unanswered_last_status_leaves_the_state_unknown() {
     for framing in FRAMINGS {
         let (bench, backup) = prepare(framing).await;
-        // The status is read at the start, before the first write, and at the end.
-        bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::ReadStatus).skip(2)]);
+        // The status is read twice at the start, before the first write, and at the end.
+        bench.faults.set_rules([Rule::new(Fault::Ignore).command(Code::ReadStatus).skip(3)]);
         let restored = bench.station().restore(&backup, RestoreOptions::new().require_stopped(true)).await;
         let error = restored.unwrap_err();
         assert!(error.to_string().starts_with("reading the status: station 1 did not answer"), "{error}");

@@ -191,6 +191,12 @@ pub(crate) fn ascii(content: &str) -> Vec<u8> {
 /// Runs the command line on a pseudo-terminal, answers its question, and returns status and output.
 #[cfg(unix)]
 pub(crate) fn run_at_terminal(sim: &Sim, args: &[&str], answer: &str) -> (i32, String) {
+    run_at_terminal_on(&sim.url, args, answer)
+}
+
+/// The same against station 1 of any URL.
+#[cfg(unix)]
+pub(crate) fn run_at_terminal_on(url: &str, args: &[&str], answer: &str) -> (i32, String) {
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
     use std::fs::{File, OpenOptions};
 
@@ -201,7 +207,7 @@ pub(crate) fn run_at_terminal(sim: &Sim, args: &[&str], answer: &str) -> (i32, S
     let mut terminal = File::from(terminal);
     let side = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
     let mut command = Command::new(FATEK);
-    command.args(["--link", &sim.url, "--station", "1"]).args(args);
+    command.args(["--link", url, "--station", "1"]).args(args);
     command.env("TERM", "xterm");
     let mut child = command.stdin(side()).stdout(side()).stderr(side()).spawn().unwrap();
     // Only the child holds the other side now, so reading ends with the child.

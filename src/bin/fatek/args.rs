@@ -19,7 +19,7 @@ pub(crate) use self::line::{PingArgs, ScanArgs};
 pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
 pub(crate) use self::sim::SimArgs;
 use crate::duration;
-use crate::output::Format;
+use crate::output::FormatArg;
 
 /// Command line client for FATEK / FACON PLCs, with a simulator and a frame decoder
 ///
@@ -70,7 +70,7 @@ Exit status:
   4  timeout: no reply; scan: from no station
   5  no connection
   6  bad reply; scan: also from one station of several; decode: bad frame
-  7  file damaged or not for this PLC, or contents differ
+  7  file damaged or of another PLC, or contents differ
   129, 130, 143  ended by SIGHUP, by SIGINT (Ctrl-C), or by SIGTERM; watch
      and sim end with 0
 
@@ -92,8 +92,11 @@ Examples:
 #[command(next_help_heading = "Common options")]
 pub(crate) struct Common {
     /// Output format [default: table]
+    ///
+    /// csv-safe puts ' before cells that begin with = + - @ tab CR or LF and are no numbers, so that a
+    /// spreadsheet does not run them as formulas. A terminal shows control characters as escapes.
     #[arg(long, global = true, value_enum, value_name = "FORMAT")]
-    pub(crate) format: Option<Format>,
+    pub(crate) format: Option<FormatArg>,
     /// Response and connection timeout, up to 24h [default: 1s, serial line 300ms; connection 3s]
     ///
     /// Reads are sent up to three times, all other requests once. `ping` sends every request once;
@@ -114,10 +117,10 @@ pub(crate) struct Common {
 #[derive(Debug, Args)]
 pub(crate) struct DefaultPlc {
     /// Link to the PLC, such as tcp://192.168.2.3:500
-    #[arg(long, env = "FATEK_LINK", value_name = "URL")]
+    #[arg(long, env = "FATEK_LINK", hide_env_values = true, value_name = "URL")]
     link: Option<String>,
     /// Station number, 1 to 254 (`sim` has an option of its own)
-    #[arg(long, env = "FATEK_STATION", value_name = "N")]
+    #[arg(long, env = "FATEK_STATION", hide_env_values = true, value_name = "N")]
     station: Option<String>,
 }
 

@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::output::{Cell, Output, Rows, complain};
 use crate::retry::{Direction, is_line_failure, retry, write_progress};
 use crate::signal::unless_signalled;
-use crate::transfer::{Reporter, stops, warn_of_unknown_fields, would_stop};
+use crate::transfer::{Reporter, other_plc, shown, stops, warn_of_other_plc, warn_of_unknown_fields, would_stop};
 
 /// Backs up ranges. Resumes after a line failure, while each attempt reads at least one more element.
 /// Checks ranges and file before the first request.
@@ -31,7 +31,7 @@ pub(crate) async fn backup(
 ) -> Result<(), Failure> {
     if args.compare {
         let backup = load(&args.file, &args.ranges)?;
-        return verify(&connect::station(plc, timeout)?, &backup, output).await;
+        return verify(&connect::station(plc, timeout)?, &args.file, &backup, output).await;
     }
     let taking = TakeBackup::new(args.ranges.iter().copied()).map_err(Failure::usage)?;
     // Before the transfer, which may be long.
@@ -71,7 +71,7 @@ pub(crate) async fn backup(
         return Err(Failure::Missing { missing: all, all, file: None });
     }
     backup.save(&args.file)?;
-    output.remark(format_args!("{}: {values} elements", args.file.display()));
+    output.remark(format_args!("{}: {values} elements", shown(&args.file)));
     match all - values {
         0 => Ok(()),
         missing => Err(Failure::Missing { missing, all, file: Some(args.file.clone()) }),
@@ -79,8 +79,9 @@ pub(crate) async fn backup(
 }
 
 /// Compares the PLC with a backup. A refused input counts as different.
-async fn verify(station: &Station, backup: &Backup, output: &Output) -> Result<(), Failure> {
+async fn verify(station: &Station, file: &Path, backup: &Backup, output: &Output) -> Result<(), Failure> {
     let report = compare(station, backup, RestoreOptions::new(), output).await?;
+    warn_of_other_plc(file, &report.other_plc);
     print(report.differences.iter().chain(&report.left_out_differences), output)?;
     let refused: usize = report.refused.iter().map(|refused| refused.range.element_count()).sum();
     report_refused(&report);
@@ -110,19 +111,27 @@ pub(crate) async fn restore(
     if dry_run || !yes {
         // The differences are shown before the prompt.
         let report = compare(&station, &backup, options(args), output).await?;
+        warn_of_other_plc(&args.file, &report.other_plc);
         print(to_be_written(&report), output)?;
         let (written, all, stops_plc) = (count(&report.to_write), report.compared, is_to_stop(&report, args));
         if dry_run {
             let stopped = if stops_plc { would_stop(args.run) } else { "" };
             output.remark(format_args!("{written} of {all} elements would be written{stopped}"));
+        }
+        // As the restore itself would.
+        if !report.other_plc.is_empty() && !args.force {
+            return Err(Failure::OtherPlc(report.other_plc));
+        }
+        if dry_run {
             return Ok(());
         }
         if written == 0 {
             output.remark(format_args!("{report}"));
             return Ok(());
         }
-        let (file, stopped) = (args.file.display(), if stops_plc { stops(args.run) } else { "" });
-        confirm(&format!("Write {written} of {all} elements of {file} to {plc}?{stopped}"), false).await?;
+        let (file, stopped) = (shown(&args.file), if stops_plc { stops(args.run) } else { "" });
+        let other = other_plc(&report.other_plc);
+        confirm(&format!("Write {written} of {all} elements of {file} to {plc}?{stopped}{other}"), false).await?;
     }
     let reporter = Reporter::new(output);
     let mut restore = Restore::new(&backup, options(args)).on_progress(reporter.callback());
@@ -171,7 +180,7 @@ fn load(file: &Path, ranges: &[Tag]) -> Result<Backup, Failure> {
     match backup.missing().first() {
         Some(missing) if backup.value_count() == 0 => Err(Failure::Usage(format!(
             "{} has no value in these ranges: {} is missing, {}",
-            file.display(),
+            shown(file),
             missing.range,
             missing.reason
         ))),
@@ -245,5 +254,5 @@ fn report_skipped(report: &RestoreReport, output: &Output) {
 fn options(args: &RestoreArgs) -> RestoreOptions {
     // The command line excludes --stop with --require-stopped.
     let options = RestoreOptions::new().stop_first(args.stop).require_stopped(args.require_stopped);
-    options.run_again(args.run).write_forced(args.forced).bridge(args.bridge)
+    options.run_again(args.run).write_forced(args.forced).accept_other_plc(args.force).bridge(args.bridge)
 }

@@ -7,6 +7,7 @@ use tokio::sync::oneshot;
 
 use crate::failure::Failure;
 use crate::output::complain;
+use crate::printable::printable;
 use crate::signal::unless_signalled;
 
 /// Fails without `--yes` and without a terminal. Call it before the first request.
@@ -24,7 +25,7 @@ pub(crate) async fn confirm(question: &str, yes: bool) -> Result<(), Failure> {
         return Ok(());
     }
     let mut stderr = io::stderr().lock();
-    write!(stderr, "{question} [y/N] ").and_then(|()| stderr.flush()).map_err(Failure::Runtime)?;
+    write!(stderr, "{} [y/N] ", printable(question)).and_then(|()| stderr.flush()).map_err(Failure::Runtime)?;
     drop(stderr);
     let (sender, line) = oneshot::channel();
     // Not a blocking task of the runtime, which would wait for it at its end.

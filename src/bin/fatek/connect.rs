@@ -6,6 +6,7 @@ use fatek::{CallOptions, Endpoint, Link, Station};
 
 use crate::args::Plc;
 use crate::failure::Failure;
+use crate::printable::excerpt;
 
 /// Station of the command line. No connection is opened before its first call.
 pub(crate) fn station(plc: &Plc, timeout: Option<Duration>) -> Result<Station, Failure> {
@@ -15,7 +16,10 @@ pub(crate) fn station(plc: &Plc, timeout: Option<Duration>) -> Result<Station, F
     };
     let number = station.parse().ok().filter(|number| (1..=254).contains(number));
     let Some(number) = number.filter(|_| station.bytes().all(|b| b.is_ascii_digit())) else {
-        return Err(Failure::Usage(format!("`{station}` is not a station: it must be a number from 1 to 254")));
+        return Err(Failure::Usage(format!(
+            "`{}` is not a station: it must be a number from 1 to 254",
+            excerpt(station)
+        )));
     };
     link(endpoint, options(timeout), timeout).station(number).map_err(Failure::usage)
 }

@@ -5,10 +5,12 @@ use std::path::PathBuf;
 use std::{fmt, io, iter};
 
 use fatek::backup::{RestoreError, RestoreFailure};
-use fatek::file::FileError;
+use fatek::file::{FileError, PlcDifference};
 use fatek::program::{PlcState, ProgramError, WriteProgramError, WriteState};
 
+use crate::printable::excerpt;
 use crate::signal::Signal;
+use crate::transfer::{listed, shown};
 
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Failure {
@@ -55,12 +57,15 @@ pub(crate) enum Failure {
     #[error("{}", not_written(.0))]
     WriteProgram(#[from] WriteProgramError),
     /// A backup could not be restored.
-    #[error(transparent)]
+    #[error("{}", not_restored(.0))]
     Restore(#[from] RestoreError),
+    /// The file is of another PLC, and `--force` was not given.
+    #[error("the file is of another PLC: {}; to write it nevertheless, give --force", listed(.0))]
+    OtherPlc(Vec<PlcDifference>),
     /// Elements refused by the PLC. `file` has the others, if there are any.
     #[error(
         "{missing} of {all} elements are missing; {}",
-        file.as_ref().map_or("nothing was saved".into(), |file| format!("the others were saved to {}", file.display()))
+        file.as_ref().map_or("nothing was saved".into(), |file| format!("the others were saved to {}", shown(file)))
     )]
     Missing { missing: usize, all: usize, file: Option<PathBuf> },
     /// A signal ended the command. `done`: how far it came.
@@ -70,7 +75,7 @@ pub(crate) enum Failure {
     #[error("{differing} of {all} {parts} differ")]
     Differs { parts: &'static str, differing: usize, all: usize },
     /// The simulator cannot listen.
-    #[error("cannot listen on {url}: {error}")]
+    #[error("cannot listen on {}: {error}", excerpt(url))]
     Listen { url: String, error: io::Error },
     /// Stdout cannot be written.
     #[error("cannot write to stdout: {0}")]
@@ -113,7 +118,7 @@ impl Failure {
             Self::Restore(RestoreError { source: RestoreFailure::NotThere { .. }, .. }) => 3,
             Self::WriteProgram(error) if is_run_refused(error) => 3,
             Self::Program(_) | Self::WriteProgram(_) | Self::Restore(_) => call_error(self).map_or(7, of_call),
-            Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } => 7,
+            Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } | Self::OtherPlc(_) => 7,
             Self::Lost { .. } | Self::NoStation { .. } => 4,
             Self::Listen { .. } => 5,
             Self::BadReplies { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,
@@ -126,7 +131,18 @@ fn not_written(error: &WriteProgramError) -> String {
     if let ProgramError::Running = *error.source {
         return "the PLC runs, nothing was written: stop it first, or give --stop".to_owned();
     }
+    if let ProgramError::OtherPlc = *error.source {
+        return Failure::OtherPlc(error.state.other_plc.clone()).to_string();
+    }
     format!("{error}{}", if is_run_refused(error) { "" } else { remedy(&error.state) })
+}
+
+/// Message of a backup that was not restored.
+fn not_restored(error: &RestoreError) -> String {
+    if let RestoreFailure::OtherPlc = error.source {
+        return Failure::OtherPlc(error.report.other_plc.clone()).to_string();
+    }
+    error.to_string()
 }
 
 fn is_run_refused(error: &WriteProgramError) -> bool {

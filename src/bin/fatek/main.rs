@@ -11,6 +11,8 @@ mod failure;
 mod output;
 mod ping;
 mod plan;
+#[path = "../../printable.rs"]
+mod printable;
 mod program;
 mod progress;
 mod read;
@@ -23,24 +25,58 @@ mod transfer;
 mod watch;
 mod write;
 
-use std::io::{self, IsTerminal};
+use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::Parser;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use fatek::command::{ControlPlc, DiscreteControl};
 use tracing_subscriber::EnvFilter;
 
 use self::args::{Cli, Command, DiscreteArgs, Plc, ProgramCommand};
 use self::failure::Failure;
-use self::output::{Output, complain};
+use self::output::{Output, complain, printable_lines};
+use self::printable::{excerpt, printable};
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return refuse(error),
+    };
     let output = Output::new(cli.common.format.unwrap_or_default(), cli.common.quiet);
     match run(&cli, &output) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => report(&failure),
     }
+}
+
+/// Prints an error of the arguments, which it quotes, or the help.
+fn refuse(mut error: clap::Error) -> ExitCode {
+    if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        // Own texts only.
+        error.exit();
+    }
+    // Other values are own texts, or a suggestion, which is handled below.
+    let quoted = |value: &ContextValue| {
+        if let ContextValue::String(text) = value {
+            Some(ContextValue::String(excerpt(text).to_string()))
+        } else if let ContextValue::Strings(texts) = value {
+            Some(ContextValue::Strings(texts.iter().map(|text| excerpt(text).to_string()).collect()))
+        } else {
+            None
+        }
+    };
+    let context: Vec<_> = error.context().filter_map(|(kind, value)| Some((kind, quoted(value)?))).collect();
+    let is_quoted_whole = context.iter().all(|(kind, value)| error.get(*kind) == Some(value));
+    for (kind, value) in context {
+        error.insert(kind, value);
+    }
+    if !is_quoted_whole {
+        error.remove(ContextKind::Suggested);
+    }
+    // A write error is ignored: there is no other place to report it.
+    let _ = write!(io::stderr().lock(), "{}", printable_lines(&error.to_string()));
+    ExitCode::from(2)
 }
 
 /// Prints the error to stderr and returns the exit status.
@@ -51,7 +87,8 @@ fn report(failure: &Failure) -> ExitCode {
     }
     complain(format_args!("error: {failure}"));
     if let Failure::Usage(_) = failure {
-        complain(format_args!("\nFor more information, try '--help'."));
+        complain(format_args!(""));
+        complain(format_args!("For more information, try '--help'."));
     }
     ExitCode::from(failure.exit_status())
 }
@@ -106,14 +143,24 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
 /// Logs to stderr at the level of `-v`, or without it by the filter in `RUST_LOG`.
 fn trace(verbose: u8) {
     let filter = match (std::env::var("RUST_LOG"), verbose) {
-        (Ok(filter), 0) if !filter.is_empty() => EnvFilter::new(filter),
+        (Ok(filter), 0) if !filter.is_empty() => EnvFilter::new(printable(&filter).to_string()),
         (_, 0) => return,
         (_, 1) => EnvFilter::new("fatek=debug"),
         (_, _) => EnvFilter::new("fatek=trace"),
     };
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(io::stderr)
-        .with_ansi(io::stderr().is_terminal())
-        .init();
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| LogWriter).with_ansi(false).init();
+}
+
+/// Writes log lines to stderr, without control characters.
+struct LogWriter;
+
+impl Write for LogWriter {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        let text = printable_lines(&String::from_utf8_lossy(line));
+        io::stderr().lock().write_all(text.as_bytes()).map(|()| line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().lock().flush()
+    }
 }

@@ -1,7 +1,7 @@
 //! Data on stdout as a table, JSON or CSV, and messages on stderr.
 
-use std::fmt;
-use std::io::{self, Write};
+use std::fmt::{self, Write as _};
+use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
 use clap::ValueEnum;
@@ -11,9 +11,11 @@ use serde_json::Value;
 
 use crate::failure::Failure;
 
-/// Output format.
+use crate::printable::{is_unprintable, printable};
+
+/// Argument of `--format`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Format {
+pub(crate) enum FormatArg {
     /// Aligned columns
     #[default]
     Table,
@@ -21,17 +23,35 @@ pub(crate) enum Format {
     Json,
     /// Comma-separated values with a header line
     Csv,
+    /// CSV for spreadsheets: no cell is a formula
+    CsvSafe,
+}
+
+/// Output format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Format {
+    Table,
+    Json,
+    Csv,
 }
 
 #[derive(Debug)]
 pub(crate) struct Output {
     pub(crate) format: Format,
+    /// Cells of CSV that a spreadsheet would take for formulas get a prefix.
+    guards_formulas: bool,
     pub(crate) quiet: bool,
 }
 
 impl Output {
-    pub(crate) fn new(format: Format, quiet: bool) -> Self {
-        Self { format, quiet }
+    pub(crate) fn new(format: FormatArg, quiet: bool) -> Self {
+        let (format, guards_formulas) = match format {
+            FormatArg::Table => (Format::Table, false),
+            FormatArg::Json => (Format::Json, false),
+            FormatArg::Csv => (Format::Csv, false),
+            FormatArg::CsvSafe => (Format::Csv, true),
+        };
+        Self { format, guards_formulas, quiet }
     }
 
     /// Prints rows: JSON is an array of objects with the columns as keys.
@@ -39,13 +59,42 @@ impl Output {
         match self.format {
             Format::Table => print(format_args!("{}", rows.table())),
             Format::Json => self.json(&rows.json()),
-            Format::Csv => print_csv(rows.records().iter().map(Vec::as_slice)).map_err(Failure::Output),
+            Format::Csv => self.csv(rows.records().iter().map(Vec::as_slice)).map_err(Failure::Output),
         }
     }
 
     /// Prints one JSON document.
     pub(crate) fn json(&self, document: &Value) -> Result<(), Failure> {
-        print(format_args!("{document:#}"))
+        print(format_args!("{}", ascii_controls(&format!("{document:#}"))))
+    }
+
+    /// Prints one JSON document on one line.
+    pub(crate) fn json_line(&self, document: &Value) -> Result<(), Failure> {
+        print(format_args!("{}", ascii_controls(&document.to_string())))
+    }
+
+    /// Prints a line of comma-separated values on stdout.
+    pub(crate) fn csv_line<const N: usize>(&self, values: [&str; N]) -> Result<(), Failure> {
+        self.csv([&values[..]].into_iter()).map_err(Failure::Output)
+    }
+
+    fn csv<'a>(&self, records: impl Iterator<Item = &'a [&'a str]>) -> io::Result<()> {
+        let mut stdout = io::stdout().lock();
+        // A file gets the characters themselves.
+        let is_terminal = stdout.is_terminal();
+        // Written to memory first: `csv` would hide that an error is a broken pipe.
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        for record in records {
+            writer.write_record(record.iter().map(|cell| self.csv_cell(cell, is_terminal)))?;
+        }
+        let text = writer.into_inner().map_err(|error| error.into_error())?;
+        stdout.write_all(&text)?;
+        stdout.flush()
+    }
+
+    fn csv_cell(&self, cell: &str, is_terminal: bool) -> String {
+        let prefix = if self.guards_formulas && is_formula(cell) { "'" } else { "" };
+        if is_terminal { format!("{prefix}{}", printable(cell)) } else { format!("{prefix}{cell}") }
     }
 
     /// Prints a message to stderr, unless `--quiet` was given.
@@ -56,10 +105,10 @@ impl Output {
     }
 }
 
-/// Prints a line on stdout.
-pub(crate) fn print(line: fmt::Arguments<'_>) -> Result<(), Failure> {
+/// Prints one or more lines on stdout.
+pub(crate) fn print(lines: fmt::Arguments<'_>) -> Result<(), Failure> {
     let mut stdout = io::BufWriter::new(io::stdout().lock());
-    writeln!(stdout, "{line}").and_then(|()| stdout.flush()).map_err(Failure::Output)
+    writeln!(stdout, "{}", printable_lines(&lines.to_string())).and_then(|()| stdout.flush()).map_err(Failure::Output)
 }
 
 /// Waits until the reader of stdout has closed it, and returns the error that a write would have.
@@ -85,14 +134,38 @@ pub(crate) async fn stdout_closed() -> io::Error {
     std::future::pending().await
 }
 
-/// Prints a line of comma-separated values on stdout.
-pub(crate) fn csv_line<const N: usize>(values: [&str; N]) -> Result<(), Failure> {
-    print_csv([&values[..]].into_iter()).map_err(Failure::Output)
+/// Prints a line on stderr; a line feed in it is escaped. A write error is ignored: there is no other
+/// place to report it.
+pub(crate) fn complain(line: fmt::Arguments<'_>) {
+    let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()));
 }
 
-/// Prints a line on stderr. A write error is ignored: there is no other place to report it.
-pub(crate) fn complain(line: fmt::Arguments<'_>) {
-    let _ = writeln!(io::stderr().lock(), "{line}");
+/// Lines with all unprintable characters escaped but line feeds.
+pub(crate) fn printable_lines(lines: &str) -> String {
+    lines.split('\n').map(|line| printable(line).to_string()).collect::<Vec<_>>().join("\n")
+}
+
+/// Escapes unprintable characters of a JSON document in its strings; the value stays the same. JSON
+/// writers escape those of ASCII only.
+fn ascii_controls(json: &str) -> String {
+    let mut escaped = String::with_capacity(json.len());
+    for character in json.chars() {
+        if character == '\n' || !is_unprintable(character) {
+            escaped.push(character);
+            continue;
+        }
+        for unit in character.encode_utf16(&mut [0; 2]) {
+            // Writing to a string does not fail.
+            let _ = write!(escaped, "\\u{unit:04x}");
+        }
+    }
+    escaped
+}
+
+/// Whether a spreadsheet may take the cell for a formula. Numbers are none.
+fn is_formula(cell: &str) -> bool {
+    let is_number = || cell.parse::<f64>().is_ok_and(f64::is_finite);
+    cell.starts_with(['=', '+', '-', '@', '\t', '\r', '\n']) && !is_number()
 }
 
 /// Bytes as hexadecimal digits.
@@ -128,7 +201,7 @@ impl Rows {
         table.load_preset(NOTHING);
         table.set_header(self.columns.iter().map(|column| column.to_uppercase()));
         for row in &self.rows {
-            table.add_row(row.iter().map(|cell| &cell.text));
+            table.add_row(row.iter().map(|cell| printable(&cell.text).to_string()));
         }
         table.column_iter_mut().for_each(|column| {
             column.set_padding((0, 2));
@@ -147,18 +220,6 @@ impl Rows {
         let cells = |row: &Vec<Cell>| row.iter().map(|cell| cell.json.clone()).collect::<Vec<_>>();
         self.rows.iter().map(|row| self.columns.iter().copied().zip(cells(row)).collect::<Value>()).collect()
     }
-}
-
-fn print_csv<'a>(records: impl Iterator<Item = &'a [&'a str]>) -> io::Result<()> {
-    // Written to memory first: `csv` would hide that an error is a broken pipe.
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    for record in records {
-        writer.write_record(record)?;
-    }
-    let text = writer.into_inner().map_err(|error| error.into_error())?;
-    let mut stdout = io::stdout().lock();
-    stdout.write_all(&text)?;
-    stdout.flush()
 }
 
 /// Cell of a row: text for the table, and JSON.
@@ -264,6 +325,30 @@ mod tests {
         rows.push(["R10".into(), "long text".into()]);
         assert_eq!(rows.table(), "TAG  VALUE\nR0   5\nR10  long text");
         assert_eq!(rows.json().to_string(), r#"[{"tag":"R0","value":5},{"tag":"R10","value":"long text"}]"#);
+    }
+
+    #[test]
+    fn cells_that_are_formulas_get_a_prefix_and_numbers_do_not() {
+        let (plain, safe) = (Output::new(FormatArg::Csv, true), Output::new(FormatArg::CsvSafe, true));
+        for formula in ["=1+1", "+cmd|' /C calc'!A0", "-1+1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", "-", "-inf", "-0x5"] {
+            assert_eq!(safe.csv_cell(formula, false), format!("'{formula}"));
+            assert_eq!(plain.csv_cell(formula, false), formula);
+        }
+        for cell in ["", "5", "-5", "+5", "-500.125", "-1e-5", "R0", "a=1", " =1", "'=1", "0x00AA"] {
+            assert_eq!(safe.csv_cell(cell, false), cell);
+        }
+        assert_eq!(plain.csv_cell("a\x1b\n\u{9b}", false), "a\x1b\n\u{9b}", "a file gets the text itself");
+        assert_eq!(plain.csv_cell("a\x1b\n\u{9b}", true), "a\\u{1b}\\n\\u{9b}");
+    }
+
+    #[test]
+    fn json_keeps_its_value_without_raw_controls() {
+        let text = "a\x1b\u{7f}\u{9b}2J\u{202e}\u{e0041}\n";
+        let printed = ascii_controls(&format!("{:#}", serde_json::json!({ "value": text })));
+        assert!(printed.chars().all(|c| c == '\n' || !is_unprintable(c)), "{printed:?}");
+        // Before: U+007F to U+E0041 were printed as they are.
+        assert!(printed.contains(r"a\u001b\u007f\u009b2J\u202e\udb40\udc41\n"), "{printed}");
+        assert_eq!(printed.parse::<Value>().unwrap()["value"], text);
     }
 
     proptest! {

@@ -8,13 +8,13 @@ use fatek::program::{PlcState, Program, ProgramError, ReadProgram, WriteOptions,
 use serde_json::Value;
 
 use crate::args::{Plc, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
-use crate::confirm::confirm;
+use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
 use crate::failure::{Failure, interrupted_write};
 use crate::output::{Cell, Format, Output, Rows, hex, version};
 use crate::retry::{Direction, is_line_failure, retry, write_progress};
 use crate::signal::unless_signalled;
-use crate::transfer::{Reporter, stops, warn_of_unknown_fields, would_stop};
+use crate::transfer::{Reporter, other_plc, shown, stops, warn_of_other_plc, warn_of_unknown_fields, would_stop};
 
 /// Uploads the program. Resumes after a line failure, while each attempt reads at least one more
 /// page. Checks that the file can be saved before the first request.
@@ -34,7 +34,7 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     };
     let program = ended.map_err(interrupted)??;
     if args.file.raw { program.save_raw(path) } else { program.save(path) }?;
-    output.remark(format_args!("{}: {}, {} pages", path.display(), program.header(), program.pages().len()));
+    output.remark(format_args!("{}: {}, {} pages", shown(path), program.header(), program.pages().len()));
     Ok(())
 }
 
@@ -52,12 +52,13 @@ pub(crate) async fn write(
     let mut write = WriteProgram::new(&program, options(args)).on_progress(reporter.callback());
     if args.consent.dry_run {
         let pages = reporter.until_end(write.dry_run(&station)).await?;
+        warn_of_other_plc(&args.file.file, &write.state().other_plc);
         print_pages(&pages, output)?;
         let effect = if pages.is_empty() { String::new() } else { effect(write.state().plc, args.run) };
         output.remark(format_args!("{} of {} pages would be written{effect}", pages.len(), program.pages().len()));
         return Ok(());
     }
-    confirm(&question(plc, &program, args), args.consent.yes).await?;
+    ask(&station, plc, &program, args).await?;
     let run = async |write: &mut WriteProgram| write.run(&station).await;
     let progress = |_: &WriteProgram, error: &WriteProgramError| {
         write_progress(error.state.written.len(), error.state.left()).filter(|_| is_line_failure(error))
@@ -75,6 +76,9 @@ pub(crate) async fn write(
     match (report.written.len() + report.written_before.len(), report.pages) {
         (0, all) => output.remark(format_args!("all {all} pages are equal, nothing was written; {state}")),
         (written, all) => output.remark(format_args!("{written} of {all} pages written and compared; {state}")),
+    }
+    if !output.quiet {
+        warn_of_other_plc(&args.file.file, &report.other_plc);
     }
     Ok(())
 }
@@ -155,14 +159,32 @@ fn print_pages(pages: &[u16], output: &Output) -> Result<(), Failure> {
 }
 
 fn options(args: &ProgramWriteArgs) -> WriteOptions {
-    let options =
-        WriteOptions::new().stop_first(args.stop).run_again(args.run).all_pages(args.all).verify_all(args.verify);
+    let options = WriteOptions::new()
+        .stop_first(args.stop)
+        .run_again(args.run)
+        .all_pages(args.all)
+        .verify_all(args.verify)
+        .accept_other_plc(args.force);
     args.page_timeout.map_or(options, |timeout| options.page_timeout(timeout))
 }
 
-fn question(plc: &Plc, program: &Program, args: &ProgramWriteArgs) -> String {
+/// Prompts for confirmation, unless `--yes` was given. The prompt says whether the program is of
+/// another PLC.
+async fn ask(station: &Station, plc: &Plc, program: &Program, args: &ProgramWriteArgs) -> Result<(), Failure> {
+    can_be_confirmed(args.consent.yes)?;
+    if args.consent.yes {
+        return Ok(());
+    }
+    let differences = match program.status() {
+        Some(_) => program.plc_differences(&station.read_detailed_status().await?),
+        None => Vec::new(),
+    };
+    if !differences.is_empty() && !args.force {
+        return Err(Failure::OtherPlc(differences));
+    }
+    let (file, other) = (shown(&args.file.file), other_plc(&differences));
     let stopped = if args.stop { stops(args.run) } else { "" };
-    format!("Write {} ({}) to {plc}?{stopped}", args.file.file.display(), program.header())
+    confirm(&format!("Write {file} ({}) to {plc}?{stopped}{other}", program.header()), false).await
 }
 
 #[cfg(test)]

@@ -66,11 +66,11 @@ pub(crate) fn is_line_failure(error: &(dyn Error + 'static)) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::{Format, Output};
+    use crate::output::{FormatArg, Output};
 
     /// Runs a transfer that leaves these numbers of steps. Returns the number of runs.
     async fn runs(direction: Direction, left: &[usize]) -> usize {
-        let output = Output::new(Format::Csv, true);
+        let output = Output::new(FormatArg::Csv, true);
         let reporter = Reporter::new(&output);
         let mut runs = 0;
         let run = async |runs: &mut usize| {

@@ -11,6 +11,7 @@ use futures::future::join_all;
 use crate::args::SimArgs;
 use crate::failure::Failure;
 use crate::output::print;
+use crate::printable::excerpt;
 use crate::signal::Stop;
 
 pub(crate) async fn sim(args: &SimArgs) -> Result<(), Failure> {
@@ -96,7 +97,8 @@ fn bus(args: &SimArgs) -> Result<Bus, Failure> {
         let plc = Plc::with_model(model(args));
         for assignment in &args.assignments {
             for (element, value) in assignment.tag().elements().zip(assignment.encode()) {
-                plc.write(element, value).map_err(|error| Failure::Usage(format!("--set {assignment}: {error}")))?;
+                plc.write(element, value)
+                    .map_err(|error| Failure::Usage(format!("--set {}: {error}", excerpt(&assignment.to_string()))))?;
             }
         }
         bus = bus.with_station(station, plc).map_err(Failure::usage)?;

@@ -5,10 +5,12 @@ use std::fmt;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use fatek::file::PlcDifference;
 use fatek::progress::{Phase, Progress};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use crate::output::{Output, complain};
+use crate::printable::excerpt;
 use crate::progress::{Display, style};
 
 /// Shows the progress of one transfer on stderr, unless `--quiet` was given.
@@ -62,10 +64,33 @@ pub(crate) fn would_stop(run: bool) -> &'static str {
     if run { "; the PLC runs, and would be stopped and started again" } else { "; the PLC runs, and would be stopped" }
 }
 
+/// The name of a file on one line, shortened if it is very long.
+pub(crate) fn shown(file: &Path) -> String {
+    excerpt(&file.to_string_lossy()).to_string()
+}
+
+/// Differences between the PLC of a file and the PLC of the command, for a sentence.
+pub(crate) fn listed(differences: &[PlcDifference]) -> String {
+    differences.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// A warning that a file is of another PLC, if there are differences.
+pub(crate) fn warn_of_other_plc(file: &Path, differences: &[PlcDifference]) {
+    if !differences.is_empty() {
+        complain(format_args!("warning: {} is of another PLC: {}", shown(file), listed(differences)));
+    }
+}
+
+/// The same for a prompt.
+pub(crate) fn other_plc(differences: &[PlcDifference]) -> String {
+    if differences.is_empty() { String::new() } else { format!(" It is of ANOTHER PLC: {}.", listed(differences)) }
+}
+
 /// A file of a newer version may have fields that are ignored here.
 pub(crate) fn warn_of_unknown_fields(file: &Path, fields: &[String]) {
     if !fields.is_empty() {
-        let (file, fields) = (file.display(), fields.join(", "));
+        let (file, fields) = (shown(file), fields.join(", "));
+        let fields = excerpt(&fields);
         complain(format_args!("warning: {file} has a newer format version; unknown fields are ignored: {fields}"));
     }
 }

@@ -8,11 +8,10 @@ use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass};
 use fatek::tag::Tag;
 use futures::StreamExt;
 use humantime::format_rfc3339_millis;
-use serde_json::Value;
 
 use crate::args::WatchArgs;
 use crate::failure::Failure;
-use crate::output::{Cell, Format, Output, complain, csv_line, print, stdout_closed};
+use crate::output::{Cell, Format, Output, complain, print, stdout_closed};
 use crate::signal::Stop;
 
 pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) -> Result<(), Failure> {
@@ -82,7 +81,7 @@ impl<'o> Printer<'o> {
         match self.output.format {
             Format::Table => print(format_args!("{:24}  {:width$}  VALUE", "TIME", "TAG")),
             Format::Json => Ok(()),
-            Format::Csv => csv_line(COLUMNS),
+            Format::Csv => self.output.csv_line(COLUMNS),
         }
     }
 
@@ -102,9 +101,9 @@ impl<'o> Printer<'o> {
             Format::Json => {
                 let cells =
                     [time.into(), sample.name.to_string().into(), value.json, sample.quality.to_string().into()];
-                print(format_args!("{}", COLUMNS.into_iter().zip(cells).collect::<Value>()))
+                self.output.json_line(&COLUMNS.into_iter().zip(cells).collect())
             }
-            Format::Csv => csv_line([&time, &*sample.name, value.csv(), &sample.quality.to_string()]),
+            Format::Csv => self.output.csv_line([&time, &*sample.name, value.csv(), &sample.quality.to_string()]),
         }
     }
 }

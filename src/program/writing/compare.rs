@@ -14,6 +14,10 @@ impl Writing {
         if program != plc {
             return self.refuse(ProgramError::SizeMisfit { program, plc });
         }
+        self.other_plc = self.program.plc_differences(status);
+        if !self.other_plc.is_empty() && !self.options.accept_other_plc && self.goal != WriteGoal::Compare {
+            return self.refuse(ProgramError::OtherPlc);
+        }
         if status.flags().memory_card() && self.goal != WriteGoal::Compare {
             return self.refuse(ProgramError::MemoryCard);
         }

@@ -9,9 +9,9 @@ use crate::transfer::PlcState;
 impl Writing {
     /// The report of a run that succeeded.
     pub(in crate::program) fn report(&self) -> WriteReport {
-        let WriteState { written, written_before, was_stopped, plc, .. } = self.state();
+        let WriteState { written, written_before, was_stopped, plc, other_plc, .. } = self.state();
         let pages = self.program.header().page_count();
-        WriteReport { written, written_before, pages, was_stopped, running: plc == PlcState::Running }
+        WriteReport { written, written_before, pages, was_stopped, running: plc == PlcState::Running, other_plc }
     }
 
     /// The state at any time.
@@ -27,6 +27,7 @@ impl Writing {
             whole: self.whole(),
             was_stopped: self.control.was_stopped(),
             plc: self.control.plc(),
+            other_plc: self.other_plc.clone(),
         }
     }
 

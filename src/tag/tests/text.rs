@@ -83,7 +83,8 @@ fn a_text_that_does_not_fit_is_refused() {
         ("\"\\x4\"", escape),
         ("\"\\xg0\"", escape),
     ] {
-        assert_eq!(message(&format!("R0-R1:text={input}")), format!("`{input}` is not a value for R0-R1:text: {rule}"));
+        let shown = input.replace('\t', r"\t");
+        assert_eq!(message(&format!("R0-R1:text={input}")), format!("`{shown}` is not a value for R0-R1:text: {rule}"));
     }
     let error = tag("R0:text").encode(&[text("é€")]).unwrap_err();
     assert_eq!(error.to_string(), "\"é€\" has the character '€', which is not Latin-1");

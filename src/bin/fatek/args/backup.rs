@@ -48,7 +48,8 @@ pub(crate) struct BackupArgs {
 
 Elements overwritten by the running program are reported as errors, with exit
 status 7. Inputs X and contacts T and C are never written. Disabled discretes
-keep their forced state unless --forced is given.
+keep their forced state unless --forced is given. A backup of another station,
+model or OS version is refused with exit status 7 unless --force is given.
 CAUTION: outputs Y switch the connected loads, also in a stopped PLC.")]
 pub(crate) struct RestoreArgs {
     /// Backup file
@@ -69,6 +70,12 @@ pub(crate) struct RestoreArgs {
     /// Write disabled discretes, too
     #[arg(long)]
     pub(crate) forced: bool,
+    /// Write to another PLC than that of the file: other station, model or OS version
+    ///
+    /// Without it the command compares the PLC with the one that the file was read from, lists the
+    /// differences, and writes nothing.
+    #[arg(long)]
+    pub(crate) force: bool,
     /// Number of equal elements written between two that differ, if that saves a request
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub(crate) bridge: usize,

@@ -68,6 +68,12 @@ pub(crate) struct ProgramWriteArgs {
     /// Compare all pages again after the download
     #[arg(long)]
     pub(crate) verify: bool,
+    /// Write to another PLC than that of the file: other model or OS version
+    ///
+    /// Without it the command compares the PLC with the one that the file was read from, lists the
+    /// differences, and writes nothing.
+    #[arg(long)]
+    pub(crate) force: bool,
     /// Response timeout for the write of one page, up to 24h [default: --timeout]
     #[arg(long, value_parser = duration::parse_positive, value_name = "TIME")]
     pub(crate) page_timeout: Option<Duration>,

@@ -1,12 +1,15 @@
 //! Parser of hexadecimal bytes: `0246`, `02 46`, `02:46`, `0x02, 0x46`.
 
+use crate::printable::excerpt;
+
 /// Parses groups of digits, each a number of whole bytes. Errors name the character, from 1 on.
 pub(super) fn parse(text: &str) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let mut high = None;
     let mut previous = ' ';
     for (position, character) in (1..).zip(text.chars()) {
-        let rule = |rule: &str| format!("`{text}` is not hexadecimal: character {position}, {character:?}, {rule}");
+        let rule =
+            |rule: &str| format!("`{}` is not hexadecimal: character {position}, {character:?}, {rule}", excerpt(text));
         match (character.to_digit(16).and_then(|digit| u8::try_from(digit).ok()), high) {
             (Some(digit), None) => high = Some(digit),
             (Some(digit), Some(first)) => {
@@ -24,8 +27,10 @@ pub(super) fn parse(text: &str) -> Result<Vec<u8>, String> {
         previous = character;
     }
     match high {
-        Some(_) => Err(format!("`{text}` is not hexadecimal: it ends with a single digit; a byte has two")),
-        None if bytes.is_empty() => Err(format!("`{text}` has no bytes: expected two hexadecimal digits per byte")),
+        Some(_) => Err(format!("`{}` is not hexadecimal: it ends with a single digit; a byte has two", excerpt(text))),
+        None if bytes.is_empty() => {
+            Err(format!("`{}` has no bytes: expected two hexadecimal digits per byte", excerpt(text)))
+        }
         None => Ok(bytes),
     }
 }

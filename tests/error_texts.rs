@@ -1,0 +1,75 @@
+//! Errors that quote their input: one line, and 200 characters of it at most.
+
+use fatek::file::{FileError, FormatError};
+use fatek::tag::{Assignment, Scale, TagType};
+use fatek::wire::Framing;
+use fatek::{Backup, Element, Endpoint, Program, Tag};
+
+/// The error of each parser of texts.
+fn errors(text: &str) -> Vec<String> {
+    fn error<T: std::str::FromStr<Err: std::fmt::Display> + std::fmt::Debug>(text: &str) -> String {
+        text.parse::<T>().unwrap_err().to_string()
+    }
+    let url = |start: &str| error::<Endpoint>(&format!("{start}{text}"));
+    let file = |start: &str| format!("{start}{text}\n").into_bytes();
+    let path = std::path::PathBuf::from(text);
+    vec![
+        error::<Element>(text),
+        error::<Element>(&format!("R{text}")),
+        error::<Tag>(text),
+        error::<Tag>(&format!("R0-{text}")),
+        error::<Tag>(&format!("R0:{text}")),
+        error::<Tag>(&format!("R0:i16*{text}")),
+        error::<TagType>(text),
+        error::<Scale>(text),
+        error::<Framing>(text),
+        error::<Assignment>(text),
+        error::<Assignment>(&format!("R0={text}")),
+        error::<Assignment>(&format!("R0-R1:text={text}")),
+        error::<Assignment>(&format!("R0-R1:text=\"{text}")),
+        url(""),
+        url("x"),
+        url("tcp://"),
+        url("tcp://h:"),
+        url("tcp://["),
+        url("tcp://[::1]"),
+        url("tcp://h?"),
+        url("tcp://h?framing="),
+        url("tcp://h?copies="),
+        url("tcp://h?settle="),
+        url("tcp://h?one_request="),
+        url("serial:x?baud="),
+        url("serial:x?frame="),
+        url("serial:x?framing="),
+        error::<Endpoint>(&format!("{text}://h")),
+        error::<Endpoint>(&format!("tcp://[{text}]")),
+        Program::from_file(&file("fatek file 1: ")).unwrap_err().to_string(),
+        Program::from_file(&file("fatek file ")).unwrap_err().to_string(),
+        Backup::from_file(&file("fatek file 1: ")).unwrap_err().to_string(),
+        FormatError::clone(&Backup::from_file(&file("")).unwrap_err()).to_string(),
+        match Program::load(&path) {
+            Err(error @ FileError::Io { .. }) => error.to_string(),
+            other => panic!("{other:?}"),
+        },
+    ]
+}
+
+// Before: 30 of these 34 had the whole text, some of them twice, with ESC and U+202E as they are.
+#[test]
+fn an_error_quotes_200_characters_without_controls() {
+    let long = format!("\x1b[31m\u{9b}\u{202e}\n{}", "q\u{7f}".repeat(50_000));
+    for (number, error) in errors(&long).into_iter().enumerate() {
+        let length = error.chars().count();
+        assert!(length < 2500, "{number}: {length} characters: {error}");
+        assert!(!error.contains(|c: char| c.is_control() || c == '\u{202e}'), "{number}: {error:?}");
+        assert!(error.matches('q').count() <= 3 * 100, "{number}: {error}");
+    }
+}
+
+#[test]
+fn a_short_text_is_quoted_whole() {
+    let error = "tcp://a b".parse::<Endpoint>().unwrap_err();
+    assert!(error.to_string().starts_with("`tcp://a b` is not an endpoint: the host `a b` has "), "{error}");
+    let error = "R0:i17".parse::<Tag>().unwrap_err();
+    assert!(error.to_string().contains("`R0:i17` is not a tag"), "{error}");
+}
