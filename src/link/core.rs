@@ -363,6 +363,11 @@ impl Core {
         self.has_read_again = false;
     }
 
+    /// Notes that data were not read again, as [`Action::ReadAgain`] demands.
+    pub(crate) fn postpone_read_again(&mut self) {
+        self.has_read_again = false;
+    }
+
     /// Whether the next request may be one that must not be repeated: a write or control command.
     pub(crate) fn may_send_write(&self) -> bool {
         let resynced = || self.resynced.as_ref().is_some_and(PendingCall::is_write);

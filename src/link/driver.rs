@@ -307,6 +307,8 @@ impl Driver {
                 Action::ReadAgain => {
                     self.read_armed = false;
                     if by == AdvancedBy::Caller {
+                        // The runtime may not have looked for events yet.
+                        self.core.postpone_read_again();
                         return DriverStatus::NeedsTask;
                     }
                     return DriverStatus::AfterEvents;
