@@ -184,6 +184,9 @@ impl Core {
             }
             if let Some(silent) = self.mute.mute_for(now) {
                 self.mute.reset();
+                // A new connection is a new chance: stations that were silent over the old one are probed
+                // as if they had just fallen silent.
+                self.stations.restart_probe_intervals();
                 self.stats.count_link(|link| add(&mut link.mute_connections, 1));
                 return Action::Replace(silent);
             }

@@ -126,6 +126,14 @@ impl Stations {
         }
     }
 
+    /// Restarts the growth of the intervals between probes.
+    pub(crate) fn restart_probe_intervals(&mut self) {
+        let (shortest, _) = self.offline_rules.probe_interval;
+        for offline in self.stations.values_mut().filter_map(|health| health.offline.as_mut()) {
+            offline.interval = shortest;
+        }
+    }
+
     /// Makes offline stations unknown, but keeps their in-step state. Returns their numbers.
     pub(crate) fn forget_offline(&mut self) -> Vec<u8> {
         let offline = self.stations.iter_mut().filter(|(_, health)| health.offline.is_some());

@@ -61,7 +61,7 @@ impl<'a> Place<'a> {
         } else {
             Err("it must begin with `tcp://`, `udp://` or `serial:`".to_owned())
         };
-        parsed.map_err(|rule| Failure::Usage(format!("cannot listen on `{url}`: {rule}")))
+        parsed.map_err(|rule| Failure::Usage(format!("cannot listen on `{}`: {rule}", excerpt(url))))
     }
 
     async fn listen(self, bus: &Bus, args: &SimArgs) -> io::Result<Listening> {

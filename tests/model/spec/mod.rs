@@ -246,6 +246,9 @@ impl Spec {
             if !self.is_mute(at) {
                 return Err(format!("a connection that is not mute is closed: {:?}", self.unanswered));
             }
+            let shortest = self.settings.probe_interval.0;
+            let probes = self.stations.values_mut().filter_map(|entry| entry.offline.as_mut());
+            probes.for_each(|probe| probe.interval = shortest);
             self.lost(at);
         }
         Ok(())
