@@ -3,8 +3,7 @@
 
 mod process;
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::sleep;
@@ -225,7 +224,9 @@ fn a_simulator_serves_a_serial_port_and_reopens_it() {
 
 /// Sends RUN to station 1, until the reply comes: the port may not be open yet.
 #[cfg(all(target_os = "linux", feature = "serial"))]
-fn start_plc(mut line: &File) {
+fn start_plc(mut line: &std::fs::File) {
+    use std::io::Write;
+
     let (sender, receiver) = std::sync::mpsc::channel();
     let mut reader = line.try_clone().unwrap();
     std::thread::spawn(move || {
@@ -248,7 +249,7 @@ fn start_plc(mut line: &File) {
 
 /// Makes a pseudo-terminal. Returns its line side, and the path of its port.
 #[cfg(all(target_os = "linux", feature = "serial"))]
-fn pseudo_terminal() -> (File, String) {
+fn pseudo_terminal() -> (std::fs::File, String) {
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
     use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 

@@ -85,6 +85,13 @@ impl Connection {
         }
     }
 
+    /// Limits the pause before the next attempt.
+    pub(crate) fn retry_by(&mut self, latest: Instant) {
+        if let ConnectionState::Down { retry_at: Some(at) } = &mut self.state {
+            *at = latest.min(*at);
+        }
+    }
+
     /// The attempt to connect has failed.
     pub(crate) fn failed(&mut self, now: Instant) {
         let (shortest, longest) = self.backoff;

@@ -89,6 +89,8 @@ pub(crate) struct Core {
     /// Number of connections in a row that were closed right after the echo of a check.
     closed_behind_echo: u32,
     mute: MuteDetector,
+    /// The connection is being replaced because it is mute.
+    replacing: bool,
     /// The station of the last request without a reply, and when it was given up.
     timed_out: Option<(u8, Instant)>,
     /// All data were read after the response timeout of the request on the wire.
@@ -117,6 +119,7 @@ impl Core {
             echo_was_last: false,
             closed_behind_echo: 0,
             mute: MuteDetector::new(config.mute_timeout),
+            replacing: false,
             timed_out: None,
             has_read_again: false,
             config,
@@ -184,6 +187,7 @@ impl Core {
             }
             if let Some(silent) = self.mute.mute_for(now) {
                 self.mute.reset();
+                self.replacing = true;
                 // A new connection is a new chance: stations that were silent over the old one are probed
                 // as if they had just fallen silent.
                 self.stations.restart_probe_intervals();
@@ -289,7 +293,7 @@ impl Core {
         }
         self.connection.opened();
         self.mute.reset();
-        self.hold_until = Some(later(now, self.config.in_step.settle()));
+        self.hold_until = self.hold_until.max(Some(later(now, self.config.in_step.settle())));
         self.stats.count_link(|link| add(&mut link.connects, 1));
     }
 
@@ -309,6 +313,10 @@ impl Core {
     pub(crate) fn disconnected(&mut self, error: &Arc<io::Error>, now: Instant) {
         self.stats.count_link(|link| add(&mut link.disconnects, 1));
         self.connection.lost(now);
+        if let (true, Some(limit)) = (std::mem::take(&mut self.replacing), self.config.mute_timeout) {
+            // Stations that answer must not wait longer for the sake of one that does not.
+            self.connection.retry_by(later(now, limit));
+        }
         self.exchange.forget();
         self.learn_one_request(error);
         if let Some(call) = self.resynced.take() {
@@ -316,8 +324,10 @@ impl Core {
         }
         if let Some(active) = self.exchange.end() {
             let station = active.outgoing.station();
+            let own = matches!(active.outgoing, Outgoing::Call(_));
             match active.outgoing.into_call() {
                 None => self.probe_failed(station, now),
+                Some(call) if !own && self.may_repeat_check(&call, now) => self.repeat_check(call),
                 Some(call) => {
                     let endpoint = self.config.name.to_string();
                     let source = error.clone();

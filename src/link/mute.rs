@@ -21,6 +21,8 @@ pub(crate) struct MuteDetector {
 struct Unanswered {
     /// When the first of them was sent.
     since: Instant,
+    /// When the last of them was sent.
+    last: Instant,
     requests: u32,
 }
 
@@ -39,7 +41,13 @@ impl MuteDetector {
 
     /// Notes that a request, begun at `began`, was not answered.
     pub(crate) fn unanswered(&mut self, began: Instant) {
-        let unanswered = self.unanswered.get_or_insert(Unanswered { since: began, requests: 0 });
+        let first = Unanswered { since: began, last: began, requests: 0 };
+        // A time without requests is no silence.
+        let is_old =
+            |it: &mut Unanswered| self.limit.is_some_and(|limit| began.saturating_duration_since(it.last) > limit);
+        self.unanswered.take_if(is_old);
+        let unanswered = self.unanswered.get_or_insert(first);
+        unanswered.last = began;
         unanswered.requests = unanswered.requests.saturating_add(1);
     }
 

@@ -87,7 +87,7 @@ impl Shared {
     /// Whether the task has been started. With `start`, the first caller gets `false` and must
     /// start it.
     pub(crate) fn is_started(&self, start: bool) -> bool {
-        self.started.load(Ordering::Acquire) || (start && self.started.swap(true, Ordering::AcqRel))
+        self.started.load(Ordering::SeqCst) || (start && self.started.swap(true, Ordering::SeqCst))
     }
 
     /// Whether the link accepts no more calls.
@@ -97,7 +97,7 @@ impl Shared {
 
     /// Ends the link after the request on the wire has ended.
     pub(crate) fn close(&self) {
-        self.closed.store(true, Ordering::Release);
+        self.closed.store(true, Ordering::SeqCst);
         if self.is_started(true) {
             self.io_waker.wake_task();
         } else {
@@ -257,13 +257,16 @@ impl Shared {
             return false;
         }
         slot.timer = None;
-        // Before the inbox is emptied: a call that comes later finds that the task must be started.
-        self.started.store(false, Ordering::Release);
-        drop(guard);
-        // A waker keeps the memory of its task, and with it that of the runtime.
+        // A waker keeps the memory of its task, and with it that of the runtime. Removed before another
+        // task can start and register its own.
         self.io_waker.unregister();
+        // Before the inbox is emptied: a call that comes later finds that the task must be started.
+        self.started.store(false, Ordering::SeqCst);
+        drop(guard);
         drop(self.take_inbox());
-        true
+        // Closed in the meantime, by a caller that took the task for running: that has to end it now.
+        let closed = self.closed.load(Ordering::SeqCst);
+        !closed || self.started.swap(true, Ordering::SeqCst)
     }
 
     fn end(&self) {

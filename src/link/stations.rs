@@ -42,6 +42,8 @@ struct Health {
     timeouts: u32,
     offline: Option<Offline>,
     round_trip: RoundTrip,
+    /// When it was sent something last.
+    sent_at: Option<Instant>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -186,6 +188,19 @@ impl Stations {
         estimate.map_or(longest, |estimate| estimate.max(shortest).min(longest))
     }
 
+    /// Notes that the station is sent something. Station 0 has no state.
+    pub(crate) fn note_sent(&mut self, station: u8, now: Instant) {
+        if station != 0 {
+            self.health(station, |health| health.sent_at = Some(now));
+        }
+    }
+
+    /// Whether the station was sent something within this time.
+    pub(crate) fn was_sent_within(&self, station: u8, time: Duration, now: Instant) -> bool {
+        let sent_at = self.stations.get(station).and_then(|health| health.sent_at);
+        sent_at.is_some_and(|at| now.saturating_duration_since(at) < time)
+    }
+
     /// The round trip of a station, with a margin for its deviation; `None`: not known.
     pub(crate) fn round_trip(&self, station: u8) -> Option<Duration> {
         self.stations.get(station)?.round_trip.expected()
@@ -198,6 +213,7 @@ impl Stations {
             timeouts: 0,
             offline: None,
             round_trip: RoundTrip::default(),
+            sent_at: None,
         };
         self.stations.with(station, new, work)
     }

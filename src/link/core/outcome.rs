@@ -87,6 +87,8 @@ impl Core {
         let took = now.saturating_duration_since(active.began);
         self.scheduler.charge(station, took);
         let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
+        // While the process was stopped, no round trip was measured.
+        let measured = round_trip.min(self.response_timeout(&active.outgoing));
         // How long the line was silent within that time.
         debug_assert!(self.exchange.line_bytes() >= active.bytes_before, "the bytes of a line only grow");
         let reply_bytes = self.exchange.line_bytes().saturating_sub(active.bytes_before);
@@ -110,7 +112,7 @@ impl Core {
                 if !proven || contradicted {
                     return self.unproven(call, &reply, active.copied, now);
                 }
-                self.mark_online(station, round_trip, now);
+                self.mark_online(station, measured, now);
                 let rule = self.rule(station);
                 let (plain, spelling, run) = (call.slot.plain(), call.slot.spelling(), call.slot.run());
                 if reply.refused && spelling != plain {
@@ -141,7 +143,7 @@ impl Core {
                 call.slot.commit(proof);
             }
             Outgoing::Link { request, call, .. } => {
-                self.mark_online(station, round_trip, now);
+                self.mark_online(station, measured, now);
                 let rule = self.rule(station);
                 let passed = match request {
                     LinkRequest::Check(check, _) => {
@@ -246,13 +248,8 @@ impl Core {
                 if own {
                     call.cause.get_or_insert(cause);
                     self.retry_or_fail(call, now, PendingCall::unanswered);
-                } else if let Some(left) = call.check_retries_left.checked_sub(1)
-                    && call.is_wanted(now)
-                    && !self.closing
-                {
-                    // Nothing was sent for the call itself.
-                    call.check_retries_left = left;
-                    self.retry(call);
+                } else if self.may_repeat_check(&call, now) {
+                    self.repeat_check(call);
                 } else {
                     self.retry_or_fail(call, now, move |call, after| match (&call.cause, cause) {
                         (None, Cause::Fault(reason)) => call.slot.unanswered(after, Some(reason)),
@@ -288,6 +285,17 @@ impl Core {
             }
             _ => call.slot.fail(error(&call, now.saturating_duration_since(call.queued_at))),
         }
+    }
+
+    /// Whether the check before a request that must not be repeated itself may be: nothing was sent for
+    /// the request yet.
+    pub(super) fn may_repeat_check(&self, call: &PendingCall, now: Instant) -> bool {
+        call.check_retries_left > 0 && call.is_wanted(now) && !self.closing
+    }
+
+    pub(super) fn repeat_check(&mut self, mut call: PendingCall) {
+        call.check_retries_left = call.check_retries_left.saturating_sub(1);
+        self.retry(call);
     }
 
     fn retry(&mut self, call: PendingCall) {

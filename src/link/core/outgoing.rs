@@ -61,11 +61,18 @@ impl Core {
     /// its station show. Otherwise the PLC would work for a caller that has gone, and the calls
     /// behind would come too late as well.
     ///
-    /// A call that has not waited is sent in any case: it shows when the round trips become shorter.
+    /// A call that has not waited is sent in any case, and so is one to a station that was sent nothing
+    /// for the time of a round trip: they show when the round trips become shorter. Writes are sent, too:
+    /// the round trip may be that of much longer reads.
     fn can_be_answered(&self, call: &PendingCall, now: Instant) -> bool {
         let waited = now.saturating_duration_since(call.queued_at);
+        if call.is_write() || waited < SHORT_WAIT {
+            return true;
+        }
         let left = call.deadline.saturating_duration_since(now);
-        waited < SHORT_WAIT || self.stations.round_trip(call.station).is_none_or(|round_trip| round_trip <= left)
+        let is_too_long =
+            |expected: Duration| expected > left && self.stations.was_sent_within(call.station, expected, now);
+        !self.stations.round_trip(call.station).is_some_and(is_too_long)
     }
 
     /// Chooses what is sent for a call: its request, or a check before it. `None`: the station must
@@ -128,6 +135,7 @@ impl Core {
         let stale = self.exchange.begin(outgoing, now, deadline)?;
         let active = self.exchange.active()?;
         let station = active.outgoing.station();
+        self.stations.note_sent(station, now);
         if stale > 0 {
             self.stats.count_link(|link| add(&mut link.stale_bytes, u64::try_from(stale).unwrap_or(u64::MAX)));
             self.stations.for_all(InStep::input_dropped);

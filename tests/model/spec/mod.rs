@@ -271,7 +271,9 @@ impl Spec {
             self.requeue(id);
         }
         if let Some(in_flight) = self.in_flight.take() {
+            let check_fails = in_flight.purpose != Purpose::Call;
             match in_flight.call {
+                Some(id) if check_fails && self.repeats_check(id, at) => self.requeue(id),
                 Some(id) => self.retry_or(id, at, |sent| CallResult::Disconnected { sent }),
                 None => self.probe_failed(in_flight.station, at),
             }

@@ -54,6 +54,7 @@ impl Spec {
         // A check is a part of its call's attempt. A probe waits as long as the longest request of
         // its station.
         let timeout = call.map_or(self.settings.timeout.max(longest_timeout), |id| self.calls[&id].call.timeout);
+        self.stations.entry(station).or_default().sent_at = Some(at);
         if purpose != Purpose::LearnEcho {
             let entry = self.stations.entry(station).or_default();
             entry.longest_timeout =
@@ -152,7 +153,10 @@ impl Spec {
     pub(super) fn is_too_late(&self, id: Id, at: Micros, tolerance: Micros) -> bool {
         let CallState { call, called_at, .. } = &self.calls[&id];
         let expected = self.stations.get(&call.station).map_or(0, Station::expected_round_trip);
-        at + tolerance >= called_at + 1000 && expected > 0 && at + expected > call.deadline
+        let sent_at = self.stations.get(&call.station).and_then(|entry| entry.sent_at);
+        let is_busy = sent_at.is_some_and(|sent| at < sent + expected + 2 * tolerance);
+        let is_late = at + tolerance >= called_at + 1000 && expected > 0 && at + expected > call.deadline;
+        call.class != CallClass::Write && is_busy && is_late
     }
 
     /// As [`is_too_late`](Self::is_too_late), also if it is so just not, or has been so just before.

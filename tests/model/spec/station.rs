@@ -31,6 +31,8 @@ pub(crate) struct Station {
     /// Longest response timeout of any request so far.
     pub(crate) longest_timeout: Micros,
     round_trip: Option<RoundTrip>,
+    /// Time at which a frame was sent to it last.
+    pub(crate) sent_at: Option<Micros>,
 }
 
 /// Smoothed round trip and deviation, as of RFC 6298, in nanoseconds.
@@ -110,6 +112,7 @@ impl Default for Station {
             late: BTreeSet::new(),
             answered: BTreeSet::new(),
             round_trip: None,
+            sent_at: None,
             silence_from: 0,
             slowest: 0,
             timeouts: 0,

@@ -162,6 +162,32 @@ fn a_call_that_cannot_be_answered_in_time_is_not_sent() {
     link.expect_send();
 }
 
+/// A long round trip must not keep a station from being sent anything: only a request shows that it
+/// has become shorter.
+#[test]
+fn a_call_to_an_idle_station_is_sent_whatever_its_round_trip_was() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let _slow = link.call(1, read(1));
+    link.expect_send();
+    link.advance(90 * MS);
+    link.receive_reply(1, &read(1), &vec![0]);
+    link.advance(200 * MS);
+    let _waits = link.call_with(1, read(2), CallOptions::new().with_call_timeout(80 * MS));
+    link.advance(10 * MS);
+    link.expect_send();
+}
+
+/// The process was stopped for an hour, with the reply in the socket.
+#[test]
+fn a_stopped_process_measures_no_round_trip() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let _call = link.call(1, read(1));
+    link.expect_send();
+    link.advance(36_000 * TIMEOUT);
+    link.receive_reply(1, &read(1), &vec![0]);
+    assert!(link.core.stations.round_trip(1).is_some_and(|expected| expected <= 2 * TIMEOUT));
+}
+
 #[test]
 fn an_abandoned_call_is_never_sent() {
     let mut link = TestLink::new(Framing::Ascii);
