@@ -429,6 +429,7 @@ mod ports {
 
         // Station 2 does not exist, so this call stays queued or in flight.
         let absent = link.station(2).unwrap();
+        let absent = absent.with_options(absent.options().with_retries(0));
         let sent = link.stats().stations.requests + link.stats().stations.checks;
         let waiting = tokio::spawn(async move { absent.write_registers(register!("R0"), &[5]).await });
         let is_sent = async {
