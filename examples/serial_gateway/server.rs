@@ -27,7 +27,7 @@ use fatek::wire::{Codec, Frame, Framing, MAX_FRAME_LEN, Received, Side, ascii, b
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
-use tokio::task::{Id, JoinSet};
+use tokio::task::{AbortHandle, JoinSet};
 use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tokio_util::codec::Decoder;
 
@@ -59,12 +59,11 @@ pub(crate) async fn serve(listener: TcpListener, proxy: Arc<Proxy>, limits: Limi
     let mut clients = JoinSet::new();
     let mut places = Places(HashMap::new());
     let mut stop = pin!(stop);
+    let mut accepted_clients = 0_u64;
     loop {
         tokio::select! {
             () = &mut stop => break,
-            Some(ended) = clients.join_next_with_id() => {
-                places.0.remove(&ended.map_or_else(|error| error.id(), |(id, ())| id));
-            }
+            Some(_) = clients.join_next() => places.0.retain(|_, place| !place.task.is_finished()),
             accepted = listener.accept() => match accepted {
                 Ok((_, peer)) if places.0.len() >= limits.clients && !places.make_room(limits.make_room_after) => {
                     tracing::debug!(%peer, "client limit reached");
@@ -74,7 +73,7 @@ pub(crate) async fn serve(listener: TcpListener, proxy: Arc<Proxy>, limits: Limi
                     let _ = stream.set_nodelay(true);
                     let (proxy, activity) = (Arc::clone(&proxy), Activity::default());
                     let (leave, stopped) = watch::channel(());
-                    let place = Place { leave, activity: activity.clone() };
+                    let shared = activity.clone();
                     let task = clients.spawn(async move {
                         tracing::info!(%peer, "connected");
                         match serve_client(stream, &proxy, limits, &activity, stopped).await {
@@ -82,7 +81,8 @@ pub(crate) async fn serve(listener: TcpListener, proxy: Arc<Proxy>, limits: Limi
                             Err(error) => tracing::info!(%peer, %error, "disconnected"),
                         }
                     });
-                    places.0.insert(task.id(), place);
+                    accepted_clients += 1;
+                    places.0.insert(accepted_clients, Place { leave, activity: shared, task });
                 }
                 Err(error) => {
                     // A temporary error, such as too many open files.
@@ -100,13 +100,14 @@ pub(crate) async fn serve(listener: TcpListener, proxy: Arc<Proxy>, limits: Limi
     clients.shutdown().await;
 }
 
-/// Connected clients by their tasks.
-struct Places(HashMap<Id, Place>);
+/// Connected clients by their numbers, in the order of arrival.
+struct Places(HashMap<u64, Place>);
 
 struct Place {
     /// A message makes the client leave for a new one; dropping it, since the gateway stops.
     leave: watch::Sender<()>,
     activity: Activity,
+    task: AbortHandle,
 }
 
 impl Places {

@@ -1,6 +1,5 @@
 //! Server over TCP.
 
-use std::collections::HashMap;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,7 +7,7 @@ use std::time::Duration;
 
 use tokio::net::{TcpListener, TcpStream, ToSocketAddrs};
 use tokio::sync::oneshot;
-use tokio::task::{AbortHandle, Id, JoinHandle, JoinSet};
+use tokio::task::{AbortHandle, JoinHandle, JoinSet};
 use tokio::time;
 use tracing::debug;
 
@@ -118,13 +117,13 @@ struct Connections {
     framing: Framing,
     make_room_after: Arc<Mutex<Duration>>,
     tasks: JoinSet<()>,
-    /// Handles of the running tasks.
-    handles: HashMap<Id, (ConnectionHandle, AbortHandle)>,
+    /// Handles of the tasks, also of those that have just ended.
+    handles: Vec<(ConnectionHandle, AbortHandle)>,
 }
 
 impl Connections {
     fn new(bus: Bus, framing: Framing, make_room_after: Arc<Mutex<Duration>>) -> Self {
-        Self { bus, framing, make_room_after, tasks: JoinSet::new(), handles: HashMap::new() }
+        Self { bus, framing, make_room_after, tasks: JoinSet::new(), handles: Vec::new() }
     }
 
     fn serve(&mut self, stream: TcpStream, peer: SocketAddr) {
@@ -137,17 +136,16 @@ impl Connections {
             let result = serving.await;
             debug!(%peer, ?result, "closed");
         });
-        self.handles.insert(task.id(), (handle, task));
+        self.handles.push((handle, task));
     }
 
     /// Waits until a connection is free. Closes the one that is idle longest when it may.
     async fn make_room(&mut self) {
-        while let Some(ended) = self.tasks.try_join_next_with_id() {
-            self.remove(ended);
-        }
+        while self.tasks.try_join_next().is_some() {}
+        self.forget_ended();
         while self.tasks.len() >= MAX_CONNECTIONS {
             let after = *self.make_room_after.lock().unwrap_or_else(PoisonError::into_inner);
-            let longest = self.handles.values().max_by_key(|(handle, _)| handle.idle_time()).cloned();
+            let longest = self.handles.iter().max_by_key(|(handle, _)| handle.idle_time()).cloned();
             let Some((handle, task)) = longest else { return };
             let left = after.saturating_sub(handle.idle_time());
             if left.is_zero() {
@@ -158,20 +156,18 @@ impl Connections {
                 handle.close();
             }
             let wait = if left.is_zero() { FRAME_TIMEOUT } else { left.min(FRAME_TIMEOUT) };
-            if let Ok(Some(ended)) = time::timeout(wait, self.tasks.join_next_with_id()).await {
-                self.remove(ended);
-            }
+            let _ = time::timeout(wait, self.tasks.join_next()).await;
+            self.forget_ended();
         }
     }
 
-    fn remove(&mut self, ended: Result<(Id, ()), tokio::task::JoinError>) {
-        let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
-        self.handles.remove(&id);
+    fn forget_ended(&mut self) {
+        self.handles.retain(|(_, task)| !task.is_finished());
     }
 
     /// Answers the requests that have arrived, and closes all connections.
     async fn close_all(mut self) {
-        self.handles.values().for_each(|(handle, _)| handle.close());
+        self.handles.iter().for_each(|(handle, _)| handle.close());
         let ended = async { while self.tasks.join_next().await.is_some() {} };
         let _ = time::timeout(SHUTDOWN_TIMEOUT, ended).await;
         self.tasks.shutdown().await;
