@@ -56,8 +56,9 @@ pub(crate) struct Spec {
     echo_was_last: bool,
     /// Consecutive connections that were closed in that state.
     closed_behind_echo: u32,
-    /// Consecutive requests without a reply, and when the first was sent: no frame has come since.
-    unanswered: Option<(Micros, u32)>,
+    /// When the first and the last of consecutive requests without a reply were sent, and their number:
+    /// no frame has come since. A longer time between two of them than the mute timeout is no silence.
+    unanswered: Option<(Micros, Micros, u32)>,
     /// Each connection carries one request only.
     one_request: bool,
     /// The request of this connection has been answered.
@@ -257,7 +258,7 @@ impl Spec {
     /// Whether nothing is answered over the connection any more.
     fn is_mute(&self, at: Micros) -> bool {
         self.in_flight.is_none()
-            && self.unanswered.is_some_and(|(since, count)| count >= 3 && at >= since + self.settings.mute)
+            && self.unanswered.is_some_and(|(since, _, count)| count >= 3 && at >= since + self.settings.mute)
     }
 
     fn lost(&mut self, at: Micros) {
@@ -320,7 +321,10 @@ impl Spec {
             }
         }
         if !in_flight.bad_reply {
-            self.unanswered.get_or_insert((in_flight.sent, 0)).1 += 1;
+            let (sent, limit) = (in_flight.sent, self.settings.mute);
+            let before = self.unanswered.filter(|&(_, last, _)| sent <= last + limit);
+            let (since, _, count) = before.unwrap_or((sent, sent, 0));
+            self.unanswered = Some((since, sent, count + 1));
             self.timed_out(in_flight.station, at);
         }
     }
