@@ -72,7 +72,7 @@ fn refuse(mut error: clap::Error) -> ExitCode {
         error.insert(kind, value);
     }
     if !is_quoted_whole {
-        error.remove(ContextKind::Suggested);
+        error.insert(ContextKind::Suggested, ContextValue::None);
     }
     // A write error is ignored: there is no other place to report it.
     let _ = write!(io::stderr().lock(), "{}", printable_lines(&error.to_string()));
