@@ -101,7 +101,8 @@ pub enum Error {
         code: Code,
         /// The error code of the refusal.
         error: ErrorCode,
-        /// Whether the request was sent before without a reply, so that it can have been executed.
+        /// `true` if the request was sent before without a reply, so that it can have been
+        /// executed.
         repeated: bool,
     },
     /// No reply came within the timeout.
@@ -113,13 +114,13 @@ pub enum Error {
         code: Code,
         /// The time since the call was made.
         after: Duration,
-        /// Whether the request was sent.
+        /// `true` if the request was sent.
         sent: bool,
         /// Number of times that the request was sent. 0 although the station was asked: the check
         /// (4E) before it was not answered.
         attempts: u32,
-        /// Whether a check (4E) was sent for the call. If neither that nor the request was sent,
-        /// the call was queued behind others all the time.
+        /// `true` if a check (4E) was sent for the call last, and was not answered. If neither that
+        /// is the case nor the request was sent, the call was queued behind others.
         checked: bool,
         /// Traffic received instead of the reply.
         seen: Seen,
@@ -135,7 +136,7 @@ pub enum Error {
         after: Duration,
         /// Why the first such frame was not a reply to this request.
         reason: String,
-        /// Whether the request was sent.
+        /// `true` if the request was sent.
         sent: bool,
         /// Number of times that the request was sent.
         attempts: u32,
@@ -151,8 +152,8 @@ pub enum Error {
         code: Code,
         /// The time since the call was made.
         after: Duration,
-        /// Whether the request was sent. `false` if the station refuses the check (4E) and the quiet
-        /// time did not pass or is longer than the timeout of the call.
+        /// `true` if the request was sent. `false` if the station refuses the check (4E) and the
+        /// quiet time did not pass or is longer than the timeout of the call.
         sent: bool,
     },
     /// Duplicates came out of order during a job of several requests, also in all its repetitions.
@@ -160,7 +161,7 @@ pub enum Error {
     Duplicates {
         /// The station.
         station: u8,
-        /// Whether a request can have been executed without a reliable reply: `true` for writes.
+        /// `true` if a request can have been executed without a reliable reply: `true` for writes.
         sent: bool,
     },
     /// The station did not answer several times in a row: calls fail until it answers a probe.
@@ -170,7 +171,7 @@ pub enum Error {
         station: u8,
         /// Time until the next probe.
         probe_in: Duration,
-        /// Whether the request was sent before the station was found offline.
+        /// `true` if the request was sent before the station was found offline.
         sent: bool,
     },
     /// The queue of calls for this station is full. Nothing was sent.
@@ -188,7 +189,7 @@ pub enum Error {
         endpoint: String,
         /// The error of the transport.
         source: Arc<io::Error>,
-        /// Whether the request was sent before, over a connection that was lost.
+        /// `true` if the request was sent before, over a connection that was lost.
         sent: bool,
     },
     /// The connection was lost.
@@ -198,7 +199,7 @@ pub enum Error {
         endpoint: String,
         /// The error of the transport.
         source: Arc<io::Error>,
-        /// Whether the request, or a part of it, was sent.
+        /// `true` if the request, or a part of it, was sent.
         sent: bool,
     },
     /// A write of several requests failed after the first one, or was not confirmed at its end.
@@ -217,7 +218,7 @@ pub enum Error {
     /// The link is closed, or its task has ended with its runtime.
     #[non_exhaustive]
     Closed {
-        /// Whether the request was sent before.
+        /// `true` if the request was sent before.
         sent: bool,
     },
 }
@@ -319,7 +320,8 @@ impl From<InvalidRequest> for Error {
 impl Error {
     /// Returns `true` if no reply came in time, also of a station that is offline.
     ///
-    /// For [`PartlyWritten`](Self::PartlyWritten) this and the following methods tell of its source.
+    /// For [`PartlyWritten`](Self::PartlyWritten) this and the following methods tell of its
+    /// source.
     #[must_use]
     pub fn is_timeout(&self) -> bool {
         match self {
@@ -376,7 +378,8 @@ impl Error {
         }
     }
 
-    /// Whether the PLC can have executed the request; of a write of several requests, any of them.
+    /// Returns whether the PLC can have executed the request; of a write of several requests, any
+    /// of them.
     ///
     /// `false` is certain: the request was not sent, or the PLC refused it. `true` is not: whether
     /// to repeat a write is the decision of the caller.

@@ -94,6 +94,9 @@ pub(crate) trait AnyCall: Send + Sync {
     /// Notes that a check was sent for the call.
     fn mark_checked(&self);
 
+    /// Notes that the check was answered.
+    fn check_answered(&self);
+
     /// Notes traffic received instead of the reply.
     fn note(&self, seen: &Seen);
 
@@ -113,10 +116,10 @@ pub(crate) trait AnyCall: Send + Sync {
     /// Ends the call with [`Error::Closed`] unless it has ended.
     fn fail_if_pending(&self);
 
-    /// Whether the caller has given up.
+    /// Returns whether the caller has given up.
     fn is_abandoned(&self) -> bool;
 
-    /// Whether the request, or a part of it, has been sent at least once.
+    /// Returns whether the request, or a part of it, has been sent at least once.
     fn was_sent(&self) -> bool;
 }
 
@@ -195,7 +198,7 @@ impl Deref for PendingCall {
 }
 
 impl PendingCall {
-    /// Whether the caller still waits at `now`.
+    /// Returns whether the caller still waits at `now`.
     pub(crate) fn is_wanted(&self, now: Instant) -> bool {
         now < self.deadline && !self.slot.is_abandoned()
     }
@@ -214,7 +217,7 @@ impl PendingCall {
         self.slot.unanswered(after, fault)
     }
 
-    /// Whether the request is a write or a control command.
+    /// Returns whether the request is a write or a control command.
     pub(crate) fn is_write(&self) -> bool {
         self.code.class() != Class::Read
     }

@@ -188,8 +188,8 @@ impl Core {
             if let Some(silent) = self.mute.mute_for(now) {
                 self.mute.reset();
                 self.replacing = true;
-                // A new connection is a new chance: stations that were silent over the old one are probed
-                // as if they had just fallen silent.
+                // A new connection is a new chance: stations that were silent over the old one are
+                // probed as if they had just fallen silent.
                 self.stations.restart_probe_intervals();
                 self.stats.count_link(|link| add(&mut link.mute_connections, 1));
                 return Action::Replace(silent);
@@ -274,7 +274,7 @@ impl Core {
         }
     }
 
-    /// Whether the link still needs a connection, now that its slot to open one has come.
+    /// Returns whether the link still needs a connection, now that its slot to open one has come.
     pub(crate) fn may_connect(&mut self, now: Instant) -> bool {
         let wanted = self.has_work(now);
         if !wanted {
@@ -381,13 +381,14 @@ impl Core {
         self.has_read_again = false;
     }
 
-    /// Whether the next request may be one that must not be repeated: a write or control command.
+    /// Returns whether the next request may be one that must not be repeated: a write or control
+    /// command.
     pub(crate) fn may_send_write(&self) -> bool {
         let resynced = || self.resynced.as_ref().is_some_and(PendingCall::is_write);
         self.is_idle() && (resynced() || self.scheduler.has_write())
     }
 
-    /// Whether no request is on the wire.
+    /// Returns whether no request is on the wire.
     pub(crate) fn is_idle(&self) -> bool {
         self.exchange.active().is_none()
     }

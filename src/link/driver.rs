@@ -129,8 +129,8 @@ const CLOSED_BY_PEER: &str = "the peer closed the connection";
 /// Maximum number of reads before a request, and of actions before other tasks run.
 const MAX_AT_ONCE: usize = 64;
 
-/// Maximum number of received bytes that are handled before other tasks run: a peer that never stops
-/// must not hold up the runtime.
+/// Maximum number of received bytes that are handled before other tasks run: a peer that never
+/// stops must not hold up the runtime.
 const MAX_BYTES_AT_ONCE: usize = 8 * buffer::LEN;
 
 impl Driver {
@@ -175,12 +175,14 @@ impl Driver {
         }
     }
 
+    /// Returns whether the link can go on with another runtime.
+    pub(crate) fn outlives_runtime(&self) -> bool {
+        !(self.connector.is_once() || self.ending || self.core.is_closing())
+    }
+
     /// Closes the connection and fails all calls: the runtime that the connection belongs to has
-    /// ended. Returns `false` if there can be no other connection.
-    pub(crate) fn runtime_ended(&mut self) -> bool {
-        if self.connector.is_once() || self.ending || self.core.is_closing() {
-            return false;
-        }
+    /// ended.
+    pub(crate) fn runtime_ended(&mut self) {
         self.io = None;
         self.opening = None;
         self.open_requested = false;
@@ -190,7 +192,6 @@ impl Driver {
         let error = Arc::new(io::Error::other("the runtime of the link's task has ended"));
         self.core.runtime_ended(&error);
         self.state.send_replace(LinkState::Down { error });
-        true
     }
 
     /// Notes that the last handle was dropped.
@@ -208,13 +209,13 @@ impl Driver {
         Context::from_waker(&self.waker)
     }
 
-    /// Whether a call made now would be sent at once, as far as can be told.
+    /// Returns whether a call made now would be sent at once, as far as can be told.
     pub(crate) fn can_send_now(&self) -> bool {
         self.io.is_some() && self.opening.is_none() && self.writing.is_none() && !self.ending && self.core.is_idle()
     }
 
-    /// Whether a call made now waits only for the end of the exchange on the wire, which wakes the
-    /// task.
+    /// Returns whether a call made now waits only for the end of the exchange on the wire, which
+    /// wakes the task.
     pub(crate) fn is_awaiting_reply(&self) -> bool {
         self.io.is_some() && self.writing.is_none() && !self.core.is_idle()
     }

@@ -20,9 +20,9 @@
 //! - A transport that panics ends the task, even if a caller was advancing the driver, and no
 //!   caller.
 //!
-//! The task's timer is rearmed only after it has fired, or for an earlier instant. Nearly every call
-//! has a later deadline than the one before it, so an early timer costs one wake-up per response
-//! timeout; rearming per call would cost that each time.
+//! The task's timer is rearmed only after it has fired, or for an earlier instant. Nearly every
+//! call has a later deadline than the one before it, so an early timer costs one wake-up per
+//! response timeout; rearming per call would cost that each time.
 
 use std::any::Any;
 use std::collections::VecDeque;
@@ -44,7 +44,7 @@ use super::io_waker::IoWaker;
 /// The state of a link that its handles and its task share.
 pub(crate) struct Shared {
     inbox: Mutex<VecDeque<PendingCall>>,
-    /// Whether a call was put into the inbox since it was emptied. Mostly none was, and then the
+    /// `true` if a call was put into the inbox since it was emptied. Mostly none was, and then the
     /// inbox need not be locked.
     posted: AtomicBool,
     /// `None` once the task has ended.
@@ -84,13 +84,13 @@ impl Shared {
         }
     }
 
-    /// Whether the task has been started. With `start`, the first caller gets `false` and must
-    /// start it.
+    /// Returns whether the task has been started. With `start`, the first caller gets `false` and
+    /// must start it.
     pub(crate) fn is_started(&self, start: bool) -> bool {
         self.started.load(Ordering::SeqCst) || (start && self.started.swap(true, Ordering::SeqCst))
     }
 
-    /// Whether the link accepts no more calls.
+    /// Returns whether the link accepts no more calls.
     pub(crate) fn is_closed(&self) -> bool {
         self.closed.load(Ordering::Acquire)
     }
@@ -177,16 +177,16 @@ impl Shared {
     pub(crate) fn run(self: Arc<Self>) -> impl Future<Output = ()> + Send {
         // Ends the link also if the task is dropped with its runtime, even before it was first
         // polled.
-        let shared = EndOnDrop { link: self, finished: false };
+        let shared = EndOnDrop { link: self, ends: false };
         async move {
             let mut shared = shared;
             let mut timer = pin!(sleep_until(Instant::now()));
             // Tokio's budget is not needed: `advance` yields by itself after a number of actions.
-            while unconstrained(poll_fn(|cx| shared.link.poll(cx, timer.as_mut()))).await == TaskStatus::AfterEvents {
+            while unconstrained(poll_fn(|cx| shared.poll(cx, timer.as_mut()))).await == TaskStatus::AfterEvents {
                 // Tokio looks for I/O events before the task goes on.
                 yield_now().await;
             }
-            shared.finished = true;
+            shared.ends = true;
         }
     }
 
@@ -245,26 +245,29 @@ impl Shared {
         lock(&self.slot).as_ref().map(|slot| slot.driver.debug_text()).unwrap_or_default()
     }
 
-    /// Detaches the link from a runtime that has ended: its calls fail, its connection is closed, and
-    /// the next call starts a task again. Returns `false` if the link ends instead.
+    /// Detaches the link from a runtime that has ended: its calls fail, its connection is closed,
+    /// and the next call starts a task again. Returns `false` if the link ends instead.
     fn detach(&self) -> bool {
         if self.is_closed() || self.orphaned.load(Ordering::Acquire) {
             return false;
         }
         let mut guard = lock(&self.slot);
         let Some(slot) = guard.as_mut() else { return false };
-        if slot.panic.is_some() || !slot.driver.runtime_ended() {
+        if slot.panic.is_some() || !slot.driver.outlives_runtime() {
             return false;
         }
         slot.timer = None;
-        // A waker keeps the memory of its task, and with it that of the runtime. Removed before another
-        // task can start and register its own.
+        // A waker keeps the memory of its task, and with it that of the runtime. Removed before
+        // another task can start and register its own.
         self.io_waker.unregister();
         // Before the inbox is emptied: a call that comes later finds that the task must be started.
         self.started.store(false, Ordering::SeqCst);
+        let inbox = std::mem::take(&mut *lock(&self.inbox));
+        inbox.into_iter().for_each(|call| slot.driver.push(call, Instant::now()));
+        slot.driver.runtime_ended();
         drop(guard);
-        drop(self.take_inbox());
-        // Closed in the meantime, by a caller that took the task for running: that has to end it now.
+        // Closed in the meantime, by a caller that took the task for running: that has to end it
+        // now.
         let closed = self.closed.load(Ordering::SeqCst);
         !closed || self.started.swap(true, Ordering::SeqCst)
     }
@@ -325,13 +328,24 @@ enum TaskStatus {
 /// Ends the link when it is dropped, or leaves it to a task of another runtime.
 struct EndOnDrop {
     link: Arc<Shared>,
-    /// The task has ended by itself, and not with its runtime.
-    finished: bool,
+    /// The task has ended by itself, or a transport has panicked; it was not dropped with its
+    /// runtime.
+    ends: bool,
+}
+
+impl EndOnDrop {
+    fn poll(&mut self, cx: &mut Context<'_>, timer: Pin<&mut Sleep>) -> Poll<TaskStatus> {
+        // Stays if the poll panics. A runtime may also be dropped by a panic of its user.
+        self.ends = true;
+        let status = self.link.poll(cx, timer);
+        self.ends = false;
+        status
+    }
 }
 
 impl Drop for EndOnDrop {
     fn drop(&mut self) {
-        if self.finished || std::thread::panicking() || !self.link.detach() {
+        if self.ends || !self.link.detach() {
             self.link.end();
         }
     }

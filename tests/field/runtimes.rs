@@ -76,6 +76,22 @@ fn a_static_station_serves_one_runtime_after_another() {
     assert_eq!(threads.block_on(station.read_registers(register!("R0"), 1)).unwrap(), [4]);
 }
 
+/// Before: the link was closed for good, because its task was dropped while its thread panicked.
+#[test]
+fn a_panic_of_its_user_does_not_close_a_link() {
+    let address = serve(bus());
+    let station = Link::new(address.into()).station(1).unwrap();
+    let user = station.clone();
+    let panicked = thread::spawn(move || {
+        runtime().block_on(async {
+            user.read_registers(register!("R0"), 1).await.unwrap();
+            panic!("a test that fails");
+        });
+    });
+    assert!(panicked.join().is_err());
+    assert_eq!(runtime().block_on(station.read_registers(register!("R0"), 1)).unwrap(), [0]);
+}
+
 #[test]
 fn a_call_during_the_end_of_the_links_runtime_fails_or_is_answered() {
     let address = serve(bus());

@@ -181,7 +181,7 @@ impl Client {
         decode_reply(request, self.framing, &frame.data).map_err(Unanswered::Reply)
     }
 
-    /// Whether the gateway has closed the connection.
+    /// Returns whether the gateway has closed the connection.
     pub(crate) async fn is_closed(&mut self) -> bool {
         timeout(self.call_timeout, self.stream.read_buf(&mut self.received)).await.is_ok_and(|read| read.unwrap() == 0)
     }

@@ -137,7 +137,7 @@ const ABANDONED: u8 = 2;
 const SENT: u8 = 4;
 /// The call waits for the quiet time of its station.
 const AWAITS_SILENCE: u8 = 8;
-/// A check was sent for the call.
+/// A check was sent for the call, and not answered yet.
 const CHECKED: u8 = 16;
 
 impl<C: Command> CallSlot<C> {
@@ -308,6 +308,10 @@ impl<C: Command> AnyCall for CallSlot<C> {
             self.sends.store(count.saturating_add(1), Ordering::Release);
         }
         sends
+    }
+
+    fn check_answered(&self) {
+        self.state.fetch_and(!CHECKED, Ordering::AcqRel);
     }
 
     fn mark_checked(&self) {

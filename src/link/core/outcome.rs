@@ -160,6 +160,9 @@ impl Core {
                         false
                     }
                 };
+                if let Some(call) = &call {
+                    call.slot.check_answered();
+                }
                 match call {
                     None => self.stations.probe_ended(took, now),
                     Some(call) if passed && call.confirms => {
@@ -287,8 +290,8 @@ impl Core {
         }
     }
 
-    /// Whether the check before a request that must not be repeated itself may be: nothing was sent for
-    /// the request yet.
+    /// Returns whether the check before a request that must not be repeated itself may be: nothing
+    /// was sent for the request yet.
     pub(super) fn may_repeat_check(&self, call: &PendingCall, now: Instant) -> bool {
         call.check_retries_left > 0 && call.is_wanted(now) && !self.closing
     }
@@ -314,7 +317,7 @@ impl Core {
 /// The station number of a broadcast.
 const BROADCAST: u8 = 0;
 
-/// Whether an error code may mean that the device does not know the command.
+/// Returns whether an error code may mean that the device does not know the command.
 fn is_about_the_command(code: ErrorCode) -> bool {
     match code {
         ErrorCode::IllegalFormat | ErrorCode::NotSupported | ErrorCode::Unknown(_) => true,

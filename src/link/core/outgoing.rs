@@ -57,13 +57,13 @@ impl Core {
         }
     }
 
-    /// Whether the reply to a call can still come before its deadline, as far as the round trips of
-    /// its station show. Otherwise the PLC would work for a caller that has gone, and the calls
-    /// behind would come too late as well.
+    /// Returns whether the reply to a call can still come before its deadline, as far as the round
+    /// trips of its station show. Otherwise the PLC would work for a caller that has gone, and the
+    /// calls behind would come too late as well.
     ///
-    /// A call that has not waited is sent in any case, and so is one to a station that was sent nothing
-    /// for the time of a round trip: they show when the round trips become shorter. Writes are sent, too:
-    /// the round trip may be that of much longer reads.
+    /// A call that has not waited is sent in any case, and so is one to a station that was sent
+    /// nothing for the time of a round trip: they show when the round trips become shorter. Writes
+    /// are sent, too: the round trip may be that of much longer reads.
     fn can_be_answered(&self, call: &PendingCall, now: Instant) -> bool {
         let waited = now.saturating_duration_since(call.queued_at);
         if call.is_write() || waited < SHORT_WAIT {
@@ -116,8 +116,8 @@ impl Core {
         }
     }
 
-    /// Whether a write that was refused in another spelling may have been executed: an unexpected
-    /// frame has come since.
+    /// Returns whether a write that was refused in another spelling may have been executed: an
+    /// unexpected frame has come since.
     fn may_be_executed(&mut self, call: &PendingCall) -> bool {
         call.refused_at
             .is_some_and(|strays| self.stations.with_in_step(call.station, |in_step| in_step.strays() != strays))

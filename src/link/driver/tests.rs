@@ -28,7 +28,7 @@ struct Plc {
     value: u16,
     answered: Vec<u8>,
     broadcasts: u32,
-    /// Whether it takes no bytes.
+    /// `true` if it takes no bytes.
     stuck: bool,
     /// Number of requests that came while a repeated reply was unread.
     unread: u32,

@@ -162,6 +162,20 @@ fn a_call_that_cannot_be_answered_in_time_is_not_sent() {
     link.expect_send();
 }
 
+/// Before, the error said that the check was not answered.
+#[test]
+fn a_call_that_waits_behind_its_answered_check_does_not_blame_the_station() {
+    let mut link = TestLink::new(Framing::Ascii);
+    link.core.stations.with_in_step(1, |in_step| in_step.connected());
+    let mut call = link.call_with(1, read(1), CallOptions::new().with_call_timeout(40 * MS));
+    assert_eq!(link.expect_send(), Code::LoopBack);
+    link.receive_echo();
+    link.advance(40 * MS);
+    link.next_action();
+    let error = result(&mut call).expect("its deadline has passed").expect_err("it was not sent");
+    assert_eq!(error.to_string(), "read registers (46h) to station 1 was queued for 40 ms and never sent");
+}
+
 /// A long round trip must not keep a station from being sent anything: only a request shows that it
 /// has become shorter.
 #[test]
