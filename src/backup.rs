@@ -19,8 +19,8 @@
 //! A range is a [`Tag`]: `R0-R3839`, `DR0-DR98`, `M0-M1911`, `WM0-WM96`. Of its type only one thing
 //! matters: whether a value takes two registers, as in `R0-R9:f32`. Such pairs, like elements of 32
 //! bits, are never split between two requests. They are written whole if one half differs, and
-//! missing if the PLC refuses one half. Two ranges of a backup must not share memory, as `R0-R9` and
-//! `DR4` would.
+//! missing if the PLC refuses one half. Two ranges of a backup must not share memory, as `R0-R9`
+//! and `DR4` would.
 //!
 //! # Contents
 //!
@@ -28,19 +28,19 @@
 //! [`Missing`]. An element that could not be read is never zero. A request that the PLC refuses is
 //! halved until the refused elements are found; all others are read.
 //!
-//! **Values are not of one moment.** A request reads up to 64 registers or 256 discretes of one scan
-//! cycle, and the next request reads a later one. If values must be consistent, stop the PLC before,
-//! or have its program hold them.
+//! **Values are not of one moment.** A request reads up to 64 registers or 256 discretes of one
+//! scan cycle, and the next request reads a later one. If values must be consistent, stop the PLC
+//! before, or have its program hold them.
 //!
-//! [`Station::back_up`](crate::Station::back_up) reads a backup in one run. [`TakeBackup`] also reports
-//! progress, and continues after a failure or a dropped future. Its states are the cells of the
-//! backup: those that are [`NotRead`](Missing::NotRead) are still to be read. A cell has a value only
-//! when a check (4E) has confirmed that the reply was no out-of-order duplicate.
+//! [`Station::back_up`](crate::Station::back_up) reads a backup in one run. [`TakeBackup`] also
+//! reports progress, and continues after a failure or a dropped future. Its states are the cells of
+//! the backup: those that are [`NotRead`](Missing::NotRead) are still to be read. A cell has a
+//! value only when a check (4E) has confirmed that the reply was no out-of-order duplicate.
 //!
 //! # Restoring
 //!
-//! [`Station::restore`](crate::Station::restore) restores a backup in one run. [`Restore`] also reports
-//! progress, compares without writing, and can be run again:
+//! [`Station::restore`](crate::Station::restore) restores a backup in one run. [`Restore`] also
+//! reports progress, compares without writing, and can be run again:
 //!
 //! ```text
 //! Look (40) ─▶ Compare (44, 46) … ─▶ Forced (43) … ─▶ [Ready (40)] ─▶ Write (45, 47) … ─▶ Verify (44, 46) … ─┐
@@ -52,43 +52,46 @@
 //! ```
 //!
 //! Inputs are the replies of the PLC and the options. Invariants:
-//! - Only elements with a value in the backup that were found different are written. Elements that are
-//!   missing in the backup are neither read nor written; [`RestoreReport::missing`] names them. With
-//!   [`RestoreOptions::bridge`], equal elements between two that differ are written too, if that saves a
-//!   request.
+//! - Only elements with a value in the backup that were found different are written. Elements that
+//!   are missing in the backup are neither read nor written; [`RestoreReport::missing`] names them.
+//!   With [`RestoreOptions::bridge`], equal elements between two that differ are written too, if
+//!   that saves a request.
 //! - Nothing is written before all elements have been compared, and unless the PLC has all of them.
-//! - Compare, Forced, Check and Verify end only when a check (4E) has confirmed that no reply was an
-//!   out-of-order duplicate. If one was, they begin again, as often as reads are retried. Writes with
-//!   such a duplicate among their replies are in doubt until Verify has read them back.
-//! - A write without a reply is repeated only after a read has shown that the elements still differ.
-//!   Until then they are [`in_doubt`](RestoreReport::in_doubt), and not among those never sent.
+//! - Compare, Forced, Check and Verify end only when a check (4E) has confirmed that no reply was
+//!   an out-of-order duplicate. If one was, they begin again, as often as reads are retried. Writes
+//!   with such a duplicate among their replies are in doubt until Verify has read them back.
+//! - A write without a reply is repeated only after a read has shown that the elements still
+//!   differ. Until then they are [`in_doubt`](RestoreReport::in_doubt), and not among those never
+//!   sent.
 //! - An element counts as written when the PLC has confirmed the write, or a read has shown it.
 //! - If a write was sent, all elements are read back. Success means that each element then held its
-//!   value, except those that were left out. Elements overwritten by the running program are reported
-//!   as errors.
-//! - A backup is restored only to the PLC that it states, by station number, model and version of the
-//!   operating system, unless [`RestoreOptions::accept_other_plc`] is chosen. Each run reads the status
-//!   (40, 53) first to find out.
+//!   value, except those that were left out. Elements overwritten by the running program are
+//!   reported as errors.
+//! - A backup is restored only to the PLC that it states, by station number, model and version of
+//!   the operating system, unless [`RestoreOptions::accept_other_plc`] is chosen. Each run reads
+//!   the status (40, 53) first to find out.
 //! - A PLC is stopped only by option, and only if an element is to be written and the PLC has all
-//!   elements; all are compared again then. It is started again only by option, if it ran before, and
-//!   if all elements are restored.
+//!   elements; all are compared again then. It is started again only by option, if it ran before,
+//!   and if all elements are restored.
 //! - With [`stop_first`](RestoreOptions::stop_first) and
-//!   [`require_stopped`](RestoreOptions::require_stopped) the status is read just before the first write
-//!   and after Verify. Success means that the PLC was stopped both times. If another client has started
-//!   it, that is [`SetRunning`](RestoreFailure::SetRunning), and the PLC keeps running.
+//!   [`require_stopped`](RestoreOptions::require_stopped) the status is read just before the first
+//!   write and after Verify. Success means that the PLC was stopped both times. If another client
+//!   has started it, that is [`SetRunning`](RestoreFailure::SetRunning), and the PLC keeps running.
 //!
-//! Running it again continues, in this process or another: elements that are written no longer differ.
+//! Running it again continues, in this process or another: elements that are written no longer
+//! differ.
 //!
-//! **Elements that are left out.** Inputs `X` and the contacts `T` and `C` of timers and counters, also
-//! as words, are overwritten in every scan cycle. A backup has them for comparing;
-//! [`RestoreReport::left_out`] names them. All others can be restored: outputs `Y`, relays `M`, steps
-//! `S`, the values `RT` and `RC` of timers and counters, registers `R`, `D`, `F`. Select them with
-//! care: outputs switch what is wired to them, even in a stopped PLC, and special relays and registers
-//! (by model, such as from `M1912` and `R3840` on) have effects of their own, or are read-only.
+//! **Elements that are left out.** Inputs `X` and the contacts `T` and `C` of timers and counters,
+//! also as words, are overwritten in every scan cycle. A backup has them for comparing;
+//! [`RestoreReport::left_out`] names them. All others can be restored: outputs `Y`, relays `M`,
+//! steps `S`, the values `RT` and `RC` of timers and counters, registers `R`, `D`, `F`. Select them
+//! with care: outputs switch what is wired to them, even in a stopped PLC, and special relays and
+//! registers (by model, such as from `M1912` and `R3840` on) have effects of their own, or are
+//! read-only.
 //!
-//! **Forced discretes.** A disabled discrete (42) was forced to its state, perhaps for safety. It stays
-//! as it is, and [`RestoreReport::forced`] names it, and words and values of two words with such a
-//! discrete. [`RestoreOptions::write_forced`] writes them.
+//! **Forced discretes.** A disabled discrete (42) was forced to its state, perhaps for safety. It
+//! stays as it is, and [`RestoreReport::forced`] names it, and words and values of two words with
+//! such a discrete. [`RestoreOptions::write_forced`] writes them.
 
 mod block;
 mod error;
@@ -229,7 +232,7 @@ impl Backup {
         self.blocks.iter().flat_map(of_block).collect()
     }
 
-    /// Whether no element is missing.
+    /// Returns whether no element is missing.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.value_count() == self.element_count()
@@ -271,7 +274,8 @@ impl Backup {
     }
 
     /// Elements whose value differs in the other backup. Elements that are missing here are not
-    /// compared. Elements that are missing there, or in none of its ranges under the same symbol, differ.
+    /// compared. Elements that are missing there, or in none of its ranges under the same symbol,
+    /// differ.
     #[must_use]
     pub fn differences(&self, other: &Self) -> Vec<Difference> {
         let known = self.elements().filter_map(|(element, cell)| Some((element, cell.ok()?)));

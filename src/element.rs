@@ -17,8 +17,8 @@
 //!
 //! Two rules go beyond the table of symbols:
 //!
-//! - An address fits the framing of a link: discretes, `RT` and `RC` have up to 9999 in ASCII and up
-//!   to 65535 in binary. An element has an address of either framing. The call checks it before
+//! - An address fits the framing of a link: discretes, `RT` and `RC` have up to 9999 in ASCII and
+//!   up to 65535 in binary. An element has an address of either framing. The call checks it before
 //!   anything is sent.
 //! - `C200` to `C255` are counters of 32 bits, with one address each: `DRC200`, `DRC201` and so on.
 //!   They are read and written one by one, and there is no `RC200` and no pair `DRC199`.
@@ -211,8 +211,8 @@ impl Element {
     ///
     /// # Errors
     /// [`ElementError::OutOfRange`] when there is none. [`ElementError::Counter`] or
-    /// [`ElementError::NotConsecutive`] when counters of 32 bits begin or end in between: no element
-    /// follows `RC199`, `DRC198` or `DRC255`.
+    /// [`ElementError::NotConsecutive`] when counters of 32 bits begin or end in between: no
+    /// element follows `RC199`, `DRC198` or `DRC255`.
     pub const fn nth(self, n: usize) -> Result<Self, ElementError> {
         if n == 0 {
             return Ok(self);
@@ -228,14 +228,14 @@ impl Element {
         }
     }
 
-    /// The distance to the address of the next element: that of [`Symbol::step`], and 1 for counters
-    /// of 32 bits.
+    /// The distance to the address of the next element: that of [`Symbol::step`], and 1 for
+    /// counters of 32 bits.
     #[must_use]
     pub const fn step(self) -> u16 {
         if self.is_counter_of_32_bits() { 1 } else { self.symbol().step() }
     }
 
-    /// Whether it is a counter of 32 bits: `DRC200` to `DRC255`.
+    /// Returns whether it is a counter of 32 bits: `DRC200` to `DRC255`.
     ///
     /// They are read and written one by one: by 48 and 49, or by 46 and 47 with one element.
     #[must_use]
@@ -244,7 +244,8 @@ impl Element {
         first <= self.address() && self.address() <= last
     }
 
-    /// Whether elements follow each other without a gap from this one to one at this address.
+    /// Returns whether elements follow each other without a gap from this one to one at this
+    /// address.
     pub(crate) const fn is_consecutive_with(self, address: u16) -> bool {
         let [first, last] = self.symbol().area().consecutive(self.address());
         first <= address && address <= last

@@ -35,7 +35,7 @@ pub(crate) fn of_dword(dword: u32) -> [u8; 8] {
     [a, b, c, d, e, f, g, h]
 }
 
-/// Whether all characters are digits, of either case.
+/// Returns whether all characters are digits, of either case.
 pub(crate) fn are_digits(characters: &[u8]) -> bool {
     // No early exit: nearly always all are digits, and a plain loop is vectorised.
     characters.iter().fold(true, |all, character| all & character.is_ascii_hexdigit())

@@ -15,14 +15,15 @@ pub(crate) struct Printable<'t> {
     is_cut: bool,
 }
 
-/// Displays a text of any length on one line. Characters that control a terminal or are invisible are
-/// escaped: line feeds, ESC, bidirectional controls.
+/// Displays a text of any length on one line. Characters that control a terminal or are invisible
+/// are escaped: line feeds, ESC, bidirectional controls.
 #[cfg_attr(not(test), allow(dead_code, reason = "the library quotes excerpts only"))]
 pub(crate) fn printable(text: &str) -> Printable<'_> {
     Printable { text, is_cut: false }
 }
 
-/// Displays a text as [`printable`] does; of more than 200 characters, the first 140 and the last 60.
+/// Displays a text as [`printable`] does; of more than 200 characters, the first 140 and the last
+/// 60.
 pub(crate) fn excerpt(text: &str) -> Printable<'_> {
     Printable { text, is_cut: true }
 }
@@ -51,7 +52,7 @@ fn write_escaped(f: &mut fmt::Formatter<'_>, character: char) -> fmt::Result {
     }
 }
 
-/// Whether a character controls a terminal or the direction of text, or is invisible.
+/// Returns whether a character controls a terminal or the direction of text, or is invisible.
 pub(crate) fn is_unprintable(character: char) -> bool {
     character.is_control()
         || matches!(

@@ -64,7 +64,7 @@ impl Progress {
         Some(self.elapsed.checked_div(fresh)?.saturating_mul(left))
     }
 
-    /// Whether the phase is complete.
+    /// Returns whether the phase is complete.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.done >= self.total

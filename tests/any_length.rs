@@ -48,7 +48,7 @@ fn requests_of(faults: &Faults) -> Vec<Request> {
         .collect()
 }
 
-/// Whether the request is a loop-back with a nonce.
+/// Returns whether the request is a loop-back with a nonce.
 fn is_check(request: &Request) -> bool {
     matches!(request, Request::LoopBack(check) if check.data().len() == 8)
 }

@@ -134,7 +134,7 @@ fn a_dry_run_follows_the_options_and_fails_like_a_write() {
     assert!(dry.stderr.contains("a ladder of 640 words, and the PLC one of 1280"), "{dry:?}");
 }
 
-/// Whether this is a request of this command.
+/// Returns whether this is a request of this command.
 fn is_command(request: &[u8], command: &[u8; 2]) -> bool {
     request.get(3..5) == Some(command)
 }

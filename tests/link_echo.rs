@@ -25,7 +25,7 @@ fn none(_: u32, _: BytesMut) -> Option<BytesMut> {
     None
 }
 
-/// Whether the PLC answers the n-th request, counted from 1, of this command.
+/// Returns whether the PLC answers the n-th request, counted from 1, of this command.
 type AnswersFn = fn(u32, u8) -> bool;
 
 /// Creates a PLC on a line with this echo. The channel yields its requests. Checks are answered

@@ -14,7 +14,7 @@ pub(crate) struct Counters {
     /// [`forget_answers`](Self::forget_answers).
     answered: Vec<AtomicBool>,
     answered_count: AtomicU32,
-    /// Whether the simulator is down, so that calls must fail.
+    /// `true` if the simulator is down, so that calls must fail.
     down: AtomicBool,
     replies: AtomicU64,
     errors: AtomicU64,

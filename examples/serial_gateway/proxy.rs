@@ -43,7 +43,7 @@ pub(crate) struct Proxy {
 pub(crate) struct Rules {
     /// Stations served; 0: broadcasts.
     pub(crate) stations: RangeInclusive<u8>,
-    /// Whether only reads are allowed.
+    /// `true` if only reads are allowed.
     pub(crate) read_only: bool,
 }
 

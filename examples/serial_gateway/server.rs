@@ -1,11 +1,11 @@
 //! Clients: their connections and limits, and the decoding of their requests.
 //!
-//! The requests of a client are handled one at a time, in order of arrival. During a request at most
-//! one frame more is read from that client, so its own connection has the backpressure. The gateway
-//! buffers one frame per client and direction.
+//! The requests of a client are handled one at a time, in order of arrival. During a request at
+//! most one frame more is read from that client, so its own connection has the backpressure. The
+//! gateway buffers one frame per client and direction.
 //!
-//! A client that closes its connection is noticed during its request. A request that still waits for
-//! the bus is then not sent: no client would take the reply.
+//! A client that closes its connection is noticed during its request. A request that still waits
+//! for the bus is then not sent: no client would take the reply.
 //!
 //! A new client above the limit ([`Limits::clients`]) takes the place of the client that is idle
 //! longest, if that has been idle for [`Limits::make_room_after`]. Otherwise it is disconnected.
@@ -230,7 +230,7 @@ struct Requests {
     received: BytesMut,
     /// Codec of the client's framing, set by its first byte.
     codec: Option<Codec>,
-    /// Whether the last read timed out: an incomplete frame is then discarded.
+    /// `true` if the last read timed out: an incomplete frame is then discarded.
     silence: bool,
     /// Bytes outside requests since the last request.
     noise: usize,

@@ -36,9 +36,9 @@ pub(crate) enum Kind {
     Broadcast,
     /// Output `Y`, set and reset.
     Switch,
-    /// Whether an input `X` is disabled.
+    /// Disabled state of an input `X`.
     Force,
-    /// Whether the PLC runs.
+    /// RUN or STOP of the PLC.
     Running,
 }
 
@@ -175,7 +175,7 @@ pub(crate) fn prepare_constants(plc: &Plc, line: usize, station: usize) -> Resul
     Ok(())
 }
 
-/// Whether all constants have their initial values.
+/// Returns whether all constants have their initial values.
 pub(crate) fn constants_are_whole(plc: &Plc, line: usize, station: usize) -> Result<bool> {
     for address in 0..CONSTANTS {
         let register = plc.read(Register::r(address)) == constant(line, station, address).into();

@@ -37,7 +37,7 @@ const KINDS: [(Transport, Framing); 6] = [
     (Transport::Udp, Framing::Binary),
 ];
 
-/// Whether there are serial ports, which are pseudo-terminals. macOS refuses their baud rate.
+/// `true` if there are serial ports, which are pseudo-terminals. macOS refuses their baud rate.
 const HAS_SERIAL: bool = cfg!(all(target_os = "linux", feature = "serial"));
 
 pub(crate) struct Line {

@@ -97,8 +97,8 @@ fn encodes_to_itself(framing: Framing, receiver: Side, bytes: &[u8]) {
     }
 }
 
-/// Whether station or command have lower case digits, so that the checksum of the encoded frame
-/// differs.
+/// Returns whether station or command have lower case digits, so that the checksum of the encoded
+/// frame differs.
 fn lower_case_checksum(bytes: &[u8]) -> bool {
     bytes.iter().skip(1).take(4).any(u8::is_ascii_lowercase)
 }

@@ -68,7 +68,7 @@ pub(crate) fn is_a_reply(request: &Request, data: &[u8], framing: Framing) {
     assert!(accepts(request, data, framing), "{request:?} has the bad reply {data:?}");
 }
 
-/// Whether the client accepts the data as a reply or a refusal.
+/// Returns whether the client accepts the data as a reply or a refusal.
 fn accepts(request: &Request, data: &[u8], framing: Framing) -> bool {
     macro_rules! each {
         ($($command:ident),*) => {
@@ -124,7 +124,7 @@ fn check_reply<C: Command>(request: &C, data: &[u8], framing: Framing) -> bool {
     true
 }
 
-/// Whether the bytes are equal; in ASCII without regard to case.
+/// Returns whether the bytes are equal; in ASCII without regard to case.
 fn same(framing: Framing, one: &[u8], other: &[u8]) -> bool {
     if framing == Framing::Ascii { one.eq_ignore_ascii_case(other) } else { one == other }
 }

@@ -60,7 +60,8 @@ fn all(bound: usize) -> bool {
     good
 }
 
-/// Whether all interleavings of a run are correct. A run without a planted fault prints its error.
+/// Returns whether all interleavings of a run are correct. A run without a planted fault prints its
+/// error.
 fn one(model: Model, ending: Ending, fault: Option<Fault>, bound: usize) -> bool {
     let own = std::env::current_exe().expect("path of this program");
     let fault = fault.map_or_else(String::new, |fault| format!("{fault:?}"));

@@ -53,8 +53,8 @@ impl Chunk {
         Self { count: self.count.min(count), ..self }
     }
 
-    /// The request that reads it. `shorter`: the last element may be left to the next request, unless
-    /// that would split a value.
+    /// The request that reads it. `shorter`: the last element may be left to the next request,
+    /// unless that would split a value.
     pub(super) fn read(self, shorter: bool) -> Request {
         Request::Read { range: self.tag(), shorter: shorter && self.range.elements_per_value() == 1 }
     }
@@ -92,7 +92,8 @@ pub(super) fn discretes(range: Tag) -> Option<(crate::Discrete, usize)> {
     Some((discrete, usize::from(last.saturating_sub(first)).saturating_add(1)))
 }
 
-/// Whether the PLC overwrites these in every scan: inputs, and the contacts of timers and counters.
+/// Returns whether the PLC overwrites these in every scan: inputs, and the contacts of timers and
+/// counters.
 pub(super) fn is_never_restored(range: Tag) -> bool {
     range.first().symbol().area().is_derived()
 }

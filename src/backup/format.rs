@@ -35,7 +35,8 @@ fn form(backup: &Backup) -> String {
     for block in blocks {
         lines += &format!("{RANGE} {}\n", block.range);
         let mut start = 0_usize;
-        // One line for missing elements of one reason; values by the line, whose multiples no line crosses.
+        // One line for missing elements of one reason; values by the line, whose multiples no line
+        // crosses.
         let per_line = per_line(block.range.first().width());
         let kind = |cell: &Result<Value, Missing>| cell.err();
         for same in block.cells.chunk_by(|one, next| kind(one) == kind(next)) {
@@ -91,8 +92,8 @@ fn per_line(width: Width) -> usize {
     if width == Width::Bit { 64 } else { 8 }
 }
 
-/// Whether this version has such a field. Names of elements have upper-case letters, and names of
-/// fields do not.
+/// Returns whether this version has such a field. Names of elements have upper-case letters, and
+/// names of fields do not.
 fn is_known(name: &str) -> bool {
     let is_field = matches!(name, "station" | RANGE | MISSING);
     is_field || Origin::FIELDS.contains(&name) || name.starts_with(|first: char| first.is_ascii_uppercase())

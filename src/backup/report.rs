@@ -18,8 +18,9 @@ pub struct RestoreReport {
     pub differences: Vec<Difference>,
     /// Elements that were certainly written.
     pub written: Vec<Tag>,
-    /// Elements that may have been written: they were sent, and not confirmed. Also those that a read
-    /// then found different, until they are written again: the program may have changed them since.
+    /// Elements that may have been written: they were sent, and not confirmed. Also those that a
+    /// read then found different, until they are written again: the program may have changed them
+    /// since.
     pub in_doubt: Vec<Tag>,
     /// Elements that differ and were never sent.
     pub unwritten: Vec<Tag>,
@@ -28,8 +29,8 @@ pub struct RestoreReport {
     pub to_write: Vec<Tag>,
     /// Elements that the PLC refused to read or to write.
     pub refused: Vec<RefusedRange>,
-    /// Forced discretes that differ and were not written, and words and values of two words with such a
-    /// discrete.
+    /// Forced discretes that differ and were not written, and words and values of two words with
+    /// such a discrete.
     pub forced: Vec<Tag>,
     /// Inputs, and contacts of timers and counters, which are never written.
     pub left_out: Vec<Tag>,
@@ -37,15 +38,16 @@ pub struct RestoreReport {
     pub left_out_differences: Vec<Difference>,
     /// Elements without a value in the backup. They were neither compared nor written.
     pub missing: Vec<MissingRange>,
-    /// How the PLC differs from the one that was read, as far as the backup states that: station number,
-    /// model, version of the operating system. Empty until the status of the PLC is read.
+    /// How the PLC differs from the one that was read, as far as the backup states that: station
+    /// number, model, version of the operating system. Empty until the status of the PLC is read.
     pub other_plc: Vec<PlcDifference>,
     /// Elements that did not hold their value when all were read back.
     pub remaining: Vec<Difference>,
-    /// Whether the PLC ran and was stopped, by this run or an earlier one of the same
+    /// `true` if the PLC ran and was stopped, by this run or an earlier one of the same
     /// [`Restore`](super::Restore) that failed.
     pub was_stopped: bool,
-    /// Whether the PLC runs, by its last status. If it need not be stopped, that is the first status.
+    /// `true` if the PLC runs, by its last status. If it need not be stopped, that is the first
+    /// status.
     pub plc: PlcState,
 }
 

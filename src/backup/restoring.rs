@@ -45,7 +45,7 @@ pub(super) enum ElementStage {
 }
 
 impl ElementStage {
-    /// Whether it is left only when all replies are confirmed. Replies may be shorter.
+    /// Returns whether it is left only when all replies are confirmed. Replies may be shorter.
     fn only_reads(self) -> bool {
         matches!(self, Self::Compare | Self::Forced | Self::Verify)
     }
@@ -140,7 +140,7 @@ impl Restoring {
         }
     }
 
-    /// Whether earlier runs have left something in their PLC: a STOP.
+    /// Returns whether earlier runs have left something in their PLC: a STOP.
     pub(super) fn is_bound(&self) -> bool {
         self.control.was_stopped() && !self.is_over()
     }

@@ -31,7 +31,7 @@ pub(super) enum ElementState {
 }
 
 impl ElementState {
-    /// Whether it is to be written.
+    /// Returns whether it is to be written.
     pub(super) fn differs(self) -> bool {
         matches!(self, Self::Differs | Self::ToRepeat)
     }
@@ -96,8 +96,8 @@ impl Target {
         runs_of_values(&self.elements, self.range.elements_per_value(), |element| element.state.differs())
     }
 
-    /// The values that differ, with up to `bridge` equal elements between two of them if that saves a
-    /// request.
+    /// The values that differ, with up to `bridge` equal elements between two of them if that saves
+    /// a request.
     pub(super) fn to_write(&self, bridge: usize) -> Vec<Range<usize>> {
         let most = most_in_one_request(self.range.first());
         let mut merged: Vec<Range<usize>> = Vec::new();

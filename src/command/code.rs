@@ -4,8 +4,8 @@ use super::Code;
 use crate::wire::Framing;
 
 impl Code {
-    /// Whether the framing has this command. The ASCII framing has all, the binary framing has no
-    /// program pages.
+    /// Returns whether the framing has this command. The ASCII framing has all, the binary framing
+    /// has no program pages.
     #[must_use]
     pub fn is_in(self, framing: Framing) -> bool {
         match self.row().framings {

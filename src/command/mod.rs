@@ -111,8 +111,9 @@ pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
     /// Checks the rules that depend on the framing. [`encode_request`] calls it.
     ///
     /// # Errors
-    /// [`InvalidRequest::NotInFraming`]; [`ElementError::PastFraming`](crate::element::ElementError)
-    /// in [`InvalidRequest::Element`]; and errors of the command itself.
+    /// [`InvalidRequest::NotInFraming`];
+    /// [`ElementError::PastFraming`](crate::element::ElementError) in [`InvalidRequest::Element`];
+    /// and errors of the command itself.
     fn check(&self, framing: Framing) -> Result<(), InvalidRequest> {
         limits::in_framing(self, framing)
     }
@@ -156,7 +157,7 @@ pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
         0
     }
 
-    /// Whether a refusal of an earlier request of this command fits as its positive reply.
+    /// Returns whether a refusal of an earlier request of this command fits as its positive reply.
     #[doc(hidden)]
     fn is_like_a_refusal(&self) -> bool {
         false

@@ -78,8 +78,8 @@ pub struct Run {
 }
 
 impl Run {
-    /// Whether the list of its elements is known. A received request may name a run of counters of 32
-    /// bits, or a half of one: the manuals do not say which memory that is.
+    /// Returns whether the list of its elements is known. A received request may name a run of
+    /// counters of 32 bits, or a half of one: the manuals do not say which memory that is.
     fn is_known(self) -> bool {
         let exists = Element::new(self.first.symbol(), self.first.address()).is_ok();
         let is_one_by_one = self.count == 1 || !self.first.is_counter_of_32_bits();
@@ -111,7 +111,7 @@ impl Run {
         if self.is_surely_unambiguous(count, framing) {
             return [Some(self.mixed(Code::WriteMixed, count, framing)), None, None, None];
         }
-        // Whether a list is ambiguous in the binary framing depends on the values as well.
+        // The values, too, decide whether a list is ambiguous in the binary framing.
         let elements = (0..count).map_while(|n| self.first.nth(n).ok());
         let items = elements.zip(values.iter().map(|&value| value.into()));
         let request = WriteMixed::new(items.collect::<Vec<_>>());
@@ -132,7 +132,8 @@ impl Run {
         Some(self.mixed(Code::ReadMixed, self.count, framing))
     }
 
-    /// Whether a list of the first `count` elements is known to be unambiguous without parsing it.
+    /// Returns whether a list of the first `count` elements is known to be unambiguous without
+    /// parsing it.
     ///
     /// In the binary framing a symbol of one letter can be taken for a longer one only if a letter
     /// follows: the high byte of the address.

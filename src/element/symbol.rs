@@ -8,7 +8,8 @@ use crate::wire::Framing;
 //
 // - 1, 16, 32 bits: the symbols of its elements; the area is named by its smallest one
 // - digits:         decimal digits of an address in the ASCII framing
-// - ASCII, binary:  the last address of the smallest element in this framing: an address has `digits`
+// - ASCII, binary:  the last address of the smallest element in this framing: an address has
+//                   `digits`
 //                   digits in ASCII, and two bytes in binary
 // - content:        `Derived` if the PLC itself sets the elements in each scan: inputs from their
 //                   wiring, contacts of timers and counters from their values. Else `Stored`
@@ -202,7 +203,7 @@ impl MemoryArea {
         }
     }
 
-    /// Whether the PLC itself sets its elements in each scan.
+    /// Returns whether the PLC itself sets its elements in each scan.
     pub(crate) const fn is_derived(self) -> bool {
         matches!(self.row().content, Content::Derived)
     }

@@ -32,16 +32,16 @@ pub struct Seen {
     pub garbage: u64,
     /// The last other station that a frame came from.
     pub other_station: Option<u8>,
-    /// Whether a frame began and did not end.
+    /// `true` if a frame began and did not end.
     pub half_frame: bool,
-    /// Whether the echo of the request came.
+    /// `true` if the echo of the request came.
     pub echo: bool,
     /// The time by which the reply to an earlier attempt was too late.
     pub late_by: Option<Duration>,
 }
 
 impl Seen {
-    /// Whether nothing came at all.
+    /// Returns whether nothing came at all.
     #[must_use]
     pub fn is_nothing(&self) -> bool {
         *self == Self::default()

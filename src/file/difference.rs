@@ -18,7 +18,8 @@ pub enum PlcDifference {
         /// The number of the PLC.
         plc: u8,
     },
-    /// The program capacity (40), which is the model of older units. It is not compared for programs.
+    /// The program capacity (40), which is the model of older units. It is not compared for
+    /// programs.
     #[non_exhaustive]
     Capacity {
         /// The capacity in the file.
@@ -53,7 +54,7 @@ pub enum PlcDifference {
     /// One of both PLCs has a detailed status (53), and the other refuses it.
     #[non_exhaustive]
     DetailedStatus {
-        /// Whether the PLC has it.
+        /// `true` if the PLC has it.
         plc: bool,
     },
 }
@@ -80,13 +81,13 @@ pub(crate) fn listed(differences: &[PlcDifference]) -> String {
 }
 
 impl Origin {
-    /// Whether the content was read from a PLC.
+    /// Returns whether the content was read from a PLC.
     pub(crate) fn is_known(&self) -> bool {
         self.brief.is_some() || self.detailed.is_some()
     }
 
-    /// The differences to a PLC with these statuses; `None` is a status that it refuses. A property that
-    /// the file does not state is no difference.
+    /// The differences to a PLC with these statuses; `None` is a status that it refuses. A property
+    /// that the file does not state is no difference.
     pub(crate) fn differences(&self, plc: &Self) -> Vec<PlcDifference> {
         let capacity = |origin: &Self| origin.brief.map(|status| status.capacity());
         let capacities = capacity(self).zip(capacity(plc)).filter(|(file, plc)| file != plc);

@@ -29,7 +29,7 @@ fn prefix(target: &OsStr) -> String {
     format!(".fatek-{:08x}-", CRC.checksum(target.as_encoded_bytes()))
 }
 
-/// Whether a file has the name of a new file of the target: prefix, process and number.
+/// Returns whether a file has the name of a new file of the target: prefix, process and number.
 fn is_new_file_of(prefix: &str, name: &OsStr) -> bool {
     let numbers = name.to_str().and_then(|name| name.strip_prefix(prefix)?.strip_suffix(".new"));
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -47,7 +47,7 @@ pub(super) fn lock(file: &File) -> bool {
     }
 }
 
-/// Whether the file still has a name.
+/// Returns whether the file still has a name.
 #[cfg(unix)]
 fn is_linked(file: &File) -> bool {
     use std::os::unix::fs::MetadataExt;
@@ -55,7 +55,7 @@ fn is_linked(file: &File) -> bool {
     file.metadata().is_ok_and(|metadata| metadata.nlink() > 0)
 }
 
-/// Whether the file still has a name: it is too young to be removed.
+/// Returns whether the file still has a name: it is too young to be removed.
 #[cfg(not(unix))]
 fn is_linked(_: &File) -> bool {
     true

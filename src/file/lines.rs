@@ -35,8 +35,8 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Takes the next line, which must have this name, and parses its value; `-` is `None`, and so is
-    /// a field that files of this version do not have yet.
+    /// Takes the next line, which must have this name, and parses its value; `-` is `None`, and so
+    /// is a field that files of this version do not have yet.
     pub(crate) fn optional<T>(
         &mut self,
         name: &str,
@@ -90,7 +90,7 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Whether a field was added in a later version than that of the file.
+    /// Returns whether a field was added in a later version than that of the file.
     fn is_later(&self, name: &str) -> bool {
         self.added.iter().any(|&(added, since)| added == name && self.minor < since)
     }

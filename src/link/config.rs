@@ -18,7 +18,7 @@ pub(crate) struct Config {
     /// The response timeout of a probe.
     pub(crate) probe_timeout: Duration,
     pub(crate) connect_backoff: (Duration, Duration),
-    /// Whether waiting calls fail with the first failed attempt to connect.
+    /// `true` if waiting calls fail with the first failed attempt to connect.
     pub(crate) fail_fast: bool,
     /// Assumptions about the line's replies.
     pub(crate) in_step: InStepSettings,

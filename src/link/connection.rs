@@ -45,7 +45,7 @@ impl Connection {
         self.state
     }
 
-    /// Whether the next request needs a new connection.
+    /// Returns whether the next request needs a new connection.
     pub(crate) fn is_spent(&self) -> bool {
         self.spent
     }

@@ -24,7 +24,7 @@ pub(crate) enum Connector {
     /// By a function of the user.
     Custom {
         open: Box<dyn FnMut() -> BoxFuture<'static, io::Result<BoxIo>> + Send>,
-        /// Whether the connections always wake their reader; never assumed of a user's.
+        /// `true` if the connections always wake their reader; never assumed of a user's.
         wakes_reader: bool,
     },
 }
@@ -43,17 +43,17 @@ impl Connector {
         Self::Custom { open, wakes_reader: false }
     }
 
-    /// Whether there is only one connection ever.
+    /// Returns whether there is only one connection ever.
     pub(crate) fn is_once(&self) -> bool {
         matches!(self, Self::Once(_))
     }
 
-    /// Whether another connection can be opened.
+    /// Returns whether another connection can be opened.
     pub(crate) fn reopens(&self) -> bool {
         !matches!(self, Self::Once(None))
     }
 
-    /// Whether connections always wake their reader when data have come.
+    /// Returns whether connections always wake their reader when data have come.
     pub(crate) fn wakes_reader(&self) -> bool {
         matches!(self, Self::Endpoint { .. } | Self::Custom { wakes_reader: true, .. })
     }

@@ -163,13 +163,13 @@ pub(crate) struct Active {
     pub(crate) copied: bool,
     /// The line's byte count before the reply.
     pub(crate) bytes_before: u64,
-    /// Whether the echo of the request has come.
+    /// `true` if the echo of the request has come.
     echoed: bool,
     /// Number of received bytes that were part of no frame.
     discarded: usize,
 }
 
-/// Whether the line echoes what is sent.
+/// Knowledge of whether the line echoes sent frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum LineEcho {
     Unknown,
@@ -236,7 +236,7 @@ impl Exchange {
         self.codec.framing()
     }
 
-    /// Whether a status request must show first whether the line echoes.
+    /// Returns whether a status request must show first whether the line echoes.
     pub(crate) fn must_learn_echo(&self) -> bool {
         self.echo == LineEcho::Unknown
     }
@@ -453,8 +453,8 @@ impl Exchange {
         stray
     }
 
-    /// Whether a frame is the status request that seemed to show that the line does not echo. No
-    /// reply to 40 is empty.
+    /// Returns whether a frame is the status request that seemed to show that the line does not
+    /// echo. No reply to 40 is empty.
     fn is_late_echo(&self, frame: &Frame) -> bool {
         let request = frame.command == u8::from(ReadStatus::CODE) && frame.data.is_empty();
         request && self.framing() == Framing::Ascii && self.learned_from == Some(frame.station)
@@ -470,7 +470,7 @@ impl Exchange {
     }
 }
 
-/// Whether bytes discarded for this reason may have been a frame, and thus the reply.
+/// Returns whether bytes discarded for this reason may have been a frame, and thus the reply.
 pub(crate) fn may_contain_reply(reason: Discard) -> bool {
     match reason {
         Discard::BadChecksum | Discard::Malformed | Discard::Truncated | Discard::TooLong => true,

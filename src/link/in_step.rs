@@ -230,7 +230,7 @@ impl InStep {
         Choice::Silence(later(*self.silent_since.get_or_insert(now), rule.quiet))
     }
 
-    /// Whether a request may be sent in this spelling.
+    /// Returns whether a request may be sent in this spelling.
     pub(crate) fn allows(&self, request: &impl Spelled, spelling: Spelling) -> bool {
         let threat = self.threat(request.shape(spelling));
         self.suspect.is_none()
@@ -254,7 +254,7 @@ impl InStep {
         self.taken.iter().chain(&self.older)
     }
 
-    /// Whether a reply is proven to answer the request on the wire.
+    /// Returns whether a reply is proven to answer the request on the wire.
     pub(crate) fn proves(&self, kind: Kind, reply: &Reply) -> bool {
         let threat = self.threat(reply.shape);
         let in_step = self.suspect.is_none();
@@ -322,8 +322,8 @@ impl InStep {
         }
     }
 
-    /// Notes that a write was refused in another spelling, and is to be sent as the caller made it: not
-    /// before a check has shown that the refusal was its own.
+    /// Notes that a write was refused in another spelling, and is to be sent as the caller made it:
+    /// not before a check has shown that the refusal was its own.
     pub(crate) fn write_refused(&mut self) {
         self.suspect.get_or_insert(Why::Confirm);
     }
@@ -401,8 +401,8 @@ impl InStep {
         }
     }
 
-    /// Notes that a frame of the station came after a reply in the same read, and is no duplicate of
-    /// it. A duplicate of anything older would have come before the reply.
+    /// Notes that a frame of the station came after a reply in the same read, and is no duplicate
+    /// of it. A duplicate of anything older would have come before the reply.
     pub(crate) fn followed(&mut self) {
         self.strays = self.strays.wrapping_add(1);
         self.doubt();

@@ -36,7 +36,7 @@ impl IoWaker {
         self.task.wake();
     }
 
-    /// Whether an I/O event has come since the flag was cleared.
+    /// Returns whether an I/O event has come since the flag was cleared.
     pub(crate) fn is_ready(&self) -> bool {
         self.ready.load(Ordering::Acquire)
     }

@@ -93,7 +93,7 @@ impl<M: Copy> Job<M> {
         JobProgress::Go
     }
 
-    /// Whether a check must confirm the held results before the job ends.
+    /// Returns whether a check must confirm the held results before the job ends.
     pub(crate) fn must_confirm(&self) -> bool {
         self.exchanges > 1 && !self.last_is_distinct && self.first_held.is_some()
     }

@@ -246,7 +246,7 @@ impl Link {
         self.inner.stats.link_stats()
     }
 
-    /// Whether the link has been closed, or its task has ended.
+    /// Returns whether the link has been closed, or its task has ended.
     pub(crate) fn is_closed(&self) -> bool {
         self.inner.shared.is_closed()
     }

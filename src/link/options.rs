@@ -119,13 +119,13 @@ impl CallOptions {
         self.retries
     }
 
-    /// Whether writes and control commands are retried.
+    /// Returns whether writes and control commands are retried.
     #[must_use]
     pub fn retry_writes(&self) -> bool {
         self.retry_writes
     }
 
-    /// Whether reads have the lowest priority on the link.
+    /// Returns whether reads have the lowest priority on the link.
     #[must_use]
     pub fn background(&self) -> bool {
         self.background
@@ -157,7 +157,7 @@ impl Default for CallOptions {
     }
 }
 
-/// Whether the line echoes requests, as some RS-485 adapters do.
+/// Echo behaviour of the line: some RS-485 adapters echo requests.
 ///
 /// In the ASCII framing the echo of a request looks like a frame, and the echo of a loop-back or of
 /// STOP looks like its reply. So the link must know. The binary framing marks requests by their

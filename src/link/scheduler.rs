@@ -161,7 +161,7 @@ impl Scheduler {
         }
     }
 
-    /// Whether a write or a control command waits.
+    /// Returns whether a write or a control command waits.
     pub(crate) fn has_write(&self) -> bool {
         let writes = |queues: &Queues| {
             let [control, write, _read, _background] = &queues.lanes;
@@ -170,7 +170,7 @@ impl Scheduler {
         self.only.as_ref().is_some_and(PendingCall::is_write) || self.queued > 0 && self.stations.values().any(writes)
     }
 
-    /// Whether a call waits whose station may be served now.
+    /// Returns whether a call waits whose station may be served now.
     pub(crate) fn has_work(&mut self, now: Instant) -> bool {
         self.only.take_if(|call| !keep(call, now));
         if self.only.is_some() {
@@ -190,7 +190,7 @@ impl Scheduler {
         false
     }
 
-    /// Whether a wanted call waits, for any station.
+    /// Returns whether a wanted call waits, for any station.
     pub(crate) fn is_waiting(&mut self, now: Instant) -> bool {
         self.only.take_if(|call| !keep(call, now));
         if self.queued > 0 {
@@ -329,7 +329,7 @@ impl Scheduler {
     }
 }
 
-/// Whether a call is still wanted; ends it if not.
+/// Returns whether a call is still wanted; ends it if not.
 fn keep(call: &PendingCall, now: Instant) -> bool {
     let wanted = call.is_wanted(now);
     if !wanted {

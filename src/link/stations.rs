@@ -195,7 +195,7 @@ impl Stations {
         }
     }
 
-    /// Whether the station was sent something within this time.
+    /// Returns whether the station was sent something within this time.
     pub(crate) fn was_sent_within(&self, station: u8, time: Duration, now: Instant) -> bool {
         let sent_at = self.stations.get(station).and_then(|health| health.sent_at);
         sent_at.is_some_and(|at| now.saturating_duration_since(at) < time)

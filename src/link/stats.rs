@@ -131,12 +131,12 @@ pub struct LinkStats {
     pub mute_connections: u64,
     /// Attempts to connect that failed.
     pub connect_failures: u64,
-    /// Whether the device closes its connection after each reply, as
+    /// `true` if the device closes its connection after each reply, as
     /// [set](crate::endpoint::InStepSettings::one_request) or learned.
     pub one_request: bool,
 }
 
-/// Whether a station answers.
+/// State of a station: answering or not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum StationState {

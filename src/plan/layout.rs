@@ -10,8 +10,8 @@ use crate::element::{Discrete, Element, Register, Register32, Symbol, Width};
 
 /// The cells that a run can contain: one symbol, one readable range, addresses one step apart.
 ///
-/// A cell is the smallest part that can be read: 16 bits for `R` and `DR` alike. Counters of 32 bits,
-/// `DRC200` to `DRC255`, have cells of 32 bits, and a run has one of them.
+/// A cell is the smallest part that can be read: 16 bits for `R` and `DR` alike. Counters of 32
+/// bits, `DRC200` to `DRC255`, have cells of 32 bits, and a run has one of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Area {
     symbol: Symbol,
@@ -57,7 +57,7 @@ impl Area {
         if self.has_counters_of_32_bits() { 1 } else { limits.units(self.width()) / self.units() }
     }
 
-    /// Whether its cells have 32 bits. All other elements of 32 bits are two cells.
+    /// Returns whether its cells have 32 bits. All other elements of 32 bits are two cells.
     fn has_counters_of_32_bits(self) -> bool {
         self.width() == Width::DWord
     }
@@ -110,7 +110,8 @@ impl Cells {
         (self.area, self.first, Reverse(self.len))
     }
 
-    /// Whether no run may read these cells and `next`, which begins at the same cell or later.
+    /// Returns whether no run may read these cells and `next`, which begins at the same cell or
+    /// later.
     ///
     /// The reason is a gap to avoid between them, or a split point. Cells with a split point within
     /// are read alone.
@@ -122,13 +123,13 @@ impl Cells {
         gap || (end > self.first + 1 && limits.must_split_within(listed, address(self.first + 1), address(end - 1)))
     }
 
-    /// Whether it contains all cells of `other`.
+    /// Returns whether it contains all cells of `other`.
     pub(super) fn contains(self, other: Self) -> bool {
         self.area == other.area && self.first <= other.first && other.end() <= self.end()
     }
 }
 
-/// Whether no run may read all of these cells, which are sorted and of one area.
+/// Returns whether no run may read all of these cells, which are sorted and of one area.
 fn must_split(cells: &[Cells], limits: &Limits) -> bool {
     if limits.allows_any_run() {
         return false;

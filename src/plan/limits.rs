@@ -95,7 +95,8 @@ impl Limits {
     /// For a symbol with readable ranges, no request reads outside of them, neither for a tag nor
     /// in a gap. Symbols without a range are not limited. A range of `R` applies to `DR` too. A
     /// range of `M` does not apply to `WM`, because a PLC may allow one and not the other. Counters
-    /// of 32 bits belong to `RC`: beside a range of `RC`, they need one such as `DRC200` to `DRC255`.
+    /// of 32 bits belong to `RC`: beside a range of `RC`, they need one such as `DRC200` to
+    /// `DRC255`.
     ///
     /// # Errors
     /// [`PlanError::Range`] unless both ends have one symbol of 1 or 16 bits, or are counters of 32
@@ -190,20 +191,20 @@ impl Limits {
         u32::try_from(n).ok()
     }
 
-    /// Whether an address from `first` to `last` inclusive is to be avoided.
+    /// Returns whether an address from `first` to `last` inclusive is to be avoided.
     pub(super) fn avoids_any(&self, symbol: Symbol, first: u16, last: u16) -> bool {
         let ranges = self.avoided.for_symbol(symbol);
         let before = ranges.partition_point(|range| range.first <= last);
         before.checked_sub(1).and_then(|n| ranges.get(n)).is_some_and(|range| first <= range.last)
     }
 
-    /// Whether there is a split point before an address from `first` to `last` inclusive.
+    /// Returns whether there is a split point before an address from `first` to `last` inclusive.
     pub(super) fn must_split_within(&self, symbol: Symbol, first: u16, last: u16) -> bool {
         let at = self.split_points.partition_point(|split| *split < (symbol, first));
         self.split_points.get(at).is_some_and(|split| *split <= (symbol, last))
     }
 
-    /// Whether nothing is to be avoided and there are no split points.
+    /// Returns whether nothing is to be avoided and there are no split points.
     pub(super) fn allows_any_run(&self) -> bool {
         self.avoided.0.is_empty() && self.split_points.is_empty()
     }

@@ -20,7 +20,7 @@ pub enum Reply {
 }
 
 impl Reply {
-    /// Whether kind and number of the values are those of the request.
+    /// Returns whether kind and number of the values are those of the request.
     pub(super) fn matches(&self, request: &ReadRequest) -> bool {
         match (self, request) {
             (Self::Bits(bits), ReadRequest::Discretes(request)) => bits.len() == request.count(),

@@ -86,7 +86,7 @@ impl CompiledPlan {
         self.indexed.plan.requests()
     }
 
-    /// Whether it is a single run that reads one tag and nothing else.
+    /// Returns whether it is a single run that reads one tag and nothing else.
     pub(super) fn is_tight(&self) -> bool {
         match (self.requests(), self.as_plan().tags()) {
             ([request], [tag]) => request.request().run().is_some_and(|(first, _)| first == tag.first()),

@@ -105,9 +105,9 @@ struct RefusedRequest {
     split_point: SplitPoint,
     /// The half that has not been read.
     second_half: Option<Vec<TagPart>>,
-    /// Whether a tag at fault was found in it.
+    /// `true` if a tag at fault was found in it.
     explained: bool,
-    /// Whether to send the whole request once more.
+    /// `true` if the whole request is sent once more.
     resend: bool,
     /// The number of removed tags when it was sent; `None` if it read some of these tags.
     removals: Option<u64>,
@@ -122,7 +122,7 @@ pub(super) struct CycleContext<'d> {
     pub(super) samples: &'d mut Vec<Sample>,
     /// The oldest time of the values that were reported.
     pub(super) oldest: Option<Instant>,
-    /// Whether results were dropped because of duplicates out of order.
+    /// `true` if results were dropped because of duplicates out of order.
     pub(super) repeated: bool,
 }
 
@@ -439,7 +439,7 @@ impl Cycle {
     }
 }
 
-/// Whether a tag is polled and this cycle has reported neither values nor a refusal of it.
+/// Returns whether a tag is polled and this cycle has reported neither values nor a refusal of it.
 fn is_wanted(part: TagPart, number: u64, tag_map: &TagMap) -> bool {
     tag_map.get(part.id).is_some_and(|state| state.cycle != number)
 }

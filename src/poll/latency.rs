@@ -58,7 +58,7 @@ impl LatencyEstimator {
         step
     }
 
-    /// Whether the cost of a request differs by more than a factor of 1.5 from that with
+    /// Returns whether the cost of a request differs by more than a factor of 1.5 from that with
     /// `response_time`.
     pub(super) fn has_changed_since(&self, response_time: Duration) -> bool {
         let request_time = |response_time| self.model.with_response_time(response_time).request_time();

@@ -46,7 +46,7 @@ impl Sample {
         self.values().first()
     }
 
-    /// Whether the values come from the last reading.
+    /// Returns whether the values come from the last reading.
     #[must_use]
     pub fn is_good(&self) -> bool {
         matches!(self.quality, Quality::Good)
@@ -75,7 +75,7 @@ impl Quality {
         }
     }
 
-    /// Whether the difference counts as a change for reports.
+    /// Returns whether the difference counts as a change for reports.
     ///
     /// Details of an error that differ each time, such as the time of the next probe, do not.
     pub(super) fn differs_from(&self, other: &Self) -> bool {

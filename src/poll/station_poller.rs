@@ -400,7 +400,7 @@ impl StationPoller {
     }
 }
 
-/// Whether an error code is about the request. The others are about the state of the PLC.
+/// Returns whether an error code is about the request. The others are about the state of the PLC.
 fn concerns_the_request(code: ErrorCode) -> bool {
     match code {
         ErrorCode::IllegalValue | ErrorCode::IllegalFormat | ErrorCode::IllegalAddress | ErrorCode::Unknown(_) => true,

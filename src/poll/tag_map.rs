@@ -27,7 +27,7 @@ impl TagMap {
         self.index_of(id).is_some()
     }
 
-    /// Whether the tag is polled, and the PLC has refused it.
+    /// Returns whether the tag is polled, and the PLC has refused it.
     pub(super) fn is_refused(&self, id: TagId) -> bool {
         self.get(id).is_some_and(TagState::is_refused)
     }

@@ -55,12 +55,12 @@ impl TagState {
         self.sample.id
     }
 
-    /// Whether the tag was added after this time and has not been read or refused.
+    /// Returns whether the tag was added after this time and has not been read or refused.
     pub(super) fn is_new_since(&self, time: Instant) -> bool {
         matches!(self.sample.quality, Quality::Bad(Reason::NotYetRead)) && self.sample.at.instant > time
     }
 
-    /// Whether the PLC has refused the tag.
+    /// Returns whether the PLC has refused the tag.
     pub(super) fn is_refused(&self) -> bool {
         self.probe_at.is_some()
     }
@@ -153,7 +153,7 @@ impl TagState {
             || self.has_left_deadband(last.values.as_deref())
     }
 
-    /// Whether a value has left the deadband around the last reported one.
+    /// Returns whether a value has left the deadband around the last reported one.
     fn has_left_deadband(&self, reported: Option<&[TagValue]>) -> bool {
         match (self.sample.values.as_deref(), reported) {
             (Some(now), Some(then)) => {
@@ -165,7 +165,7 @@ impl TagState {
     }
 }
 
-/// Whether values are equal bit by bit: 0.0 and -0.0 differ.
+/// Returns whether values are equal bit by bit: 0.0 and -0.0 differ.
 fn is_identical(a: &[TagValue], b: &[TagValue]) -> bool {
     let bits = |value: &TagValue| value.as_f64().map(f64::to_bits);
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| bits(a) == bits(b) && (bits(a).is_some() || a == b))

@@ -67,7 +67,7 @@ impl EndpointLinks {
         }
     }
 
-    /// Whether its links have no handles outside of the pool.
+    /// Returns whether its links have no handles outside of the pool.
     pub(super) fn is_unused(&self) -> bool {
         self.links.iter().all(|link| link.handles() == 1)
     }

@@ -46,7 +46,7 @@ pub(super) struct Reading {
     status_confirmed: bool,
     /// The result, until it is confirmed.
     verdict: Option<Verdict>,
-    /// Whether all pages are read again and compared.
+    /// `true` if all pages are read again and compared.
     pub(super) twice: bool,
     brief: Option<BriefStatus>,
     status: Option<DetailedStatus>,
@@ -179,7 +179,7 @@ impl Reading {
         }
     }
 
-    /// Whether a page is unchanged; if not, that is the verdict.
+    /// Returns whether a page is unchanged; if not, that is the verdict.
     fn is_same(&mut self, page: u16, content: &ProgramPage) -> bool {
         let same = self.pages.get(usize::from(page)) == Some(content);
         if !same {

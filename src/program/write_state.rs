@@ -16,12 +16,13 @@ pub struct WriteReport {
     pub written_before: Vec<u16>,
     /// Number of pages of the program.
     pub pages: u16,
-    /// Whether the PLC ran and was stopped, by this run or an earlier one of the same
+    /// `true` if the PLC ran and was stopped, by this run or an earlier one of the same
     /// [`WriteProgram`](super::WriteProgram).
     pub was_stopped: bool,
-    /// Whether the PLC runs now.
+    /// `true` if the PLC runs now.
     pub running: bool,
-    /// How the PLC differs from the one that the program was read from: see [`WriteState::other_plc`].
+    /// How the PLC differs from the one that the program was read from: see
+    /// [`WriteState::other_plc`].
     pub other_plc: Vec<PlcDifference>,
 }
 
@@ -43,24 +44,24 @@ pub struct WriteState {
     /// Pages that may have been written, or in part: they were sent and not read back, or only by a
     /// reply that may have been a duplicate of another one.
     pub in_doubt: Vec<u16>,
-    /// Whether this run, or an earlier one of the same [`WriteProgram`](super::WriteProgram), wrote
-    /// a page or may have, since all pages were last found equal.
+    /// `true` if this run, or an earlier one of the same [`WriteProgram`](super::WriteProgram),
+    /// wrote a page or may have, since all pages were last found equal.
     pub touched: bool,
-    /// Whether all pages were found equal. `false` also if they have not been compared yet.
+    /// `true` if all pages were found equal. `false` also if they have not been compared yet.
     pub whole: bool,
-    /// Whether the PLC ran and was stopped, by this run or an earlier one of the same
+    /// `true` if the PLC ran and was stopped, by this run or an earlier one of the same
     /// [`WriteProgram`](super::WriteProgram).
     pub was_stopped: bool,
-    /// Whether the PLC runs.
+    /// `true` if the PLC runs.
     pub plc: PlcState,
-    /// How the PLC differs from the one that the program was read from, as far as that is known: model
-    /// and version of the operating system. Empty until the status of the PLC is read.
+    /// How the PLC differs from the one that the program was read from, as far as that is known:
+    /// model and version of the operating system. Empty until the status of the PLC is read.
     pub other_plc: Vec<PlcDifference>,
 }
 
 impl WriteState {
-    /// Whether the PLC may hold parts of two programs, because of this run or an earlier one of the
-    /// same [`WriteProgram`](super::WriteProgram).
+    /// Returns whether the PLC may hold parts of two programs, because of this run or an earlier
+    /// one of the same [`WriteProgram`](super::WriteProgram).
     #[must_use]
     pub fn is_half_written(&self) -> bool {
         self.touched && !self.whole

@@ -173,7 +173,7 @@ impl Writing {
         self.control.begin(false);
     }
 
-    /// Whether earlier runs have left something in their PLC: a STOP or a page.
+    /// Returns whether earlier runs have left something in their PLC: a STOP or a page.
     pub(super) fn is_bound(&self) -> bool {
         let written = !self.written.is_empty() || !self.written_before.is_empty();
         let touched = self.touched || !self.in_doubt().is_empty();
@@ -192,13 +192,13 @@ impl Writing {
         self.goal == WriteGoal::Write && self.stage == WriteStage::Done
     }
 
-    /// Whether all pages were found to be those of the program, in this run.
+    /// Returns whether all pages were found to be those of the program, in this run.
     fn whole(&self) -> bool {
         let equal = self.pending.is_empty() && self.comparisons.is_empty() && self.differing.is_empty();
         self.compared && equal && !self.unconfirmed
     }
 
-    /// Whether the PLC may hold parts of two programs because of this writing.
+    /// Returns whether the PLC may hold parts of two programs because of this writing.
     fn half_written(&self) -> bool {
         self.touched && !self.whole()
     }
@@ -285,7 +285,7 @@ impl Writing {
         if error.as_ref().is_none_or(Error::may_have_executed) {
             (self.touched, self.in_doubt) = (true, Some(page));
         }
-        // Whether it was written, the page itself shows.
+        // The page itself shows whether it was written.
         self.stage = WriteStage::ReadBack { page, left };
         let is_invalid = matches!(error, Some(Error::Invalid(_)));
         let is_refused = error.as_ref().is_some_and(|error| !error.may_have_executed() && error.error_code().is_some());

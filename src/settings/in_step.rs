@@ -135,7 +135,7 @@ impl InStepSettings {
         self.quiet
     }
 
-    /// Whether the gateway closes the connection after each reply.
+    /// Returns whether the gateway closes the connection after each reply.
     #[must_use]
     pub const fn one_request(&self) -> bool {
         self.one_request

@@ -77,19 +77,19 @@ impl Plc {
     /// Writes an element as the process. Disabled discretes keep their state until enabled.
     ///
     /// # Errors
-    /// [`Error::Element`] for a value of another width than the element, and [`Error::BeyondModel`].
-    /// Nothing is written then.
+    /// [`Error::Element`] for a value of another width than the element, and
+    /// [`Error::BeyondModel`]. Nothing is written then.
     pub fn write(&self, element: impl Into<Element>, value: impl Into<Value>) -> Result<(), Error> {
         self.lock().write_as_process(element.into(), value.into())
     }
 
-    /// Whether a discrete is disabled (42), so that writes of the process have no effect.
+    /// Returns whether a discrete is disabled (42), so that writes of the process have no effect.
     #[must_use]
     pub fn is_disabled(&self, discrete: Discrete) -> bool {
         self.lock().is_disabled(discrete)
     }
 
-    /// Whether the PLC is in RUN.
+    /// Returns whether the PLC is in RUN.
     #[must_use]
     pub fn is_running(&self) -> bool {
         self.flags().running()

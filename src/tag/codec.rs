@@ -16,7 +16,7 @@ pub(super) trait Codec {
     /// Number of bits of a value, at most 64.
     const BITS: u32 = <Self::Value as Primitive>::BITS;
 
-    /// Whether values can have a fraction and a sign of 0.
+    /// `true` if values can have a fraction and a sign of 0.
     const IS_FLOAT: bool = false;
 
     /// Decodes a value from its bits, which are zero above [`BITS`](Self::BITS).
@@ -239,7 +239,7 @@ pub(super) fn decimals(number: impl fmt::Display) -> u8 {
     u8::try_from(digits).unwrap_or(u8::MAX)
 }
 
-/// Whether a text such as `1e39` was parsed to infinity; `inf` itself is valid.
+/// Returns whether a text such as `1e39` was parsed to infinity; `inf` itself is valid.
 pub(super) fn has_overflowed(number: f64, text: &str) -> bool {
     number.is_infinite() && text.bytes().any(|b| b.is_ascii_digit())
 }

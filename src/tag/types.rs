@@ -99,19 +99,19 @@ impl TagType {
         }
     }
 
-    /// Whether its values are numbers: all types except `bool` and texts.
+    /// Returns whether its values are numbers: all types except `bool` and texts.
     #[must_use]
     pub const fn is_number(self) -> bool {
         matches!(self.class(), Class::Number | Class::Bits)
     }
 
-    /// Whether it is a text, so that all elements of a tag are one value.
+    /// Returns whether it is a text, so that all elements of a tag are one value.
     #[must_use]
     pub const fn is_text(self) -> bool {
         matches!(self.class(), Class::Text)
     }
 
-    /// Whether it can have a [`Scale`](super::Scale): all numbers except `hex`.
+    /// Returns whether it can have a [`Scale`](super::Scale): all numbers except `hex`.
     #[must_use]
     pub const fn is_scalable(self) -> bool {
         matches!(self.class(), Class::Number)

@@ -13,7 +13,7 @@ impl HoldLimit {
         Self { limit: max, max }
     }
 
-    /// Whether a check is due.
+    /// Returns whether a check is due.
     pub(crate) fn is_reached(self, held: usize) -> bool {
         held >= self.limit
     }

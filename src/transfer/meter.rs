@@ -20,7 +20,7 @@ impl Meter {
         Self { position: start, since: now, kept: start.done, bytes: 0 }
     }
 
-    /// Whether this position belongs to the same phase. A phase that went back begins anew.
+    /// Returns whether this position belongs to the same phase. A phase that went back begins anew.
     pub(crate) fn continues_at(&self, position: Position) -> bool {
         self.position.phase == position.phase && self.position.done <= position.done
     }

@@ -12,14 +12,14 @@
 //! are confirmed.
 //!
 //! Invariants:
-//! - A status is used only when a check has confirmed it, except the first one of a run, which changes
-//!   nothing in the PLC.
+//! - A status is used only when a check has confirmed it, except the first one of a run, which
+//!   changes nothing in the PLC.
 //! - The reply to STOP and RUN is no proof. The status decides, unless RUN is refused.
 //! - From sending STOP or RUN until the next status, the state of the PLC is [`PlcState::Unknown`],
 //!   unless the request certainly had no effect.
 //! - STOP and RUN are sent at most `attempts` times each.
-//! - A STOP that certainly had no effect, or that the PLC was not seen to obey before it runs again,
-//!   does not count as a stop by this transfer. RUN is due only after a stop that counts.
+//! - A STOP that certainly had no effect, or that the PLC was not seen to obey before it runs
+//!   again, does not count as a stop by this transfer. RUN is due only after a stop that counts.
 
 use std::fmt;
 
@@ -91,10 +91,11 @@ pub(crate) enum RunCommand {
 /// The end of an operation.
 #[derive(Debug)]
 pub(crate) enum RunEvent {
-    /// [`look`](RunControl::look): whether the PLC runs. [`halt`](RunControl::halt): it is stopped already.
+    /// [`look`](RunControl::look): whether the PLC runs. [`halt`](RunControl::halt): it is stopped
+    /// already.
     Seen(bool),
-    /// [`halt`](RunControl::halt), [`stop`](RunControl::stop), [`run`](RunControl::run): the PLC was
-    /// seen to obey.
+    /// [`halt`](RunControl::halt), [`stop`](RunControl::stop), [`run`](RunControl::run): the PLC
+    /// was seen to obey.
     Obeyed,
     /// [`secure`](RunControl::secure): [`plc`](RunControl::plc) is as far as it is known.
     Secured,
@@ -157,8 +158,8 @@ impl RunControl {
         self.enter(ControlState::Look);
     }
 
-    /// Reads the status at the beginning of a run, without a check: later replies are confirmed with it,
-    /// or the transfer looks again.
+    /// Reads the status at the beginning of a run, without a check: later replies are confirmed
+    /// with it, or the transfer looks again.
     pub(crate) fn first_look(&mut self) {
         self.enter(ControlState::FirstLook);
     }
@@ -221,12 +222,12 @@ impl RunControl {
         if matches!(self.state, ControlState::Send(..)) { PlcState::Unknown } else { self.plc }
     }
 
-    /// Whether this transfer has stopped the PLC, or may have.
+    /// Returns whether this transfer has stopped the PLC, or may have.
     pub(crate) fn was_stopped(&self) -> bool {
         self.was_stopped
     }
 
-    /// Whether the PLC ran before this transfer stopped it, and should run again.
+    /// Returns whether the PLC ran before this transfer stopped it, and should run again.
     pub(crate) fn is_run_due(&self) -> bool {
         self.was_stopped && !self.stays_stopped && self.plc != PlcState::Running
     }
@@ -242,7 +243,7 @@ impl RunControl {
         }
     }
 
-    /// Whether a status is to be confirmed.
+    /// Returns whether a status is to be confirmed.
     pub(crate) fn must_confirm(&self) -> bool {
         self.unconfirmed.is_some()
     }

@@ -91,7 +91,8 @@ pub(crate) trait Transfer {
     type Mark: Copy;
     type Failure;
 
-    /// Whether confirmed replies are kept when a run fails. The driver then confirms them at the end.
+    /// `true` if confirmed replies are kept when a run fails. The driver then confirms them at the
+    /// end.
     const KEEPS_PARTIAL: bool = false;
 
     /// The next step. A write, STOP or RUN counts as sent from here on.

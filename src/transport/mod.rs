@@ -164,13 +164,14 @@ impl Transport {
         })
     }
 
-    /// Whether opening it puts load on a PLC or its module: then a pool limits the attempts.
+    /// Returns whether opening it puts load on a PLC or its module: then a pool limits the
+    /// attempts.
     pub(crate) fn is_remote(&self) -> bool {
         self.kind().is_remote
     }
 
-    /// Whether all connections to the address would share one line, with one set of settings: then
-    /// a pool opens only one.
+    /// Returns whether all connections to the address would share one line, with one set of
+    /// settings: then a pool opens only one.
     pub(crate) fn is_one_line(&self) -> bool {
         self.kind().is_one_line
     }
@@ -213,7 +214,7 @@ impl Transport {
         (kind.parse)(&Address { scheme, text, framing, options })
     }
 
-    /// Whether a transport has an option of this name.
+    /// Returns whether a transport has an option of this name.
     pub(crate) fn has_url_option(name: &str) -> bool {
         KINDS.iter().any(|kind| kind.option_names().contains(&name))
     }
@@ -232,8 +233,8 @@ impl<T: AsyncRead + AsyncWrite + Send + Unpin + Any> Io for T {}
 pub(crate) type BoxIo = Box<dyn Io>;
 
 impl dyn Io {
-    /// Whether the peer has closed the connection, as the operating system knows: the runtime may not
-    /// have looked since. Of TCP only.
+    /// Returns whether the peer has closed the connection, as the operating system knows: the
+    /// runtime may not have looked since. Of TCP only.
     pub(crate) fn is_closed_by_peer(&self) -> bool {
         let io: &dyn Any = self;
         io.downcast_ref().is_some_and(tcp::is_closed_by_peer)

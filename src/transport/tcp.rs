@@ -27,8 +27,8 @@ pub(super) async fn connect(host: &str, port: u16, keep_alive: bool) -> io::Resu
     Ok(stream)
 }
 
-/// Connects to the first of several addresses that accepts. An attempt begins when the one before it
-/// has failed, or has lasted for [`ATTEMPT_DELAY`] (RFC 8305, section 5).
+/// Connects to the first of several addresses that accepts. An attempt begins when the one before
+/// it has failed, or has lasted for [`ATTEMPT_DELAY`] (RFC 8305, section 5).
 async fn connect_any(addresses: Vec<SocketAddr>) -> io::Result<TcpStream> {
     let mut waiting = alternate_families(addresses).into_iter();
     let mut attempts = FuturesUnordered::new();
@@ -69,7 +69,7 @@ fn alternate_families(addresses: Vec<SocketAddr>) -> Vec<SocketAddr> {
 /// Pause between two attempts to connect to addresses of one host.
 const ATTEMPT_DELAY: Duration = Duration::from_millis(250);
 
-/// Whether the peer has closed the connection, without a look at data before that.
+/// Returns whether the peer has closed the connection, without a look at data before that.
 pub(super) fn is_closed_by_peer(stream: &TcpStream) -> bool {
     match SockRef::from(stream).peek(&mut [MaybeUninit::uninit()]) {
         Ok(count) => count == 0,

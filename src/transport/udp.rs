@@ -106,7 +106,7 @@ pub(super) struct Datagrams {
     framing: Framing,
     /// Completes when the current socket has a datagram or an error.
     readiness: ReusableBoxFuture<'static, io::Result<()>>,
-    /// Whether `readiness` is pending, and with it a read.
+    /// `true` if `readiness` is pending, and with it a read.
     waiting: bool,
     /// Waker of the pending read.
     reader: Waker,

@@ -104,7 +104,7 @@ pub trait FieldReader {
     fn element(&mut self) -> Result<Element, FieldError>;
     /// The rest of the data, unchanged.
     fn rest(&mut self) -> &[u8];
-    /// Whether the data has no more bytes.
+    /// Returns whether the data has no more bytes.
     fn is_empty(&self) -> bool;
 
     /// One discrete, on or off.

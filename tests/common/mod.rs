@@ -30,7 +30,7 @@ pub(crate) trait Exchange: fmt::Debug {
     fn encode_request(&self, framing: Framing, station: u8) -> Result<BytesMut, InvalidRequest>;
     /// Encodes the reply, or the refusal.
     fn encode_reply(&self, framing: Framing, station: u8, refusal: Option<ErrorCode>) -> BytesMut;
-    /// Whether the data decodes as exactly the reply of this exchange.
+    /// Returns whether the data decodes as exactly the reply of this exchange.
     fn decode_reply(&self, framing: Framing, data: &[u8]) -> Result<bool, ReplyError>;
     /// Decodes the data and encodes it again, as a reply of station 1.
     fn reencode_reply(&self, framing: Framing, data: &[u8]) -> Result<BytesMut, ReplyError>;
@@ -241,7 +241,8 @@ fn register32() -> impl Strategy<Value = Register32> {
     element(Width::DWord).prop_map(|e| e.try_into().unwrap())
 }
 
-/// Any element of this width that both framings have; the first and last of each symbol are more frequent.
+/// Any element of this width that both framings have; the first and last of each symbol are more
+/// frequent.
 pub(crate) fn element(width: Width) -> impl Strategy<Value = Element> {
     let symbols: Vec<Symbol> = Symbol::ALL.iter().copied().filter(|s| s.width() == width).collect();
     prop::sample::select(symbols).prop_flat_map(|symbol| {

@@ -48,7 +48,7 @@ impl LineDecoder {
         self.marks.clear();
     }
 
-    /// Whether a frame has begun and not ended.
+    /// Returns whether a frame has begun and not ended.
     pub(crate) fn has_partial_frame(&self) -> bool {
         !self.buffer.is_empty()
     }

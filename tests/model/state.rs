@@ -129,7 +129,7 @@ pub(crate) struct CallState {
     pub(crate) retries_left: u32,
     pub(crate) check_retries_left: u32,
     pub(crate) called_at: Micros,
-    /// Whether frames came instead of the reply when the request itself was first unanswered.
+    /// `true` if frames came instead of the reply when the request itself was first unanswered.
     pub(crate) cause: Option<bool>,
     /// Number of requests sent, without those whose spelling was refused.
     pub(crate) sends: u32,

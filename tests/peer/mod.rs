@@ -81,7 +81,7 @@ impl Peer {
         }
     }
 
-    /// Whether the client sends no request for one second.
+    /// Returns whether the client sends no request for one second.
     pub(crate) async fn hears_nothing(&mut self) -> bool {
         timeout(Duration::from_secs(1), self.request()).await.is_err()
     }

@@ -12,8 +12,8 @@ use crate::transfer::{PlcState, RunEvent};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::backup) enum ControlStage {
     Look,
-    /// Just before the first write: is the PLC still stopped? A PLC that runs is stopped here, if that is
-    /// chosen and was not done before.
+    /// Just before the first write: is the PLC still stopped? A PLC that runs is stopped here, if
+    /// that is chosen and was not done before.
     Ready,
     /// Was the PLC stopped all the time?
     LastLook,
@@ -59,7 +59,7 @@ impl Restoring {
         Ok(())
     }
 
-    /// Whether a write was sent in this run, and its elements are settled.
+    /// Returns whether a write was sent in this run, and its elements are settled.
     fn has_sent(&self) -> bool {
         let sent = |state| matches!(state, ElementState::Written | ElementState::InDoubt | ElementState::NotTaken(_));
         self.count(sent) > 0
@@ -124,8 +124,8 @@ impl Restoring {
         Ok(())
     }
 
-    /// Another client has started the PLC and may need it: it is not stopped again, and not started by
-    /// a later run.
+    /// Another client has started the PLC and may need it: it is not stopped again, and not started
+    /// by a later run.
     fn set_running(&mut self) -> RestoreFailure {
         self.control.leave_to_others();
         RestoreFailure::SetRunning { differing: self.remaining.len() }

@@ -4,7 +4,7 @@ use super::Restoring;
 use crate::file::{Origin, PlcDifference};
 
 impl Restoring {
-    /// Whether the backup states the PLC that was read.
+    /// Returns whether the backup states the PLC that was read.
     pub(in crate::backup) fn has_origin(&self) -> bool {
         self.station.is_some() || self.origin.is_known()
     }
@@ -16,7 +16,7 @@ impl Restoring {
         self.other_plc = number.into_iter().chain(self.origin.differences(plc)).collect();
     }
 
-    /// Whether a backup may be restored to the PLC of this run.
+    /// Returns whether a backup may be restored to the PLC of this run.
     pub(in crate::backup) fn accepts_plc(&self) -> bool {
         self.options.accept_other_plc || self.other_plc.is_empty()
     }

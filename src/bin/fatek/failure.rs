@@ -95,13 +95,13 @@ impl Failure {
         move |error| Self::CallOf { subject: subject.to_string(), error }
     }
 
-    /// Returns a constructor of [`Failure::Interrupted`]. `done`: how far the command came, empty or
-    /// after a colon or a blank.
+    /// Returns a constructor of [`Failure::Interrupted`]. `done`: how far the command came, empty
+    /// or after a colon or a blank.
     pub(crate) fn interrupted(done: impl Into<String>) -> impl FnOnce(Signal) -> Self {
         move |signal| Self::Interrupted { signal, done: done.into() }
     }
 
-    /// Whether the reader of stdout has closed it.
+    /// Returns whether the reader of stdout has closed it.
     pub(crate) fn is_broken_pipe(&self) -> bool {
         matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::BrokenPipe)
     }

@@ -134,8 +134,8 @@ pub(crate) async fn stdout_closed() -> io::Error {
     std::future::pending().await
 }
 
-/// Prints a line on stderr; a line feed in it is escaped. A write error is ignored: there is no other
-/// place to report it.
+/// Prints a line on stderr; a line feed in it is escaped. A write error is ignored: there is no
+/// other place to report it.
 pub(crate) fn complain(line: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()));
 }
@@ -162,7 +162,7 @@ fn ascii_controls(json: &str) -> String {
     escaped
 }
 
-/// Whether a spreadsheet may take the cell for a formula. Numbers are none.
+/// Returns whether a spreadsheet may take the cell for a formula. Numbers are none.
 fn is_formula(cell: &str) -> bool {
     let is_number = || cell.parse::<f64>().is_ok_and(f64::is_finite);
     cell.starts_with(['=', '+', '-', '@', '\t', '\r', '\n']) && !is_number()

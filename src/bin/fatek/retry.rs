@@ -58,7 +58,7 @@ pub(crate) fn write_progress(written: usize, left: usize) -> Option<usize> {
     (written > 0).then(|| usize::MAX - left)
 }
 
-/// Whether a transfer failed because the line did. A refusal by the PLC is final.
+/// Returns whether a transfer failed because the line did. A refusal by the PLC is final.
 pub(crate) fn is_line_failure(error: &(dyn Error + 'static)) -> bool {
     matches!(call_error(error), Some(Timeout { .. } | BadReply { .. } | Disconnected { .. } | Connect { .. }))
 }

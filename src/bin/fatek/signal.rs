@@ -142,7 +142,7 @@ impl Signals {
     }
 }
 
-/// Whether SIGHUP is ignored, as Linux states it. `false` on other systems.
+/// Returns whether SIGHUP is ignored, as Linux states it. `false` on other systems.
 #[cfg(unix)]
 fn is_hangup_ignored() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -56,12 +56,12 @@ pub(super) struct FakePlc {
     pub(super) ignored: Option<(Symbol, u16)>,
     pub(super) response_time: Duration,
     pub(super) timeout: Duration,
-    /// Whether the memory is constant.
+    /// `true` if the memory is constant.
     pub(super) frozen: bool,
     pub(super) requests: Vec<(Instant, ReadRequest)>,
     /// The version of the memory at the time of each reply.
     pub(super) epochs: BTreeMap<Instant, u64>,
-    /// Whether all replies have the same shape; otherwise each has a distinct one.
+    /// `true` if all replies have the same shape; otherwise each has a distinct one.
     pub(super) one_shape: bool,
     /// From this request on, counted from 1, one reply is a roaming duplicate.
     ///
@@ -70,7 +70,7 @@ pub(super) struct FakePlc {
     pub(super) roams_at: Option<usize>,
     /// The number of roaming duplicates.
     pub(super) roamed: usize,
-    /// Whether a stray comes before the next reply.
+    /// `true` if a stray comes before the next reply.
     pub(super) stray_due: bool,
     last: Vec<(ReadRequest, Reply)>,
     pub(super) checks: u32,
@@ -207,7 +207,7 @@ impl FakePlc {
         self.proof.doubts += u32::from(std::mem::take(&mut self.stray_due));
     }
 
-    /// Whether it refuses a request for this tag alone.
+    /// Returns whether it refuses a request for this tag alone.
     pub(super) fn refuses(&self, tag: Tag) -> bool {
         tag.elements().flat_map(cells).any(|cell| self.refused.contains(&cell))
     }

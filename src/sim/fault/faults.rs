@@ -288,7 +288,7 @@ impl Decision {
         draw(delay).saturating_add(draw(left_over))
     }
 
-    /// Whether the reply is kept for the next connection when its own has ended.
+    /// Returns whether the reply is kept for the next connection when its own has ended.
     pub(super) fn outlives_connection(&self) -> bool {
         self.faults.iter().any(|fault| matches!(fault, Fault::LeftOver { .. }))
     }

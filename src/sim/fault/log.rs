@@ -180,7 +180,7 @@ pub struct LogEntry {
     pub at: Instant,
     /// The request, or the bytes that are none.
     pub arrival: Arrival,
-    /// Whether a PLC has executed it.
+    /// `true` if a PLC has executed it.
     ///
     /// `false` while it waits for earlier requests to its station, and if it was lost or refused.
     pub executed: bool,

@@ -135,12 +135,12 @@ impl Rule {
         self
     }
 
-    /// Whether it is limited to this station.
+    /// Returns whether it is limited to this station.
     pub(super) fn is_for(&self, station: u8) -> bool {
         self.station == Some(station)
     }
 
-    /// Whether the fault applies to this request. Updates the counts.
+    /// Returns whether the fault applies to this request. Updates the counts.
     pub(super) fn matches(&mut self, subject: &Subject<'_>, rng: &mut FaultRng) -> bool {
         if !self.has_in_scope(subject) {
             return false;

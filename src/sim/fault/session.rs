@@ -53,11 +53,11 @@ pub(crate) struct Session {
     /// Number of the next event or follow-up.
     next_number: u64,
     client: Client,
-    /// Whether the connection is closed, so that no reply can be sent.
+    /// `true` if the connection is closed, so that no reply can be sent.
     disconnected: bool,
 }
 
-/// Whether there is a client to which left-over replies can be sent.
+/// Client to which left-over replies can be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Client {
     /// No datagram has come yet.
@@ -158,7 +158,7 @@ impl Session {
         event.into_iter().chain(follow_up).min()
     }
 
-    /// Whether more bytes can be read; `false` is backpressure.
+    /// Returns whether more bytes can be read; `false` is backpressure.
     pub(crate) fn has_room(&self) -> bool {
         self.events.len() < MAX_EVENTS
     }

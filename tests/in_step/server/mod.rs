@@ -156,7 +156,7 @@ impl Setup {
     }
 }
 
-/// Whether a request writes to a register D, for [`Setup::refuses`].
+/// Returns whether a request writes to a register D, for [`Setup::refuses`].
 pub(crate) fn writes_d(request: &Request) -> bool {
     let is_d = |element: Element| element.symbol() == Symbol::D;
     match request {

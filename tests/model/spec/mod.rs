@@ -24,13 +24,13 @@ use super::state::{
     Call, CallResult, CallState, Event, Id, InFlight, LineEcho, LinkSettings, Micros, ProbeTimer, Purpose, Station,
 };
 
-/// Whether a stray after the echo of a check makes the station suspect.
+/// `true` if a stray after the echo of a check makes the station suspect.
 ///
 /// With `false` the model accepts a link that forgets the stray if both arrive in one read. That
 /// costs no result.
 const STRAY_BEHIND_ECHO_COUNTS: bool = true;
 
-/// Whether a read may take an extra element only if that element has been answered before.
+/// `true` if a read may take an extra element only if that element has been answered before.
 ///
 /// With `false` the model accepts a link that takes a list of scattered elements for consecutive
 /// ones. That costs an exchange that is refused.
@@ -56,8 +56,9 @@ pub(crate) struct Spec {
     echo_was_last: bool,
     /// Consecutive connections that were closed in that state.
     closed_behind_echo: u32,
-    /// When the first and the last of consecutive requests without a reply were sent, and their number:
-    /// no frame has come since. A longer time between two of them than the mute timeout is no silence.
+    /// When the first and the last of consecutive requests without a reply were sent, and their
+    /// number: no frame has come since. A longer time between two of them than the mute timeout is
+    /// no silence.
     unanswered: Option<(Micros, Micros, u32)>,
     /// Each connection carries one request only.
     one_request: bool,
@@ -255,7 +256,7 @@ impl Spec {
         Ok(())
     }
 
-    /// Whether nothing is answered over the connection any more.
+    /// Returns whether nothing is answered over the connection any more.
     fn is_mute(&self, at: Micros) -> bool {
         self.in_flight.is_none()
             && self.unanswered.is_some_and(|(since, _, count)| count >= 3 && at >= since + self.settings.mute)

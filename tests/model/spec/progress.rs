@@ -46,12 +46,12 @@ impl Spec {
         Ok(())
     }
 
-    /// Whether a call of a station, or a check before it, can be sent.
+    /// Returns whether a call of a station, or a check before it, can be sent.
     pub(super) fn is_sendable(&self, station: u8, at: Micros) -> bool {
         !self.needs_silence(station) && self.silences.get(&station).is_none_or(|&until| at >= whole_ms(until))
     }
 
-    /// Whether a station must be silent before its next request.
+    /// Returns whether a station must be silent before its next request.
     pub(super) fn needs_silence(&self, station: u8) -> bool {
         let entry = self.stations.get(&station);
         let (suspect, refused) = entry.map_or((true, false), |entry| (entry.suspect, entry.refused));

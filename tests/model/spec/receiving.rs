@@ -44,7 +44,7 @@ impl Spec {
         }
     }
 
-    /// Whether the line has echoed a request.
+    /// Returns whether the line has echoed a request.
     fn is_echo(&mut self, station: u8, command: u8, data: &[u8], bytes: &[u8]) -> bool {
         if self.settings.framing != Framing::Ascii {
             return false;
@@ -136,8 +136,8 @@ impl Spec {
         let Some(state) = self.calls.get_mut(&id) else { return };
         let repeated = state.sends > 1;
         if held.answer.is_err() && in_flight.spelling > 0 {
-            // The PLC may have refused only the spelling. A write may use the plain spelling only if a
-            // check proves that the refusal was its own.
+            // The PLC may have refused only the spelling. A write may use the plain spelling only
+            // if a check proves that the refusal was its own.
             state.plain_only = true;
             state.sends -= 1;
             if class == CallClass::Write {

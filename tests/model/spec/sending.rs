@@ -148,8 +148,8 @@ impl Spec {
         }
     }
 
-    /// Whether the reply to a call that has waited cannot come before its deadline, as the round trips
-    /// of its station show: then the call ends and is not sent.
+    /// Returns whether the reply to a call that has waited cannot come before its deadline, as the
+    /// round trips of its station show: then the call ends and is not sent.
     pub(super) fn is_too_late(&self, id: Id, at: Micros, tolerance: Micros) -> bool {
         let CallState { call, called_at, .. } = &self.calls[&id];
         let expected = self.stations.get(&call.station).map_or(0, Station::expected_round_trip);
@@ -159,13 +159,15 @@ impl Spec {
         call.class != CallClass::Write && is_busy && is_late
     }
 
-    /// As [`is_too_late`](Self::is_too_late), also if it is so just not, or has been so just before.
+    /// As [`is_too_late`](Self::is_too_late), also if it is so just not, or has been so just
+    /// before.
     pub(super) fn may_be_too_late(&self, id: Id, at: Micros) -> bool {
         self.is_too_late(id, at + 1000, 1000)
     }
 
-    /// Whether the link may have ended a call without its caller having seen it: a write whose
-    /// other spelling was refused. A stray since then shows that the refusal may be another's.
+    /// Returns whether the link may have ended a call without its caller having seen it: a write
+    /// whose other spelling was refused. A stray since then shows that the refusal may be
+    /// another's.
     pub(super) fn may_have_failed(&self, id: Id) -> bool {
         let state = &self.calls[&id];
         let strays = self.strays_at(state.call.station);
@@ -176,7 +178,7 @@ impl Spec {
         self.stations.get(&station).map(|entry| entry.strays).unwrap_or_default()
     }
 
-    /// Whether the link may have ended a waiting call instead of sending it.
+    /// Returns whether the link may have ended a waiting call instead of sending it.
     fn may_be_skipped(&self, id: Id, at: Micros) -> bool {
         self.may_have_failed(id) || self.may_be_too_late(id, at)
     }

@@ -181,7 +181,7 @@ impl Station {
         if self.broadcasts.contains(&shape.command) { Ambiguity::Reply } else { taken }
     }
 
-    /// Whether owed replies permit a request of this shape.
+    /// Returns whether owed replies permit a request of this shape.
     pub(crate) fn allows(&self, class: CallClass, shape: Shape) -> bool {
         match class {
             CallClass::Write => self.ambiguity(shape) == Ambiguity::None,
@@ -190,7 +190,7 @@ impl Station {
         }
     }
 
-    /// Whether the reply provably answers the request of this shape.
+    /// Returns whether the reply provably answers the request of this shape.
     pub(crate) fn proves(&self, class: CallClass, shape: Shape, held: &HeldReply) -> bool {
         let ambiguity = self.ambiguity(shape);
         match class {

@@ -38,7 +38,7 @@ impl ModelJob {
         if self.name == Name::Page { 4 } else { 3 }
     }
 
-    /// Whether the job needs a check next.
+    /// Returns whether the job needs a check next.
     pub(super) fn must_confirm(&self) -> bool {
         self.refusal.is_some() || self.at == self.requests()
     }

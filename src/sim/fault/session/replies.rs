@@ -83,7 +83,7 @@ pub(super) struct Delivery {
     pub(super) line: Line,
     /// Address for datagrams; `None` is the latest client.
     pub(super) to: Option<SocketAddr>,
-    /// Whether it is kept for the next connection when its own has ended.
+    /// `true` if it is kept for the next connection when its own has ended.
     pub(super) outlives: bool,
 }
 
@@ -144,7 +144,7 @@ pub(super) struct FollowUp {
     pub(super) is_roaming: bool,
     pub(super) timing: DrawnTiming,
     pub(super) delivery: Delivery,
-    /// Whether its time depends on the next request or reply, which has not come yet.
+    /// `true` if its time depends on the next request or reply, which has not come yet.
     pub(super) waits: bool,
     /// Time of the reply that it follows.
     pub(super) not_before: Instant,
@@ -161,12 +161,13 @@ pub(super) enum FollowUpContent {
 }
 
 impl FollowUp {
-    /// Whether it follows the reply without a pause.
+    /// Returns whether it follows the reply without a pause.
     pub(super) fn is_at_once(&self) -> bool {
         self.timing == DrawnTiming::After(Duration::ZERO)
     }
 
-    /// Whether the next reply, if due at the same time, is handled first and sends both together.
+    /// Returns whether the next reply, if due at the same time, is handled first and sends both
+    /// together.
     pub(super) fn yields_to_reply(&self) -> bool {
         !self.is_roaming && matches!(self.timing, DrawnTiming::WithNextRequest { per_mille: 1000, .. })
     }
