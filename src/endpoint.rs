@@ -9,7 +9,7 @@ use crate::wire::Framing;
 
 pub use crate::settings::{
     DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET, DataBits, InStepSettings, InvalidSettings, MAX_BAUD,
-    MAX_COPIES, MIN_BAUD, Parity, SerialSettings, StopBits,
+    MAX_COPIES, MIN_BAUD, Parity, Rts, SerialSettings, StopBits,
 };
 pub use crate::transport::{DEFAULT_PORT, Transport};
 
@@ -19,6 +19,13 @@ pub use crate::transport::{DEFAULT_PORT, Transport};
 /// - `udp://host[:port]`: UDP, one frame per datagram
 /// - `serial:path[?baud=9600&frame=7E1]`: a serial port, with its path or name, baud rate, and data
 ///   bits, parity (`N`, `E`, `O`) and stop bits
+///
+/// Further options of a serial port:
+///
+/// - `dtr=on`, `dtr=off`, `rts=on`, `rts=off`: levels of these lines while the port is open. Default:
+///   as the operating system leaves them.
+/// - `rs485=rts`, `rs485=rts-inverted`: RTS is the direction of an RS-485 driver, on or off while
+///   sending; see [`Rts`]. Most RS-485 adapters switch by themselves and need neither.
 ///
 /// Options follow a `?`, separated by `&`. Options of all transports, with their defaults:
 ///

@@ -8,7 +8,8 @@ mod serial;
 pub(crate) use self::in_step::URL_OPTIONS;
 pub use self::in_step::{DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET, InStepSettings, MAX_COPIES};
 pub(crate) use self::options::{UrlOptions, one_of};
-pub use self::serial::{DataBits, MAX_BAUD, MIN_BAUD, Parity, SerialSettings, StopBits};
+pub(crate) use self::serial::URL_OPTIONS as SERIAL_URL_OPTIONS;
+pub use self::serial::{DataBits, MAX_BAUD, MIN_BAUD, Parity, Rts, SerialSettings, StopBits};
 
 /// Invalid settings of an endpoint.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

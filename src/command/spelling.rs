@@ -248,3 +248,6 @@ fn previous(first: Element) -> Option<Element> {
     let previous = Element::new(first.symbol(), first.address().checked_sub(first.step())?).ok()?;
     previous.is_consecutive_with(first.address()).then_some(previous)
 }
+
+#[cfg(test)]
+mod tests;

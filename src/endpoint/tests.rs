@@ -19,6 +19,13 @@ fn endpoints_round_trip() {
         (r"serial:\\.\COM12", r"serial:\\.\COM12"),
         ("serial:/dev/ttyUSB0?baud=9600&frame=7E1&framing=ascii", "serial:/dev/ttyUSB0"),
         ("serial:/dev/ttyUSB0?frame=8n1&baud=19200", "serial:/dev/ttyUSB0?baud=19200&frame=8N1"),
+        ("serial:COM10?rts=on&dtr=off", "serial:COM10?dtr=off&rts=on"),
+        ("serial:COM10?dtr=on&rts=off&baud=19200", "serial:COM10?baud=19200&dtr=on&rts=off"),
+        ("serial:/dev/ttyS1?rs485=rts", "serial:/dev/ttyS1?rs485=rts"),
+        (
+            "serial:/dev/ttyS1?rs485=rts-inverted&dtr=on&copies=0",
+            "serial:/dev/ttyS1?dtr=on&rs485=rts-inverted&copies=0",
+        ),
         ("serial:/dev/ttyUSB0?framing=binary", "serial:/dev/ttyUSB0?framing=binary"),
         ("serial:/dev/ttyUSB0?framing=binary&frame=8N1", "serial:/dev/ttyUSB0?framing=binary"),
         (
@@ -107,6 +114,14 @@ fn errors_name_the_input_and_the_rule() {
         ("tcp://plc?window=86400001ms", "`100ms` or `1.5s`, at most a day"),
         ("udp://plc?one_request=yes", "the option `one_request=yes` must be `true` or `false`"),
         ("udp://plc?one_request", "the option `one_request=` must be `true` or `false`"),
+        ("serial:COM3?dtr=1", "the level `1` of `dtr` must be `on` or `off`"),
+        ("serial:COM3?rts=high", "the level `high` of `rts` must be `on` or `off`"),
+        (
+            "serial:COM3?rs485=on",
+            "the RS-485 mode `on` must be `rts` (RTS is on while sending) or `rts-inverted` (off)",
+        ),
+        ("serial:COM3?rs485=rts&rts=on", "`rs485` and `rts` exclude each other"),
+        ("tcp://plc?rs485=rts", "the option `rs485` is for serial ports, not for tcp"),
         ("serial:COM3?framing=binary&frame=7E1", "the binary framing needs 8 data bits, and 9600 baud 7E1 has 7"),
     ] {
         let message = text.parse::<Endpoint>().unwrap_err().to_string();
@@ -269,6 +284,8 @@ fn times_are_decimals_of_milliseconds_or_seconds() {
     }
 }
 
+const RTS: &[Rts] = &[Rts::Unchanged, Rts::On, Rts::Off, Rts::OnWhileSending, Rts::OffWhileSending];
+
 proptest::proptest! {
     #[test]
     fn displayed_endpoints_parse_to_the_same(
@@ -279,6 +296,8 @@ proptest::proptest! {
         window in (0..100_000_u64, 0..1_000_u64, 0..1_000_000_u64, 0..3_u8),
         quiet in (0..100_000_u64, 0..1_000_u64, 0..1_000_000_u64, 0..3_u8),
         one_request in proptest::bool::ANY,
+        dtr in proptest::option::of(proptest::bool::ANY),
+        rts in proptest::sample::select(RTS),
     ) {
         let time = |(seconds, millis, nanos, parts): (u64, u64, u64, u8)| {
             let millis = Duration::from_millis(millis);
@@ -291,7 +310,11 @@ proptest::proptest! {
         let endpoint = match transport {
             0 => Endpoint::tcp("plc", 500),
             1 => Endpoint::udp("::1", 7),
-            _ => Endpoint::serial("/dev/ttyUSB0"),
+            _ => {
+                let settings = SerialSettings::new(Framing::Ascii).with_rts(rts);
+                let settings = dtr.map_or(settings, |on| settings.with_dtr(on));
+                Endpoint::serial("/dev/ttyUSB0").with_serial(settings).unwrap()
+            }
         };
         let settings = InStepSettings::new()
             .with_copies(copies)
@@ -307,7 +330,7 @@ proptest::proptest! {
     #[test]
     fn no_text_panics_and_every_accepted_text_round_trips(
         address in "(tcp://|udp://|serial:)?[\\PC]{0,24}",
-        options in "([?&](framing|baud|frame|copies|window|quiet|one_request)=[a-z0-9NEO.]{0,6}){0,3}",
+        options in "([?&](framing|baud|frame|dtr|rts|rs485|copies|window|quiet|one_request)=[a-z0-9NEO.]{0,6}){0,3}",
     ) {
         if let Ok(endpoint) = format!("{address}{options}").parse::<Endpoint>() {
             proptest::prop_assert_eq!(endpoint.to_string().parse::<Endpoint>(), Ok(endpoint));

@@ -10,6 +10,7 @@ use super::connector::Connector;
 use super::core::Core;
 use super::defaults;
 use super::driver::Driver;
+use super::frame_gap::GapLengths;
 use super::line::Line;
 use super::options::{CallOptions, EchoMode};
 use super::shared::Shared;
@@ -107,16 +108,21 @@ impl LinkBuilder {
         self.config.byte_time = line.transmission(1);
         self.config.frame_gap = line.frame_gap();
         self.config.broadcast_gap = defaults::SERIAL_BROADCAST_GAP;
-        self.config.settle = self.config.settle.max(line.frame_gap());
+        self.config.settle = self.config.settle.max(line.frame_gap().long);
         self.config.echo = EchoMode::Auto;
         self
     }
 
     /// Sets the frame gap: the silence between the end of a reply and the next request, in which
-    /// RS-485 drivers turn around. Default: none; on a serial line three and a half characters, at
-    /// least 2 ms.
+    /// RS-485 drivers turn around. Default: none.
+    ///
+    /// Default on a serial line: three and a half characters; before a write or control command
+    /// at least 2 ms. Slower lines show it: a station does not answer a request after the shorter gap,
+    /// and answers the next one. Then the gap is at least 2 ms for the next 256 exchanges, and for
+    /// four times as many, up to 65,536, each time that this is seen again
+    /// ([`LinkStats::long_gaps`](crate::LinkStats::long_gaps)). A gap that is set here never changes.
     pub fn frame_gap(mut self, gap: Duration) -> Self {
-        self.config.frame_gap = gap;
+        self.config.frame_gap = GapLengths::fixed(gap);
         self
     }
 
@@ -296,7 +302,7 @@ impl LinkBuilder {
             byte_timeout: defaults::BYTE_TIMEOUT,
             slow_frame_time: defaults::SLOW_FRAME_TIME,
             mute_timeout: Some(defaults::MUTE_TIMEOUT),
-            frame_gap: Duration::ZERO,
+            frame_gap: GapLengths::fixed(Duration::ZERO),
             broadcast_gap: Duration::ZERO,
             echo: EchoMode::Off,
             idle_timeout: None,

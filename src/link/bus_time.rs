@@ -5,6 +5,7 @@
 #![allow(clippy::print_stdout, reason = "prints figures")]
 
 mod costs;
+mod gaps;
 
 use std::collections::BTreeMap;
 use std::pin::{Pin, pin};
@@ -72,7 +73,10 @@ impl World {
     }
 
     fn with(bus: Bus, framing: Framing, baud: u32, dead: &[u8], set: impl FnOnce(&mut Config)) -> Self {
-        let line = Line::new(baud).response_time(RESPONSE_TIME, RESPONSE_TIME);
+        Self::on_line(bus, framing, Line::new(baud).response_time(RESPONSE_TIME, RESPONSE_TIME), dead, set)
+    }
+
+    fn on_line(bus: Bus, framing: Framing, line: Line, dead: &[u8], set: impl FnOnce(&mut Config)) -> Self {
         let mut faults = Faults::new(1).line(line);
         for &station in dead {
             faults = faults.rule(Rule::new(Fault::Ignore).station(station));
@@ -85,7 +89,7 @@ impl World {
         config.frame_time = line.transmission(1024);
         config.probe_timeout = RESPONSE_TIMEOUT;
         config.mute_timeout = None;
-        if baud > 0 {
+        if !line.transmission(1).is_zero() {
             config.byte_time = line.transmission(1);
         }
         set(&mut config);

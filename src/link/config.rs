@@ -1,6 +1,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::frame_gap::GapLengths;
 use super::options::EchoMode;
 use super::stations::OfflineRules;
 use crate::endpoint::InStepSettings;
@@ -36,7 +37,7 @@ pub(crate) struct Config {
     /// Silence of all stations after which the connection is replaced; `None`: never.
     pub(crate) mute_timeout: Option<Duration>,
     /// Silence between a reply and the next request.
-    pub(crate) frame_gap: Duration,
+    pub(crate) frame_gap: GapLengths,
     /// Silence after a broadcast.
     pub(crate) broadcast_gap: Duration,
     pub(crate) echo: EchoMode,

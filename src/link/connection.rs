@@ -22,6 +22,8 @@ pub(crate) struct Connection {
     state: ConnectionState,
     /// Failed attempts, and connections that ended without a reply, since the last reply.
     failures: u32,
+    /// All of these.
+    failed_ever: usize,
     /// The connection carries one request only, and that has been answered.
     spent: bool,
     /// The shortest and the longest pause.
@@ -38,7 +40,14 @@ pub(crate) enum ConnectionState {
 
 impl Connection {
     pub(crate) fn new(backoff: (Duration, Duration), random: Random) -> Self {
-        Self { state: ConnectionState::Down { retry_at: None }, failures: 0, spent: false, backoff, random }
+        Self {
+            state: ConnectionState::Down { retry_at: None },
+            failures: 0,
+            failed_ever: 0,
+            spent: false,
+            backoff,
+            random,
+        }
     }
 
     pub(crate) fn state(&self) -> ConnectionState {
@@ -53,6 +62,11 @@ impl Connection {
     /// Notes that a connection for one request has carried it.
     pub(crate) fn spend(&mut self) {
         self.spent = true;
+    }
+
+    /// The number of failed attempts, and of connections that ended without a reply.
+    pub(crate) fn failed_ever(&self) -> usize {
+        self.failed_ever
     }
 
     /// An attempt to connect begins.
@@ -97,6 +111,7 @@ impl Connection {
         let (shortest, longest) = self.backoff;
         let doubled = shortest.saturating_mul(1_u32.checked_shl(self.failures).unwrap_or(u32::MAX));
         self.failures = self.failures.saturating_add(1).min(31);
+        self.failed_ever = self.failed_ever.wrapping_add(1);
         let delay = self.random.jitter(doubled.min(longest));
         self.state = ConnectionState::Down { retry_at: Some(later(now, delay)) };
     }
@@ -135,6 +150,7 @@ mod tests {
                 connection.lost(now);
                 assert_eq!(pause(&connection), Duration::ZERO, "seed {seed}");
             }
+            assert_eq!(connection.failed_ever(), 80);
         }
     }
 }

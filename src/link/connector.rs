@@ -58,12 +58,13 @@ impl Connector {
         matches!(self, Self::Endpoint { .. } | Self::Custom { wakes_reader: true, .. })
     }
 
-    /// Begins to open a connection, with this timeout. `None`: there will never be another.
-    pub(crate) fn open(&mut self, within: Duration) -> Option<BoxFuture<'static, io::Result<BoxIo>>> {
+    /// Begins to open a connection, with this timeout; `failed` of them have failed before. `None`:
+    /// there will never be another.
+    pub(crate) fn open(&mut self, within: Duration, failed: usize) -> Option<BoxFuture<'static, io::Result<BoxIo>>> {
         let opening = match self {
             Self::Endpoint { endpoint, keep_alive } => {
                 let (endpoint, keep_alive) = (endpoint.clone(), *keep_alive);
-                async move { endpoint.transport().open(endpoint.framing(), keep_alive).await }.boxed()
+                async move { endpoint.transport().open(endpoint.framing(), keep_alive, failed).await }.boxed()
             }
             Self::Once(io) => {
                 let io = io.take()?;
@@ -103,20 +104,20 @@ mod tests {
 
         let mut once = Connector::Once(Some(Box::new(tokio::io::empty())));
         assert_eq!((format!("{once:?}"), once.reopens()), ("Connector(once)".to_owned(), true));
-        assert!(once.open(Duration::from_secs(1)).expect("the connection").await.is_ok());
-        assert!(!once.reopens() && once.open(Duration::from_secs(1)).is_none(), "it was taken");
+        assert!(once.open(Duration::from_secs(1), 0).expect("the connection").await.is_ok());
+        assert!(!once.reopens() && once.open(Duration::from_secs(1), 0).is_none(), "it was taken");
 
         let mut custom = Connector::custom(|| async { Ok(tokio::io::empty()) });
         assert_eq!(format!("{custom:?}"), "Connector(custom)");
         for _ in 0..2 {
-            assert!(custom.open(Duration::from_secs(1)).expect("always").await.is_ok() && custom.reopens());
+            assert!(custom.open(Duration::from_secs(1), 0).expect("always").await.is_ok() && custom.reopens());
         }
     }
 
     #[tokio::test(start_paused = true)]
     async fn an_attempt_to_connect_fails_at_its_timeout() {
         let mut never = Connector::custom(|| async { std::future::pending::<io::Result<tokio::io::Empty>>().await });
-        let Err(error) = never.open(Duration::from_secs(3)).expect("an attempt").await else { panic!("connected") };
+        let Err(error) = never.open(Duration::from_secs(3), 0).expect("an attempt").await else { panic!("connected") };
         assert_eq!((error.kind(), error.to_string().as_str()), (io::ErrorKind::TimedOut, "no connection within 3s"));
     }
 }

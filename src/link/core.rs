@@ -33,6 +33,7 @@ use super::call::PendingCall;
 use super::config::Config;
 use super::connection::{Connection, ConnectionState};
 use super::exchange::{Exchange, Outgoing};
+use super::frame_gap::FrameGap;
 use super::in_step::{InStep, Prices, Proof};
 use super::later;
 use super::mute::MuteDetector;
@@ -75,7 +76,9 @@ pub(crate) struct Core {
     /// A call whose check was just answered: it is sent before all others.
     resynced: Option<PendingCall>,
     connection: Connection,
+    /// Nothing is sent before this time: after a broadcast, or after connecting.
     hold_until: Option<Instant>,
+    frame_gap: FrameGap,
     /// When a call came or ended last; `None` while the link is idle.
     used_at: Option<Instant>,
     /// Nothing new is sent.
@@ -110,6 +113,7 @@ impl Core {
             stats,
             resynced: None,
             hold_until: None,
+            frame_gap: FrameGap::new(config.frame_gap),
             used_at: None,
             closing: false,
             nonce: random.next(),
@@ -194,7 +198,8 @@ impl Core {
                 self.stats.count_link(|link| add(&mut link.mute_connections, 1));
                 return Action::Replace(silent);
             }
-            if let Some(until) = self.hold_until.filter(|&until| now < until) {
+            let gap_until = self.frame_gap.until(|| self.may_send_write());
+            if let Some(until) = self.hold_until.max(gap_until).filter(|&until| now < until) {
                 return Action::Wait(Some(until));
             }
             // Checked before the probes: they alone are no reason to stay connected.
@@ -297,6 +302,17 @@ impl Core {
         self.stats.count_link(|link| add(&mut link.connects, 1));
     }
 
+    /// Notes that the open connection is to one of several addresses of the host, perhaps not the
+    /// right one: it is replaced at its first request without an answer.
+    pub(crate) fn has_other_addresses(&mut self) {
+        self.mute.is_on_trial();
+    }
+
+    /// The number of connections that failed: they were not opened, or ended without a reply.
+    pub(crate) fn failed_connections(&self) -> usize {
+        self.connection.failed_ever()
+    }
+
     /// Notes that the connection could not be opened.
     pub(crate) fn connect_failed(&mut self, error: &Arc<io::Error>, now: Instant) {
         self.stats.count_link(|link| add(&mut link.connect_failures, 1));
@@ -373,6 +389,7 @@ impl Core {
         self.exchange.forget();
         self.mute.reset();
         self.hold_until = None;
+        self.frame_gap.runtime_ended();
         self.has_read_again = false;
     }
 

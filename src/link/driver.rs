@@ -498,7 +498,7 @@ impl Driver {
 
     /// Begins to open a connection. If the connector has none left, the link ends.
     fn start_opening(&mut self, permit: Option<ConnectPermit>) {
-        match self.connector.open(self.connect_timeout) {
+        match self.connector.open(self.connect_timeout, self.core.failed_connections()) {
             Some(opening) => {
                 self.state.send_replace(LinkState::Connecting);
                 self.opening = Some(Opening::Connection { opening, _permit: permit });
@@ -511,9 +511,13 @@ impl Driver {
         match opened {
             Ok(opened) => {
                 tracing::debug!("connected");
+                let has_other_addresses = opened.has_other_addresses();
                 self.io = Some(opened);
                 self.sent_until = None;
                 self.core.connected(Instant::now());
+                if has_other_addresses {
+                    self.core.has_other_addresses();
+                }
                 self.state.send_replace(LinkState::Up);
             }
             Err(error) => {

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::frame_gap::GapLengths;
 use crate::endpoint::{DataBits, Parity, SerialSettings, StopBits};
 
 /// The speed of a serial line.
@@ -20,10 +21,10 @@ impl Line {
     }
 
     /// The default frame gap: three and a half characters, as usual on serial buses, and at least 2
-    /// ms for slow RS-485 drivers to turn around.
-    pub(crate) fn frame_gap(&self) -> Duration {
-        let three_and_a_half = self.half_bits(u128::from(self.bits_per_character).saturating_mul(7));
-        three_and_a_half.max(Duration::from_millis(2))
+    /// ms if slow RS-485 drivers must turn around.
+    pub(crate) fn frame_gap(&self) -> GapLengths {
+        let short = self.half_bits(u128::from(self.bits_per_character).saturating_mul(7));
+        GapLengths { short, long: short.max(Duration::from_millis(2)) }
     }
 
     fn half_bits(&self, half_bits: u128) -> Duration {
@@ -99,15 +100,19 @@ mod tests {
             for bits_per_character in [0, u8::MAX] {
                 let line = Line { baud, bits_per_character };
                 assert!(line.transmission(usize::MAX) <= Duration::from_nanos(u64::MAX));
-                assert!(line.frame_gap() >= Duration::from_millis(2));
+                let GapLengths { short, long } = line.frame_gap();
+                assert!(long >= Duration::from_millis(2) && long >= short);
             }
         }
     }
 
     #[test]
-    fn the_frame_gap_is_3_5_characters_and_at_least_2_ms() {
-        assert_eq!(Line { baud: 9600, bits_per_character: 10 }.frame_gap(), Duration::from_nanos(3_645_834));
-        assert_eq!(Line { baud: 19_200, bits_per_character: 11 }.frame_gap(), Duration::from_nanos(2_005_209));
-        assert_eq!(Line { baud: 115_200, bits_per_character: 10 }.frame_gap(), Duration::from_millis(2));
+    fn the_frame_gap_is_3_5_characters_and_at_least_2_ms_for_slow_drivers() {
+        for (baud, bits_per_character, short, long) in
+            [(9600, 10, 3_645_834, 3_645_834), (19_200, 11, 2_005_209, 2_005_209), (115_200, 10, 303_820, 2_000_000)]
+        {
+            let gap = Line { baud, bits_per_character }.frame_gap();
+            assert_eq!(gap, GapLengths { short: Duration::from_nanos(short), long: Duration::from_nanos(long) });
+        }
     }
 }

@@ -31,6 +31,7 @@ mod core;
 pub mod defaults;
 mod driver;
 mod exchange;
+mod frame_gap;
 mod in_step;
 mod io_waker;
 pub(crate) mod job;

@@ -14,6 +14,8 @@ pub(crate) struct MuteDetector {
     /// Silence after which a connection is mute; `None`: never.
     limit: Option<Duration>,
     unanswered: Option<Unanswered>,
+    /// One request without an answer is enough.
+    on_trial: bool,
 }
 
 /// Requests without any frame since.
@@ -31,12 +33,18 @@ const MIN_REQUESTS: u32 = 3;
 
 impl MuteDetector {
     pub(crate) fn new(limit: Option<Duration>) -> Self {
-        Self { limit, unanswered: None }
+        Self { limit, unanswered: None, on_trial: false }
     }
 
     /// Notes a frame, or a new connection.
     pub(crate) fn reset(&mut self) {
         self.unanswered = None;
+        self.on_trial = false;
+    }
+
+    /// Notes that a new connection may be to the wrong address.
+    pub(crate) fn is_on_trial(&mut self) {
+        self.on_trial = true;
     }
 
     /// Notes that a request, begun at `began`, was not answered.
@@ -55,6 +63,9 @@ impl MuteDetector {
     pub(crate) fn mute_for(&self, now: Instant) -> Option<Duration> {
         let unanswered = self.unanswered.as_ref()?;
         let silent = now.saturating_duration_since(unanswered.since);
+        if self.on_trial && self.limit.is_some() {
+            return Some(silent);
+        }
         (unanswered.requests >= MIN_REQUESTS && silent >= self.limit?).then_some(silent)
     }
 }
@@ -77,6 +88,21 @@ mod tests {
         assert_eq!(detector.mute_for(now + 5 * SECOND), Some(5 * SECOND));
         detector.reset();
         assert_eq!(detector.mute_for(now + 9 * SECOND), None);
+    }
+
+    #[test]
+    fn a_connection_on_trial_is_mute_after_one_request() {
+        let now = Instant::now();
+        for (limit, mute_for) in [(Some(5 * SECOND), Some(SECOND)), (None, None)] {
+            let mut detector = MuteDetector::new(limit);
+            detector.is_on_trial();
+            assert_eq!(detector.mute_for(now), None);
+            detector.unanswered(now);
+            assert_eq!(detector.mute_for(now + SECOND), mute_for);
+            detector.reset();
+            detector.unanswered(now);
+            assert_eq!(detector.mute_for(now + SECOND), None, "a frame came: the address is right");
+        }
     }
 
     #[test]

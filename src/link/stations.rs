@@ -84,6 +84,11 @@ impl Stations {
         self.stations.get(station).map(|health| health.longest_timeout).unwrap_or_default()
     }
 
+    /// Returns whether the last request to the station was answered in time.
+    pub(crate) fn is_answering(&self, station: u8) -> bool {
+        self.stations.get(station).is_some_and(|health| health.timeouts == 0)
+    }
+
     /// Notes that the station has answered within this round trip. Returns whether it was offline.
     pub(crate) fn answered(&mut self, station: u8, within: Duration, now: Instant) -> bool {
         let back = self.health(station, |health| {

@@ -129,6 +129,9 @@ pub struct LinkStats {
     pub idle_closes: u64,
     /// Connections that were replaced because nothing was answered over them.
     pub mute_connections: u64,
+    /// Times that the frame gap became long, since slow RS-485 drivers were seen; see
+    /// [`LinkBuilder::frame_gap`](crate::LinkBuilder::frame_gap).
+    pub long_gaps: u64,
     /// Attempts to connect that failed.
     pub connect_failures: u64,
     /// `true` if the device closes its connection after each reply, as
@@ -167,6 +170,7 @@ impl LinkStats {
             disconnects: self.disconnects.saturating_add(other.disconnects),
             idle_closes: self.idle_closes.saturating_add(other.idle_closes),
             mute_connections: self.mute_connections.saturating_add(other.mute_connections),
+            long_gaps: self.long_gaps.saturating_add(other.long_gaps),
             connect_failures: self.connect_failures.saturating_add(other.connect_failures),
             one_request: self.one_request || other.one_request,
         }
@@ -314,6 +318,7 @@ mod tests {
             disconnects: 8,
             idle_closes: 9,
             mute_connections: 12,
+            long_gaps: 13,
             connect_failures: 10,
             one_request: true,
         };
@@ -322,7 +327,7 @@ mod tests {
             [two.stations.requests, two.broadcasts, two.checksum_errors, two.garbage_bytes, two.stale_bytes],
             [2, 4, 6, 8, 10]
         );
-        assert_eq!((two.late_datagrams, two.one_request, two.mute_connections), (22, true, 24));
+        assert_eq!((two.late_datagrams, two.one_request, two.mute_connections, two.long_gaps), (22, true, 24, 26));
         assert_eq!(
             [two.echoes, two.connects, two.disconnects, two.idle_closes, two.connect_failures],
             [12, 14, 16, 18, 20]

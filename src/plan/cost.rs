@@ -50,7 +50,7 @@ impl CostModel {
         Self {
             framing,
             byte_time: line.transmission(1),
-            frame_gap: line.frame_gap(),
+            frame_gap: line.frame_gap().short,
             response_time: DEFAULT_RESPONSE_TIME,
             overhead: Duration::ZERO,
         }

@@ -4,7 +4,8 @@ use super::{InvalidSettings, UrlOptions};
 use crate::printable::excerpt;
 use crate::wire::Framing;
 
-/// Settings of a serial port: baud rate, data bits, parity and stop bits. No flow control.
+/// Settings of a serial port: baud rate, data bits, parity and stop bits, and the lines DTR and RTS.
+/// No flow control.
 ///
 /// ```
 /// use fatek::endpoint::{DataBits, Parity, SerialSettings};
@@ -23,6 +24,8 @@ pub struct SerialSettings {
     data_bits: DataBits,
     parity: Parity,
     stop_bits: StopBits,
+    dtr: Option<bool>,
+    rts: Rts,
 }
 
 /// Minimum baud rate.
@@ -39,7 +42,7 @@ impl SerialSettings {
             Framing::Ascii => (DataBits::Seven, Parity::Even),
             Framing::Binary => (DataBits::Eight, Parity::None),
         };
-        Self { baud: 9600, data_bits, parity, stop_bits: StopBits::One }
+        Self { baud: 9600, data_bits, parity, stop_bits: StopBits::One, dtr: None, rts: Rts::Unchanged }
     }
 
     /// Sets the baud rate, in bits per second.
@@ -75,6 +78,32 @@ impl SerialSettings {
         self
     }
 
+    /// Sets the line DTR when the port is opened, to on or off. Default: as the operating system
+    /// leaves it, which is on with most drivers.
+    #[must_use]
+    pub const fn with_dtr(mut self, on: bool) -> Self {
+        self.dtr = Some(on);
+        self
+    }
+
+    /// Sets the use of the line RTS: a constant level, or the direction of an RS-485 driver.
+    ///
+    /// ```
+    /// use fatek::Endpoint;
+    /// use fatek::endpoint::{Rts, SerialSettings};
+    /// use fatek::wire::Framing;
+    ///
+    /// let settings = SerialSettings::new(Framing::Ascii).with_rts(Rts::OnWhileSending);
+    /// let endpoint = Endpoint::serial("/dev/ttyS1").with_serial(settings)?;
+    /// assert_eq!(endpoint.to_string(), "serial:/dev/ttyS1?rs485=rts");
+    /// # Ok::<(), fatek::endpoint::InvalidSettings>(())
+    /// ```
+    #[must_use]
+    pub const fn with_rts(mut self, rts: Rts) -> Self {
+        self.rts = rts;
+        self
+    }
+
     /// The baud rate, in bits per second.
     #[must_use]
     pub const fn baud(&self) -> u32 {
@@ -99,6 +128,18 @@ impl SerialSettings {
         self.stop_bits
     }
 
+    /// The level that the line DTR is set to; `None`: it is left as it is.
+    #[must_use]
+    pub const fn dtr(&self) -> Option<bool> {
+        self.dtr
+    }
+
+    /// The use of the line RTS.
+    #[must_use]
+    pub const fn rts(&self) -> Rts {
+        self.rts
+    }
+
     /// Returns these settings, or 8N1 at the same baud rate if the framing needs more data bits.
     pub(crate) fn for_framing(self, framing: Framing) -> Self {
         match self.check(framing) {
@@ -107,7 +148,7 @@ impl SerialSettings {
         }
     }
 
-    /// Reads the options `baud` and `frame`. The error is the rule that one of them breaks.
+    /// Reads the options of [`URL_OPTIONS`]. The error is the rule that one of them breaks.
     pub(crate) fn from_url(options: &UrlOptions<'_>, framing: Framing) -> Result<Self, String> {
         let mut settings = Self::new(framing);
         if let Some(text) = options.get("baud") {
@@ -124,6 +165,27 @@ impl SerialSettings {
                 )
             })?;
         }
+        if let Some(text) = options.get("dtr") {
+            settings = settings.with_dtr(level("dtr", text)?);
+        }
+        if let Some(text) = options.get("rts") {
+            settings = settings.with_rts(if level("rts", text)? { Rts::On } else { Rts::Off });
+        }
+        if let Some(text) = options.get("rs485") {
+            if options.get("rts").is_some() {
+                return Err("`rs485` and `rts` exclude each other: RS-485 needs the line RTS".to_owned());
+            }
+            settings = settings.with_rts(match text {
+                "rts" => Rts::OnWhileSending,
+                "rts-inverted" => Rts::OffWhileSending,
+                _ => {
+                    return Err(format!(
+                        "the RS-485 mode `{}` must be `rts` (RTS is on while sending) or `rts-inverted` (off)",
+                        excerpt(text)
+                    ));
+                }
+            });
+        }
         Ok(settings)
     }
 
@@ -133,6 +195,14 @@ impl SerialSettings {
         let options = [
             (self.baud != usual.baud).then(|| format!("baud={}", self.baud)),
             (self.character() != usual.character()).then(|| format!("frame={}", self.character())),
+            self.dtr.map(|on| format!("dtr={}", level_name(on))),
+            match self.rts {
+                Rts::Unchanged => None,
+                Rts::On => Some("rts=on".to_owned()),
+                Rts::Off => Some("rts=off".to_owned()),
+                Rts::OnWhileSending => Some("rs485=rts".to_owned()),
+                Rts::OffWhileSending => Some("rs485=rts-inverted".to_owned()),
+            },
         ];
         options.into_iter().flatten()
     }
@@ -172,6 +242,21 @@ impl SerialSettings {
             (Framing::Binary, DataBits::Eight) | (Framing::Ascii, _) => Ok(self),
         }
     }
+}
+
+/// The options of a URL for a serial port.
+pub(crate) const URL_OPTIONS: &[&str] = &["baud", "frame", "dtr", "rts", "rs485"];
+
+fn level(name: &str, text: &str) -> Result<bool, String> {
+    match text {
+        "on" => Ok(true),
+        "off" => Ok(false),
+        _ => Err(format!("the level `{}` of `{name}` must be `on` or `off`", excerpt(text))),
+    }
+}
+
+fn level_name(on: bool) -> &'static str {
+    if on { "on" } else { "off" }
 }
 
 impl fmt::Display for SerialSettings {
@@ -238,4 +323,26 @@ impl fmt::Display for StopBits {
             Self::Two => "2",
         })
     }
+}
+
+/// The line RTS of a serial port.
+///
+/// RS-485 drivers that RTS switches must receive again before the PLC answers. Where the driver of
+/// the operating system has a mode for this, it is used (Linux, `TIOCSRS485`). Elsewhere the port
+/// switches RTS: by the transmission time of what was written, and not before the operating
+/// system has passed it all on. The second way is exact to about a tenth of a millisecond.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Rts {
+    /// As the operating system leaves it, which is on with most drivers.
+    #[default]
+    Unchanged,
+    /// On.
+    On,
+    /// Off.
+    Off,
+    /// RS-485: on while sending.
+    OnWhileSending,
+    /// RS-485: off while sending.
+    OffWhileSending,
 }

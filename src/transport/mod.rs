@@ -134,7 +134,7 @@ impl Transport {
         match self {
             Self::Tcp { host, port } => Self::Tcp { host: authority::identity(host), port: *port },
             Self::Udp { host, port } => Self::Udp { host: authority::identity(host), port: *port },
-            Self::Serial { path, .. } => serial::new(path),
+            Self::Serial { path, .. } => serial::identity(path),
         }
     }
 
@@ -155,11 +155,12 @@ impl Transport {
         }
     }
 
-    /// Opens a stream to the address. `keep_alive` is TCP's.
-    pub(crate) async fn open(&self, framing: Framing, keep_alive: bool) -> io::Result<BoxIo> {
+    /// Opens a stream to the address. `keep_alive` is TCP's; `failed` is the number of streams
+    /// to it that had no answer, by which UDP chooses among several addresses of the host.
+    pub(crate) async fn open(&self, framing: Framing, keep_alive: bool, failed: usize) -> io::Result<BoxIo> {
         Ok(match self {
             Self::Tcp { host, port } => Box::new(tcp::connect(host, *port, keep_alive).await?),
-            Self::Udp { host, port } => Box::new(udp::connect(host, *port, framing).await?),
+            Self::Udp { host, port } => Box::new(udp::connect(host, *port, framing, failed).await?),
             Self::Serial { path, settings } => Box::new(serial::open(path, *settings).await?),
         })
     }
@@ -238,6 +239,13 @@ impl dyn Io {
     pub(crate) fn is_closed_by_peer(&self) -> bool {
         let io: &dyn Any = self;
         io.downcast_ref().is_some_and(tcp::is_closed_by_peer)
+    }
+
+    /// Returns whether another connection may go to another address of the host: of UDP only, whose
+    /// opening does not show which of them are there.
+    pub(crate) fn has_other_addresses(&self) -> bool {
+        let io: &dyn Any = self;
+        io.downcast_ref().is_some_and(udp::Datagrams::has_other_addresses)
     }
 
     /// Returns the datagrams of earlier requests dropped since the last call; none for anything but

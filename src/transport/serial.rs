@@ -5,12 +5,12 @@ mod port;
 
 pub(super) use self::port::open;
 use super::{Address, Kind, OwnOptions, Transport};
-use crate::settings::SerialSettings;
+use crate::settings::{SERIAL_URL_OPTIONS, SerialSettings};
 use crate::wire::Framing;
 
 pub(super) static KIND: Kind = Kind {
     prefix: "serial:",
-    own_options: Some(OwnOptions { names: &["baud", "frame"], owner: ("a serial port", "serial ports") }),
+    own_options: Some(OwnOptions { names: SERIAL_URL_OPTIONS, owner: ("a serial port", "serial ports") }),
     is_remote: false,
     is_one_line: true,
     parse,
@@ -19,6 +19,19 @@ pub(super) static KIND: Kind = Kind {
 /// The port with this path, with the default settings of the ASCII framing.
 pub(super) fn new(path: &str) -> Transport {
     Transport::Serial { path: path.to_owned(), settings: SerialSettings::new(Framing::Ascii) }
+}
+
+/// The identity of a port. Names of ports of Windows, `COM1` and so on, are case-insensitive, and
+/// can have the prefix of a device, `\\.\`, which is added when they are opened.
+pub(super) fn identity(path: &str) -> Transport {
+    let name = path.strip_prefix(r"\\.\").unwrap_or(path);
+    let number = name.get(..3).filter(|begin| begin.eq_ignore_ascii_case("COM")).and_then(|_| name.get(3..));
+    match number {
+        Some(number) if !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()) => {
+            new(&format!("COM{number}"))
+        }
+        Some(_) | None => new(path),
+    }
 }
 
 fn parse(address: &Address<'_>) -> Result<Transport, String> {

@@ -23,3 +23,14 @@ fn settings_are_no_part_of_the_identity_of_a_serial_port() {
     assert_eq!(port.identity(), serial::new("/dev/ttyUSB0"));
     assert_ne!(port.identity(), serial::new("/dev/ttyusb0").identity(), "paths are case-sensitive");
 }
+
+#[test]
+fn a_port_of_windows_is_the_same_in_all_its_spellings() {
+    for name in ["COM10", "com10", r"\\.\COM10", r"\\.\Com10"] {
+        assert_eq!(serial::new(name).identity(), serial::new("COM10").identity(), "{name}");
+    }
+    for name in ["COM1", "COM", "COM1O", "/dev/COM10", r"\\.\COM", r"\\.\pipe", "ÄCOM10", "COÄ10"] {
+        assert_ne!(serial::new(name).identity(), serial::new("COM10").identity(), "{name}");
+        assert_eq!(serial::new(name).identity(), serial::new(name), "{name}");
+    }
+}

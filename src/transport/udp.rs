@@ -53,15 +53,24 @@ const MAX_DISCARDED: usize = 64;
 
 /// Opens the sockets; each receives from the host only.
 ///
-/// Nothing is sent, so success does not mean that the host is there.
-pub(super) async fn connect(host: &str, port: u16, framing: Framing) -> io::Result<Datagrams> {
-    let mut addresses: Vec<SocketAddr> = lookup_host((host, port)).await?.collect();
-    // No attempt fails, so the first address is used; and the modules have IPv4.
-    addresses.sort_by_key(SocketAddr::is_ipv6);
+/// Nothing is sent, so success does not mean that the host is there. Of several addresses of the
+/// host, each failed connection before this one has tried another.
+pub(super) async fn connect(host: &str, port: u16, framing: Framing, failed: usize) -> io::Result<Datagrams> {
+    connect_any(lookup_host((host, port)).await?.collect(), framing, failed).await
+}
+
+async fn connect_any(mut addresses: Vec<SocketAddr>, framing: Framing, failed: usize) -> io::Result<Datagrams> {
+    // The modules have IPv4. A resolver may give the addresses in another order each time.
+    addresses.sort_by_key(|address| (address.is_ipv6(), *address));
+    addresses.dedup();
+    let count = addresses.len();
     let mut failure = io::Error::new(io::ErrorKind::NotFound, "the host has no address");
+    if let Some(first) = failed.checked_rem(count) {
+        addresses.rotate_left(first);
+    }
     for address in addresses {
         match sockets(address).await {
-            Ok(sockets) => return Ok(Datagrams::new(sockets, framing)),
+            Ok(sockets) => return Ok(Datagrams::new(sockets, framing, count > 1)),
             Err(error) => failure = error,
         }
     }
@@ -116,10 +125,12 @@ pub(super) struct Datagrams {
     unread: Range<usize>,
     /// Dropped datagrams of earlier requests.
     late: LateDatagrams,
+    /// The host has further addresses.
+    has_other_addresses: bool,
 }
 
 impl Datagrams {
-    fn new(sockets: [Arc<UdpSocket>; SOCKETS], framing: Framing) -> Self {
+    fn new(sockets: [Arc<UdpSocket>; SOCKETS], framing: Framing, has_other_addresses: bool) -> Self {
         let [current, ..] = &sockets;
         let readiness = ReusableBoxFuture::new(wait(current.clone()));
         let buffer = Box::new([0; MAX_FRAME_LEN + 1]);
@@ -133,7 +144,13 @@ impl Datagrams {
             buffer,
             unread: 0..0,
             late: LateDatagrams::default(),
+            has_other_addresses,
         }
+    }
+
+    /// Returns whether the host has further addresses.
+    pub(super) fn has_other_addresses(&self) -> bool {
+        self.has_other_addresses
     }
 
     /// Returns the datagrams of earlier requests dropped since the last call.

@@ -43,6 +43,8 @@ Links:
   tcp://HOST[:PORT][?framing=ascii|binary]
   udp://HOST[:PORT][?framing=ascii|binary]
   serial:PATH[?baud=9600&frame=7E1&framing=ascii|binary]
+    RS-485 driver switched by RTS: rs485=rts or rs485=rts-inverted
+    Lines of the port: dtr=on|off, rts=on|off
   Default framing: ascii. The M series needs binary.
   Default port: 500 with ascii; with binary the port is required.
 

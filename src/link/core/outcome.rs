@@ -83,7 +83,10 @@ impl Core {
         let station = active.outgoing.station();
         self.connection.replied();
         self.mute.reset();
-        self.hold_until = Some(later(now, self.config.frame_gap));
+        if self.frame_gap.replied(station, active.began, now) {
+            tracing::debug!(station, "no answer after a short frame gap, but after a long one: it is long for a while");
+            self.stats.count_link(|link| add(&mut link.long_gaps, 1));
+        }
         let took = now.saturating_duration_since(active.began);
         self.scheduler.charge(station, took);
         let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
@@ -231,6 +234,7 @@ impl Core {
         self.scheduler.charge_timeout(station, after);
         self.echo_was_last = false;
         self.timed_out = Some((station, now));
+        self.frame_gap.gave_up(station, self.stations.is_answering(station), active.began);
         self.stations.with_in_step(station, |in_step| in_step.timed_out(active.shape.code));
         self.stats.count_station(station, |stats| match &active.fault {
             Some(_) => add(&mut stats.bad_replies, 1),

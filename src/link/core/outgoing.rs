@@ -197,5 +197,5 @@ pub(super) fn prices(config: &Config) -> Prices {
     let byte = config.byte_time;
     let frames =
         byte.saturating_mul(2).saturating_mul(u32::try_from(config.framing.frame_overhead()).unwrap_or(u32::MAX));
-    Prices { byte, exchange: frames.saturating_add(ASSUMED_RESPONSE_TIME).saturating_add(config.frame_gap) }
+    Prices { byte, exchange: frames.saturating_add(ASSUMED_RESPONSE_TIME).saturating_add(config.frame_gap.short) }
 }

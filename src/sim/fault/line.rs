@@ -22,6 +22,7 @@ pub struct Line {
     /// Shortest and longest.
     response_time: (Duration, Duration),
     byte_by_byte: bool,
+    turnaround: Duration,
 }
 
 impl Line {
@@ -35,6 +36,7 @@ impl Line {
             bits_per_character: 10,
             response_time: (Duration::ZERO, Duration::ZERO),
             byte_by_byte: false,
+            turnaround: Duration::ZERO,
         }
     }
 
@@ -67,6 +69,14 @@ impl Line {
         self
     }
 
+    /// Sets the time after a reply in which its RS-485 driver still holds the line: requests that
+    /// begin in it are lost. Default: 0.
+    #[must_use]
+    pub fn turnaround(mut self, turnaround: Duration) -> Self {
+        self.turnaround = turnaround;
+        self
+    }
+
     /// Transmission time of this many bytes.
     #[must_use]
     pub fn transmission(&self, bytes: usize) -> Duration {
@@ -78,6 +88,10 @@ impl Line {
 
     pub(super) fn response_times(&self) -> (Duration, Duration) {
         self.response_time
+    }
+
+    pub(super) fn turnaround_time(&self) -> Duration {
+        self.turnaround
     }
 
     pub(super) fn is_byte_by_byte(&self) -> bool {

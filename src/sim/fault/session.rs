@@ -200,12 +200,15 @@ impl Session {
         };
         let mut decision = faults.decide(&frame, request.as_ref().ok(), target);
         let transmission = decision.line.transmission(bytes.len());
+        let is_line_held = self.conditions.occupancy().is_held(now, decision.line.turnaround_time());
         let arrived = self.conditions.occupancy().receive(now, transmission);
         let log_number = faults.log().arrived(arrived, &decision.faults, || arrival(&frame, &request));
         if decision.has(&Fault::Echo) {
             self.schedule(arrived, SessionEvent::Echo(bytes, from));
         }
-        let is_lost = decision.has(&Fault::Ignore) || decision.disconnect() == Some(DisconnectAt::BeforeExecution);
+        let is_lost = is_line_held
+            || decision.has(&Fault::Ignore)
+            || decision.disconnect() == Some(DisconnectAt::BeforeExecution);
         if is_lost && target == FaultTarget::Station {
             self.retime_for_request(frame.station, arrived, arrived);
         }

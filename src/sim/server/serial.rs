@@ -76,7 +76,7 @@ impl SerialServer {
 }
 
 async fn open(transport: &Transport, framing: Framing) -> io::Result<BoxIo> {
-    transport.open(framing, false).await
+    transport.open(framing, false, 0).await
 }
 
 /// Serves the port until it is stopped, and opens it again when it is lost.

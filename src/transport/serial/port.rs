@@ -1,3 +1,8 @@
+//! Opens serial ports.
+
+mod rs485_driver;
+mod rts;
+
 use std::io;
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -5,17 +10,30 @@ use std::task::{Context, Poll};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio_serial::{ClearBuffer, FlowControl, SerialPort as _, SerialPortBuilder, SerialStream};
 
-use crate::settings::{DataBits, Parity, SerialSettings, StopBits};
+use self::rts::{ControlLines, SwitchedPort, set_lines};
+use crate::settings::{DataBits, Parity, Rts, SerialSettings, StopBits};
 
-/// Opens the port exclusively, and discards what it has received before.
+/// Opens the port exclusively, sets its lines, and discards what it has received before.
 pub(in crate::transport) async fn open(path: &str, settings: SerialSettings) -> io::Result<Port> {
-    let builder = builder(path, settings);
+    let path = path.to_owned();
     // Opening a device can take long: some drivers look for the hardware first.
     let opening = tokio::task::spawn_blocking(move || {
-        let stream = SerialStream::open(&builder)?;
+        // An exclusive port cannot be opened again, so its driver is opened before.
+        let driver = match settings.rts() {
+            Rts::OnWhileSending | Rts::OffWhileSending => Some(rs485_driver::open(&path)),
+            Rts::Unchanged | Rts::On | Rts::Off => None,
+        };
+        let mut stream = SerialStream::open(&builder(&path, settings))?;
         stream.clear(ClearBuffer::Input)?;
         warn_of_other_settings(&stream, settings);
-        Ok(Port { stream })
+        let switching = set_lines(&mut stream, settings, |mode| match driver {
+            Some(driver) => rs485_driver::set(&driver?, mode),
+            None => Err(io::ErrorKind::Unsupported.into()),
+        })?;
+        Ok(match switching {
+            None => Port::Plain(PlainPort { stream }),
+            Some(switching) => Port::Switched(SwitchedPort::new(stream, switching)?),
+        })
     });
     opening.await.map_err(io::Error::other)?
 }
@@ -60,27 +78,58 @@ fn warn_of_other_settings(stream: &SerialStream, settings: SerialSettings) {
 /// An open port. It must never be flushed: that blocks the thread until the last bit is on the
 /// line.
 #[derive(Debug)]
-pub(in crate::transport) struct Port {
+pub(in crate::transport) enum Port {
+    Plain(PlainPort),
+    /// RTS follows what is written.
+    Switched(SwitchedPort<SerialStream>),
+}
+
+#[derive(Debug)]
+pub(in crate::transport) struct PlainPort {
     stream: SerialStream,
 }
 
-impl Drop for Port {
+impl Drop for PlainPort {
     fn drop(&mut self) {
         // Unsent bytes are discarded, since closing a port would wait for them. The error of an
         // unplugged port is ignored: it has nothing left to discard.
-        let _ = self.stream.clear(ClearBuffer::Output);
+        let _ = self.stream.discard_unsent();
+    }
+}
+
+impl ControlLines for SerialStream {
+    fn set_dtr(&mut self, on: bool) -> io::Result<()> {
+        Ok(self.write_data_terminal_ready(on)?)
+    }
+
+    fn set_rts(&mut self, on: bool) -> io::Result<()> {
+        Ok(self.write_request_to_send(on)?)
+    }
+
+    fn unsent(&self) -> io::Result<u32> {
+        Ok(self.bytes_to_write()?)
+    }
+
+    fn discard_unsent(&self) -> io::Result<()> {
+        Ok(self.clear(ClearBuffer::Output)?)
     }
 }
 
 impl AsyncRead for Port {
-    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_read(cx, buf)
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        match self.get_mut() {
+            Self::Plain(port) => Pin::new(&mut port.stream).poll_read(cx, buf),
+            Self::Switched(port) => port.poll_read(cx, buf),
+        }
     }
 }
 
 impl AsyncWrite for Port {
-    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write(cx, buf)
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
+        match self.get_mut() {
+            Self::Plain(port) => Pin::new(&mut port.stream).poll_write(cx, buf),
+            Self::Switched(port) => port.poll_write(cx, buf),
+        }
     }
 
     fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {

@@ -43,7 +43,7 @@ impl Device {
 
 async fn pair(host: &str) -> (Device, Datagrams) {
     let device = Device::bind((host, 0));
-    let stream = connect(host, device.address().port(), Framing::Ascii).await.unwrap();
+    let stream = connect(host, device.address().port(), Framing::Ascii, 0).await.unwrap();
     (device, stream)
 }
 
@@ -353,11 +353,31 @@ async fn errors_of_earlier_requests_are_ignored() {
 #[tokio::test]
 async fn sockets_have_distinct_ports_and_names_resolve_to_ipv4() {
     let (device, first) = pair("localhost").await;
-    let second = connect("localhost", device.address().port(), Framing::Ascii).await.unwrap();
+    let second = connect("localhost", device.address().port(), Framing::Ascii, 0).await.unwrap();
     let mut ports = std::collections::HashSet::new();
     for socket in first.sockets.iter().chain(&second.sockets) {
         assert!(socket.peer_addr().unwrap().is_ipv4());
         assert!(ports.insert(socket.local_addr().unwrap().port()));
     }
     assert_eq!(ports.len(), 2 * SOCKETS);
+}
+
+/// Before: the first address was used each time, though nothing answered there.
+#[tokio::test]
+async fn each_failed_connection_makes_the_next_one_try_another_address() {
+    let [one, two, three] = ["127.0.0.1:7", "127.0.0.2:7", "[::1]:7"].map(|text| text.parse::<SocketAddr>().unwrap());
+    for (failed, expected) in [(0, one), (1, two), (2, one), (3, two), (usize::MAX, two)] {
+        // Resolvers give addresses in any order, and twice.
+        for addresses in [vec![one, two, one], vec![two, one]] {
+            let stream = connect_any(addresses, Framing::Ascii, failed).await.unwrap();
+            assert_eq!(stream.sockets[0].peer_addr().unwrap(), expected, "after {failed} failures");
+            assert!(stream.has_other_addresses());
+        }
+    }
+    let single = connect_any(vec![one, one], Framing::Ascii, 3).await.unwrap();
+    assert!(!single.has_other_addresses());
+    let stream = connect_any(vec![three, one], Framing::Ascii, 0).await.unwrap();
+    assert_eq!(stream.sockets[0].peer_addr().unwrap(), one, "IPv4 first");
+    let none = connect_any(Vec::new(), Framing::Ascii, 0).await.map(|_| ()).unwrap_err();
+    assert_eq!(none.kind(), io::ErrorKind::NotFound);
 }

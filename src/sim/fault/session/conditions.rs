@@ -56,6 +56,12 @@ impl Occupancy {
         end
     }
 
+    /// Returns whether a request begins while the driver of the last reply still holds the line.
+    pub(super) fn is_held(&self, now: Instant, turnaround: Duration) -> bool {
+        let begins = free_at(self.incoming, now);
+        !turnaround.is_zero() && self.outgoing.is_some_and(|end| begins < later(end, turnaround))
+    }
+
     /// Occupies a station for a request, and returns the times of its execution and of its reply.
     pub(super) fn serve(
         &mut self,
