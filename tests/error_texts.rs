@@ -73,3 +73,38 @@ fn a_short_text_is_quoted_whole() {
     let error = "R0:i17".parse::<Tag>().unwrap_err();
     assert!(error.to_string().contains("`R0:i17` is not a tag"), "{error}");
 }
+
+/// The texts of an error and its sources.
+fn chain(error: &(dyn std::error::Error + 'static)) -> Vec<String> {
+    std::iter::successors(Some(error), |&error| error.source()).map(ToString::to_string).collect()
+}
+
+/// Before: the errors of files, programs and backups had their source in the text and as
+/// `source()`, so that programs that print the chain printed it twice or three times.
+#[tokio::test]
+async fn no_error_repeats_the_text_of_its_source() {
+    let refused = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let link = fatek::Link::builder(Endpoint::from(refused)).fail_fast(true).build();
+    let station = link.station(1).unwrap();
+    let tags = ["R0-R9".parse::<Tag>().unwrap()];
+    let folder = std::env::temp_dir().join(format!("fatek-chain-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let damaged = folder.join("damaged");
+    std::fs::write(&damaged, "fatek file 1: program\n").unwrap();
+    let page = fatek::command::ProgramPage::new([0; fatek::command::PAGE_WORDS]);
+    let chains = [
+        chain(&Program::load(folder.join("missing")).unwrap_err()),
+        chain(&Program::load(&damaged).unwrap_err()),
+        chain(&fatek::program::ReadProgram::new().run(&station).await.unwrap_err()),
+        chain(&fatek::backup::TakeBackup::new(tags).unwrap().run(&station).await.unwrap_err()),
+        chain(&station.read_registers(fatek::register!("R0"), 1).await.unwrap_err()),
+        chain(&Program::from_pages([page].into()).unwrap_err()),
+    ];
+    std::fs::remove_dir_all(&folder).unwrap();
+    for texts in chains {
+        for (n, text) in texts.iter().enumerate() {
+            assert!(!texts[..n].iter().any(|before| before.contains(text)), "{texts:?}");
+        }
+        assert!(!texts[0].is_empty());
+    }
+}

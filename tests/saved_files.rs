@@ -101,3 +101,107 @@ fn sealed(file: &str) -> String {
     let crc = content.bytes().fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(byte), |crc, _| step(crc)));
     format!("{content}crc32 {:08X}\n", !crc)
 }
+
+/// Reads a file. Returns the file of its content.
+type Read = fn(&[u8]) -> Result<String, FormatError>;
+
+/// All fixtures of version 1.
+fn files() -> Vec<(String, Read)> {
+    let program = |bytes: &[u8]| Program::from_file(bytes).map(|program| program.to_file());
+    let backup = |bytes: &[u8]| Backup::from_file(bytes).map(|backup| backup.to_file());
+    vec![
+        (text("program-1.program"), program),
+        (text("program-1-bare.program"), program),
+        (text("backup-1.backup"), backup),
+    ]
+}
+
+#[test]
+fn no_truncated_file_is_read() {
+    let mut count = 0;
+    for (file, read) in files() {
+        assert_eq!(read(file.as_bytes()).unwrap(), file);
+        for len in 0..file.len() {
+            read(&file.as_bytes()[..len]).unwrap_err();
+            count += 1;
+        }
+    }
+    println!("{count} truncated files refused");
+    assert!(count >= 942);
+}
+
+#[test]
+fn no_file_with_one_changed_bit_or_byte_is_read() {
+    let mut count = 0;
+    for (file, read) in files() {
+        for at in 0..file.len() {
+            let mut changed = file.clone().into_bytes();
+            // Each bit, and the digits of another value: those pass all rules but the checksum.
+            let others = (0..8).map(|bit| changed[at] ^ (1 << bit)).chain(*b"07AF \n");
+            for other in others.collect::<Vec<_>>() {
+                let before = std::mem::replace(&mut changed[at], other);
+                if other != before {
+                    read(&changed).unwrap_err();
+                    count += 1;
+                }
+                changed[at] = before;
+            }
+        }
+    }
+    println!("{count} changed files refused");
+    assert!(count >= 800);
+}
+
+/// The process that [`a_process_killed_while_it_saves_leaves_a_whole_file`] kills: it saves two
+/// contents in turn, without end.
+#[test]
+fn saves_without_end() {
+    let Some(path) = std::env::var_os("FATEK_SAVES_WITHOUT_END") else { return };
+    let contents = ["program-1.program", "program-1-bare.program"].map(|name| Program::load(fixture(name)).unwrap());
+    for program in contents.iter().cycle() {
+        program.save(&path).unwrap();
+    }
+}
+
+/// Unix only: elsewhere left-over files are removed by their age.
+///
+/// Before: 149 of 150 killed processes left a file beside it, for ever. The file itself was whole.
+#[cfg(unix)]
+#[test]
+fn a_process_killed_while_it_saves_leaves_a_whole_file() {
+    const KILLS: u64 = 150;
+    let folder = std::env::temp_dir().join(format!("fatek-killed-{}", std::process::id()));
+    fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("file");
+    let contents = ["program-1.program", "program-1-bare.program"].map(text);
+    fs::write(&path, &contents[0]).unwrap();
+    let files = || fs::read_dir(&folder).unwrap().count();
+    let mut in_the_middle = 0;
+    for n in 0..KILLS {
+        let mut child = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "saves_without_end", "--nocapture"])
+            .env("FATEK_SAVES_WITHOUT_END", &path)
+            .stdout(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        // It has begun when the file is another one; then at any time within some saves.
+        let begun = |file: &str| fs::read_to_string(&path).is_ok_and(|now| now != file);
+        let before = fs::read_to_string(&path).unwrap();
+        while !begun(&before) {
+            assert_eq!(child.try_wait().unwrap(), None);
+            std::thread::sleep(std::time::Duration::from_micros(50));
+        }
+        std::thread::sleep(std::time::Duration::from_micros(n * 37 % 3000));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let now = fs::read_to_string(&path).unwrap();
+        assert!(contents.contains(&now), "kill {n}: {now}");
+        in_the_middle += u32::from(files() > 1);
+        assert!(files() <= 2, "kill {n}: the left-over file of the kill before was not removed");
+    }
+    println!("{in_the_middle} of {KILLS} processes were killed in the middle of a save");
+    assert!(in_the_middle > 0);
+    Program::load(&path).unwrap().save(&path).unwrap();
+    assert_eq!(files(), 1, "the next save removes left-over files");
+    fs::remove_dir_all(&folder).unwrap();
+}

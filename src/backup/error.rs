@@ -1,3 +1,5 @@
+use std::fmt;
+
 use super::{Backup, RestoreReport};
 use crate::command::DetailedStatus;
 use crate::error::Error;
@@ -40,14 +42,12 @@ pub enum InvalidBackup {
 }
 
 /// Error: a backup cannot be read.
-#[derive(Clone, Debug, thiserror::Error)]
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum BackupError {
     /// The ranges are not a backup. Nothing was sent.
-    #[error(transparent)]
-    Invalid(#[from] InvalidBackup),
+    Invalid(InvalidBackup),
     /// A request failed otherwise than by a refusal.
-    #[error("{} of {} elements were read, and then: {source}", partial.value_count(), partial.element_count())]
     #[non_exhaustive]
     Call {
         /// The elements that have been read; all others are [`NotRead`](super::Missing::NotRead).
@@ -57,7 +57,6 @@ pub enum BackupError {
         source: Error,
     },
     /// The backup was begun with another station. Nothing was sent.
-    #[error("the backup was begun with station {backup}, and cannot continue with station {station}")]
     #[non_exhaustive]
     OtherStation {
         /// The station of the backup.
@@ -66,11 +65,6 @@ pub enum BackupError {
         station: u8,
     },
     /// The backup was begun with a PLC of another model, by its status (53). Nothing else was read.
-    #[error(
-        "the backup was begun with another PLC ({}), and cannot continue with this one ({})",
-        model(Some(backup)),
-        model(plc.as_deref())
-    )]
     #[non_exhaustive]
     OtherPlc {
         /// The status of the PLC that it was begun with.
@@ -80,6 +74,38 @@ pub enum BackupError {
     },
 }
 
+impl fmt::Display for BackupError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Invalid(invalid) => invalid.fmt(f),
+            Self::Call { partial, source } => {
+                let (values, all) = (partial.value_count(), partial.element_count());
+                write!(f, "{values} of {all} elements were read, and then: {source}")
+            }
+            Self::OtherStation { backup, station } => {
+                write!(f, "the backup was begun with station {backup}, and cannot continue with station {station}")
+            }
+            Self::OtherPlc { backup, plc } => write!(
+                f,
+                "the backup was begun with another PLC ({}), and cannot continue with this one ({})",
+                model(Some(backup)),
+                model(plc.as_deref())
+            ),
+        }
+    }
+}
+
+impl std::error::Error for BackupError {
+    /// The cause behind the one that the text has.
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Invalid(invalid) => invalid.source(),
+            Self::Call { source, .. } => source.source(),
+            Self::OtherStation { .. } | Self::OtherPlc { .. } => None,
+        }
+    }
+}
+
 fn model(status: Option<&DetailedStatus>) -> String {
     status.map_or("which does not report its type".to_owned(), |status| {
         format!("main unit {}, I/O points code {}", status.main_unit(), status.io_points_code())
@@ -87,11 +113,10 @@ fn model(status: Option<&DetailedStatus>) -> String {
 }
 
 /// The reason why a backup was not restored, or not completely.
-#[derive(Clone, Debug, thiserror::Error)]
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum RestoreFailure {
     /// A request failed: no reply, no connection, a refusal.
-    #[error("{doing}: {source}")]
     #[non_exhaustive]
     Call {
         /// The action that failed.
@@ -101,7 +126,6 @@ pub enum RestoreFailure {
     },
     /// An earlier run has stopped another station, and did not succeed. Nothing was sent, and the
     /// report is about the other station.
-    #[error("restoring was begun with {}, and cannot continue with {}", excerpt(begun), excerpt(station))]
     #[non_exhaustive]
     OtherStation {
         /// The station of the earlier run, and its endpoint.
@@ -110,20 +134,13 @@ pub enum RestoreFailure {
         station: String,
     },
     /// The PLC is not the one that was read: see [`RestoreReport::other_plc`]. Nothing was written.
-    #[error("the backup is of another PLC, and `RestoreOptions::accept_other_plc` was not chosen")]
     OtherPlc,
     /// The PLC runs, and had to be stopped already. Nothing was written.
-    #[error("the PLC runs: stop it first, or choose `RestoreOptions::stop_first`")]
     Running,
     /// STOP was sent, and the PLC still runs.
-    #[error("the PLC does not stop")]
     StillRunning,
     /// Another client started the PLC, which had to be stopped. It keeps running; its program may have
     /// changed restored elements, before or after they were read back.
-    #[error(
-        "another client started the PLC while it was restored{}",
-        if *differing == 0 { String::new() } else { format!("; {differing} of the elements do not hold their value") }
-    )]
     #[non_exhaustive]
     SetRunning {
         /// The number of elements that differed when all were read back: see
@@ -131,27 +148,95 @@ pub enum RestoreFailure {
         differing: usize,
     },
     /// The PLC does not have all elements: see [`RestoreReport::refused`].
-    #[error("the PLC refuses {count} of the elements, so none was written; leave them out to restore the others")]
     #[non_exhaustive]
     NotThere {
         /// The number of elements.
         count: usize,
     },
     /// Elements do not hold their value of the backup: see [`RestoreReport::remaining`].
-    #[error("{count} elements do not hold their value of the backup: the program changes them, or they are read-only")]
     #[non_exhaustive]
     Differs {
         /// The number of elements.
         count: usize,
     },
     /// All elements are restored. RUN was sent, and the PLC does not run.
-    #[error("all elements are restored, but the PLC does not run")]
     NotRunning,
+}
+
+impl fmt::Display for RestoreFailure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Call { doing, source } => write!(f, "{doing}: {source}"),
+            Self::OtherStation { begun, station } => {
+                write!(f, "restoring was begun with {}, and cannot continue with {}", excerpt(begun), excerpt(station))
+            }
+            Self::OtherPlc => {
+                f.write_str("the backup is of another PLC, and `RestoreOptions::accept_other_plc` was not chosen")
+            }
+            Self::Running => f.write_str("the PLC runs: stop it first, or choose `RestoreOptions::stop_first`"),
+            Self::StillRunning => f.write_str("the PLC does not stop"),
+            Self::SetRunning { differing } => {
+                f.write_str("another client started the PLC while it was restored")?;
+                match differing {
+                    0 => Ok(()),
+                    _ => write!(f, "; {differing} of the elements do not hold their value"),
+                }
+            }
+            Self::NotThere { count } => write!(
+                f,
+                "the PLC refuses {count} of the elements, so none was written; leave them out to restore the others"
+            ),
+            Self::Differs { count } => write!(
+                f,
+                "{count} elements do not hold their value of the backup: the program changes them, or they are read-only"
+            ),
+            Self::NotRunning => f.write_str("all elements are restored, but the PLC does not run"),
+        }
+    }
+}
+
+impl std::error::Error for RestoreFailure {
+    /// The cause behind the one that the text has.
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Call { source, .. } => source.source(),
+            Self::OtherStation { .. }
+            | Self::OtherPlc
+            | Self::Running
+            | Self::StillRunning
+            | Self::SetRunning { .. }
+            | Self::NotThere { .. }
+            | Self::Differs { .. }
+            | Self::NotRunning => None,
+        }
+    }
+}
+
+impl From<InvalidBackup> for BackupError {
+    fn from(invalid: InvalidBackup) -> Self {
+        Self::Invalid(invalid)
+    }
 }
 
 impl From<OtherStation> for RestoreFailure {
     fn from(OtherStation { begun, station }: OtherStation) -> Self {
         Self::OtherStation { begun, station }
+    }
+}
+
+impl BackupError {
+    /// The error of the request that failed, if that is the reason.
+    #[must_use]
+    pub fn call_error(&self) -> Option<&Error> {
+        if let Self::Call { source, .. } = self { Some(source) } else { None }
+    }
+}
+
+impl RestoreFailure {
+    /// The error of the request that failed, if that is the reason.
+    #[must_use]
+    pub fn call_error(&self) -> Option<&Error> {
+        if let Self::Call { source, .. } = self { Some(source) } else { None }
     }
 }
 
@@ -176,12 +261,24 @@ impl From<RunFailure> for RestoreFailure {
 /// Error: a backup was not restored, or not completely; with the state of elements and PLC.
 ///
 /// Restoring it again compares all elements and writes those that still differ.
-#[derive(Clone, Debug, thiserror::Error)]
-#[error("{source}; {report}")]
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct RestoreError {
     /// The reason.
     pub source: RestoreFailure,
     /// How far the restoring has come.
     pub report: Box<RestoreReport>,
+}
+
+impl fmt::Display for RestoreError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}; {}", self.source, self.report)
+    }
+}
+
+impl std::error::Error for RestoreError {
+    /// The cause behind the one that the text has.
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.source.source()
+    }
 }

@@ -1,5 +1,7 @@
 //! Requests and replies as frames: command code and error code around the fields of a command.
 
+use std::fmt;
+
 use bytes::BytesMut;
 
 use super::{Command, ErrorField, InvalidRequest, Spelling};
@@ -94,15 +96,44 @@ pub(crate) fn decode_spelled<C: Command>(
 }
 
 /// A frame with the right station and command that brings no reply.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ReplyError {
     /// The PLC refused the request.
-    #[error(transparent)]
-    Plc(#[from] ErrorCode),
+    Plc(ErrorCode),
     /// The data is no reply to this request.
-    #[error("not a reply to this request: {0}")]
-    Mismatch(#[from] FieldError),
+    Mismatch(FieldError),
+}
+
+impl fmt::Display for ReplyError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Plc(error) => error.fmt(f),
+            Self::Mismatch(mismatch) => write!(f, "not a reply to this request: {mismatch}"),
+        }
+    }
+}
+
+impl std::error::Error for ReplyError {
+    /// The cause behind the one that the text has.
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Plc(error) => error.source(),
+            Self::Mismatch(mismatch) => mismatch.source(),
+        }
+    }
+}
+
+impl From<ErrorCode> for ReplyError {
+    fn from(error: ErrorCode) -> Self {
+        Self::Plc(error)
+    }
+}
+
+impl From<FieldError> for ReplyError {
+    fn from(mismatch: FieldError) -> Self {
+        Self::Mismatch(mismatch)
+    }
 }
 
 fn write_reply<C: Command, W: FieldWriter>(request: &C, reply: Result<&C::Reply, ErrorCode>, fields: &mut W) {

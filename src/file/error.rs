@@ -1,7 +1,9 @@
-use crate::printable::excerpt;
+use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+use crate::printable::excerpt;
 
 /// Error: the content of a file cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -84,11 +86,10 @@ impl FormatError {
 }
 
 /// Error: a file cannot be saved or loaded. A file that cannot be saved is as it was before.
-#[derive(Clone, Debug, thiserror::Error)]
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum FileError {
     /// The system refused.
-    #[error("{}: cannot {doing}: {source}", shown(path))]
     #[non_exhaustive]
     Io {
         /// The file.
@@ -100,14 +101,12 @@ pub enum FileError {
     },
     /// The name belongs to a folder, a pipe, a device or a broken link. These are neither read nor
     /// replaced: opening a pipe, for instance, could block for ever.
-    #[error("{}: not a regular file", shown(path))]
     #[non_exhaustive]
     NotAFile {
         /// The name.
         path: PathBuf,
     },
     /// The file is larger than any file of this library.
-    #[error("{}: not a file of this kind: it has more than {limit} bytes", shown(path))]
     #[non_exhaustive]
     TooLarge {
         /// The file.
@@ -116,7 +115,6 @@ pub enum FileError {
         limit: u64,
     },
     /// The content of the file is wrong.
-    #[error("{}: {source}", shown(path))]
     #[non_exhaustive]
     Format {
         /// The file.
@@ -124,6 +122,30 @@ pub enum FileError {
         /// The fault.
         source: FormatError,
     },
+}
+
+impl fmt::Display for FileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Io { path, doing, source } => write!(f, "{}: cannot {doing}: {source}", shown(path)),
+            Self::NotAFile { path } => write!(f, "{}: not a regular file", shown(path)),
+            Self::TooLarge { path, limit } => {
+                write!(f, "{}: not a file of this kind: it has more than {limit} bytes", shown(path))
+            }
+            Self::Format { path, source } => write!(f, "{}: {source}", shown(path)),
+        }
+    }
+}
+
+impl std::error::Error for FileError {
+    /// The cause behind the one that the text has.
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Io { source, .. } => source.source(),
+            Self::Format { source, .. } => source.source(),
+            Self::NotAFile { .. } | Self::TooLarge { .. } => None,
+        }
+    }
 }
 
 /// The name of a file on one line, shortened if it is very long.

@@ -88,11 +88,10 @@ impl fmt::Display for ProgramAction {
 }
 
 /// Error: a program cannot be read or written.
-#[derive(Clone, Debug, thiserror::Error)]
+#[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum ProgramError {
     /// A request failed: no reply, no connection, a refusal.
-    #[error("cannot {action}: {source}")]
     #[non_exhaustive]
     Call {
         /// The request.
@@ -101,14 +100,9 @@ pub enum ProgramError {
         source: Error,
     },
     /// The PLC does not hold a program.
-    #[error("the PLC holds no program that this library knows: {0}")]
-    Invalid(#[from] InvalidProgram),
+    Invalid(InvalidProgram),
     /// The program changed while it was read, or between two runs. The pages are dropped; the next
     /// run starts from the beginning.
-    #[error(
-        "the program changed while it was read: {} is different now",
-        page.map_or("the PLC's type, version or ladder size".to_owned(), |page| format!("page {page}"))
-    )]
     #[non_exhaustive]
     Changed {
         /// The page that changed; `None` for the PLC's type, version or ladder size.
@@ -116,7 +110,6 @@ pub enum ProgramError {
     },
     /// An earlier run has read pages of another station, or has stopped or written it, and did not
     /// succeed. Nothing was sent, and a [`WriteState`] is that of the other station.
-    #[error("this was begun with {}, and cannot continue with {}", excerpt(begun), excerpt(station))]
     #[non_exhaustive]
     OtherStation {
         /// The station of the earlier run, and its endpoint.
@@ -125,7 +118,6 @@ pub enum ProgramError {
         station: String,
     },
     /// The program has another size than that of the PLC.
-    #[error("the program has a ladder of {program} words, and the PLC one of {plc}")]
     #[non_exhaustive]
     SizeMisfit {
         /// Words of the program.
@@ -134,7 +126,6 @@ pub enum ProgramError {
         plc: u16,
     },
     /// The program is for another kind of PLC.
-    #[error("the program is of the kind {program}, and that of the PLC of the kind {plc}")]
     #[non_exhaustive]
     KindMisfit {
         /// The kind of the program.
@@ -144,33 +135,22 @@ pub enum ProgramError {
     },
     /// The PLC is not the one that the program was read from: see
     /// [`WriteState::other_plc`](super::WriteState::other_plc).
-    #[error("the program is of another PLC, and `WriteOptions::accept_other_plc` was not chosen")]
     OtherPlc,
     /// The PLC uses a ROM pack or memory card, and would refuse every page.
-    #[error("the PLC has a ROM pack or memory card in use, which cannot be written")]
     MemoryCard,
     /// The PLC runs, and [`WriteOptions::stop_first`](super::WriteOptions::stop_first) was not chosen.
-    #[error("the PLC runs: stop it first, or choose to have it stopped")]
     Running,
     /// STOP was sent, and the PLC still runs.
-    #[error("the PLC does not stop")]
     StillRunning,
     /// Another client started the PLC while its program was written.
-    #[error("another client started the PLC while its program was written")]
     SetRunning,
     /// A page was written, and reads back differently.
-    #[error("page {page} reads back differently from what was written")]
     #[non_exhaustive]
     NotTaken {
         /// The page.
         page: u16,
     },
     /// Pages were equal to the program's and no longer are; they are in [`WriteState::unwritten`].
-    #[error(
-        "{} pages are no longer those of the program, the first is page {}",
-        pages.len(),
-        pages.first().unwrap_or(&0)
-    )]
     #[non_exhaustive]
     Differs {
         /// The pages.
@@ -178,15 +158,74 @@ pub enum ProgramError {
     },
     /// The PLC refuses to run the program: it is faulty (5, 7), has another id (6), or needs a
     /// function that the PLC lacks (9).
-    #[error("the PLC refuses to run the program: {error}")]
     #[non_exhaustive]
     RunRefused {
         /// The reply of the PLC.
         error: ErrorCode,
     },
     /// RUN was sent, and the PLC does not run.
-    #[error("the PLC does not run")]
     NotRunning,
+}
+
+impl fmt::Display for ProgramError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Call { action, source } => write!(f, "cannot {action}: {source}"),
+            Self::Invalid(invalid) => write!(f, "the PLC holds no program that this library knows: {invalid}"),
+            Self::Changed { page: Some(page) } => {
+                write!(f, "the program changed while it was read: page {page} is different now")
+            }
+            Self::Changed { page: None } => f.write_str(
+                "the program changed while it was read: the PLC's type, version or ladder size is different now",
+            ),
+            Self::OtherStation { begun, station } => {
+                write!(f, "this was begun with {}, and cannot continue with {}", excerpt(begun), excerpt(station))
+            }
+            Self::SizeMisfit { program, plc } => {
+                write!(f, "the program has a ladder of {program} words, and the PLC one of {plc}")
+            }
+            Self::KindMisfit { program, plc } => {
+                write!(f, "the program is of the kind {program}, and that of the PLC of the kind {plc}")
+            }
+            Self::OtherPlc => {
+                f.write_str("the program is of another PLC, and `WriteOptions::accept_other_plc` was not chosen")
+            }
+            Self::MemoryCard => f.write_str("the PLC has a ROM pack or memory card in use, which cannot be written"),
+            Self::Running => f.write_str("the PLC runs: stop it first, or choose to have it stopped"),
+            Self::StillRunning => f.write_str("the PLC does not stop"),
+            Self::SetRunning => f.write_str("another client started the PLC while its program was written"),
+            Self::NotTaken { page } => write!(f, "page {page} reads back differently from what was written"),
+            Self::Differs { pages } => {
+                write!(f, "{} pages are no longer those of the program", pages.len())?;
+                pages.first().map_or(Ok(()), |first| write!(f, ", the first is page {first}"))
+            }
+            Self::RunRefused { error } => write!(f, "the PLC refuses to run the program: {error}"),
+            Self::NotRunning => f.write_str("the PLC does not run"),
+        }
+    }
+}
+
+impl std::error::Error for ProgramError {
+    /// The cause behind the one that the text has.
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Call { source, .. } => source.source(),
+            Self::Invalid(invalid) => invalid.source(),
+            Self::Changed { .. }
+            | Self::OtherStation { .. }
+            | Self::SizeMisfit { .. }
+            | Self::KindMisfit { .. }
+            | Self::OtherPlc
+            | Self::MemoryCard
+            | Self::Running
+            | Self::StillRunning
+            | Self::SetRunning
+            | Self::NotTaken { .. }
+            | Self::Differs { .. }
+            | Self::RunRefused { .. }
+            | Self::NotRunning => None,
+        }
+    }
 }
 
 impl ProgramError {
@@ -194,6 +233,12 @@ impl ProgramError {
     #[must_use]
     pub fn call_error(&self) -> Option<&Error> {
         if let Self::Call { source, .. } = self { Some(source) } else { None }
+    }
+}
+
+impl From<InvalidProgram> for ProgramError {
+    fn from(invalid: InvalidProgram) -> Self {
+        Self::Invalid(invalid)
     }
 }
 
@@ -238,7 +283,8 @@ impl fmt::Display for WriteProgramError {
 }
 
 impl std::error::Error for WriteProgramError {
+    /// The cause behind the one that the text has.
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        Some(&*self.source)
+        self.source.source()
     }
 }

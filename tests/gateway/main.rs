@@ -12,6 +12,7 @@ mod bad_clients;
 mod bench;
 mod overload;
 mod ports;
+mod read_only;
 mod soak;
 
 use std::time::Duration;

@@ -1,7 +1,6 @@
 //! Subcommands `fatek backup FILE RANGE…` and `fatek restore FILE`.
 
 use std::collections::HashSet;
-use std::error::Error;
 use std::path::Path;
 use std::time::Duration;
 
@@ -40,10 +39,11 @@ pub(crate) async fn backup(
     let mut taking = taking.on_progress(reporter.callback());
     let station = connect::station(plc, timeout)?;
     let run = async |taking: &mut TakeBackup| taking.run(&station).await;
-    let progress =
-        |taking: &TakeBackup, error: &BackupError| is_line_failure(error).then(|| taking.partial().value_count());
+    let progress = |taking: &TakeBackup, error: &BackupError| {
+        is_line_failure(error.call_error()).then(|| taking.partial().value_count())
+    };
     let note = |taking: &TakeBackup, error: &BackupError| {
-        let cause = error.source().map_or_else(|| error.to_string(), ToString::to_string);
+        let cause = error.call_error().map_or_else(|| error.to_string(), ToString::to_string);
         format!("{cause}; {} elements read", taking.partial().value_count())
     };
     let repeated = retry(&mut taking, Direction::Read, &reporter, run, progress, note);
@@ -138,7 +138,7 @@ pub(crate) async fn restore(
     let run = async |restore: &mut Restore| restore.run(&station).await;
     let progress = |_: &Restore, error: &RestoreError| {
         let left = count(&error.report.unwritten) + count(&error.report.in_doubt);
-        write_progress(count(&error.report.written), left).filter(|_| is_line_failure(error))
+        write_progress(count(&error.report.written), left).filter(|_| is_line_failure(error.source.call_error()))
     };
     // Elements written by all attempts but the last, which the report covers.
     let mut before = 0;

@@ -1,8 +1,7 @@
 //! Errors of subcommands, with their messages and exit statuses.
 
-use std::error::Error;
 use std::path::PathBuf;
-use std::{fmt, io, iter};
+use std::{fmt, io};
 
 use fatek::backup::{RestoreError, RestoreFailure};
 use fatek::file::{FileError, PlcDifference};
@@ -117,7 +116,9 @@ impl Failure {
             Self::Call(error) | Self::CallOf { error, .. } => of_call(error),
             Self::Restore(RestoreError { source: RestoreFailure::NotThere { .. }, .. }) => 3,
             Self::WriteProgram(error) if is_run_refused(error) => 3,
-            Self::Program(_) | Self::WriteProgram(_) | Self::Restore(_) => call_error(self).map_or(7, of_call),
+            Self::Program(error) => error.call_error().map_or(7, of_call),
+            Self::WriteProgram(error) => error.source.call_error().map_or(7, of_call),
+            Self::Restore(error) => error.source.call_error().map_or(7, of_call),
             Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } | Self::OtherPlc(_) => 7,
             Self::Lost { .. } | Self::NoStation { .. } => 4,
             Self::Listen { .. } => 5,
@@ -176,11 +177,6 @@ fn of_call(error: &fatek::Error) -> u8 {
         fatek::Error::BadReply { .. } | fatek::Error::OutOfStep { .. } | fatek::Error::Duplicates { .. } => 6,
         fatek::Error::QueueFull { .. } | fatek::Error::PartlyWritten { .. } | _ => 1,
     }
-}
-
-/// The error of the request that failed, if that is the reason.
-pub(crate) fn call_error<'e>(error: &'e (dyn Error + 'static)) -> Option<&'e fatek::Error> {
-    iter::successors(Some(error), |&error| error.source()).find_map(|error| error.downcast_ref())
 }
 
 /// Cause of a failed call; for a write of several requests, that of the first failed request.

@@ -24,7 +24,8 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     let reporter = Reporter::new(output);
     let mut read = ReadProgram::new().twice(args.twice).on_progress(reporter.callback());
     let run = async |read: &mut ReadProgram| read.run(station).await;
-    let progress = |read: &ReadProgram, error: &ProgramError| is_line_failure(error).then(|| read.pages_done());
+    let progress =
+        |read: &ReadProgram, error: &ProgramError| is_line_failure(error.call_error()).then(|| read.pages_done());
     let note = |read: &ReadProgram, error: &ProgramError| format!("{error}; {} pages read", read.pages_done());
     let repeated = retry(&mut read, Direction::Read, &reporter, run, progress, note);
     let ended = reporter.until_end(unless_signalled(repeated)).await?;
@@ -61,7 +62,8 @@ pub(crate) async fn write(
     ask(&station, plc, &program, args).await?;
     let run = async |write: &mut WriteProgram| write.run(&station).await;
     let progress = |_: &WriteProgram, error: &WriteProgramError| {
-        write_progress(error.state.written.len(), error.state.left()).filter(|_| is_line_failure(error))
+        write_progress(error.state.written.len(), error.state.left())
+            .filter(|_| is_line_failure(error.source.call_error()))
     };
     let note = |_: &WriteProgram, error: &WriteProgramError| error.to_string();
     let repeated = retry(&mut write, Direction::Write, &reporter, run, progress, note);

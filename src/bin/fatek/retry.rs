@@ -1,12 +1,10 @@
 //! Repeats a transfer after line failures, while each run makes progress.
 
-use std::error::Error;
 use std::time::Duration;
 
 use fatek::Error::{BadReply, Connect, Disconnected, Timeout};
 use tokio::time::sleep;
 
-use crate::failure::call_error;
 use crate::transfer::Reporter;
 
 /// Limit of repetitions of a transfer that writes.
@@ -58,9 +56,10 @@ pub(crate) fn write_progress(written: usize, left: usize) -> Option<usize> {
     (written > 0).then(|| usize::MAX - left)
 }
 
-/// Returns whether a transfer failed because the line did. A refusal by the PLC is final.
-pub(crate) fn is_line_failure(error: &(dyn Error + 'static)) -> bool {
-    matches!(call_error(error), Some(Timeout { .. } | BadReply { .. } | Disconnected { .. } | Connect { .. }))
+/// Returns whether a transfer failed because the line did, by the error of its request. A refusal
+/// by the PLC is final.
+pub(crate) fn is_line_failure(call_error: Option<&fatek::Error>) -> bool {
+    matches!(call_error, Some(Timeout { .. } | BadReply { .. } | Disconnected { .. } | Connect { .. }))
 }
 
 #[cfg(test)]
