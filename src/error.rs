@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::command::{Code, InvalidRequest};
+use crate::tag::TagAccessError;
 
 pub(crate) use self::seen::Rounded;
 pub use self::seen::Seen;
@@ -92,6 +93,8 @@ impl From<ErrorCode> for u8 {
 pub enum Error {
     /// The request breaks a rule of the protocol. Nothing was sent.
     Invalid(InvalidRequest),
+    /// A tag and a Rust type, or a tag and a value, do not fit. Nothing was sent.
+    Tag(Box<TagAccessError>),
     /// The PLC refused the request.
     #[non_exhaustive]
     Plc {
@@ -227,6 +230,7 @@ impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Invalid(invalid) => write!(f, "invalid request: {invalid}"),
+            Self::Tag(error) => error.fmt(f),
             Self::Plc { station, code, error, repeated: _ } => write!(f, "station {station} refused {code}: {error}"),
             Self::Timeout { station, code, after, sent, attempts, checked, seen } => {
                 let after = Rounded(*after);
@@ -297,6 +301,7 @@ impl std::error::Error for Error {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
             Self::Invalid(invalid) => invalid.source(),
+            Self::Tag(error) => error.source(),
             Self::Connect { source, .. } | Self::Disconnected { source, .. } => source.source(),
             Self::PartlyWritten { source, .. } => source.source(),
             Self::Plc { .. }
@@ -328,6 +333,7 @@ impl Error {
             Self::Timeout { .. } | Self::Offline { .. } => true,
             Self::PartlyWritten { source, .. } => source.is_timeout(),
             Self::Invalid(_)
+            | Self::Tag(_)
             | Self::Plc { .. }
             | Self::BadReply { .. }
             | Self::OutOfStep { .. }
@@ -346,6 +352,7 @@ impl Error {
             Self::Connect { .. } | Self::Disconnected { .. } => true,
             Self::PartlyWritten { source, .. } => source.is_connect(),
             Self::Invalid(_)
+            | Self::Tag(_)
             | Self::Plc { .. }
             | Self::Timeout { .. }
             | Self::Offline { .. }
@@ -374,7 +381,7 @@ impl Error {
             | Self::Disconnected { .. }
             | Self::QueueFull { .. } => true,
             Self::PartlyWritten { source, .. } => source.is_transient(),
-            Self::Invalid(_) | Self::Plc { .. } | Self::Closed { .. } => false,
+            Self::Invalid(_) | Self::Tag(_) | Self::Plc { .. } | Self::Closed { .. } => false,
         }
     }
 
@@ -386,7 +393,7 @@ impl Error {
     #[must_use]
     pub fn may_have_executed(&self) -> bool {
         match self {
-            Self::Invalid(_) | Self::QueueFull { .. } => false,
+            Self::Invalid(_) | Self::Tag(_) | Self::QueueFull { .. } => false,
             Self::Plc { repeated, .. } => *repeated,
             Self::PartlyWritten { .. } => true,
             Self::Timeout { sent, .. }
@@ -414,6 +421,7 @@ impl Error {
             Self::Plc { error, .. } => Some(*error),
             Self::PartlyWritten { source, .. } => source.error_code(),
             Self::Invalid(_)
+            | Self::Tag(_)
             | Self::Timeout { .. }
             | Self::BadReply { .. }
             | Self::OutOfStep { .. }

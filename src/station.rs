@@ -5,6 +5,7 @@ mod backup;
 mod broadcast;
 mod job;
 mod program;
+mod tags;
 
 // Declared last: rustdoc then lists its methods just before those below.
 mod handle;

@@ -51,6 +51,7 @@
 
 mod assignment;
 mod codec;
+mod convert;
 mod error;
 mod parse;
 mod scale;
@@ -61,7 +62,10 @@ use std::fmt;
 use std::str::FromStr;
 
 pub use assignment::Assignment;
-pub use error::{ParseAssignmentError, ParseTagError, ParseTagTypeError, ParseValueError, TagError, ValueError};
+pub use convert::{FromTag, FromTags, IntoAssignment, IntoAssignments, IntoTag, IntoTagValues, One, Several, TagSet};
+pub use error::{
+    ParseAssignmentError, ParseTagError, ParseTagTypeError, ParseValueError, TagAccessError, TagError, ValueError,
+};
 pub use scale::{Scale, ScaleError};
 pub use types::{TagType, TagValue};
 
@@ -312,6 +316,16 @@ impl Tag {
             text.split(',').try_for_each(take)?;
         }
         Ok((values, raw))
+    }
+
+    /// Values of this tag, all zero.
+    pub(crate) fn zeros(&self) -> Vec<TagValue> {
+        let zero = match self.first.width() {
+            Width::Bit => Value::Bit(false),
+            Width::Word => Value::Word(0),
+            Width::DWord => Value::DWord(0),
+        };
+        vec![zero; self.count].chunks(self.elements_per_value()).map(|elements| self.decode_one(elements)).collect()
     }
 
     fn parse_one(&self, text: &str) -> Result<TagValue, ValueError> {

@@ -37,6 +37,9 @@ pub(super) trait Codec {
     /// The value nearest to a number; `None` if it is out of range, or the type is not scalable.
     fn nearest(number: f64) -> Option<Self::Value>;
 
+    /// The value of a number to be written; `None` if there is none.
+    fn take(number: Number) -> Option<Self::Value>;
+
     /// Number of decimals of the shortest text of a value.
     fn decimals(_value: Self::Value) -> u8 {
         0
@@ -50,9 +53,7 @@ pub(super) trait Codec {
 
     /// Parses the digits behind `0x`: the bits of a value.
     fn parse_bits(digits: &str, _tag_type: TagType) -> Result<u64, ValueError> {
-        let max = Self::BITS / 4;
-        let is_hex = (1..=max as usize).contains(&digits.len()) && digits.bytes().all(|b| b.is_ascii_hexdigit());
-        u64::from_str_radix(digits, 16).ok().filter(|_| is_hex).ok_or(ValueError::BadHex { max })
+        parse_hex(digits, Self::BITS / 4)
     }
 
     /// Parses a value.
@@ -62,6 +63,11 @@ pub(super) trait Codec {
             None => Self::parse_plain(text, tag_type),
         }
     }
+}
+
+fn parse_hex(digits: &str, max: u32) -> Result<u64, ValueError> {
+    let is_hex = (1..=max as usize).contains(&digits.len()) && digits.bytes().all(|b| b.is_ascii_hexdigit());
+    u64::from_str_radix(digits, 16).ok().filter(|_| is_hex).ok_or(ValueError::BadHex { max })
 }
 
 /// The state of a discrete: one bit.
@@ -75,6 +81,10 @@ impl Codec for Bit {
     }
 
     fn nearest(_number: f64) -> Option<bool> {
+        None
+    }
+
+    fn take(_number: Number) -> Option<bool> {
         None
     }
 
@@ -102,7 +112,7 @@ impl Codec for Bit {
 /// An integer, as decimal text.
 pub(super) struct Integer<T>(PhantomData<T>);
 
-impl<T: Primitive + fmt::Display + TryFrom<i64>> Codec for Integer<T> {
+impl<T: Primitive + fmt::Display + TryFrom<i64> + TryFrom<i128>> Codec for Integer<T> {
     type Value = T;
 
     #[allow(clippy::cast_possible_truncation, reason = "within i64, and rounded")]
@@ -111,6 +121,10 @@ impl<T: Primitive + fmt::Display + TryFrom<i64>> Codec for Integer<T> {
         // False for NaN.
         let fits = rounded.abs() < 1e18;
         T::try_from(rounded as i64).ok().filter(|_| fits)
+    }
+
+    fn take(number: Number) -> Option<T> {
+        number.integer()?.try_into().ok()
     }
 
     fn display(value: T, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -141,6 +155,18 @@ impl<T: Real> Codec for Float<T> {
         (rounded.is_finite() || !number.is_finite()).then_some(float)
     }
 
+    fn take(number: Number) -> Option<T> {
+        match number {
+            Number::Float(float) => Self::nearest(float),
+            // An integer is not rounded.
+            Number::Integer(integer) => {
+                #[allow(clippy::cast_possible_truncation, reason = "compared with the integer")]
+                let is_exact = |&float: &T| Into::<f64>::into(float) as i128 == integer;
+                Self::nearest(number.as_f64()).filter(is_exact)
+            }
+        }
+    }
+
     fn decimals(value: T) -> u8 {
         decimals(value)
     }
@@ -156,7 +182,7 @@ impl<T: Real> Codec for Float<T> {
     }
 
     fn parse_bits(digits: &str, tag_type: TagType) -> Result<u64, ValueError> {
-        let bits = Hex::<T>::parse_bits(digits, tag_type)?;
+        let bits = parse_hex(digits, Self::BITS / 4)?;
         let all = Self::BITS / 4;
         // Fewer digits would be a tiny number, which is hardly meant.
         if digits.len() < all as usize { Err(ValueError::PartialBits { tag_type, digits: all }) } else { Ok(bits) }
@@ -166,11 +192,15 @@ impl<T: Real> Codec for Float<T> {
 /// Bits as hexadecimal digits.
 pub(super) struct Hex<T>(PhantomData<T>);
 
-impl<T: Primitive> Codec for Hex<T> {
+impl<T: Primitive + TryFrom<i128>> Codec for Hex<T> {
     type Value = T;
 
     fn nearest(_number: f64) -> Option<T> {
         None
+    }
+
+    fn take(number: Number) -> Option<T> {
+        number.integer()?.try_into().ok()
     }
 
     fn display(value: T, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -179,6 +209,29 @@ impl<T: Primitive> Codec for Hex<T> {
 
     fn parse_plain(_text: &str, _tag_type: TagType) -> Result<T, ValueError> {
         Err(ValueError::NotMarked { bits: T::BITS })
+    }
+}
+
+/// A number to be written.
+#[derive(Clone, Copy)]
+pub(super) enum Number {
+    Integer(i128),
+    Float(f64),
+}
+
+impl Number {
+    /// The integer, or `None` for a float. A float is not written to an integer.
+    fn integer(self) -> Option<i128> {
+        if let Self::Integer(integer) = self { Some(integer) } else { None }
+    }
+
+    /// The `f64` nearest to it.
+    #[allow(clippy::cast_precision_loss, reason = "the nearest f64 is wanted")]
+    pub(super) fn as_f64(self) -> f64 {
+        match self {
+            Self::Integer(integer) => integer as f64,
+            Self::Float(float) => float,
+        }
     }
 }
 

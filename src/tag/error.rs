@@ -268,6 +268,81 @@ impl ParseValueError {
     }
 }
 
+/// The reason why a tag cannot be read into a Rust type, or a Rust value not be written to it.
+/// Nothing was sent.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TagAccessError {
+    /// The text is not a tag.
+    #[error(transparent)]
+    Parse(#[from] ParseTagError),
+    /// The Rust type cannot hold all values of the tag, or not their number.
+    #[error("{} cannot be read into `{rust_type}`", Values(tag))]
+    #[non_exhaustive]
+    NotInto {
+        /// The tag.
+        tag: Tag,
+        /// The Rust type.
+        rust_type: String,
+    },
+    /// A value cannot be written to the tag.
+    #[error("{given} cannot be written to {}", Values(tag))]
+    #[non_exhaustive]
+    Misfit {
+        /// The tag.
+        tag: Tag,
+        /// The value, or the number of values.
+        given: String,
+    },
+    /// A value of a tag is of another kind than the Rust type.
+    #[error("{value} is {}, which cannot be converted to `{rust_type}`", value.description())]
+    #[non_exhaustive]
+    Conversion {
+        /// The value.
+        value: TagValue,
+        /// The Rust type.
+        rust_type: &'static str,
+    },
+    /// A value of the protocol has another width than the Rust type.
+    #[error("a value of {found} is not `{rust_type}`")]
+    #[non_exhaustive]
+    Width {
+        /// Its width.
+        found: Width,
+        /// The Rust type.
+        rust_type: &'static str,
+    },
+    /// The number of tags is not that of the items of the Rust type.
+    #[error("the number of tags is not that of the items of the Rust type")]
+    Number,
+    /// No plan reads the tags: they have too many values.
+    #[error("the tags cannot be read: {reason}")]
+    #[non_exhaustive]
+    NoPlan {
+        /// The rule that they break.
+        reason: String,
+    },
+}
+
+impl TagAccessError {
+    pub(super) fn conversion(value: &TagValue, rust_type: &'static str) -> Self {
+        Self::Conversion { value: value.clone(), rust_type }
+    }
+}
+
+/// Displays a tag with the kind and number of its values.
+struct Values<'t>(&'t Tag);
+
+impl fmt::Display for Values<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(tag) = self;
+        match tag.value_count() {
+            1 => write!(f, "{tag} ({})", tag.description()),
+            count => write!(f, "{tag} ({count} values, each {})", tag.description()),
+        }
+    }
+}
+
 /// A text that is not an assignment.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]

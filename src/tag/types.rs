@@ -3,13 +3,14 @@
 //! A new type needs changes in this file only:
 //! - a row in `types!`;
 //! - for a new format of values, a row in `formats!`;
-//! - for a new Rust type of values, an entry in `primitives!`, and for a new coding, an
-//!   implementation of [`Codec`].
+//! - for a new Rust type of values, an entry in `primitives!`, `numbers!` and `tag_values!`, and for
+//!   a new coding, an implementation of [`Codec`].
 
 use std::fmt;
 use std::str::FromStr;
 
-use super::codec::{Bit, Codec, Float, Hex, Integer, Primitive, Real, primitives};
+use super::codec::{Bit, Codec, Float, Hex, Integer, Number, Primitive, Real, primitives};
+use super::convert::{numbers, tag_values};
 use super::text::{ByteOrder, Quoted};
 use super::{ParseTagTypeError, ValueError};
 use crate::element::Width;
@@ -47,6 +48,32 @@ formats! {
 }
 
 primitives!(u16, i16, u32, i32, f32);
+
+// One row per Rust type that a tag can be read into: the formats whose values it holds, all of them
+// and exactly.
+numbers! {
+    bool: Bool;
+    u16: U16 Hex16;
+    i16: I16;
+    u32: U16 U32 Hex16 Hex32;
+    i32: U16 I16 I32 Hex16;
+    u64: U16 U32 Hex16 Hex32;
+    i64: U16 I16 U32 I32 Hex16 Hex32;
+    f32: U16 I16 F32;
+    f64: U16 I16 U32 I32 F32 Scaled;
+}
+
+// One row per Rust type that is a value by itself.
+tag_values! {
+    bool => Bool, "A value of type `bool`.";
+    u16 => U16, "A value of type `u16`.";
+    i16 => I16, "A value of type `i16`.";
+    u32 => U32, "A value of type `u32`.";
+    i32 => I32, "A value of type `i32`.";
+    f32 => F32, "A value of type `f32`.";
+    String => Text, "A text.";
+    &str => Text, "A text.";
+}
 
 impl Real for f32 {
     #[allow(clippy::cast_possible_truncation, reason = "the nearest f32 is wanted")]
@@ -135,9 +162,13 @@ impl FromStr for TagType {
 }
 
 impl Format {
-    /// Type and width, for errors: `u16 of 16 bits`.
+    /// Type and width, for errors: `u16 of 16 bits`, `bool`.
     pub(super) fn description(self) -> String {
-        format!("{} of {} bits", self.tag_type(), self.bits())
+        if self.bits() == 1 {
+            self.tag_type().to_string()
+        } else {
+            format!("{} of {} bits", self.tag_type(), self.bits())
+        }
     }
 }
 
@@ -268,6 +299,13 @@ macro_rules! formats {
             pub(super) fn decimals(self, bits: u64) -> u8 {
                 match self {
                     $(Self::$variant => <$codec>::decimals(<$codec>::decode(bits)),)*
+                }
+            }
+
+            /// The value of a number to be written; `None` if the format does not have it.
+            pub(super) fn take(self, number: Number) -> Option<TagValue> {
+                match self {
+                    $(Self::$variant => <$codec>::take(number).map(TagValue::$variant),)*
                 }
             }
 

@@ -169,7 +169,7 @@ fn remedy(state: &WriteState) -> &'static str {
 
 fn of_call(error: &fatek::Error) -> u8 {
     match cause(error) {
-        fatek::Error::Invalid(_) => 2,
+        fatek::Error::Invalid(_) | fatek::Error::Tag(_) => 2,
         fatek::Error::Plc { .. } => 3,
         fatek::Error::Timeout { .. } | fatek::Error::Offline { .. } => 4,
         fatek::Error::Connect { .. } | fatek::Error::Disconnected { .. } | fatek::Error::Closed { .. } => 5,

@@ -1,0 +1,244 @@
+//! Reads and writes of tags as Rust values.
+//!
+//! Invariants:
+//! - Nothing is sent unless all tags exist, their values fit the Rust types, and their addresses
+//!   are within the framing.
+//! - A value of several registers is read by one request and written by one request.
+
+use crate::command::{Command as _, WriteMixed};
+use crate::element::{Element, Value};
+use crate::error::Error;
+use crate::plan::{CostModel, Plan, PlanError};
+use crate::station::Station;
+use crate::tag::{
+    Assignment, FromTags, IntoAssignment as _, IntoAssignments, IntoTag, IntoTagValues, Tag, TagAccessError, TagSet,
+    TagValue,
+};
+
+/// Tags as Rust values.
+impl Station {
+    /// Reads a tag, or several, into a Rust type.
+    ///
+    /// One tag is read into a number, a `bool`, a `String`, an array or a `Vec`; a tuple, an array or
+    /// a `Vec` of tags into a tuple, an array or a `Vec` of these. All tags of a call are read by the
+    /// cheapest [`Plan`] for the link. Values of several requests can be of different scans.
+    ///
+    /// A service that reads the same tags again and again keeps a [`Plan`], or uses a
+    /// [`Poller`](crate::Poller).
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// use fatek::Tag;
+    ///
+    /// station.write("R100:f32", 21.5).await?;
+    ///
+    /// let level: f32 = station.read("R100:f32").await?;
+    /// let speeds: Vec<i16> = station.read("R0-R9:i16").await?;
+    /// let (open, count, name): (bool, u32, String) = station.read(("M5", "DR20", "R30-R39:text")).await?;
+    /// let alarms: [bool; 3] = station.read(["M1", "M7", "X3"]).await?;
+    /// let tag: Tag = "R5:u16*0.1".parse().expect("a tag");
+    /// let scaled: f64 = station.read(tag).await?;
+    /// # assert_eq!((level, speeds.len(), open, count, name.as_str(), alarms, scaled), (21.5, 10, false, 0, "", [false; 3], 0.0));
+    ///
+    /// let error = station.read::<i16, _>("R100:f32").await.unwrap_err();
+    /// assert_eq!(error.to_string(), "R100:f32 (f32 of 32 bits) cannot be read into `i16`");
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Tag`] for a text that is not a tag, or a tag that does not fit; those of
+    /// [every method](Self#errors), for the first tag that fails. A read fails as a whole.
+    ///
+    /// Cancel-safe: it only reads.
+    pub async fn read<T, S>(&self, tags: S) -> Result<T, Error>
+    where
+        S: TagSet,
+        T: FromTags<S::Shape>,
+    {
+        let tags = tags.into_tags()?;
+        T::check(&tags)?;
+        let values = self.read_tags(&tags).await?;
+        Ok(T::from_values(&tags, &values)?)
+    }
+
+    /// Writes a value to a tag, or several values to a tag with as many.
+    ///
+    /// A number is checked against the type of the tag; see [`IntoTagValues`]. A tag of more than one
+    /// request is written by several, of which none splits a value.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.write("R100:f32", 21.5).await?;
+    /// station.write("R0-R2", [1, 2, 3]).await?;
+    /// station.write("R5:i16*0.1", -4.5).await?;
+    /// station.write("R30-R39:text", "boiler 2").await?;
+    /// station.write("M5", true).await?;
+    ///
+    /// let error = station.write("R7", 70_000).await.unwrap_err();
+    /// assert_eq!(error.to_string(), "70000 cannot be written to R7 (u16 of 16 bits)");
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Tag`] for a text that is not a tag, or a value that does not fit; those of
+    /// [every method](Self#errors), with [`Error::PartlyWritten`] for a tag of several requests.
+    ///
+    /// Cancel safety: as of [every method](Self#cancel-safety).
+    pub async fn write(&self, tag: impl IntoTag, values: impl IntoTagValues) -> Result<(), Error> {
+        self.write_assignment(&(tag, values).into_assignment()?).await
+    }
+
+    /// Writes values to several tags, in their order, by as few requests as cost less time.
+    ///
+    /// Tags next to each other in the list, of 32 units in all at most, are written by one mixed write
+    /// (49), in one scan, if that is cheaper. If the PLC refuses it, they are written one by one: then
+    /// the error names the tag that is refused.
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// station.write_all((("R100:f32", 21.5), ("M5", true), ("R0-R2", [1, 2, 3]))).await?;
+    /// station.write_all([("R10", 7), ("R20", 8)]).await?;
+    ///
+    /// assert_eq!(station.read::<(f32, bool), _>(("R100:f32", "M5")).await?, (21.5, true));
+    /// # Ok(()) });
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Tag`] for a text that is not a tag, or a value that does not fit: nothing is sent.
+    /// Those of [every method](Self#errors); after the first request [`Error::PartlyWritten`], which
+    /// counts the values of all tags.
+    ///
+    /// Cancel safety: as of [every method](Self#cancel-safety); what was written stays written.
+    pub async fn write_all(&self, assignments: impl IntoAssignments) -> Result<(), Error> {
+        let assignments = assignments.into_assignments()?;
+        let cost = CostModel::of_link(&self.link);
+        let framing = self.link.framing();
+        for assignment in &assignments {
+            assignment.tag().check_in(framing).map_err(crate::InvalidRequest::from)?;
+        }
+        let count = value_count(&assignments);
+        let mut rest = assignments.as_slice();
+        while !rest.is_empty() {
+            let (group, others) = rest.split_at(together(rest, &cost));
+            let written = count - value_count(rest);
+            self.write_group(group).await.map_err(|(in_group, error)| partly(written + in_group, count, error))?;
+            rest = others;
+        }
+        Ok(())
+    }
+
+    /// The values of each tag, by the cheapest plan.
+    async fn read_tags(&self, tags: &[Tag]) -> Result<Vec<Vec<TagValue>>, Error> {
+        let plan = Plan::builder(CostModel::of_link(&self.link)).tags(tags.iter().copied()).build();
+        let plan = plan.map_err(|error| match error {
+            PlanError::Request(invalid) => Error::Invalid(invalid),
+            PlanError::Limit { .. }
+            | PlanError::Range { .. }
+            | PlanError::NotReadable { .. }
+            | PlanError::OneScan { .. }
+            | PlanError::TooManyValues { .. }
+            | PlanError::Reply { .. } => TagAccessError::NoPlan { reason: error.to_string() }.into(),
+        })?;
+        let readings = plan.read(self).await;
+        readings.iter().map(|(_, values)| values.map_err(Error::clone)).collect()
+    }
+
+    /// Writes assignments by one request, or one by one. The error has the number of values written
+    /// before.
+    async fn write_group(&self, group: &[Assignment]) -> Result<(), (usize, Error)> {
+        if group.len() > 1 {
+            match self.write_mixed(&items(group)).await {
+                // Nothing was written: the PLC refuses the command, or one of the elements.
+                Err(Error::Plc { repeated: false, .. }) => {}
+                result => return result.map_err(|error| (0, error)),
+            }
+        }
+        for (n, assignment) in group.iter().enumerate() {
+            let written = value_count(group.get(..n).unwrap_or_default());
+            self.write_assignment(assignment).await.map_err(|error| (written, error))?;
+        }
+        Ok(())
+    }
+
+    /// Writes the elements of one tag.
+    pub(crate) async fn write_assignment(&self, assignment: &Assignment) -> Result<(), Error> {
+        let (tag, raw) = (assignment.tag(), assignment.encode());
+        let written = match tag.first() {
+            Element::Discrete(first) => self.write_discretes(first, &of_width(&raw)).await,
+            Element::Register(first) => self.write_registers(first, &of_width(&raw)).await,
+            Element::Register32(first) => self.write_registers32(first, &of_width(&raw)).await,
+        };
+        // Requests end where a value does: they have 64 or 32 words, or are the last one.
+        written.map_err(|error| match error {
+            Error::PartlyWritten { written, count, source } => {
+                let per_value = tag.elements_per_value().max(1);
+                debug_assert!(written.is_multiple_of(per_value), "no value is split");
+                Error::PartlyWritten { written: written / per_value, count: count / per_value, source }
+            }
+            error => error,
+        })
+    }
+}
+
+impl From<TagAccessError> for Error {
+    fn from(error: TagAccessError) -> Self {
+        Self::Tag(Box::new(error))
+    }
+}
+
+/// The raw values of an assignment, which are all as wide as its elements.
+fn of_width<T: TryFrom<Value>>(raw: &[Value]) -> Vec<T> {
+    let values: Vec<T> = raw.iter().filter_map(|&value| value.try_into().ok()).collect();
+    debug_assert_eq!(values.len(), raw.len(), "the values of an assignment are as wide as its elements");
+    values
+}
+
+fn value_count(assignments: &[Assignment]) -> usize {
+    assignments.iter().map(|assignment| assignment.values().len()).sum()
+}
+
+fn items(group: &[Assignment]) -> Vec<(Element, Value)> {
+    group.iter().flat_map(|assignment| assignment.tag().elements().zip(assignment.encode())).collect()
+}
+
+/// The number of assignments, from the first on, that are written by one request.
+fn together(assignments: &[Assignment], cost: &CostModel) -> usize {
+    let mut count = 1;
+    let is_mixed = |count: usize| {
+        let group = assignments.get(..count)?;
+        let write = WriteMixed::new(items(group)).ok()?;
+        write.check(cost.framing()).ok()?;
+        Some(())
+    };
+    let framing = cost.framing();
+    // A request by itself has its frames and its turnaround, a part of a mixed write one name more
+    // for each element but the first.
+    let single = cost.request_time() + cost.byte_time() * u32::try_from(2 * framing.frame_overhead()).unwrap_or(0);
+    let names = |assignment: &Assignment| {
+        let tag = assignment.tag();
+        let bytes = tag.element_count().saturating_sub(1) * framing.element_len(tag.first().symbol());
+        cost.byte_time().saturating_mul(u32::try_from(bytes).unwrap_or(u32::MAX))
+    };
+    let Some(first) = assignments.first() else { return 0 };
+    if names(first) >= single {
+        return 1;
+    }
+    while assignments.get(count).is_some_and(|next| names(next) < single) && is_mixed(count + 1).is_some() {
+        count += 1;
+    }
+    count
+}
+
+/// The error of a write of `count` values, of which so many were written before it.
+fn partly(written: usize, count: usize, error: Error) -> Error {
+    match error {
+        Error::PartlyWritten { written: more, source, .. } => {
+            Error::PartlyWritten { written: written + more, count, source }
+        }
+        error if written == 0 => error,
+        error => Error::PartlyWritten { written, count, source: Box::new(error) },
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,227 @@
+use super::*;
+use crate::error::ErrorCode;
+use crate::link::Link;
+use crate::sim::fault::Arrival;
+use crate::sim::{self, Bus, Fault, Faults, Plc, Rule};
+use crate::wire::Framing;
+
+struct Bench {
+    plc: Plc,
+    faults: Faults,
+    station: Station,
+}
+
+fn bench(framing: Framing, rules: impl IntoIterator<Item = Rule>) -> Bench {
+    let (plc, faults) = (Plc::new(), Faults::new(1));
+    faults.set_rules(rules);
+    let bus = Bus::new().with_station(1, plc.clone()).unwrap().with_faults(faults.clone());
+    let link = Link::connector_builder("a PLC", framing, sim::connector(bus, framing)).seed(1).build();
+    Bench { plc, faults, station: link.station(1).unwrap() }
+}
+
+impl Bench {
+    /// The commands that were received, checks left out.
+    fn commands(&self) -> Vec<u8> {
+        let commands = self.faults.log().entries().into_iter().filter_map(|entry| match entry.arrival {
+            Arrival::Request { request, .. } => Some(request.code().into()),
+            _ => None,
+        });
+        commands.filter(|&command| command != 0x4E).collect()
+    }
+}
+
+fn misfit<T: std::fmt::Debug>(result: Result<T, Error>) -> String {
+    match result {
+        Err(error @ Error::Tag(_)) => error.to_string(),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Reads a tag into each Rust type. Returns the names of those that it fits.
+async fn types_of(station: &Station, tag: &str) -> String {
+    let mut names = Vec::new();
+    macro_rules! try_types {
+        ($($name:ty),*) => {
+            $(
+                match station.read::<$name, _>(tag).await {
+                    Ok(_) => names.push(stringify!($name)),
+                    Err(error) => {
+                        assert!(matches!(error, Error::Tag(_)), "{error}");
+                        let text = error.to_string();
+                        assert!(text.contains(tag) && text.contains(&format!("`{}`", stringify!($name))), "{text}");
+                    }
+                }
+            )*
+        };
+    }
+    try_types!(bool, u16, i16, u32, i32, u64, i64, f32, f64, String, TagValue, Vec<u16>, [i16; 2], [f32; 2]);
+    names.join(" ")
+}
+
+#[tokio::test]
+async fn a_tag_is_read_into_each_type_that_holds_all_its_values() {
+    let bench = bench(Framing::Ascii, []);
+    for (tag, types) in [
+        ("M0", "bool TagValue"),
+        ("R0", "u16 u32 i32 u64 i64 f32 f64 TagValue Vec<u16>"),
+        ("R0:i16", "i16 i32 i64 f32 f64 TagValue"),
+        ("R0:u32", "u32 u64 i64 f64 TagValue"),
+        ("DR0:i32", "i32 i64 f64 TagValue"),
+        ("DR0:f32", "f32 f64 TagValue"),
+        ("R0:hex", "u16 u32 i32 u64 i64 TagValue Vec<u16>"),
+        ("DR0:hex", "u32 u64 i64 TagValue"),
+        ("R0:u16*0.1", "f64 TagValue"),
+        ("R0-R4:text", "String TagValue"),
+        ("R0-R1:i16", "[i16; 2] [f32; 2]"),
+        ("R0-R3:f32", "[f32; 2]"),
+        ("R0-R2", "Vec<u16>"),
+    ] {
+        assert_eq!(types_of(&bench.station, tag).await, types, "{tag}");
+    }
+}
+
+#[tokio::test]
+async fn what_is_written_is_read_back_in_both_framings() {
+    for framing in [Framing::Ascii, Framing::Binary] {
+        let Bench { station, plc, .. } = bench(framing, []);
+        station.write("R0", 65_535).await.unwrap();
+        station.write("R1:i16", -1_i8).await.unwrap();
+        station.write("R2:u32", u32::MAX).await.unwrap();
+        station.write("DR4:i32", i32::MIN).await.unwrap();
+        station.write("R6:f32", -500.125).await.unwrap();
+        station.write("R8:f32", 7).await.unwrap();
+        station.write("R10:hex", 0xBEEF).await.unwrap();
+        station.write("R11:i16*0.1-40", 12.3).await.unwrap();
+        station.write("R12-R14:text", "abc").await.unwrap();
+        station.write("M3-M5", [true, false, true]).await.unwrap();
+        station.write("R20-R23:f32", vec![1.5, -2.5]).await.unwrap();
+        station.write(crate::register!("R30"), 5_u16).await.unwrap();
+        station.write("R31", TagValue::U16(9)).await.unwrap();
+        assert_eq!(plc.read(crate::register!("R6")), Value::Word(0x1000));
+        assert_eq!(plc.read(crate::register!("R7")), Value::Word(0xC3FA));
+        type Values = (u16, i16, u32, i32, f32, f64, u64, f64, String, Vec<bool>, [f32; 2], u16);
+        let tags = (
+            "R0",
+            "R1:i16",
+            "R2:u32",
+            "DR4:i32",
+            "R6:f32",
+            "R8:f32",
+            "R10:hex",
+            "R11:i16*0.1-40",
+            "R12-R14:text",
+            "M3-M5",
+            "R20-R23:f32",
+            "R31",
+        );
+        let values: Values = station.read(tags).await.unwrap();
+        let text = "abc".to_owned();
+        let bits = vec![true, false, true];
+        let expected: Values =
+            (65_535, -1, u32::MAX, i32::MIN, -500.125, 7.0, 0xBEEF, 12.3, text, bits, [1.5, -2.5], 9);
+        assert_eq!(values, expected, "{framing}");
+    }
+}
+
+#[tokio::test]
+async fn values_that_do_not_fit_are_named_and_nothing_is_sent() {
+    let Bench { station, faults, .. } = bench(Framing::Ascii, []);
+    for (error, text) in [
+        (misfit(station.write("R0", 65_536).await), "65536 cannot be written to R0 (u16 of 16 bits)"),
+        (misfit(station.write("R0", -1).await), "-1 cannot be written to R0 (u16 of 16 bits)"),
+        (misfit(station.write("R0", 1.0).await), "1 cannot be written to R0 (u16 of 16 bits)"),
+        (misfit(station.write("R0:f32", 16_777_217).await), "16777217 cannot be written to R0:f32 (f32 of 32 bits)"),
+        (
+            misfit(station.write("R0:f32", 1e39).await),
+            "1000000000000000000000000000000000000000 cannot be written to R0:f32",
+        ),
+        (misfit(station.write("R0", true).await), "true cannot be written to R0 (u16 of 16 bits)"),
+        (misfit(station.write("M0", 1).await), "1 cannot be written to M0 (bool)"),
+        (misfit(station.write("R0:u16*0.1", 6553.6).await), "6553.6 cannot be written to R0:u16*0.1 (scaled)"),
+        (misfit(station.write("R0-R1:text", "abcde").await), "\"abcde\" cannot be written to R0-R1:text (text)"),
+        (misfit(station.write("R0", "5").await), "\"5\" cannot be written to R0"),
+        (misfit(station.write("R0-R2", [1, 2]).await), "2 values cannot be written to R0-R2 (3 values, each u16"),
+        (misfit(station.write("R0-R2", [1, 2, 70_000]).await), "70000 cannot be written to R2 (u16"),
+        (misfit(station.write("R0", TagValue::I16(1)).await), "1 cannot be written to R0 (u16"),
+        (misfit(station.write("R5:x", 1).await), "`R5:x` is not a tag"),
+        (misfit(station.read::<u16, _>("R0-").await), "`R0-` is not a tag"),
+        (misfit(station.read::<(u16, i16), _>(("R0", "M0")).await), "M0 (bool) cannot be read into `i16`"),
+        (misfit(station.read::<[u16; 3], _>(["R0", "R1"]).await), "the number of tags"),
+        (
+            misfit(station.read::<[u16; 3], _>("R0-R1").await),
+            "R0-R1 (2 values, each u16 of 16 bits) cannot be read into `[u16; 3]`",
+        ),
+        (misfit(station.write_all((("R0", 1), ("R1", 70_000))).await), "70000 cannot be written to R1"),
+    ] {
+        assert!(error.contains(text), "{error}\nshould have: {text}");
+    }
+    let past = station.write_all([("R0", true.into_values(&"M0".parse().unwrap()).unwrap())]).await;
+    assert!(matches!(past, Err(Error::Tag(_))));
+    let far = station.write_all((("R0", 1), ("M10000", true))).await;
+    assert!(matches!(far, Err(Error::Invalid(_))), "{far:?}");
+    assert_eq!(faults.log().arrivals(), 0);
+}
+
+#[tokio::test]
+async fn several_tags_are_read_and_written_by_the_cheapest_requests() {
+    let bench = bench(Framing::Ascii, []);
+    let _: (u16, bool, f32) = bench.station.read(("R0", "M100", "R900:f32")).await.unwrap();
+    assert_eq!(bench.commands(), [0x48], "one mixed read");
+    bench.faults.log().clear();
+    bench.station.write_all((("R0", 1), ("M5", true), ("R10-R12", [1, 2, 3]), ("R20:f32", 1.5))).await.unwrap();
+    assert_eq!(bench.commands(), [0x49], "one mixed write");
+    assert_eq!(
+        bench.station.read::<(u16, bool, [u16; 3], f32), _>(("R0", "M5", "R10-R12", "R20:f32")).await.unwrap(),
+        (1, true, [1, 2, 3], 1.5)
+    );
+    // No room for the third in a mixed write.
+    bench.faults.log().clear();
+    let many = |n: u16| vec![n; 16];
+    bench.station.write_all([("R100-R115", many(1)), ("R200-R215", many(2)), ("R300-R315", many(3))]).await.unwrap();
+    assert_eq!(bench.commands(), [0x49, 0x47]);
+    let read: [Vec<u16>; 3] = bench.station.read(["R100-R115", "R200-R215", "R300-R315"]).await.unwrap();
+    assert_eq!(read, [many(1), many(2), many(3)]);
+}
+
+#[tokio::test]
+async fn a_refused_mixed_write_is_repeated_one_by_one() {
+    let refuse = |code| Rule::new(Fault::Error(ErrorCode::NotSupported)).command(code);
+    let bench = bench(Framing::Ascii, [refuse(crate::command::Code::WriteMixed)]);
+    bench.station.write_all((("R0", 1), ("M5", true))).await.unwrap();
+    assert_eq!(bench.station.read::<(u16, bool), _>(("R0", "M5")).await.unwrap(), (1, true));
+    // The second is refused by itself.
+    bench.faults.add_rule(Rule::new(Fault::Error(ErrorCode::WriteProhibited)).element(crate::discrete!("M7")));
+    let error = bench.station.write_all((("R1", 1), ("M7", true), ("R2", 2))).await.unwrap_err();
+    assert_eq!(error.error_code(), Some(ErrorCode::WriteProhibited));
+    assert!(matches!(error, Error::PartlyWritten { written: 1, count: 3, .. }), "{error:?}");
+    assert_eq!(bench.station.read::<[u16; 2], _>("R1-R2").await.unwrap(), [1, 0]);
+}
+
+/// A tag of several requests: each begins and ends between two values.
+#[tokio::test]
+async fn no_request_splits_a_value() {
+    let bench = bench(Framing::Ascii, []);
+    let values: Vec<f32> = (0..150_u16).map(|n| f32::from(n) + 0.5).collect();
+    bench.station.write("R1-R300:f32", values.as_slice()).await.unwrap();
+    let mut runs = Vec::new();
+    for entry in bench.faults.log().entries() {
+        if let Arrival::Request { request, .. } = entry.arrival {
+            match request {
+                crate::command::Request::WriteRegisters(write) => {
+                    runs.push((write.first().address(), write.values().len()))
+                }
+                crate::command::Request::WriteMixed(write) => {
+                    runs.push((write.items()[0].0.address(), write.items().len()));
+                }
+                _ => {}
+            }
+        }
+    }
+    assert!(runs.len() >= 5, "{runs:?}");
+    assert!(runs.iter().all(|(first, count)| first % 2 == 1 && count % 2 == 0), "{runs:?}");
+    assert_eq!(bench.station.read::<Vec<f32>, _>("R1-R300:f32").await.unwrap(), values);
+    // The third request fails: 64 and 32 words were written.
+    bench.faults.add_rule(Rule::new(Fault::Error(ErrorCode::IllegalAddress)).element(crate::register!("R110")));
+    let error = bench.station.write("R1-R300:f32", values).await.unwrap_err();
+    assert!(matches!(error, Error::PartlyWritten { written: 48, count: 150, .. }), "{error:?}");
+}

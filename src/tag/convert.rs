@@ -1,0 +1,524 @@
+//! Conversions between the values of tags and Rust types.
+//!
+//! A conversion never changes a number: a type that cannot hold all values of a tag is refused
+//! before anything is sent. The one exception is a float written to a tag of fewer bits, or with a
+//! gain: the nearest value is written, as for text.
+
+use super::codec::Number;
+use super::{Assignment, Storage, Tag, TagAccessError, TagValue};
+use crate::command::Value;
+use crate::element::{Discrete, Element, Register, Register32};
+
+/// A Rust type that holds the values of one tag: numbers, `bool`, `String`, [`TagValue`], and `Vec`s
+/// and arrays of these.
+///
+/// A tag fits a type that can hold each of its values: `R5` fits `u16`, `u32`, `i32`, `u64`, `i64`,
+/// `f32` and `f64`, but not `i16`. Scaled tags fit `f64`, texts fit `String`. An array has as many
+/// items as the tag has values.
+///
+/// Own types can be read as well:
+///
+/// ```
+/// use fatek::tag::{FromTag, TagValue};
+///
+/// #[derive(Debug, PartialEq)]
+/// struct Bar(f64);
+///
+/// impl FromTag for Bar {
+///     fn type_name() -> String {
+///         "Bar".to_owned()
+///     }
+///
+///     fn from_values(values: &[TagValue]) -> Option<Self> {
+///         f64::from_values(values).map(Bar)
+///     }
+/// }
+/// # fatek::sim::doctest(|station| async move {
+/// assert_eq!(station.read::<Bar, _>("R5:u16*0.01").await?, Bar(0.0));
+/// # Ok(()) });
+/// ```
+pub trait FromTag: Sized {
+    /// The name of the type, for errors.
+    fn type_name() -> String;
+
+    /// Makes it of the values of a tag; `None` if they do not fit.
+    fn from_values(values: &[TagValue]) -> Option<Self>;
+
+    /// Returns whether the values of a tag fit, before they are known. By default it is asked for
+    /// values of zero.
+    fn fits(tag: &Tag) -> bool {
+        Self::from_values(&tag.zeros()).is_some()
+    }
+}
+
+macro_rules! numbers {
+    ($($name:ident: $($variant:ident)*;)*) => {
+        $(
+            impl $crate::tag::FromTag for $name {
+                fn type_name() -> String {
+                    stringify!($name).to_owned()
+                }
+
+                fn from_values(values: &[TagValue]) -> Option<Self> {
+                    match values {
+                        [value] => value.try_into().ok(),
+                        _ => None,
+                    }
+                }
+            }
+
+            impl TryFrom<&TagValue> for $name {
+                type Error = $crate::tag::TagAccessError;
+
+                /// # Errors
+                /// [`TagAccessError::Conversion`](crate::tag::TagAccessError::Conversion) unless the type holds all values of this kind.
+                fn try_from(value: &TagValue) -> Result<Self, Self::Error> {
+                    match *value {
+                        $(TagValue::$variant(value) => Ok(value.into()),)*
+                        _ => Err($crate::tag::TagAccessError::conversion(value, stringify!($name))),
+                    }
+                }
+            }
+
+            impl TryFrom<TagValue> for $name {
+                type Error = $crate::tag::TagAccessError;
+
+                fn try_from(value: TagValue) -> Result<Self, Self::Error> {
+                    (&value).try_into()
+                }
+            }
+        )*
+    };
+}
+
+pub(super) use numbers;
+
+impl FromTag for String {
+    fn type_name() -> String {
+        "String".to_owned()
+    }
+
+    fn from_values(values: &[TagValue]) -> Option<Self> {
+        match values {
+            [TagValue::Text(text)] => Some(text.clone()),
+            _ => None,
+        }
+    }
+}
+
+impl FromTag for TagValue {
+    fn type_name() -> String {
+        "TagValue".to_owned()
+    }
+
+    fn from_values(values: &[TagValue]) -> Option<Self> {
+        match values {
+            [value] => Some(value.clone()),
+            _ => None,
+        }
+    }
+}
+
+impl<T: FromTag> FromTag for Vec<T> {
+    fn type_name() -> String {
+        format!("Vec<{}>", T::type_name())
+    }
+
+    fn from_values(values: &[TagValue]) -> Option<Self> {
+        values.iter().map(|value| T::from_values(std::slice::from_ref(value))).collect()
+    }
+}
+
+impl<T: FromTag, const N: usize> FromTag for [T; N] {
+    fn type_name() -> String {
+        format!("[{}; {N}]", T::type_name())
+    }
+
+    fn from_values(values: &[TagValue]) -> Option<Self> {
+        <Vec<T> as FromTag>::from_values(values)?.try_into().ok()
+    }
+}
+
+macro_rules! tag_values {
+    ($($name:ty => $variant:ident, $doc:literal;)*) => {
+        $(
+            impl From<$name> for TagValue {
+                #[doc = $doc]
+                fn from(value: $name) -> Self {
+                    Self::$variant(value.into())
+                }
+            }
+        )*
+    };
+}
+
+pub(super) use tag_values;
+
+/// A Rust value, or several, that can be written to a tag.
+///
+/// - `bool` for a discrete.
+/// - Integers for tags of integers whose range has them, for `hex`, and for `f32` if it has this
+///   number exactly.
+/// - `f32` and `f64` for tags `f32`, which get the nearest value. An integer tag refuses them.
+/// - All numbers for tags with gain or offset.
+/// - `&str` and `String` for texts.
+/// - [`TagValue`] for tags of its type.
+/// - `Vec`s, slices and arrays of these for tags with as many values.
+pub trait IntoTagValues {
+    /// The values for this tag.
+    ///
+    /// # Errors
+    /// [`TagAccessError::Misfit`] names the tag and the value that does not fit.
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError>;
+}
+
+/// The value of a number for a tag; `None` if the tag does not take it.
+fn number_for(tag: &Tag, number: Number) -> Option<TagValue> {
+    match (tag.storage, tag.scale) {
+        (Storage::Bits(_), Some(_)) => Some(TagValue::Scaled(number.as_f64())),
+        (Storage::Bits(format), None) => format.take(number),
+        (Storage::Text(_), _) => None,
+    }
+}
+
+/// The value of a single one, checked by encoding it: also its raw number must fit.
+fn single(tag: &Tag, value: Option<TagValue>, given: impl ToString) -> Result<Vec<TagValue>, TagAccessError> {
+    let misfit = || TagAccessError::Misfit { tag: *tag, given: given.to_string() };
+    let values = vec![value.ok_or_else(misfit)?];
+    tag.encode(&values).map_err(|_| misfit())?;
+    Ok(values)
+}
+
+macro_rules! written_numbers {
+    ($($name:ident $variant:ident;)*) => {
+        $(
+            impl IntoTagValues for $name {
+                fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+                    single(tag, number_for(tag, Number::$variant(self.into())), self)
+                }
+            }
+        )*
+    };
+}
+
+written_numbers! {
+    u8 Integer; i8 Integer; u16 Integer; i16 Integer; u32 Integer; i32 Integer; u64 Integer; i64 Integer;
+    f32 Float; f64 Float;
+}
+
+impl IntoTagValues for bool {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        single(tag, Some(TagValue::Bool(self)), self)
+    }
+}
+
+impl IntoTagValues for &str {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        single(tag, Some(TagValue::Text(self.to_owned())), TagValue::Text(self.to_owned()))
+    }
+}
+
+impl IntoTagValues for String {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        self.as_str().into_values(tag)
+    }
+}
+
+impl IntoTagValues for TagValue {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        let given = self.to_string();
+        single(tag, Some(self), given)
+    }
+}
+
+impl<T: IntoTagValues> IntoTagValues for Vec<T> {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        let given = self.len();
+        if given != tag.value_count() {
+            return Err(TagAccessError::Misfit { tag: *tag, given: format!("{given} values") });
+        }
+        let singles = tag.singles().zip(self).map(|(tag, value)| value.into_values(&tag));
+        // A text is one value.
+        Ok(singles.collect::<Result<Vec<_>, _>>()?.concat())
+    }
+}
+
+impl<T: IntoTagValues + Clone> IntoTagValues for &[T] {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        self.to_vec().into_values(tag)
+    }
+}
+
+impl<T: IntoTagValues, const N: usize> IntoTagValues for [T; N] {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        Vec::from(self).into_values(tag)
+    }
+}
+
+/// A tag, or the text of one.
+pub trait IntoTag {
+    /// The tag.
+    ///
+    /// # Errors
+    /// [`TagAccessError::Parse`] for a text that is not a tag.
+    fn into_tag(self) -> Result<Tag, TagAccessError>;
+}
+
+/// One tag, or several: a tuple, an array, a slice or a `Vec`.
+pub trait TagSet {
+    /// [`One`] or [`Several`].
+    type Shape;
+
+    /// The tags, in their order.
+    ///
+    /// # Errors
+    /// [`TagAccessError::Parse`] for a text that is not a tag.
+    fn into_tags(self) -> Result<Vec<Tag>, TagAccessError>;
+}
+
+/// Marks a single tag.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct One;
+
+/// Marks a tuple or list of tags.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct Several;
+
+macro_rules! tags {
+    ($($name:ty: $tag:ident => $do:expr;)*) => {
+        $(
+            impl IntoTag for $name {
+                fn into_tag(self) -> Result<Tag, TagAccessError> {
+                    let $tag = self;
+                    $do
+                }
+            }
+
+            impl TagSet for $name {
+                type Shape = One;
+
+                fn into_tags(self) -> Result<Vec<Tag>, TagAccessError> {
+                    Ok(vec![self.into_tag()?])
+                }
+            }
+        )*
+    };
+}
+
+tags! {
+    &str: text => Ok(text.parse()?);
+    &String: text => Ok(text.parse()?);
+    String: text => Ok(text.parse()?);
+    Tag: tag => Ok(tag);
+    &Tag: tag => Ok(*tag);
+    Element: element => Ok(element.into());
+    Discrete: element => Ok(Element::from(element).into());
+    Register: element => Ok(Element::from(element).into());
+    Register32: element => Ok(Element::from(element).into());
+}
+
+impl<T: IntoTag, const N: usize> TagSet for [T; N] {
+    type Shape = Several;
+
+    fn into_tags(self) -> Result<Vec<Tag>, TagAccessError> {
+        self.into_iter().map(IntoTag::into_tag).collect()
+    }
+}
+
+impl<T: IntoTag> TagSet for Vec<T> {
+    type Shape = Several;
+
+    fn into_tags(self) -> Result<Vec<Tag>, TagAccessError> {
+        self.into_iter().map(IntoTag::into_tag).collect()
+    }
+}
+
+impl<T: IntoTag + Clone> TagSet for &[T] {
+    type Shape = Several;
+
+    fn into_tags(self) -> Result<Vec<Tag>, TagAccessError> {
+        self.iter().cloned().map(IntoTag::into_tag).collect()
+    }
+}
+
+/// A Rust type that holds the values of a [`TagSet`]: a [`FromTag`] for one tag, a tuple, an array or
+/// a `Vec` of them for several.
+pub trait FromTags<Shape>: Sized {
+    /// Checks that the values of these tags fit, before they are read.
+    ///
+    /// # Errors
+    /// [`TagAccessError::NotInto`] names the tag and the type.
+    fn check(tags: &[Tag]) -> Result<(), TagAccessError>;
+
+    /// Makes it of the values of each tag.
+    ///
+    /// # Errors
+    /// [`TagAccessError::NotInto`] names the tag and the type.
+    fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError>;
+}
+
+fn check_one<T: FromTag>(tag: Option<&Tag>) -> Result<(), TagAccessError> {
+    match tag {
+        Some(tag) if T::fits(tag) => Ok(()),
+        Some(tag) => Err(TagAccessError::NotInto { tag: *tag, rust_type: T::type_name() }),
+        None => Err(TagAccessError::Number),
+    }
+}
+
+fn one<T: FromTag>(tag: Option<&Tag>, values: Option<&Vec<TagValue>>) -> Result<T, TagAccessError> {
+    let (tag, values) = tag.zip(values).ok_or(TagAccessError::Number)?;
+    T::from_values(values).ok_or_else(|| TagAccessError::NotInto { tag: *tag, rust_type: T::type_name() })
+}
+
+impl<T: FromTag> FromTags<One> for T {
+    fn check(tags: &[Tag]) -> Result<(), TagAccessError> {
+        check_one::<T>(tags.first())
+    }
+
+    fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
+        one(tags.first(), values.first())
+    }
+}
+
+impl<T: FromTag> FromTags<Several> for Vec<T> {
+    fn check(tags: &[Tag]) -> Result<(), TagAccessError> {
+        tags.iter().try_for_each(|tag| check_one::<T>(Some(tag)))
+    }
+
+    fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
+        tags.iter().zip(values).map(|(tag, values)| one(Some(tag), Some(values))).collect()
+    }
+}
+
+impl<T: FromTag, const N: usize> FromTags<Several> for [T; N] {
+    fn check(tags: &[Tag]) -> Result<(), TagAccessError> {
+        if tags.len() == N { <Vec<T> as FromTags<Several>>::check(tags) } else { Err(TagAccessError::Number) }
+    }
+
+    fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
+        let items = <Vec<T> as FromTags<Several>>::from_values(tags, values)?;
+        items.try_into().map_err(|_| TagAccessError::Number)
+    }
+}
+
+macro_rules! tuples {
+    ($($($name:ident $at:tt)+;)*) => {
+        $(
+            impl<$($name: IntoTag),+> TagSet for ($($name,)+) {
+                type Shape = Several;
+
+                fn into_tags(self) -> Result<Vec<Tag>, TagAccessError> {
+                    Ok(vec![$(self.$at.into_tag()?),+])
+                }
+            }
+
+            impl<$($name: FromTag),+> FromTags<Several> for ($($name,)+) {
+                fn check(tags: &[Tag]) -> Result<(), TagAccessError> {
+                    if tags.len() != [$($at),+].len() {
+                        return Err(TagAccessError::Number);
+                    }
+                    $(check_one::<$name>(tags.get($at))?;)+
+                    Ok(())
+                }
+
+                fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
+                    Ok(($(one::<$name>(tags.get($at), values.get($at))?,)+))
+                }
+            }
+
+            impl<$($name: IntoAssignment),+> IntoAssignments for ($($name,)+) {
+                fn into_assignments(self) -> Result<Vec<Assignment>, TagAccessError> {
+                    Ok(vec![$(self.$at.into_assignment()?),+])
+                }
+            }
+        )*
+    };
+}
+
+tuples! {
+    A 0;
+    A 0 B 1;
+    A 0 B 1 C 2;
+    A 0 B 1 C 2 D 3;
+    A 0 B 1 C 2 D 3 E 4;
+    A 0 B 1 C 2 D 3 E 4 F 5;
+    A 0 B 1 C 2 D 3 E 4 F 5 G 6;
+    A 0 B 1 C 2 D 3 E 4 F 5 G 6 H 7;
+    A 0 B 1 C 2 D 3 E 4 F 5 G 6 H 7 I 8;
+    A 0 B 1 C 2 D 3 E 4 F 5 G 6 H 7 I 8 J 9;
+    A 0 B 1 C 2 D 3 E 4 F 5 G 6 H 7 I 8 J 9 K 10;
+    A 0 B 1 C 2 D 3 E 4 F 5 G 6 H 7 I 8 J 9 K 10 L 11;
+}
+
+/// A tag with its values: an [`Assignment`], or a pair of [`IntoTag`] and [`IntoTagValues`].
+pub trait IntoAssignment {
+    /// The assignment.
+    ///
+    /// # Errors
+    /// [`TagAccessError::Parse`] and [`TagAccessError::Misfit`].
+    fn into_assignment(self) -> Result<Assignment, TagAccessError>;
+}
+
+impl IntoAssignment for Assignment {
+    fn into_assignment(self) -> Result<Assignment, TagAccessError> {
+        Ok(self)
+    }
+}
+
+impl<T: IntoTag, V: IntoTagValues> IntoAssignment for (T, V) {
+    fn into_assignment(self) -> Result<Assignment, TagAccessError> {
+        let (tag, values) = (self.0.into_tag()?, self.1);
+        let values = values.into_values(&tag)?;
+        let misfit = |_| TagAccessError::Misfit { tag, given: format!("{} values", values.len()) };
+        Assignment::new(tag, values.clone()).map_err(misfit)
+    }
+}
+
+/// Assignments to be written: an array, a `Vec` or a tuple of [`IntoAssignment`].
+pub trait IntoAssignments {
+    /// The assignments, in their order.
+    ///
+    /// # Errors
+    /// Those of [`IntoAssignment::into_assignment`].
+    fn into_assignments(self) -> Result<Vec<Assignment>, TagAccessError>;
+}
+
+impl<T: IntoAssignment, const N: usize> IntoAssignments for [T; N] {
+    fn into_assignments(self) -> Result<Vec<Assignment>, TagAccessError> {
+        self.into_iter().map(IntoAssignment::into_assignment).collect()
+    }
+}
+
+impl<T: IntoAssignment> IntoAssignments for Vec<T> {
+    fn into_assignments(self) -> Result<Vec<Assignment>, TagAccessError> {
+        self.into_iter().map(IntoAssignment::into_assignment).collect()
+    }
+}
+
+macro_rules! raw_values {
+    ($($name:ty => $variant:ident;)*) => {
+        $(
+            impl TryFrom<Value> for $name {
+                type Error = TagAccessError;
+
+                /// # Errors
+                /// [`TagAccessError::Width`] for a value of another width.
+                fn try_from(value: Value) -> Result<Self, Self::Error> {
+                    if let Value::$variant(value) = value {
+                        Ok(value)
+                    } else {
+                        Err(TagAccessError::Width { found: value.width(), rust_type: stringify!($name) })
+                    }
+                }
+            }
+        )*
+    };
+}
+
+raw_values! {
+    bool => Bit;
+    u16 => Word;
+    u32 => DWord;
+}
