@@ -13,6 +13,7 @@ import contextlib
 import json
 import os
 import pathlib
+import shutil
 import signal
 import subprocess
 import sys
@@ -90,7 +91,7 @@ def switched_off(fatek):
 
 
 def two_addresses(fatek):
-    """Before: a first address that is off was the only one tried."""
+    """Before: a first address that is off was the only one tried; over UDP, status 4 after 3.0 s."""
     for scheme, limit in (("tcp", 3), ("udp", 3)):
         status, took, text = read(fatek, f"{scheme}://plc.test:500")
         seen = f"status {status} after {took:.1f} s {text}"
@@ -158,19 +159,20 @@ def restarted(fatek):
 
 def main():
     fatek = str(pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else "target/debug/fatek").resolve())
-    try:
-        with network():
-            print(f"two namespaces with a cable, {fatek}")
-            switched_off(fatek)
-            with simulator(fatek):
-                two_addresses(fatek)
-            cable_pulled(fatek)
-            restarted(fatek)
-    except (FileNotFoundError, subprocess.CalledProcessError) as error:
-        if "ip" in str(error.args) or isinstance(error, subprocess.CalledProcessError):
+    with contextlib.ExitStack() as stack:
+        try:
+            if shutil.which("ip") is None:
+                raise OSError("there is no `ip`")
+            stack.enter_context(network())
+        except (OSError, subprocess.CalledProcessError) as error:
             print(f"skipped: network namespaces cannot be made here: {error}", file=sys.stderr)
             return 77
-        raise
+        print(f"two namespaces with a cable, {fatek}")
+        switched_off(fatek)
+        with simulator(fatek):
+            two_addresses(fatek)
+        cable_pulled(fatek)
+        restarted(fatek)
     return 1 if FAILED else 0
 
 

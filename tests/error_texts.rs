@@ -1,5 +1,6 @@
 //! Errors that quote their input: one line, and 200 characters of it at most.
 
+use fatek::command::{ReadStatus, decode_reply};
 use fatek::file::{FileError, FormatError};
 use fatek::tag::{Assignment, Scale, TagType};
 use fatek::wire::Framing;
@@ -92,12 +93,19 @@ async fn no_error_repeats_the_text_of_its_source() {
     let damaged = folder.join("damaged");
     std::fs::write(&damaged, "fatek file 1: program\n").unwrap();
     let page = fatek::command::ProgramPage::new([0; fatek::command::PAGE_WORDS]);
+    let fixture = |name: &str| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name);
+    let program = Program::load(fixture("program-1.program")).unwrap();
+    let backup = Backup::load(fixture("backup-1.backup")).unwrap();
     let chains = [
         chain(&Program::load(folder.join("missing")).unwrap_err()),
         chain(&Program::load(&damaged).unwrap_err()),
         chain(&fatek::program::ReadProgram::new().run(&station).await.unwrap_err()),
         chain(&fatek::backup::TakeBackup::new(tags).unwrap().run(&station).await.unwrap_err()),
         chain(&station.read_registers(fatek::register!("R0"), 1).await.unwrap_err()),
+        chain(&fatek::program::WriteProgram::new(&program, Default::default()).run(&station).await.unwrap_err()),
+        chain(&fatek::backup::Restore::new(&backup, Default::default()).run(&station).await.unwrap_err()),
+        chain(&station.write("R0", 70_000).await.unwrap_err()),
+        chain(&decode_reply(&ReadStatus, Framing::Ascii, b"0").unwrap_err()),
         chain(&Program::from_pages([page].into()).unwrap_err()),
     ];
     std::fs::remove_dir_all(&folder).unwrap();

@@ -22,14 +22,19 @@ pub(crate) struct Connection {
     state: ConnectionState,
     /// Failed attempts, and connections that ended without a reply, since the last reply.
     failures: u32,
-    /// All of these.
-    failed_ever: usize,
+    /// The number of the host's address to be used next, of those that a transport chooses among.
+    address: usize,
+    /// A reply has come from this address.
+    is_address_proven: bool,
     /// The connection carries one request only, and that has been answered.
     spent: bool,
     /// The shortest and the longest pause.
     backoff: (Duration, Duration),
     random: Random,
 }
+
+/// Connections in a row without a reply, after which another address is tried.
+const LOST: u32 = 3;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ConnectionState {
@@ -43,7 +48,8 @@ impl Connection {
         Self {
             state: ConnectionState::Down { retry_at: None },
             failures: 0,
-            failed_ever: 0,
+            address: 0,
+            is_address_proven: false,
             spent: false,
             backoff,
             random,
@@ -64,9 +70,18 @@ impl Connection {
         self.spent = true;
     }
 
-    /// The number of failed attempts, and of connections that ended without a reply.
-    pub(crate) fn failed_ever(&self) -> usize {
-        self.failed_ever
+    /// The number of the host's address to be used next.
+    ///
+    /// It stays the same once a reply has come, until [`LOST`] connections in a row had none. Without
+    /// a reply it changes with each connection, mostly to the next address. Sometimes one is skipped:
+    /// else a link whose stations take turns could ask each of them at one address only.
+    pub(crate) fn address(&self) -> usize {
+        self.address
+    }
+
+    /// Returns whether a reply has come from this address.
+    pub(crate) fn is_address_proven(&self) -> bool {
+        self.is_address_proven
     }
 
     /// An attempt to connect begins.
@@ -83,6 +98,7 @@ impl Connection {
     pub(crate) fn replied(&mut self) {
         self.state = ConnectionState::Up { replied: true };
         self.failures = 0;
+        self.is_address_proven = true;
     }
 
     /// The connection was closed because it is not needed.
@@ -111,7 +127,11 @@ impl Connection {
         let (shortest, longest) = self.backoff;
         let doubled = shortest.saturating_mul(1_u32.checked_shl(self.failures).unwrap_or(u32::MAX));
         self.failures = self.failures.saturating_add(1).min(31);
-        self.failed_ever = self.failed_ever.wrapping_add(1);
+        self.is_address_proven &= self.failures < LOST;
+        if !self.is_address_proven {
+            let skip = usize::from(self.random.next().is_multiple_of(4));
+            self.address = self.address.wrapping_add(1).wrapping_add(skip);
+        }
         let delay = self.random.jitter(doubled.min(longest));
         self.state = ConnectionState::Down { retry_at: Some(later(now, delay)) };
     }
@@ -120,6 +140,46 @@ impl Connection {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_address_with_a_reply_is_kept_until_three_connections_had_none() {
+        for seed in 0..100 {
+            let mut connection = Connection::new((Duration::ZERO, Duration::ZERO), Random::new(seed));
+            let now = Instant::now();
+            connection.failed(now);
+            let good = connection.address();
+            assert!(good > 0 && !connection.is_address_proven());
+            for _ in 0..10 {
+                connection.opened();
+                connection.replied();
+                connection.lost(now);
+                for _ in 0..LOST - 1 {
+                    connection.failed(now);
+                }
+                assert_eq!((connection.address(), connection.is_address_proven()), (good, true), "seed {seed}");
+            }
+            connection.failed(now);
+            assert!(connection.address() > good && !connection.is_address_proven());
+        }
+    }
+
+    /// Two stations in turn, one of them off, and two addresses, one of them wrong.
+    #[test]
+    fn each_station_is_asked_at_each_address() {
+        for seed in 0..1000 {
+            let mut connection = Connection::new((Duration::ZERO, Duration::ZERO), Random::new(seed));
+            let reached = |connection: &mut Connection, wanted: (usize, usize)| {
+                (0..60).any(|n| {
+                    let now = (n % 2, connection.address() % 2);
+                    connection.failed(Instant::now());
+                    now == wanted
+                })
+            };
+            for wanted in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                assert!(reached(&mut connection, wanted), "seed {seed}: {wanted:?}");
+            }
+        }
+    }
 
     #[test]
     fn the_pause_doubles_up_to_its_maximum_until_a_reply() {
@@ -150,7 +210,6 @@ mod tests {
                 connection.lost(now);
                 assert_eq!(pause(&connection), Duration::ZERO, "seed {seed}");
             }
-            assert_eq!(connection.failed_ever(), 80);
         }
     }
 }

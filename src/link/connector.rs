@@ -58,13 +58,13 @@ impl Connector {
         matches!(self, Self::Endpoint { .. } | Self::Custom { wakes_reader: true, .. })
     }
 
-    /// Begins to open a connection, with this timeout; `failed` of them have failed before. `None`:
-    /// there will never be another.
-    pub(crate) fn open(&mut self, within: Duration, failed: usize) -> Option<BoxFuture<'static, io::Result<BoxIo>>> {
+    /// Begins to open a connection, with this timeout, to the address of this number if the host has
+    /// several and the transport chooses. `None`: there will never be another.
+    pub(crate) fn open(&mut self, within: Duration, address: usize) -> Option<BoxFuture<'static, io::Result<BoxIo>>> {
         let opening = match self {
             Self::Endpoint { endpoint, keep_alive } => {
                 let (endpoint, keep_alive) = (endpoint.clone(), *keep_alive);
-                async move { endpoint.transport().open(endpoint.framing(), keep_alive, failed).await }.boxed()
+                async move { endpoint.transport().open(endpoint.framing(), keep_alive, address).await }.boxed()
             }
             Self::Once(io) => {
                 let io = io.take()?;

@@ -302,15 +302,18 @@ impl Core {
         self.stats.count_link(|link| add(&mut link.connects, 1));
     }
 
-    /// Notes that the open connection is to one of several addresses of the host, perhaps not the
-    /// right one: it is replaced at its first request without an answer.
+    /// Notes that the open connection is to one of several addresses of the host. If no reply has come
+    /// from it yet, it may be the wrong one: the connection is replaced at the first call without an
+    /// answer.
     pub(crate) fn has_other_addresses(&mut self) {
-        self.mute.is_on_trial();
+        if !self.connection.is_address_proven() {
+            self.mute.is_on_trial();
+        }
     }
 
-    /// The number of connections that failed: they were not opened, or ended without a reply.
-    pub(crate) fn failed_connections(&self) -> usize {
-        self.connection.failed_ever()
+    /// The number of the host's address for the next connection, for transports that choose.
+    pub(crate) fn address(&self) -> usize {
+        self.connection.address()
     }
 
     /// Notes that the connection could not be opened.

@@ -498,7 +498,7 @@ impl Driver {
 
     /// Begins to open a connection. If the connector has none left, the link ends.
     fn start_opening(&mut self, permit: Option<ConnectPermit>) {
-        match self.connector.open(self.connect_timeout, self.core.failed_connections()) {
+        match self.connector.open(self.connect_timeout, self.core.address()) {
             Some(opening) => {
                 self.state.send_replace(LinkState::Connecting);
                 self.opening = Some(Opening::Connection { opening, _permit: permit });

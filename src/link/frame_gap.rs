@@ -54,6 +54,8 @@ enum State {
     /// This station did not answer a request after a short gap.
     Suspected {
         station: u8,
+        /// Number of replies of others after which the suspicion ends.
+        left: u32,
     },
     Long {
         /// Number of exchanges that it still lasts for.
@@ -91,7 +93,7 @@ impl FrameGap {
         let was_short = self.is_short_before(began);
         self.replied_at = Some(now);
         match &mut self.state {
-            State::Suspected { station: of } if *of == station => {
+            State::Suspected { station: of, .. } if *of == station => {
                 if was_short {
                     // It answers after a short gap, too.
                     self.state = State::Short;
@@ -110,7 +112,9 @@ impl FrameGap {
                     self.long_for = FIRST;
                 }
             }
-            State::Short | State::Suspected { .. } => {}
+            State::Suspected { left: ..=1, .. } => self.state = State::Short,
+            State::Suspected { left, .. } => *left = left.saturating_sub(1),
+            State::Short => {}
         }
         false
     }
@@ -119,9 +123,11 @@ impl FrameGap {
     /// this station had.
     pub(crate) fn gave_up(&mut self, station: u8, answers: bool, began: Instant) {
         match self.state {
-            State::Short if answers && self.is_short_before(began) => self.state = State::Suspected { station },
+            State::Short if answers && self.is_short_before(began) => {
+                self.state = State::Suspected { station, left: FIRST };
+            }
             // It does not answer after a long gap either.
-            State::Suspected { station: of } if of == station => self.state = State::Short,
+            State::Suspected { station: of, .. } if of == station => self.state = State::Short,
             State::Short | State::Suspected { .. } | State::Long { .. } => {}
         }
     }
@@ -221,6 +227,15 @@ mod tests {
             line.now = until;
             line.gap.gave_up(2, false, began);
         }
+    }
+
+    /// Its caller may never ask it again.
+    #[test]
+    fn the_suspicion_of_a_station_that_is_not_asked_again_ends() {
+        let mut line = Line::new();
+        line.ask(2, |_| false);
+        assert!((0..1000).all(|_| line.ask(1, |_| true)));
+        assert!(line.short > 700, "{} of 1000 gaps were short", line.short);
     }
 
     #[test]

@@ -26,6 +26,8 @@ struct Unanswered {
     /// When the last of them was sent.
     last: Instant,
     requests: u32,
+    /// One of them was for a call.
+    for_call: bool,
 }
 
 /// A connection is not mute before this number of requests.
@@ -47,15 +49,17 @@ impl MuteDetector {
         self.on_trial = true;
     }
 
-    /// Notes that a request, begun at `began`, was not answered.
-    pub(crate) fn unanswered(&mut self, began: Instant) {
-        let first = Unanswered { since: began, last: began, requests: 0 };
+    /// Notes that a request, begun at `began`, was not answered. `for_call`: not the probe of a station
+    /// that is offline, which decides no trial.
+    pub(crate) fn unanswered(&mut self, began: Instant, for_call: bool) {
+        let first = Unanswered { since: began, last: began, requests: 0, for_call: false };
         // A time without requests is no silence.
         let is_old =
             |it: &mut Unanswered| self.limit.is_some_and(|limit| began.saturating_duration_since(it.last) > limit);
         self.unanswered.take_if(is_old);
         let unanswered = self.unanswered.get_or_insert(first);
         unanswered.last = began;
+        unanswered.for_call |= for_call;
         unanswered.requests = unanswered.requests.saturating_add(1);
     }
 
@@ -63,7 +67,7 @@ impl MuteDetector {
     pub(crate) fn mute_for(&self, now: Instant) -> Option<Duration> {
         let unanswered = self.unanswered.as_ref()?;
         let silent = now.saturating_duration_since(unanswered.since);
-        if self.on_trial && self.limit.is_some() {
+        if self.on_trial && unanswered.for_call && self.limit.is_some() {
             return Some(silent);
         }
         (unanswered.requests >= MIN_REQUESTS && silent >= self.limit?).then_some(silent)
@@ -80,10 +84,10 @@ mod tests {
     fn it_takes_several_requests_and_the_limit() {
         let now = Instant::now();
         let mut detector = MuteDetector::new(Some(5 * SECOND));
-        detector.unanswered(now);
-        detector.unanswered(now + SECOND);
+        detector.unanswered(now, true);
+        detector.unanswered(now + SECOND, true);
         assert_eq!(detector.mute_for(now + 9 * SECOND), None, "two requests");
-        detector.unanswered(now + 2 * SECOND);
+        detector.unanswered(now + 2 * SECOND, true);
         assert_eq!(detector.mute_for(now + 4 * SECOND), None, "4 s");
         assert_eq!(detector.mute_for(now + 5 * SECOND), Some(5 * SECOND));
         detector.reset();
@@ -97,10 +101,12 @@ mod tests {
             let mut detector = MuteDetector::new(limit);
             detector.is_on_trial();
             assert_eq!(detector.mute_for(now), None);
-            detector.unanswered(now);
+            detector.unanswered(now, false);
+            assert_eq!(detector.mute_for(now + SECOND), None, "a probe of a station that is off");
+            detector.unanswered(now, true);
             assert_eq!(detector.mute_for(now + SECOND), mute_for);
             detector.reset();
-            detector.unanswered(now);
+            detector.unanswered(now, true);
             assert_eq!(detector.mute_for(now + SECOND), None, "a frame came: the address is right");
         }
     }
@@ -109,7 +115,7 @@ mod tests {
     fn without_a_limit_no_connection_is_mute() {
         let now = Instant::now();
         let mut detector = MuteDetector::new(None);
-        (0..9).for_each(|_| detector.unanswered(now));
+        (0..9).for_each(|_| detector.unanswered(now, true));
         assert_eq!(detector.mute_for(now + 900 * SECOND), None);
     }
 }

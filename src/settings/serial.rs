@@ -330,7 +330,8 @@ impl fmt::Display for StopBits {
 /// RS-485 drivers that RTS switches must receive again before the PLC answers. Where the driver of
 /// the operating system has a mode for this, it is used (Linux, `TIOCSRS485`). Elsewhere the port
 /// switches RTS: by the transmission time of what was written, and not before the operating
-/// system has passed it all on. The second way is exact to about a tenth of a millisecond.
+/// system has passed it all on. The second way is exact to about a tenth of a millisecond; setting
+/// RTS holds the thread of the runtime for as long as the adapter takes, about a millisecond on USB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Rts {

@@ -38,7 +38,8 @@ impl Station {
     /// let alarms: [bool; 3] = station.read(["M1", "M7", "X3"]).await?;
     /// let tag: Tag = "R5:u16*0.1".parse().expect("a tag");
     /// let scaled: f64 = station.read(tag).await?;
-    /// # assert_eq!((level, speeds.len(), open, count, name.as_str(), alarms, scaled), (21.5, 10, false, 0, "", [false; 3], 0.0));
+    /// # assert_eq!((level, speeds.len(), open, count), (21.5, 10, false, 0));
+    /// # assert_eq!((name.as_str(), alarms, scaled), ("", [false; 3], 0.0));
     ///
     /// let error = station.read::<i16, _>("R100:f32").await.unwrap_err();
     /// assert_eq!(error.to_string(), "R100:f32 (f32 of 32 bits) cannot be read into `i16`");
@@ -169,14 +170,12 @@ impl Station {
             Element::Register32(first) => self.write_registers32(first, &of_width(&raw)).await,
         };
         // Requests end where a value does: they have 64 or 32 words, or are the last one.
-        written.map_err(|error| match error {
-            Error::PartlyWritten { written, count, source } => {
-                let per_value = tag.elements_per_value().max(1);
-                debug_assert!(written.is_multiple_of(per_value), "no value is split");
-                Error::PartlyWritten { written: written / per_value, count: count / per_value, source }
-            }
-            error => error,
-        })
+        let per_value = tag.elements_per_value().max(1);
+        if let Err(Error::PartlyWritten { written, count, source }) = written {
+            debug_assert!(written.is_multiple_of(per_value), "no value is split");
+            return Err(Error::PartlyWritten { written: written / per_value, count: count / per_value, source });
+        }
+        written
     }
 }
 
@@ -229,15 +228,12 @@ fn together(assignments: &[Assignment], cost: &CostModel) -> usize {
     count
 }
 
-/// The error of a write of `count` values, of which so many were written before it.
+/// The error of a write of `count` values, of which `written` were written before it.
 fn partly(written: usize, count: usize, error: Error) -> Error {
-    match error {
-        Error::PartlyWritten { written: more, source, .. } => {
-            Error::PartlyWritten { written: written + more, count, source }
-        }
-        error if written == 0 => error,
-        error => Error::PartlyWritten { written, count, source: Box::new(error) },
+    if let Error::PartlyWritten { written: more, source, .. } = error {
+        return Error::PartlyWritten { written: written + more, count, source };
     }
+    if written == 0 { error } else { Error::PartlyWritten { written, count, source: Box::new(error) } }
 }
 
 #[cfg(test)]

@@ -71,7 +71,7 @@ macro_rules! numbers {
                 type Error = $crate::tag::TagAccessError;
 
                 /// # Errors
-                /// [`TagAccessError::Conversion`](crate::tag::TagAccessError::Conversion) unless the type holds all values of this kind.
+                /// `TagAccessError::Conversion` unless the type holds all values of this kind.
                 fn try_from(value: &TagValue) -> Result<Self, Self::Error> {
                     match *value {
                         $(TagValue::$variant(value) => Ok(value.into()),)*

@@ -155,12 +155,12 @@ impl Transport {
         }
     }
 
-    /// Opens a stream to the address. `keep_alive` is TCP's; `failed` is the number of streams
-    /// to it that had no answer, by which UDP chooses among several addresses of the host.
-    pub(crate) async fn open(&self, framing: Framing, keep_alive: bool, failed: usize) -> io::Result<BoxIo> {
+    /// Opens a stream to the address. `keep_alive` is TCP's; `address` is the number
+    /// by which UDP chooses among several addresses of the host.
+    pub(crate) async fn open(&self, framing: Framing, keep_alive: bool, address: usize) -> io::Result<BoxIo> {
         Ok(match self {
             Self::Tcp { host, port } => Box::new(tcp::connect(host, *port, keep_alive).await?),
-            Self::Udp { host, port } => Box::new(udp::connect(host, *port, framing, failed).await?),
+            Self::Udp { host, port } => Box::new(udp::connect(host, *port, framing, address).await?),
             Self::Serial { path, settings } => Box::new(serial::open(path, *settings).await?),
         })
     }

@@ -53,24 +53,31 @@ const MAX_DISCARDED: usize = 64;
 
 /// Opens the sockets; each receives from the host only.
 ///
-/// Nothing is sent, so success does not mean that the host is there. Of several addresses of the
-/// host, each failed connection before this one has tried another.
-pub(super) async fn connect(host: &str, port: u16, framing: Framing, failed: usize) -> io::Result<Datagrams> {
-    connect_any(lookup_host((host, port)).await?.collect(), framing, failed).await
+/// Nothing is sent, so success does not mean that the host is there. `number` chooses among several
+/// addresses of the host: IPv4 first, the lowest first.
+pub(super) async fn connect(host: &str, port: u16, framing: Framing, number: usize) -> io::Result<Datagrams> {
+    connect_any(lookup_host((host, port)).await?.collect(), framing, number).await
 }
 
-async fn connect_any(mut addresses: Vec<SocketAddr>, framing: Framing, failed: usize) -> io::Result<Datagrams> {
+async fn connect_any(mut addresses: Vec<SocketAddr>, framing: Framing, number: usize) -> io::Result<Datagrams> {
     // The modules have IPv4. A resolver may give the addresses in another order each time.
     addresses.sort_by_key(|address| (address.is_ipv6(), *address));
     addresses.dedup();
-    let count = addresses.len();
-    let mut failure = io::Error::new(io::ErrorKind::NotFound, "the host has no address");
-    if let Some(first) = failed.checked_rem(count) {
+    if let Some(first) = number.checked_rem(addresses.len()) {
         addresses.rotate_left(first);
     }
-    for address in addresses {
+    let mut failure = io::Error::new(io::ErrorKind::NotFound, "the host has no address");
+    let mut addresses = addresses.into_iter();
+    while let Some(address) = addresses.next() {
         match sockets(address).await {
-            Ok(sockets) => return Ok(Datagrams::new(sockets, framing, count > 1)),
+            Ok(sockets) => {
+                // Without a route, such as of IPv6, an address is none.
+                let mut has_others = false;
+                for other in addresses {
+                    has_others |= socket(other).await.is_ok();
+                }
+                return Ok(Datagrams::new(sockets, framing, has_others));
+            }
             Err(error) => failure = error,
         }
     }

@@ -234,7 +234,8 @@ impl Core {
         self.scheduler.charge_timeout(station, after);
         self.echo_was_last = false;
         self.timed_out = Some((station, now));
-        self.frame_gap.gave_up(station, self.stations.is_answering(station), active.began);
+        let answers = self.stations.is_answering(station) && self.stations.round_trip(station).is_some();
+        self.frame_gap.gave_up(station, answers, active.began);
         self.stations.with_in_step(station, |in_step| in_step.timed_out(active.shape.code));
         self.stats.count_station(station, |stats| match &active.fault {
             Some(_) => add(&mut stats.bad_replies, 1),
@@ -242,6 +243,7 @@ impl Core {
         });
         let silent = active.fault.is_none();
         let began = active.began;
+        let for_call = active.outgoing.call().is_some();
         match active.outgoing.into_call() {
             None => {
                 self.stations.probe_ended(after, now);
@@ -266,7 +268,7 @@ impl Core {
             }
         }
         if silent {
-            self.mute.unanswered(began);
+            self.mute.unanswered(began, for_call);
         }
         if silent && let Some(probe_at) = self.stations.timed_out(station, now) {
             tracing::warn!(station, "station is offline");

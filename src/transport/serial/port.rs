@@ -20,15 +20,16 @@ pub(in crate::transport) async fn open(path: &str, settings: SerialSettings) -> 
     let opening = tokio::task::spawn_blocking(move || {
         // An exclusive port cannot be opened again, so its driver is opened before.
         let driver = match settings.rts() {
-            Rts::OnWhileSending | Rts::OffWhileSending => Some(rs485_driver::open(&path)),
-            Rts::Unchanged | Rts::On | Rts::Off => None,
+            Rts::Unchanged => None,
+            Rts::On | Rts::Off | Rts::OnWhileSending | Rts::OffWhileSending => rs485_driver::open(&path).ok(),
         };
         let mut stream = SerialStream::open(&builder(&path, settings))?;
         stream.clear(ClearBuffer::Input)?;
         warn_of_other_settings(&stream, settings);
-        let switching = set_lines(&mut stream, settings, |mode| match driver {
-            Some(driver) => rs485_driver::set(&driver?, mode),
-            None => Err(io::ErrorKind::Unsupported.into()),
+        let switching = set_lines(&mut stream, settings, |mode| match (&driver, mode) {
+            (None, _) => Ok(false),
+            (Some(driver), Some(mode)) => rs485_driver::set(driver, mode),
+            (Some(driver), None) => rs485_driver::clear(driver).map(|()| false),
         })?;
         Ok(match switching {
             None => Port::Plain(PlainPort { stream }),

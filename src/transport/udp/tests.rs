@@ -364,13 +364,13 @@ async fn sockets_have_distinct_ports_and_names_resolve_to_ipv4() {
 
 /// Before: the first address was used each time, though nothing answered there.
 #[tokio::test]
-async fn each_failed_connection_makes_the_next_one_try_another_address() {
+async fn the_number_of_an_address_chooses_among_those_of_the_host() {
     let [one, two, three] = ["127.0.0.1:7", "127.0.0.2:7", "[::1]:7"].map(|text| text.parse::<SocketAddr>().unwrap());
-    for (failed, expected) in [(0, one), (1, two), (2, one), (3, two), (usize::MAX, two)] {
+    for (number, expected) in [(0, one), (1, two), (2, one), (3, two), (usize::MAX, two)] {
         // Resolvers give addresses in any order, and twice.
         for addresses in [vec![one, two, one], vec![two, one]] {
-            let stream = connect_any(addresses, Framing::Ascii, failed).await.unwrap();
-            assert_eq!(stream.sockets[0].peer_addr().unwrap(), expected, "after {failed} failures");
+            let stream = connect_any(addresses, Framing::Ascii, number).await.unwrap();
+            assert_eq!(stream.sockets[0].peer_addr().unwrap(), expected, "number {number}");
             assert!(stream.has_other_addresses());
         }
     }

@@ -21,24 +21,47 @@ pub(super) fn open(_: &str) -> io::Result<Driver> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
-/// Sets the RS-485 mode; an error if the driver has none.
+/// Sets the RS-485 mode. Returns `false` if the driver has none: then no such mode is set.
+///
+/// # Errors
+/// The driver keeps a mode that was not asked for, in which RTS cannot be set.
 #[cfg(target_os = "linux")]
-pub(super) fn set(driver: &Driver, rts: WhileSending) -> io::Result<()> {
+pub(super) fn set(driver: &Driver, rts: WhileSending) -> io::Result<bool> {
     use serial2::rs4xx::{Rs485Config, TransceiverMode};
 
     let mut config = Rs485Config::new();
     config.set_invert_rts(rts == WhileSending::Off);
-    driver.set_rs4xx_mode(config)?;
-    // Some drivers accept the mode and do not have it.
-    match driver.get_rs4xx_mode()? {
-        TransceiverMode::Rs485(kept) if kept.get_invert_rts() == (rts == WhileSending::Off) => Ok(()),
-        TransceiverMode::Rs485(_) | TransceiverMode::Rs422 | TransceiverMode::Default => {
-            Err(io::Error::new(io::ErrorKind::Unsupported, "the driver has not kept the RS-485 mode"))
+    if driver.set_rs4xx_mode(config).is_err() {
+        return Ok(false);
+    }
+    // Some drivers accept the mode and keep another, or none.
+    match driver.get_rs4xx_mode() {
+        Ok(TransceiverMode::Rs485(kept)) if kept.get_invert_rts() == (rts == WhileSending::Off) => Ok(true),
+        Ok(TransceiverMode::Default) => Ok(false),
+        Ok(TransceiverMode::Rs485(_) | TransceiverMode::Rs422) | Err(_) => {
+            driver.set_rs4xx_mode(TransceiverMode::Default)?;
+            Ok(false)
         }
     }
 }
 
 #[cfg(not(target_os = "linux"))]
-pub(super) fn set(driver: &Driver, _: WhileSending) -> io::Result<()> {
+pub(super) fn set(driver: &Driver, _: WhileSending) -> io::Result<bool> {
+    match *driver {}
+}
+
+/// Ends an RS-485 mode that was set before, in which RTS cannot be set.
+#[cfg(target_os = "linux")]
+pub(super) fn clear(driver: &Driver) -> io::Result<()> {
+    use serial2::rs4xx::TransceiverMode;
+
+    match driver.get_rs4xx_mode() {
+        Ok(TransceiverMode::Rs485(_) | TransceiverMode::Rs422) => driver.set_rs4xx_mode(TransceiverMode::Default),
+        Ok(TransceiverMode::Default) | Err(_) => Ok(()),
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(super) fn clear(driver: &Driver) -> io::Result<()> {
     match *driver {}
 }

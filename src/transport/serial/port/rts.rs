@@ -7,7 +7,7 @@
 //! Invariants:
 //! - No byte is written while RTS is at rest.
 //! - RTS is not set back before all bytes are transmitted, as far as the operating system shows.
-//! - A port that is dropped has RTS at rest.
+//! - A port that is dropped has RTS at rest. The operating system switches it off after that.
 
 use std::io;
 use std::pin::Pin;
@@ -51,12 +51,13 @@ impl Switching {
     }
 }
 
-/// Sets the lines of a port that was just opened. `driver_mode` sets the RS-485 mode of its driver.
-/// Returns how RTS is switched, unless it is constant or the driver switches it.
+/// Sets the lines of a port that was just opened. `driver_mode` sets the RS-485 mode of its driver, or
+/// ends one that was set before, and returns whether there is one now. Returns how RTS is switched,
+/// unless it is constant or the driver switches it.
 pub(super) fn set_lines(
     port: &mut impl ControlLines,
     settings: SerialSettings,
-    driver_mode: impl FnOnce(WhileSending) -> io::Result<()>,
+    driver_mode: impl FnOnce(Option<WhileSending>) -> io::Result<bool>,
 ) -> io::Result<Option<Switching>> {
     if let Some(on) = settings.dtr() {
         port.set_dtr(on).map_err(|error| cannot_set("DTR", &error))?;
@@ -64,24 +65,21 @@ pub(super) fn set_lines(
     let while_sending = match settings.rts() {
         Rts::Unchanged => return Ok(None),
         constant @ (Rts::On | Rts::Off) => {
+            driver_mode(None).map_err(|error| cannot_set("RTS", &error))?;
             port.set_rts(constant == Rts::On).map_err(|error| cannot_set("RTS", &error))?;
             return Ok(None);
         }
         Rts::OnWhileSending => WhileSending::On,
         Rts::OffWhileSending => WhileSending::Off,
     };
-    match driver_mode(while_sending) {
-        Ok(()) => {
-            tracing::debug!("RS-485: the driver switches RTS");
-            Ok(None)
-        }
-        Err(error) => {
-            tracing::debug!(%error, "RS-485: the driver has no such mode, so RTS is switched by transmission times");
-            let switching = Switching { while_sending, byte_time: Line::from(settings).transmission(1) };
-            port.set_rts(switching.level(false)).map_err(|error| cannot_set("RTS", &error))?;
-            Ok(Some(switching))
-        }
+    if driver_mode(Some(while_sending)).map_err(|error| cannot_set("RTS", &error))? {
+        tracing::debug!("RS-485: the driver switches RTS");
+        return Ok(None);
     }
+    tracing::debug!("RS-485: the driver has no such mode, so RTS is switched by transmission times");
+    let switching = Switching { while_sending, byte_time: Line::from(settings).transmission(1) };
+    port.set_rts(switching.level(false)).map_err(|error| cannot_set("RTS", &error))?;
+    Ok(Some(switching))
 }
 
 /// The instant `time` after `at`, or `at` beyond the range of the clock, which no write reaches.
@@ -99,6 +97,10 @@ const UNSENT_INTERVAL: Duration = Duration::from_micros(200);
 /// Time after the computed end of transmission for which unsent bytes are waited for. More are not
 /// transmitted at all, as by an adapter that was unplugged.
 const LONGEST_UNSENT: Duration = Duration::from_secs(1);
+
+/// Number of bytes that the hardware of a port holds at most, which the operating system counts as
+/// sent.
+const HARDWARE_BUFFER: u32 = 64;
 
 /// A port whose RTS is switched for each transmission.
 #[derive(Debug)]
@@ -120,6 +122,8 @@ struct State<P> {
     port: Option<P>,
     /// The end of the transmission; `None` while RTS is at rest.
     sending_until: Option<Instant>,
+    /// Bytes were unsent after that time: the port is late, and its hardware may still hold bytes.
+    is_late: bool,
 }
 
 impl<P> Shared<P> {
@@ -131,7 +135,7 @@ impl<P> Shared<P> {
 
 impl<P: ControlLines + Send + 'static> SwitchedPort<P> {
     pub(super) fn new(port: P, switching: Switching) -> io::Result<Self> {
-        let state = Mutex::new(State { port: Some(port), sending_until: None });
+        let state = Mutex::new(State { port: Some(port), sending_until: None, is_late: false });
         let shared = Arc::new(Shared { state, changed: Condvar::new(), switching });
         let of_thread = shared.clone();
         thread::Builder::new().name("fatek-rs485".to_owned()).spawn(move || of_thread.set_back())?;
@@ -144,15 +148,17 @@ impl<P: ControlLines> Shared<P> {
     fn set_back(&self) {
         let mut state = self.lock();
         loop {
-            let State { port: Some(port), sending_until } = &mut *state else { return };
+            let State { port: Some(port), sending_until, is_late } = &mut *state else { return };
             let now = Instant::now();
             let wait = match *sending_until {
                 None => None,
                 Some(until) if now < until => Some(until.saturating_duration_since(now)),
                 // Without an answer, the computed time is all there is.
                 Some(until) if now < later(until, LONGEST_UNSENT) && port.unsent().is_ok_and(|bytes| bytes > 0) => {
+                    *is_late = true;
                     Some(UNSENT_INTERVAL)
                 }
+                Some(_) if std::mem::take(is_late) => Some(self.switching.byte_time.saturating_mul(HARDWARE_BUFFER)),
                 Some(_) => {
                     *sending_until = None;
                     if let Err(error) = port.set_rts(self.switching.level(false)) {
@@ -182,7 +188,7 @@ impl<P: ControlLines + AsyncRead + Unpin> SwitchedPort<P> {
 impl<P: ControlLines + AsyncWrite + Unpin> SwitchedPort<P> {
     pub(super) fn poll_write(&mut self, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
         let mut state = self.shared.lock();
-        let State { port: Some(port), sending_until } = &mut *state else {
+        let State { port: Some(port), sending_until, .. } = &mut *state else {
             return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
         };
         let switching = self.shared.switching;
@@ -196,7 +202,7 @@ impl<P: ControlLines + AsyncWrite + Unpin> SwitchedPort<P> {
             Poll::Ready(Err(_)) | Poll::Pending => 0,
         };
         // A further character: the port begins a little after the write.
-        let begins = sending_until.map_or(later(now, switching.byte_time), |until| until.max(now));
+        let begins = sending_until.unwrap_or(now).max(later(now, switching.byte_time));
         *sending_until = Some(later(begins, switching.byte_time.saturating_mul(bytes)));
         self.shared.changed.notify_one();
         written

@@ -131,16 +131,21 @@ fn settings(rts: Rts) -> SerialSettings {
     SerialSettings::new(Framing::Ascii).with_rts(rts)
 }
 
-fn no_driver_mode(_: WhileSending) -> io::Result<()> {
-    Err(io::ErrorKind::Unsupported.into())
+fn no_driver_mode(_: Option<WhileSending>) -> io::Result<bool> {
+    Ok(false)
 }
 
 /// A port whose driver has no RS-485 mode; what was asked when it was opened is taken off the
 /// record.
 fn switched(rts: Rts, change: impl FnOnce(&mut Double)) -> (Stream, Record) {
+    switched_at(9600, rts, change)
+}
+
+fn switched_at(baud: u32, rts: Rts, change: impl FnOnce(&mut Double)) -> (Stream, Record) {
     let (mut port, record) = Double::new();
     change(&mut port);
-    let switching = set_lines(&mut port, settings(rts), no_driver_mode).unwrap().expect("switched by the port");
+    let settings = settings(rts).with_baud(baud).unwrap();
+    let switching = set_lines(&mut port, settings, no_driver_mode).unwrap().expect("switched by the port");
     assert_eq!(record.all(), [Asked::Rts(rts == Rts::OffWhileSending)], "it receives");
     (Stream(SwitchedPort::new(port, switching).unwrap()), record)
 }
@@ -155,7 +160,10 @@ fn lines_are_set_when_the_port_is_opened() {
         (plain.with_rts(Rts::Off), &[Asked::Rts(false)]),
     ] {
         let (mut port, record) = Double::new();
-        let switching = set_lines(&mut port, settings, |_| panic!("no RS-485"));
+        let switching = set_lines(&mut port, settings, |mode| {
+            assert_eq!(mode, None, "an RS-485 mode is ended");
+            Ok(false)
+        });
         assert_eq!((switching.unwrap(), record.all().as_slice()), (None, expected));
     }
 }
@@ -166,10 +174,14 @@ fn the_mode_of_the_driver_is_used_where_there_is_one() {
         let (mut port, record) = Double::new();
         let mut asked = None;
         let switching = set_lines(&mut port, settings(rts), |mode| {
-            asked = Some(mode);
-            Ok(())
+            asked = mode;
+            Ok(true)
         });
         assert_eq!((switching.unwrap(), asked, record.all()), (None, Some(mode), vec![]));
+        // The driver is in another mode, in which RTS has no effect.
+        let stuck = |_| Err(io::ErrorKind::InvalidInput.into());
+        let error = set_lines(&mut port, settings(rts), stuck).unwrap_err();
+        assert!(error.to_string().starts_with("the line RTS of the port cannot be set"), "{error}");
     }
 }
 
@@ -205,7 +217,8 @@ async fn rts_is_set_before_the_first_byte_and_set_back_after_the_last() {
 
 #[tokio::test]
 async fn a_frame_in_several_writes_is_one_transmission() {
-    let (mut port, record) = switched(Rts::OnWhileSending, |port| port.room = 4);
+    // Slow enough for a pause of this thread between two writes.
+    let (mut port, record) = switched_at(300, Rts::OnWhileSending, |port| port.room = 4);
     port.write_all(b"0123456789").await.unwrap();
     let begin = record.next();
     assert_eq!(begin.0, Asked::Rts(true));
@@ -213,18 +226,21 @@ async fn a_frame_in_several_writes_is_one_transmission() {
     assert_eq!(writes, [Asked::Write(4), Asked::Write(4), Asked::Write(2)]);
     assert_eq!(record.next().0, Asked::Unsent);
     let (back, at) = record.next();
-    assert!(back == Asked::Rts(false) && at - begin.1 >= Duration::from_micros(10_416));
+    assert!(back == Asked::Rts(false) && at - begin.1 >= Duration::from_millis(333));
 }
 
 #[tokio::test]
 async fn rts_is_not_set_back_while_bytes_are_unsent() {
     let (mut port, record) = switched(Rts::OnWhileSending, |port| *port.unsent.get_mut().unwrap() = 5);
     port.write_all(b"0").await.unwrap();
-    let asked: Vec<Asked> = (0..8).map(|_| record.next().0).collect();
+    let asked: Vec<(Asked, Instant)> = (0..9).map(|_| record.next()).collect();
     let mut expected = vec![Asked::Rts(true), Asked::Write(1)];
-    expected.extend([Asked::Unsent; 5]);
+    // The last two times none is unsent: the second time is after that of the hardware's buffer.
+    expected.extend([Asked::Unsent; 6]);
     expected.push(Asked::Rts(false));
-    assert_eq!(asked, expected);
+    assert_eq!(asked.iter().map(|(asked, _)| *asked).collect::<Vec<_>>(), expected);
+    let waited = asked[7].1 - asked[6].1;
+    assert!(waited >= Duration::from_millis(64), "64 characters, not {waited:?}");
 }
 
 #[tokio::test]
