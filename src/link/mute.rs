@@ -118,4 +118,16 @@ mod tests {
         (0..9).for_each(|_| detector.unanswered(now, true));
         assert_eq!(detector.mute_for(now + 900 * SECOND), None);
     }
+
+    #[test]
+    fn a_time_without_requests_is_no_silence() {
+        let now = Instant::now();
+        let mut detector = MuteDetector::new(Some(5 * SECOND));
+        detector.unanswered(now, true);
+        detector.unanswered(now + 6 * SECOND, true);
+        detector.unanswered(now + 7 * SECOND, true);
+        assert_eq!(detector.mute_for(now + 13 * SECOND), None, "two requests since");
+        detector.unanswered(now + 8 * SECOND, true);
+        assert_eq!(detector.mute_for(now + 13 * SECOND), Some(7 * SECOND));
+    }
 }

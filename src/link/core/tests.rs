@@ -3,5 +3,7 @@
 mod calls;
 mod checks;
 mod echoes;
+mod refusals;
+mod seen;
 mod stations;
 mod test_link;

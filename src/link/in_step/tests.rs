@@ -1,5 +1,7 @@
 //! The rule, one statement at a time.
 
+mod owed;
+
 use std::time::Duration;
 
 use tokio::time::Instant;

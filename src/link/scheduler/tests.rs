@@ -198,3 +198,63 @@ fn abandoned_and_expired_calls_are_no_work() {
     let (mut scheduler, _callers) = with(9, &[(1, Lane::Read)], now);
     assert!(!scheduler.is_waiting(now + 1000 * SECOND), "its deadline has passed");
 }
+
+#[test]
+fn a_waiting_write_or_control_command_is_known() {
+    let now = Instant::now();
+    for (calls, expected) in [
+        (&[][..], false),
+        (&[(1, Lane::Read)], false),
+        (&[(1, Lane::Read), (2, Lane::Background)], false),
+        (&[(1, Lane::Read), (2, Lane::Write)], true),
+        (&[(1, Lane::Control), (2, Lane::Read)], true),
+        (&[(1, Lane::Read), (1, Lane::Write)], true),
+    ] {
+        let (mut scheduler, _futures) = with(9, calls, now);
+        assert_eq!(scheduler.has_write(), expected, "{calls:?}");
+        while scheduler.pop(now).is_some() {}
+        assert!(!scheduler.has_write(), "nothing waits");
+    }
+}
+
+/// Stations without calls have no place in the round.
+#[test]
+fn a_timeout_costs_a_place_at_the_end_of_the_round_of_waiting_stations() {
+    let now = Instant::now();
+    let ms = Duration::from_millis;
+    let (mut scheduler, _futures) =
+        with(9, &[(1, Lane::Read), (1, Lane::Read), (2, Lane::Read), (3, Lane::Read), (2, Lane::Read)], now);
+    scheduler.charge(4, ms(10_000));
+    scheduler.charge(2, ms(10));
+    scheduler.charge(3, ms(20));
+    assert!(scheduler.pop(now).is_some_and(|call| call.station == 1));
+    scheduler.charge_timeout(1, ms(100));
+    let mut next = || scheduler.pop(now).unwrap().station;
+    assert_eq!([next(), next()], [2, 2], "of these nothing was charged");
+    assert_eq!(next(), 3);
+    assert_eq!(next(), 1);
+}
+
+#[test]
+fn a_station_that_joins_waiting_ones_has_no_credit() {
+    let now = Instant::now();
+    let ms = Duration::from_millis;
+    let (mut scheduler, mut futures) = with(9, &[(1, Lane::Read), (1, Lane::Read), (2, Lane::Read)], now);
+    scheduler.charge(1, ms(100));
+    scheduler.charge(2, ms(110));
+    assert_eq!(scheduler.pop(now).unwrap().station, 1);
+    scheduler.charge(1, ms(5));
+    for _ in 0..3 {
+        let (call, future) = call(3, Lane::Read, now);
+        assert!(scheduler.push(call, now).is_none());
+        futures.push(future);
+    }
+    // It begins at the 100 ms of the station that was served last.
+    let order: Vec<u8> = std::iter::from_fn(|| {
+        let station = scheduler.pop(now)?.station;
+        scheduler.charge(station, ms(10));
+        Some(station)
+    })
+    .collect();
+    assert_eq!(order, [3, 1, 2, 3, 3]);
+}

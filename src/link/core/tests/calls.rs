@@ -262,3 +262,31 @@ fn a_closing_link_fails_waiting_calls_and_sends_nothing() {
     assert!(matches!(result(&mut on_the_wire), Some(Err(Error::Timeout { sent: true, .. }))), "it is not retried");
     assert!(link.core.is_idle());
 }
+
+#[test]
+fn all_data_are_read_again_before_a_request_is_given_up() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let mut call = link.call_with(1, read(1), CallOptions::new().with_retries(0));
+    link.expect_send();
+    link.advance(TIMEOUT);
+    assert_eq!(link.core.next_action(link.now), Action::ReadAgain);
+    // The caller that runs the link cannot: the task does.
+    link.core.postpone_read_again();
+    assert_eq!(link.core.next_action(link.now), Action::ReadAgain);
+    assert!(result(&mut call).is_none());
+    assert_eq!(link.core.next_action(link.now), Action::Wait(Some(link.now)));
+    assert!(matches!(result(&mut call), Some(Err(Error::Timeout { .. }))));
+}
+
+#[test]
+fn a_write_is_about_to_be_sent_only_if_one_waits_and_nothing_is_on_the_wire() {
+    let mut link = TestLink::new(Framing::Ascii);
+    assert!(!link.core.may_send_write());
+    let _read = link.call(1, read(1));
+    assert!(!link.core.may_send_write());
+    link.expect_send();
+    let _write = link.call(1, write());
+    assert!(!link.core.may_send_write(), "a read is on the wire");
+    link.receive_frame(1, 0x46, b"00001");
+    assert!(link.core.may_send_write());
+}
