@@ -53,6 +53,8 @@ pub use request::RequestError;
 pub(crate) use spelling::{Candidate, Candidates, NONE as NO_CANDIDATES, Run, Spelling};
 pub(crate) use stack_reply::{Consecutive, StackReply, ValueOf};
 pub use status::{BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, Series, StatusFlags};
+#[cfg(feature = "sim")]
+pub(crate) use text::Data;
 
 pub use crate::element::Value;
 use crate::element::{Register, Register32};
