@@ -203,9 +203,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     let entries = bench.faults.log().entries();
     for entry in entries.iter().rev().take(4).rev() {
         let at = entry.at.duration_since(began);
-        let answer = entry.answer.as_deref().map_or("nothing".to_owned(), |bytes| bytes.escape_ascii().to_string());
-        let asked = entry.request().map_or("noise".to_owned(), |request| request.code().to_string());
-        println!("{at:8.1?}  {asked:22} {answer}");
+        println!("{at:8.1?}  {entry}");
     }
     Ok(())
 }

@@ -5,15 +5,13 @@
 //! # #[cfg(feature = "sim")]
 //! # #[tokio::main(flavor = "current_thread")]
 //! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use fatek::sim::{Bus, Plc, Server};
-//! use fatek::wire::Framing;
-//! use fatek::{Endpoint, Link, discrete, register};
+//! use fatek::sim::Plc;
+//! use fatek::{Link, discrete, register};
 //!
-//! // A PLC to talk to. Yours is at an address such as "tcp://192.168.2.3:500".
-//! let server = Server::bind("127.0.0.1:0", Bus::new().with_station(1, Plc::new())?, Framing::Ascii).await?;
-//! let endpoint = Endpoint::from(server.local_addr());
+//! // A PLC to talk to. Yours is at an endpoint such as "tcp://192.168.2.3:500".
+//! let server = Plc::new().serve("127.0.0.1:0").await?;
 //!
-//! let link = Link::new(endpoint); // connects when it is first used
+//! let link = Link::new(server.endpoint()); // connects when it is first used
 //! let station = link.station(1)?;
 //! station.write_registers(register!("R12"), &[0x10A5, 0x7FC4, 1]).await?;
 //! station.set(discrete!("Y3")).await?;

@@ -30,6 +30,7 @@ fn forwarded_frames_equal_those_of_typed_calls() {
             let mut forwarded = BytesMut::new();
             answer.encode(other, 7, &mut forwarded);
             prop_assert_eq!(&forwarded, &exchange.encode_reply(other, 7, None), "{}", other);
+            prop_assert_eq!(answer.to_frame(other, 7), exchange.reply_frame(other, 7, None), "{}", other);
         }
         Ok(())
     });

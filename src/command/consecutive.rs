@@ -99,6 +99,12 @@ macro_rules! read_consecutive {
 
         impl $(<$generic: $bound>)? sealed::Sealed for $name $(<$generic>)? {}
 
+        impl $(<$generic: $bound>)? fmt::Display for $name $(<$generic>)? {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                text::command(f, Self::CODE, text::Elements(self.elements()))
+            }
+        }
+
         impl $(<$generic: $bound>)? Command for $name $(<$generic>)? {
             type Reply = Vec<<$element as ConsecutiveElement>::Value>;
             const CODE: Code = Code::$name;
@@ -125,6 +131,10 @@ macro_rules! read_consecutive {
                 let mut values = blank(self.count);
                 <$element as ConsecutiveElement>::read(fields, &mut values)?;
                 Ok(values)
+            }
+
+            fn fmt_reply(reply: &Self::Reply, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, "{}", text::values(reply))
             }
 
             fn for_each_run(&self, each: &mut dyn FnMut(Run)) {
@@ -218,6 +228,13 @@ macro_rules! write_consecutive {
 
         impl $(<$generic: $bound>)? sealed::Sealed for $name $(<$generic>)? {}
 
+        impl $(<$generic: $bound>)? fmt::Display for $name $(<$generic>)? {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                let (elements, values) = (text::Elements(self.elements()), text::values(&self.$values));
+                text::command(f, Self::CODE, format_args!("{elements} = {values}"))
+            }
+        }
+
         impl $(<$generic: $bound>)? Command for $name $(<$generic>)? {
             type Reply = ();
             const CODE: Code = Code::$name;
@@ -244,6 +261,10 @@ macro_rules! write_consecutive {
 
             fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
                 Ok(())
+            }
+
+            fn fmt_reply((): &(), f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("done")
             }
 
             fn for_each_run(&self, each: &mut dyn FnMut(Run)) {

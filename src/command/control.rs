@@ -1,4 +1,6 @@
-use super::{Code, Command, RequestError, Run, sealed};
+use std::fmt;
+
+use super::{Code, Command, RequestError, Run, sealed, text};
 use crate::element::Discrete;
 use crate::wire::{FieldError, FieldReader, FieldWriter};
 
@@ -17,6 +19,16 @@ pub enum ControlPlc {
 }
 
 impl sealed::Sealed for ControlPlc {}
+
+impl fmt::Display for ControlPlc {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let control = match self {
+            Self::Stop => "stop",
+            Self::Run => "run",
+        };
+        text::command(f, Self::CODE, control)
+    }
+}
 
 impl Command for ControlPlc {
     type Reply = ();
@@ -41,6 +53,10 @@ impl Command for ControlPlc {
         Ok(())
     }
 
+    fn fmt_reply((): &(), f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("done")
+    }
+
     fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
 }
 
@@ -56,6 +72,18 @@ pub enum DiscreteControl {
     Set = 3,
     /// Off.
     Reset = 4,
+}
+
+impl fmt::Display for DiscreteControl {
+    /// The name in the manuals: `disable`, `enable`, `set` or `reset`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Disable => "disable",
+            Self::Enable => "enable",
+            Self::Set => "set",
+            Self::Reset => "reset",
+        })
+    }
 }
 
 /// 42: controls one discrete.
@@ -81,6 +109,13 @@ impl ControlDiscrete {
 }
 
 impl sealed::Sealed for ControlDiscrete {}
+
+impl fmt::Display for ControlDiscrete {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { control, discrete } = self;
+        text::command(f, Self::CODE, format_args!("{control} {discrete}"))
+    }
+}
 
 impl Command for ControlDiscrete {
     type Reply = ();
@@ -108,6 +143,10 @@ impl Command for ControlDiscrete {
 
     fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
         Ok(())
+    }
+
+    fn fmt_reply((): &(), f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("done")
     }
 
     fn for_each_run(&self, each: &mut dyn FnMut(Run)) {

@@ -3,12 +3,14 @@ use std::fmt;
 use bytes::BytesMut;
 
 use super::{Command, encode_reply};
-use crate::wire::Framing;
+use crate::wire::{Frame, Framing};
 
 /// The reply to a request of any command, from [`Station::forward`](crate::Station::forward).
 ///
 /// It can be encoded in every framing that its request [can be sent in](super::Request::encode).
-/// `Debug` shows the request as well.
+/// `Debug` and `Display` show the request as well: `read registers (46h) R12 to R13: 7, 8`, or
+/// `control RUN/STOP (41h) run: done`. `Display` has at most 800 characters on one line, all of them
+/// printable.
 pub struct ForwardedReply {
     exchange: Box<dyn AnyExchange>,
 }
@@ -25,6 +27,12 @@ impl ForwardedReply {
     pub fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) {
         self.exchange.encode_reply(framing, station, dst);
     }
+
+    /// The reply as a frame from the PLC with this number, as [`Frame::reply`] makes it.
+    #[must_use]
+    pub fn to_frame(&self, framing: Framing, station: u8) -> Frame {
+        self.exchange.to_frame(framing, station)
+    }
 }
 
 impl fmt::Debug for ForwardedReply {
@@ -33,8 +41,16 @@ impl fmt::Debug for ForwardedReply {
     }
 }
 
+impl fmt::Display for ForwardedReply {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.exchange.fmt_text(f)
+    }
+}
+
 trait AnyExchange: fmt::Debug + Send + Sync {
     fn encode_reply(&self, framing: Framing, station: u8, dst: &mut BytesMut);
+    fn to_frame(&self, framing: Framing, station: u8) -> Frame;
+    fn fmt_text(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result;
 }
 
 #[derive(Debug)]
@@ -46,5 +62,14 @@ struct Exchange<C: Command> {
 impl<C: Command> AnyExchange for Exchange<C> {
     fn encode_reply(&self, framing: Framing, station: u8, dst: &mut BytesMut) {
         encode_reply(&self.request, Ok(&self.reply), framing, station, dst);
+    }
+
+    fn to_frame(&self, framing: Framing, station: u8) -> Frame {
+        Frame::reply(station, &self.request, Ok(&self.reply), framing)
+    }
+
+    fn fmt_text(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: ", self.request)?;
+        C::fmt_reply(&self.reply, f)
     }
 }

@@ -136,7 +136,11 @@ impl From<FieldError> for ReplyError {
     }
 }
 
-fn write_reply<C: Command, W: FieldWriter>(request: &C, reply: Result<&C::Reply, ErrorCode>, fields: &mut W) {
+pub(super) fn write_reply<C: Command, W: FieldWriter>(
+    request: &C,
+    reply: Result<&C::Reply, ErrorCode>,
+    fields: &mut W,
+) {
     match reply {
         Err(error) => fields.code(error.into()),
         Ok(reply) => {

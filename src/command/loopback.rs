@@ -1,6 +1,8 @@
+use std::fmt;
+
 use bytes::Bytes;
 
-use super::{Code, Command, InvalidRequest, RequestError, Run, Spelling, limits, sealed};
+use super::{Code, Command, InvalidRequest, RequestError, Run, Spelling, limits, sealed, text};
 use crate::wire::{FieldError, FieldReader, FieldWriter, Framing, ascii};
 
 /// 4E: sends data that the PLC returns unchanged.
@@ -50,6 +52,12 @@ impl LoopBack {
 
 impl sealed::Sealed for LoopBack {}
 
+impl fmt::Display for LoopBack {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        text::command(f, Self::CODE, text::Data(&self.data))
+    }
+}
+
 impl Command for LoopBack {
     type Reply = ();
     const CODE: Code = Code::LoopBack;
@@ -68,6 +76,10 @@ impl Command for LoopBack {
 
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<(), FieldError> {
         if fields.rest() == self.data { Ok(()) } else { Err(FieldError::NotTheEcho) }
+    }
+
+    fn fmt_reply((): &(), f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("done")
     }
 
     fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}

@@ -1,6 +1,8 @@
+use std::fmt;
+
 use bytes::BytesMut;
 
-use super::{Candidates, Code, Command, InvalidRequest, RequestError, Run, Spelling, limits, sealed, spelling};
+use super::{Candidates, Code, Command, InvalidRequest, RequestError, Run, Spelling, limits, sealed, spelling, text};
 use crate::element::{Element, ElementError, Value};
 use crate::wire::{BinaryReader, BinaryWriter, FieldError, FieldReader, FieldWriter, Framing};
 
@@ -42,6 +44,12 @@ impl ReadMixed {
 
 impl sealed::Sealed for ReadMixed {}
 
+impl fmt::Display for ReadMixed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        text::command(f, Self::CODE, text::List(self.elements.iter()))
+    }
+}
+
 impl Command for ReadMixed {
     type Reply = Vec<Value>;
     const CODE: Code = Code::ReadMixed;
@@ -69,6 +77,10 @@ impl Command for ReadMixed {
             values.push(fields.value(element.width())?);
         }
         Ok(values)
+    }
+
+    fn fmt_reply(reply: &Vec<Value>, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", text::values(reply))
     }
 
     fn for_each_run(&self, each: &mut dyn FnMut(Run)) {
@@ -151,6 +163,13 @@ impl WriteMixed {
 
 impl sealed::Sealed for WriteMixed {}
 
+impl fmt::Display for WriteMixed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let items = self.items.iter().map(|(element, value)| format!("{element} = {value}"));
+        text::command(f, Self::CODE, text::List(items))
+    }
+}
+
 impl Command for WriteMixed {
     type Reply = ();
     const CODE: Code = Code::WriteMixed;
@@ -180,6 +199,10 @@ impl Command for WriteMixed {
 
     fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
         Ok(())
+    }
+
+    fn fmt_reply((): &(), f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("done")
     }
 
     fn for_each_run(&self, each: &mut dyn FnMut(Run)) {

@@ -4,6 +4,14 @@
 //! its request and of its reply through [`FieldWriter`] and [`FieldReader`], in either framing.
 //! Client and simulator share these types.
 //!
+//! [`Frame::request`] and [`Frame::reply`] make frames of them for a codec, [`Request::decode`] and
+//! [`Frame::decode_reply`] decode received ones. Requests and replies have a text of one line for
+//! logs (`Display`), such as `read registers (46h) R12 to R14`.
+//!
+//! [`Frame::request`]: crate::wire::Frame::request
+//! [`Frame::reply`]: crate::wire::Frame::reply
+//! [`Frame::decode_reply`]: crate::wire::Frame::decode_reply
+//!
 //! Most programs use the methods of [`Station`](crate::Station) instead.
 //!
 //! Source: protocol reference, section 5 (manuals 000 and 002 section 4.2, 001 section 2.5).
@@ -16,6 +24,7 @@ mod consecutive;
 mod control;
 mod discrete;
 mod forwarded_reply;
+mod frame;
 mod framing;
 mod limits;
 mod loopback;
@@ -26,6 +35,7 @@ mod request;
 mod spelling;
 mod stack_reply;
 mod status;
+mod text;
 
 use std::fmt;
 
@@ -43,6 +53,8 @@ pub use request::RequestError;
 pub(crate) use spelling::{Candidate, Candidates, NONE as NO_CANDIDATES, Run, Spelling};
 pub(crate) use stack_reply::{Consecutive, StackReply, ValueOf};
 pub use status::{BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, Series, StatusFlags};
+#[cfg(feature = "sim")]
+pub(crate) use text::Data;
 
 pub use crate::element::Value;
 use crate::element::{Register, Register32};
@@ -76,10 +88,12 @@ commands! {
 
 /// A command: a request, and the reply to it.
 ///
+/// `Display` is the request as a text for logs, as of [`Request`].
+///
 /// The error code before most replies is not part of `Reply` (see [`ErrorField`]).
 ///
 /// The protocol has no other commands, so the trait cannot be implemented outside of this crate.
-pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
+pub trait Command: Clone + fmt::Debug + fmt::Display + Send + Sync + sealed::Sealed + 'static {
     /// The data of a reply that is not a refusal.
     type Reply: Clone + fmt::Debug + PartialEq + Send + Sync + 'static;
 
@@ -107,6 +121,10 @@ pub trait Command: Clone + fmt::Debug + Send + Sync + sealed::Sealed + 'static {
     /// # Errors
     /// [`FieldError`] for fields that no reply to this request has.
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Self::Reply, FieldError>;
+
+    /// Writes the reply as a text of bounded length, on one line.
+    #[doc(hidden)]
+    fn fmt_reply(reply: &Self::Reply, f: &mut fmt::Formatter<'_>) -> fmt::Result;
 
     /// Checks the rules that depend on the framing. [`encode_request`] calls it.
     ///

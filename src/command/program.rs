@@ -1,6 +1,6 @@
 use std::fmt;
 
-use super::{Code, Command, RequestError, Run, sealed};
+use super::{Code, Command, RequestError, Run, sealed, text};
 use crate::wire::{FieldError, FieldReader, FieldWriter};
 
 /// The words of a program page.
@@ -54,6 +54,13 @@ impl fmt::Debug for ProgramPage {
     }
 }
 
+impl fmt::Display for ProgramPage {
+    /// The first 16 words in hexadecimal, and their number: `FB00, FB01, ... (64 in all)`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", text::List(self.words.iter().map(|word| format!("{word:04X}"))))
+    }
+}
+
 /// 4F: reads one page of the program. ASCII framing only.
 ///
 /// ```text
@@ -78,6 +85,12 @@ impl ReadProgramPage {
 
 impl sealed::Sealed for ReadProgramPage {}
 
+impl fmt::Display for ReadProgramPage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        text::command(f, Self::CODE, self.page)
+    }
+}
+
 impl Command for ReadProgramPage {
     type Reply = ProgramPage;
     const CODE: Code = Code::ReadProgramPage;
@@ -96,6 +109,10 @@ impl Command for ReadProgramPage {
 
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<ProgramPage, FieldError> {
         read_page(fields)
+    }
+
+    fn fmt_reply(reply: &ProgramPage, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{reply}")
     }
 
     fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
@@ -125,6 +142,13 @@ impl WriteProgramPage {
 
 impl sealed::Sealed for WriteProgramPage {}
 
+impl fmt::Display for WriteProgramPage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { page, content } = self;
+        text::command(f, Self::CODE, format_args!("{page} = {content}"))
+    }
+}
+
 impl Command for WriteProgramPage {
     type Reply = ();
     const CODE: Code = Code::WriteProgramPage;
@@ -143,6 +167,10 @@ impl Command for WriteProgramPage {
 
     fn read_reply<R: FieldReader>(&self, _fields: &mut R) -> Result<(), FieldError> {
         Ok(())
+    }
+
+    fn fmt_reply((): &(), f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("done")
     }
 
     fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}

@@ -1,7 +1,9 @@
+use std::fmt;
+
 use super::consecutive::{read_consecutive, write_consecutive};
 use super::{
     Candidates, Code, Command, Consecutive, ConsecutiveElement, InvalidRequest, RequestError, Run, Spelling, blank,
-    limits, sealed, spelling,
+    limits, sealed, spelling, text,
 };
 use crate::element::{Register, Register32};
 use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};

@@ -1,3 +1,5 @@
+use std::fmt;
+
 use bytes::BytesMut;
 
 use super::{Code, Command, InvalidRequest, Request, encode_request, limits, with_command};
@@ -59,6 +61,16 @@ impl Request {
     }
 }
 
+impl fmt::Display for Request {
+    /// The command and its fields on one line: `read registers (46h) R12 to R14`.
+    ///
+    /// Each command has this text, too. Of long lists the first 16 values are shown, of data 64
+    /// bytes. At most 600 characters, all of them printable.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        with_command!(self, command => write!(f, "{command}"))
+    }
+}
+
 /// The error of decoding a request.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -92,7 +104,8 @@ impl RequestError {
                 | FieldError::WrongLength
                 | FieldError::Unreadable
                 | FieldError::Ambiguous
-                | FieldError::NotTheEcho => ErrorCode::IllegalFormat,
+                | FieldError::NotTheEcho
+                | FieldError::OtherCommand(_) => ErrorCode::IllegalFormat,
             },
             Self::Invalid(error) => error.error_code(),
         }

@@ -1,4 +1,6 @@
-use super::{Candidates, Code, Command, ConsecutiveElement, RequestError, Run, Spelling, sealed};
+use std::fmt;
+
+use super::{Candidates, Code, Command, ConsecutiveElement, RequestError, Run, Spelling, sealed, text};
 use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 
 /// A read of at most `N` consecutive elements whose reply is an array: no memory of the heap is
@@ -34,6 +36,12 @@ pub(crate) type ValueOf<C> = <<C as Consecutive>::Element as ConsecutiveElement>
 
 impl<C: Consecutive, const N: usize> sealed::Sealed for StackReply<C, N> {}
 
+impl<C: Consecutive, const N: usize> fmt::Display for StackReply<C, N> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.0)
+    }
+}
+
 impl<C: Consecutive, const N: usize> Command for StackReply<C, N> {
     type Reply = ArrayVec<ValueOf<C>, N>;
     const CODE: Code = C::CODE;
@@ -52,6 +60,10 @@ impl<C: Consecutive, const N: usize> Command for StackReply<C, N> {
 
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<Self::Reply, FieldError> {
         self.read_spelled(self.plain(), fields)
+    }
+
+    fn fmt_reply(reply: &Self::Reply, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", text::values(reply.as_slice()))
     }
 
     fn for_each_run(&self, each: &mut dyn FnMut(Run)) {

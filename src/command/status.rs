@@ -16,6 +16,12 @@ pub struct ReadStatus;
 
 impl sealed::Sealed for ReadStatus {}
 
+impl fmt::Display for ReadStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", Self::CODE)
+    }
+}
+
 impl Command for ReadStatus {
     type Reply = BriefStatus;
     const CODE: Code = Code::ReadStatus;
@@ -32,6 +38,10 @@ impl Command for ReadStatus {
 
     fn read_reply<R: FieldReader>(&self, fields: &mut R) -> Result<BriefStatus, FieldError> {
         Ok(BriefStatus { raw: [fields.byte()?, fields.byte()?, fields.byte()?] })
+    }
+
+    fn fmt_reply(reply: &BriefStatus, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{reply}")
     }
 
     fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
@@ -67,6 +77,14 @@ impl BriefStatus {
     #[must_use]
     pub fn capacity(&self) -> ProgramCapacity {
         ProgramCapacity::from(self.raw[1])
+    }
+}
+
+impl fmt::Display for BriefStatus {
+    /// The states of STATUS1, and all bytes: `RUN, id set (21 40 00)`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [status1, status2, status3] = self.raw;
+        write!(f, "{} ({status1:02X} {status2:02X} {status3:02X})", self.flags())
     }
 }
 
@@ -199,6 +217,12 @@ pub struct ReadDetailedStatus;
 
 impl sealed::Sealed for ReadDetailedStatus {}
 
+impl fmt::Display for ReadDetailedStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", Self::CODE)
+    }
+}
+
 impl Command for ReadDetailedStatus {
     type Reply = DetailedStatus;
     const CODE: Code = Code::ReadDetailedStatus;
@@ -219,6 +243,10 @@ impl Command for ReadDetailedStatus {
             raw.push(fields.byte()?);
         }
         DetailedStatus::from_raw(raw).ok_or(FieldError::WrongLength)
+    }
+
+    fn fmt_reply(reply: &DetailedStatus, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{reply}")
     }
 
     fn for_each_run(&self, _each: &mut dyn FnMut(Run)) {}
@@ -372,6 +400,14 @@ impl DetailedStatus {
     /// The big-endian word whose high byte has this number.
     fn word(&self, high: usize) -> u16 {
         u16::from_be_bytes([self.status(high), self.status(high + 1)])
+    }
+}
+
+impl fmt::Display for DetailedStatus {
+    /// States, main unit, version and ladder: `STOP; main unit MC, OS 3.1, ladder of 13184 words`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ((major, minor), words) = (self.os_version(), self.ladder_words());
+        write!(f, "{}; main unit {}, OS {major}.{minor}, ladder of {words} words", self.flags(), self.main_unit())
     }
 }
 

@@ -45,6 +45,11 @@ impl Bus {
         Self::default()
     }
 
+    /// A line with one PLC, at station number 1.
+    pub(super) fn of_one(plc: Plc) -> Self {
+        Self { stations: BTreeMap::from([(1, plc)]), conditions: None }
+    }
+
     /// Adds a PLC to the line. It replaces the one with the same number.
     ///
     /// # Errors

@@ -1,5 +1,6 @@
 //! Execution of commands by a simulated PLC: one `impl` per command, in the order of the codes.
 
+use super::fault::Change;
 use super::plc::PlcInner;
 use crate::ErrorCode;
 use crate::command::{
@@ -15,11 +16,19 @@ use crate::element::{Element, Register, Register32};
 pub trait Execute: Command {
     #[doc(hidden)]
     fn execute(&self, plc: &mut PlcInner) -> Result<Self::Reply, ErrorCode>;
+
+    /// The changes of a PLC that has executed this.
+    #[doc(hidden)]
+    fn changes(&self) -> Vec<Change>;
 }
 
 impl Execute for ReadStatus {
     fn execute(&self, plc: &mut PlcInner) -> Result<BriefStatus, ErrorCode> {
         Ok(plc.model.brief_status(plc.flags))
+    }
+
+    fn changes(&self) -> Vec<Change> {
+        Vec::new()
     }
 }
 
@@ -31,6 +40,13 @@ impl Execute for ControlPlc {
             (Self::Stop, _) => plc.set_running(false),
         }
         Ok(())
+    }
+
+    fn changes(&self) -> Vec<Change> {
+        match self {
+            Self::Stop => vec![Change::Stop],
+            Self::Run => vec![Change::Run],
+        }
     }
 }
 
@@ -45,12 +61,25 @@ impl Execute for ControlDiscrete {
         }
         Ok(())
     }
+
+    fn changes(&self) -> Vec<Change> {
+        vec![match self.control {
+            DiscreteControl::Disable => Change::Disabled(self.discrete),
+            DiscreteControl::Enable => Change::Enabled(self.discrete),
+            DiscreteControl::Set => Change::value(self.discrete, true),
+            DiscreteControl::Reset => Change::value(self.discrete, false),
+        }]
+    }
 }
 
 impl Execute for ReadDisabled {
     fn execute(&self, plc: &mut PlcInner) -> Result<Vec<bool>, ErrorCode> {
         let discretes = plc.consecutive(self.first(), self.count())?;
         Ok(discretes.into_iter().map(|discrete| plc.is_disabled(discrete)).collect())
+    }
+
+    fn changes(&self) -> Vec<Change> {
+        Vec::new()
     }
 }
 
@@ -59,6 +88,10 @@ impl Execute for ReadDiscretes {
         let discretes = plc.consecutive(self.first(), self.count())?;
         Ok(discretes.into_iter().map(|discrete| plc.memory.bit(discrete)).collect())
     }
+
+    fn changes(&self) -> Vec<Change> {
+        Vec::new()
+    }
 }
 
 impl Execute for WriteDiscretes {
@@ -66,6 +99,10 @@ impl Execute for WriteDiscretes {
         let discretes = plc.consecutive(self.first(), self.states().len())?;
         discretes.into_iter().zip(self.states()).for_each(|(discrete, &on)| plc.memory.set_bit(discrete, on));
         Ok(())
+    }
+
+    fn changes(&self) -> Vec<Change> {
+        Change::values(self.first(), self.states())
     }
 }
 
@@ -77,6 +114,10 @@ impl Execute for ReadMixed {
         plc.check_elements(self.elements().iter().copied())?;
         Ok(self.elements().iter().map(|&element| plc.memory.read(element)).collect())
     }
+
+    fn changes(&self) -> Vec<Change> {
+        Vec::new()
+    }
 }
 
 impl Execute for WriteMixed {
@@ -86,17 +127,29 @@ impl Execute for WriteMixed {
         // Unreachable error: the request has checked the widths.
         items.try_for_each(|&(element, value)| plc.memory.write(element, value)).map_err(|_| ErrorCode::IllegalFormat)
     }
+
+    fn changes(&self) -> Vec<Change> {
+        self.items().iter().map(|&(element, value)| Change::Value(element, value)).collect()
+    }
 }
 
 impl Execute for LoopBack {
     fn execute(&self, _plc: &mut PlcInner) -> Result<(), ErrorCode> {
         Ok(())
     }
+
+    fn changes(&self) -> Vec<Change> {
+        Vec::new()
+    }
 }
 
 impl Execute for ReadProgramPage {
     fn execute(&self, plc: &mut PlcInner) -> Result<ProgramPage, ErrorCode> {
         plc.page(self.page).ok_or(ErrorCode::IllegalAddress)
+    }
+
+    fn changes(&self) -> Vec<Change> {
+        Vec::new()
     }
 }
 
@@ -110,11 +163,19 @@ impl Execute for WriteProgramPage {
         }
         plc.set_page(self.page, self.content.clone()).map_err(|_| ErrorCode::IllegalAddress)
     }
+
+    fn changes(&self) -> Vec<Change> {
+        vec![Change::Page(self.page, self.content.clone())]
+    }
 }
 
 impl Execute for ReadDetailedStatus {
     fn execute(&self, plc: &mut PlcInner) -> Result<DetailedStatus, ErrorCode> {
         Ok(plc.model.detailed_status(plc.flags))
+    }
+
+    fn changes(&self) -> Vec<Change> {
+        Vec::new()
     }
 }
 
@@ -153,6 +214,10 @@ macro_rules! registers {
                 let registers = plc.consecutive(self.first(), self.count())?;
                 Ok(registers.into_iter().map(|register| plc.memory.$read(register)).collect())
             }
+
+            fn changes(&self) -> Vec<Change> {
+                Vec::new()
+            }
         }
 
         impl Execute for WriteRegisters<$element> {
@@ -162,6 +227,10 @@ macro_rules! registers {
                     plc.memory.$write(register, value);
                 });
                 Ok(())
+            }
+
+            fn changes(&self) -> Vec<Change> {
+                Change::values(self.first(), self.values())
             }
         }
     };

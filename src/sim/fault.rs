@@ -5,7 +5,7 @@
 //! - [`Faults`]: the rules of one [`Bus`](super::Bus). A handle: a test can change the rules while
 //!   a client uses the bus, for instance to take a station offline and back.
 //! - [`Line`]: transmission and response times.
-//! - [`Log`]: the requests that arrived, and their replies.
+//! - [`Log`]: the requests that arrived, their replies, and the [changes](Change) by them.
 //!
 //! ```
 //! use std::time::Duration;
@@ -131,6 +131,7 @@
 //! - A reply to a broadcast ([`Fault::AnswerBroadcast`]) looks like the reply to the next request
 //!   of the same command to that station, for instance the success of a RUN that is refused.
 
+mod change;
 mod corrupt;
 mod faults;
 mod kinds;
@@ -142,6 +143,7 @@ mod rule;
 mod session;
 mod timing;
 
+pub use self::change::Change;
 pub use self::faults::Faults;
 use self::kinds::FaultTarget;
 pub use self::kinds::{DisconnectAt, Fault};

@@ -2,6 +2,8 @@
 //!
 //! - [`Plc`]: one PLC of a given [`Model`], with memory, program and RUN/STOP. A cheap handle: a
 //!   test can keep one to read the PLC, or to act as the process, while a client is connected.
+//! - [`station`]: a connected [`Station`](crate::Station) with its PLC, in memory, for tests.
+//! - [`Plc::serve`]: one PLC over TCP.
 //! - [`Bus`]: a line with PLCs at their station numbers. Frames in, replies out, no I/O.
 //! - [`serve`] serves a bus over any stream, [`Server`] over TCP, [`UdpServer`] over UDP,
 //!   [`SerialServer`] on a serial port.
@@ -14,8 +16,7 @@
 //!
 //! ```
 //! use fatek::register;
-//! use fatek::sim::{Bus, Plc, Server};
-//! use fatek::wire::Framing;
+//! use fatek::sim::Plc;
 //! use tokio::io::{AsyncReadExt, AsyncWriteExt};
 //! use tokio::net::TcpStream;
 //!
@@ -23,8 +24,7 @@
 //! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let plc = Plc::new();
 //! plc.write(register!("R12"), 0x10A5_u16)?;
-//! let bus = Bus::new().with_station(1, plc)?;
-//! let server = Server::bind("127.0.0.1:0", bus, Framing::Ascii).await?;
+//! let server = plc.serve("127.0.0.1:0").await?;
 //!
 //! let mut stream = TcpStream::connect(server.local_addr()).await?;
 //! stream.write_all(b"\x02014601R0001273\x03").await?; // read R12
@@ -37,6 +37,7 @@
 //! # }
 //! ```
 
+mod bench;
 mod bus;
 mod doctest;
 mod error;
@@ -47,12 +48,13 @@ mod model;
 mod plc;
 mod server;
 
+pub use bench::{Bench, station};
 pub use bus::Bus;
 #[doc(hidden)]
 pub use doctest::doctest;
 pub use error::Error;
 pub use execute::Execute;
-pub use fault::{DisconnectAt, Fault, Faults, LeftOver, Line, Log, LogEntry, Rule, Timing};
+pub use fault::{Change, DisconnectAt, Fault, Faults, LeftOver, Line, Log, LogEntry, Rule, Timing};
 #[cfg(test)]
 pub(crate) use fault::{Output, Session};
 pub use model::{Model, PageReply};

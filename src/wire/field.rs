@@ -201,4 +201,7 @@ pub enum FieldError {
     /// The echo of a loop-back differs from the data that was sent.
     #[error("the echo differs from what was sent")]
     NotTheEcho,
+    /// The frame has the code of another command.
+    #[error("the frame is one of command {0:02X}h")]
+    OtherCommand(u8),
 }

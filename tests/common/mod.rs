@@ -10,7 +10,7 @@ use std::fmt;
 
 use bytes::{Bytes, BytesMut};
 use fatek::command::*;
-use fatek::wire::Framing;
+use fatek::wire::{Frame, Framing};
 use fatek::{Discrete, Element, ErrorCode, Register, Register32, Symbol, Width};
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -34,6 +34,15 @@ pub(crate) trait Exchange: fmt::Debug {
     fn decode_reply(&self, framing: Framing, data: &[u8]) -> Result<bool, ReplyError>;
     /// Decodes the data and encodes it again, as a reply of station 1.
     fn reencode_reply(&self, framing: Framing, data: &[u8]) -> Result<BytesMut, ReplyError>;
+
+    /// The request as a frame.
+    fn request_frame(&self, framing: Framing, station: u8) -> Result<Frame, InvalidRequest>;
+    /// The reply, or the refusal, as a frame.
+    fn reply_frame(&self, framing: Framing, station: u8, refusal: Option<ErrorCode>) -> Frame;
+    /// Returns whether the frame decodes as exactly the reply of this exchange.
+    fn decode_reply_frame(&self, framing: Framing, frame: &Frame) -> Result<bool, ReplyError>;
+    /// The texts of request and reply.
+    fn texts(&self) -> [String; 2];
 
     /// Data field of the reply or refusal.
     fn reply_data(&self, framing: Framing, refusal: Option<ErrorCode>) -> Vec<u8> {
@@ -86,6 +95,29 @@ impl<C: Command> Exchange for TypedExchange<C> {
         let reply = decode_reply(&self.request, framing, data)?;
         encode_reply(&self.request, Ok(&reply), framing, 1, &mut frame);
         Ok(frame)
+    }
+
+    fn request_frame(&self, framing: Framing, station: u8) -> Result<Frame, InvalidRequest> {
+        Frame::request(station, &self.request, framing)
+    }
+
+    fn reply_frame(&self, framing: Framing, station: u8, refusal: Option<ErrorCode>) -> Frame {
+        Frame::reply(station, &self.request, refusal.map_or(Ok(&self.reply), Err), framing)
+    }
+
+    fn decode_reply_frame(&self, framing: Framing, frame: &Frame) -> Result<bool, ReplyError> {
+        frame.decode_reply(&self.request, framing).map(|reply| reply == self.reply)
+    }
+
+    fn texts(&self) -> [String; 2] {
+        struct Text<'a, C: Command>(&'a C::Reply);
+
+        impl<C: Command> fmt::Display for Text<'_, C> {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                C::fmt_reply(self.0, f)
+            }
+        }
+        [self.request.to_string(), Text::<C>(&self.reply).to_string()]
     }
 }
 

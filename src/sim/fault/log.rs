@@ -5,8 +5,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use bytes::Bytes;
 use tokio::time::Instant;
 
-use super::Fault;
-use crate::command::{Request, RequestError};
+use super::{Change, Fault};
+use crate::command::{Class, Data, Request, RequestError, with_command};
+use crate::sim::bus::BROADCAST;
+use crate::sim::execute::Execute as _;
 use crate::wire::{Discard, Frame};
 
 /// Log of the arrivals at a [`Bus`](crate::sim::Bus) with [`Faults`](super::Faults).
@@ -77,6 +79,55 @@ impl Log {
         repeated.into_iter().map(|(_, write)| write).collect()
     }
 
+    /// The changes of a PLC by executed writes and control requests, in the order of their arrival.
+    ///
+    /// One [`Change`] for each element, independent of the command: a [`Link`](crate::Link) sends
+    /// equal writes by 47 and 49 in turn. Broadcasts that the station has obeyed are included; refused
+    /// requests and reads have no changes. For the requests themselves see
+    /// [`entries`](Self::entries).
+    ///
+    /// If executed writes are not in the log, of any station, the first item is
+    /// [`Change::NotInLog`]: an empty list proves that nothing was written.
+    ///
+    /// ```
+    /// use fatek::sim::{self, Change};
+    /// use fatek::{discrete, register};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), fatek::Error> {
+    /// let bench = sim::station().await;
+    /// bench.station.read_registers(register!("R0"), 2).await?;
+    /// assert_eq!(bench.log().changes(1), []);
+    ///
+    /// bench.station.run().await?;
+    /// bench.station.write_registers(register!("R0"), &[7, 8]).await?;
+    /// bench.station.set(discrete!("Y3")).await?;
+    /// assert_eq!(
+    ///     bench.log().changes(1),
+    ///     [
+    ///         Change::Run,
+    ///         Change::value(register!("R0"), 7_u16),
+    ///         Change::value(register!("R1"), 8_u16),
+    ///         Change::value(discrete!("Y3"), true),
+    ///     ]
+    /// );
+    /// # Ok(())
+    /// # }
+    /// ```
+    #[must_use]
+    pub fn changes(&self, station: u8) -> Vec<Change> {
+        let inner = self.lock();
+        let logged: u64 = inner.entries.iter().map(LogEntry::executed_writes).sum();
+        let missing = inner.writes.saturating_sub(logged);
+        let mut changes = if missing > 0 { vec![Change::NotInLog(missing)] } else { Vec::new() };
+        for entry in inner.entries.iter().filter(|entry| entry.was_executed_by(station)) {
+            if let Some(request) = entry.request() {
+                changes.extend(with_command!(request, request => request.changes()));
+            }
+        }
+        changes
+    }
+
     /// Number of executed writes and control requests, including those not in the journal.
     #[must_use]
     pub fn writes(&self) -> u64 {
@@ -126,7 +177,14 @@ impl Log {
                 inner.entries.pop_front();
             }
             let faults = faults.to_vec();
-            inner.entries.push_back(LogEntry { at, arrival: arrival(), executed: false, answer: None, faults });
+            inner.entries.push_back(LogEntry {
+                at,
+                arrival: arrival(),
+                executed: false,
+                answer: None,
+                faults,
+                obeyed_by: Vec::new(),
+            });
         }
         number
     }
@@ -136,6 +194,9 @@ impl Log {
         let mut inner = self.lock();
         if let Some(entry) = inner.entry(number) {
             entry.executed = true;
+            if write.is_some() && entry.station() == Some(BROADCAST) {
+                entry.obeyed_by.push(station);
+            }
         }
         if let Some(request) = write {
             inner.apply(station, request);
@@ -172,6 +233,22 @@ impl fmt::Debug for Log {
     }
 }
 
+impl fmt::Display for Log {
+    /// A line for each arrival in the log, oldest first, with its time since the first of them. A
+    /// line before them has the number of arrivals that are not in the log, if there are any.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (forgotten, entries) = (self.forgotten(), self.entries());
+        if forgotten > 0 {
+            writeln!(f, "earlier arrivals: {forgotten}")?;
+        }
+        let began = entries.first().map(|entry| entry.at);
+        entries.iter().try_for_each(|entry| {
+            let at = began.map_or_else(Default::default, |began| entry.at.duration_since(began));
+            writeln!(f, "{:9.3} s  {entry}", at.as_secs_f64())
+        })
+    }
+}
+
 /// One arrival at a bus, with its replies and faults.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -193,6 +270,8 @@ pub struct LogEntry {
     ///
     /// Behind them: the faults by which stations answered a broadcast.
     pub faults: Vec<Fault>,
+    /// The stations that have executed a write or control request that was broadcast.
+    obeyed_by: Vec<u8>,
 }
 
 impl LogEntry {
@@ -213,6 +292,37 @@ impl LogEntry {
             Arrival::Request { request, .. } => Some(request),
             Arrival::Unreadable { .. } | Arrival::Noise { .. } => None,
         }
+    }
+}
+
+impl LogEntry {
+    fn was_executed_by(&self, station: u8) -> bool {
+        self.executed && (self.station() == Some(station) || self.obeyed_by.contains(&station))
+    }
+
+    /// Number of executions, if it is a write or control request.
+    fn executed_writes(&self) -> u64 {
+        let is_write = self.request().is_some_and(|request| request.code().class() != Class::Read);
+        match self.station() {
+            Some(BROADCAST) => self.obeyed_by.len() as u64,
+            Some(_) | None => u64::from(self.executed && is_write),
+        }
+    }
+}
+
+impl fmt::Display for LogEntry {
+    /// Arrival, result and faults on one line, without the time: `station 1: write registers (47h)
+    /// R0 = 7; executed; no reply; DropReply`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.arrival)?;
+        if self.executed {
+            f.write_str("; executed")?;
+        }
+        match &self.answer {
+            Some(bytes) => write!(f, "; {} bytes in reply", bytes.len())?,
+            None => f.write_str("; no reply")?,
+        }
+        self.faults.iter().try_for_each(|fault| write!(f, "; {fault:?}"))
     }
 }
 
@@ -246,6 +356,19 @@ pub enum Arrival {
     },
 }
 
+impl fmt::Display for Arrival {
+    /// One line: `station 1: read registers (46h) R0`, `broadcast: control RUN/STOP (41h) stop`,
+    /// `station 1: command 99h: there is no command 99`, or `noise: garbage between frames: 06`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Request { station: BROADCAST, request } => write!(f, "broadcast: {request}"),
+            Self::Request { station, request } => write!(f, "station {station}: {request}"),
+            Self::Unreadable { frame, reason } => write!(f, "{frame}: {reason}"),
+            Self::Noise { reason, bytes } => write!(f, "noise: {reason}: {}", Data(bytes)),
+        }
+    }
+}
+
 /// A write or control request that a station has executed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -256,6 +379,14 @@ pub struct Applied {
     pub request: Request,
     /// Number of executions.
     pub times: u64,
+}
+
+impl fmt::Display for Applied {
+    /// One line: `station 1: write registers (47h) R0 = 7; executed 2 times`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { station, request, times } = self;
+        write!(f, "station {station}: {request}; executed {times} times")
+    }
 }
 
 #[derive(Debug, Default)]

@@ -1,7 +1,7 @@
 //! Server over TCP.
 
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -13,8 +13,9 @@ use tracing::debug;
 
 use super::connection::{Connection, ConnectionHandle};
 use super::{FRAME_TIMEOUT, SHUTDOWN_TIMEOUT, serve};
-use crate::sim::Bus;
+use crate::endpoint::Endpoint;
 use crate::sim::fault::Faults;
+use crate::sim::{Bus, Plc};
 use crate::wire::Framing;
 
 /// Maximum number of connections of a [`Server`]. A further one takes the place of the connection
@@ -31,6 +32,8 @@ const MAKE_ROOM_AFTER: Duration = Duration::from_secs(5);
 #[derive(Debug)]
 pub struct Server {
     local_addr: SocketAddr,
+    framing: Framing,
+    faults: Option<Faults>,
     make_room_after: Arc<Mutex<Duration>>,
     /// Stops the task when dropped.
     stop: oneshot::Sender<()>,
@@ -47,17 +50,39 @@ impl Server {
     pub async fn bind(address: impl ToSocketAddrs, bus: Bus, framing: Framing) -> io::Result<Self> {
         let listener = TcpListener::bind(address).await?;
         let local_addr = listener.local_addr()?;
+        let faults = bus.faults().cloned();
         let make_room_after = Arc::new(Mutex::new(MAKE_ROOM_AFTER));
         let connections = Connections::new(bus, framing, make_room_after.clone());
         let (stop, stopped) = oneshot::channel();
         let task = tokio::spawn(serve_until(stopped, listener, connections));
-        Ok(Self { local_addr, make_room_after, stop, task })
+        Ok(Self { local_addr, framing, faults, make_room_after, stop, task })
     }
 
     /// The address it listens on.
     #[must_use]
     pub fn local_addr(&self) -> SocketAddr {
         self.local_addr
+    }
+
+    /// The endpoint of a client on this machine, with the framing of the server.
+    ///
+    /// For a server on all addresses of the machine, such as `0.0.0.0:500`, it is the loopback
+    /// address.
+    #[must_use]
+    pub fn endpoint(&self) -> Endpoint {
+        let mut address = self.local_addr;
+        match address.ip() {
+            IpAddr::V4(ip) if ip.is_unspecified() => address.set_ip(Ipv4Addr::LOCALHOST.into()),
+            IpAddr::V6(ip) if ip.is_unspecified() => address.set_ip(Ipv6Addr::LOCALHOST.into()),
+            IpAddr::V4(_) | IpAddr::V6(_) => {}
+        }
+        Endpoint::from(address).with_framing(self.framing)
+    }
+
+    /// The faults of the bus, with its log; `None` for a bus without.
+    #[must_use]
+    pub fn faults(&self) -> Option<&Faults> {
+        self.faults.as_ref()
     }
 
     /// Sets the idle time after which a connection makes room for a new one. That is the time
@@ -77,6 +102,41 @@ impl Server {
         if let Err(error) = self.task.await {
             debug!(%error, "the task of the simulated PLC failed");
         }
+    }
+}
+
+impl Plc {
+    /// Serves this PLC over TCP, as station 1 in the ASCII framing.
+    ///
+    /// The address is such as `127.0.0.1:0`, for any free local port. The server has
+    /// [faults](Server::faults) without rules, and with a log.
+    ///
+    /// ```
+    /// use fatek::sim::{Change, Plc};
+    /// use fatek::{Link, register};
+    ///
+    /// # #[tokio::main(flavor = "current_thread")]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// let server = Plc::new().serve("127.0.0.1:0").await?;
+    /// let station = Link::new(server.endpoint()).station(1)?;
+    /// station.write_registers(register!("R0"), &[7]).await?;
+    ///
+    /// let log = server.faults().unwrap().log();
+    /// assert_eq!(log.changes(1), [Change::value(register!("R0"), 7_u16)]);
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// Dropping the server closes the port and all connections. For another framing or station
+    /// number, and for several stations, use a [`Bus`] and [`Server::bind`].
+    ///
+    /// Cancel-safe: a dropped call closes the port.
+    ///
+    /// # Errors
+    /// The address cannot be bound.
+    pub async fn serve(&self, address: impl ToSocketAddrs) -> io::Result<Server> {
+        let bus = Bus::of_one(self.clone()).with_faults(Faults::new(0));
+        Server::bind(address, bus, Framing::Ascii).await
     }
 }
 

@@ -5,7 +5,7 @@ use tokio::time::Instant;
 use super::*;
 use crate::command::Value;
 use crate::register;
-use crate::sim::{Line, Plc};
+use crate::sim::{Change, Line, Plc};
 
 mod faults;
 mod left_overs;
@@ -25,6 +25,32 @@ async fn a_stream_is_served_until_its_end() {
     assert!(plc.is_running());
     drop(client);
     serving.await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_plc_is_served_over_tcp_until_its_server_is_dropped() {
+    let plc = Plc::new();
+    let server = plc.serve("127.0.0.1:0").await.unwrap();
+    assert_eq!(server.endpoint().to_string(), format!("tcp://{}", server.local_addr()));
+    let mut client = TcpStream::connect(server.local_addr()).await.unwrap();
+    send(&mut client, RUN).await;
+    expect(&mut client, DONE).await;
+    assert!(plc.is_running());
+    let log = server.faults().unwrap().log();
+    assert_eq!((log.changes(1), log.arrivals()), (vec![Change::Run], 1));
+    drop(server);
+    assert_eq!(client.read(&mut [0]).await.unwrap(), 0, "the connection is closed");
+}
+
+#[tokio::test]
+async fn the_endpoint_of_a_server_is_one_for_clients() {
+    for (address, host) in [("0.0.0.0:0", "127.0.0.1"), ("[::]:0", "[::1]"), ("127.0.0.1:0", "127.0.0.1")] {
+        // A machine may have no IPv6.
+        let Ok(server) = Server::bind(address, Bus::new(), Framing::Binary).await else { continue };
+        let port = server.local_addr().port();
+        assert_eq!(server.endpoint().to_string(), format!("tcp://{host}:{port}?framing=binary"));
+        assert!(server.faults().is_none());
+    }
 }
 
 #[tokio::test]

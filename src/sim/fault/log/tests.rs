@@ -85,3 +85,23 @@ fn stations(log: &Log) -> Vec<u8> {
 fn write(value: u16) -> Request {
     Request::WriteRegisters(WriteRegisters::new(register!("R0"), [value]).unwrap())
 }
+
+#[test]
+fn an_arrival_is_shown_on_one_line() {
+    let frame = Frame { station: 1, command: 0x99, data: Bytes::from_static(b"\x1b") };
+    let noise = |bytes| Arrival::Noise { reason: Discard::Garbage, bytes };
+    for (arrival, text) in [
+        (Arrival::Request { station: 1, request: write(5) }, "station 1: write registers (47h) R0 = 5"),
+        (Arrival::Request { station: 0, request: write(5) }, "broadcast: write registers (47h) R0 = 5"),
+        (
+            Arrival::Unreadable { frame, reason: RequestError::UnknownCommand(0x99) },
+            "station 1: command 99h 1B: there is no command 99",
+        ),
+        (noise(Bytes::from_static(b"\x06")), "noise: garbage between frames: 06"),
+        (noise(Bytes::from_static(b"ab")), r#"noise: garbage between frames: "ab""#),
+    ] {
+        assert_eq!(arrival.to_string(), text);
+    }
+    let repeated = Applied { station: 3, request: write(5), times: 2 };
+    assert_eq!(repeated.to_string(), "station 3: write registers (47h) R0 = 5; executed 2 times");
+}
