@@ -45,6 +45,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! [`Station::read`](crate::Station::read) and [`Station::write`](crate::Station::write) convert the
+//! values of tags to Rust types ([`FromTag`]) and back ([`IntoTagValues`]).
+//!
 //! No I/O. No text can cause a panic.
 //!
 //! Source: protocol reference, section 3, for the order of words in 32 bits.
