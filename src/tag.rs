@@ -15,12 +15,17 @@
 //! | `R5:i16` | a register, signed |
 //! | `DR2:i32` | a 32-bit register, signed |
 //! | `R100:f32` | the registers `R100`, the low word, and `R101` as one float |
+//! | `R100:f32-hi` | the same with the high word in `R100` |
 //! | `R0-R9:f32` | ten registers as five floats |
+//! | `R0:i64`, `DR0:f64` | four registers, or two of 32 bits, as one number of 64 bits |
 //! | `WY8:hex` | 16 outputs as four hexadecimal digits |
 //! | `R5:i16*0.1-40` | a register, signed, with a gain of 0.1 and an offset of -40; see [`Scale`] |
 //! | `R0-R9:u16*0.01`, `R100:f32+3` | all numbers except `hex` can have a gain, an offset or both |
 //! | `R0-R9:text` | ten registers as one text of up to 20 characters, low byte first |
 //! | `R0-R9:text-hi` | the same, high byte first |
+//!
+//! Names of other systems are accepted for types: `float` is `f32`, `double` is `f64`, `int` and
+//! `int16` are `i16`, `dint` is `i32`, `lint` is `i64`, `word` is `u16`, and so on.
 //!
 //! A text is read and written by one request, so it has at most 64 registers. Its characters are
 //! Latin-1; NULs at its end are removed. In an assignment it is in double quotes, optional around
@@ -73,7 +78,7 @@ pub use scale::{Scale, ScaleError};
 pub use types::{TagType, TagValue};
 
 use self::scale::parse_scaled;
-use self::types::Storage;
+use self::types::{Storage, WordOrder};
 use crate::command::{MAX_UNITS, Value};
 use crate::element::{Element, ElementError, Width};
 use crate::wire::Framing;
@@ -209,7 +214,7 @@ impl Tag {
     pub fn elements_per_value(&self) -> usize {
         match self.storage {
             Storage::Text(_) => self.count,
-            Storage::Bits(_) => self.storage.elements_per_value(self.first.width()),
+            Storage::Bits(..) => self.storage.elements_per_value(self.first.width()),
         }
     }
 
@@ -336,16 +341,16 @@ impl Tag {
             return Err(ValueError::Empty);
         }
         match (self.storage, self.scale) {
-            (Storage::Bits(format), None) => format.parse(text),
-            (Storage::Bits(_), Some(_)) => Ok(TagValue::Scaled(parse_scaled(text)?)),
+            (Storage::Bits(format, _), None) => format.parse(text),
+            (Storage::Bits(..), Some(_)) => Ok(TagValue::Scaled(parse_scaled(text)?)),
             (Storage::Text(_), _) => Ok(TagValue::Text(text::parse(text)?)),
         }
     }
 
     fn decode_one(&self, elements: &[Value]) -> TagValue {
         match (self.storage, self.scale) {
-            (Storage::Bits(format), None) => format.value(join(elements)),
-            (Storage::Bits(format), Some(scale)) => TagValue::Scaled(scale.value(format, join(elements))),
+            (Storage::Bits(format, order), None) => format.value(join(elements, order)),
+            (Storage::Bits(format, order), Some(scale)) => TagValue::Scaled(scale.value(format, join(elements, order))),
             (Storage::Text(order), _) => {
                 TagValue::Text(text::decode(elements.iter().map(|&element| low_word(bits(element))), order))
             }
@@ -353,32 +358,35 @@ impl Tag {
     }
 
     fn encode_one(&self, value: &TagValue, raw: &mut Vec<Value>) -> Result<(), ValueError> {
-        let bits = match (self.storage, self.scale, value) {
+        let (bits, order) = match (self.storage, self.scale, value) {
             (Storage::Text(order), _, TagValue::Text(text)) => {
                 raw.extend(text::encode(text, self.count, order)?.into_iter().map(Value::Word));
                 return Ok(());
             }
-            (Storage::Bits(format), Some(scale), &TagValue::Scaled(value)) => {
+            (Storage::Bits(format, order), Some(scale), &TagValue::Scaled(value)) => {
                 let bits = scale.bits(format, value);
-                bits.ok_or(ValueError::RawOutOfRange { value, raw: scale.raw(value), tag_type: self.tag_type })?
+                (
+                    bits.ok_or(ValueError::RawOutOfRange { value, raw: scale.raw(value), tag_type: self.tag_type })?,
+                    order,
+                )
             }
-            (Storage::Bits(own), None, value) => match value.bits() {
-                Some((format, bits)) if format == own => bits,
+            (Storage::Bits(own, order), None, value) => match value.bits() {
+                Some((format, bits)) if format == own => (bits, order),
                 Some(_) | None => return Err(ValueError::WrongType { tag: *self, value: value.clone() }),
             },
-            (Storage::Text(_) | Storage::Bits(_), _, value) => {
+            (Storage::Text(_) | Storage::Bits(..), _, value) => {
                 return Err(ValueError::WrongType { tag: *self, value: value.clone() });
             }
         };
-        raw.extend(split(bits, self.first.width(), self.elements_per_value()));
+        raw.extend(split(bits, order, self.first.width(), self.elements_per_value()));
         Ok(())
     }
 
     /// The type of its values, for errors: `u16 of 16 bits`, `scaled`, `text`.
     fn description(&self) -> String {
         match (self.storage, self.scale) {
-            (Storage::Bits(_), Some(_)) => "scaled".to_owned(),
-            (Storage::Bits(format), None) => format.description(),
+            (Storage::Bits(..), Some(_)) => "scaled".to_owned(),
+            (Storage::Bits(format, _), None) => format.description(),
             (Storage::Text(_), _) => "text".to_owned(),
         }
     }
@@ -431,14 +439,22 @@ fn storage(first: Element, tag_type: TagType) -> Result<Storage, TagError> {
     storage.filter(fits).ok_or(TagError::WrongType { symbol: first.symbol(), tag_type })
 }
 
-/// The bits of the elements of one value, the first element lowest.
-fn join(elements: &[Value]) -> u64 {
-    elements.iter().rev().fold(0, |joined, &element| joined << element.width().bits() | bits(element))
+/// The bits of the elements of one value.
+fn join(elements: &[Value], order: WordOrder) -> u64 {
+    let joined = |joined: u64, element: &Value| joined << element.width().bits() | bits(*element);
+    match order {
+        WordOrder::LowFirst => elements.iter().rev().fold(0, joined),
+        WordOrder::HighFirst => elements.iter().fold(0, joined),
+    }
 }
 
-/// The elements of one value from its bits, the lowest first.
-fn split(bits: u64, width: Width, elements: usize) -> impl Iterator<Item = Value> {
-    let parts = (0..elements).map(move |n| bits >> (n as u32 * width.bits()));
+/// The elements of one value from its bits.
+fn split(bits: u64, order: WordOrder, width: Width, elements: usize) -> impl Iterator<Item = Value> {
+    let place = move |n: usize| match order {
+        WordOrder::LowFirst => n,
+        WordOrder::HighFirst => elements - 1 - n,
+    };
+    let parts = (0..elements).map(move |n| bits >> (place(n) as u32 * width.bits()));
     parts.map(move |bits| match width {
         Width::Bit => Value::Bit(bits != 0),
         Width::Word => Value::Word(low_word(bits)),

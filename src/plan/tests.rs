@@ -88,7 +88,8 @@ fn random_tag(random: &mut Choices) -> Tag {
     // Some counters have 32 bits and are no `RC`.
     let Ok(first) = Element::new(symbol, u16::try_from(address).unwrap()) else { return random_tag(random) };
     match (first.width(), random.below(6)) {
-        (Width::Word, 0..2) => Tag::new(first, TagType::F32, 1).unwrap_or(first.into()),
+        (Width::Word, 0) => Tag::new(first, TagType::F32, 1).unwrap_or(first.into()),
+        (Width::Word | Width::DWord, 1) => Tag::new(first, TagType::I64, 1).unwrap_or(first.into()),
         // No longer than a run of any of `limits`.
         (Width::Word, 2) => text(first, 1 + random.below(8)),
         _ => Tag::from(first),

@@ -31,7 +31,7 @@ pub(super) trait Codec {
 
     /// The value as a number; `None` if it is not a number.
     fn number(value: Self::Value) -> Option<f64> {
-        Some(value.into())
+        Some(value.to_f64())
     }
 
     /// The value nearest to a number; `None` if it is out of range, or the type is not scalable.
@@ -112,15 +112,15 @@ impl Codec for Bit {
 /// An integer, as decimal text.
 pub(super) struct Integer<T>(PhantomData<T>);
 
-impl<T: Primitive + fmt::Display + TryFrom<i64> + TryFrom<i128>> Codec for Integer<T> {
+impl<T: Primitive + fmt::Display + TryFrom<i128>> Codec for Integer<T> {
     type Value = T;
 
-    #[allow(clippy::cast_possible_truncation, reason = "within i64, and rounded")]
+    #[allow(clippy::cast_possible_truncation, reason = "within i128, and rounded")]
     fn nearest(number: f64) -> Option<T> {
         let rounded = number.round();
         // False for NaN.
-        let fits = rounded.abs() < 1e18;
-        T::try_from(rounded as i64).ok().filter(|_| fits)
+        let fits = rounded.abs() < 1e36;
+        T::try_from(rounded as i128).ok().filter(|_| fits)
     }
 
     fn take(number: Number) -> Option<T> {
@@ -136,8 +136,8 @@ impl<T: Primitive + fmt::Display + TryFrom<i64> + TryFrom<i128>> Codec for Integ
         if digits.is_empty() || !digits.bytes().all(|b| b.is_ascii_digit()) {
             return Err(ValueError::Malformed { tag_type });
         }
-        // These are digits, so the only error is that an i64 is too small.
-        let number: i64 = text.parse().map_err(|_| ValueError::OutOfRange { tag_type })?;
+        // These are digits, so the only error is that an i128 is too small.
+        let number: i128 = text.parse().map_err(|_| ValueError::OutOfRange { tag_type })?;
         T::try_from(number).map_err(|_| ValueError::OutOfRange { tag_type })
     }
 }
@@ -151,7 +151,7 @@ impl<T: Real> Codec for Float<T> {
 
     fn nearest(number: f64) -> Option<T> {
         let float = T::nearest(number);
-        let rounded: f64 = float.into();
+        let rounded = float.to_f64();
         (rounded.is_finite() || !number.is_finite()).then_some(float)
     }
 
@@ -161,7 +161,7 @@ impl<T: Real> Codec for Float<T> {
             // An integer is not rounded.
             Number::Integer(integer) => {
                 #[allow(clippy::cast_possible_truncation, reason = "compared with the integer")]
-                let is_exact = |&float: &T| Into::<f64>::into(float) as i128 == integer;
+                let is_exact = |&float: &T| float.to_f64() as i128 == integer;
                 Self::nearest(number.as_f64()).filter(is_exact)
             }
         }
@@ -178,7 +178,7 @@ impl<T: Real> Codec for Float<T> {
 
     fn parse_plain(text: &str, tag_type: TagType) -> Result<T, ValueError> {
         let number: T = text.parse().map_err(|_| ValueError::Malformed { tag_type })?;
-        if has_overflowed(number.into(), text) { Err(ValueError::OutOfRange { tag_type }) } else { Ok(number) }
+        if has_overflowed(number.to_f64(), text) { Err(ValueError::OutOfRange { tag_type }) } else { Ok(number) }
     }
 
     fn parse_bits(digits: &str, tag_type: TagType) -> Result<u64, ValueError> {
@@ -236,8 +236,11 @@ impl Number {
 }
 
 /// A number, or a state, of a fixed number of bits.
-pub(super) trait Primitive: Copy + Into<f64> {
+pub(super) trait Primitive: Copy {
     const BITS: u32;
+
+    /// The nearest `f64`.
+    fn to_f64(self) -> f64;
 
     fn from_raw(bits: u64) -> Self;
 
@@ -246,6 +249,10 @@ pub(super) trait Primitive: Copy + Into<f64> {
 
 impl Primitive for bool {
     const BITS: u32 = 1;
+
+    fn to_f64(self) -> f64 {
+        self.into()
+    }
 
     fn from_raw(bits: u64) -> Self {
         bits != 0
@@ -267,6 +274,11 @@ macro_rules! primitives {
         $(
             impl Primitive for $primitive {
                 const BITS: u32 = 8 * size_of::<Self>() as u32;
+
+                #[allow(clippy::cast_precision_loss, clippy::cast_lossless, reason = "the nearest f64 is wanted")]
+                fn to_f64(self) -> f64 {
+                    self as f64
+                }
 
                 fn from_raw(bits: u64) -> Self {
                     let mut bytes = [0; size_of::<Self>()];

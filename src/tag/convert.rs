@@ -175,8 +175,8 @@ pub trait IntoTagValues {
 /// The value of a number for a tag; `None` if the tag does not take it.
 fn number_for(tag: &Tag, number: Number) -> Option<TagValue> {
     match (tag.storage, tag.scale) {
-        (Storage::Bits(_), Some(_)) => Some(TagValue::Scaled(number.as_f64())),
-        (Storage::Bits(format), None) => format.take(number),
+        (Storage::Bits(..), Some(_)) => Some(TagValue::Scaled(number.as_f64())),
+        (Storage::Bits(format, _), None) => format.take(number),
         (Storage::Text(_), _) => None,
     }
 }

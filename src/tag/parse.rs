@@ -7,8 +7,12 @@ pub(super) fn parse(text: &str) -> Result<Tag, TagError> {
     let Some((elements, tag_type)) = text.split_once(':') else {
         return parse_elements(text, None);
     };
-    // The `-` of `text-hi` belongs to the name, that of `i16-40` begins a scale.
-    let name_end = if tag_type.parse::<TagType>().is_ok() { None } else { tag_type.find(['*', '+', '-']) };
+    // The `-` of `f32-hi` belongs to the name, that of `i16-40` begins a scale.
+    let begins_scale = |&(at, c): &(usize, char)| {
+        let is_order = || tag_type.get(at..at + 3).is_some_and(|text| text.eq_ignore_ascii_case("-hi"));
+        matches!(c, '*' | '+') || c == '-' && !is_order()
+    };
+    let name_end = tag_type.char_indices().find(begins_scale).map(|(at, _)| at);
     let (name, scale) = tag_type.split_at(name_end.unwrap_or(tag_type.len()));
     let tag = parse_elements(elements, Some(name.parse()?))?;
     if scale.is_empty() { Ok(tag) } else { tag.scaled(scale.parse()?) }

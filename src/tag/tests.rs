@@ -130,10 +130,20 @@ fn errors_of_tags_name_the_input_and_the_rule() {
     for (input, rule) in [
         ("R0-R8:f32", "a value of f32 takes 2 elements, and the range has 9"),
         ("R0-R0:u32", "a value of u32 takes 2 elements, and the range has 1"),
-        ("R0:f64", "`f64` is not a type (known: bool u16 i16 u32 i32 f32 hex text text-hi)"),
-        ("R0:", "`` is not a type (known: bool u16 i16 u32 i32 f32 hex text text-hi)"),
-        ("R0:bool", "R is a 16-bit register, which has no type bool (it has: u16 i16 u32 i32 f32 hex text text-hi)"),
-        ("DR0:i16", "DR is a 32-bit register, which has no type i16 (it has: u32 i32 f32 hex)"),
+        (
+            "R0:f16",
+            "`f16` is not a type (known: bool u16 i16 u32 i32 f32 u64 i64 f64 hex text text-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
+        ),
+        (
+            "R0:",
+            "`` is not a type (known: bool u16 i16 u32 i32 f32 u64 i64 f64 hex text text-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
+        ),
+        (
+            "R0:bool",
+            "R is a 16-bit register, which has no type bool (it has: u16 i16 u32 i32 f32 u64 i64 f64 hex text text-hi u32-hi i32-hi f32-hi u64-hi i64-hi \
+             f64-hi)",
+        ),
+        ("DR0:i16", "DR is a 32-bit register, which has no type i16 (it has: u32 i32 f32 u64 i64 f64 hex)"),
         ("M0-M7:hex", "M is a discrete, which has no type hex (it has: bool)"),
         ("R0-D9", "a range has elements of one symbol, and this one is from R to D"),
         ("R9-R0", "the range goes backwards, from R9 to R0"),
@@ -274,7 +284,7 @@ proptest! {
     fn every_raw_value_round_trips((tag, raw) in tags().prop_flat_map(|tag| (Just(tag), raw(tag)))) {
         let values = tag.decode(&raw).unwrap();
         // Scaled floats lose digits beside the offset, and NaNs their payload: see `scaled`.
-        prop_assume!(!(tag.scale().is_some() && tag.tag_type() == TagType::F32));
+        prop_assume!(!(tag.scale().is_some() && matches!(tag.tag_type(), TagType::F32 | TagType::F32Hi)));
         prop_assert_eq!(tag.encode(&values).unwrap(), raw);
     }
 
@@ -306,4 +316,90 @@ proptest! {
             prop_assert_eq!(printed.parse::<Assignment>().unwrap().to_string(), printed);
         }
     }
+}
+
+#[test]
+fn values_of_64_bits_and_the_high_word_first() {
+    let words = |words: &[u16]| words.iter().map(|&word| Value::Word(word)).collect::<Vec<_>>();
+    for (text, raw, value) in [
+        ("R0:u64", words(&[0xDEF0, 0x9ABC, 0x5678, 0x1234]), TagValue::U64(0x1234_5678_9ABC_DEF0)),
+        ("R0:u64-hi", words(&[0x1234, 0x5678, 0x9ABC, 0xDEF0]), TagValue::U64(0x1234_5678_9ABC_DEF0)),
+        ("R0:i64", words(&[0xFFFE, 0xFFFF, 0xFFFF, 0xFFFF]), TagValue::I64(-2)),
+        ("R0:i64-hi", words(&[0xFFFF, 0xFFFF, 0xFFFF, 0xFFFE]), TagValue::I64(-2)),
+        ("R0:f64", words(&[0, 0, 0, 0x4004]), TagValue::F64(2.5)),
+        ("R0:f64-hi", words(&[0x4004, 0, 0, 0]), TagValue::F64(2.5)),
+        ("R0:f32-hi", words(&[0xC3FA, 0x1000]), TagValue::F32(-500.125)),
+        ("R0:u32-hi", words(&[0x0001, 0x0002]), TagValue::U32(0x0001_0002)),
+        ("R0:i32-hi", words(&[0xFFFF, 0xFFFE]), TagValue::I32(-2)),
+        ("DR0:u64", vec![Value::DWord(0x9ABC_DEF0), Value::DWord(0x1234_5678)], TagValue::U64(0x1234_5678_9ABC_DEF0)),
+        ("DR0:f64", vec![Value::DWord(0), Value::DWord(0x4004_0000)], TagValue::F64(2.5)),
+    ] {
+        let tag = tag(text);
+        assert_eq!((tag.to_string().as_str(), tag.value_count()), (text, 1));
+        assert_eq!(tag.decode(&raw), Ok(vec![value.clone()]), "{text}");
+        assert_eq!(tag.encode(&[value]).as_ref(), Ok(&raw), "{text}");
+    }
+    assert_eq!(tag("R0-R7:i64").value_count(), 2);
+    assert_eq!(tag("DR0-DR6:f64").to_string(), "DR0-DR6:f64");
+    for (text, reason) in [
+        ("R0-R6:i64", "a value of i64 takes 4 elements, and the range has 7"),
+        ("DR0:f32-hi", "has no type f32-hi"),
+        ("DRC200:u64", "has no type u64"),
+        ("R0:i64*2", "i64 takes neither gain nor offset"),
+    ] {
+        let error = text.parse::<Tag>().unwrap_err().to_string();
+        assert!(error.contains(reason), "{error}");
+    }
+}
+
+#[test]
+fn numbers_of_64_bits_are_exact() {
+    for (text, value) in [
+        ("R0:u64=18446744073709551615", TagValue::U64(u64::MAX)),
+        ("R0:i64=-9223372036854775808", TagValue::I64(i64::MIN)),
+        ("R0:u64=9007199254740993", TagValue::U64((1 << 53) + 1)),
+        ("R0:u64=0xFFFFFFFFFFFFFFFF", TagValue::U64(u64::MAX)),
+        ("R0:f64=0.1", TagValue::F64(0.1)),
+    ] {
+        let assignment: Assignment = text.parse().unwrap();
+        assert_eq!(assignment.values(), [value.clone()]);
+        assert_eq!(assignment.tag().decode(&assignment.encode()), Ok(vec![value]));
+    }
+    for text in ["R0:u64=18446744073709551616", "R0:i64=9223372036854775808", "R0:u64=-1", "R0:f64=1e309"] {
+        let error = text.parse::<Assignment>().unwrap_err().to_string();
+        assert!(error.contains("out of range"), "{error}");
+    }
+}
+
+#[test]
+fn names_of_other_systems_are_accepted_for_types() {
+    for (text, canonical) in [
+        ("R0:float", "R0:f32"),
+        ("R0:REAL*0.5+1", "R0:f32*0.5+1"),
+        ("R0:Double", "R0:f64"),
+        ("R0:int", "R0:i16"),
+        ("R0:int16-40", "R0:i16-40"),
+        ("R0:dint", "R0:i32"),
+        ("R0:LINT", "R0:i64"),
+        ("R0:word", "R0"),
+        ("DR0:dword", "DR0"),
+        ("M0:bit", "M0"),
+        ("R0-R4:string", "R0-R4:text"),
+        ("R0:real-hi-40", "R0:f32-hi-40"),
+        ("R0:F32-HI*2", "R0:f32-hi*2"),
+    ] {
+        assert_eq!(tag(text).to_string(), canonical, "{text}");
+    }
+    for text in ["R0:", "R0: ", "R0:uint16 uint", "R0:f32-", "R0:f32-h", "R0:-hi", "R0:hi"] {
+        assert!(text.parse::<Tag>().is_err(), "{text}");
+    }
+    // No name stands for two types.
+    let mut names: Vec<String> = Vec::new();
+    for tag_type in TagType::ALL {
+        names.push(tag_type.to_string());
+        assert_eq!(tag_type.to_string().parse(), Ok(*tag_type));
+    }
+    names.sort();
+    names.dedup();
+    assert_eq!(names.len(), TagType::ALL.len());
 }

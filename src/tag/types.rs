@@ -18,20 +18,33 @@ use crate::element::Width;
 // One row per type.
 //
 // - discrete, word, dword: storage of a value on elements of that width: a format, or the first
-//                          byte of a text; `-` if the type does not exist
+//                          byte of a text; `-` if the type does not exist, in brackets if the high
+//                          word is first
 // - class:                 bool, number (scalable), bits (a number that is not scalable), or text
+// - aliases:               other names, accepted and never displayed
 // - takes:                 accepted values, for the documentation and for errors
 types! {
-    // type  name       discrete  word   dword  class    takes
-    Bool     "bool"     Bool      -      -      Bool     "0 or 1, false or true, off or on";
-    U16      "u16"      -         U16    -      Number   "0 to 65535";
-    I16      "i16"      -         I16    -      Number   "-32768 to 32767";
-    U32      "u32"      -         U32    U32    Number   "0 to 4294967295";
-    I32      "i32"      -         I32    I32    Number   "-2147483648 to 2147483647";
-    F32      "f32"      -         F32    F32    Number   "-3.4028235e38 to 3.4028235e38, nan and inf";
-    Hex      "hex"      -         Hex16  Hex32  Bits     "0x and up to 4 hexadecimal digits for 16 bits, 8 for 32";
-    Text     "text"     -         Low    -      Text     "two characters per register, low byte first";
-    TextHi   "text-hi"  -         High   -      Text     "two characters per register, high byte first";
+    // type  name       discrete  word   dword  class    aliases              takes
+    Bool     "bool"     Bool      -      -      Bool     "boolean bit"        "0 or 1, false or true, off or on";
+    U16      "u16"      -         U16    -      Number   "uint16 uint word"   "0 to 65535";
+    I16      "i16"      -         I16    -      Number   "int16 int short"    "-32768 to 32767";
+    U32      "u32"      -         U32    U32    Number   "uint32 udint dword" "0 to 4294967295";
+    I32      "i32"      -         I32    I32    Number   "int32 dint"         "-2147483648 to 2147483647";
+    F32      "f32"      -         F32    F32    Number   "float real float32" "-3.4028235e38 to 3.4028235e38, nan and inf";
+    U64      "u64"      -         U64    U64    Bits     "uint64 ulint lword" "0 to 18446744073709551615";
+    I64      "i64"      -         I64    I64    Bits     "int64 lint long"    "-9223372036854775808 to 9223372036854775807";
+    F64      "f64"      -         F64    F64    Bits     "double lreal float64"
+                                             "-1.7976931348623157e308 to 1.7976931348623157e308, nan and inf";
+    Hex      "hex"      -         Hex16  Hex32  Bits     ""                   "0x and up to 4 hexadecimal digits for 16 bits, 8 for 32";
+    Text     "text"     -         Low    -      Text     "string ascii"       "two characters per register, low byte first";
+    TextHi   "text-hi"  -         High   -      Text     "string-hi ascii-hi" "two characters per register, high byte first";
+    U32Hi    "u32-hi"   -         [U32]  -      Number   ""                   "0 to 4294967295";
+    I32Hi    "i32-hi"   -         [I32]  -      Number   ""                   "-2147483648 to 2147483647";
+    F32Hi    "f32-hi"   -         [F32]  -      Number   "float-hi real-hi"   "-3.4028235e38 to 3.4028235e38, nan and inf";
+    U64Hi    "u64-hi"   -         [U64]  -      Bits     ""                   "0 to 18446744073709551615";
+    I64Hi    "i64-hi"   -         [I64]  -      Bits     ""                   "-9223372036854775808 to 9223372036854775807";
+    F64Hi    "f64-hi"   -         [F64]  -      Bits     "double-hi lreal-hi"
+                                             "-1.7976931348623157e308 to 1.7976931348623157e308, nan and inf";
 }
 
 // One row per format of values of a fixed number of bits.
@@ -43,11 +56,14 @@ formats! {
     U32        U32   Integer<u32> => u32    "32 bits, unsigned.";
     I32        I32   Integer<i32> => i32    "32 bits, signed.";
     F32        F32   Float<f32>   => f32    "32 bits, an IEEE-754 float.";
+    U64        U64   Integer<u64> => u64    "64 bits, unsigned.";
+    I64        I64   Integer<i64> => i64    "64 bits, signed.";
+    F64        F64   Float<f64>   => f64    "64 bits, an IEEE-754 float.";
     Hex16      Hex   Hex<u16>     => u16    "16 bits, displayed as four hexadecimal digits.";
     Hex32      Hex   Hex<u32>     => u32    "32 bits, displayed as eight hexadecimal digits.";
 }
 
-primitives!(u16, i16, u32, i32, f32);
+primitives!(u16, i16, u32, i32, f32, u64, i64, f64);
 
 // One row per Rust type that a tag can be read into: the formats whose values it holds, all of them
 // and exactly.
@@ -57,10 +73,10 @@ numbers! {
     i16: I16;
     u32: U16 U32 Hex16 Hex32;
     i32: U16 I16 I32 Hex16;
-    u64: U16 U32 Hex16 Hex32;
-    i64: U16 I16 U32 I32 Hex16 Hex32;
+    u64: U16 U32 U64 Hex16 Hex32;
+    i64: U16 I16 U32 I32 I64 Hex16 Hex32;
     f32: U16 I16 F32;
-    f64: U16 I16 U32 I32 F32 Scaled;
+    f64: U16 I16 U32 I32 F32 F64 Scaled;
 }
 
 // One row per Rust type that is a value by itself.
@@ -71,8 +87,17 @@ tag_values! {
     u32 => U32, "A value of type `u32`.";
     i32 => I32, "A value of type `i32`.";
     f32 => F32, "A value of type `f32`.";
+    u64 => U64, "A value of type `u64`.";
+    i64 => I64, "A value of type `i64`.";
+    f64 => F64, "A value of type `f64`.";
     String => Text, "A text.";
     &str => Text, "A text.";
+}
+
+impl Real for f64 {
+    fn nearest(number: f64) -> Self {
+        number
+    }
 }
 
 impl Real for f32 {
@@ -85,17 +110,24 @@ impl Real for f32 {
 /// Storage of a value in elements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(super) enum Storage {
-    /// A fixed number of bits.
-    Bits(Format),
+    /// A fixed number of bits, with the order of words that a value of several elements has.
+    Bits(Format, WordOrder),
     /// A text over all elements of a tag.
     Text(ByteOrder),
+}
+
+/// The order of the elements of a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub(super) enum WordOrder {
+    LowFirst,
+    HighFirst,
 }
 
 impl Storage {
     /// Number of elements of a value; for a text, of its shortest one.
     pub(super) fn elements_per_value(self, width: Width) -> usize {
         match self {
-            Self::Bits(format) => format.bits().div_ceil(width.bits()) as usize,
+            Self::Bits(format, _) => format.bits().div_ceil(width.bits()) as usize,
             Self::Text(_) => 1,
         }
     }
@@ -120,9 +152,9 @@ impl TagType {
     /// The default type of a width, with its storage.
     pub(super) const fn default_of(width: Width) -> (Self, Storage) {
         match width {
-            Width::Bit => (Self::Bool, Storage::Bits(Format::Bool)),
-            Width::Word => (Self::U16, Storage::Bits(Format::U16)),
-            Width::DWord => (Self::U32, Storage::Bits(Format::U32)),
+            Width::Bit => (Self::Bool, Storage::Bits(Format::Bool, WordOrder::LowFirst)),
+            Width::Word => (Self::U16, Storage::Bits(Format::U16, WordOrder::LowFirst)),
+            Width::DWord => (Self::U32, Storage::Bits(Format::U32, WordOrder::LowFirst)),
         }
     }
 
@@ -154,9 +186,13 @@ impl fmt::Display for TagType {
 impl FromStr for TagType {
     type Err = ParseTagTypeError;
 
-    /// Parses the name of a type, in either case.
+    /// Parses the name of a type, or an alias of it such as `float`, `dint` or `word`, in either case.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let found = Self::ALL.iter().find(|tag_type| tag_type.as_str().eq_ignore_ascii_case(text));
+        let is_named = |tag_type: &&Self| {
+            let mut names = tag_type.aliases().split(' ').chain([tag_type.as_str()]);
+            !text.is_empty() && names.any(|name| name.eq_ignore_ascii_case(text))
+        };
+        let found = Self::ALL.iter().find(is_named);
         found.copied().ok_or_else(|| ParseTagTypeError(text.to_owned()))
     }
 }
@@ -184,12 +220,13 @@ impl TagValue {
 }
 
 macro_rules! types {
-    ($($variant:ident $name:literal $discrete:tt $word:tt $dword:tt $class:ident $takes:literal;)*) => {
+    ($($variant:ident $name:literal $discrete:tt $word:tt $dword:tt $class:ident $aliases:literal $takes:literal;)*) => {
         /// Data type of a tag.
         ///
         /// Discretes are `bool`. 16-bit registers, and words of discretes, have all other types: a
-        /// value of 32 bits takes two of them, the low word first, and a text up to 64. 32-bit
-        /// registers have the types of 32 bits, and `hex`.
+        /// value of 32 bits takes two of them, one of 64 bits four, the low word first, or with `-hi`
+        /// the high word; a text takes up to 64. 32-bit registers have the types of 32 and 64 bits
+        /// without `-hi`, and `hex`.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         #[non_exhaustive]
         pub enum TagType {
@@ -208,6 +245,13 @@ macro_rules! types {
             pub const fn as_str(self) -> &'static str {
                 match self {
                     $(Self::$variant => $name,)*
+                }
+            }
+
+            /// Its other names, separated by blanks.
+            const fn aliases(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $aliases,)*
                 }
             }
 
@@ -239,7 +283,8 @@ macro_rules! types {
     (@storage -) => { None };
     (@storage Low) => { Some(Storage::Text(ByteOrder::LowFirst)) };
     (@storage High) => { Some(Storage::Text(ByteOrder::HighFirst)) };
-    (@storage $format:ident) => { Some(Storage::Bits(Format::$format)) };
+    (@storage [$format:ident]) => { Some(Storage::Bits(Format::$format, WordOrder::HighFirst)) };
+    (@storage $format:ident) => { Some(Storage::Bits(Format::$format, WordOrder::LowFirst)) };
 }
 use types;
 
@@ -328,7 +373,8 @@ macro_rules! formats {
         }
 
         impl TagValue {
-            /// The value as a number: 31 for `0x001F`; `None` for `bool` and texts.
+            /// The value as a number: 31 for `0x001F`; `None` for `bool` and texts. Beyond 2^53 it is
+            /// the nearest `f64`.
             #[must_use]
             pub fn as_f64(&self) -> Option<f64> {
                 match *self {

@@ -285,7 +285,7 @@ impl From<TagValue> for Cell {
             characters.into()
         } else if value.as_f64().is_some_and(f64::is_finite) {
             // By its shortest text: 0.1, not 0.10000000149011612. `0x00AA` is no number in JSON.
-            let whole = text.parse::<i64>().map(Value::from);
+            let whole = text.parse::<i64>().map(Value::from).or_else(|_| text.parse::<u64>().map(Value::from));
             whole.or_else(|_| text.parse::<f64>().map(Value::from)).unwrap_or_else(|_| text.clone().into())
         } else {
             text.clone().into()
@@ -305,6 +305,9 @@ mod tests {
             (TagValue::Bool(true), "true"),
             (TagValue::U32(u32::MAX), "4294967295"),
             (TagValue::I16(-1), "-1"),
+            (TagValue::U64(u64::MAX), "18446744073709551615"),
+            (TagValue::I64(i64::MIN), "-9223372036854775808"),
+            (TagValue::F64(0.1), "0.1"),
             (TagValue::F32(0.1), "0.1"),
             (TagValue::F32(-500.125), "-500.125"),
             (TagValue::F32(f32::NAN), "\"NaN\""),

@@ -71,6 +71,9 @@ async fn a_tag_is_read_into_each_type_that_holds_all_its_values() {
         ("R0:hex", "u16 u32 i32 u64 i64 TagValue Vec<u16>"),
         ("DR0:hex", "u32 u64 i64 TagValue"),
         ("R0:u16*0.1", "f64 TagValue"),
+        ("R0:u64", "u64 TagValue"),
+        ("R0:i64-hi", "i64 TagValue"),
+        ("DR0:f64", "f64 TagValue"),
         ("R0-R4:text", "String TagValue"),
         ("R0-R1:i16", "[i16; 2] [f32; 2]"),
         ("R0-R3:f32", "[f32; 2]"),
@@ -97,6 +100,13 @@ async fn what_is_written_is_read_back_in_both_framings() {
         station.write("R20-R23:f32", vec![1.5, -2.5]).await.unwrap();
         station.write(crate::register!("R30"), 5_u16).await.unwrap();
         station.write("R31", TagValue::U16(9)).await.unwrap();
+        station.write("R40:u64", u64::MAX - 1).await.unwrap();
+        station.write("R44-R51:f64-hi", [0.1, -2.5]).await.unwrap();
+        assert_eq!(station.read::<u64, _>("R40:u64").await.unwrap(), u64::MAX - 1);
+        assert_eq!(
+            station.read::<(u64, [f64; 2]), _>(("R40:u64", "R44-R51:f64-hi")).await.unwrap(),
+            (u64::MAX - 1, [0.1, -2.5])
+        );
         assert_eq!(plc.read(crate::register!("R6")), Value::Word(0x1000));
         assert_eq!(plc.read(crate::register!("R7")), Value::Word(0xC3FA));
         type Values = (u16, i16, u32, i32, f32, f64, u64, f64, String, Vec<bool>, [f32; 2], u16);

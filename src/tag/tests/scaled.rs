@@ -140,7 +140,8 @@ fn an_invalid_scale_is_refused() {
         assert_eq!(message(&format!("R0:u16{scale}")), expected);
     }
     for (tag, name) in [("M0:bool*2", "bool"), ("R0:hex*2", "hex"), ("R0:text*2", "text")] {
-        let rule = format!("{name} takes neither gain nor offset (types that do: u16 i16 u32 i32 f32)");
+        let rule =
+            format!("{name} takes neither gain nor offset (types that do: u16 i16 u32 i32 f32 u32-hi i32-hi f32-hi)");
         assert_eq!(message(tag), format!("`{tag}` is not a tag: {rule}"));
     }
     assert!(matches!(Scale::new(f64::NAN, 0.0), Err(ScaleError::Gain { .. })));
