@@ -197,6 +197,11 @@ impl Spec {
         if !allowed {
             return Err(format!("call {id} has ended with {end:?}, allowed: {:?} (sent: {sent})", state.due));
         }
+        if end == (CallResult::OutOfStep { sent: true }) && self.may_have_failed(id) && !late && !too_late {
+            // The link would have sent it: the station was in step, perhaps by its silence.
+            let station = self.calls[&id].call.station;
+            self.note_silence(station, at);
+        }
         // The link ended the call before it chose a request, so the check on the wire is for the
         // next one.
         let own = self.in_flight.as_ref().filter(|in_flight| in_flight.call == Some(id));

@@ -257,18 +257,24 @@ impl Spec {
         Ok(spelling)
     }
 
-    /// Checks that a station is in step, and that no owed reply could match the request.
-    fn check_may_send(&mut self, id: Id, spelling: usize, sent: &SentFrame<'_>, at: Micros) -> RuleResult {
-        let SentFrame { station, command, data, .. } = *sent;
-        if self.echo == LineEcho::Unknown {
-            return Err("the line's echo is still unknown".to_owned());
-        }
+    /// Notes that a station is in step if it has been silent for its quiet time.
+    pub(super) fn note_silence(&mut self, station: u8, at: Micros) {
         let silence = self.needs_silence(station);
         let entry = self.stations.entry(station).or_default();
         if silence && at >= entry.silence_from + entry.quiet_time(&self.settings) {
             entry.was_silent();
             self.oracle.was_silent(station);
         }
+    }
+
+    /// Checks that a station is in step, and that no owed reply could match the request.
+    fn check_may_send(&mut self, id: Id, spelling: usize, sent: &SentFrame<'_>, at: Micros) -> RuleResult {
+        let SentFrame { station, command, data, .. } = *sent;
+        if self.echo == LineEcho::Unknown {
+            return Err("the line's echo is still unknown".to_owned());
+        }
+        self.note_silence(station, at);
+        let entry = self.stations.entry(station).or_default();
         if entry.suspect {
             return Err(format!("call {id} is sent to suspect station {station}: {entry:?}"));
         }
