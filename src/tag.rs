@@ -17,6 +17,7 @@
 //! | `R100:f32` | the registers `R100`, the low word, and `R101` as one float |
 //! | `R100:f32-hi` | the same with the high word in `R100` |
 //! | `R0-R9:f32` | ten registers as five floats |
+//! | `R5:bcd16`, `R5:bcd32` | four decimal digits, one in each four bits; or eight in two registers |
 //! | `R0:i64`, `DR0:f64` | four registers, or two of 32 bits, as one number of 64 bits |
 //! | `WY8:hex` | 16 outputs as four hexadecimal digits |
 //! | `R5:i16*0.1-40` | a register, signed, with a gain of 0.1 and an offset of -40; see [`Scale`] |

@@ -189,8 +189,58 @@ impl<T: Real> Codec for Float<T> {
     }
 }
 
+/// A decimal number with a digit in each four bits. The value has the bits: those of a digit beyond
+/// 9 are no number, and are displayed as hexadecimal digits.
+pub(super) struct Bcd<T>(PhantomData<T>);
+
+/// The number of these decimal digits; `None` if one is beyond 9.
+pub(super) fn from_digits(bits: u32) -> Option<u32> {
+    let digits = (0..8).rev().map(|n| bits >> (4 * n) & 0xF);
+    digits.into_iter().try_fold(0, |number, digit| (digit <= 9).then_some(number * 10 + digit))
+}
+
+/// The decimal digits of a number below 10^8.
+fn to_digits(number: u32) -> u32 {
+    (0..8).fold(0, |bits, n| bits | (number / 10_u32.pow(n) % 10) << (4 * n))
+}
+
+impl<T: Primitive + TryFrom<u32>> Codec for Bcd<T> {
+    type Value = T;
+
+    fn number(value: T) -> Option<f64> {
+        from_digits(u32::try_from(value.into_raw()).ok()?).map(f64::from)
+    }
+
+    fn nearest(_number: f64) -> Option<T> {
+        None
+    }
+
+    fn take(number: Number) -> Option<T> {
+        let number = u32::try_from(number.integer()?).ok().filter(|&number| number < 100_000_000)?;
+        to_digits(number).try_into().ok()
+    }
+
+    fn display(value: T, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match u32::try_from(value.into_raw()).ok().and_then(from_digits) {
+            Some(number) => fmt::Display::fmt(&number, f),
+            None => Hex::<T>::show(value, f),
+        }
+    }
+
+    fn parse_plain(text: &str, tag_type: TagType) -> Result<T, ValueError> {
+        let number = Integer::<u32>::parse_plain(text, tag_type)?;
+        Self::take(Number::Integer(number.into())).ok_or(ValueError::OutOfRange { tag_type })
+    }
+}
+
 /// Bits as hexadecimal digits.
 pub(super) struct Hex<T>(PhantomData<T>);
+
+impl<T: Primitive> Hex<T> {
+    fn show(value: T, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "0x{:0digits$X}", value.into_raw(), digits = T::BITS as usize / 4)
+    }
+}
 
 impl<T: Primitive + TryFrom<i128>> Codec for Hex<T> {
     type Value = T;
@@ -204,7 +254,7 @@ impl<T: Primitive + TryFrom<i128>> Codec for Hex<T> {
     }
 
     fn display(value: T, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "0x{:0digits$X}", value.into_raw(), digits = T::BITS as usize / 4)
+        Self::show(value, f)
     }
 
     fn parse_plain(_text: &str, _tag_type: TagType) -> Result<T, ValueError> {

@@ -52,7 +52,7 @@ pub trait FromTag: Sized {
 }
 
 macro_rules! numbers {
-    ($($name:ident: $($variant:ident)*;)*) => {
+    ($($name:ident: $($variant:ident)* | $($digits:ident)*;)*) => {
         $(
             impl $crate::tag::FromTag for $name {
                 fn type_name() -> String {
@@ -75,6 +75,12 @@ macro_rules! numbers {
                 fn try_from(value: &TagValue) -> Result<Self, Self::Error> {
                     match *value {
                         $(TagValue::$variant(value) => Ok(value.into()),)*
+                        $(
+                            TagValue::$digits(digits) => {
+                                let number = from_digits(digits.into()).and_then(|number| number.try_into().ok());
+                                number.ok_or_else(|| $crate::tag::TagAccessError::conversion(value, stringify!($name)))
+                            }
+                        )*
                         _ => Err($crate::tag::TagAccessError::conversion(value, stringify!($name))),
                     }
                 }
@@ -369,7 +375,13 @@ fn check_one<T: FromTag>(tag: Option<&Tag>) -> Result<(), TagAccessError> {
 
 fn one<T: FromTag>(tag: Option<&Tag>, values: Option<&Vec<TagValue>>) -> Result<T, TagAccessError> {
     let (tag, values) = tag.zip(values).ok_or(TagAccessError::Number)?;
-    T::from_values(values).ok_or_else(|| TagAccessError::NotInto { tag: *tag, rust_type: T::type_name() })
+    T::from_values(values).ok_or_else(|| {
+        let rust_type = T::type_name();
+        match values.iter().find(|value| value.as_f64().is_none()) {
+            Some(value) if T::fits(tag) => TagAccessError::NoNumber { tag: *tag, value: value.to_string() },
+            Some(_) | None => TagAccessError::NotInto { tag: *tag, rust_type },
+        }
+    })
 }
 
 impl<T: FromTag> FromTags<One> for T {

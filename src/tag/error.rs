@@ -285,6 +285,15 @@ pub enum TagAccessError {
         /// The Rust type.
         rust_type: String,
     },
+    /// A value of decimal digits (BCD) has another digit.
+    #[error("{tag} holds {value}, which is no decimal number")]
+    #[non_exhaustive]
+    NoNumber {
+        /// The tag.
+        tag: Tag,
+        /// Its value, as hexadecimal digits.
+        value: String,
+    },
     /// A value cannot be written to the tag.
     #[error("{given} cannot be written to {}", Values(tag))]
     #[non_exhaustive]

@@ -132,18 +132,18 @@ fn errors_of_tags_name_the_input_and_the_rule() {
         ("R0-R0:u32", "a value of u32 takes 2 elements, and the range has 1"),
         (
             "R0:f16",
-            "`f16` is not a type (known: bool u16 i16 u32 i32 f32 u64 i64 f64 hex text text-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
+            "`f16` is not a type (known: bool u16 i16 u32 i32 f32 u64 i64 f64 bcd16 bcd32 hex text text-hi bcd32-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
         ),
         (
             "R0:",
-            "`` is not a type (known: bool u16 i16 u32 i32 f32 u64 i64 f64 hex text text-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
+            "`` is not a type (known: bool u16 i16 u32 i32 f32 u64 i64 f64 bcd16 bcd32 hex text text-hi bcd32-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
         ),
         (
             "R0:bool",
-            "R is a 16-bit register, which has no type bool (it has: u16 i16 u32 i32 f32 u64 i64 f64 hex text text-hi u32-hi i32-hi f32-hi u64-hi i64-hi \
+            "R is a 16-bit register, which has no type bool (it has: u16 i16 u32 i32 f32 u64 i64 f64 bcd16 bcd32 hex text text-hi bcd32-hi u32-hi i32-hi f32-hi u64-hi i64-hi \
              f64-hi)",
         ),
-        ("DR0:i16", "DR is a 32-bit register, which has no type i16 (it has: u32 i32 f32 u64 i64 f64 hex)"),
+        ("DR0:i16", "DR is a 32-bit register, which has no type i16 (it has: u32 i32 f32 u64 i64 f64 bcd32 hex)"),
         ("M0-M7:hex", "M is a discrete, which has no type hex (it has: bool)"),
         ("R0-D9", "a range has elements of one symbol, and this one is from R to D"),
         ("R9-R0", "the range goes backwards, from R9 to R0"),
@@ -362,7 +362,7 @@ fn numbers_of_64_bits_are_exact() {
         ("R0:f64=0.1", TagValue::F64(0.1)),
     ] {
         let assignment: Assignment = text.parse().unwrap();
-        assert_eq!(assignment.values(), [value.clone()]);
+        assert_eq!(assignment.values(), std::slice::from_ref(&value));
         assert_eq!(assignment.tag().decode(&assignment.encode()), Ok(vec![value]));
     }
     for text in ["R0:u64=18446744073709551616", "R0:i64=9223372036854775808", "R0:u64=-1", "R0:f64=1e309"] {
@@ -402,4 +402,34 @@ fn names_of_other_systems_are_accepted_for_types() {
     names.sort();
     names.dedup();
     assert_eq!(names.len(), TagType::ALL.len());
+}
+
+#[test]
+fn decimal_digits_are_a_number_or_none() {
+    for (text, raw, shown) in [
+        ("R0:bcd16", &[0x1234][..], "1234"),
+        ("R0:bcd16", &[0], "0"),
+        ("R0:bcd16", &[0x0007], "7"),
+        ("R0:bcd16", &[0x1A00], "0x1A00"),
+        ("R0:bcd32", &[0x5678, 0x1234], "12345678"),
+        ("R0:bcd32-hi", &[0x1234, 0x5678], "12345678"),
+        ("R0:bcd32", &[0x5678, 0xF234], "0xF2345678"),
+    ] {
+        let raw: Vec<Value> = raw.iter().map(|&word| Value::Word(word)).collect();
+        let tag = tag(text);
+        let values = tag.decode(&raw).unwrap();
+        assert_eq!(values[0].to_string(), shown);
+        assert_eq!(values[0].as_f64().is_some(), !shown.starts_with("0x"));
+        assert_eq!(tag.encode(&values).as_ref(), Ok(&raw), "{text}");
+        let parsed = format!("{text}={shown}").parse::<Assignment>().unwrap();
+        assert_eq!(parsed.encode(), raw);
+    }
+    for text in ["R0:bcd16=10000", "R0:bcd32=100000000", "R0:bcd16=-1"] {
+        let error = text.parse::<Assignment>().unwrap_err().to_string();
+        assert!(error.contains("out of range: bcd") && error.contains("takes 0 to 9999"), "{error}");
+    }
+    let all = (0..10_000_u32).map(|n| u16::from_str_radix(&n.to_string(), 16).unwrap());
+    for (n, digits) in (0_u16..).zip(all) {
+        assert_eq!(u16::try_from(TagValue::Bcd16(digits)), Ok(n));
+    }
 }

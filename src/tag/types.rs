@@ -9,7 +9,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::codec::{Bit, Codec, Float, Hex, Integer, Number, Primitive, Real, primitives};
+use super::codec::from_digits;
+use super::codec::{Bcd, Bit, Codec, Float, Hex, Integer, Number, Primitive, Real, primitives};
 use super::convert::{numbers, tag_values};
 use super::text::{ByteOrder, Quoted};
 use super::{ParseTagTypeError, ValueError};
@@ -25,24 +26,35 @@ use crate::element::Width;
 // - takes:                 accepted values, for the documentation and for errors
 types! {
     // type  name       discrete  word   dword  class    aliases              takes
-    Bool     "bool"     Bool      -      -      Bool     "boolean bit"        "0 or 1, false or true, off or on";
+    Bool     "bool"     Bool      -      -      Bool     "boolean bit"
+                                             "0 or 1, false or true, off or on";
     U16      "u16"      -         U16    -      Number   "uint16 uint word"   "0 to 65535";
     I16      "i16"      -         I16    -      Number   "int16 int short"    "-32768 to 32767";
     U32      "u32"      -         U32    U32    Number   "uint32 udint dword" "0 to 4294967295";
     I32      "i32"      -         I32    I32    Number   "int32 dint"         "-2147483648 to 2147483647";
-    F32      "f32"      -         F32    F32    Number   "float real float32" "-3.4028235e38 to 3.4028235e38, nan and inf";
+    F32      "f32"      -         F32    F32    Number   "float real float32"
+                                             "-3.4028235e38 to 3.4028235e38, nan and inf";
     U64      "u64"      -         U64    U64    Bits     "uint64 ulint lword" "0 to 18446744073709551615";
-    I64      "i64"      -         I64    I64    Bits     "int64 lint long"    "-9223372036854775808 to 9223372036854775807";
+    I64      "i64"      -         I64    I64    Bits     "int64 lint long"
+                                             "-9223372036854775808 to 9223372036854775807";
     F64      "f64"      -         F64    F64    Bits     "double lreal float64"
                                              "-1.7976931348623157e308 to 1.7976931348623157e308, nan and inf";
-    Hex      "hex"      -         Hex16  Hex32  Bits     ""                   "0x and up to 4 hexadecimal digits for 16 bits, 8 for 32";
-    Text     "text"     -         Low    -      Text     "string ascii"       "two characters per register, low byte first";
-    TextHi   "text-hi"  -         High   -      Text     "string-hi ascii-hi" "two characters per register, high byte first";
+    Bcd16    "bcd16"    -         Bcd16  -      Bits     "bcd"                "0 to 9999";
+    Bcd32    "bcd32"    -         Bcd32  Bcd32  Bits     ""                   "0 to 99999999";
+    Hex      "hex"      -         Hex16  Hex32  Bits     ""
+                                             "0x and up to 4 hexadecimal digits for 16 bits, 8 for 32";
+    Text     "text"     -         Low    -      Text     "string ascii"
+                                             "two characters per register, low byte first";
+    TextHi   "text-hi"  -         High   -      Text     "string-hi ascii-hi"
+                                             "two characters per register, high byte first";
+    Bcd32Hi  "bcd32-hi" -         [Bcd32] -     Bits     ""                   "0 to 99999999";
     U32Hi    "u32-hi"   -         [U32]  -      Number   ""                   "0 to 4294967295";
     I32Hi    "i32-hi"   -         [I32]  -      Number   ""                   "-2147483648 to 2147483647";
-    F32Hi    "f32-hi"   -         [F32]  -      Number   "float-hi real-hi"   "-3.4028235e38 to 3.4028235e38, nan and inf";
+    F32Hi    "f32-hi"   -         [F32]  -      Number   "float-hi real-hi"
+                                             "-3.4028235e38 to 3.4028235e38, nan and inf";
     U64Hi    "u64-hi"   -         [U64]  -      Bits     ""                   "0 to 18446744073709551615";
-    I64Hi    "i64-hi"   -         [I64]  -      Bits     ""                   "-9223372036854775808 to 9223372036854775807";
+    I64Hi    "i64-hi"   -         [I64]  -      Bits     ""
+                                             "-9223372036854775808 to 9223372036854775807";
     F64Hi    "f64-hi"   -         [F64]  -      Bits     "double-hi lreal-hi"
                                              "-1.7976931348623157e308 to 1.7976931348623157e308, nan and inf";
 }
@@ -59,6 +71,8 @@ formats! {
     U64        U64   Integer<u64> => u64    "64 bits, unsigned.";
     I64        I64   Integer<i64> => i64    "64 bits, signed.";
     F64        F64   Float<f64>   => f64    "64 bits, an IEEE-754 float.";
+    Bcd16      Bcd16 Bcd<u16>     => u16    "16 bits, four decimal digits: 0x1234 is 1234.";
+    Bcd32      Bcd32 Bcd<u32>     => u32    "32 bits, eight decimal digits: 0x12345678 is 12345678.";
     Hex16      Hex   Hex<u16>     => u16    "16 bits, displayed as four hexadecimal digits.";
     Hex32      Hex   Hex<u32>     => u32    "32 bits, displayed as eight hexadecimal digits.";
 }
@@ -66,17 +80,17 @@ formats! {
 primitives!(u16, i16, u32, i32, f32, u64, i64, f64);
 
 // One row per Rust type that a tag can be read into: the formats whose values it holds, all of them
-// and exactly.
+// and exactly; behind the bar those of decimal digits.
 numbers! {
-    bool: Bool;
-    u16: U16 Hex16;
-    i16: I16;
-    u32: U16 U32 Hex16 Hex32;
-    i32: U16 I16 I32 Hex16;
-    u64: U16 U32 U64 Hex16 Hex32;
-    i64: U16 I16 U32 I32 I64 Hex16 Hex32;
-    f32: U16 I16 F32;
-    f64: U16 I16 U32 I32 F32 F64 Scaled;
+    bool: Bool |;
+    u16: U16 Hex16 | Bcd16;
+    i16: I16 | Bcd16;
+    u32: U16 U32 Hex16 Hex32 | Bcd16 Bcd32;
+    i32: U16 I16 I32 Hex16 | Bcd16 Bcd32;
+    u64: U16 U32 U64 Hex16 Hex32 | Bcd16 Bcd32;
+    i64: U16 I16 U32 I32 I64 Hex16 Hex32 | Bcd16 Bcd32;
+    f32: U16 I16 F32 |;
+    f64: U16 I16 U32 I32 F32 F64 Scaled | Bcd16 Bcd32;
 }
 
 // One row per Rust type that is a value by itself.
@@ -220,7 +234,7 @@ impl TagValue {
 }
 
 macro_rules! types {
-    ($($variant:ident $name:literal $discrete:tt $word:tt $dword:tt $class:ident $aliases:literal $takes:literal;)*) => {
+    ($($variant:ident $name:literal $discrete:tt $word:tt $dword:tt $class:ident $other:literal $takes:literal;)*) => {
         /// Data type of a tag.
         ///
         /// Discretes are `bool`. 16-bit registers, and words of discretes, have all other types: a
@@ -251,7 +265,7 @@ macro_rules! types {
             /// Its other names, separated by blanks.
             const fn aliases(self) -> &'static str {
                 match self {
-                    $(Self::$variant => $aliases,)*
+                    $(Self::$variant => $other,)*
                 }
             }
 

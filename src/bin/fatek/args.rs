@@ -55,7 +55,8 @@ Tags:
                  DWT DWC)
   DRC200         32-bit counter (DRC200 to DRC255; there is no RC200)
   R0-R9          range, both ends included; DRC200-DRC205 is six counters
-  R5:i16         type: bool, u16, i16, u32, i32, f32, u64, i64, f64, hex, text;
+  R5:i16         type: bool, u16, i16, u32, i32, f32, u64, i64, f64,
+                 bcd16, bcd32, hex, text;
                  with -hi the high word or byte first: f32-hi, text-hi;
                  also float, double, int, dint, word and the like
   R100:f32       32-bit value in two 16-bit registers, R100 the low word

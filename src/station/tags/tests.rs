@@ -71,6 +71,8 @@ async fn a_tag_is_read_into_each_type_that_holds_all_its_values() {
         ("R0:hex", "u16 u32 i32 u64 i64 TagValue Vec<u16>"),
         ("DR0:hex", "u32 u64 i64 TagValue"),
         ("R0:u16*0.1", "f64 TagValue"),
+        ("R0:bcd16", "u16 i16 u32 i32 u64 i64 f64 TagValue Vec<u16>"),
+        ("R0:bcd32", "u32 i32 u64 i64 f64 TagValue"),
         ("R0:u64", "u64 TagValue"),
         ("R0:i64-hi", "i64 TagValue"),
         ("DR0:f64", "f64 TagValue"),
@@ -101,6 +103,11 @@ async fn what_is_written_is_read_back_in_both_framings() {
         station.write(crate::register!("R30"), 5_u16).await.unwrap();
         station.write("R31", TagValue::U16(9)).await.unwrap();
         station.write("R40:u64", u64::MAX - 1).await.unwrap();
+        station.write("R60:bcd16", 1234).await.unwrap();
+        assert_eq!(station.read::<(u16, u16), _>(("R60", "R60:bcd16")).await.unwrap(), (0x1234, 1234));
+        station.write("R60:hex", 0x12A4).await.unwrap();
+        let error = station.read::<u32, _>("R60:bcd16").await.unwrap_err();
+        assert_eq!(error.to_string(), "R60:bcd16 holds 0x12A4, which is no decimal number");
         station.write("R44-R51:f64-hi", [0.1, -2.5]).await.unwrap();
         assert_eq!(station.read::<u64, _>("R40:u64").await.unwrap(), u64::MAX - 1);
         assert_eq!(
