@@ -64,6 +64,7 @@ mod convert;
 mod error;
 mod parse;
 mod scale;
+mod sets;
 mod text;
 mod types;
 
@@ -71,11 +72,12 @@ use std::fmt;
 use std::str::FromStr;
 
 pub use assignment::Assignment;
-pub use convert::{FromTag, FromTags, IntoAssignment, IntoAssignments, IntoTag, IntoTagValues, One, Several, TagSet};
+pub use convert::{FromTag, IntoTagValues};
 pub use error::{
     ParseAssignmentError, ParseTagError, ParseTagTypeError, ParseValueError, TagAccessError, TagError, ValueError,
 };
 pub use scale::{Scale, ScaleError};
+pub use sets::{FromTags, IntoAssignment, IntoAssignments, IntoTag, One, Several, TagSet};
 pub use types::{TagType, TagValue};
 
 use self::scale::parse_scaled;
