@@ -105,3 +105,34 @@ impl Command for LoopBack {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+
+    #[test]
+    fn a_nonce_is_eight_printable_digits_of_its_low_40_bits() {
+        for nonce in [0, 1, 9, 10, 31, 32, 0x1234_5678_9ABC_DEF0, u64::MAX] {
+            let digits = LoopBack::nonce(nonce);
+            assert_eq!(digits.data().len(), 8);
+            assert!(digits.data().iter().all(|digit| digit.is_ascii_digit() || digit.is_ascii_uppercase()));
+            let text = str::from_utf8(digits.data()).expect("ASCII");
+            assert_eq!(u64::from_str_radix(text, 32), Ok(nonce % (1 << 40)));
+        }
+    }
+
+    #[test]
+    fn loop_backs_of_other_data_have_another_reply() {
+        let size = |data: &[u8]| {
+            let request = LoopBack::new(data.to_vec()).expect("short");
+            request.reply_size(request.plain(), Framing::Ascii)
+        };
+        let one: HashSet<u32> = (0..=u8::MAX).map(|byte| size(&[byte])).collect();
+        let first: HashSet<u32> = (0..=u8::MAX).map(|byte| size(&[byte, b'A'])).collect();
+        let last: HashSet<u32> = (0..=u8::MAX).map(|byte| size(&[b'A', byte])).collect();
+        assert_eq!((one.len(), first.len(), last.len()), (256, 256, 256));
+        assert_ne!(size(b"AB"), size(b"BA"));
+    }
+}

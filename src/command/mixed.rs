@@ -237,3 +237,28 @@ fn unambiguous<C: Command>(
         Err(_) => Err(InvalidRequest::Ambiguous { code: C::CODE, elements: elements() }),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::{decode_reply, encode_reply};
+    use crate::element::{Discrete, Register, Register32, Symbol};
+    use crate::wire::{AsciiReader, ascii};
+
+    #[test]
+    fn a_mixed_reply_has_a_value_of_the_width_of_each_element() {
+        let elements: [Element; 3] = [
+            Register::r(5).into(),
+            Discrete::new(Symbol::M, 9).unwrap().into(),
+            Register32::new(Symbol::DR, 100).unwrap().into(),
+        ];
+        let values = vec![Value::Word(0x1234), Value::Bit(true), Value::DWord(0x89AB_CDEF)];
+        let read = ReadMixed::new(elements).unwrap();
+        let mut frame = BytesMut::new();
+        encode_reply(&read, Ok(&values), Framing::Ascii, 1, &mut frame);
+        let data = &frame[5..frame.len() + 5 - ascii::OVERHEAD];
+        assert_eq!(data, b"01234189ABCDEF");
+        assert_eq!(decode_reply(&read, Framing::Ascii, data).unwrap(), values);
+        assert_eq!(read.read_reply(&mut AsciiReader::new(&data[1..])).unwrap(), values);
+    }
+}

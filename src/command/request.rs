@@ -183,3 +183,35 @@ fn is_of_a_dword(error: &RequestError) -> bool {
     };
     element.width() == Width::DWord
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::element::{Element, Symbol};
+
+    fn decode(code: Code, data: impl AsRef<[u8]>, framing: Framing) -> Result<Request, RequestError> {
+        Request::decode(&Frame { station: 1, command: code.into(), data: data.as_ref().to_vec().into() }, framing)
+    }
+
+    #[test]
+    fn a_request_is_checked_for_the_framing_it_is_sent_in() {
+        let read = decode(Code::ReadDiscretes, b"\x01M\xFF\xFF", Framing::Binary).unwrap();
+        assert_eq!(read.check(Framing::Binary), Ok(()));
+        assert!(matches!(read.check(Framing::Ascii), Err(InvalidRequest::Element(ElementError::PastFraming { .. }))));
+    }
+
+    #[test]
+    fn a_run_past_the_last_word_or_dword_is_refused() {
+        for symbol in [Symbol::R, Symbol::WM, Symbol::DR, Symbol::DWM] {
+            let first = Element::new(symbol, symbol.last_address()).unwrap();
+            let [high, low] = first.address().to_be_bytes();
+            for count in [1_u8, 2, 3] {
+                let data = [&[count], symbol.as_str().as_bytes(), &[high, low]].concat();
+                let decoded = decode(Code::ReadRegisters, data, Framing::Binary);
+                let past = InvalidRequest::PastTheEnd { first, count: count.into() };
+                let expected = if count == 1 { None } else { Some(RequestError::Invalid(past)) };
+                assert_eq!(decoded.err(), expected, "{count} from {first} on");
+            }
+        }
+    }
+}

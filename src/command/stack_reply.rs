@@ -107,7 +107,7 @@ mod tests {
     use super::*;
     use crate::command::{ReadDiscretes, ReadRegisters, ReplyError, decode_reply, encode_reply, encode_request};
     use crate::element::{Discrete, Register, Symbol};
-    use crate::wire::{Framing, ascii};
+    use crate::wire::{AsciiWriter, Framing, ascii};
 
     /// Compares request and reply with those of the plain read.
     fn assert_same<C: Consecutive<Reply = Vec<ValueOf<C>>>>(read: C, values: Vec<ValueOf<C>>) {
@@ -123,6 +123,16 @@ mod tests {
             assert_eq!(plain, stack, "{framing}");
         }
         assert_eq!(reply.as_slice().len(), values.len());
+
+        let (mut plain, mut stack) = (BytesMut::new(), BytesMut::new());
+        read.write_request(&mut AsciiWriter::new(&mut plain));
+        on_the_stack.write_request(&mut AsciiWriter::new(&mut stack));
+        assert_eq!(plain, stack);
+        let mut runs = [Vec::new(), Vec::new()];
+        read.for_each_run(&mut |run| runs[0].push(run));
+        on_the_stack.for_each_run(&mut |run| runs[1].push(run));
+        assert_eq!(runs[0], runs[1]);
+        assert_eq!((on_the_stack.run(), read.run().is_some()), (read.run(), true));
     }
 
     #[test]

@@ -26,3 +26,21 @@ pub(crate) fn borrow() -> BytesMut {
 pub(crate) fn give_back(buffer: BytesMut) {
     let _ = BUFFER.try_with(|place| place.set(buffer));
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_returned_buffer_is_used_again_and_empty() {
+        let mut first = borrow();
+        assert!(first.capacity() >= LEN);
+        first.extend_from_slice(&[7; 3 * LEN]);
+        let (memory, capacity) = (first.as_ptr(), first.capacity());
+        let second = borrow();
+        assert!(second.as_ptr() != memory && second.capacity() < capacity, "the first is in use");
+        give_back(first);
+        let third = borrow();
+        assert_eq!((third.as_ptr(), third.capacity(), third.len()), (memory, capacity, 0));
+    }
+}

@@ -100,15 +100,17 @@ mod tests {
     async fn connectors_show_their_endpoint_and_open_connections() {
         let endpoint: Endpoint = "tcp://127.0.0.1:500".parse().expect("an endpoint");
         let shown = format!("Connector({endpoint})");
-        assert_eq!(format!("{:?}", Connector::Endpoint { endpoint, keep_alive: true }), shown);
+        let endpoint = Connector::Endpoint { endpoint, keep_alive: true };
+        assert_eq!((format!("{endpoint:?}"), endpoint.wakes_reader()), (shown, true));
 
         let mut once = Connector::Once(Some(Box::new(tokio::io::empty())));
         assert_eq!((format!("{once:?}"), once.reopens()), ("Connector(once)".to_owned(), true));
+        assert!(!once.wakes_reader(), "a user's stream may have data without waking its reader");
         assert!(once.open(Duration::from_secs(1), 0).expect("the connection").await.is_ok());
         assert!(!once.reopens() && once.open(Duration::from_secs(1), 0).is_none(), "it was taken");
 
         let mut custom = Connector::custom(|| async { Ok(tokio::io::empty()) });
-        assert_eq!(format!("{custom:?}"), "Connector(custom)");
+        assert_eq!((format!("{custom:?}").as_str(), custom.wakes_reader()), ("Connector(custom)", false));
         for _ in 0..2 {
             assert!(custom.open(Duration::from_secs(1), 0).expect("always").await.is_ok() && custom.reopens());
         }

@@ -43,6 +43,8 @@ mod options;
 mod scheduler;
 mod stations;
 mod stats;
+#[cfg(test)]
+mod test_line;
 
 use std::fmt;
 use std::future::Future;

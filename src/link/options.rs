@@ -220,6 +220,23 @@ mod tests {
     }
 
     #[test]
+    fn each_option_is_read_as_it_was_set() {
+        let (one, two, three) = (Duration::from_millis(1), Duration::from_millis(2), Duration::from_millis(3));
+        let read = |options: CallOptions| {
+            (
+                (options.response_timeout(), options.call_timeout(), options.adaptive_timeout()),
+                (options.retries(), options.retry_writes(), options.background()),
+            )
+        };
+        let plain = CallOptions::new();
+        assert_eq!(read(plain), ((None, defaults::CALL_TIMEOUT, None), (defaults::RETRIES, false, false)));
+        let timed = plain.with_response_timeout(one).with_call_timeout(two).with_adaptive_timeout(three);
+        assert_eq!(read(timed.with_retries(7)), ((Some(one), two, Some(three)), (7, false, false)));
+        assert_eq!(read(plain.with_retry_writes(true).with_retries(0)).1, (0, true, false));
+        assert_eq!(read(plain.with_background(true)).1, (defaults::RETRIES, false, true));
+    }
+
+    #[test]
     fn each_option_changes_itself_and_leaves_the_others() {
         let time = Duration::from_millis(7);
         let options = CallOptions::new()

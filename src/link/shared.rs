@@ -24,6 +24,9 @@
 //! call has a later deadline than the one before it, so an early timer costs one wake-up per
 //! response timeout; rearming per call would cost that each time.
 
+#[cfg(test)]
+mod tests;
+
 use std::any::Any;
 use std::collections::VecDeque;
 use std::future::{Future, poll_fn};

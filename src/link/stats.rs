@@ -290,6 +290,7 @@ fn mean(a: Duration, weight_a: u32, b: Duration, weight_b: u32) -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::command::Code;
 
     const MS: Duration = Duration::from_millis(1);
 
@@ -332,5 +333,38 @@ mod tests {
             [two.echoes, two.connects, two.disconnects, two.idle_closes, two.connect_failures],
             [12, 14, 16, 18, 20]
         );
+    }
+
+    #[test]
+    fn requests_are_counted_by_spelling_and_checks_by_reason() {
+        let plain = Spelling::new(Code::ReadRegisters, 3);
+        let mut stats = StationStats::default();
+        for (spelling, times) in [
+            (plain, 1),
+            (Spelling::new(Code::ReadRegisters, 4), 2),
+            (Spelling::new(Code::ReadRegisters, 2), 3),
+            (Spelling::new(Code::ReadMixed, 3), 4),
+        ] {
+            (0..times).for_each(|_| stats.sent(plain, spelling));
+        }
+        let reasons = [Why::Connected, Why::TimedOut, Why::Stray, Why::Unproven, Why::Owed, Why::Confirm];
+        for (times, why) in (1..).zip(reasons) {
+            (0..times).for_each(|_| stats.checked(why));
+        }
+        let spellings = SpellingStats { plain: 1, one_more: 2, fewer: 3, mixed: 4 };
+        let checks = CheckStats { connected: 1, timed_out: 2, stray: 3, unproven: 4, owed: 5, confirm: 6 };
+        assert_eq!((stats.requests, stats.spellings), (10, spellings));
+        assert_eq!((stats.checks, stats.checks_for), (21, checks));
+        let two = stats.plus(&stats);
+        assert_eq!((two.spellings.mixed, two.spellings.fewer, two.spellings.one_more), (8, 6, 4));
+        assert_eq!(two.checks_for, checks.plus(&checks));
+        assert_eq!((two.checks_for.connected, two.checks_for.confirm), (2, 12));
+    }
+
+    #[test]
+    fn one_link_of_one_request_shows_in_the_sum() {
+        let (usual, one_request) = (LinkStats::default(), LinkStats { one_request: true, ..LinkStats::default() });
+        assert!(usual.plus(&one_request).one_request && one_request.plus(&usual).one_request);
+        assert!(!usual.plus(&usual).one_request);
     }
 }

@@ -94,14 +94,15 @@ mod tests {
         let parse = |texts: &[&str]| texts.iter().map(|text| text.parse().unwrap()).collect::<Vec<SocketAddr>>();
         let given = parse(&["[::1]:1", "[::2]:1", "[::3]:1", "10.0.0.1:1"]);
         assert_eq!(alternate_families(given), parse(&["[::1]:1", "10.0.0.1:1", "[::2]:1", "[::3]:1"]));
+        let given = parse(&["[::1]:1", "10.0.0.1:1", "10.0.0.2:1", "10.0.0.3:1"]);
+        assert_eq!(alternate_families(given.clone()), given);
         assert_eq!(alternate_families(Vec::new()), []);
     }
 
-    /// Before: a name whose first address was dead could not be connected to, ever.
+    /// A listener whose queue is full: further connections get no answer at all. Returns what keeps it
+    /// so, too.
     #[cfg(target_os = "linux")]
-    #[tokio::test]
-    async fn a_dead_first_address_costs_a_quarter_of_a_second() {
-        // A listener whose queue is full: further connections get no answer at all.
+    async fn dead_address() -> (SocketAddr, socket2::Socket, Vec<TcpStream>) {
         let socket = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None).unwrap();
         socket.bind(&"127.0.0.1:0".parse::<SocketAddr>().unwrap().into()).unwrap();
         socket.listen(0).unwrap();
@@ -110,6 +111,24 @@ mod tests {
         while let Ok(stream) = tokio::time::timeout(ATTEMPT_DELAY, TcpStream::connect(dead)).await {
             queued.push(stream.unwrap());
         }
+        (dead, socket, queued)
+    }
+
+    #[cfg(target_os = "linux")]
+    #[tokio::test]
+    async fn a_refusal_does_not_end_the_attempts_under_way() {
+        let (dead, _listener, _queued) = dead_address().await;
+        tokio::time::pause();
+        let refused = "127.0.0.1:1".parse().unwrap();
+        let attempts = tokio::time::timeout(10 * ATTEMPT_DELAY, connect_any(vec![dead, refused])).await;
+        assert!(attempts.is_err(), "the first address may still answer");
+    }
+
+    /// Before: a name whose first address was dead could not be connected to, ever.
+    #[cfg(target_os = "linux")]
+    #[tokio::test]
+    async fn a_dead_first_address_costs_a_quarter_of_a_second() {
+        let (dead, _listener, _queued) = dead_address().await;
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let live = listener.local_addr().unwrap();
         let refused = "127.0.0.1:1".parse().unwrap();

@@ -146,6 +146,23 @@ mod tests {
     use super::*;
 
     #[test]
+    fn frames_that_differ_in_command_or_length_have_other_fingerprints() {
+        let frames: [(u8, &[u8]); 8] = [
+            (0x46, b""),
+            (0x48, b""),
+            (0x46, b"\0"),
+            (0x46, b"\0\0"),
+            (0x48, b"\0\0"),
+            (0x46, b"00001"),
+            (0x48, b"00001"),
+            (0x46, b"0000100001"),
+        ];
+        let prints: std::collections::HashSet<u64> =
+            frames.iter().map(|&(code, data)| fingerprint(code, data)).collect();
+        assert_eq!(prints.len(), frames.len());
+    }
+
+    #[test]
     fn debug_shows_the_data_of_a_frame_as_text() {
         let frame = Frame { station: 7, command: 0x4E, data: Bytes::from_static(b"AB\x02") };
         assert_eq!(format!("{frame:?}"), r#"Frame { station: 7, command: 4Eh, data: b"AB\x02" }"#);

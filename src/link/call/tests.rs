@@ -2,14 +2,21 @@ use std::future::Future;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
+use bytes::Bytes;
+
 use super::*;
-use crate::command::ReadStatus;
+use crate::command::{LoopBack, ReadRegisters, ReadStatus, WriteRegisters};
+use crate::element::Register;
 
 fn call(options: CallOptions) -> (PendingCall, CallFuture<ReadStatus>) {
+    call_of(ReadStatus, options, &SpareSlots::default())
+}
+
+fn call_of<C: Command>(request: C, options: CallOptions, spares: &SpareSlots) -> (PendingCall, CallFuture<C>) {
     let queued_at = Instant::now();
     let meta = CallMeta {
         station: 7,
-        code: ReadStatus::CODE,
+        code: C::CODE,
         lane: Lane::Read,
         deadline: queued_at + options.call_timeout,
         queued_at,
@@ -18,10 +25,10 @@ fn call(options: CallOptions) -> (PendingCall, CallFuture<ReadStatus>) {
         part: false,
         confirms: false,
     };
-    new(ReadStatus, None, meta, &SpareSlots::default())
+    new(request, None, meta, spares)
 }
 
-fn result(future: &mut CallFuture<ReadStatus>) -> Option<Result<(), Error>> {
+fn result<C: Command>(future: &mut CallFuture<C>) -> Option<Result<(), Error>> {
     let mut context = Context::from_waker(std::task::Waker::noop());
     match Pin::new(future).poll(&mut context) {
         Poll::Ready(result) => Some(result.map(drop)),
@@ -109,4 +116,160 @@ fn a_refusal_says_whether_the_request_was_repeated() {
 fn debug_output_names_station_command_and_lane() {
     let (call, _completion) = call(CallOptions::new());
     assert_eq!(format!("{call:?}"), "PendingCall(station 7, read brief status (40h), Read)");
+}
+
+#[test]
+fn an_uncounted_transmission_is_no_repetition() {
+    let (call, mut future) = call(CallOptions::new());
+    call.slot.mark_sent();
+    call.slot.uncount_send();
+    call.slot.mark_sent();
+    let Error::Timeout { sent: true, attempts: 1, .. } = call.unanswered(Duration::ZERO) else {
+        panic!("expected one attempt")
+    };
+    call.slot.try_complete(Framing::Ascii, 7, b"4", Instant::now()).expect("a refusal");
+    call.slot.commit(Proof::default());
+    assert!(matches!(result(&mut future), Some(Err(Error::Plc { repeated: false, .. }))));
+}
+
+#[test]
+fn errors_list_the_traffic_of_all_attempts() {
+    let (mut call, _future) = call(CallOptions::new());
+    call.slot.note(&Seen { garbage: 3, half_frame: true, ..Seen::default() });
+    call.slot.note(&Seen { garbage: 4, other_station: Some(9), ..Seen::default() });
+    let noted = Seen { garbage: 7, other_station: Some(9), half_frame: true, ..Seen::default() };
+    let Error::Timeout { seen, .. } = call.unanswered(Duration::ZERO) else { panic!("expected a timeout") };
+    assert_eq!(seen, noted);
+    call.cause = Some(Cause::Fault("an incomplete frame".to_owned()));
+    let Error::BadReply { seen, .. } = call.unanswered(Duration::ZERO) else { panic!("expected a bad reply") };
+    assert_eq!(seen, Seen { half_frame: false, ..noted }, "the reason has the incomplete frame already");
+}
+
+#[test]
+fn a_timeout_says_whether_the_check_was_unanswered() {
+    let (call, _future) = call(CallOptions::new());
+    let checked = || match call.unanswered(Duration::ZERO) {
+        Error::Timeout { checked, .. } => checked,
+        error => panic!("{error:?}"),
+    };
+    assert!(!checked());
+    call.slot.mark_checked();
+    assert!(checked());
+    call.slot.check_answered();
+    assert!(!checked());
+}
+
+#[test]
+fn a_call_that_waits_for_silence_ends_out_of_step() {
+    let (call, _future) = call(CallOptions::new());
+    let is_out_of_step = || matches!(call.unanswered(Duration::ZERO), Error::OutOfStep { station: 7, sent: false, .. });
+    call.slot.await_silence();
+    assert!(is_out_of_step());
+    call.slot.mark_checked();
+    assert!(!is_out_of_step(), "a check was sent instead");
+    call.slot.await_silence();
+    assert!(is_out_of_step());
+    call.slot.mark_sent();
+    assert!(!is_out_of_step());
+}
+
+const STATUS: &[u8] = b"0010000";
+
+#[test]
+fn a_retracted_reply_is_no_result_and_a_result_stays() {
+    let (first, mut future) = call(CallOptions::new());
+    assert_eq!(first.slot.try_complete(Framing::Ascii, 7, STATUS, Instant::now()), Ok(None));
+    first.slot.retract();
+    first.slot.commit(Proof::default());
+    assert!(matches!(result(&mut future), Some(Err(Error::Closed { .. }))), "there is no reply");
+
+    let (second, mut future) = call(CallOptions::new());
+    assert_eq!(second.slot.try_complete(Framing::Ascii, 7, STATUS, Instant::now()), Ok(None));
+    second.slot.commit(Proof::default());
+    second.slot.retract();
+    assert!(matches!(result(&mut future), Some(Ok(()))), "the call has ended");
+}
+
+#[test]
+fn a_reply_to_an_abandoned_call_does_not_end_it() {
+    let (call, mut future) = call(CallOptions::new());
+    future.abandon();
+    assert_eq!(call.slot.try_complete(Framing::Ascii, 7, STATUS, Instant::now()), Ok(None));
+    call.slot.commit(Proof::default());
+    assert!(result(&mut future).is_none());
+}
+
+#[test]
+fn the_caller_learns_proofs_and_doubts_of_its_reply() {
+    let (call, future) = call(CallOptions::new());
+    let proof = Proof { proofs: 0x0123_4567, doubts: 0x89AB_CDEF };
+    call.slot.commit(proof);
+    assert_eq!(future.proof(), proof);
+}
+
+#[test]
+fn only_a_loop_back_of_one_byte_could_be_a_refusal() {
+    for (data, kind) in [("", Kind::Read), ("4", Kind::Once), ("44", Kind::Read)] {
+        let request = LoopBack::new(data).expect("a short one");
+        let (call, _future) = call_of(request, CallOptions::new(), &SpareSlots::default());
+        assert_eq!(call.slot.kind(), kind, "{data:?}");
+    }
+}
+
+#[test]
+fn replies_to_reads_show_which_elements_exist() {
+    let (first, spares) = (Register::r(5), SpareSlots::default());
+    let (read, _future) = call_of(ReadRegisters::new(first, 3).expect("a read"), CallOptions::new(), &spares);
+    assert_eq!(read.slot.run(), Some(Run { first: first.into(), count: 3 }));
+    let (write, _future) = call_of(WriteRegisters::new(first, [1]).expect("a write"), CallOptions::new(), &spares);
+    assert_eq!(write.slot.run(), None, "some elements can be written only");
+}
+
+/// Ends a call and leaves its slot to later calls.
+fn end<C: Command>((call, mut future): (PendingCall, CallFuture<C>), spares: &SpareSlots) {
+    call.expire();
+    drop(call);
+    assert!(result(&mut future).is_some());
+    future.recycle(spares);
+}
+
+#[test]
+fn the_slot_of_an_ended_call_serves_a_later_call_of_its_type() {
+    let spares = SpareSlots::default();
+    end(call_of(ReadStatus, CallOptions::new(), &spares), &spares);
+    end(call_of(LoopBack::empty(), CallOptions::new(), &spares), &spares);
+    assert!(spares.take::<CallSlot<ReadStatus>>().is_some(), "the slot of another type is newer");
+    assert!(spares.take::<CallSlot<LoopBack>>().is_some());
+    assert!(spares.take::<CallSlot<ReadStatus>>().is_none(), "each serves one call");
+
+    end(call_of(ReadStatus, CallOptions::new(), &spares), &spares);
+    let (call, mut future) = call_of(ReadStatus, CallOptions::new(), &spares);
+    assert!(spares.take::<CallSlot<ReadStatus>>().is_none(), "the new call has it");
+    assert!(!call.slot.was_sent() && result(&mut future).is_none(), "nothing of the earlier call is left");
+}
+
+#[test]
+fn the_slot_of_a_call_under_way_serves_no_other() {
+    let spares = SpareSlots::default();
+    let (call, mut future) = call(CallOptions::new());
+    call.expire();
+    assert!(result(&mut future).is_some());
+    future.recycle(&spares);
+    assert!(spares.take::<CallSlot<ReadStatus>>().is_none(), "the link still has it");
+    drop(call);
+    assert!(spares.take::<CallSlot<ReadStatus>>().is_some());
+
+    let (call, future) = self::call(CallOptions::new());
+    future.recycle(&spares);
+    drop(call);
+    assert!(spares.take::<CallSlot<ReadStatus>>().is_none(), "its caller did not see its end");
+}
+
+#[test]
+fn the_data_of_an_ended_call_are_not_kept() {
+    let (data, spares) = (Bytes::from(vec![b'A'; 200]), SpareSlots::default());
+    let request = LoopBack::new(data.clone()).expect("not too long");
+    end(call_of(request, CallOptions::new(), &spares), &spares);
+    assert!(data.is_unique());
+    assert!(spares.take::<CallSlot<LoopBack>>().is_some(), "only its slot is");
 }

@@ -147,6 +147,24 @@ mod tests {
     use super::*;
     use crate::wire::Framing;
 
+    #[cfg(target_os = "linux")]
+    #[tokio::test]
+    async fn unsent_bytes_are_discarded_when_a_port_is_closed() {
+        // The other end reads nothing meanwhile.
+        let (mut other_end, stream) = SerialStream::pair().unwrap();
+        let mut port = PlainPort { stream };
+        port.stream.writable().await.unwrap();
+        let mut written = 0;
+        while let Ok(len) = port.stream.try_write(&[7; 1024]) {
+            written += len;
+        }
+        drop(port);
+        let mut received = Vec::new();
+        // The end of a closed pseudo-terminal is an error.
+        let _ = tokio::io::AsyncReadExt::read_to_end(&mut other_end, &mut received).await;
+        assert!(received.len() < written, "{written} bytes were written, {} received", received.len());
+    }
+
     /// A pseudo-terminal cannot show this: it always has 8 data bits and no
     /// parity.
     #[test]

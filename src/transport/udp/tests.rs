@@ -381,3 +381,49 @@ async fn the_number_of_an_address_chooses_among_those_of_the_host() {
     let none = connect_any(Vec::new(), Framing::Ascii, 0).await.map(|_| ()).unwrap_err();
     assert_eq!(none.kind(), io::ErrorKind::NotFound);
 }
+
+#[tokio::test]
+async fn late_duplicates_are_counted_apart_from_other_datagrams() {
+    for answer in [&b"answer"[..], &[4; MAX_FRAME_LEN]] {
+        let (device, mut stream) = pair("127.0.0.1").await;
+        let first = request(&mut stream, &device, b"first");
+        device.send(answer, first);
+        assert_eq!(next(&mut stream).await, answer);
+        for _ in 1..SOCKETS {
+            request(&mut stream, &device, b"another");
+        }
+        // The longest begins as the answer does.
+        for datagram in [answer, b"other", &[4; MAX_FRAME_LEN + 1]] {
+            device.send(datagram, first);
+        }
+        assert_eq!(request(&mut stream, &device, b"fifth"), first);
+        assert_eq!(stream.take_late(), LateDatagrams { duplicates: 1, others: 2 }, "{} bytes", answer.len());
+    }
+}
+
+#[tokio::test]
+async fn datagrams_behind_the_error_of_an_earlier_request_are_not_read() {
+    let (device, mut stream) = pair("127.0.0.1").await;
+    let address = device.address();
+    let first = request(&mut stream, &device, b"first");
+    for _ in 1..SOCKETS {
+        request(&mut stream, &device, b"another");
+    }
+    drop(device);
+    stream.sockets[1].send(b"refused").await.unwrap();
+    let device = Device::bind(address);
+    device.send(b"late", first);
+    assert_eq!(request(&mut stream, &device, b"fifth"), first);
+    device.send(b"answer", first);
+    assert_eq!(next(&mut stream).await, b"answer");
+    assert_eq!(sum(stream.take_late()), 1);
+}
+
+#[test]
+fn only_windows_reports_a_datagram_longer_than_the_buffer_as_an_error() {
+    let buffer = [0; 8];
+    let too_long = truncated(Err(io::Error::from_raw_os_error(WSAEMSGSIZE)), &buffer);
+    assert_eq!(too_long.ok(), cfg!(windows).then_some(buffer.len()));
+    assert!(truncated(Err(io::ErrorKind::ConnectionReset.into()), &buffer).is_err());
+    assert_eq!(truncated(Ok(3), &buffer).ok(), Some(3));
+}

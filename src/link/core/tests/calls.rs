@@ -1,7 +1,9 @@
 //! Calls: the bytes of a reply, timeouts, retries, priority and the end of a call.
 
+use bytes::BytesMut;
+
 use super::test_link::{MS, TIMEOUT, TestLink, read, result, write};
-use crate::command::{Code, ControlPlc, ReadStatus};
+use crate::command::{self, Code, ControlPlc, ReadStatus};
 use crate::error::Error;
 use crate::link::core::Action;
 use crate::link::options::CallOptions;
@@ -20,6 +22,56 @@ fn bytes_before_a_request_are_dropped_and_counted() {
     link.call(1, read(1));
     link.call(1, ReadStatus);
     assert_eq!(link.stats().stale_bytes, 8, "no bytes came before the second request");
+}
+
+#[test]
+fn a_frame_begun_before_a_request_is_not_its_reply() {
+    for framing in [Framing::Ascii, Framing::Binary] {
+        let mut reply = BytesMut::new();
+        command::encode_reply(&read(1), Ok(&vec![7]), framing, 1, &mut reply);
+        for len in 1..reply.len() {
+            let mut link = TestLink::new(framing);
+            let (begun, rest) = reply.split_at(len);
+            link.receive(begun);
+            let mut call = link.call(1, read(1));
+            assert_eq!(link.expect_send(), Code::ReadRegisters);
+            link.receive(rest);
+            assert!(result(&mut call).is_none(), "{len} bytes came before the request");
+            link.receive(&reply);
+            assert_eq!(result(&mut call).unwrap().unwrap(), [7]);
+        }
+    }
+}
+
+#[test]
+fn a_link_that_awaits_a_reply_keeps_no_request() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let _call = link.call(1, read(1));
+    link.expect_send();
+    assert!(!link.sent.is_empty() && link.core.request_bytes().is_empty());
+    // It is sent again all the same.
+    let first = link.sent.clone();
+    link.receive(b"\x020146000011FF\x03");
+    link.advance(TIMEOUT);
+    link.next_action();
+    while link.expect_send() == Code::LoopBack {
+        link.receive_echo();
+    }
+    assert_eq!(link.sent, first);
+}
+
+#[test]
+fn bytes_of_frames_on_the_line_are_counted_in_both_directions() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let mut call = link.call(1, read(1));
+    link.expect_send();
+    let request = link.sent.len();
+    assert_eq!(usize::try_from(link.core.exchange.line_bytes()), Ok(request));
+    let mut reply = BytesMut::new();
+    command::encode_reply(&read(1), Ok(&vec![7]), Framing::Ascii, 1, &mut reply);
+    link.receive(&reply);
+    assert!(result(&mut call).unwrap().is_ok());
+    assert_eq!(usize::try_from(link.core.exchange.line_bytes()), Ok(request + reply.len()));
 }
 
 #[test]

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use bytes::BytesMut;
 
 use super::test_link::{MS, TIMEOUT, TestLink, read, result, write};
-use crate::command::{Code, ControlPlc, ReadStatus};
+use crate::command::{Code, ControlPlc, ReadMixed, ReadStatus};
+use crate::element::{Register, Value};
 use crate::error::Error;
 use crate::link::core::Action;
 use crate::link::options::CallOptions;
@@ -298,4 +299,20 @@ fn a_stray_behind_an_echo_leads_to_another_check() {
     assert_eq!(link.expect_send(), Code::ReadRegisters);
     link.receive_frame(1, 0x46, b"00001");
     assert_eq!(result(&mut call).unwrap().unwrap(), [1]);
+}
+
+#[test]
+fn a_repeated_mixed_read_names_its_first_element_twice() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let mixed = ReadMixed::new([Register::r(3).into(), Register::r(7).into()]).unwrap();
+    for (request, reply, spelling) in [
+        (&b"4802R00003R00007"[..], &b"000010002"[..], "as the caller has made it"),
+        (b"4803R00003R00007R00003", b"0000100020001", "with a reply of another length"),
+    ] {
+        let mut call = link.call(1, mixed.clone());
+        assert_eq!(link.expect_send(), Code::ReadMixed, "no check is needed");
+        assert_eq!(&link.sent[3..link.sent.len() - 3], request, "{spelling}");
+        link.receive_frame(1, 0x48, reply);
+        assert_eq!(result(&mut call).unwrap().unwrap(), [Value::Word(1), Value::Word(2)]);
+    }
 }

@@ -1,7 +1,7 @@
 //! Lines that echo requests.
 
 use super::test_link::{TIMEOUT, TestLink, read, result};
-use crate::command::Code;
+use crate::command::{Code, LoopBack, ReadStatus};
 use crate::error::Error;
 use crate::link::options::{CallOptions, EchoMode};
 use crate::wire::Framing;
@@ -90,4 +90,23 @@ fn an_echo_behind_a_late_status_reply_is_recognised() {
     assert_eq!(link.stats().echoes, 1);
     link.receive_echo();
     assert!(!link.core.is_idle(), "that was the echo of the line, not the reply");
+}
+
+#[test]
+fn replies_after_the_echo_test_are_no_echoes() {
+    let mut link = TestLink::with(Framing::Ascii, |config| config.echo = EchoMode::Auto);
+    let mut status = link.call(1, ReadStatus);
+    assert_eq!(link.expect_send(), Code::ReadStatus);
+    link.receive_frame(1, 0x40, b"0010000");
+    assert!(!link.core.exchange.must_learn_echo(), "the line does not echo");
+    assert_eq!(link.expect_send(), Code::LoopBack);
+    link.receive_echo();
+    assert_eq!(link.expect_send(), Code::ReadStatus);
+    link.receive_frame(1, 0x40, b"0010000");
+    assert!(result(&mut status).unwrap().is_ok());
+    let mut empty = link.call(1, LoopBack::empty());
+    assert_eq!(link.expect_send(), Code::LoopBack);
+    link.receive_frame(1, 0x4E, b"");
+    assert!(result(&mut empty).unwrap().is_ok());
+    assert_eq!(link.stats().echoes, 0);
 }
