@@ -67,6 +67,21 @@ impl ErrorCode {
     }
 }
 
+impl ErrorCode {
+    /// Returns whether it may mean that the device does not know the command.
+    pub(crate) fn is_about_the_command(self) -> bool {
+        match self {
+            Self::IllegalFormat | Self::NotSupported | Self::Unknown(_) => true,
+            Self::IllegalValue
+            | Self::WriteProhibited
+            | Self::LadderChecksum
+            | Self::IdMismatch
+            | Self::Syntax
+            | Self::IllegalAddress => false,
+        }
+    }
+}
+
 impl From<ErrorCode> for u8 {
     fn from(code: ErrorCode) -> Self {
         match code {
@@ -93,7 +108,8 @@ impl From<ErrorCode> for u8 {
 pub enum Error {
     /// The request breaks a rule of the protocol. Nothing was sent.
     Invalid(InvalidRequest),
-    /// A tag and a Rust type, or a tag and a value, do not fit. Nothing was sent.
+    /// A tag and a Rust type, or a tag and a value, do not fit. Nothing was written, and nothing was
+    /// sent unless the values that were read are the reason.
     Tag(Box<TagAccessError>),
     /// The PLC refused the request.
     #[non_exhaustive]

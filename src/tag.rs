@@ -21,7 +21,7 @@
 //! | `R0:i64`, `DR0:f64` | four registers, or two of 32 bits, as one number of 64 bits |
 //! | `WY8:hex` | 16 outputs as four hexadecimal digits |
 //! | `R5:i16*0.1-40` | a register, signed, with a gain of 0.1 and an offset of -40; see [`Scale`] |
-//! | `R0-R9:u16*0.01`, `R100:f32+3` | all numbers except `hex` can have a gain, an offset or both |
+//! | `R0-R9:u16*0.01`, `R100:f32+3` | numbers up to 32 bits (no `hex`, no BCD) can have a gain or an offset |
 //! | `R0-R9:text` | ten registers as one text of up to 20 characters, low byte first |
 //! | `R0-R9:text-hi` | the same, high byte first |
 //!
@@ -83,7 +83,7 @@ pub use types::{TagType, TagValue};
 use self::scale::parse_scaled;
 use self::types::{Storage, WordOrder};
 use crate::command::{MAX_UNITS, Value};
-use crate::element::{Element, ElementError, Width};
+use crate::element::{Element, ElementError, MemoryArea, Width};
 use crate::wire::Framing;
 
 /// An element or a range of elements, with a data type; see [the module](self).
@@ -166,7 +166,7 @@ impl Tag {
     /// ```
     ///
     /// # Errors
-    /// [`TagError::NotScalable`] for `bool`, `hex` and texts.
+    /// [`TagError::NotScalable`] for `bool`, `hex`, decimal digits, 64 bits and texts.
     pub fn scaled(self, scale: Scale) -> Result<Self, TagError> {
         if !self.tag_type.is_scalable() {
             return Err(TagError::NotScalable { tag_type: self.tag_type });
@@ -212,7 +212,8 @@ impl Tag {
         self.count / self.elements_per_value()
     }
 
-    /// Number of elements per value: 2 for 32 bits on 16-bit registers, all for a text, else 1.
+    /// Number of elements per value: 2 for 32 bits and 4 for 64 bits on 16-bit registers, 2 for 64
+    /// bits on 32-bit registers, all for a text, else 1.
     #[must_use]
     pub fn elements_per_value(&self) -> usize {
         match self.storage {
@@ -279,11 +280,11 @@ impl Tag {
 
     /// Parses the values of this tag, separated by commas.
     ///
-    /// - Numbers: decimal, with an optional sign. `f32` also with decimals or an exponent, `nan`
-    ///   and `inf`.
+    /// - Numbers: decimal, with an optional sign. `f32` and `f64` also with decimals or an exponent,
+    ///   `nan` and `inf`.
     /// - `bool`: `0` `1` `false` `true` `off` `on`.
     /// - All these types: the bits as `0x` and hexadecimal digits, so `0xFFFF` as `i16` is -1.
-    ///   `f32` takes all 8 digits. `hex` takes only this form, since `10` is ambiguous.
+    ///   `f32` takes all 8 digits, `f64` all 16. `hex` takes only this form, since `10` is ambiguous.
     /// - Scaled values: decimal, with decimals or an exponent, `nan` and `inf`, but not `0x`. The
     ///   nearest raw number is written.
     /// - A text: in double quotes, with `\\` before `"` and `\\`, and `\\n`, `\\r`, `\\t`, `\\0` or
@@ -327,6 +328,19 @@ impl Tag {
             text.split(',').try_for_each(take)?;
         }
         Ok((values, raw))
+    }
+
+    /// A tag of its first value.
+    pub(crate) fn first_value(&self) -> Option<Self> {
+        self.singles().next()
+    }
+
+    /// Its memory: the area, and the first and last addresses of its smallest parts.
+    pub(crate) fn memory(&self) -> (MemoryArea, u16, u16) {
+        let last = self.first.nth(self.count - 1).unwrap_or(self.first);
+        // Consecutive elements touch, so each covers one step.
+        let end = last.address().saturating_add(last.step() - 1);
+        (self.first.symbol().area(), self.first.address(), end)
     }
 
     /// Values of this tag, all zero.

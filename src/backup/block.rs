@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::{InvalidBackup, Missing};
 use crate::command::{Value, most_in_one_request};
-use crate::element::{Element, MemoryArea};
+use crate::element::Element;
 use crate::error::ErrorCode;
 use crate::tag::{Tag, TagType};
 use crate::transfer::Request;
@@ -76,18 +76,9 @@ pub(super) fn part(range: Tag, indices: &Range<usize>) -> Tag {
     Tag::spanning(first, TagType::default_for(first.width()), indices.len()).unwrap_or(range)
 }
 
-/// The memory of a range: its area, and the first and last addresses of its smallest parts.
-fn memory(range: Tag) -> (MemoryArea, u16, u16) {
-    let first = range.first();
-    let last = first.nth(range.element_count().saturating_sub(1)).unwrap_or(first);
-    // Consecutive elements touch, so each covers one step.
-    let end = last.address().saturating_add(last.step().saturating_sub(1));
-    (first.symbol().area(), first.address(), end)
-}
-
 /// The discretes of a range: the first, and their count. `None` for registers.
 pub(super) fn discretes(range: Tag) -> Option<(crate::Discrete, usize)> {
-    let (area, first, last) = memory(range);
+    let (area, first, last) = range.memory();
     let discrete = crate::Discrete::new(area.smallest(), first).ok()?;
     Some((discrete, usize::from(last.saturating_sub(first)).saturating_add(1)))
 }
@@ -100,7 +91,7 @@ pub(super) fn is_never_restored(range: Tag) -> bool {
 
 /// Checks that no two ranges share memory, under any names.
 pub(super) fn check_overlaps(ranges: &[Tag]) -> Result<(), InvalidBackup> {
-    let mut sorted: Vec<_> = ranges.iter().map(|&range| (memory(range), range)).collect();
+    let mut sorted: Vec<_> = ranges.iter().map(|&range| (range.memory(), range)).collect();
     sorted.sort_unstable_by_key(|&(memory, _)| memory);
     for (((symbol, _, end), first), ((next, start, _), second)) in sorted.iter().zip(sorted.iter().skip(1)) {
         if symbol == next && start <= end {
@@ -149,7 +140,7 @@ pub(super) struct Chunks {
 }
 
 impl Chunks {
-    /// The fewest requests for these runs, in this order. No value of two registers is split.
+    /// The fewest requests for these runs, in this order. No value is split.
     pub(super) fn new(runs: impl IntoIterator<Item = (usize, Tag, Range<usize>)>) -> Self {
         let run = |(block, range, indices): (usize, Tag, Range<usize>)| Chunk {
             block,
@@ -231,7 +222,8 @@ fn half(chunk: Chunk) -> Option<usize> {
     let per_value = chunk.range.elements_per_value();
     let half = chunk.count.checked_div(2).filter(|&half| half > 0)?;
     let past = chunk.start.saturating_add(half).checked_rem(per_value).unwrap_or(0);
-    let (before, behind) = (half.saturating_sub(past), half.saturating_add(past));
+    let behind = half.saturating_add(per_value.saturating_sub(past));
+    let before = half.saturating_sub(past);
     match (before > 0, behind < chunk.count) {
         (true, _) => Some(before),
         (false, true) => Some(behind),

@@ -31,7 +31,7 @@ pub enum InvalidBackup {
         range: Tag,
     },
     /// A range would split a value of the backup.
-    #[error("{range} would split a value of two registers: the backup has {whole}")]
+    #[error("{range} would split a value of several registers: the backup has {whole}")]
     #[non_exhaustive]
     SplitsPair {
         /// The range.

@@ -128,7 +128,7 @@ fn parse(content: Content<'_>) -> Result<Backup, FormatError> {
             };
             let cells = cells.map_err(|rule| lines.error(rule))?;
             if !cells.len().is_multiple_of(block.range.elements_per_value()) {
-                return Err(lines.error("a value of two registers would be cut in two here"));
+                return Err(lines.error("a value of several registers would be cut in two here"));
             }
             let end = index.saturating_add(cells.len());
             let Some(known) = block.cells.get_mut(index..end) else {

@@ -118,7 +118,7 @@ fn bad_content_with_a_good_checksum_is_refused_by_line() {
             "range R3-R22:u32\nrange R23",
             "line 9: the range R3-R22:u32 is not whole: R3 was expected",
         ),
-        ("R3 0000", "R3 0000 0000", "line 9: a value of two registers would be cut in two here"),
+        ("R3 0000", "R3 0000 0000", "line 9: a value of several registers would be cut in two here"),
         ("R3 0000", "R3 000", "line 9: values as wide as the element"),
         ("R3 0000", "R3 00000000", "line 9: values as wide as the element"),
         ("R3 0000", "R3 +000", "line 9: values as wide as the element"),
@@ -201,7 +201,7 @@ fn a_part_of_a_backup_is_a_backup() {
     assert_eq!((part.station(), part.read_at()), (backup.station(), backup.read_at()));
     assert_eq!(part.missing().len(), 2);
     for (range, message) in [
-        ("R4-R7", "R4-R7 would split a value of two registers: the backup has R3-R22:u32"),
+        ("R4-R7", "R4-R7 would split a value of several registers: the backup has R3-R22:u32"),
         ("R3-R5", "R3-R5 would split"),
         ("R21-R23", "R21-R23 is not wholly in one range of the backup"),
         ("DR4", "DR4 is not wholly in one range"),

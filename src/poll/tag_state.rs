@@ -167,11 +167,13 @@ impl TagState {
 
 /// Returns whether values are equal bit by bit: 0.0 and -0.0 differ.
 fn is_identical(a: &[TagValue], b: &[TagValue]) -> bool {
-    let bits = |value: &TagValue| value.as_f64().map(f64::to_bits);
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| bits(a) == bits(b) && (bits(a).is_some() || a == b))
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.is_identical(b))
 }
 
 fn has_changed(now: &TagValue, then: &TagValue, deadband: f64) -> bool {
+    if let Some(distance) = now.integer_distance(then) {
+        return distance > deadband;
+    }
     match (now.as_f64(), then.as_f64()) {
         // NaN to NaN is no change; NaN to a number, and back, is.
         (Some(now), Some(then)) if now.is_nan() || then.is_nan() => now.is_nan() != then.is_nan(),

@@ -59,7 +59,7 @@ impl Station {
         let tags = tags.into_tags()?;
         T::check(&tags)?;
         let values = self.read_tags(&tags).await?;
-        Ok(T::from_values(&tags, &values)?)
+        Ok(T::from_all_values(&tags, &values)?)
     }
 
     /// Writes a value to a tag, or several values to a tag with as many.
@@ -92,8 +92,8 @@ impl Station {
     /// Writes values to several tags, in their order, by as few requests as cost less time.
     ///
     /// Tags next to each other in the list, of 32 units in all at most, are written by one mixed write
-    /// (49), in one scan, if that is cheaper. If the PLC refuses it, they are written one by one: then
-    /// the error names the tag that is refused.
+    /// (49), in one scan, if that is cheaper and none of them is written twice. If the PLC does not
+    /// know that command, they are written one by one.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -149,8 +149,8 @@ impl Station {
     async fn write_group(&self, group: &[Assignment]) -> Result<(), (usize, Error)> {
         if group.len() > 1 {
             match self.write_mixed(&items(group)).await {
-                // Nothing was written: the PLC refuses the command, or one of the elements.
-                Err(Error::Plc { repeated: false, .. }) => {}
+                // The PLC does not know the command, so it has written nothing.
+                Err(Error::Plc { repeated: false, error, .. }) if error.is_about_the_command() => {}
                 result => return result.map_err(|error| (0, error)),
             }
         }
@@ -218,11 +218,21 @@ fn together(assignments: &[Assignment], cost: &CostModel) -> usize {
         let bytes = tag.element_count().saturating_sub(1) * framing.element_len(tag.first().symbol());
         cost.byte_time().saturating_mul(u32::try_from(bytes).unwrap_or(u32::MAX))
     };
+    // A pulse is two writes: the PLC must see both values.
+    let is_new = |count: usize, next: &Assignment| {
+        let (area, begin, end) = next.tag().memory();
+        let overlaps = |other: &Assignment| {
+            let (other_area, other_begin, other_end) = other.tag().memory();
+            area == other_area && begin <= other_end && other_begin <= end
+        };
+        !assignments.iter().take(count).any(overlaps)
+    };
     let Some(first) = assignments.first() else { return 0 };
     if names(first) >= single {
         return 1;
     }
-    while assignments.get(count).is_some_and(|next| names(next) < single) && is_mixed(count + 1).is_some() {
+    let joins = |count: usize| assignments.get(count).is_some_and(|next| names(next) < single && is_new(count, next));
+    while joins(count) && is_mixed(count + 1).is_some() {
         count += 1;
     }
     count

@@ -132,6 +132,10 @@ impl<T: FromTag> FromTag for Vec<T> {
     fn from_values(values: &[TagValue]) -> Option<Self> {
         values.iter().map(|value| T::from_values(std::slice::from_ref(value))).collect()
     }
+
+    fn fits(tag: &Tag) -> bool {
+        tag.first_value().is_some_and(|tag| T::fits(&tag))
+    }
 }
 
 impl<T: FromTag, const N: usize> FromTag for [T; N] {
@@ -141,6 +145,10 @@ impl<T: FromTag, const N: usize> FromTag for [T; N] {
 
     fn from_values(values: &[TagValue]) -> Option<Self> {
         <Vec<T> as FromTag>::from_values(values)?.try_into().ok()
+    }
+
+    fn fits(tag: &Tag) -> bool {
+        tag.value_count() == N && Vec::<T>::fits(tag)
     }
 }
 
@@ -162,9 +170,10 @@ pub(super) use tag_values;
 /// A Rust value, or several, that can be written to a tag.
 ///
 /// - `bool` for a discrete.
-/// - Integers for tags of integers whose range has them, for `hex`, and for `f32` if it has this
-///   number exactly.
-/// - `f32` and `f64` for tags `f32`, which get the nearest value. An integer tag refuses them.
+/// - Integers for tags of integers and decimal digits whose range has them, for `hex`, and for `f32`
+///   and `f64` if these have the number exactly.
+/// - `f32` and `f64` for tags `f32` and `f64`, which get the nearest value. An integer tag refuses
+///   them.
 /// - All numbers for tags with gain or offset.
 /// - `&str` and `String` for texts.
 /// - [`TagValue`] for tags of its type.
@@ -251,6 +260,24 @@ impl<T: IntoTagValues> IntoTagValues for Vec<T> {
 impl<T: IntoTagValues + Clone> IntoTagValues for &[T] {
     fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
         self.to_vec().into_values(tag)
+    }
+}
+
+impl<T: IntoTagValues + Clone> IntoTagValues for &Vec<T> {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        self.clone().into_values(tag)
+    }
+}
+
+impl<T: IntoTagValues + Clone, const N: usize> IntoTagValues for &[T; N] {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        self.to_vec().into_values(tag)
+    }
+}
+
+impl IntoTagValues for &String {
+    fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+        self.as_str().into_values(tag)
     }
 }
 

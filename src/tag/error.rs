@@ -269,7 +269,7 @@ impl ParseValueError {
 }
 
 /// The reason why a tag cannot be read into a Rust type, or a Rust value not be written to it.
-/// Nothing was sent.
+/// Nothing was sent, but for [`NoNumber`](Self::NoNumber).
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TagAccessError {

@@ -104,7 +104,7 @@ pub trait FromTags<Shape>: Sized {
     ///
     /// # Errors
     /// [`TagAccessError::NotInto`] names the tag and the type.
-    fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError>;
+    fn from_all_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError>;
 }
 
 fn check_one<T: FromTag>(tag: Option<&Tag>) -> Result<(), TagAccessError> {
@@ -119,9 +119,9 @@ fn one<T: FromTag>(tag: Option<&Tag>, values: Option<&Vec<TagValue>>) -> Result<
     let (tag, values) = tag.zip(values).ok_or(TagAccessError::Number)?;
     T::from_values(values).ok_or_else(|| {
         let rust_type = T::type_name();
-        match values.iter().find(|value| value.as_f64().is_none()) {
-            Some(value) if T::fits(tag) => TagAccessError::NoNumber { tag: *tag, value: value.to_string() },
-            Some(_) | None => TagAccessError::NotInto { tag: *tag, rust_type },
+        match values.iter().find(|value| value.is_no_number()) {
+            Some(value) => TagAccessError::NoNumber { tag: *tag, value: value.to_string() },
+            None => TagAccessError::NotInto { tag: *tag, rust_type },
         }
     })
 }
@@ -131,7 +131,7 @@ impl<T: FromTag> FromTags<One> for T {
         check_one::<T>(tags.first())
     }
 
-    fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
+    fn from_all_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
         one(tags.first(), values.first())
     }
 }
@@ -141,7 +141,7 @@ impl<T: FromTag> FromTags<Several> for Vec<T> {
         tags.iter().try_for_each(|tag| check_one::<T>(Some(tag)))
     }
 
-    fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
+    fn from_all_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
         tags.iter().zip(values).map(|(tag, values)| one(Some(tag), Some(values))).collect()
     }
 }
@@ -151,8 +151,8 @@ impl<T: FromTag, const N: usize> FromTags<Several> for [T; N] {
         if tags.len() == N { <Vec<T> as FromTags<Several>>::check(tags) } else { Err(TagAccessError::Number) }
     }
 
-    fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
-        let items = <Vec<T> as FromTags<Several>>::from_values(tags, values)?;
+    fn from_all_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
+        let items = <Vec<T> as FromTags<Several>>::from_all_values(tags, values)?;
         items.try_into().map_err(|_| TagAccessError::Number)
     }
 }
@@ -177,7 +177,7 @@ macro_rules! tuples {
                     Ok(())
                 }
 
-                fn from_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
+                fn from_all_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
                     Ok(($(one::<$name>(tags.get($at), values.get($at))?,)+))
                 }
             }
@@ -242,6 +242,12 @@ pub trait IntoAssignments {
 impl<T: IntoAssignment, const N: usize> IntoAssignments for [T; N] {
     fn into_assignments(self) -> Result<Vec<Assignment>, TagAccessError> {
         self.into_iter().map(IntoAssignment::into_assignment).collect()
+    }
+}
+
+impl<T: IntoAssignment + Clone> IntoAssignments for &[T] {
+    fn into_assignments(self) -> Result<Vec<Assignment>, TagAccessError> {
+        self.iter().cloned().map(IntoAssignment::into_assignment).collect()
     }
 }
 

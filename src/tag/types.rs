@@ -35,7 +35,7 @@ types! {
     F32      "f32"      -         F32    F32    Number   "float real float32"
                                              "-3.4028235e38 to 3.4028235e38, nan and inf";
     U64      "u64"      -         U64    U64    Bits     "uint64 ulint lword" "0 to 18446744073709551615";
-    I64      "i64"      -         I64    I64    Bits     "int64 lint long"
+    I64      "i64"      -         I64    I64    Bits     "int64 lint"
                                              "-9223372036854775808 to 9223372036854775807";
     F64      "f64"      -         F64    F64    Bits     "double lreal float64"
                                              "-1.7976931348623157e308 to 1.7976931348623157e308, nan and inf";
@@ -71,8 +71,8 @@ formats! {
     U64        U64   Integer<u64> => u64    "64 bits, unsigned.";
     I64        I64   Integer<i64> => i64    "64 bits, signed.";
     F64        F64   Float<f64>   => f64    "64 bits, an IEEE-754 float.";
-    Bcd16      Bcd16 Bcd<u16>     => u16    "16 bits, four decimal digits: 0x1234 is 1234.";
-    Bcd32      Bcd32 Bcd<u32>     => u32    "32 bits, eight decimal digits: 0x12345678 is 12345678.";
+    Bcd16      Bcd16 Bcd<u16>     => u16    "16 bits, four decimal digits: 0x1234 for 1234, not the number.";
+    Bcd32      Bcd32 Bcd<u32>     => u32    "32 bits, eight decimal digits: 0x12345678 for 12345678.";
     Hex16      Hex   Hex<u16>     => u16    "16 bits, displayed as four hexadecimal digits.";
     Hex32      Hex   Hex<u32>     => u32    "32 bits, displayed as eight hexadecimal digits.";
 }
@@ -184,7 +184,8 @@ impl TagType {
         matches!(self.class(), Class::Text)
     }
 
-    /// Returns whether it can have a [`Scale`](super::Scale): all numbers except `hex`.
+    /// Returns whether it can have a [`Scale`](super::Scale): all numbers up to 32 bits except `hex`
+    /// and decimal digits.
     #[must_use]
     pub const fn is_scalable(self) -> bool {
         matches!(self.class(), Class::Number)
@@ -223,6 +224,33 @@ impl Format {
 }
 
 impl TagValue {
+    /// Returns whether both have the same bits: 0.0 and -0.0 differ, and a NaN equals itself.
+    pub(crate) fn is_identical(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Scaled(a), Self::Scaled(b)) => a.to_bits() == b.to_bits(),
+            (a, b) => match (a.bits(), b.bits()) {
+                (Some(a), Some(b)) => a == b,
+                (None, _) | (_, None) => a == b,
+            },
+        }
+    }
+
+    /// The distance of two integers of 64 bits, which [`as_f64`](Self::as_f64) may round to the same
+    /// number; `None` for others.
+    #[allow(clippy::cast_precision_loss, reason = "small distances are exact")]
+    pub(crate) fn integer_distance(&self, other: &Self) -> Option<f64> {
+        match (self, other) {
+            (Self::U64(a), Self::U64(b)) => Some(a.abs_diff(*b) as f64),
+            (Self::I64(a), Self::I64(b)) => Some(a.abs_diff(*b) as f64),
+            (_, _) => None,
+        }
+    }
+
+    /// Returns whether it has decimal digits of which one is beyond 9.
+    pub(super) fn is_no_number(&self) -> bool {
+        matches!(self, Self::Bcd16(_) | Self::Bcd32(_)) && self.as_f64().is_none()
+    }
+
     /// Its type, for errors: `u16 of 16 bits`, `scaled`, `text`.
     pub(super) fn description(&self) -> String {
         match self.bits() {
@@ -387,8 +415,8 @@ macro_rules! formats {
         }
 
         impl TagValue {
-            /// The value as a number: 31 for `0x001F`; `None` for `bool` and texts. Beyond 2^53 it is
-            /// the nearest `f64`.
+            /// The value as a number: 31 for `0x001F`; `None` for `bool`, texts and
+            /// decimal digits beyond 9. Beyond 2^53 it is the nearest `f64`.
             #[must_use]
             pub fn as_f64(&self) -> Option<f64> {
                 match *self {

@@ -120,7 +120,7 @@ impl Core {
                 let (plain, spelling, run) = (call.slot.plain(), call.slot.spelling(), call.slot.run());
                 if reply.refused && spelling != plain {
                     // Only the spelling may be refused.
-                    let lacks = active.refusal.is_some_and(is_about_the_command);
+                    let lacks = active.refusal.is_some_and(ErrorCode::is_about_the_command);
                     let strays = self.stations.with_in_step(station, |in_step| {
                         in_step.taken(kind, &reply, silent, &rule, now);
                         in_step.spelling_refused(plain, spelling, run, lacks);
@@ -322,16 +322,3 @@ impl Core {
 
 /// The station number of a broadcast.
 const BROADCAST: u8 = 0;
-
-/// Returns whether an error code may mean that the device does not know the command.
-fn is_about_the_command(code: ErrorCode) -> bool {
-    match code {
-        ErrorCode::IllegalFormat | ErrorCode::NotSupported | ErrorCode::Unknown(_) => true,
-        ErrorCode::IllegalValue
-        | ErrorCode::WriteProhibited
-        | ErrorCode::LadderChecksum
-        | ErrorCode::IdMismatch
-        | ErrorCode::Syntax
-        | ErrorCode::IllegalAddress => false,
-    }
-}

@@ -123,3 +123,34 @@ fn a_deadband_is_measured_from_the_last_sample() {
     let reported: Vec<String> = samples.iter().map(|sample| sample.value().unwrap().to_string()).collect();
     assert_eq!(reported, ["10.0", "11.25", "12.5", "NaN", "12.5", "inf"]);
 }
+
+/// Before: values were compared as `f64`, so a counter of 64 bits beyond 2^53 kept its old value, good
+/// and with the time of the new one.
+#[test]
+fn each_number_of_64_bits_is_a_new_value() {
+    use crate::poll::Stamp;
+    use crate::poll::tag_state::TagState;
+    use crate::tag::TagValue;
+    let at = Stamp::now();
+    let big = 1 << 53;
+    for (on_change, deadband, expected) in [(false, 0.0, 5), (true, 0.0, 4), (true, 1.0, 2)] {
+        let tag = PollTag::new("counter", "R0:u64".parse().unwrap()).on_change(on_change).deadband(deadband);
+        let tag = if on_change { tag } else { PollTag::new("counter", "R0:u64".parse().unwrap()) };
+        let mut state = TagState::new(crate::poll::TagId(1), tag, None, at);
+        let mut samples = Vec::new();
+        for value in [big, big + 1, big + 1, big + 2, big + 3] {
+            state.set_values(vec![TagValue::U64(value)], at, &mut samples);
+        }
+        let reported: Vec<&TagValue> = samples.iter().filter_map(|sample| sample.value()).collect();
+        assert_eq!(reported.len(), expected, "on change: {on_change}, deadband {deadband}: {reported:?}");
+        let last = if deadband > 0.0 { big + 2 } else { big + 3 };
+        assert_eq!(reported.last(), Some(&&TagValue::U64(last)));
+    }
+    let tag = PollTag::new("position", "R0:i64".parse().unwrap()).on_change(true);
+    let mut state = TagState::new(crate::poll::TagId(1), tag, None, at);
+    let mut samples = Vec::new();
+    for value in [i64::MIN, i64::MIN + 1, i64::MAX - 1, i64::MAX, i64::MAX] {
+        state.set_values(vec![TagValue::I64(value)], at, &mut samples);
+    }
+    assert_eq!(samples.len(), 4);
+}

@@ -214,6 +214,52 @@ async fn a_refused_mixed_write_is_repeated_one_by_one() {
     assert_eq!(bench.station.read::<[u16; 2], _>("R1-R2").await.unwrap(), [1, 0]);
 }
 
+/// The PLC must see both values of a pulse, and an element once as a bit and once as a word.
+#[tokio::test]
+async fn an_element_is_not_written_twice_by_one_request() {
+    let bench = bench(Framing::Ascii, []);
+    bench.station.write_all([("M5", true), ("M5", false)]).await.unwrap();
+    assert_eq!(bench.commands().len(), 2, "a pulse: {:?}", bench.commands());
+    bench.faults.log().clear();
+    bench.station.write_all((("M5", true), ("WM0", 7), ("R0", 1), ("DR0", 2), ("R1", 3))).await.unwrap();
+    assert_eq!(bench.commands().len(), 4, "M5, WM0 and R0, DR0, R1: {:?}", bench.commands());
+    assert_eq!(bench.station.read::<(u16, [u16; 2]), _>(("WM0", "R0-R1")).await.unwrap(), (7, [2, 3]));
+}
+
+#[tokio::test]
+async fn a_refused_element_fails_the_whole_group() {
+    let refuse = Rule::new(Fault::Error(ErrorCode::IllegalAddress)).element(crate::register!("R7"));
+    let bench = bench(Framing::Ascii, [refuse]);
+    let error = bench.station.write_all((("R0", 1), ("M5", true), ("R7", 2))).await.unwrap_err();
+    assert!(matches!(error, Error::Plc { error: ErrorCode::IllegalAddress, .. }), "{error:?}");
+    assert_eq!((bench.commands(), bench.plc.read(crate::register!("R0"))), (vec![0x49], Value::Word(0)));
+}
+
+/// An own type that has no value for 0.
+#[tokio::test]
+async fn an_own_type_is_read_alone_and_in_lists() {
+    #[derive(Debug, PartialEq)]
+    struct Mode(u16);
+    impl crate::tag::FromTag for Mode {
+        fn type_name() -> String {
+            "Mode".to_owned()
+        }
+        fn from_values(values: &[TagValue]) -> Option<Self> {
+            u16::from_values(values).filter(|&mode| mode > 0).map(Mode)
+        }
+        fn fits(tag: &Tag) -> bool {
+            u16::fits(tag)
+        }
+    }
+    let bench = bench(Framing::Ascii, []);
+    bench.station.write("R0-R1", &[1, 2]).await.unwrap();
+    assert_eq!(bench.station.read::<Mode, _>("R0").await.unwrap(), Mode(1));
+    assert_eq!(bench.station.read::<Vec<Mode>, _>("R0-R1").await.unwrap(), [Mode(1), Mode(2)]);
+    assert_eq!(bench.station.read::<[Mode; 2], _>("R0-R1").await.unwrap(), [Mode(1), Mode(2)]);
+    let text = misfit(bench.station.read::<[Mode; 2], _>("R1-R2").await);
+    assert_eq!(text, "R1-R2 (2 values, each u16 of 16 bits) cannot be read into `[Mode; 2]`");
+}
+
 /// A tag of several requests: each begins and ends between two values.
 #[tokio::test]
 async fn no_request_splits_a_value() {
