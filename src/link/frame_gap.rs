@@ -229,6 +229,34 @@ mod tests {
         }
     }
 
+    #[test]
+    fn the_number_of_long_gaps_shrinks_only_after_as_many_good_short_ones() {
+        let mut line = Line::new();
+        let lose = |line: &mut Line, good: u32| {
+            for _ in 0..good {
+                assert!(line.ask(1, |gap| gap == SHORT));
+            }
+            line.ask(1, |_| false);
+            line.ask(1, |_| true);
+            let State::Long { left } = line.gap.state else { panic!("{:?}", line.gap) };
+            (0..left).for_each(|_| assert!(line.ask(1, |gap| gap == LONG)));
+            left
+        };
+        assert_eq!(lose(&mut line, 10), FIRST);
+        assert_eq!(lose(&mut line, 10), FIRST * GROWTH, "10 exchanges prove little");
+        assert_eq!(lose(&mut line, FIRST * GROWTH * GROWTH), FIRST);
+    }
+
+    #[test]
+    fn a_silent_station_does_not_clear_the_suspicion_of_another() {
+        let mut gap = FrameGap::new(GapLengths { short: SHORT, long: LONG });
+        let now = Instant::now();
+        gap.replied(1, now, now);
+        gap.gave_up(1, true, now + SHORT);
+        gap.gave_up(2, false, now + LONG);
+        assert!(gap.replied(1, now + 2 * LONG, now + 2 * LONG), "station 1 answers after a long gap");
+    }
+
     /// Its caller may never ask it again.
     #[test]
     fn the_suspicion_of_a_station_that_is_not_asked_again_ends() {
