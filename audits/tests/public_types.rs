@@ -49,6 +49,13 @@ const OPEN_TRAITS: &[(&str, &str)] = &[
     ("Execute", "needs `Command`, which is sealed"),
     ("FieldReader", "`fatek decode` implements it to note the fields; a new method must have a body"),
     ("FieldWriter", "like `FieldReader`, whose counterpart it is"),
+    ("FromTag", "own types are read from tags"),
+    ("FromTags", "own types are read from several tags"),
+    ("IntoAssignment", "own types are assignments"),
+    ("IntoAssignments", "own lists of assignments are written"),
+    ("IntoTag", "own types name a tag"),
+    ("IntoTagValues", "own types are written to tags"),
+    ("TagSet", "own types name several tags"),
 ];
 
 #[derive(Default)]
