@@ -159,6 +159,9 @@ def restarted(fatek):
 
 def main():
     fatek = str(pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else "target/debug/fatek").resolve())
+    if not pathlib.Path(fatek).is_file():
+        print(f"{fatek} is missing: build it with `cargo build --features cli`", file=sys.stderr)
+        return 2
     with contextlib.ExitStack() as stack:
         try:
             if shutil.which("ip") is None:

@@ -17,9 +17,9 @@
 //! ```
 //!
 //! A range is a [`Tag`]: `R0-R3839`, `DR0-DR98`, `M0-M1911`, `WM0-WM96`. Of its type only one thing
-//! matters: whether a value takes two registers, as in `R0-R9:f32`. Such pairs, like elements of 32
-//! bits, are never split between two requests. They are written whole if one half differs, and
-//! missing if the PLC refuses one half. Two ranges of a backup must not share memory, as `R0-R9`
+//! matters: how many registers a value takes, such as two in `R0-R9:f32`. Such values, like elements
+//! of 32 bits, are never split between two requests. They are written whole if a part differs, and
+//! missing if the PLC refuses a part. Two ranges of a backup must not share memory, as `R0-R9`
 //! and `DR4` would.
 //!
 //! # Contents
@@ -90,7 +90,7 @@
 //! read-only.
 //!
 //! **Forced discretes.** A disabled discrete (42) was forced to its state, perhaps for safety. It
-//! stays as it is, and [`RestoreReport::forced`] names it, and words and values of two words with
+//! stays as it is, and [`RestoreReport::forced`] names it, and words and values of several words with
 //! such a discrete. [`RestoreOptions::write_forced`] writes them.
 
 mod block;
@@ -198,7 +198,8 @@ impl Backup {
         Ok(Self { station: None, origin: Origin::default(), blocks, unknown_fields: Vec::new() })
     }
 
-    /// Its ranges, in the given order. Those of pairs have the type `u32`.
+    /// Its ranges, in the given order. Those with values of several registers have the type `u32` or
+    /// `u64`.
     pub fn ranges(&self) -> impl Iterator<Item = Tag> {
         self.blocks.iter().map(|block| block.range)
     }
@@ -248,7 +249,7 @@ impl Backup {
     ///
     /// # Errors
     /// [`InvalidBackup::NotIn`] for a range that is not wholly within one of this backup,
-    /// [`InvalidBackup::SplitsPair`] for one that would split a value of two registers,
+    /// [`InvalidBackup::SplitsPair`] for one that would split a value of several registers,
     /// [`InvalidBackup::Empty`] and [`InvalidBackup::Overlap`].
     pub fn select(&self, ranges: impl IntoIterator<Item = Tag>) -> Result<Self, InvalidBackup> {
         let mut selected = Vec::new();

@@ -29,7 +29,7 @@ pub struct RestoreReport {
     pub to_write: Vec<Tag>,
     /// Elements that the PLC refused to read or to write.
     pub refused: Vec<RefusedRange>,
-    /// Forced discretes that differ and were not written, and words and values of two words with
+    /// Forced discretes that differ and were not written, and words and values of several words with
     /// such a discrete.
     pub forced: Vec<Tag>,
     /// Inputs, and contacts of timers and counters, which are never written.

@@ -4,7 +4,7 @@ use std::fmt;
 
 use bytes::{Bytes, BytesMut};
 
-use super::framing::{decode_reply, write_reply};
+use super::framing::{check_request, decode_reply, write_reply};
 use super::text::Data;
 use super::{Code, Command, InvalidRequest, ReplyError, Request, with_command};
 use crate::error::ErrorCode;
@@ -35,10 +35,7 @@ impl Frame {
     /// # Errors
     /// [`InvalidRequest`] if the request cannot be sent in this framing, or for station 255.
     pub fn request<C: Command>(station: u8, command: &C, framing: Framing) -> Result<Self, InvalidRequest> {
-        command.check(framing)?;
-        if station == u8::MAX {
-            return Err(InvalidRequest::Station { station });
-        }
+        check_request(command, framing, station)?;
         let data = match framing {
             Framing::Ascii => ascii(|fields| command.write_request(fields)),
             Framing::Binary => binary(|fields| command.write_request(fields)),

@@ -30,12 +30,15 @@ pub fn encode_request<C: Command>(
     station: u8,
     dst: &mut BytesMut,
 ) -> Result<(), InvalidRequest> {
-    request.check(framing)?;
-    if station == u8::MAX {
-        return Err(InvalidRequest::Station { station });
-    }
+    check_request(request, framing, station)?;
     encode_spelled(request, request.plain(), framing, station, dst);
     Ok(())
+}
+
+/// Checks that a request can be sent in a framing to a station, or as a broadcast.
+pub(super) fn check_request<C: Command>(request: &C, framing: Framing, station: u8) -> Result<(), InvalidRequest> {
+    request.check(framing)?;
+    if station == u8::MAX { Err(InvalidRequest::Station { station }) } else { Ok(()) }
 }
 
 /// Appends a request in one of its spellings. The caller has called [`Command::check`] for this

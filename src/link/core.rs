@@ -305,9 +305,9 @@ impl Core {
     /// Notes that the open connection is to one of several addresses of the host. If no reply has come
     /// from it yet, it may be the wrong one: the connection is replaced at the first call without an
     /// answer.
-    pub(crate) fn has_other_addresses(&mut self) {
+    pub(crate) fn note_other_addresses(&mut self) {
         if !self.connection.is_address_proven() {
-            self.mute.is_on_trial();
+            self.mute.begin_trial();
         }
     }
 

@@ -516,7 +516,7 @@ impl Driver {
                 self.sent_until = None;
                 self.core.connected(Instant::now());
                 if has_other_addresses {
-                    self.core.has_other_addresses();
+                    self.core.note_other_addresses();
                 }
                 self.state.send_replace(LinkState::Up);
             }

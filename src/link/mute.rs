@@ -45,7 +45,7 @@ impl MuteDetector {
     }
 
     /// Notes that a new connection may be to the wrong address.
-    pub(crate) fn is_on_trial(&mut self) {
+    pub(crate) fn begin_trial(&mut self) {
         self.on_trial = true;
     }
 
@@ -99,7 +99,7 @@ mod tests {
         let now = Instant::now();
         for (limit, mute_for) in [(Some(5 * SECOND), Some(SECOND)), (None, None)] {
             let mut detector = MuteDetector::new(limit);
-            detector.is_on_trial();
+            detector.begin_trial();
             assert_eq!(detector.mute_for(now), None);
             detector.unanswered(now, false);
             assert_eq!(detector.mute_for(now + SECOND), None, "a probe of a station that is off");

@@ -108,10 +108,6 @@ where
         return station.call(request(first, values)?).await;
     }
     check_range(C::CODE, first.into(), count, station.link.framing())?;
-    let partly = |written: usize, error: Error| match written {
-        0 => error,
-        written => Error::PartlyWritten { written, count, source: Box::new(error) },
-    };
     // Writes are not repeated. Those since the last proof have an unknown result, even if none was
     // confirmed.
     let unknown = |written, source: Error| Error::PartlyWritten { written, count, source: Box::new(source) };
@@ -123,7 +119,7 @@ where
         match job.call(written, part, true).await {
             Ok(Outcome::Reply(JobReply { count, .. })) => written += count,
             Ok(Outcome::Rewind(confirmed)) => return Err(unknown(confirmed, duplicates())),
-            Err(error) => return Err(partly(written, error)),
+            Err(error) => return Err(partly(written, count, error)),
         }
     }
     match job.end().await {
@@ -132,6 +128,14 @@ where
         // All were acknowledged, but not confirmed.
         Err(error) => Err(unknown(job.first_held().unwrap_or(count), error)),
     }
+}
+
+/// The error of a write of `count` values, of which `written` were written before it.
+pub(super) fn partly(written: usize, count: usize, error: Error) -> Error {
+    if let Error::PartlyWritten { written: more, source, .. } = error {
+        return Error::PartlyWritten { written: written + more, count, source };
+    }
+    if written == 0 { error } else { Error::PartlyWritten { written, count, source: Box::new(error) } }
 }
 
 fn nth<E>(first: E, n: usize) -> Result<E, InvalidRequest>

@@ -5,6 +5,7 @@
 //!   are within the framing.
 //! - A value of several registers is read by one request and written by one request.
 
+use super::any_length::partly;
 use crate::command::{Command as _, WriteMixed};
 use crate::element::{Element, Value};
 use crate::error::Error;
@@ -202,14 +203,8 @@ fn items(group: &[Assignment]) -> Vec<(Element, Value)> {
 
 /// The number of assignments, from the first on, that are written by one request.
 fn together(assignments: &[Assignment], cost: &CostModel) -> usize {
-    let mut count = 1;
-    let is_mixed = |count: usize| {
-        let group = assignments.get(..count)?;
-        let write = WriteMixed::new(items(group)).ok()?;
-        write.check(cost.framing()).ok()?;
-        Some(())
-    };
     let framing = cost.framing();
+    let is_mixed = |group: &[Assignment]| WriteMixed::new(items(group)).is_ok_and(|write| write.check(framing).is_ok());
     // A request by itself has its frames and its turnaround, a part of a mixed write one name more
     // for each element but the first.
     let single = cost.request_time() + cost.byte_time() * u32::try_from(2 * framing.frame_overhead()).unwrap_or(0);
@@ -231,19 +226,12 @@ fn together(assignments: &[Assignment], cost: &CostModel) -> usize {
     if names(first) >= single {
         return 1;
     }
-    let joins = |count: usize| assignments.get(count).is_some_and(|next| names(next) < single && is_new(count, next));
-    while joins(count) && is_mixed(count + 1).is_some() {
-        count += 1;
-    }
-    count
-}
-
-/// The error of a write of `count` values, of which `written` were written before it.
-fn partly(written: usize, count: usize, error: Error) -> Error {
-    if let Error::PartlyWritten { written: more, source, .. } = error {
-        return Error::PartlyWritten { written: written + more, count, source };
-    }
-    if written == 0 { error } else { Error::PartlyWritten { written, count, source: Box::new(error) } }
+    let joins = |&count: &usize| match assignments.get(..=count) {
+        Some(group @ [.., next]) => names(next) < single && is_new(count, next) && is_mixed(group),
+        Some([]) | None => false,
+    };
+    let joined = (1..assignments.len()).take_while(joins).count();
+    1 + joined
 }
 
 #[cfg(test)]

@@ -84,7 +84,7 @@ fn a_probe_does_not_end_the_trial_of_an_address() {
     link.next_action();
     let mut call = link.call(2, read(1));
     link.core.connected(link.now);
-    link.core.has_other_addresses();
+    link.core.note_other_addresses();
     assert_eq!((link.expect_send(), &link.sent[1..3]), (Code::LoopBack, &b"01"[..]), "the probe");
     link.advance(TIMEOUT);
     link.next_action();
@@ -98,7 +98,7 @@ fn a_probe_does_not_end_the_trial_of_an_address() {
     assert!(address > 0);
     // A reply ends all trials.
     link.core.connected(link.now);
-    link.core.has_other_addresses();
+    link.core.note_other_addresses();
     for _ in 0..4 {
         if result(&mut call).is_some() {
             break;
