@@ -91,10 +91,12 @@ def switched_off(fatek):
 
 
 def two_addresses(fatek):
-    """Before: a first address that is off was the only one tried; over UDP, status 4 after 3.0 s."""
-    for scheme, limit in (("tcp", 3), ("udp", 3)):
-        status, took, text = read(fatek, f"{scheme}://plc.test:500")
-        seen = f"status {status} after {took:.1f} s {text}"
+    """Before: a first address that is off was the only one tried; over UDP, status 4 after 3.0 s, and later so
+    in 1 of 16 reads, since addresses were skipped at random."""
+    for scheme, limit in (("tcp", 2), ("udp", 2)):
+        results = [read(fatek, f"{scheme}://plc.test:500") for _ in range(8)]
+        status, took, text = max(results, key=lambda result: result[:2])
+        seen = f"8 reads, the worst with status {status} after {took:.1f} s {text}"
         report(f"name with two addresses, the first off, {scheme}", seen, f"{limit} s", status == 0 and took < limit)
 
 

@@ -36,6 +36,10 @@ pub(crate) struct Connection {
 /// Connections in a row without a reply, after which another address is tried.
 const LOST: u32 = 3;
 
+/// Connections in a row without a reply, during which no address is skipped: a single call makes
+/// three or four, and each address is to get one of them.
+const IN_ORDER: u32 = 5;
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ConnectionState {
     Down { retry_at: Option<Instant> },
@@ -73,8 +77,9 @@ impl Connection {
     /// The number of the host's address to be used next.
     ///
     /// It stays the same once a reply has come, until [`LOST`] connections in a row had none. Without
-    /// a reply it changes with each connection, mostly to the next address. Sometimes one is skipped:
-    /// else a link whose stations take turns could ask each of them at one address only.
+    /// a reply it changes with each connection, to the next address for the first [`IN_ORDER`] times.
+    /// Later one is sometimes skipped: else a link whose stations take turns could ask each of them at
+    /// one address only.
     pub(crate) fn address(&self) -> usize {
         self.address
     }
@@ -129,7 +134,7 @@ impl Connection {
         self.failures = self.failures.saturating_add(1).min(31);
         self.is_address_proven &= self.failures < LOST;
         if !self.is_address_proven {
-            let skip = usize::from(self.random.next().is_multiple_of(4));
+            let skip = usize::from(self.failures > IN_ORDER && self.random.next().is_multiple_of(4));
             self.address = self.address.wrapping_add(1).wrapping_add(skip);
         }
         let delay = self.random.jitter(doubled.min(longest));
@@ -160,6 +165,25 @@ mod tests {
             }
             connection.failed(now);
             assert!(connection.address() > good && !connection.is_address_proven());
+        }
+    }
+
+    /// An address that was skipped at random kept 1 of 16 calls from the second of two addresses.
+    #[test]
+    fn the_first_attempts_skip_no_address() {
+        for seed in 0..100 {
+            let mut connection = Connection::new((Duration::ZERO, Duration::ZERO), Random::new(seed));
+            for number in 0..5 {
+                assert_eq!(connection.address(), number, "seed {seed}");
+                connection.failed(Instant::now());
+            }
+            connection.opened();
+            connection.replied();
+            let proven = connection.address();
+            (0..LOST - 1).for_each(|_| connection.failed(Instant::now()));
+            assert_eq!(connection.address(), proven, "seed {seed}");
+            connection.failed(Instant::now());
+            assert_eq!(connection.address(), proven + 1, "seed {seed}");
         }
     }
 
