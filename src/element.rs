@@ -160,6 +160,11 @@ impl Element {
         let Some(symbol) = Symbol::from_letters(letters) else {
             return Err(ElementError::UnknownSymbol);
         };
+        Self::parse_address(symbol, digits)
+    }
+
+    /// Parses the decimal digits behind a symbol.
+    pub(crate) const fn parse_address(symbol: Symbol, digits: &[u8]) -> Result<Self, ElementError> {
         if digits.is_empty() {
             return Err(ElementError::MissingAddress { symbol });
         }

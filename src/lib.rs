@@ -125,7 +125,11 @@ mod settings;
 pub mod sim;
 #[allow(clippy::arithmetic_side_effects, reason = "counts are checked before the first request")]
 mod station;
-#[allow(clippy::arithmetic_side_effects, reason = "counts and digits are checked when a tag is parsed")]
+#[allow(
+    clippy::arithmetic_side_effects,
+    clippy::indexing_slicing,
+    reason = "counts and digits are checked when a tag is parsed; constant functions over its text"
+)]
 pub mod tag;
 mod transfer;
 mod transport;

@@ -1,3 +1,4 @@
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -273,6 +274,7 @@ impl LinkBuilder {
             response_timeout: timeout,
             shared: Arc::new(Shared::new(driver)),
             spares: SpareSlots::default(),
+            modifying: AssertUnwindSafe(tokio::sync::Mutex::default()),
             state: watcher,
             stats,
             line: self.line,

@@ -49,6 +49,7 @@ mod test_line;
 use std::fmt;
 use std::future::Future;
 use std::io;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -107,6 +108,8 @@ struct LinkInner {
     response_timeout: Duration,
     shared: Arc<Shared>,
     spares: SpareSlots,
+    /// Held while bits of a register are read, changed and written.
+    modifying: AssertUnwindSafe<tokio::sync::Mutex<()>>,
     state: watch::Receiver<LinkState>,
     stats: Arc<SharedStats>,
     /// The serial line, if it is one.
@@ -247,6 +250,11 @@ impl Link {
     #[must_use]
     pub fn stats(&self) -> LinkStats {
         self.inner.stats.link_stats()
+    }
+
+    /// Waits until no other caller changes bits of a register.
+    pub(crate) async fn turn_to_modify(&self) -> tokio::sync::MutexGuard<'_, ()> {
+        self.inner.modifying.lock().await
     }
 
     /// Returns whether the link has been closed, or its task has ended.

@@ -5,7 +5,8 @@
 //! gain: the nearest value is written, as for text.
 
 use super::codec::Number;
-use super::{Storage, Tag, TagAccessError, TagValue};
+use super::types::Storage;
+use super::{Tag, TagAccessError, TagValue, ValueError};
 use crate::command::Value;
 
 /// A Rust type that holds the values of one tag: numbers, `bool`, `String`, [`TagValue`], and `Vec`s
@@ -191,12 +192,15 @@ fn number_for(tag: &Tag, number: Number) -> Option<TagValue> {
     match (tag.storage, tag.scale) {
         (Storage::Bits(..), Some(_)) => Some(TagValue::Scaled(number.as_f64())),
         (Storage::Bits(format, _), None) => format.take(number),
-        (Storage::Text(_), _) => None,
+        (Storage::Text(_) | Storage::BitsOf(_), _) => None,
     }
 }
 
 /// The value of a single one, checked by encoding it: also its raw number must fit.
 fn single(tag: &Tag, value: Option<TagValue>, given: impl ToString) -> Result<Vec<TagValue>, TagAccessError> {
+    if tag.is_bits_of_register() {
+        return Err(TagAccessError::BitsOfRegister(ValueError::BitsOfRegister { tag: *tag }));
+    }
     let misfit = || TagAccessError::Misfit { tag: *tag, given: given.to_string() };
     let values = vec![value.ok_or_else(misfit)?];
     tag.encode(&values).map_err(|_| misfit())?;
