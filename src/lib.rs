@@ -140,16 +140,18 @@ pub use command::InvalidRequest;
 pub use element::{Discrete, Element, Register, Register32, Symbol, Value, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode, Seen};
+#[cfg(feature = "derive")]
+pub use fatek_derive::Tags;
 pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
 pub use plan::{CostModel, Limits, Plan};
 pub use poll::Poller;
 pub use pool::{Pool, PoolBuilder, PoolError, PoolStats};
 pub use program::Program;
 pub use station::{Broadcast, Station};
-pub use tag::Tag;
+pub use tag::{Tag, Tags};
 pub use wire::Framing;
 
 /// Compiles and runs the examples of the README.
-#[cfg(all(doctest, feature = "sim"))]
+#[cfg(all(doctest, feature = "sim", feature = "derive"))]
 #[doc = include_str!("../README.md")]
 pub struct Readme;

@@ -64,6 +64,7 @@ mod readings;
 mod reply;
 mod request;
 mod solve;
+mod struct_plan;
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -77,6 +78,7 @@ pub use readings::PlanReadings;
 pub use reply::Reply;
 pub(crate) use reply::ReplyWords;
 pub use request::{PlannedRequest, ReadRequest};
+pub use struct_plan::StructPlan;
 
 use crate::error::Error;
 use crate::station::{JobReply, Outcome, Station, StationJob};

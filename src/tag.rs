@@ -66,6 +66,7 @@ mod codec;
 mod coding;
 mod convert;
 mod error;
+mod fields;
 mod macros;
 mod parse;
 mod scale;
@@ -81,12 +82,15 @@ pub use convert::{FromTag, IntoTagValues};
 pub use error::{
     ParseAssignmentError, ParseTagError, ParseTagTypeError, ParseValueError, TagAccessError, TagError, ValueError,
 };
+#[doc(hidden)]
+pub use fields::fits_type;
+pub use fields::{Field, Tags};
 pub use scale::{Scale, ScaleError};
 pub use sets::{FromTags, IntoAssignment, IntoAssignments, IntoTag, One, Several, TagSet};
 pub use types::{TagType, TagValue};
 
 use self::bits::BitRange;
-use self::types::Storage;
+use self::types::{Storage, ValueKind};
 use crate::command::MAX_UNITS;
 use crate::element::{Element, ElementError, MemoryArea};
 use crate::wire::Framing;
@@ -215,33 +219,33 @@ impl Tag {
 
     /// The first element.
     #[must_use]
-    pub fn first(&self) -> Element {
+    pub const fn first(&self) -> Element {
         self.first
     }
 
     /// The data type.
     #[must_use]
-    pub fn tag_type(&self) -> TagType {
+    pub const fn tag_type(&self) -> TagType {
         self.tag_type
     }
 
     /// Gain and offset, if it has them.
     #[must_use]
-    pub fn scale(&self) -> Option<Scale> {
+    pub const fn scale(&self) -> Option<Scale> {
         self.scale
     }
 
     /// Number of elements.
     #[must_use]
-    pub fn element_count(&self) -> usize {
+    pub const fn element_count(&self) -> usize {
         self.count
     }
 
     /// Number of values; 1 for a text.
     #[must_use]
-    pub fn value_count(&self) -> usize {
+    pub const fn value_count(&self) -> usize {
         match self.storage {
-            Storage::BitsOf(bits) => bits.count.into(),
+            Storage::BitsOf(bits) => bits.count as usize,
             Storage::Bits(..) | Storage::Text(_) => self.slot_count(),
         }
     }
@@ -249,15 +253,25 @@ impl Tag {
     /// Number of elements per value: 2 for 32 bits and 4 for 64 bits on 16-bit registers, 2 for 64
     /// bits on 32-bit registers, all for a text, else 1. All bits of a register come from one.
     #[must_use]
-    pub fn elements_per_value(&self) -> usize {
+    pub const fn elements_per_value(&self) -> usize {
         match self.storage {
             Storage::Text(_) => self.count,
             Storage::Bits(..) | Storage::BitsOf(_) => self.storage.elements_per_value(self.first.width()),
         }
     }
 
+    /// The kind of its values.
+    const fn kind(&self) -> ValueKind {
+        match (self.storage, self.scale) {
+            (Storage::Bits(..), Some(_)) => ValueKind::Scaled,
+            (Storage::Bits(format, _), None) => format.kind(),
+            (Storage::Text(_), _) => ValueKind::Text,
+            (Storage::BitsOf(_), _) => ValueKind::Bool,
+        }
+    }
+
     /// Number of parts that are read as a whole: values, or the register of bits.
-    pub(crate) fn slot_count(&self) -> usize {
+    pub(crate) const fn slot_count(&self) -> usize {
         self.count / self.elements_per_value()
     }
 

@@ -57,7 +57,8 @@ impl CostModel {
     }
 
     /// Costs of a link: of its serial line if known, else of a network with a 5 ms round trip.
-    pub(crate) fn of_link(link: &Link) -> Self {
+    #[must_use]
+    pub fn of_link(link: &Link) -> Self {
         match link.line() {
             Some(line) => Self::line(line, link.framing()),
             None => Self::network(link.framing(), DEFAULT_RESPONSE_TIME),

@@ -53,6 +53,18 @@ pub trait FromTag: Sized {
 
 macro_rules! numbers {
     ($($name:ident: $($variant:ident)* | $($digits:ident)*;)*) => {
+        impl ValueKind {
+            /// Returns whether a Rust type, by its name, holds all values of this kind.
+            pub(super) const fn is_held_by(self, rust_type: &str) -> bool {
+                $(
+                    if is_equal_in_either_case(rust_type.as_bytes(), stringify!($name).as_bytes()) {
+                        return matches!(self, $(Self::$variant)|* $(| Self::$digits)*);
+                    }
+                )*
+                matches!(self, Self::Text) && matches!(rust_type.as_bytes(), b"String")
+            }
+        }
+
         $(
             impl $crate::tag::FromTag for $name {
                 fn type_name() -> String {

@@ -373,6 +373,14 @@ macro_rules! formats {
             $($variant,)*
         }
 
+        /// The kind of a [`TagValue`].
+        #[derive(Clone, Copy)]
+        pub(super) enum ValueKind {
+            $($variant,)*
+            Scaled,
+            Text,
+        }
+
         /// A value of a tag.
         ///
         /// Displays as text that parses to the same value: floats in their shortest form, texts in
@@ -395,6 +403,12 @@ macro_rules! formats {
             pub(super) const fn bits(self) -> u32 {
                 match self {
                     $(Self::$variant => <$codec as Codec>::BITS,)*
+                }
+            }
+
+            pub(super) const fn kind(self) -> ValueKind {
+                match self {
+                    $(Self::$variant => ValueKind::$variant,)*
                 }
             }
 

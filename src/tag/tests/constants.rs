@@ -64,6 +64,36 @@ fn the_rules_of_constants_name_the_fault() {
     }
 }
 
+/// The check of the compiler against that of a call, for each type of a tag and of Rust.
+#[test]
+fn the_compiler_accepts_the_types_that_a_call_accepts() {
+    let tags = TagType::ALL.iter().flat_map(|&tag_type| {
+        let firsts = [element!("M0"), element!("R0"), element!("DR0")];
+        firsts.into_iter().flat_map(move |first| [1, 3].map(|count| Tag::new(first, tag_type, count)))
+    });
+    let mut tags: Vec<Tag> = tags.filter_map(Result::ok).collect();
+    tags.extend(["R0:u16*0.5", "R0:f32+1", "R5.3", "R5.0-R5.2", "R0-R9:text"].map(tag));
+    let mut accepted = 0;
+    for tag in &tags {
+        macro_rules! compare {
+            ($($name:ident)*) => {
+                $(
+                    let fits = [
+                        <$name as FromTag>::fits(tag),
+                        <[$name; 3] as FromTag>::fits(tag),
+                        <Vec<$name> as FromTag>::fits(tag),
+                    ];
+                    let checked = [Some(1), Some(3), None].map(|count| fits_type(tag, stringify!($name), count));
+                    assert_eq!(checked, fits, "{tag} as {}", stringify!($name));
+                    accepted += fits.iter().filter(|&&fits| fits).count();
+                )*
+            };
+        }
+        compare!(bool u16 i16 u32 i32 u64 i64 f32 f64 String);
+    }
+    assert!(accepted > 100 && !fits_type(&tags[0], "Bar", None), "{accepted}");
+}
+
 proptest! {
     #[test]
     fn any_text_is_the_same_tag_in_a_constant(

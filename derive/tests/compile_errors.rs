@@ -1,0 +1,54 @@
+//! Faults that `cargo check` finds: each file of `tests/ui` is checked as a program of its own. Its
+//! comments `//~ TEXT` are texts that the compiler must print; a file without one must be accepted.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::{env, fs};
+
+/// A package with the cases as programs, in the directory for temporary files of tests.
+fn package(cases: &[PathBuf]) -> PathBuf {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let package = Path::new(env!("CARGO_TARGET_TMPDIR")).join("compile_errors");
+    let _ = fs::remove_dir_all(&package);
+    let programs = package.join("src/bin");
+    fs::create_dir_all(&programs).unwrap();
+    let fatek = root.canonicalize().unwrap();
+    let manifest = format!(
+        "[package]\nname = \"cases\"\nversion = \"0.0.0\"\nedition = \"2024\"\n[dependencies]\n\
+         fatek = {{ path = {fatek:?}, default-features = false, features = [\"derive\"] }}\n[workspace]\n"
+    );
+    fs::write(package.join("Cargo.toml"), manifest).unwrap();
+    // The versions that are built here anyway, so that nothing is downloaded.
+    fs::copy(root.join("Cargo.lock"), package.join("Cargo.lock")).unwrap();
+    for case in cases {
+        fs::copy(case, programs.join(case.file_name().unwrap())).unwrap();
+    }
+    package
+}
+
+#[test]
+fn faults_of_tags_are_found_by_cargo_check() {
+    let ui = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ui");
+    let mut cases: Vec<PathBuf> = fs::read_dir(ui).unwrap().map(|entry| entry.unwrap().path()).collect();
+    cases.sort();
+    assert!(cases.len() > 10, "{cases:?}");
+    let package = package(&cases);
+    let mut wrong = Vec::new();
+    for case in &cases {
+        let name = case.file_stem().unwrap().to_str().unwrap();
+        let checked = Command::new(env!("CARGO"))
+            .args(["check", "--offline", "--quiet", "--bin", name])
+            .current_dir(&package)
+            .env("CARGO_TARGET_DIR", package.join("target"))
+            .output()
+            .unwrap();
+        let printed = String::from_utf8_lossy(&checked.stderr).into_owned();
+        let source = fs::read_to_string(case).unwrap();
+        let expected: Vec<&str> = source.lines().filter_map(|line| Some(line.split_once("//~ ")?.1.trim())).collect();
+        let missing: Vec<&&str> = expected.iter().filter(|text| !printed.contains(**text)).collect();
+        if checked.status.success() != expected.is_empty() || !missing.is_empty() {
+            wrong.push(format!("{name}: {}, missing: {missing:?}\n{printed}", checked.status));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
