@@ -131,6 +131,8 @@ mod station;
     reason = "counts and digits are checked when a tag is parsed; constant functions over its text"
 )]
 pub mod tag;
+#[cfg(feature = "config")]
+pub mod tag_table;
 mod transfer;
 mod transport;
 pub mod wire;

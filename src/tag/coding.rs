@@ -67,17 +67,29 @@ impl Tag {
     /// # Errors
     /// [`ParseValueError`], with the value and the rule that it breaks.
     pub fn parse_values(&self, text: &str) -> Result<Vec<TagValue>, ParseValueError> {
-        Ok(self.parse_and_encode(text)?.0)
+        // Bits of a register are values, but not encoded.
+        if self.is_bits_of_register() { self.parse_each(text, |_| Ok(())) } else { Ok(self.parse_and_encode(text)?.0) }
     }
 
     /// Parses values, and encodes them for the elements.
     pub(super) fn parse_and_encode(&self, text: &str) -> Result<(Vec<TagValue>, Vec<Value>), ParseValueError> {
+        let mut raw = Vec::new();
+        let values = self.parse_each(text, |value| self.encode_one(value, &mut raw))?;
+        Ok((values, raw))
+    }
+
+    /// Parses values, and checks each.
+    fn parse_each(
+        &self,
+        text: &str,
+        mut check: impl FnMut(&TagValue) -> Result<(), ValueError>,
+    ) -> Result<Vec<TagValue>, ParseValueError> {
         let error = |input: &str, reason| ParseValueError::new(input, *self, reason);
-        let (mut values, mut raw) = (Vec::new(), Vec::new());
+        let mut values = Vec::new();
         let mut take = |item: &str| {
             let item = item.trim();
             let value = self.parse_one(item).map_err(|reason| error(item, reason))?;
-            self.encode_one(&value, &mut raw).map_err(|reason| error(item, reason))?;
+            check(&value).map_err(|reason| error(item, reason))?;
             values.push(value);
             Ok(())
         };
@@ -92,7 +104,7 @@ impl Tag {
             }
             text.split(',').try_for_each(take)?;
         }
-        Ok((values, raw))
+        Ok(values)
     }
 
     /// Values of this tag, all zero.

@@ -8,6 +8,7 @@ mod control;
 mod decode;
 mod duration;
 mod failure;
+mod names;
 mod output;
 mod ping;
 mod plan;
@@ -85,7 +86,12 @@ fn report(failure: &Failure) -> ExitCode {
     if failure.is_broken_pipe() {
         return ExitCode::SUCCESS;
     }
-    complain(format_args!("error: {failure}"));
+    if let Failure::Table(_) = failure {
+        // One line for each fault; the texts of the file in it are escaped.
+        format!("error: {failure}").lines().for_each(|line| complain(format_args!("{line}")));
+    } else {
+        complain(format_args!("error: {failure}"));
+    }
     if let Failure::Usage(_) = failure {
         complain(format_args!(""));
         complain(format_args!("For more information, try '--help'."));
@@ -105,8 +111,14 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     runtime.block_on(async {
         match &cli.command {
             Command::Sim(args) => sim::sim(args).await,
-            Command::Read(args) => read::read(&station(&args.plc)?, &args.tags, output).await,
-            Command::Write(args) => write::write(&station(&args.plc)?, &args.assignments, output).await,
+            Command::Read(args) => {
+                let tags = args.table.tags(&args.tags)?;
+                read::read(&station(&args.plc)?, &tags, output).await
+            }
+            Command::Write(args) => {
+                let writes = args.table.writes(&args.assignments, args.modify_bits)?;
+                write::write(&station(&args.plc)?, &writes, output).await
+            }
             Command::Status(args) => status::status(&station(&args.plc)?, output).await,
             Command::Run(args) => control::plc(&station(&args.plc)?, ControlPlc::Run, output).await,
             Command::Stop(args) => control::plc(&station(&args.plc)?, ControlPlc::Stop, output).await,
