@@ -3,10 +3,13 @@
 use fatek::tag::Tag;
 use fatek::{Element, Error, Station, Value};
 
+use crate::args::ReadArgs;
 use crate::failure::Failure;
 use crate::output::{Output, Rows};
 
-pub(crate) async fn read(station: &Station, tags: &[Tag], output: &Output) -> Result<(), Failure> {
+pub(crate) async fn read(station: &Station, args: &ReadArgs, output: &Output) -> Result<(), Failure> {
+    let tags = &args.tags;
+    args.model.check(station, tags.iter().copied()).await?;
     let mut rows = Rows::new(["tag", "type", "value"]);
     for tag in tags {
         let raw = fetch(station, tag).await.map_err(Failure::of(tag))?;

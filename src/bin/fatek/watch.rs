@@ -4,7 +4,7 @@ use std::pin::pin;
 use std::time::SystemTime;
 
 use fatek::Station;
-use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass};
+use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass, StationPolling};
 use fatek::tag::Tag;
 use futures::StreamExt;
 use humantime::format_rfc3339_millis;
@@ -18,7 +18,8 @@ pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) 
     let mut stop = Stop::new()?;
     let mut closed = pin!(stdout_closed());
     let mut poller = Poller::new();
-    let polled = poller.station(station).map_err(Failure::usage)?;
+    let limits = args.model.check(station, args.tags.iter().copied()).await?;
+    let polled = poller.handle().station_with(station, StationPolling::new().limits(limits)).map_err(Failure::usage)?;
     // One tag per value, so that each change is reported alone.
     let tags: Vec<Tag> = args.tags.iter().flat_map(Tag::singles).collect();
     let class = ScanClass::every(args.interval);

@@ -2,17 +2,33 @@
 
 use std::cell::Cell;
 
+use fatek::memory_map::special_range;
 use fatek::tag::Assignment;
-use fatek::{Error, Station};
+use fatek::{Element, Error, Station};
 
+use crate::args::WriteArgs;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::signal::unless_signalled;
 
-pub(crate) async fn write(station: &Station, assignments: &[Assignment], output: &Output) -> Result<(), Failure> {
+pub(crate) async fn write(station: &Station, args: &WriteArgs, output: &Output) -> Result<(), Failure> {
+    let assignments = args.assignments.as_slice();
+    let tags = || assignments.iter().map(Assignment::tag);
+    refuse_special(args.special, tags().flat_map(|tag| tag.elements()))?;
+    args.model.check(station, tags()).await?;
     let done = Cell::new(0);
     let ended = unless_signalled(write_all(station, assignments, output, &done)).await?;
     ended.map_err(|signal| Failure::interrupted(progress(assignments, done.get()))(signal))?
+}
+
+/// Refuses elements of a special range, unless `--special` was given.
+pub(crate) fn refuse_special(allowed: bool, mut elements: impl Iterator<Item = Element>) -> Result<(), Failure> {
+    match elements.find_map(|element| Some((element, special_range(element)?))) {
+        Some((element, range)) if !allowed => Err(Failure::Usage(format!(
+            "{element} is special ({range}): writing it can cause system or I/O errors; to write it, give --special"
+        ))),
+        Some(_) | None => Ok(()),
+    }
 }
 
 /// Writes the values in their order. `done`: the number of assignments written.

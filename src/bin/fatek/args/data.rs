@@ -7,7 +7,7 @@ use fatek::Discrete;
 use fatek::tag::{Assignment, Tag};
 use fatek::wire::Framing;
 
-use super::{LinkArgs, Plc};
+use super::{LinkArgs, ModelArgs, Plc};
 use crate::duration;
 
 /// Read tags and print their values
@@ -26,6 +26,8 @@ pub(crate) struct ReadArgs {
     /// Element or range, with an optional type: R5, R0-R9, R100:f32, R5:i16*0.1, WY8:hex, M0-M7
     #[arg(required = true, value_name = "TAG")]
     pub(crate) tags: Vec<Tag>,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -54,6 +56,14 @@ pub(crate) struct WriteArgs {
     /// Tag with its value or values: R0=5, R100:f32=1.5, R0-R2=1,2,3
     #[arg(required = true, value_name = "TAG=VALUE")]
     pub(crate) assignments: Vec<Assignment>,
+    /// Write special elements, too: R3840-R4167 and M1912-M2001
+    ///
+    /// Writing them can cause system or I/O errors, or cut the line. Without it nothing is written if
+    /// a tag touches them.
+    #[arg(long)]
+    pub(crate) special: bool,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -63,6 +73,9 @@ pub(crate) struct DiscreteArgs {
     /// Discrete: X, Y, M, S, T or C with an address, such as Y3
     #[arg(required = true, value_name = "DISCRETE")]
     pub(crate) discretes: Vec<Discrete>,
+    /// Change special relays, too: M1912-M2001
+    #[arg(long)]
+    pub(crate) special: bool,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -96,6 +109,8 @@ pub(crate) struct WatchArgs {
     /// Number of lines before exit, 1 or more [default: unlimited]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), value_name = "N")]
     pub(crate) count: Option<u64>,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
