@@ -263,8 +263,8 @@ fn the_memory_map_of_a_model_is_checked_first() {
     let counted = sim.fatek(&["read", "D3072", "--model", "auto"]);
     assert_eq!(counted.status, 2, "{counted:?}");
     assert!(counted.stderr.contains("D3072 is not in the memory map of this PLC by its status (53)"), "{counted:?}");
-    let unknown = sim.fatek(&["read", "R0", "--model", "m-1"]);
-    assert!(unknown.usage().contains("`m-1` is not a known model (known: fbe-28mc fbs-20mc)"), "{unknown:?}");
+    let unknown = sim.fatek(&["read", "R0", "--model", "m-1"]).usage();
+    assert!(unknown.contains("`m-1` is not a known model (known: fbe-28mc fbs-20mc)"), "{unknown}");
 }
 
 #[test]
