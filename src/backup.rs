@@ -107,7 +107,7 @@ mod target;
 use std::fmt;
 
 pub use self::error::{BackupError, InvalidBackup, RestoreError, RestoreFailure};
-pub use self::options::RestoreOptions;
+pub use self::options::{RestoreOptions, SpecialElements};
 pub use self::report::{RefusedRange, RestoreReport};
 pub use self::restore::Restore;
 pub use self::take::TakeBackup;

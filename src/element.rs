@@ -249,6 +249,14 @@ impl Element {
         first <= self.address() && self.address() <= last
     }
 
+    /// First and last address that it covers, of discretes or of 16-bit registers.
+    pub(crate) const fn covered(self) -> (u16, u16) {
+        // Consecutive elements are adjacent, so each covers as many addresses as the step. No element
+        // ends above 65535.
+        let first = self.address();
+        (first, first + (self.step() - 1))
+    }
+
     /// Returns whether elements follow each other without a gap from this one to one at this
     /// address.
     pub(crate) const fn is_consecutive_with(self, address: u16) -> bool {

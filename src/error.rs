@@ -7,6 +7,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::clock::ClockFailure;
 use crate::command::{Code, InvalidRequest};
 use crate::tag::TagAccessError;
 
@@ -234,6 +235,14 @@ pub enum Error {
         /// one request takes, can have been written. Values behind those were not written.
         source: Box<Error>,
     },
+    /// The clock of the PLC cannot be read or was not set.
+    #[non_exhaustive]
+    Clock {
+        /// The station.
+        station: u8,
+        /// The reason.
+        failure: Box<ClockFailure>,
+    },
     /// The link is closed, or its task has ended with its runtime.
     #[non_exhaustive]
     Closed {
@@ -302,6 +311,7 @@ impl fmt::Display for Error {
             Self::PartlyWritten { written, count, source } => {
                 write!(f, "{written} of {count} values were written, and then: {source}")
             }
+            Self::Clock { station, failure } => write!(f, "station {station}: {failure}"),
             Self::Closed { sent: _ } => f.write_str("the link is closed"),
         }
     }
@@ -320,6 +330,7 @@ impl std::error::Error for Error {
             Self::Tag(error) => error.source(),
             Self::Connect { source, .. } | Self::Disconnected { source, .. } => source.source(),
             Self::PartlyWritten { source, .. } => source.source(),
+            Self::Clock { failure, .. } => failure.call_error().and_then(std::error::Error::source),
             Self::Plc { .. }
             | Self::Timeout { .. }
             | Self::BadReply { .. }
@@ -348,6 +359,7 @@ impl Error {
         match self {
             Self::Timeout { .. } | Self::Offline { .. } => true,
             Self::PartlyWritten { source, .. } => source.is_timeout(),
+            Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_timeout),
             Self::Invalid(_)
             | Self::Tag(_)
             | Self::Plc { .. }
@@ -367,6 +379,7 @@ impl Error {
         match self {
             Self::Connect { .. } | Self::Disconnected { .. } => true,
             Self::PartlyWritten { source, .. } => source.is_connect(),
+            Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_connect),
             Self::Invalid(_)
             | Self::Tag(_)
             | Self::Plc { .. }
@@ -397,6 +410,7 @@ impl Error {
             | Self::Disconnected { .. }
             | Self::QueueFull { .. } => true,
             Self::PartlyWritten { source, .. } => source.is_transient(),
+            Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_transient),
             Self::Invalid(_) | Self::Tag(_) | Self::Plc { .. } | Self::Closed { .. } => false,
         }
     }
@@ -412,6 +426,7 @@ impl Error {
             Self::Invalid(_) | Self::Tag(_) | Self::QueueFull { .. } => false,
             Self::Plc { repeated, .. } => *repeated,
             Self::PartlyWritten { .. } => true,
+            Self::Clock { failure, .. } => failure.may_have_executed(),
             Self::Timeout { sent, .. }
             | Self::BadReply { sent, .. }
             | Self::OutOfStep { sent, .. }
@@ -436,6 +451,7 @@ impl Error {
         match self {
             Self::Plc { error, .. } => Some(*error),
             Self::PartlyWritten { source, .. } => source.error_code(),
+            Self::Clock { failure, .. } => failure.call_error().and_then(Self::error_code),
             Self::Invalid(_)
             | Self::Tag(_)
             | Self::Timeout { .. }

@@ -36,12 +36,14 @@
 //! - [`mod@element`]: the elements of a PLC: `X0`, `WM8`, `R12`, `DR100` …
 //! - [`tag`]: an element or a range with a type: `R100:f32`.
 //! - [`command`]: the fourteen commands, one type each.
+//! - [`memory_map`]: [`MemoryMap`], the elements that a model of PLC has.
 //! - [`plan`]: the cheapest requests for a set of tags.
 //! - [`poll`]: [`Poller`] polls tags periodically and yields samples as a stream.
 //! - [`wire`]: the two framings, usable alone.
 //! - [`link`]: [`Link`], one connection, with its options and counters.
 //! - [`Station`] and [`Broadcast`]: the handles to one PLC, and to all PLCs of a link.
 //! - [`pool`]: [`Pool`], links to many PLCs by endpoint.
+//! - [`clock`]: the clock of a PLC, read and set.
 //! - [`mod@backup`]: [`Backup`], ranges of registers and discretes: take, save, compare, restore.
 //! - [`program`]: [`Program`], all pages of the user program: read, save, compare, write.
 //! - [`file`](mod@file): saved files and their errors. [`progress`]: the progress of a transfer.
@@ -85,6 +87,8 @@
 )]
 
 pub mod backup;
+#[allow(clippy::arithmetic_side_effects, reason = "divisions by constants")]
+pub mod clock;
 #[allow(
     clippy::arithmetic_side_effects,
     clippy::indexing_slicing,
@@ -102,6 +106,7 @@ mod error;
 pub mod file;
 mod hex;
 pub mod link;
+pub mod memory_map;
 #[allow(
     clippy::arithmetic_side_effects,
     clippy::indexing_slicing,
@@ -138,6 +143,7 @@ mod transport;
 pub mod wire;
 
 pub use backup::Backup;
+pub use clock::Clock;
 pub use command::InvalidRequest;
 pub use element::{Discrete, Element, Register, Register32, Symbol, Value, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};
@@ -145,6 +151,7 @@ pub use error::{Error, ErrorCode, Seen};
 #[cfg(feature = "derive")]
 pub use fatek_derive::Tags;
 pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
+pub use memory_map::MemoryMap;
 pub use plan::{CostModel, Limits, Plan};
 pub use poll::Poller;
 pub use pool::{Pool, PoolBuilder, PoolError, PoolStats};

@@ -3,6 +3,7 @@
 mod any_length;
 mod backup;
 mod broadcast;
+mod clock;
 mod job;
 mod program;
 mod tags;

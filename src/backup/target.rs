@@ -6,6 +6,7 @@ use super::block::{Block, Cell, part, runs, runs_by, runs_of_values};
 use super::{Difference, RefusedRange};
 use crate::command::{Value, most_in_one_request};
 use crate::error::ErrorCode;
+use crate::memory_map::special_range;
 use crate::tag::Tag;
 
 /// The state of an element.
@@ -68,6 +69,25 @@ impl Target {
             })
         });
         Self { range: block.range, elements: elements.collect() }
+    }
+
+    /// The ranges of special elements, and of values with such an element.
+    pub(super) fn special(&self) -> Vec<Tag> {
+        let per_value = self.range.elements_per_value().max(1);
+        let special: Vec<bool> = self.range.elements().map(|element| special_range(element).is_some()).collect();
+        let runs = runs_of_values(&special, per_value, |&special| special);
+        runs.iter().map(|run| part(self.range, run)).collect()
+    }
+
+    /// Takes special elements as if the backup had no value of them.
+    pub(super) fn skip_special(&mut self) {
+        let per_value = self.range.elements_per_value().max(1);
+        let special: Vec<bool> = self.range.elements().map(|element| special_range(element).is_some()).collect();
+        for (value, special) in self.elements.chunks_mut(per_value).zip(special.chunks(per_value)) {
+            if special.contains(&true) {
+                value.iter_mut().for_each(|element| element.wanted = None);
+            }
+        }
     }
 
     /// Before the comparison.

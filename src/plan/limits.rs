@@ -181,7 +181,7 @@ impl Limits {
     }
 
     /// Returns the index of the readable range with this address; `None` if it is not readable.
-    pub(super) fn segment(&self, symbol: Symbol, address: u16) -> Option<u32> {
+    pub(crate) fn segment(&self, symbol: Symbol, address: u16) -> Option<u32> {
         let ranges = self.readable.for_symbol(symbol);
         if ranges.is_empty() {
             return Some(0);

@@ -179,11 +179,17 @@ fn of_call(error: &fatek::Error) -> u8 {
         fatek::Error::Connect { .. } | fatek::Error::Disconnected { .. } | fatek::Error::Closed { .. } => 5,
         fatek::Error::OutOfStep { sent: false, .. } => 4,
         fatek::Error::BadReply { .. } | fatek::Error::OutOfStep { .. } | fatek::Error::Duplicates { .. } => 6,
+        fatek::Error::Clock { .. } => 3,
         fatek::Error::QueueFull { .. } | fatek::Error::PartlyWritten { .. } | _ => 1,
     }
 }
 
 /// Cause of a failed call; for a write of several requests, that of the first failed request.
 fn cause(error: &fatek::Error) -> &fatek::Error {
-    if let fatek::Error::PartlyWritten { source, .. } = error { cause(source) } else { error }
+    let source = match error {
+        fatek::Error::PartlyWritten { source, .. } => Some(&**source),
+        fatek::Error::Clock { failure, .. } => failure.call_error(),
+        _ => None,
+    };
+    source.map_or(error, cause)
 }

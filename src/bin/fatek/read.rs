@@ -3,13 +3,15 @@
 use fatek::tag::Tag;
 use fatek::{Element, Error, Station, Value};
 
+use crate::args::ReadArgs;
 use crate::failure::Failure;
-use crate::names::NamedTag;
 use crate::output::{Output, Rows};
 
-pub(crate) async fn read(station: &Station, tags: &[NamedTag], output: &Output) -> Result<(), Failure> {
+pub(crate) async fn read(station: &Station, args: &ReadArgs, output: &Output) -> Result<(), Failure> {
+    let tags = args.table.tags(&args.tags)?;
+    args.model.check(station, tags.iter().map(|named| named.tag)).await?;
     let mut rows = Rows::new(["tag", "type", "value"]);
-    for named in tags {
+    for named in &tags {
         let tag = &named.tag;
         let raw = fetch(station, tag).await.map_err(Failure::of(tag))?;
         let values = tag.decode(&raw).map_err(Failure::usage)?;

@@ -4,7 +4,7 @@ use std::pin::pin;
 use std::time::SystemTime;
 
 use fatek::Station;
-use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass};
+use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass, StationPolling};
 use fatek::tag::Tag;
 use futures::StreamExt;
 use humantime::format_rfc3339_millis;
@@ -19,14 +19,15 @@ pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) 
     let mut stop = Stop::new()?;
     let mut closed = pin!(stdout_closed());
     let mut poller = Poller::new();
-    let polled = poller.station(station).map_err(Failure::usage)?;
+    let named = args.table.tags(&args.tags)?;
+    let limits = args.model.check(station, named.iter().map(|named| named.tag)).await?;
+    let polled = poller.handle().station_with(station, StationPolling::new().limits(limits)).map_err(Failure::usage)?;
     // One tag per value, so that each change is reported alone.
-    let tags = args.table.tags(&args.tags)?;
     let labelled = |named: NamedTag| {
         let singles = named.tag.singles().enumerate();
         singles.map(move |(number, tag)| (named.label(number, || tag.to_string()), tag))
     };
-    let tags: Vec<(String, Tag)> = tags.into_iter().flat_map(labelled).collect();
+    let tags: Vec<(String, Tag)> = named.into_iter().flat_map(labelled).collect();
     let class = ScanClass::every(args.interval);
     polled.add(class, tags.iter().map(|(label, tag)| poll_tag(label, *tag, args))).map_err(Failure::usage)?;
 

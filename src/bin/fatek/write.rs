@@ -3,9 +3,11 @@
 use std::cell::Cell;
 use std::fmt;
 
+use fatek::memory_map::special_range;
 use fatek::tag::{Assignment, Tag};
-use fatek::{Error, Station};
+use fatek::{Element, Error, Station};
 
+use crate::args::WriteArgs;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::signal::unless_signalled;
@@ -49,10 +51,25 @@ impl fmt::Display for Write {
     }
 }
 
-pub(crate) async fn write(station: &Station, writes: &[Write], output: &Output) -> Result<(), Failure> {
+pub(crate) async fn write(station: &Station, args: &WriteArgs, output: &Output) -> Result<(), Failure> {
+    let writes = args.table.writes(&args.assignments, args.modify_bits)?;
+    let writes = writes.as_slice();
+    let tags = || writes.iter().map(Write::tag);
+    refuse_special(args.special, tags().flat_map(|tag| tag.elements()))?;
+    args.model.check(station, tags()).await?;
     let done = Cell::new(0);
     let ended = unless_signalled(write_all(station, writes, output, &done)).await?;
     ended.map_err(|signal| Failure::interrupted(progress(writes, done.get()))(signal))?
+}
+
+/// Refuses elements of a special range, unless `--special` was given.
+pub(crate) fn refuse_special(allowed: bool, mut elements: impl Iterator<Item = Element>) -> Result<(), Failure> {
+    match elements.find_map(|element| Some((element, special_range(element)?))) {
+        Some((element, range)) if !allowed => Err(Failure::Usage(format!(
+            "{element} is special ({range}): writing it can cause system or I/O errors; to write it, give --special"
+        ))),
+        Some(_) | None => Ok(()),
+    }
 }
 
 /// Writes the values in their order. `done`: the number of assignments written.

@@ -7,7 +7,7 @@ use fatek::Discrete;
 use fatek::tag::Tag;
 use fatek::wire::Framing;
 
-use super::{LinkArgs, Plc};
+use super::{LinkArgs, ModelArgs, Plc};
 use crate::duration;
 use crate::names::TableArgs;
 
@@ -32,6 +32,8 @@ pub(crate) struct ReadArgs {
     pub(crate) tags: Vec<String>,
     #[command(flatten)]
     pub(crate) table: TableArgs,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -68,6 +70,14 @@ pub(crate) struct WriteArgs {
     pub(crate) modify_bits: bool,
     #[command(flatten)]
     pub(crate) table: TableArgs,
+    /// Write special elements, too: R3840-R4167 and M1912-M2001
+    ///
+    /// Writing them can cause system or I/O errors, or cut the line. Without it nothing is written if
+    /// a tag touches them.
+    #[arg(long)]
+    pub(crate) special: bool,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -77,6 +87,9 @@ pub(crate) struct DiscreteArgs {
     /// Discrete: X, Y, M, S, T or C with an address, such as Y3
     #[arg(required = true, value_name = "DISCRETE")]
     pub(crate) discretes: Vec<Discrete>,
+    /// Change special relays, too: M1912-M2001
+    #[arg(long)]
+    pub(crate) special: bool,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -114,6 +127,8 @@ pub(crate) struct WatchArgs {
     /// Number of lines before exit, 1 or more [default: unlimited]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), value_name = "N")]
     pub(crate) count: Option<u64>,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
