@@ -112,8 +112,9 @@ impl LimitsForm {
 
 impl Default for LimitsForm {
     fn default() -> Self {
+        let usual = Self::with(&Limits::new());
         // The default maximum of a mixed read follows from `mixed_reads`.
-        Self { max_mixed: None, ..Self::with(&Limits::new()) }
+        Self { max_mixed: None, ..usual }
     }
 }
 

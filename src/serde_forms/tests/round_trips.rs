@@ -16,6 +16,8 @@ use crate::poll::{PollTag, ScanClass};
 use crate::tag::{Assignment, Scale, Tag, TagType, TagValue};
 use crate::wire::Framing;
 
+const SECOND: Duration = Duration::from_secs(1);
+const MINUTE: Duration = Duration::from_secs(60);
 const DAY: Duration = Duration::from_secs(86_400);
 
 #[track_caller]
@@ -202,7 +204,7 @@ proptest! {
     fn limits_and_costs_round_trip(
         maxima in (2..=64_usize, 1..=256_usize, 0..=64_usize),
         ranges in prop::collection::vec((element(), 0..40_u16, any::<bool>()), 0..6),
-        times in (duration(Duration::from_secs(60)), duration(Duration::from_secs(1)), duration(Duration::from_secs(1))),
+        times in (duration(MINUTE), duration(SECOND), duration(SECOND)),
         is_binary: bool,
     ) {
         let (registers, points, mixed) = maxima;
