@@ -1,15 +1,16 @@
-//! Reads tags of a simulated PLC into a struct, and writes some of them.
+//! Reads tags of a simulated PLC into a struct, writes some of them, and prints the struct as JSON.
 //!
 //! ```sh
-//! cargo run --example tags --features sim,derive
+//! cargo run --example tags --features sim,derive,serde
 //! ```
 
 use std::error::Error;
 
 use fatek::{Tag, Tags, sim};
+use serde::Serialize;
 
 /// A tank, as the program of its controller sees it.
-#[derive(Debug, PartialEq, Tags)]
+#[derive(Debug, PartialEq, Serialize, Tags)]
 struct Tank {
     #[tag("R100:f32")]
     level: f32,
@@ -34,13 +35,13 @@ async fn main() -> Result<(), Box<dyn Error>> {
     tank.batches += 1;
     tank.valves[1] = true;
     station.write_struct(&tank).await?;
-    println!("{:#?}", station.read_struct::<Tank>().await?);
 
     // A tag and a type that do not fit are found before anything is sent.
     let tag: Tag = "R100:f32".parse()?;
     for error in [station.read::<i16, _>(tag).await.map(drop), station.write("R7", 70_000).await] {
         println!("{}", error.expect_err("they do not fit"));
     }
+    println!("{}", serde_json::to_string_pretty(&station.read_struct::<Tank>().await?)?);
     Ok(())
 }
 

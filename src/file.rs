@@ -55,4 +55,6 @@ pub(crate) use self::save::load;
 pub(crate) use self::save::{load_as, save};
 pub(crate) use self::saved::{Origin, file_methods, optional_field};
 pub use self::utc::utc;
+#[cfg(feature = "serde")]
+pub(crate) use self::utc::utc_millis;
 pub(crate) use self::utc::{parse_utc, whole_seconds};

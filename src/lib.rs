@@ -70,6 +70,8 @@
 //!
 //! - `serial` (default): serial lines.
 //! - `sim`: the simulated PLC.
+//! - `serde`: `Serialize` and `Deserialize` of tags, values, samples, statistics and options, in the
+//!   forms of `docs/SERDE.md`.
 //! - `cli`: the `fatek` command line.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![warn(clippy::print_stdout, clippy::print_stderr)]
@@ -119,6 +121,8 @@ mod printable;
 pub mod program;
 pub mod progress;
 mod random;
+#[cfg(feature = "serde")]
+pub mod serde_forms;
 mod settings;
 #[cfg(feature = "sim")]
 #[allow(

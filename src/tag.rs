@@ -70,6 +70,8 @@ mod fields;
 mod macros;
 mod parse;
 mod scale;
+#[cfg(feature = "serde")]
+mod seed;
 mod sets;
 mod text;
 mod types;
@@ -86,6 +88,8 @@ pub use error::{
 pub use fields::fits_type;
 pub use fields::{Field, Tags};
 pub use scale::{Scale, ScaleError};
+#[cfg(feature = "serde")]
+pub use seed::ValuesSeed;
 pub use sets::{FromTags, IntoAssignment, IntoAssignments, IntoTag, One, Several, TagSet};
 pub use types::{TagType, TagValue};
 

@@ -119,13 +119,27 @@ impl CostModel {
         self.byte_time
     }
 
+    /// Returns the silence between a reply and the next request.
+    #[must_use]
+    pub fn frame_gap(&self) -> Duration {
+        self.frame_gap
+    }
+
+    /// Returns the additional time per request.
+    #[must_use]
+    pub fn overhead(&self) -> Duration {
+        self.overhead
+    }
+
     /// Returns the fixed time per request: frame gap, response time and overhead.
     #[must_use]
     pub fn request_time(&self) -> Duration {
         self.frame_gap + self.response_time.min(MAX_RESPONSE_TIME) + self.overhead
     }
 
-    pub(crate) fn response_time(&self) -> Duration {
+    /// Returns the time from the end of a request to the beginning of its reply.
+    #[must_use]
+    pub fn response_time(&self) -> Duration {
         self.response_time
     }
 

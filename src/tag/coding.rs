@@ -125,7 +125,7 @@ impl Tag {
         raw.chunks(self.elements_per_value()).map(|elements| self.decode_one(elements)).collect()
     }
 
-    fn parse_one(&self, text: &str) -> Result<TagValue, ValueError> {
+    pub(super) fn parse_one(&self, text: &str) -> Result<TagValue, ValueError> {
         if text.is_empty() {
             return Err(ValueError::Empty);
         }
@@ -148,7 +148,7 @@ impl Tag {
         }
     }
 
-    fn encode_one(&self, value: &TagValue, raw: &mut Vec<Value>) -> Result<(), ValueError> {
+    pub(super) fn encode_one(&self, value: &TagValue, raw: &mut Vec<Value>) -> Result<(), ValueError> {
         let (bits, order) = match (self.storage, self.scale, value) {
             (Storage::BitsOf(_), _, _) => return Err(ValueError::BitsOfRegister { tag: *self }),
             (Storage::Text(order), _, TagValue::Text(text)) => {
