@@ -5,6 +5,7 @@ mod backup;
 mod broadcast;
 mod clock;
 mod job;
+mod modify_bits;
 mod program;
 mod tags;
 

@@ -84,9 +84,9 @@ pub use convert::{FromTag, IntoTagValues};
 pub use error::{
     ParseAssignmentError, ParseTagError, ParseTagTypeError, ParseValueError, TagAccessError, TagError, ValueError,
 };
-#[doc(hidden)]
-pub use fields::fits_type;
 pub use fields::{Field, Tags};
+#[doc(hidden)]
+pub use fields::{fits_type, takes_type};
 pub use scale::{Scale, ScaleError};
 #[cfg(feature = "serde")]
 pub use seed::ValuesSeed;

@@ -13,7 +13,7 @@
 //! - The first line has the titles, in any order and case. `name` and `at` are required.
 //! - Cells are separated by commas, semicolons or tabs, the most frequent one of the titles, or the one of
 //!   a line `sep=;` before them. Double quotes enclose a cell with separators, and `""` is a quote in it.
-//! - Lines end with LF or CRLF. The text is UTF-8, with or without a byte order mark.
+//! - Lines end with LF, CRLF or CR. The text is UTF-8, with or without a byte order mark.
 //! - Blanks around a cell are removed. Empty lines, lines that begin with `#`, and columns without a
 //!   title or whose title begins with `#`, are ignored.
 //!
@@ -186,7 +186,7 @@ impl TagTable {
     /// Tags with common elements: for each tag that shares elements with an earlier one in the memory of
     /// the PLC, the one of these that reaches farthest.
     ///
-    /// They are often meant: a word and its parts. Bits of a register and their register are left out.
+    /// They are often meant: a word and its parts. A register and its bits are left out.
     #[must_use]
     pub fn overlaps(&self) -> Vec<Overlap<'_>> {
         overlap::overlaps(&self.entries)

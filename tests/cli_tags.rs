@@ -42,6 +42,13 @@ fn names_of_a_table_stand_for_tags() {
 }
 
 #[test]
+fn an_empty_variable_is_no_table() {
+    let plan = |args: &[&str]| run(Command::new(FATEK).arg("plan").args(args).env("FATEK_TAGS", ""));
+    assert!(plan(&["R0"]).ok().contains("R0"));
+    assert!(plan(&[]).usage().contains("no tag is given, and no table of tags"));
+}
+
+#[test]
 fn faults_of_a_table_are_usage_errors_and_send_nothing() {
     let folder = Folder::new("cli-tags-faults");
     let path = table(&folder);

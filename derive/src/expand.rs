@@ -52,27 +52,26 @@ fn crate_path(input: &DeriveInput) -> Result<Path> {
 fn implementation(input: &DeriveInput, fatek: &Path, fields: &[Field<'_>]) -> TokenStream {
     let ident = &input.ident;
     let numbers = 0..fields.len();
-    let tags: Vec<_> = fields
-        .iter()
-        .zip(numbers.clone())
-        .map(|(field, n)| format_ident!("TAG_{n}", span = field.tag.span()))
-        .collect();
+    // A name that hides no constant of the user in the length of an array.
+    let tag = |(field, n): (&Field<'_>, usize)| format_ident!("__FATEK_TAG_{n}", span = field.tag.span());
+    let tags: Vec<_> = fields.iter().zip(numbers.clone()).map(tag).collect();
     let tag_constants = fields.iter().zip(&tags).map(|(field, tag)| tag_constant(fatek, field, tag));
     let constants = fields.iter().zip(&tags).map(|(field, tag)| field_constant(fatek, field, tag));
     let type_checks = fields.iter().zip(&tags).map(|(field, tag)| type_check(fatek, field, tag));
+    // The struct may have a constant `FIELDS` of its own. Only the type has the span of the type: in a
+    // struct of a macro, `self` and `values` would be those of the macro.
+    let of = |n: usize| quote!(<Self as #fatek::tag::Tags>::FIELDS[#n]);
     let checks = fields.iter().zip(numbers.clone()).map(|(field, n)| {
-        let ty = field.ty;
-        quote_spanned! { ty.span() => Self::FIELDS[#n].check::<#ty>()?; }
+        let (of, ty) = (of(n), field.ty);
+        quote! { #of.check::<#ty>()?; }
     });
     let values = fields.iter().zip(numbers.clone()).map(|(field, n)| {
-        let (name, ty) = (field.name, field.ty);
-        quote_spanned! { ty.span() => #name: Self::FIELDS[#n].value::<#ty>(values.get(#n))?, }
+        let (of, name, ty) = (of(n), field.name, field.ty);
+        quote! { #name: #of.value::<#ty>(values.get(#n))?, }
     });
     let written = fields.iter().zip(numbers).filter(|(field, _)| !field.read_only).map(|(field, n)| {
-        let (name, ty) = (field.name, field.ty);
-        quote_spanned! { ty.span() =>
-            Self::FIELDS[#n].assignment(::core::clone::Clone::clone(&self.#name))?,
-        }
+        let (of, name, ty) = (of(n), field.name, field.ty);
+        quote! { #of.assignment::<#ty>(::core::clone::Clone::clone(&self.#name))?, }
     });
     quote! {
         // Constants outside of functions are evaluated by `cargo check`.
@@ -119,7 +118,7 @@ fn tag_constant(fatek: &Path, field: &Field<'_>, name: &Ident) -> TokenStream {
 
 /// The `Field` of a field.
 fn field_constant(fatek: &Path, field: &Field<'_>, tag: &Ident) -> TokenStream {
-    let (name, read_only) = (field.name.to_string(), field.read_only);
+    let (name, read_only) = (field.text(), field.read_only);
     let one_scan = field.one_scan.as_ref().map(|group| quote!(.with_one_scan(#group)));
     quote! {
         #fatek::tag::Field::new(#name, #tag).with_read_only(#read_only) #one_scan
@@ -128,25 +127,35 @@ fn field_constant(fatek: &Path, field: &Field<'_>, tag: &Ident) -> TokenStream {
 
 /// The checks of a field that the compiler makes.
 fn type_check(fatek: &Path, field: &Field<'_>, tag: &Ident) -> TokenStream {
+    let (name, text) = (field.text(), field.tag.value());
     let bits = (!field.read_only).then(|| {
         let rule = format!(
-            "{}: a bit of a register is not written by itself; make the field read_only, and write it by modify_bits",
-            field.name
+            "{name}: a bit of a register is not written by itself; make the field read_only, and write it by modify_bits"
         );
         quote_spanned! { tag.span() =>
-            const _: () = ::core::assert!(!#tag.is_bits_of_register(), #rule);
+            const _: () = ::core::assert!(!#tag.is_bits_of_register(), "{}", #rule);
         }
     });
     let fits = field.known_type().map(|known| {
-        let (ty, name) = (field.ty, &known.name);
+        let (ty, type_name) = (field.ty, &known.name);
         let count = match known.count {
             Count::One => quote!(::core::option::Option::Some(1)),
             Count::Any => quote!(::core::option::Option::None),
             Count::Array(len) => quote!(::core::option::Option::Some(#len)),
         };
-        let rule = format!("{}: the values of {} do not fit `{}`", field.name, field.tag.value(), quote!(#ty));
+        let rule = format!("{name}: the values of {text} do not fit `{}`", quote!(#ty));
+        let written = (!field.read_only).then(|| {
+            let rule = format!(
+                "{name}: {text} takes integers, and `{}` holds fractions; make the field read_only, or its type an integer",
+                quote!(#ty)
+            );
+            quote_spanned! { ty.span() =>
+                const _: () = ::core::assert!(#fatek::tag::takes_type(&#tag, #type_name), "{}", #rule);
+            }
+        });
         quote_spanned! { ty.span() =>
-            const _: () = ::core::assert!(#fatek::tag::fits_type(&#tag, #name, #count), #rule);
+            const _: () = ::core::assert!(#fatek::tag::fits_type(&#tag, #type_name, #count), "{}", #rule);
+            #written
         }
     });
     quote!(#bits #fits)

@@ -1,5 +1,7 @@
 //! A field of the struct: its attribute and its type.
 
+use quote::ToTokens as _;
+use syn::ext::IdentExt as _;
 use syn::spanned::Spanned as _;
 use syn::{Error, Expr, Ident, LitStr, Result, Token, Type};
 
@@ -29,6 +31,11 @@ pub(crate) enum Count<'i> {
 }
 
 impl<'i> Field<'i> {
+    /// Its name as a text: `type` for `r#type`.
+    pub(crate) fn text(&self) -> String {
+        self.name.unraw().to_string()
+    }
+
     pub(crate) fn parse(field: &'i syn::Field) -> Result<Self> {
         let Some(name) = &field.ident else {
             return Err(Error::new(field.span(), "the fields of a struct of tags have names"));
@@ -79,12 +86,15 @@ impl<'i> Field<'i> {
 
     /// Its type, if the compiler knows the values of it; own types are checked at run time.
     pub(crate) fn known_type(&self) -> Option<KnownType<'i>> {
-        if let Some(name) = scalar(self.ty) {
+        let ty = plain(self.ty);
+        if let Some(name) = scalar(ty) {
             return Some(KnownType { name, count: Count::One });
         }
-        match self.ty {
+        match ty {
+            // A constant outside of the struct does not know `Self`.
+            Type::Array(array) if array.len.to_token_stream().to_string().contains("Self") => None,
             Type::Array(array) => Some(KnownType { name: scalar(&array.elem)?, count: Count::Array(&array.len) }),
-            Type::Path(path) => {
+            Type::Path(path) if path.path.segments.len() == 1 => {
                 let segment = path.path.segments.last().filter(|segment| segment.ident == "Vec")?;
                 let syn::PathArguments::AngleBracketed(arguments) = &segment.arguments else { return None };
                 match arguments.args.first() {
@@ -102,7 +112,16 @@ impl<'i> Field<'i> {
 /// The name of a number, `bool` or `String`.
 fn scalar(ty: &Type) -> Option<String> {
     const KNOWN: [&str; 10] = ["bool", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f64", "String"];
-    let Type::Path(path) = ty else { return None };
+    let Type::Path(path) = plain(ty) else { return None };
     let name = path.path.get_ident()?.to_string();
     KNOWN.contains(&name.as_str()).then_some(name)
+}
+
+/// A type without the groups and parentheses that macros put around it.
+fn plain(ty: &Type) -> &Type {
+    match ty {
+        Type::Group(group) => plain(&group.elem),
+        Type::Paren(paren) => plain(&paren.elem),
+        ty => ty,
+    }
 }

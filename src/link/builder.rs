@@ -1,9 +1,9 @@
-use std::panic::AssertUnwindSafe;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::sync::watch;
 
+use super::by_station::ByStation;
 use super::call::SpareSlots;
 use super::config::Config;
 use super::connect_limiter::ConnectLimiter;
@@ -274,7 +274,7 @@ impl LinkBuilder {
             response_timeout: timeout,
             shared: Arc::new(Shared::new(driver)),
             spares: SpareSlots::default(),
-            modifying: AssertUnwindSafe(tokio::sync::Mutex::default()),
+            modifying: Mutex::new(ByStation::new()),
             state: watcher,
             stats,
             line: self.line,

@@ -50,7 +50,7 @@ use std::fmt;
 use std::future::Future;
 use std::io;
 use std::panic::AssertUnwindSafe;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use futures::FutureExt;
@@ -61,6 +61,7 @@ use tokio::task::{consume_budget, yield_now};
 use tokio::time::{Instant, timeout_at};
 use tracing::Instrument;
 
+use self::by_station::ByStation;
 use self::call::{CallMeta, SpareSlots};
 pub(crate) use self::connect_limiter::ConnectLimiter;
 pub(crate) use self::connector::Connector;
@@ -108,8 +109,8 @@ struct LinkInner {
     response_timeout: Duration,
     shared: Arc<Shared>,
     spares: SpareSlots,
-    /// Held while bits of a register are read, changed and written.
-    modifying: AssertUnwindSafe<tokio::sync::Mutex<()>>,
+    /// For each station whose bits of registers were changed: held from the read to the write.
+    modifying: Mutex<ByStation<Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>>>>,
     state: watch::Receiver<LinkState>,
     stats: Arc<SharedStats>,
     /// The serial line, if it is one.
@@ -252,9 +253,10 @@ impl Link {
         self.inner.stats.link_stats()
     }
 
-    /// Waits until no other caller changes bits of a register.
-    pub(crate) async fn turn_to_modify(&self) -> tokio::sync::MutexGuard<'_, ()> {
-        self.inner.modifying.lock().await
+    /// The lock that a caller holds while it changes bits of a register of a station.
+    pub(crate) fn turns_to_modify(&self, station: u8) -> Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>> {
+        let mut modifying = self.inner.modifying.lock().unwrap_or_else(PoisonError::into_inner);
+        modifying.with(station, || Arc::new(AssertUnwindSafe(tokio::sync::Mutex::default())), |turns| turns.clone())
     }
 
     /// Returns whether the link has been closed, or its task has ended.
@@ -456,6 +458,6 @@ impl fmt::Debug for Link {
 
 /// The instant `by` after `now`, at most a day: more than any call takes, and within the range of a
 /// clock.
-fn later(now: Instant, by: Duration) -> Instant {
+pub(crate) fn later(now: Instant, by: Duration) -> Instant {
     now.checked_add(by.min(Duration::from_secs(86_400))).unwrap_or(now)
 }

@@ -31,6 +31,8 @@ fn kind(error: &Error) -> &'static str {
         Error::Connect { .. } => "connect",
         Error::Disconnected { .. } => "disconnected",
         Error::PartlyWritten { .. } => "partly_written",
+        Error::ReadBeforeWrite { .. } => "read_before_write",
+        Error::Clock { .. } => "clock",
         Error::Closed { .. } => "closed",
     }
 }

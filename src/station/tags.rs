@@ -146,74 +146,15 @@ impl Station {
     /// Writes the fields of a struct of tags in their order, but for those that are read only; see
     /// [`Tags`] and [`write_all`](Self::write_all).
     ///
+    /// It writes all of these fields, also those that were not changed. A value that the PLC has
+    /// changed since the struct was read is overwritten: make fields that the PLC writes `read_only`.
+    ///
     /// # Errors
     /// Those of [`write_all`](Self::write_all).
     ///
     /// Cancel safety: as of [every method](Self#cancel-safety); what was written stays written.
     pub async fn write_struct<T: Tags>(&self, fields: &T) -> Result<(), Error> {
         self.write_all(fields.assignments()?).await
-    }
-
-    /// Changes bits of a register, such as `R5.3` or `R5.0-R5.7`: reads it, changes these bits, and
-    /// writes it.
-    ///
-    /// The protocol writes whole registers only. Calls over one [`Link`](crate::Link) take turns, but
-    /// between the read and the write the program of the PLC or another master can change the other
-    /// bits: such a change is undone. So [`write`](Self::write) refuses these tags. A discrete, also a
-    /// bit of a word of discretes such as `WM16.3`, has no such trouble, and is written by `write`.
-    ///
-    /// If the bits are as they should be, nothing is written.
-    ///
-    /// ```
-    /// # fatek::sim::doctest(|station| async move {
-    /// station.write("R5", 0x00F0).await?;
-    /// station.modify_bits("R5.0-R5.3", [true, false, true, true]).await?;
-    /// assert_eq!(station.read::<u16, _>("R5").await?, 0x00FD);
-    /// assert!(station.read::<bool, _>("R5.2").await?);
-    ///
-    /// let error = station.write("R5.2", false).await.unwrap_err();
-    /// assert!(error.to_string().starts_with("R5.2 is a part of R5, and a write replaces all bits of R5"));
-    /// # Ok(()) });
-    /// ```
-    ///
-    /// # Errors
-    /// [`Error::Tag`] for a text that is not a tag, a tag that is no bits of a register, or another
-    /// number of states than bits; those of [every method](Self#errors), for the read or the write.
-    ///
-    /// Cancel safety: as of [every method](Self#cancel-safety).
-    pub async fn modify_bits(&self, tag: impl IntoTag, states: impl AsRef<[bool]>) -> Result<(), Error> {
-        let (tag, states) = (tag.into_tag()?, states.as_ref());
-        if !tag.is_bits_of_register() {
-            return Err(TagAccessError::NotBitsOfRegister { tag }.into());
-        }
-        if states.len() != tag.value_count() {
-            let given = format!("{} values", states.len());
-            return Err(TagAccessError::Misfit { tag, given }.into());
-        }
-        let _turn = self.link.turn_to_modify().await;
-        let modified = |register: Value| {
-            let modified = tag.modified(register, states);
-            debug_assert!(modified.is_some(), "number and kind of the bits were checked");
-            modified.filter(|&modified| modified != register)
-        };
-        match tag.first() {
-            Element::Register(register) => {
-                let mut now = [0];
-                self.read_registers_into(register, &mut now).await?;
-                match modified(now[0].into()) {
-                    Some(Value::Word(word)) => self.write_registers(register, &[word]).await,
-                    Some(Value::Bit(_) | Value::DWord(_)) | None => Ok(()),
-                }
-            }
-            Element::Register32(register) => {
-                let now = self.read_registers32(register, 1).await?;
-                match now.first().and_then(|&now| modified(now.into())) {
-                    Some(Value::DWord(double)) => self.write_registers32(register, &[double]).await,
-                    Some(Value::Bit(_) | Value::Word(_)) | None => Ok(()),
-                }
-            }
-            Element::Discrete(_) => Err(TagAccessError::NotBitsOfRegister { tag }.into()),
-        }
     }
 
     /// The values of each tag, by the cheapest plan.

@@ -9,6 +9,8 @@
 use super::types::Storage;
 use super::{Tag, TagError, TagType};
 use crate::command::Value;
+#[cfg(feature = "config")]
+use crate::element::MemoryArea;
 use crate::element::{Element, Width};
 
 /// Consecutive bits of an element.
@@ -76,6 +78,18 @@ impl Tag {
     #[must_use]
     pub const fn is_bits_of_register(&self) -> bool {
         matches!(self.storage, Storage::BitsOf(_))
+    }
+
+    /// Where its bits are, if they are bits of a register: the area, and the first and the last bit, counted
+    /// through the area.
+    #[cfg(feature = "config")]
+    pub(crate) fn bit_memory(&self) -> Option<((MemoryArea, bool), u32, u32)> {
+        let Storage::BitsOf(bits) = self.storage else { return None };
+        // A counter of 32 bits has one address.
+        let is_counter = self.first.is_counter_of_32_bits();
+        let bits_per_address = if is_counter { 32 } else { self.first.symbol().area().bits_per_address() };
+        let first = u32::from(self.first.address()) * bits_per_address + u32::from(bits.first);
+        Some(((self.first.symbol().area(), is_counter), first, first + u32::from(bits.count) - 1))
     }
 
     /// The value of its register with these states of its bits; `None` if it has no register or another

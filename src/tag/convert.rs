@@ -54,6 +54,11 @@ pub trait FromTag: Sized {
 macro_rules! numbers {
     ($($name:ident: $($variant:ident)* | $($digits:ident)*;)*) => {
         impl ValueKind {
+            /// Returns whether floats can be written to tags of this kind.
+            pub(super) const fn takes_floats(self) -> bool {
+                matches!(self, Self::F32 | Self::F64 | Self::Scaled)
+            }
+
             /// Returns whether a Rust type, by its name, holds all values of this kind.
             pub(super) const fn is_held_by(self, rust_type: &str) -> bool {
                 $(

@@ -28,9 +28,9 @@ use super::{Assignment, FromTag, IntoAssignment as _, IntoTagValues, Tag, TagAcc
 ///     level: f32,
 ///     #[tag("R5:i16*0.1-40")]
 ///     temperature: f64,
-///     #[tag("DR2:i32", one_scan)]
+///     #[tag("DR2:i32", one_scan, read_only)]
 ///     batches: i32,
-///     #[tag("Y0-Y3", one_scan)]
+///     #[tag("X0-X3", one_scan, read_only)]
 ///     valves: [bool; 4],
 ///     #[tag("R7.3", read_only)]
 ///     pump_runs: bool,
@@ -38,11 +38,13 @@ use super::{Assignment, FromTag, IntoAssignment as _, IntoTagValues, Tag, TagAcc
 /// # fatek::sim::doctest(|station| async move {
 /// let mut tank: Tank = station.read_struct().await?;
 /// tank.level = 2.5;
-/// tank.valves[1] = true;
 /// station.write_struct(&tank).await?;
 /// assert_eq!(station.read_struct::<Tank>().await?, tank);
 /// # Ok(()) });
 /// ```
+///
+/// A write of the struct writes all fields that are not `read_only`, also those that were not changed. So
+/// make each field `read_only` whose tag the program of the PLC or anything else writes.
 ///
 /// Without the feature, [`FIELDS`](Self::FIELDS) and the three functions are written by hand, with
 /// [`Field::check`], [`Field::value`] and [`Field::assignment`].
@@ -139,7 +141,7 @@ impl Field {
     ///
     /// # Errors
     /// [`TagAccessError::Misfit`].
-    pub fn assignment(&self, value: impl IntoTagValues) -> Result<Assignment, TagAccessError> {
+    pub fn assignment<T: IntoTagValues>(&self, value: T) -> Result<Assignment, TagAccessError> {
         (self.tag, value).into_assignment()
     }
 
@@ -155,6 +157,14 @@ impl Field {
         }
         groups
     }
+}
+
+/// Checks that a value of a type, as for [`fits_type`], can be written: a float is not written to a tag of
+/// integers.
+#[doc(hidden)]
+#[must_use]
+pub const fn takes_type(tag: &Tag, name: &str) -> bool {
+    !matches!(name.as_bytes(), b"f32" | b"f64") || tag.kind().takes_floats()
 }
 
 /// Checks the type of a field when the program is compiled: for the code that `#[derive(Tags)]`

@@ -30,10 +30,11 @@ macro_rules! tag {
     ($text:expr) => {{
         // An item, unlike a block of the surrounding function, is evaluated even if that function is
         // generic.
-        const TAG: $crate::tag::Tag = match $crate::tag::Tag::parse($text) {
+        // Its name must not hide a constant in the text.
+        const __FATEK_TAG: $crate::tag::Tag = match $crate::tag::Tag::parse($text) {
             ::core::result::Result::Ok(tag) => tag,
             ::core::result::Result::Err(error) => ::core::panic!("{}", error.rule()),
         };
-        TAG
+        __FATEK_TAG
     }};
 }

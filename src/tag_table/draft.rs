@@ -72,6 +72,10 @@ impl Draft {
         self.faults.push(TableError { line, column: column.map(Into::into), fault });
     }
 
+    pub(super) fn is_good(&self) -> bool {
+        self.faults.is_empty()
+    }
+
     /// Adds a tag, or its faults.
     pub(super) fn add(&mut self, row: &Row<'_>) {
         let faults_before = self.faults.len();

@@ -20,6 +20,12 @@ pub enum Fault {
         /// The rule of the format.
         message: String,
     },
+    /// A cell begins with a double quote, and none closes it.
+    #[error("a double quote opens a cell, and none closes it; a quote in such a cell is written twice")]
+    OpenQuote,
+    /// Text follows a double quote that closes a cell.
+    #[error("text follows a double quote that closes a cell; a quote in such a cell is written twice")]
+    BehindQuote,
     /// The table has no titles.
     #[error("the first line has the titles of the columns, at least name and at")]
     NoTitles,
@@ -27,11 +33,20 @@ pub enum Fault {
     #[error("it is missing")]
     Missing,
     /// A column, or key, is unknown.
-    #[error("`{}` is unknown (known: name at class unit comment group)", excerpt(title))]
+    #[error("`{}` is unknown (known: {known})", excerpt(title))]
     #[non_exhaustive]
     Unknown {
         /// Its title.
         title: String,
+        /// The titles or keys that are known.
+        known: &'static str,
+    },
+    /// A table of TOML is within that of a tag.
+    #[error("`{}` is a table within a tag, and tags have none", excerpt(key))]
+    #[non_exhaustive]
+    Nested {
+        /// Its key.
+        key: String,
     },
     /// Two columns have one title.
     #[error("two columns have this title")]
@@ -137,7 +152,7 @@ impl TableErrors {
 }
 
 /// The line behind these bytes, from 1.
-pub(super) fn line_at(before: &[u8]) -> usize {
+fn line_at(before: &[u8]) -> usize {
     before.iter().filter(|&&byte| byte == b'\n').count().saturating_add(1)
 }
 

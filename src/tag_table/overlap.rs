@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::TagEntry;
+use crate::tag::Tag;
 
 /// Two tags with common elements; see [`TagTable::overlaps`](super::TagTable::overlaps).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,30 +33,37 @@ impl fmt::Display for Overlap<'_> {
 }
 
 /// For each entry that begins within an earlier one, by memory, the one of these that reaches farthest.
+///
+/// Bits are compared with bits only: the register beside its bits is no fault.
 pub(super) fn overlaps(entries: &[TagEntry]) -> Vec<Overlap<'_>> {
-    // Several bits of one register are no fault, nor is the register beside them.
-    let mut by_memory: Vec<(usize, &TagEntry)> =
-        entries.iter().enumerate().filter(|(_, entry)| !entry.tag.is_bits_of_register()).collect();
-    by_memory.sort_by_key(|(number, entry)| (entry.tag.memory(), *number));
+    let numbered = || entries.iter().enumerate();
     let mut found = Vec::new();
-    let mut farthest: Option<(usize, &TagEntry)> = None;
-    for (number, entry) in by_memory {
-        let (area, begin, end) = entry.tag.memory();
-        let shared = farthest.filter(|(_, other)| {
-            let (other_area, _, other_end) = other.tag.memory();
-            other_area == area && begin <= other_end
-        });
-        match shared {
-            Some((other_number, other)) => {
-                let (first, second) = if other_number < number { (other, entry) } else { (entry, other) };
-                found.push(Overlap { first, second });
-                if end > other.tag.memory().2 {
-                    farthest = Some((number, entry));
-                }
-            }
-            None => farthest = Some((number, entry)),
-        }
-    }
+    sweep(numbered().filter(|(_, entry)| !entry.tag.is_bits_of_register()), |tag| Some(tag.memory()), &mut found);
+    sweep(numbered(), |tag| tag.bit_memory(), &mut found);
     found.sort_by_key(|overlap| (overlap.second.line, overlap.first.line));
     found
+}
+
+/// Passes over the entries by area and begin; `extent` has area, begin and end.
+fn sweep<'t, A: Ord + Copy, B: Ord + Copy>(
+    entries: impl Iterator<Item = (usize, &'t TagEntry)>,
+    extent: impl Fn(&Tag) -> Option<(A, B, B)>,
+    found: &mut Vec<Overlap<'t>>,
+) {
+    let mut by_memory: Vec<_> =
+        entries.filter_map(|(number, entry)| Some((extent(&entry.tag)?, number, entry))).collect();
+    by_memory.sort_by_key(|(extent, number, _)| (*extent, *number));
+    let mut farthest: Option<((A, B, B), usize, &TagEntry)> = None;
+    for next @ ((area, begin, end), number, entry) in by_memory {
+        match farthest {
+            Some(((other_area, _, other_end), other_number, other)) if other_area == area && begin <= other_end => {
+                let (first, second) = if other_number < number { (other, entry) } else { (entry, other) };
+                found.push(Overlap { first, second });
+                if end > other_end {
+                    farthest = Some(next);
+                }
+            }
+            Some(_) | None => farthest = Some(next),
+        }
+    }
 }

@@ -119,22 +119,63 @@ fn all_faults_of_a_table_are_reported_with_line_and_column() {
     assert_eq!((shown.lines().count(), shown.lines().last()), (21, Some("and 10 more")));
 }
 
+/// A quote that is not closed took the lines behind it for a part of its cell, without a word.
+#[test]
+fn broken_quotes_lose_no_line() {
+    let text = "name,at,comment\na,R1,\"5 inch\nb,Q2,x\nc,R3,y\n";
+    let faults = csv_faults(text);
+    assert_eq!(
+        faults[0],
+        "line 2: a double quote opens a cell, and none closes it; a quote in such a cell is written twice"
+    );
+    assert!(faults[1].starts_with("line 3, at: `Q2` is not a tag"), "{faults:?}");
+    assert_eq!(faults.len(), 2);
+    let faults = csv_faults("name,at\n\"a\"b,R1\nc,Q1\n");
+    assert!(faults[0].starts_with("line 2: text follows a double quote"), "{faults:?}");
+    assert!(faults[1].starts_with("line 3, at: "), "{faults:?}");
+    assert_eq!(csv_faults("name,at\n\"#a\",R1\n").len(), 1, "a cell in quotes is no comment");
+
+    let comments = "# a,\"b\nname,at,comment\na,R1,x\n#old,R9,\"5 inch\nb, R2 , \"x, y\" \nc,R3,5 inch\" wide\n";
+    assert_eq!(
+        shown(&TagTable::from_csv(comments).unwrap()),
+        ["3 a R1 -|-|x|-", "5 b R2 -|-|x, y|-", "6 c R3 -|-|5 inch\" wide|-"]
+    );
+}
+
+#[test]
+fn separators_are_found_in_all_their_forms() {
+    for text in [
+        "sep=\t\r\nname\tat\r\nx\tR5\r\n",
+        "\"sep=;\"\nname;at\nx;R5\n",
+        "name,at,\"#x;y;z;w\"\nx,R5,\n",
+        "name\tat\rx\tR5\r",
+    ] {
+        let table = TagTable::from_csv(text).unwrap();
+        assert_eq!((table.len(), table.tag("x")), (1, Ok(crate::tag!("R5"))), "{text:?}");
+    }
+    assert_eq!(csv_faults("name,at\rx,R5\ry,Q5\r").len(), 1);
+    assert!(csv_faults("name,at\rx,R5\ry,Q5\r")[0].starts_with("line 3, "));
+}
+
+/// 4000 tags in TOML took two minutes: the lines were counted from the beginning for each value.
+#[test]
+fn large_tables_take_linear_time() {
+    let toml: String = (0..20_000).map(|n| format!("n{n} = {{ at = \"R{n}\", class = \"fast\" }}\n")).collect();
+    let table = TagTable::from_toml(&toml).unwrap();
+    assert_eq!((table.len(), table.iter().last().map(TagEntry::line)), (20_000, Some(20_000)));
+}
+
 #[test]
 fn faults_of_toml_have_their_line() {
     for (text, fault) in [
         ("a = 1\n", "line 1, a: a text or a table is expected, and this is a number"),
         ("\na = { at = 5 }\n", "line 2, at: a text is expected, and this is a number"),
-        (
-            "a = { at = \"R5\", clas = \"x\" }\n",
-            "line 1, a: `clas` is unknown (known: name at class unit comment group)",
-        ),
-        (
-            "a = { at = \"R5\", name = \"b\" }\n",
-            "line 1, a: `name` is unknown (known: name at class unit comment group)",
-        ),
+        ("a = { at = \"R5\", clas = \"x\" }\n", "line 1, a: `clas` is unknown (known: at class unit comment group)"),
+        ("a = { at = \"R5\", name = \"b\" }\n", "line 1, a: `name` is unknown (known: at class unit comment group)"),
         ("[a]\nclass = \"x\"\n", "line 1, at: it is missing"),
         ("[a]\nclass = \"x\"\nat = \"Q5\"\n", "line 3, at: `Q5` is not a tag: no element"),
         ("\"\" = \"R5\"\n", "line 1: `` is not a name"),
+        ("[tank.level]\nat = \"R5\"\n", "line 1, tank: `level` is a table within a tag, and tags have none"),
         ("M5 = \"R5\"\n", "line 1, name: `M5` is not a name: it is a tag itself"),
         ("a = \"R5\"\n\na = \"R6\"\n", "line 3: "),
         ("a = \n", "line 1: "),
@@ -174,7 +215,10 @@ fn tags_with_common_elements_are_found() {
                  next,R100\n\
                  same,R100\n\
                  other,D100\n\
-                 bit,R7.5\n";
+                 bit,R7.5\n\
+                 more,R7.3-R7.4\n\
+                 double-bit,DR6.19\n\
+                 again,R7.5\n";
     let table = TagTable::from_csv(table).unwrap();
     let found: Vec<String> = table.overlaps().iter().map(ToString::to_string).collect();
     assert_eq!(
@@ -184,6 +228,9 @@ fn tags_with_common_elements_are_found() {
             "line 6, near (R10-R19) has elements of far (R0-R99) in line 5",
             "line 7, double (DR98) has elements of far (R0-R99) in line 5",
             "line 9, same (R100) is the same tag as next (R100) in line 8",
+            "line 12, more (R7.3-R7.4) has elements of bits (R7.0-R7.3) in line 2",
+            "line 13, double-bit (DR6.19) has elements of bits (R7.0-R7.3) in line 2",
+            "line 14, again (R7.5) is the same tag as bit (R7.5) in line 11",
         ]
     );
 }

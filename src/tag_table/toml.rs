@@ -7,17 +7,17 @@ use toml::de::{DeTable, DeValue};
 
 use super::Fault;
 use super::draft::{Column, Draft, Row};
-use super::error::line_at;
 
 /// Parses a table; all faults are in the draft.
 pub(super) fn parse(text: &str) -> Draft {
     let mut draft = Draft::default();
-    let line = |span: Range<usize>| line_at(text.as_bytes().get(..span.start).unwrap_or_default());
+    let feeds: Vec<usize> = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+    let line = |span: Range<usize>| feeds.partition_point(|&feed| feed < span.start).saturating_add(1);
     let table = match DeTable::parse(text) {
         Ok(table) => table.into_inner(),
         Err(error) => {
             let message = error.message().to_owned();
-            draft.fault(error.span().map_or(1, line), None, Fault::Syntax { message });
+            draft.fault(error.span().map_or(1, &line), None, Fault::Syntax { message });
             return draft;
         }
     };
@@ -31,10 +31,10 @@ pub(super) fn parse(text: &str) -> Draft {
         if name.get_ref().is_empty() {
             draft.fault(name_line, None, Fault::Name { text: String::new() });
         } else if let Some(at) = value.get_ref().as_str() {
-            row.set(Column::At, line(value.span()), at);
+            row.set(Column::At, line(value.span()), at.trim());
             draft.add(&row);
         } else if let Some(keys) = value.get_ref().as_table() {
-            if keys.iter().all(|(key, value)| set(&mut row, name.get_ref(), key.get_ref(), value, line, &mut draft)) {
+            if keys.iter().all(|(key, value)| set(&mut row, name.get_ref(), key.get_ref(), value, &line, &mut draft)) {
                 draft.add(&row);
             }
         } else {
@@ -64,8 +64,13 @@ fn set<'t>(
             draft.fault(at, Some(column.as_str()), Fault::Kind { expected: "text", found });
             return false;
         }
+        (None, _) if value.get_ref().is_table() => {
+            draft.fault(at, Some(name), Fault::Nested { key: key.to_owned() });
+            return false;
+        }
         (None, _) => {
-            draft.fault(at, Some(name), Fault::Unknown { title: key.to_owned() });
+            let known = "at class unit comment group";
+            draft.fault(at, Some(name), Fault::Unknown { title: key.to_owned(), known });
             return false;
         }
     }

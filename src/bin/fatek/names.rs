@@ -1,6 +1,6 @@
 //! Tags of the command line: texts, or names of a table of tags (`--tags`).
 
-use std::path::PathBuf;
+use std::ffi::OsString;
 
 use clap::Args;
 use fatek::tag::{Tag, TagValue};
@@ -15,7 +15,7 @@ use crate::write::Write;
 pub(crate) struct TableArgs {
     /// Table of tags (CSV, or TOML if the name ends in .toml), whose names stand for tags
     #[arg(long = "tags", id = "table", env = "FATEK_TAGS", hide_env_values = true, value_name = "FILE")]
-    path: Option<PathBuf>,
+    path: Option<OsString>,
 }
 
 /// A tag with the name to be printed, if it was given by name.
@@ -51,6 +51,9 @@ impl TableArgs {
             let is_name = table.as_ref().is_some_and(|table| table.get(text).is_some());
             Ok(NamedTag { tag, name: is_name.then(|| text.clone()) })
         };
+        if texts.is_empty() {
+            return Err(Failure::Usage("no tag is given, and no table of tags".to_owned()));
+        }
         texts.iter().map(named).collect()
     }
 
@@ -91,7 +94,7 @@ impl TableArgs {
 
     fn load(&self) -> Result<Option<TagTable>, Failure> {
         // An empty variable counts as unset.
-        let path = self.path.as_ref().filter(|path| !path.as_os_str().is_empty());
+        let path = self.path.as_ref().filter(|path| !path.is_empty());
         Ok(path.map(TagTable::load).transpose()?)
     }
 }

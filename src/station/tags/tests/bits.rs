@@ -1,5 +1,9 @@
 //! Bits of registers.
 
+use std::time::Duration;
+
+use tokio::time::Instant;
+
 use super::*;
 use crate::plan::{CostModel, Plan};
 use crate::{element, register};
@@ -61,6 +65,31 @@ async fn calls_over_one_link_do_not_undo_each_other() {
         result.unwrap();
     }
     assert_eq!(bench.station.read::<u16, _>("R5").await.unwrap(), u16::MAX);
+}
+
+/// One lock for the link kept all stations waiting for the silent one, beyond their deadlines.
+#[tokio::test(start_paused = true)]
+async fn a_silent_station_delays_no_other_and_the_deadline_covers_the_turn() {
+    let bench = bench(Framing::Ascii, []);
+    let link = bench.station.link().clone();
+    let options = bench.station.options().with_call_timeout(Duration::from_secs(5));
+    // No PLC has this number.
+    let silent = link.station(9).unwrap().with_options(options);
+    let began = Instant::now();
+    let calls = (0..5).map(|bit| silent.modify_bits(format!("R5.{bit}"), [true]));
+    let (failed, answered) = tokio::join!(futures::future::join_all(calls), async {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+        bench.station.modify_bits("R5.0", [true]).await.unwrap();
+        began.elapsed()
+    });
+    for result in failed {
+        let error = result.unwrap_err();
+        assert!(matches!(error, Error::ReadBeforeWrite { .. }) && !error.may_have_executed(), "{error}");
+        assert!(error.is_timeout(), "{error}");
+    }
+    assert!(answered < Duration::from_secs(3), "{answered:?}");
+    assert!(began.elapsed() < Duration::from_millis(5100), "{:?}", began.elapsed());
+    assert!(!bench.commands().contains(&0x49));
 }
 
 #[tokio::test]
