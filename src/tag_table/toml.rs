@@ -34,7 +34,7 @@ pub(super) fn parse(text: &str) -> Draft {
             row.set(Column::At, line(value.span()), at.trim());
             draft.add(&row);
         } else if let Some(keys) = value.get_ref().as_table() {
-            if keys.iter().all(|(key, value)| set(&mut row, name.get_ref(), key.get_ref(), value, &line, &mut draft)) {
+            if keys.iter().all(|(key, value)| set(&mut row, name.get_ref(), key.get_ref(), value, line, &mut draft)) {
                 draft.add(&row);
             }
         } else {

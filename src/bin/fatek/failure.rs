@@ -186,10 +186,13 @@ fn of_call(error: &fatek::Error) -> u8 {
 
 /// Cause of a failed call; for a write of several requests, that of the first failed request.
 fn cause(error: &fatek::Error) -> &fatek::Error {
-    let source = match error {
-        fatek::Error::PartlyWritten { source, .. } | fatek::Error::ReadBeforeWrite { source, .. } => Some(&**source),
-        fatek::Error::Clock { failure, .. } => failure.call_error(),
-        _ => None,
-    };
+    let source =
+        if let fatek::Error::PartlyWritten { source, .. } | fatek::Error::ReadBeforeWrite { source, .. } = error {
+            Some(&**source)
+        } else if let fatek::Error::Clock { failure, .. } = error {
+            failure.call_error()
+        } else {
+            None
+        };
     source.map_or(error, cause)
 }
