@@ -34,7 +34,7 @@
 //! ```
 //!
 //! - [`mod@element`]: the elements of a PLC: `X0`, `WM8`, `R12`, `DR100` …
-//! - [`tag`]: an element or a range with a type: `R100:f32`.
+//! - [`mod@tag`]: an element or a range with a type: `R100:f32`.
 //! - [`command`]: the fourteen commands, one type each.
 //! - [`memory_map`]: [`MemoryMap`], the elements that a model of PLC has.
 //! - [`plan`]: the cheapest requests for a set of tags.

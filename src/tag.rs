@@ -2,7 +2,7 @@
 //!
 //! A [`Tag`] is an element or a range of consecutive elements, both ends included, with a
 //! [`TagType`]. An [`Assignment`] is a tag with its values. Both are parsed from text, and display
-//! as text that parses to the same. They convert the [`Value`]s of the protocol to [`TagValue`]s and
+//! as text that parses to the same. They convert the [`Value`](crate::Value)s of the protocol to [`TagValue`]s and
 //! back.
 //!
 //! | tag | meaning |
