@@ -180,12 +180,11 @@ fn of_call(error: &fatek::Error) -> u8 {
     }
 }
 
-/// Cause of a failed call; for a write of several requests, that of the first failed request.
+/// Cause of a failed call; of a write of several requests and of a clock, that of the failed request.
 fn cause(error: &fatek::Error) -> &fatek::Error {
-    let source = match error {
-        fatek::Error::PartlyWritten { source, .. } => Some(&**source),
-        fatek::Error::Clock { failure, .. } => failure.call_error(),
-        _ => None,
-    };
+    if let fatek::Error::PartlyWritten { source, .. } = error {
+        return cause(source);
+    }
+    let source = if let fatek::Error::Clock { failure, .. } = error { failure.call_error() } else { None };
     source.map_or(error, cause)
 }
