@@ -455,7 +455,7 @@ fn decode_explains_good_and_bad_frames() {
 
 #[test]
 fn a_closed_output_pipe_is_no_error() {
-    let sim = Sim::start(&[]);
+    let sim = Sim::start(&["--model", "largest"]);
     for format in ["table", "csv", "json"] {
         let mut command = Command::new(FATEK);
         command.args(["--link", &sim.url, "--station", "1", "--format", format, "read", "R0-R5999"]);

@@ -184,7 +184,7 @@ fn of_call(error: &fatek::Error) -> u8 {
     }
 }
 
-/// Cause of a failed call; for a write of several requests, that of the first failed request.
+/// Cause of a failed call; of a write of several requests and of a clock, that of the failed request.
 fn cause(error: &fatek::Error) -> &fatek::Error {
     let source =
         if let fatek::Error::PartlyWritten { source, .. } | fatek::Error::ReadBeforeWrite { source, .. } = error {
