@@ -206,8 +206,11 @@ impl MemoryMap {
     #[must_use]
     pub fn limits(&self) -> Limits {
         let ranges = self.extents.iter().flat_map(Extent::readable);
-        // No error: both ends of each range have one symbol and ascend, as a test shows.
-        ranges.fold(Limits::new(), |limits, (first, last)| limits.clone().readable(first, last).unwrap_or(limits))
+        ranges.fold(Limits::new(), |limits, (first, last)| {
+            let narrowed = limits.clone().readable(first, last);
+            debug_assert!(narrowed.is_ok(), "both ends of {first} to {last} have one symbol and ascend");
+            narrowed.unwrap_or(limits)
+        })
     }
 
     fn has(&self, element: Element) -> bool {
@@ -249,11 +252,11 @@ impl Extent {
             let ends = (Element::new(symbol, first).ok()?, Element::new(symbol, last).ok()?);
             (first <= last).then_some(ends)
         };
-        let below = range(self.area.smallest(), self.first, self.last.min(first_counter.saturating_sub(1)));
-        let counters = range(self.area.dword(), self.first.max(first_counter), self.last.min(last_counter));
         if first_counter > last_counter {
             return range(self.area.smallest(), self.first, self.last).into_iter().collect();
         }
+        let below = range(self.area.smallest(), self.first, self.last.min(first_counter.saturating_sub(1)));
+        let counters = range(self.area.dword(), self.first.max(first_counter), self.last.min(last_counter));
         below.into_iter().chain(counters).collect()
     }
 

@@ -2,8 +2,8 @@
 //!
 //! A [`Tag`] is an element or a range of consecutive elements, both ends included, with a
 //! [`TagType`]. An [`Assignment`] is a tag with its values. Both are parsed from text, and display
-//! as text that parses to the same. They convert the [`Value`](crate::Value)s of the protocol to [`TagValue`]s and
-//! back.
+//! as text that parses to the same. They convert the [`Value`](crate::Value)s of the
+//! protocol to [`TagValue`]s and back.
 //!
 //! | tag | meaning |
 //! |---|---|
@@ -318,9 +318,7 @@ impl Tag {
     /// Its memory: the area, and the first and last addresses of its smallest parts.
     pub(crate) fn memory(&self) -> (MemoryArea, u16, u16) {
         let last = self.first.nth(self.count - 1).unwrap_or(self.first);
-        // Consecutive elements touch, so each covers one step.
-        let end = last.address().saturating_add(last.step() - 1);
-        (self.first.symbol().area(), self.first.address(), end)
+        (self.first.symbol().area(), self.first.address(), last.covered().1)
     }
 }
 

@@ -14,6 +14,14 @@ pub enum InvalidBackup {
     /// There is no range.
     #[error("there are no ranges: at least one was expected")]
     Empty,
+    /// A range is bits of a register, and a backup has whole registers: a restore would write its other
+    /// bits, too.
+    #[error("{range} is a part of {}, and a backup has whole registers", range.first())]
+    #[non_exhaustive]
+    BitsOfRegister {
+        /// The range.
+        range: Tag,
+    },
     /// Two ranges share memory.
     #[error("{first} and {second} share memory")]
     #[non_exhaustive]

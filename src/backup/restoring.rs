@@ -2,6 +2,7 @@
 
 mod control;
 mod origin;
+mod report;
 
 use std::ops::Range;
 
@@ -10,7 +11,7 @@ use self::control::ControlStage::{self, LastLook, Look};
 use super::block::{Chunk, Chunks, discretes, is_never_restored, runs, runs_of_values};
 use super::options::{IfRunning, RestoreOptions, SpecialElements};
 use super::target::{ElementState, Target, TargetElement};
-use super::{Backup, Difference, MissingRange, RestoreFailure, RestoreReport};
+use super::{Backup, Difference, MissingRange, RestoreFailure};
 use crate::command::Value;
 use crate::error::{Error, ErrorCode};
 use crate::file::{Origin, PlcDifference};
@@ -352,35 +353,6 @@ impl Restoring {
     }
 
     // Elements.
-
-    pub(super) fn report(&self) -> RestoreReport {
-        let ranges =
-            |holds: fn(ElementState) -> bool| self.targets.iter().flat_map(|target| target.ranges(holds)).collect();
-        let compared = self.all().flat_map(|target| &target.elements).filter(|element| element.found.is_some());
-        RestoreReport {
-            compared: compared.count(),
-            differences: self.targets.iter().flat_map(Target::differences).collect(),
-            written: ranges(|state| state == ElementState::Written),
-            in_doubt: ranges(|state| matches!(state, ElementState::InDoubt | ElementState::ToRepeat)),
-            unwritten: ranges(|state| state == ElementState::Differs),
-            to_write: self.targets.iter().flat_map(|target| target.ranges_to_write(self.options.bridge)).collect(),
-            refused: self.all().flat_map(Target::refused).collect(),
-            forced: ranges(|state| state == ElementState::Forced),
-            left_out: self.left_out.iter().map(|target| target.range).collect(),
-            left_out_differences: self.left_out.iter().flat_map(Target::differences).collect(),
-            special: self.special.clone(),
-            missing: self.missing.clone(),
-            other_plc: self.other_plc.clone(),
-            remaining: self.remaining.clone(),
-            was_stopped: self.control.was_stopped(),
-            plc: self.control.plc(),
-        }
-    }
-
-    /// The first special elements, if their treatment was not chosen.
-    pub(super) fn refused_special(&self) -> Option<Tag> {
-        self.special.first().copied().filter(|_| self.options.special == SpecialElements::Refuse)
-    }
 
     /// All targets by number; those that are never written come last.
     fn all(&self) -> impl Iterator<Item = &Target> {

@@ -73,21 +73,20 @@ impl Target {
 
     /// The ranges of special elements, and of values with such an element.
     pub(super) fn special(&self) -> Vec<Tag> {
-        let per_value = self.range.elements_per_value().max(1);
-        let special: Vec<bool> = self.range.elements().map(|element| special_range(element).is_some()).collect();
-        let runs = runs_of_values(&special, per_value, |&special| special);
-        runs.iter().map(|run| part(self.range, run)).collect()
+        self.special_runs().iter().map(|run| part(self.range, run)).collect()
     }
 
     /// Takes special elements as if the backup had no value of them.
     pub(super) fn skip_special(&mut self) {
-        let per_value = self.range.elements_per_value().max(1);
-        let special: Vec<bool> = self.range.elements().map(|element| special_range(element).is_some()).collect();
-        for (value, special) in self.elements.chunks_mut(per_value).zip(special.chunks(per_value)) {
-            if special.contains(&true) {
-                value.iter_mut().for_each(|element| element.wanted = None);
-            }
+        for run in self.special_runs() {
+            self.elements.get_mut(run).into_iter().flatten().for_each(|element| element.wanted = None);
         }
+    }
+
+    /// The indices of values with a special element.
+    fn special_runs(&self) -> Vec<Range<usize>> {
+        let special: Vec<bool> = self.range.elements().map(|element| special_range(element).is_some()).collect();
+        runs_of_values(&special, self.range.elements_per_value(), |&special| special)
     }
 
     /// Before the comparison.

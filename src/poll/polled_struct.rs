@@ -87,8 +87,9 @@ impl<T: Tags> PolledStruct<T> {
     pub fn latest(&self) -> Result<T, NotCurrent> {
         let samples = self.station.station.with(|poller| {
             let now = Stamp::now();
-            let sample = |&id: &TagId| self.station.shared.queue_samples(|samples| poller.sample(id, now, samples));
-            self.ids.iter().map(sample).collect::<Option<Vec<_>>>()
+            self.station.shared.queue_samples(|samples| {
+                self.ids.iter().map(|&id| poller.sample(id, now, samples)).collect::<Option<Vec<_>>>()
+            })
         });
         let samples = samples.flatten().ok_or(NotCurrent::Removed)?;
         let values = samples.into_iter().map(|sample| {

@@ -31,7 +31,7 @@ impl Station {
     /// M1955 and the clock, which must have that time within a minute.
     ///
     /// A PLC without a clock is refused before anything is written. If a request fails after M1952 was
-    /// set, M1952 is set back once more. No write is retried unless the
+    /// set, or may have been, M1952 is set back once more. No write is retried unless the
     /// [options](crate::CallOptions::with_retry_writes) say so.
     ///
     /// ```
@@ -49,7 +49,13 @@ impl Station {
     /// it.
     pub async fn set_clock(&self, clock: &Clock) -> Result<(), Error> {
         self.check_clock().await?;
-        self.write_settable(true).await?;
+        if let Err(error) = self.write_settable(true).await {
+            // The result of the first error is the one that counts.
+            if error.may_have_executed() {
+                let _ = self.write_settable(false).await;
+            }
+            return Err(error);
+        }
         let written = self.call(WriteRegisters::new(CLOCK_REGISTERS, clock.to_registers())?).await;
         let ended = self.write_settable(false).await;
         let interrupted = |source| self.clock_error(ClockFailure::Interrupted { source: Box::new(source) });
@@ -154,6 +160,19 @@ mod tests {
         assert!(error.may_have_executed() && error.is_timeout(), "{error}");
         assert!(matches!(failure(error), ClockFailure::Interrupted { .. }));
         assert_eq!(bench.plc.read(discrete!("M1952")), Value::Bit(false));
+    }
+
+    /// M1952 stayed 1 if the reply to its first write was lost.
+    #[tokio::test(start_paused = true)]
+    async fn m1952_is_set_back_if_its_own_write_is_in_doubt() {
+        let bench = sim::station().await;
+        bench.plc.set_clock(Some(clock(0)));
+        let lost = Rule::new(Fault::DropReply).command(crate::command::Code::WriteDiscretes).times(1);
+        bench.faults.add_rule(lost);
+        let error = bench.station.set_clock(&clock(30)).await.unwrap_err();
+        assert!(error.may_have_executed() && error.is_timeout(), "{error}");
+        assert_eq!(bench.plc.read(discrete!("M1952")), Value::Bit(false));
+        assert_eq!(bench.plc.clock(), Some(clock(0)));
     }
 
     #[tokio::test(start_paused = true)]

@@ -50,5 +50,6 @@ async fn following_weekday(station: &Station, seconds: u64) -> Result<u8, Failur
     const DAY: u64 = 86_400;
     let now = station.read_clock().await?;
     let days = (seconds / DAY + 7 - now.seconds_since_2000() / DAY % 7 + u64::from(now.weekday())) % 7;
-    Ok(u8::try_from(days).unwrap_or(0))
+    // Below 7.
+    Ok(days as u8)
 }

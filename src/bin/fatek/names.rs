@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 
 use clap::Args;
-use fatek::tag::{Tag, TagValue};
+use fatek::tag::{Assignment, Tag, TagValue};
 use fatek::tag_table::TagTable;
 
 use crate::failure::Failure;
@@ -17,6 +17,10 @@ pub(crate) struct TableArgs {
     #[arg(long = "tags", id = "table", env = "FATEK_TAGS", hide_env_values = true, value_name = "FILE")]
     path: Option<OsString>,
 }
+
+/// The table of tags, if there is one.
+#[derive(Debug)]
+pub(crate) struct Table(Option<TagTable>);
 
 /// A tag with the name to be printed, if it was given by name.
 #[derive(Clone, Debug)]
@@ -37,18 +41,26 @@ impl NamedTag {
 }
 
 impl TableArgs {
+    /// Loads the table, if there is one.
+    pub(crate) fn load(&self) -> Result<Table, Failure> {
+        // An empty variable counts as unset.
+        let path = self.path.as_ref().filter(|path| !path.is_empty());
+        Ok(Table(path.map(TagTable::load).transpose()?))
+    }
+}
+
+impl Table {
     /// The tags of these texts; without any, all tags of the table.
     pub(crate) fn tags(&self, texts: &[String]) -> Result<Vec<NamedTag>, Failure> {
-        let table = self.load()?;
-        if let (Some(table), true) = (&table, texts.is_empty()) {
+        if let (Some(table), true) = (&self.0, texts.is_empty()) {
             let named =
                 |entry: &fatek::tag_table::TagEntry| NamedTag { tag: entry.tag(), name: Some(entry.name().to_owned()) };
             let all: Vec<NamedTag> = table.iter().map(named).collect();
             return if all.is_empty() { Err(Failure::Usage("the table has no tags".to_owned())) } else { Ok(all) };
         }
         let named = |text: &String| {
-            let tag = tag(table.as_ref(), text)?;
-            let is_name = table.as_ref().is_some_and(|table| table.get(text).is_some());
+            let tag = self.tag(text)?;
+            let is_name = self.0.as_ref().is_some_and(|table| table.get(text).is_some());
             Ok(NamedTag { tag, name: is_name.then(|| text.clone()) })
         };
         if texts.is_empty() {
@@ -60,48 +72,39 @@ impl TableArgs {
     /// The writes of these texts, each a tag or a name with its values. `modify_bits`: bits of registers
     /// are taken, too.
     pub(crate) fn writes(&self, texts: &[String], modify_bits: bool) -> Result<Vec<Write>, Failure> {
-        let table = self.load()?;
         let write = |text: &String| {
             let Some((name, values)) = text.split_once('=') else {
                 return text.parse().map(Write::Values).map_err(Failure::usage);
             };
-            let tag = tag(table.as_ref(), name)?;
-            if tag.is_bits_of_register() {
-                let values = tag.parse_values(values).map_err(Failure::usage)?;
-                let states = values.iter().map(|value| *value == TagValue::Bool(true)).collect();
-                return if modify_bits {
-                    Ok(Write::Bits { tag, states })
-                } else {
-                    Err(Failure::Usage(format!(
-                        "{tag} is a part of {register}, and a write replaces all bits of {register}; \
-                         --modify-bits reads, changes and writes them",
-                        register = tag.first()
-                    )))
-                };
+            let tag = self.tag(name)?;
+            let values = tag.parse_values(values).map_err(Failure::usage)?;
+            if !tag.is_bits_of_register() {
+                return Assignment::new(tag, values).map(Write::Values).map_err(Failure::usage);
             }
-            format!("{tag}={values}").parse().map(Write::Values).map_err(Failure::usage)
+            if !modify_bits {
+                return Err(Failure::Usage(format!(
+                    "{tag} is a part of {register}, and a write replaces all bits of {register}; \
+                     --modify-bits reads, changes and writes them",
+                    register = tag.first()
+                )));
+            }
+            let states = values.iter().map(|value| *value == TagValue::Bool(true)).collect();
+            Ok(Write::Bits { tag, states })
         };
         texts.iter().map(write).collect()
     }
 
     /// Prints the tags of the table that have common elements.
-    pub(crate) fn remark_overlaps(&self, output: &Output) -> Result<(), Failure> {
-        if let Some(table) = self.load()? {
-            table.overlaps().iter().for_each(|overlap| output.remark(format_args!("{overlap}")));
+    pub(crate) fn remark_overlaps(&self, output: &Output) {
+        for overlap in self.0.iter().flat_map(TagTable::overlaps) {
+            output.remark(format_args!("{overlap}"));
         }
-        Ok(())
     }
 
-    fn load(&self) -> Result<Option<TagTable>, Failure> {
-        // An empty variable counts as unset.
-        let path = self.path.as_ref().filter(|path| !path.is_empty());
-        Ok(path.map(TagTable::load).transpose()?)
-    }
-}
-
-fn tag(table: Option<&TagTable>, text: &str) -> Result<Tag, Failure> {
-    match table {
-        Some(table) => table.tag(text).map_err(Failure::usage),
-        None => text.parse().map_err(Failure::usage),
+    fn tag(&self, text: &str) -> Result<Tag, Failure> {
+        match &self.0 {
+            Some(table) => table.tag(text).map_err(Failure::usage),
+            None => text.parse().map_err(Failure::usage),
+        }
     }
 }

@@ -8,7 +8,7 @@ use crate::failure::Failure;
 use crate::output::{Output, Rows};
 
 pub(crate) async fn read(station: &Station, args: &ReadArgs, output: &Output) -> Result<(), Failure> {
-    let tags = args.table.tags(&args.tags)?;
+    let tags = args.table.load()?.tags(&args.tags)?;
     args.model.check(station, tags.iter().map(|named| named.tag)).await?;
     let mut rows = Rows::new(["tag", "type", "value"]);
     for named in &tags {

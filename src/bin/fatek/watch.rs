@@ -19,7 +19,7 @@ pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) 
     let mut stop = Stop::new()?;
     let mut closed = pin!(stdout_closed());
     let mut poller = Poller::new();
-    let named = args.table.tags(&args.tags)?;
+    let named = args.table.load()?.tags(&args.tags)?;
     let limits = args.model.check(station, named.iter().map(|named| named.tag)).await?;
     let polled = poller.handle().station_with(station, StationPolling::new().limits(limits)).map_err(Failure::usage)?;
     // One tag per value, so that each change is reported alone.

@@ -52,7 +52,7 @@ impl fmt::Display for Write {
 }
 
 pub(crate) async fn write(station: &Station, args: &WriteArgs, output: &Output) -> Result<(), Failure> {
-    let writes = args.table.writes(&args.assignments, args.modify_bits)?;
+    let writes = args.table.load()?.writes(&args.assignments, args.modify_bits)?;
     let writes = writes.as_slice();
     let tags = || writes.iter().map(Write::tag);
     refuse_special(args.special, tags().flat_map(|tag| tag.elements()))?;
