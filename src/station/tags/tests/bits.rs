@@ -92,6 +92,23 @@ async fn a_silent_station_delays_no_other_and_the_deadline_covers_the_turn() {
     assert!(!bench.commands().contains(&0x49));
 }
 
+/// The wait for a turn had no timer: it lasted as long as the call that had the turn, here 3 s.
+#[tokio::test(start_paused = true)]
+async fn the_wait_for_a_turn_ends_at_the_deadline_of_its_own_call() {
+    let bench = bench(Framing::Ascii, []);
+    let patient = bench.station.link().station(9).unwrap();
+    let options = patient.options().with_call_timeout(Duration::from_secs(1));
+    let impatient = patient.with_options(options);
+    let (held, (error, waited)) = tokio::join!(patient.modify_bits("R5.0", [true]), async {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+        let began = Instant::now();
+        (impatient.modify_bits("R5.1", [true]).await.unwrap_err(), began.elapsed())
+    });
+    assert!(held.is_err());
+    assert!(matches!(error, Error::ReadBeforeWrite { .. }) && error.is_timeout(), "{error}");
+    assert!(waited <= Duration::from_millis(1010), "{waited:?}");
+}
+
 #[tokio::test]
 async fn a_plan_reads_a_register_once_for_all_of_its_bits() {
     let bench = bench(Framing::Ascii, []);
