@@ -64,6 +64,7 @@ mod readings;
 mod reply;
 mod request;
 mod solve;
+mod words;
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -99,7 +100,9 @@ pub struct Plan {
 #[derive(Clone, Copy, Debug)]
 struct ValueSlot {
     request: u32,
-    word: u32,
+    word: u16,
+    /// The bit of the word, for a discrete that is read as part of it.
+    bit: Option<u8>,
 }
 
 impl Plan {

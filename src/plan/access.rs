@@ -19,7 +19,7 @@ impl Plan {
     pub(crate) fn words_in(&self, tag: usize, request: usize) -> Option<Range<usize>> {
         let words = self.tags.get(tag)?.words_per_value();
         let here = |slot: &&ValueSlot| slot.request as usize == request;
-        let starts = self.slots(tag)?.iter().filter(here).map(|slot| slot.word as usize);
+        let starts = self.slots(tag)?.iter().filter(here).map(|slot| usize::from(slot.word));
         let (first, last) =
             starts.fold((usize::MAX, None), |(first, last), word| (first.min(word), last.max(Some(word))));
         Some(first..last? + words)
@@ -34,7 +34,7 @@ impl Plan {
         let tag = self.tags.get(index)?;
         let mut raw = Vec::with_capacity(tag.element_count());
         for slot in self.slots(index)? {
-            tag.append_value(reply(slot.request as usize)?, slot.word as usize, &mut raw)?;
+            tag.append_value(reply(slot.request as usize)?, *slot, &mut raw)?;
         }
         tag.decode(&raw).ok()
     }

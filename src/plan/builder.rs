@@ -4,8 +4,10 @@ use std::time::Duration;
 
 use super::layout::{self, Cells, Draft};
 use super::solve::{self, Part};
+use super::words::{self, WordAreas};
 use super::{CostModel, Limits, MAX_VALUES, Plan, PlanError, PlannedRequest, ValueSlot};
 use crate::command::InvalidRequest;
+use crate::element::{Symbol, Width};
 use crate::tag::Tag;
 use crate::wire::Framing;
 
@@ -86,21 +88,26 @@ impl PlanBuilder {
         }
         let words_before: Vec<Vec<u32>> = shares.iter().map(|(draft, _)| draft.words_before()).collect();
         let mut counts = vec![0; shares.len()];
+        let mut word_areas = vec![WordAreas::default(); shares.len()];
         let mut slots = Vec::with_capacity(values.cells.len());
         for (cells, part) in values.cells.iter().zip(&parts.part_of) {
             let request = request_of[*part];
             let at = request as usize;
             counts[at] += 1;
-            let word = shares[at].0.find(*cells, &words_before[at]);
-            debug_assert!(word.is_some(), "the solver assigned this value to this request");
-            slots.push(ValueSlot { request, word: word.unwrap_or(u32::MAX) });
+            let found = shares[at].0.find(*cells, &words_before[at]);
+            debug_assert!(found.is_some(), "the solver assigned this value to this request");
+            let (word, bit) = found.unwrap_or((u32::MAX, None));
+            if bit.is_some() {
+                word_areas[at].insert(cells.area.symbol());
+            }
+            slots.push(ValueSlot { request, word: u16::try_from(word).unwrap_or(u16::MAX), bit });
         }
-        let planned = |((draft, _), values): (&solve::Share, usize)| {
+        let planned = |(((draft, _), values), word_areas): ((&solve::Share, usize), WordAreas)| {
             let (request_bytes, reply_bytes) = draft.bytes(&self.cost);
             let time = Duration::from_nanos(draft.cost(&self.cost));
-            Ok(PlannedRequest { request: draft.request()?, values, request_bytes, reply_bytes, time })
+            Ok(PlannedRequest { request: draft.request()?, values, request_bytes, reply_bytes, time, word_areas })
         };
-        let mut requests = shares.iter().zip(counts).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
+        let mut requests = shares.iter().zip(counts).zip(word_areas).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
         let (mut tags, mut first_slot) = (self.tags, values.first_slot);
         // A poller keeps thousands of plans.
         requests.shrink_to_fit();
@@ -140,13 +147,23 @@ impl PlanBuilder {
         let mut sorted: Vec<(Cells, bool, usize)> =
             values.cells.iter().zip(&plain).enumerate().map(|(n, (cells, plain))| (*cells, *plain, n)).collect();
         sorted.sort_unstable_by_key(|(cells, plain, n)| (cells.key(), *plain, *n));
+        let in_words = self.words(values);
         let mut single: Vec<Cells> = Vec::with_capacity(sorted.len());
         // Sorted by first cell: if an earlier part contains the next value, the one with the
         // last end does.
         let mut farthest: Option<(Cells, usize)> = None;
+        // Words come behind discretes, so the number of a word that is a part of its own is not yet
+        // known.
+        let mut bits_of_words: Vec<(usize, usize)> = Vec::new();
         for (cells, plain, n) in sorted {
             let container = farthest.filter(|(other, _)| other.contains(cells));
             if plain {
+                if container.is_none()
+                    && let Some(word) = in_words.find(cells)
+                {
+                    bits_of_words.push((n, word));
+                    continue;
+                }
                 part_of[n] = container.map_or(groups.len() + single.len(), |(_, part)| part);
                 if container.is_none() {
                     single.push(cells);
@@ -156,7 +173,21 @@ impl PlanBuilder {
                 farthest = Some((cells, part_of[n]));
             }
         }
+        for (n, word) in bits_of_words {
+            part_of[n] = part_of[word];
+        }
         Ok(Parts { groups, single, part_of })
+    }
+
+    /// Returns the values that are words of discretes, which may be read with them.
+    fn words(&self, values: &Values) -> TagWords {
+        let mut words = TagWords::default();
+        for (n, cells) in values.cells.iter().enumerate() {
+            if cells.area.discrete().is_some_and(|discrete| self.limits.has_words_of(discrete)) {
+                words.by_address.extend(cells.addresses().map(|address| ((cells.area.symbol(), address), n)));
+            }
+        }
+        words
     }
 
     /// Texts outside of groups that are longer than a run, and so need a mixed read.
@@ -176,6 +207,26 @@ struct Values {
     cells: Vec<Cells>,
     /// For each tag, the index of its first value.
     first_slot: Vec<usize>,
+}
+
+/// The values that have words of discretes.
+#[derive(Default)]
+struct TagWords {
+    /// By symbol and address of the word, the number of a value with it.
+    by_address: HashMap<(Symbol, u16), usize>,
+}
+
+impl TagWords {
+    /// Returns the number of a value whose words contain this discrete.
+    fn find(&self, cells: Cells) -> Option<usize> {
+        if self.by_address.is_empty() || cells.area.width() != Width::Bit {
+            return None;
+        }
+        let address = cells.addresses().next()?;
+        let symbol = cells.area.symbol().area().word();
+        let word = |residue| self.by_address.get(&(symbol, words::word_address(address, residue)?)).copied();
+        word(0).or_else(|| word(8))
+    }
 }
 
 /// Groups and single values, each of which must come from one request.

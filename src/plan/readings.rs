@@ -64,7 +64,7 @@ impl<'p, E> PlanReadings<'p, E> {
     fn value(&self, tag: &Tag, slot: ValueSlot, raw: &mut Vec<Value>) -> Result<(), &E> {
         let words = self.replies[slot.request as usize].as_ref()?;
         // The link and `Plan::scatter` check the length of each reply.
-        let taken = tag.append_value(words, slot.word as usize, raw);
+        let taken = tag.append_value(words, slot, raw);
         debug_assert!(taken.is_some(), "a reply matches its request");
         Ok(())
     }

@@ -2,6 +2,7 @@ use std::fmt;
 use std::time::Duration;
 
 use super::Reply;
+use super::words::WordAreas;
 use crate::command::{Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Element, Register, Register32};
 use crate::error::Error;
@@ -17,6 +18,8 @@ pub struct PlannedRequest {
     pub(super) request_bytes: usize,
     pub(super) reply_bytes: usize,
     pub(super) time: Duration,
+    /// The areas of the discretes that it reads as bits of words.
+    pub(super) word_areas: WordAreas,
 }
 
 /// A request that reads elements, of one of four kinds.
@@ -56,6 +59,14 @@ impl PlannedRequest {
     #[must_use]
     pub fn time(&self) -> Duration {
         self.time
+    }
+
+    /// Returns whether it reads discretes as bits of words, such as M0 to M15 as `WM0`.
+    ///
+    /// A PLC may refuse these words although it accepts the discretes.
+    #[must_use]
+    pub fn has_words_of_discretes(&self) -> bool {
+        !self.word_areas.is_empty()
     }
 }
 

@@ -1,10 +1,14 @@
 //! The solver: distributes parts among requests at minimum cost.
 
+mod discretes;
+
+use std::borrow::Cow;
 use std::collections::VecDeque;
 
 use super::cost::CostModel;
 use super::layout::{self, Cells, Draft, ItemCost};
 use super::limits::Limits;
+use super::words::{self, WordAreas};
 
 /// The maximum number of parts for which all partitions are compared.
 pub(super) const MAX_EXACT_PARTS: usize = 8;
@@ -25,8 +29,28 @@ pub(super) fn solve(groups: &[Part], values: &[Cells], limits: &Limits, cost: &C
     } else if groups.len() + values.len() <= MAX_EXACT_PARTS {
         solve_exact(groups, values, limits, cost)
     } else {
-        solve_large(groups, values, limits, cost)
+        solve_many(groups, values, limits, cost)
     }
+}
+
+/// Solves with and without words of discretes, and returns the cheaper plan.
+///
+/// Words are chosen by a heuristic, so a plan without them may be cheaper.
+pub(super) fn solve_many(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Share> {
+    let with_words = solve_large(groups, values, limits, cost);
+    if !groups.iter().flatten().chain(values).any(|cells| words::has_words(cells, limits)) {
+        return with_words;
+    }
+    let no_words = limits.clone().without_words(WordAreas::all());
+    if groups.iter().any(|group| Draft::cheapest(group, &no_words, cost).is_none()) {
+        return with_words;
+    }
+    let without_words = solve_large(groups, values, &no_words, cost);
+    if price_of(&without_words, cost) < price_of(&with_words, cost) { without_words } else { with_words }
+}
+
+fn price_of(shares: &[Share], cost: &CostModel) -> u64 {
+    shares.iter().map(|(draft, _)| draft.cost(cost)).sum()
 }
 
 /// Returns a single request for all parts if two requests cannot be cheaper.
@@ -36,7 +60,7 @@ pub(super) fn solve(groups: &[Part], values: &[Cells], limits: &Limits, cost: &C
 fn single_request(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Share> {
     let cells = sorted(groups.iter().flatten().chain(values));
     let draft = Draft::cheapest(&cells, limits, cost)?;
-    let two = mixed_overhead(cost).saturating_mul(2).saturating_add(cost.bytes_cost(layout::value_bytes(&cells, cost)));
+    let two = mixed_overhead(cost).saturating_mul(2).saturating_add(cost.bytes_cost(layout::least_value_bytes(&cells, limits, cost)));
     (draft.cost(cost) <= two).then(|| (draft, (0..groups.len() + values.len()).collect()))
 }
 
@@ -92,7 +116,7 @@ pub(super) fn solve_large(groups: &[Part], values: &[Cells], limits: &Limits, co
     let mut best: Option<(u64, Outcome)> = None;
     let mut consider = |unit_price: Option<u64>| {
         let outcome = pack_values(&rest, unit_price, &open_bins, limits, cost);
-        let price = outcome.iter().map(|(draft, _)| draft.cost(cost)).sum::<u64>();
+        let price = price_of(&outcome, cost);
         if best.as_ref().is_none_or(|(cheapest, _)| price < *cheapest) {
             best = Some((price, outcome));
         }
@@ -143,21 +167,23 @@ fn place_groups(groups: &[Part], limits: &Limits, cost: &CostModel) -> (Vec<Shar
             Some(Draft::Run(run)) => runs.push((run, vec![n])),
             Some(Draft::Mixed(_)) | None => {
                 // Only the last few bins, so that the time stays linear.
-                let fits = |bin: &&mut Bin| {
+                let with_group = |bin: &Bin| {
                     let cells = sorted(bin.cells.iter().chain(group));
-                    bin.units + units(group) <= limits.mixed_units() && Draft::mixed(&cells, limits, cost).is_some()
+                    Draft::mixed(&cells, limits, cost).map(|draft| draft.mixed_units())
                 };
-                let bin = match bins.iter_mut().rev().take(8).find(fits) {
-                    Some(bin) => bin,
+                let mut open = bins.iter_mut().rev().take(8);
+                let (bin, units) = match open.find_map(|bin| with_group(bin).map(|units| (bin, units))) {
+                    Some(found) => found,
                     None => {
+                        let units = with_group(&Bin::default()).unwrap_or(0);
                         bins.push(Bin::default());
                         let last = bins.len() - 1;
-                        &mut bins[last]
+                        (&mut bins[last], units)
                     }
                 };
                 bin.parts.push(n);
                 bin.cells.extend(group);
-                bin.units += units(group);
+                bin.units = units;
             }
         }
     }
@@ -196,6 +222,71 @@ fn absorb_into_runs(values: Vec<(usize, Cells)>, shares: &mut [Share]) -> Vec<(u
 
 /// Returns one outcome: runs where they are cheaper, and mixed reads of the remaining values.
 fn pack_values(
+    values: &[(usize, Cells)],
+    unit_price: Option<u64>,
+    open: &[Bin],
+    limits: &Limits,
+    cost: &CostModel,
+) -> Outcome {
+    let (values, words) = with_words(values, unit_price, limits, cost);
+    let mut shares = pack_chosen(&values, unit_price, open, limits, cost);
+    if !words.parts.is_empty() {
+        shares.iter_mut().for_each(|(_, parts)| words.expand(parts));
+    }
+    shares
+}
+
+/// Words that are read for discretes, as values with numbers of their own.
+struct WordValues {
+    first: usize,
+    /// For each word, the numbers of its discretes.
+    parts: Vec<Vec<usize>>,
+}
+
+impl WordValues {
+    /// Replaces words by their discretes.
+    fn expand(&self, parts: &mut Vec<usize>) {
+        let numbers = std::mem::take(parts);
+        for n in numbers {
+            match n.checked_sub(self.first).and_then(|word| self.parts.get(word)) {
+                Some(discretes) => parts.extend(discretes),
+                None => parts.push(n),
+            }
+        }
+    }
+}
+
+/// Replaces discretes by words where that is cheaper. The values are sorted, before and after.
+fn with_words<'v>(
+    values: &'v [(usize, Cells)],
+    unit_price: Option<u64>,
+    limits: &Limits,
+    cost: &CostModel,
+) -> (Cow<'v, [(usize, Cells)]>, WordValues) {
+    let first = values.iter().map(|(n, _)| n + 1).max().unwrap_or(0);
+    let mut words = WordValues { first, parts: Vec::new() };
+    if !values.iter().any(|(_, value)| words::has_words(value, limits)) {
+        return (Cow::Borrowed(values), words);
+    }
+    let mut chosen = Vec::with_capacity(values.len());
+    for area in values.chunk_by(|(_, a), (_, b)| a.area == b.area) {
+        if area.first().is_some_and(|(_, value)| words::has_words(value, limits)) {
+            let choice = discretes::choose_words(area, unit_price, limits, cost);
+            chosen.extend(choice.discretes);
+            for (word, discretes) in choice.words {
+                chosen.push((first + words.parts.len(), word));
+                words.parts.push(discretes);
+            }
+        } else {
+            chosen.extend_from_slice(area);
+        }
+    }
+    chosen.sort_by_key(|(_, value)| value.key());
+    (Cow::Owned(chosen), words)
+}
+
+/// Returns one outcome for values that are read as they are.
+fn pack_chosen(
     values: &[(usize, Cells)],
     unit_price: Option<u64>,
     open: &[Bin],
@@ -345,7 +436,7 @@ fn solve_area(
         let before = costs[i];
         let cheapest = before.into_iter().min().unwrap_or(INFINITE);
         let key = cheapest + (all - distance(value.first));
-        if i > 0 && !limits.allows_any_run() && values[i - 1].1.must_split_from(*value, limits) {
+        if i > 0 && !limits.has_no_ranges() && values[i - 1].1.must_split_from(*value, limits) {
             run_starts.clear();
         }
         while run_starts.back().is_some_and(|(worse, _)| *worse >= key) {

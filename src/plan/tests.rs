@@ -12,7 +12,9 @@ use crate::random::Random;
 use crate::tag::TagType;
 use crate::wire::Framing;
 
+mod enumerate;
 mod texts;
+mod words;
 
 /// Random choices. Failed tests print the seed.
 struct Choices(Random);
@@ -101,8 +103,12 @@ fn text(first: Element, registers: usize) -> Tag {
     (1..=registers).rev().find_map(|registers| Tag::spanning(first, TagType::Text, registers).ok()).unwrap()
 }
 
-/// A word of the simulated memory.
+/// A word of the simulated memory. Words of discretes consist of these.
 fn word(symbol: Symbol, address: u16) -> u16 {
+    let smallest = symbol.area().smallest();
+    if smallest.width() == Width::Bit && symbol != smallest {
+        return (0..16).map(|bit| (word(smallest, address + bit) & 1) << bit).sum();
+    }
     let mut random = Choices(Random::new(u64::from(address) << 8 | symbol as u64));
     u16::try_from(random.below(65_536)).unwrap()
 }
