@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use super::reply::{Reply, ReplyWords};
+use super::words::WordAreas;
 use super::{Plan, PlannedRequest, ReadRequest, ValueSlot};
 use crate::element::Element;
 use crate::tag::TagValue;
@@ -41,6 +42,11 @@ impl Plan {
 }
 
 impl PlannedRequest {
+    /// Returns the areas of the discretes that it reads as bits of words.
+    pub(crate) fn word_areas(&self) -> WordAreas {
+        self.word_areas
+    }
+
     /// Returns the length of the reply in bytes.
     pub(crate) fn reply_bytes(&self) -> usize {
         self.reply_bytes

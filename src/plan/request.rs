@@ -3,7 +3,7 @@ use std::time::Duration;
 
 use super::Reply;
 use super::words::WordAreas;
-use crate::command::{Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
+use crate::command::{Code, Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Element, Register, Register32};
 use crate::error::Error;
 use crate::link::{CallOutcome, Purpose};
@@ -115,6 +115,15 @@ impl ReadRequest {
             Self::Registers32(request) => job.call(mark, *request, false).await?.map(Reply::DWords),
             Self::Mixed(request) => job.call(mark, request.clone(), false).await?.map(Reply::Mixed),
         })
+    }
+
+    /// Returns the command.
+    pub(super) fn code(&self) -> Code {
+        match self {
+            Self::Discretes(_) => Code::ReadDiscretes,
+            Self::Registers(_) | Self::Registers32(_) => Code::ReadRegisters,
+            Self::Mixed(_) => Code::ReadMixed,
+        }
     }
 
     /// Checks that the request is valid and unambiguous in this framing.

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use super::cost::CostModel;
 use super::layout::{self, Cells, Draft, ItemCost};
 use super::limits::Limits;
-use super::words::{self, WordAreas};
+use super::words;
 
 /// The maximum number of parts for which all partitions are compared.
 pub(super) const MAX_EXACT_PARTS: usize = 8;
@@ -29,24 +29,8 @@ pub(super) fn solve(groups: &[Part], values: &[Cells], limits: &Limits, cost: &C
     } else if groups.len() + values.len() <= MAX_EXACT_PARTS {
         solve_exact(groups, values, limits, cost)
     } else {
-        solve_many(groups, values, limits, cost)
+        solve_large(groups, values, limits, cost)
     }
-}
-
-/// Solves with and without words of discretes, and returns the cheaper plan.
-///
-/// Words are chosen by a heuristic, so a plan without them may be cheaper.
-pub(super) fn solve_many(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Share> {
-    let with_words = solve_large(groups, values, limits, cost);
-    if !groups.iter().flatten().chain(values).any(|cells| words::has_words(cells, limits)) {
-        return with_words;
-    }
-    let no_words = limits.clone().without_words(WordAreas::all());
-    if groups.iter().any(|group| Draft::cheapest(group, &no_words, cost).is_none()) {
-        return with_words;
-    }
-    let without_words = solve_large(groups, values, &no_words, cost);
-    if price_of(&without_words, cost) < price_of(&with_words, cost) { without_words } else { with_words }
 }
 
 fn price_of(shares: &[Share], cost: &CostModel) -> u64 {

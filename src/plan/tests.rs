@@ -220,13 +220,18 @@ fn brute_force(parts: &[Vec<Cells>], limits: &Limits, model: &CostModel) -> u64 
     go(parts, &mut Vec::new(), (limits, model))
 }
 
+fn words_are_read(cells: &Cells, limits: &Limits) -> bool {
+    super::words::has_words(cells, limits)
+}
+
 /// Returns the parts of single values, as the module defines them, by comparing all pairs.
 fn parts(tags: &[Tag], limits: &Limits) -> Vec<Vec<Cells>> {
     let cells: Vec<Cells> =
         tags.iter().map(|tag| Cells::of(tag.first(), tag.element_count(), limits).unwrap()).collect();
     let mut kept: Vec<Cells> = Vec::new();
     for (n, one) in cells.iter().enumerate() {
-        let held = |(m, other): (usize, &Cells)| other.contains(*one) && (other != one || m < n);
+        let in_word = |other: &Cells| words_are_read(one, limits) && other.find_bit(*one).is_some();
+        let held = |(m, other): (usize, &Cells)| other.contains(*one) && (other != one || m < n) || in_word(other);
         if !cells.iter().enumerate().any(held) {
             kept.push(*one);
         }
@@ -285,6 +290,7 @@ fn the_solver_for_many_values_is_optimal_where_documented() {
     for seed in 0..2000 {
         let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), limits()[random.below(4)].clone());
+        let limits = limits.words_of_discretes(false);
         let n = 1 + random.below(8);
         let tags: Vec<Tag> = (0..n).map(|_| random_tag(&mut random)).collect();
         let values = parts(&tags, &limits).concat();

@@ -6,7 +6,7 @@ use super::learned_limit::LearnedLimits;
 use super::plan_cache::PlanCache;
 use super::tag_map::TagMap;
 use super::tag_state::TagState;
-use crate::plan::{Limits, PlanError};
+use crate::plan::{Limits, PlanError, WordAreas};
 use crate::tag::Tag;
 
 /// The tags, limits and costs of one station: everything a plan depends on.
@@ -75,11 +75,8 @@ impl StationContext {
         if self.learned_limits.is_empty() && !self.tag_map.values().any(TagState::is_refused) {
             return CompiledPlan::new(parts, &self.tag_map, &self.limits, &cost, &self.plan_cache);
         }
-        let limits = self.effective_limits.get_or_insert_with(|| {
-            let refused = self.tag_map.values().filter(|state| state.is_refused());
-            let refused = refused.map(|state| (state.tag.first(), state.tag.element_count()));
-            Box::new(self.learned_limits.apply(&self.limits).avoid_all(refused))
-        });
+        let limits = self.effective_limits.take().unwrap_or_else(|| Box::new(self.restricted_limits()));
+        let limits = self.effective_limits.insert(limits);
         CompiledPlan::new(parts, &self.tag_map, limits, &cost, &self.plan_cache)
     }
 
@@ -91,6 +88,18 @@ impl StationContext {
     /// Plans these parts by runs alone.
     pub(super) fn plan_runs(&self, parts: &[TagPart]) -> Result<CompiledPlan, PlanError> {
         self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false))
+    }
+
+    /// Plans these parts with the learned limits, and the discretes of these areas not as words.
+    pub(super) fn plan_without_words(&self, parts: &[TagPart], areas: WordAreas) -> Result<CompiledPlan, PlanError> {
+        self.compile(parts, &self.restricted_limits().without_words(areas))
+    }
+
+    /// Returns the configured limits with the learned ones, and with refused tags avoided.
+    fn restricted_limits(&self) -> Limits {
+        let refused = self.tag_map.values().filter(|state| state.is_refused());
+        let refused = refused.map(|state| (state.tag.first(), state.tag.element_count()));
+        self.learned_limits.apply(&self.limits).avoid_all(refused)
     }
 
     fn compile(&self, parts: &[TagPart], limits: &Limits) -> Result<CompiledPlan, PlanError> {

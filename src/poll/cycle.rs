@@ -15,6 +15,9 @@
 //!   own. A tag or group that is refused alone is at fault and is not read further. If neither half
 //!   contains one, the request is sent once more. A second refusal is due to the request itself and
 //!   gives a [`LearnedLimit`] for the next plans; otherwise the cause has passed.
+//! - If a refused request has *words of discretes*, its tags are read by requests without these words
+//!   instead of in halves. If none of them is at fault, the request is sent once more, and a second
+//!   refusal excludes the words of these areas for the lifetime of a learned limit.
 //! - *Probe*: the tag that was refused longest ago is read again when its probe is due.
 //! - *Others*: after an accepted probe, all other refused tags are read again too.
 //! - A missing reply *abandons* the cycle: the station would not reply to the other requests
@@ -28,7 +31,8 @@
 //!   first reply;
 //! - each value is reported once, and only if confirmed;
 //! - a tag is at fault only if it was refused alone, and the refusal is confirmed;
-//! - the cycle ends: each half is smaller than the whole, and each phase occurs once.
+//! - the cycle ends: each half is smaller than the whole, or has fewer areas with words, and each
+//!   phase occurs once.
 
 mod confirm;
 
@@ -45,7 +49,7 @@ use super::learned_limit::{LearnedLimit, SplitPoint};
 use super::tag_map::TagMap;
 use super::{Reason, Sample, Stamp, TagId};
 use crate::error::ErrorCode;
-use crate::plan::{PlannedRequest, ReadRequest, ReplyWords};
+use crate::plan::{PlannedRequest, ReadRequest, ReplyWords, WordAreas};
 
 #[derive(Debug)]
 pub(super) struct Cycle {
@@ -111,6 +115,9 @@ struct RefusedRequest {
     resend: bool,
     /// The number of removed tags when it was sent; `None` if it read some of these tags.
     removals: Option<u64>,
+    /// The areas whose discretes it read as words. Its tags are then read without words instead of
+    /// in halves.
+    word_areas: WordAreas,
 }
 
 /// The environment of a cycle: its station and class, and the samples it makes.
@@ -255,7 +262,8 @@ impl Cycle {
 
     /// Reads the parts of a refused request in halves, or marks them as refused.
     fn halve(&mut self, plan: &CompiledPlan, index: usize, code: ErrorCode, now: Stamp, ctx: &mut CycleContext<'_>) {
-        let Some(request) = plan.requests().get(index).map(PlannedRequest::request) else { return };
+        let Some(planned) = plan.requests().get(index) else { return };
+        let (request, word_areas) = (planned.request(), planned.word_areas());
         let parts: Vec<TagPart> = plan.parts_of(index).iter().filter_map(|part| plan.part(*part)).collect();
         let removed = parts.iter().any(|part| !ctx.station.tag_map.contains(part.id));
         let mut refused = RefusedRequest {
@@ -265,7 +273,18 @@ impl Cycle {
             explained: false,
             resend: false,
             removals: (!removed).then_some(ctx.station.removals),
+            word_areas: WordAreas::default(),
         };
+        if !word_areas.is_empty() {
+            // The PLC may accept the discretes. A group that fits only as words is halved as usual.
+            let parts = plan.parts_in(index, &ctx.station.tag_map);
+            if let Ok(plan) = ctx.station.plan_without_words(&parts, word_areas) {
+                refused.word_areas = word_areas;
+                self.stack.push(StackFrame::Refused(refused));
+                self.stack.push(StackFrame::Plan(InFlight::new(Arc::new(plan), 0)));
+                return;
+            }
+        }
         match plan.halves(index, &ctx.station.tag_map) {
             Some(halves) => {
                 refused.split_point = halves.split_point;
@@ -449,6 +468,9 @@ impl RefusedRequest {
     fn explanation(&self, station: &StationContext) -> Option<LearnedLimit> {
         // After the removal of a tag, a plan would not contain the same request.
         let unchanged = self.removals == Some(station.removals);
+        if !self.word_areas.is_empty() {
+            return unchanged.then_some(LearnedLimit::NoWords(self.word_areas));
+        }
         unchanged.then(|| station.learned_limits.explanation(&self.request, self.split_point))?
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use crate::element::Element;
-use crate::plan::{Limits, ReadRequest};
+use crate::plan::{Limits, ReadRequest, WordAreas};
 
 /// The lifetime of a learned limit. Then the request is tried again: the cause may have passed.
 const LIFETIME: Duration = Duration::from_secs(600);
@@ -25,6 +25,8 @@ pub(super) enum LearnedLimit {
     Points(usize),
     /// The most units of a mixed read; 0: no mixed reads.
     Mixed(usize),
+    /// The discretes of these areas are not read as words.
+    NoWords(WordAreas),
 }
 
 /// The position between the halves of a request, in words of its reply.
@@ -120,6 +122,7 @@ impl LearnedLimits {
     pub(super) fn apply(&self, limits: &Limits) -> Limits {
         let (mut registers, mut points, mut mixed) = (usize::MAX, usize::MAX, usize::MAX);
         let (mut avoided, mut splits) = (Vec::new(), Vec::new());
+        let mut no_words = WordAreas::default();
         for (limit, _) in &self.limits {
             match *limit {
                 LearnedLimit::Avoid { first, count } => avoided.push((first, count)),
@@ -127,9 +130,11 @@ impl LearnedLimits {
                 LearnedLimit::Registers(max) => registers = registers.min(max),
                 LearnedLimit::Points(max) => points = points.min(max),
                 LearnedLimit::Mixed(max) => mixed = mixed.min(max),
+                LearnedLimit::NoWords(areas) => no_words.extend(areas),
             }
         }
-        limits.clone().at_most(registers, points, mixed).avoid_all(avoided).split_before(splits)
+        let limits = limits.clone().without_words(no_words);
+        limits.at_most(registers, points, mixed).avoid_all(avoided).split_before(splits)
     }
 }
 

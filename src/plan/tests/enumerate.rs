@@ -57,6 +57,7 @@ impl Enumeration<'_> {
             requests.extend(words.and_then(|words| self.run(&words, block)));
         }
         let discretes: Vec<(Symbol, u16)> = block.iter().copied().filter(|cell| has_words(cell.0)).collect();
+        let mut seen = BTreeSet::new();
         for choice in 0..3_usize.pow(u32::try_from(discretes.len()).unwrap()) {
             let mut items = block.clone();
             let mut rest = choice;
@@ -73,7 +74,7 @@ impl Enumeration<'_> {
                     None => {}
                 }
             }
-            if valid {
+            if valid && seen.insert(items.clone()) {
                 requests.extend(self.mixed(items));
             }
         }

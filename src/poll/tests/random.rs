@@ -74,6 +74,7 @@ impl RandomTest {
         }
         rig.plc.one_shape = random.below(2) == 0;
         rig.plc.mixed = random.below(3) > 0;
+        rig.plc.words = random.below(3) > 0;
         rig.plc.max_registers = random.one(&[64, 64, 32, 10]);
         rig.plc.max_points = random.one(&[256, 256, 16]);
         let class = |random: &mut TestRandom| {
@@ -172,7 +173,7 @@ impl RandomTest {
     /// Checks that all tags have recovered some time after the last fault.
     fn check_recovered(&mut self) {
         let plc = &self.rig.plc;
-        let limited = !plc.mixed || plc.max_registers < 64 || plc.max_points < 256;
+        let limited = !plc.mixed || !plc.words || plc.max_registers < 64 || plc.max_points < 256;
         let longest = self.classes.iter().map(ScanClass::period).max().unwrap();
         for (id, tag) in &self.tags {
             let sample = self.rig.latest(*id);

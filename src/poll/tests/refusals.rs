@@ -169,3 +169,50 @@ fn a_request_without_a_reply_does_not_starve_the_others() {
     let stats = rig.poller.classes().next().unwrap();
     assert_eq!((stats.abandoned, stats.overruns), (stats.cycles, 0));
 }
+
+/// M0 to M99 are read as words. The PLC refuses these, but none of the discretes.
+#[test]
+fn words_of_discretes_are_refused_and_every_discrete_is_read() {
+    let mut rig = TestRig::new(1);
+    rig.plc.words = false;
+    let mut texts: Vec<String> = (0..100).map(|n| format!("M{n}")).collect();
+    texts.extend(registers(20, 3));
+    let ids = add(&mut rig, every(1000), &texts);
+    rig.run(ms(500));
+    assert!(ids.iter().all(|id| rig.latest(*id).is_good()), "in the first cycle already");
+    assert_eq!(rig.poller.classes().next().unwrap().refusals, 2, "the request, and the request again");
+    assert!(rig.take_requests().iter().any(has_words));
+    rig.run(ms(5000));
+    assert!(!rig.take_requests().iter().any(has_words), "learned");
+    assert_eq!(rig.poller.classes().next().unwrap().refused_tags, 0);
+    // Words are tried again after the lifetime of a learned limit.
+    rig.plc.words = true;
+    rig.run(Duration::from_secs(601));
+    rig.take_requests();
+    rig.run(ms(1000));
+    assert!(rig.take_requests().iter().any(has_words));
+    assert!(ids.iter().all(|id| rig.latest(*id).is_good()));
+}
+
+fn has_words(request: &ReadRequest) -> bool {
+    super::rig::elements(request).iter().any(|element| matches!(element.symbol(), Symbol::WM | Symbol::DWM))
+}
+
+/// The word that contains a refused discrete is refused as well, and the others are read as words.
+#[test]
+fn a_refused_discrete_is_found_within_words() {
+    for wrong in [0, 7, 8, 50, 99] {
+        let mut rig = TestRig::new(1);
+        rig.plc.refused.insert((Symbol::M, wrong));
+        let texts: Vec<String> = (0..100).map(|n| format!("M{n}")).collect();
+        let ids = add(&mut rig, every(1000), &texts);
+        rig.run(ms(2500));
+        for (n, id) in ids.iter().enumerate() {
+            assert_eq!(rig.latest(*id).is_good(), n != usize::from(wrong), "M{n}, {wrong}");
+        }
+        rig.take_requests();
+        rig.run(ms(1000));
+        assert!(rig.take_requests().iter().any(has_words), "M{wrong}");
+        assert_eq!(rig.poller.classes().next().unwrap().refused_tags, 1);
+    }
+}
