@@ -245,6 +245,8 @@ fn no_partition_is_cheaper_than_the_plan_for_up_to_8_tags() {
     for seed in 0..300 {
         let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), limits()[random.below(4)].clone());
+        // `words` compares plans with words of discretes.
+        let limits = limits.words_of_discretes(false);
         // 8 tags have 4140 partitions (a Bell number), which is slow in a debug build.
         let n = if seed % 30 == 0 { 8 } else { 1 + random.below(6) };
         let tags: Vec<Tag> = (0..n).map(|_| random_tag(&mut random)).collect();
@@ -318,7 +320,7 @@ fn cells_added_to_a_mixed_read_cost_as_much_as_its_elements() {
         for first in ["R0", "WM0", "RC0", "DRC0", "DRC200", "M0"].map(|first| first.parse().unwrap()) {
             let one = Cells::of(first, 1, &Limits::new()).unwrap();
             let item = layout::ItemCost::new(one.area, &model);
-            let mixed = |len| Draft::mixed(&[Cells { len, ..one }], &Limits::new(), &model).unwrap().cost(&model);
+            let mixed = |len| Draft::mixed_of(&[Cells { len, ..one }], &Limits::new(), &model).unwrap().cost(&model);
             for (before, more) in (1..16).flat_map(|before| (1..16).map(move |more| (before, more))) {
                 let cost = mixed(before) + item.cost(more, before % 2 == 1);
                 assert_eq!(cost, mixed(before + more), "{first}, {before} and {more}, {model:?}");

@@ -85,9 +85,9 @@ impl StationContext {
         self.compile(parts, &self.limits)
     }
 
-    /// Plans these parts by runs alone.
-    pub(super) fn plan_runs(&self, parts: &[TagPart]) -> Result<CompiledPlan, PlanError> {
-        self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false))
+    /// Plans these parts by runs alone, without words of the discretes of these areas.
+    pub(super) fn plan_runs(&self, parts: &[TagPart], no_words: WordAreas) -> Result<CompiledPlan, PlanError> {
+        self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false).without_words(no_words))
     }
 
     /// Plans these parts with the learned limits, and the discretes of these areas not as words.

@@ -275,10 +275,12 @@ impl Cycle {
             removals: (!removed).then_some(ctx.station.removals),
             word_areas: WordAreas::default(),
         };
+        let mut refused_words = self.refused_words();
+        refused_words.extend(word_areas);
         if !word_areas.is_empty() {
             // The PLC may accept the discretes. A group that fits only as words is halved as usual.
             let parts = plan.parts_in(index, &ctx.station.tag_map);
-            if let Ok(plan) = ctx.station.plan_without_words(&parts, word_areas) {
+            if let Ok(plan) = ctx.station.plan_without_words(&parts, refused_words) {
                 refused.word_areas = word_areas;
                 self.stack.push(StackFrame::Refused(refused));
                 self.stack.push(StackFrame::Plan(InFlight::new(Arc::new(plan), 0)));
@@ -305,7 +307,7 @@ impl Cycle {
             }
             None => {
                 // The PLC may refuse a mixed read of elements that it accepts as a run.
-                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| ctx.station.plan_runs(&parts));
+                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| ctx.station.plan_runs(&parts, refused_words));
                 if let Some(Ok(plan)) = runs {
                     self.stack.push(StackFrame::Refused(refused));
                     self.stack.push(StackFrame::Plan(InFlight::new(Arc::new(plan), 0)));
@@ -391,6 +393,20 @@ impl Cycle {
         }
     }
 
+    /// The areas of discretes whose words were refused in the requests that are being read again.
+    ///
+    /// The discrete at fault may be in words of others.
+    fn refused_words(&self) -> WordAreas {
+        let mut areas = WordAreas::default();
+        for frame in &self.stack {
+            match frame {
+                StackFrame::Refused(refused) => areas.extend(refused.word_areas),
+                StackFrame::Plan(_) => {}
+            }
+        }
+        areas
+    }
+
     fn probe_at(&self, now: Stamp, ctx: &CycleContext<'_>) -> Instant {
         now.instant.checked_add(ctx.scan.probe_refused).unwrap_or(now.instant)
     }
@@ -405,6 +421,12 @@ impl Cycle {
     fn plan(&mut self, parts: &[TagPart], now: Stamp, ctx: &mut CycleContext<'_>) -> Vec<Arc<CompiledPlan>> {
         let is_wanted = |part: &TagPart| is_wanted(*part, self.number, &ctx.station.tag_map);
         let parts: Vec<TagPart> = parts.iter().copied().filter(is_wanted).collect();
+        let refused_words = self.refused_words();
+        if !refused_words.is_empty()
+            && let Ok(plan) = ctx.station.plan_without_words(&parts, refused_words)
+        {
+            return vec![Arc::new(plan)];
+        }
         if let Ok(plan) = ctx.station.plan(&parts) {
             return vec![Arc::new(plan)];
         }

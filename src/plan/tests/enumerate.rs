@@ -11,11 +11,11 @@ const BITS: u16 = 16;
 /// The smallest elements of a part: discretes, 16-bit elements, and counters of 32 bits.
 pub(super) type Smallest = BTreeSet<(Symbol, u16)>;
 
-/// A price, or the fact that a list would be ambiguous in the binary framing.
+/// The limits and costs of an enumeration.
 pub(super) struct Enumeration<'a> {
     pub(super) limits: &'a Limits,
     pub(super) model: &'a CostModel,
-    /// Ambiguous lists that were left out.
+    /// The number of lists that were left out because they are ambiguous in the binary framing.
     pub(super) ambiguous: usize,
 }
 
@@ -51,11 +51,12 @@ impl Enumeration<'_> {
             return Some(0);
         }
         let mut requests: Vec<ReadRequest> = Vec::new();
-        requests.extend(self.run(block, block));
+        requests.extend(self.run(block));
         for residue in [0, 8] {
             let words: Option<Smallest> = block.iter().map(|cell| self.in_words(*cell, residue)).collect();
-            requests.extend(words.and_then(|words| self.run(&words, block)));
+            requests.extend(words.and_then(|words| self.run(&words)));
         }
+        let mut best = requests.iter().map(|request| self.model.cost(frames(request, self.model.framing()))).min();
         let discretes: Vec<(Symbol, u16)> = block.iter().copied().filter(|cell| has_words(cell.0)).collect();
         let mut seen = BTreeSet::new();
         for choice in 0..3_usize.pow(u32::try_from(discretes.len()).unwrap()) {
@@ -75,10 +76,10 @@ impl Enumeration<'_> {
                 }
             }
             if valid && seen.insert(items.clone()) {
-                requests.extend(self.mixed(items));
+                best = self.mixed(items, best).or(best);
             }
         }
-        requests.into_iter().map(|request| self.model.cost(frames(&request, self.model.framing()))).min()
+        best
     }
 
     /// Returns the word that a discrete may be read by; other cells are their own.
@@ -101,7 +102,7 @@ impl Enumeration<'_> {
     }
 
     /// Returns the run from the first to the last of these cells, if there is one.
-    fn run(&self, cells: &Smallest, block: &Smallest) -> Option<ReadRequest> {
+    fn run(&self, cells: &Smallest) -> Option<ReadRequest> {
         let (symbol, first) = *cells.first()?;
         let (_, last) = *cells.last()?;
         let counter = symbol.width() == Width::DWord;
@@ -137,7 +138,6 @@ impl Enumeration<'_> {
                 }
             }
         }
-        let _ = block;
         if count > limits.units(symbol.width()) as usize {
             return None;
         }
@@ -155,8 +155,9 @@ impl Enumeration<'_> {
         })
     }
 
-    /// Returns the mixed read of these cells; discretes in one of the words are left out.
-    fn mixed(&mut self, mut cells: Smallest) -> Option<ReadRequest> {
+    /// Returns the cost of the mixed read of these cells if it is lower than `best`. Discretes in one
+    /// of the words are left out.
+    fn mixed(&mut self, mut cells: Smallest, best: Option<u64>) -> Option<u64> {
         let words: Vec<(Symbol, u16)> = cells.iter().copied().filter(|(s, _)| s.width() == Width::Word).collect();
         cells.retain(|(symbol, address)| {
             let word = |(other, first): &(Symbol, u16)| {
@@ -186,12 +187,19 @@ impl Enumeration<'_> {
             elements.push(Element::new(symbol, *address).unwrap());
             rest = others;
         }
+        let framing = self.model.framing();
+        let item = |element: &Element| framing.element_len(element.symbol()) + framing.value_len(element.width());
+        let items: usize = elements.iter().map(item).sum();
+        let price = self.model.cost(framing.request_overhead() + framing.reply_overhead() + items);
+        if best.is_some_and(|best| best <= price) {
+            return None;
+        }
         let request = ReadRequest::Mixed(ReadMixed::new(elements).unwrap());
         if request.check(self.model.framing()).is_err() {
             self.ambiguous += 1;
             return None;
         }
-        Some(request)
+        Some(price)
     }
 }
 
