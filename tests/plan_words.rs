@@ -26,7 +26,7 @@ fn bench(framing: Framing, seed: u64) -> Bench {
             plc.write(Element::parse(&format!("{symbol}{address}")).unwrap(), state >> 62 & 1 == 1).unwrap();
         }
     }
-    for address in 0..64 {
+    for address in 0..64_u16 {
         plc.write(Element::parse(&format!("R{address}")).unwrap(), address * 257).unwrap();
     }
     let bus = Bus::new().with_station(1, plc.clone()).unwrap().with_faults(faults.clone());
@@ -136,7 +136,7 @@ async fn silence_is_not_a_refusal() {
     let bench = bench(Framing::Ascii, 10);
     bench.faults.add_rule(Rule::new(Fault::Ignore).elements(Element::parse("WM0").unwrap(), 16));
     let model = CostModel::network(Framing::Ascii, Duration::from_millis(5));
-    let plan = Plan::builder(model).tag("M0-M255".parse().unwrap()).build().unwrap();
+    let plan = Plan::builder(model).tag("M0-M255".parse::<Tag>().unwrap()).build().unwrap();
     let readings = plan.read(&bench.station).await;
     assert!(matches!(readings.tag(0).unwrap(), Err(Error::Timeout { .. })));
     let reads = bench.faults.log().entries();

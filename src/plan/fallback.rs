@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use super::{CostModel, Limits, Plan};
+use super::{CostModel, Limits, Plan, PlanBuilder};
+use crate::element::Width;
 use crate::error::{Error, ErrorCode};
 use crate::tag::Tag;
 
@@ -15,13 +16,19 @@ pub(super) struct PlanInputs {
     pub(super) groups: Vec<Range<usize>>,
 }
 
-/// The requests in place of a refused one.
+/// Requests in place of a refused one.
 #[derive(Debug)]
 pub(super) struct Fallback {
     /// Its tags are those of the refused request, or values of them.
     pub(super) plan: Plan,
     /// For each value of `plan`, the index of its place in the plan with the refused request.
     pub(super) values: Vec<usize>,
+}
+
+/// The tags of a [`Fallback`].
+struct FallbackBuilder {
+    builder: PlanBuilder,
+    values: Vec<usize>,
 }
 
 /// Returns whether a PLC that refuses a request with this error may accept its discretes as such.
@@ -42,17 +49,23 @@ pub(super) fn is_refusal(error: &Error) -> bool {
 }
 
 impl Plan {
-    /// Plans the values of a request without words of discretes. `None` if there are none in it.
+    /// Plans the values of a request without words of discretes; none if it has no such words.
     ///
-    /// Values of a one-scan group that only fits as words are left out.
-    pub(super) fn fallback(&self, request: usize) -> Option<Fallback> {
+    /// Tags of words are in a plan of their own, since the PLC may refuse these. Values of a one-scan
+    /// group that only fits as words are left out.
+    pub(super) fn fallbacks(&self, request: usize) -> Vec<Fallback> {
+        self.build_fallbacks(request).unwrap_or_default()
+    }
+
+    fn build_fallbacks(&self, request: usize) -> Option<Vec<Fallback>> {
         let inputs = self.inputs.as_deref()?;
         if !self.requests.get(request)?.has_words_of_discretes() {
             return None;
         }
         let limits = inputs.limits.clone().words_of_discretes(false);
         let builder = || Plan::builder(inputs.cost).limits(limits.clone());
-        let (mut all, mut values) = (builder(), Vec::new());
+        let mut words = FallbackBuilder { builder: builder(), values: Vec::new() };
+        let mut others = FallbackBuilder { builder: builder(), values: Vec::new() };
         let mut groups = inputs.groups.iter().peekable();
         let mut tag = 0;
         while tag < self.tags.len() {
@@ -66,23 +79,36 @@ impl Plan {
             if here.is_empty() {
                 continue;
             }
-            if group.is_some() || here.len() == slots.len() {
-                let whole: Vec<Tag> = self.tags.get(tags).unwrap_or_default().to_vec();
-                if group.is_none() {
-                    all = all.tags(whole);
-                } else if builder().one_scan(whole.iter().copied()).build().is_ok() {
-                    all = all.one_scan(whole);
-                } else {
+            let first = self.tags.get(tags.start)?;
+            let plan = if group.is_none() && is_of_words(first) { &mut words } else { &mut others };
+            let before = std::mem::replace(&mut plan.builder, builder());
+            plan.builder = if group.is_some() {
+                let whole = self.tags.get(tags)?;
+                if builder().one_scan(whole.iter().copied()).build().is_err() {
+                    plan.builder = before;
                     continue;
                 }
+                before.one_scan(whole.iter().copied())
+            } else if here.len() == slots.len() {
+                before.tag(*first)
             } else {
-                let singles: Vec<Tag> = self.tags.get(tags.start)?.singles().collect();
-                all = all.tags(here.iter().filter_map(|slot| singles.get(slot - slots.start)).copied());
-            }
-            values.extend(here);
+                let singles: Vec<Tag> = first.singles().collect();
+                before.tags(here.iter().filter_map(|slot| singles.get(slot - slots.start)).copied())
+            };
+            plan.values.extend(here);
         }
-        let plan = all.build().ok()?;
-        debug_assert_eq!(plan.slots.len(), values.len(), "each value once");
-        Some(Fallback { plan, values })
+        let built = [others, words].into_iter().filter_map(|FallbackBuilder { builder, values }| {
+            let plan = builder.build().ok()?;
+            debug_assert_eq!(plan.slots.len(), values.len(), "each value once");
+            Some(Fallback { plan, values })
+        });
+        Some(built.collect())
     }
+}
+
+/// Returns whether a tag reads words of discretes.
+fn is_of_words(tag: &Tag) -> bool {
+    let symbol = tag.first().symbol();
+    let smallest = symbol.area().smallest();
+    smallest.width() == Width::Bit && symbol != smallest
 }

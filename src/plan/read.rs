@@ -9,13 +9,13 @@ use crate::station::{JobReply, Outcome, Station, StationJob};
 /// The result of a request of the plan.
 pub(super) struct RequestResult<E> {
     pub(super) reply: Result<ReplyWords, E>,
-    /// The requests in place of a refused one, each with its result.
-    pub(super) fallback: Option<(Fallback, Vec<Result<ReplyWords, E>>)>,
+    /// The plans in place of a refused request, each with the results of its requests.
+    pub(super) fallbacks: Vec<(Fallback, Vec<Result<ReplyWords, E>>)>,
 }
 
 impl<E> From<Result<ReplyWords, E>> for RequestResult<E> {
     fn from(reply: Result<ReplyWords, E>) -> Self {
-        Self { reply, fallback: None }
+        Self { reply, fallbacks: Vec::new() }
     }
 }
 
@@ -61,18 +61,21 @@ impl Plan {
     ) -> Progress<RequestResult<Error>> {
         let reply = self.call(request, request, job, before).await?;
         let refused = matches!(&reply, Err(error) if is_refusal(error));
-        let Some(fallback) = refused.then(|| self.fallback(request)).flatten() else { return Ok(reply.into()) };
-        tracing::debug!(request, "words of discretes are refused: their values are read without them");
-        let mut replies = Vec::with_capacity(fallback.plan.requests.len());
-        for n in 0..fallback.plan.requests.len() {
-            let reply = fallback.plan.call(n, request, job, before).await?;
-            if let Err(error @ Error::Duplicates { .. }) = &reply {
-                // The replies since the last proof are not reliable.
-                return Ok(Err(error.clone()).into());
+        let mut result = RequestResult::from(reply);
+        for fallback in if refused { self.fallbacks(request) } else { Vec::new() } {
+            tracing::debug!(request, "refused: its values are read without words of discretes");
+            let mut replies = Vec::with_capacity(fallback.plan.requests.len());
+            for n in 0..fallback.plan.requests.len() {
+                let reply = fallback.plan.call(n, request, job, before).await?;
+                if let Err(error @ Error::Duplicates { .. }) = &reply {
+                    // The replies since the last proof are not reliable.
+                    return Ok(Err(error.clone()).into());
+                }
+                replies.push(reply);
             }
-            replies.push(reply);
+            result.fallbacks.push((fallback, replies));
         }
-        Ok(RequestResult { reply, fallback: Some((fallback, replies)) })
+        Ok(result)
     }
 
     /// Sends one request at this mark of the job.

@@ -44,7 +44,7 @@ impl<'p, E> PlanReadings<'p, E> {
         let mut fallbacks = Vec::new();
         for (request, result) in results.into_iter().enumerate() {
             readings.replies.push(result.reply);
-            fallbacks.extend(result.fallback.map(|fallback| (request, fallback)));
+            fallbacks.extend(result.fallbacks.into_iter().map(|fallback| (request, fallback)));
         }
         for (request, (fallback, replies)) in fallbacks {
             let slots = readings.slots.get_or_insert_with(|| plan.slots.clone());

@@ -41,7 +41,7 @@ fn price_of(shares: &[Share], cost: &CostModel) -> u64 {
 ///
 /// Two requests have the bytes of all values and twice the overhead. This quick test succeeds for
 /// most small sets.
-fn single_request(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Share> {
+pub(super) fn single_request(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Share> {
     let cells = sorted(groups.iter().flatten().chain(values));
     let draft = Draft::cheapest(&cells, limits, cost)?;
     let two = mixed_overhead(cost).saturating_mul(2).saturating_add(cost.bytes_cost(layout::least_value_bytes(&cells, limits, cost)));

@@ -47,13 +47,13 @@ fn tags_are_readable(tags: &[Tag], limits: &Limits) -> bool {
 
 #[test]
 fn no_plan_of_the_enumeration_is_cheaper_for_up_to_8_values() {
-    let seeds: u64 = std::env::var("FATEK_PLAN_SEEDS").map_or(150, |n| n.parse().unwrap());
+    let seeds: u64 = std::env::var("FATEK_PLAN_SEEDS").map_or(60, |n| n.parse().unwrap());
     let (mut compared, mut with_words) = (0, 0);
     for seed in 0..seeds {
         let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), random.below(word_limits().len()));
         let limits = word_limits()[limits].clone();
-        let n = if seed % 100 == 0 { 8 } else { 1 + random.below(5) };
+        let n = if seed % 50 == 49 { 8 } else { 1 + random.below(5) };
         let tags: Vec<Tag> = (0..n).map(|_| random_tag_near_discretes(&mut random)).collect();
         if !tags_are_readable(&tags, &limits) {
             continue;
@@ -82,12 +82,13 @@ fn no_plan_of_the_enumeration_is_cheaper_for_up_to_8_values() {
 /// The plan for many values beside the best one, and beside the one without words.
 #[test]
 fn the_plan_of_many_discretes_is_close_to_the_optimum() {
-    let (mut paid, mut optimal, mut worst) = ([0; 2], [0; 2], [0; 2]);
-    let (mut optima, mut sets) = ([0; 2], [0; 2]);
+    let (mut paid, mut optimal, mut worst) = ([0; 3], [0; 3], [0; 3]);
+    let (mut optima, mut sets) = ([0; 3], [0; 3]);
     for seed in 0..3000 {
         let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), random.below(word_limits().len()));
-        let low = usize::from(limits > 1);
+        // Words are left out of lists that are ambiguous in the binary framing.
+        let low = if model.framing() == Framing::Binary { 2 } else { usize::from(limits > 1) };
         let limits = word_limits()[limits].clone();
         let n = 1 + random.below(8);
         let tags: Vec<Tag> = (0..n).map(|_| random_tag_near_discretes(&mut random)).collect();
@@ -100,9 +101,10 @@ fn the_plan_of_many_discretes_is_close_to_the_optimum() {
             continue;
         }
         let price = |shares: &[solve::Share]| shares.iter().map(|(draft, _)| draft.cost(&model)).sum::<u64>();
-        let large = price(&solve::solve_large(&[], &values, &limits, &model));
+        // As in `solve` for more than 8 values.
+        let single = solve::single_request(&[], &values, &limits, &model).map(|share| vec![share]);
+        let large = price(&single.unwrap_or_else(|| solve::solve_large(&[], &values, &limits, &model)));
         let best = price(&solve::solve_exact(&[], &values, &limits, &model));
-        // Lists that are ambiguous in the binary framing make the exact solver leave out words.
         assert!(large >= best || model.framing() == Framing::Binary, "seed {seed}, {model:?}, {limits:?}, {tags:?}");
         let large = large.max(best);
         paid[low] += large;
@@ -111,7 +113,7 @@ fn the_plan_of_many_discretes_is_close_to_the_optimum() {
         sets[low] += 1;
         worst[low] = worst[low].max((large - best) * 1000 / best);
     }
-    for (low, name) in ["limits of the protocol", "low limits, or ranges"].into_iter().enumerate() {
+    for (low, name) in ["ASCII, limits of the protocol", "ASCII, low limits or ranges", "binary"].into_iter().enumerate() {
         println!(
             "{name}: the solver for many values costs {:.2} % more than the optimum, at most {:.1} %; {} of {} sets optimal",
             (paid[low] - optimal[low]) as f64 * 100.0 / optimal[low] as f64,
@@ -120,8 +122,10 @@ fn the_plan_of_many_discretes_is_close_to_the_optimum() {
             sets[low]
         );
     }
-    assert!((paid[0] - optimal[0]) * 1000 < optimal[0] * 10, "{} ns instead of {} ns", paid[0], optimal[0]);
-    assert!((paid[1] - optimal[1]) * 100 < optimal[1] * 4, "{} ns instead of {} ns", paid[1], optimal[1]);
+    assert!((paid[0] - optimal[0]) * 1000 < optimal[0] * 2, "{} ns instead of {} ns", paid[0], optimal[0]);
+    for low in [1, 2] {
+        assert!((paid[low] - optimal[low]) * 100 < optimal[low] * 4, "{} ns instead of {} ns", paid[low], optimal[low]);
+    }
 }
 
 #[test]
