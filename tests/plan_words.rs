@@ -140,5 +140,7 @@ async fn silence_is_not_a_refusal() {
     let readings = plan.read(&bench.station).await;
     assert!(matches!(readings.tag(0).unwrap(), Err(Error::Timeout { .. })));
     let reads = bench.faults.log().entries();
-    assert!(reads.iter().filter_map(|entry| entry.request().map(Request::code)).all(|code| code != Code::ReadDiscretes));
+    assert!(
+        reads.iter().filter_map(|entry| entry.request().map(Request::code)).all(|code| code != Code::ReadDiscretes)
+    );
 }

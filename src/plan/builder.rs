@@ -3,8 +3,8 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::layout::{self, Cells, Draft};
 use super::fallback::PlanInputs;
+use super::layout::{self, Cells, Draft};
 use super::order;
 use super::solve::{self, Part};
 use super::words::{self, WordAreas};
@@ -109,7 +109,8 @@ impl PlanBuilder {
             let time = Duration::from_nanos(draft.cost(&self.cost));
             Ok(PlannedRequest { request: draft.request()?, values, request_bytes, reply_bytes, time, word_areas })
         };
-        let mut requests = shares.iter().zip(counts).zip(word_areas).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
+        let mut requests =
+            shares.iter().zip(counts).zip(word_areas).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
         let order = order::distinct_order(&requests);
         let mut place = vec![0; requests.len()];
         for (at, request) in (0..).zip(&order) {
@@ -117,9 +118,10 @@ impl PlanBuilder {
         }
         slots.iter_mut().for_each(|slot: &mut ValueSlot| slot.request = place[slot.request as usize]);
         requests = order.into_iter().map(|request| requests[request].clone()).collect();
-        let inputs = requests.iter().any(PlannedRequest::has_words_of_discretes).then(|| {
-            Arc::new(PlanInputs { cost: self.cost, limits: self.limits, groups: self.groups })
-        });
+        let inputs = requests
+            .iter()
+            .any(PlannedRequest::has_words_of_discretes)
+            .then(|| Arc::new(PlanInputs { cost: self.cost, limits: self.limits, groups: self.groups }));
         let (mut tags, mut first_slot) = (self.tags, values.first_slot);
         // A poller keeps thousands of plans.
         requests.shrink_to_fit();

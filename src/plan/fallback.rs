@@ -41,9 +41,7 @@ pub(super) fn is_refusal(error: &Error) -> bool {
             | ErrorCode::NotSupported
             | ErrorCode::Unknown(_),
         ) => true,
-        Some(
-            ErrorCode::WriteProhibited | ErrorCode::LadderChecksum | ErrorCode::IdMismatch | ErrorCode::Syntax,
-        )
+        Some(ErrorCode::WriteProhibited | ErrorCode::LadderChecksum | ErrorCode::IdMismatch | ErrorCode::Syntax)
         | None => false,
     }
 }

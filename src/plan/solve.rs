@@ -44,7 +44,9 @@ fn price_of(shares: &[Share], cost: &CostModel) -> u64 {
 pub(super) fn single_request(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Share> {
     let cells = sorted(groups.iter().flatten().chain(values));
     let draft = Draft::cheapest(&cells, limits, cost)?;
-    let two = mixed_overhead(cost).saturating_mul(2).saturating_add(cost.bytes_cost(layout::least_value_bytes(&cells, limits, cost)));
+    let two = mixed_overhead(cost)
+        .saturating_mul(2)
+        .saturating_add(cost.bytes_cost(layout::least_value_bytes(&cells, limits, cost)));
     (draft.cost(cost) <= two).then(|| (draft, (0..groups.len() + values.len()).collect()))
 }
 

@@ -307,7 +307,8 @@ impl Cycle {
             }
             None => {
                 // The PLC may refuse a mixed read of elements that it accepts as a run.
-                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| ctx.station.plan_runs(&parts, refused_words));
+                let runs =
+                    matches!(request, ReadRequest::Mixed(_)).then(|| ctx.station.plan_runs(&parts, refused_words));
                 if let Some(Ok(plan)) = runs {
                     self.stack.push(StackFrame::Refused(refused));
                     self.stack.push(StackFrame::Plan(InFlight::new(Arc::new(plan), 0)));

@@ -85,7 +85,8 @@ pub(super) fn choose_words(
     let symbol = first.area.symbol();
     let word_symbol = symbol.area().word();
     let framing = cost.framing();
-    let run_cost = |symbol, bytes| cost.cost(cost.request_bytes() + cost.reply_bytes() + cost.element_bytes(symbol) + bytes);
+    let run_cost =
+        |symbol, bytes| cost.cost(cost.request_bytes() + cost.reply_bytes() + cost.element_bytes(symbol) + bytes);
     let (bit_run, word_run) = (run_cost(symbol, 0), run_cost(word_symbol, 0));
     let (per_bit, per_word) =
         (cost.bytes_cost(cost.value_bytes(Width::Bit)), cost.bytes_cost(cost.value_bytes(Width::Word)));
@@ -122,9 +123,8 @@ pub(super) fn choose_words(
         let bit = address(i);
         let mut at: Vec<(u16, u16, usize)> = Vec::with_capacity(2);
         for (n, residue) in residues.iter().enumerate() {
-            let word = words::word_address(bit, *residue).and_then(|word| {
-                Some((word, words::word_at(symbol, word, limits, framing)?))
-            });
+            let word = words::word_address(bit, *residue)
+                .and_then(|word| Some((word, words::word_at(symbol, word, limits, framing)?)));
             match word {
                 Some((word, _)) => at.push((word, *residue, n)),
                 None => word_starts[n].clear(),
@@ -173,7 +173,9 @@ pub(super) fn choose_words(
             ReadMode::Words { from, residue } => {
                 for (n, value) in values[from..at].iter().rev() {
                     match chosen.words.last_mut() {
-                        Some((word, discretes)) if word.area.residue() == residue && word.find_bit(*value).is_some() => {
+                        Some((word, discretes))
+                            if word.area.residue() == residue && word.find_bit(*value).is_some() =>
+                        {
                             discretes.push(*n);
                         }
                         Some(_) | None => {

@@ -132,7 +132,8 @@ impl Enumeration<'_> {
                 let before = cells.range(..(symbol, address)).next_back()?.1 + step;
                 let segment = limits.segment(discrete, before)?;
                 let mut bits = before..=next - 1;
-                if bits.any(|bit| limits.avoids_any(discrete, bit, bit) || limits.segment(discrete, bit) != Some(segment))
+                if bits
+                    .any(|bit| limits.avoids_any(discrete, bit, bit) || limits.segment(discrete, bit) != Some(segment))
                 {
                     return None;
                 }
@@ -182,8 +183,7 @@ impl Enumeration<'_> {
                     && symbol.width() == Width::Word
                     && self.limits.segment(*symbol, next.1) == self.limits.segment(*symbol, *address)
             });
-            let (symbol, others) =
-                if pair { (symbol.area().dword(), &others[1..]) } else { (*symbol, others) };
+            let (symbol, others) = if pair { (symbol.area().dword(), &others[1..]) } else { (*symbol, others) };
             elements.push(Element::new(symbol, *address).unwrap());
             rest = others;
         }

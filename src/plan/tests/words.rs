@@ -92,7 +92,9 @@ fn the_plan_of_many_discretes_is_close_to_the_optimum() {
         let limits = word_limits()[limits].clone();
         let n = 1 + random.below(8);
         let tags: Vec<Tag> = (0..n).map(|_| random_tag_near_discretes(&mut random)).collect();
-        if !tags_are_readable(&tags, &limits) || Plan::builder(model).limits(limits.clone()).tags(tags.clone()).build().is_err() {
+        if !tags_are_readable(&tags, &limits)
+            || Plan::builder(model).limits(limits.clone()).tags(tags.clone()).build().is_err()
+        {
             continue;
         }
         let values = parts(&tags, &limits).concat();
@@ -113,7 +115,9 @@ fn the_plan_of_many_discretes_is_close_to_the_optimum() {
         sets[low] += 1;
         worst[low] = worst[low].max((large - best) * 1000 / best);
     }
-    for (low, name) in ["ASCII, limits of the protocol", "ASCII, low limits or ranges", "binary"].into_iter().enumerate() {
+    for (low, name) in
+        ["ASCII, limits of the protocol", "ASCII, low limits or ranges", "binary"].into_iter().enumerate()
+    {
         println!(
             "{name}: the solver for many values costs {:.2} % more than the optimum, at most {:.1} %; {} of {} sets optimal",
             (paid[low] - optimal[low]) as f64 * 100.0 / optimal[low] as f64,
@@ -217,7 +221,11 @@ fn a_range_of_discretes_is_read_by_a_run_of_words() {
     let readable = Limits::new().readable(element("M0"), element("M2001")).unwrap();
     let all = plan(readable.clone(), &["M1900-M2001"]);
     check(&all, &serial(), &readable, "M1900-M2001");
-    assert!(elements_read(&all).iter().all(|e| e.symbol() == Symbol::M || e.address() + 15 <= 2001), "{}", all.explain());
+    assert!(
+        elements_read(&all).iter().all(|e| e.symbol() == Symbol::M || e.address() + 15 <= 2001),
+        "{}",
+        all.explain()
+    );
     assert!(all.requests().iter().any(PlannedRequest::has_words_of_discretes), "{}", all.explain());
 }
 
