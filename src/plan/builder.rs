@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::fallback::PlanInputs;
-use super::layout::{self, Cells, Draft};
+use super::layout::{Cells, Draft};
 use super::order;
 use super::solve::{self, Part};
 use super::words::{self, WordAreas};
@@ -146,9 +146,17 @@ impl PlanBuilder {
             return Ok(with_words);
         }
         let limits = self.limits.clone().words_of_discretes(false);
-        // A group may fit in a request by words only.
-        let Ok(without_words) = solved(&Self { limits, ..self.clone() }) else { return Ok(with_words) };
         let price = |shares: &[solve::Share]| shares.iter().map(|(draft, _)| draft.cost(&self.cost)).sum::<u64>();
+        let builder = Self { limits, ..self.clone() };
+        // Mostly the bound shows that no plan without words is cheaper, at a fraction of the time.
+        let is_dearer = |parts: &Parts| {
+            parts.groups.is_empty() && solve::least_cost(&parts.single, &builder.limits, &self.cost) >= price(shares)
+        };
+        if builder.parts(values).is_ok_and(|parts| is_dearer(&parts)) {
+            return Ok(with_words);
+        }
+        // A group may fit in a request by words only.
+        let Ok(without_words) = solved(&builder) else { return Ok(with_words) };
         Ok(if price(&without_words.1) < price(shares) { without_words } else { with_words })
     }
 
@@ -167,7 +175,7 @@ impl PlanBuilder {
                 return Err(PlanError::OneScan {
                     first: self.tags[tags.start],
                     tags: tags.len(),
-                    units: layout::mixed_units(&part) as usize,
+                    units: words::fewest_units(&part, &self.limits, &self.cost) as usize,
                     max: self.limits.mixed_units() as usize,
                 });
             }

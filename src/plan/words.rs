@@ -50,7 +50,8 @@ impl WordAreas {
     }
 }
 
-const OCTET: u16 = 8;
+/// The number of discretes in an octet.
+pub(super) const OCTET: u16 = 8;
 
 /// Returns the word that begins at this address; `None` if it must not be read for discretes.
 pub(super) fn word_at(discrete: Symbol, address: u16, limits: &Limits, framing: Framing) -> Option<Cells> {
@@ -109,16 +110,13 @@ pub(super) fn runs(cells: &[Cells], limits: &Limits, framing: Framing) -> [Optio
 }
 
 fn run_at(cells: &[Cells], symbol: Symbol, residue: u16, limits: &Limits, framing: Framing) -> Option<Draft> {
-    let mut words: Vec<Cells> = Vec::new();
-    for cells in cells {
-        if cells.area.symbol() != symbol {
-            words.push(*cells);
-            continue;
-        }
-        for address in cells.addresses() {
-            if words.last().is_none_or(|word| word.find_bit(cells.at(address)).is_none()) {
-                words.push(word_at(symbol, word_address(address, residue)?, limits, framing)?);
-            }
+    let (discretes, tags): (Vec<Cells>, Vec<Cells>) = cells.iter().partition(|cells| cells.area.symbol() == symbol);
+    let mut words = tags.clone();
+    for discrete in discretes.iter().flat_map(|cells| cells.addresses().map(|address| cells.at(address))) {
+        let contains = |word: &Cells| word.find_bit(discrete).is_some();
+        if !words.last().is_some_and(contains) && !tags.iter().any(contains) {
+            let address = word_address(discrete.addresses().next()?, residue)?;
+            words.push(word_at(symbol, address, limits, framing)?);
         }
     }
     words.sort_unstable_by_key(|word| word.key());
@@ -130,6 +128,19 @@ fn run_at(cells: &[Cells], symbol: Symbol, residue: u16, limits: &Limits, framin
 ///
 /// Exact: of all choices of words, the result has the fewest bytes.
 pub(super) fn cover(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Vec<Cells>> {
+    let covers = covers(cells, limits, cost, limits.mixed_units())?;
+    let cheapest = covers.into_iter().min_by_key(|cover| (cover.bytes, cover.units))?;
+    apply(cells, cheapest, limits, cost)
+}
+
+/// Returns the fewest units of a mixed read of these cells. They are sorted.
+pub(super) fn fewest_units(cells: &[Cells], limits: &Limits, cost: &CostModel) -> u32 {
+    let covers = covers(cells, limits, cost, u32::MAX).unwrap_or_default();
+    covers.iter().map(|cover| cover.units).min().unwrap_or(layout::mixed_units(cells))
+}
+
+/// Returns the choices of words for a mixed read of at most `max` units.
+fn covers(cells: &[Cells], limits: &Limits, cost: &CostModel, max: u32) -> Option<Vec<Cover>> {
     if !cells.iter().any(|cells| has_words(cells, limits)) {
         return None;
     }
@@ -146,7 +157,6 @@ pub(super) fn cover(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Optio
             others.push(*cells);
         }
     }
-    let max = limits.mixed_units();
     let mut units = layout::mixed_units(&others);
     if areas.values().fold(units, |units, area| units.saturating_add(area.least_units())) > max {
         return None;
@@ -167,9 +177,13 @@ pub(super) fn cover(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Optio
         covers = covers.iter().flat_map(|a| here.iter().map(|b| both(a, b))).collect();
         covers.retain(|cover| cover.units <= max);
     }
-    let cheapest = covers.into_iter().min_by_key(|cover| (cover.bytes, cover.units))?;
+    Some(covers)
+}
+
+/// Replaces the discretes in words: those of the choice, and those among the cells.
+fn apply(cells: &[Cells], cover: Cover, limits: &Limits, cost: &CostModel) -> Option<Vec<Cells>> {
     let mut words: Vec<Cells> = cells.iter().copied().filter(|cells| cells.area.discrete().is_some()).collect();
-    for (symbol, octet) in cheapest.words {
+    for (symbol, octet) in cover.words {
         words.push(word_at(symbol, octet * OCTET, limits, cost.framing())?);
     }
     let mut in_words: BTreeMap<Symbol, Vec<u16>> = BTreeMap::new();

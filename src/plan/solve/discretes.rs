@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use super::super::cost::CostModel;
 use super::super::layout::Cells;
 use super::super::limits::{Limits, WORD_BITS};
-use super::super::words;
+use super::super::words::{self, OCTET};
 use crate::element::Width;
 
 /// The discretes of one area after the choice.
@@ -15,6 +15,49 @@ pub(super) struct ChosenWords {
     pub(super) discretes: Vec<(usize, Cells)>,
     /// Words, each with the discretes that it is read for.
     pub(super) words: Vec<(Cells, Vec<usize>)>,
+}
+
+/// A word that contains a discrete.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Candidate {
+    address: u16,
+    residue: u16,
+    cells: Cells,
+    /// The word before it may be read too, as a double word with this one.
+    has_pair: bool,
+}
+
+/// The words that may be read for a discrete, by their residue modulo 16.
+pub(super) type Candidates = [Option<Candidate>; 2];
+
+/// Returns the words that may be read for each value; none for values that are not discretes.
+pub(super) fn candidates(values: &[(usize, Cells)], limits: &Limits, cost: &CostModel) -> Vec<Candidates> {
+    let framing = cost.framing();
+    let mut before: Option<Candidates> = None;
+    let of_value = |(_, value): &(usize, Cells)| {
+        if !words::has_words(value, limits) {
+            return [None, None];
+        }
+        let bit = value.addresses().next().unwrap_or(0);
+        let symbol = value.area.symbol();
+        let mut here = [None, None];
+        for residue in words::residues(limits) {
+            let n = usize::from(residue / OCTET);
+            // Neighbours are often in one word.
+            let known = before.and_then(|before| before[n]);
+            let known = known.filter(|known: &Candidate| known.cells.find_bit(*value).is_some());
+            here[n] = known.or_else(|| {
+                let address = words::word_address(bit, residue)?;
+                let cells = words::word_at(symbol, address, limits, framing)?;
+                let pair = address.checked_sub(WORD_BITS);
+                let has_pair = pair.is_some_and(|pair| limits.allows_word(symbol, pair, framing));
+                Some(Candidate { address, residue, cells, has_pair })
+            });
+        }
+        before = Some(here);
+        here
+    };
+    values.iter().map(of_value).collect()
 }
 
 /// How a discrete, and those before it back to `from`, are read.
@@ -76,15 +119,14 @@ impl RunStarts {
 /// word or a double word. `unit_price` is the price of a unit of a mixed read; `None`: no mixed
 /// reads.
 pub(super) fn choose_words(
-    values: &[(usize, Cells)],
+    (values, candidates): (&[(usize, Cells)], &[Candidates]),
     unit_price: Option<u64>,
     limits: &Limits,
     cost: &CostModel,
 ) -> ChosenWords {
     let Some((_, first)) = values.first() else { return ChosenWords::default() };
     let symbol = first.area.symbol();
-    let word_symbol = symbol.area().word();
-    let framing = cost.framing();
+    let (word_symbol, dword_symbol) = (symbol.area().word(), symbol.area().dword());
     let run_cost =
         |symbol, bytes| cost.cost(cost.request_bytes() + cost.reply_bytes() + cost.element_bytes(symbol) + bytes);
     let (bit_run, word_run) = (run_cost(symbol, 0), run_cost(word_symbol, 0));
@@ -94,7 +136,6 @@ pub(super) fn choose_words(
         cost.bytes_cost(cost.element_bytes(symbol) + cost.value_bytes(symbol.width())) + units * price
     };
     let unit_price = unit_price.filter(|_| limits.mixed_units() > 0);
-    let residues: Vec<u16> = words::residues(limits).collect();
     let (max_bits, max_words) = (limits.units(Width::Bit), limits.units(Width::Word));
     let address = |index: usize| values.get(index).and_then(|(_, value)| value.addresses().next()).unwrap_or(0);
     let all = u64::from(values.last().map_or(first.first, |(_, last)| last.first) - first.first) + 1;
@@ -102,7 +143,7 @@ pub(super) fn choose_words(
     let mut costs: Vec<u64> = vec![0];
     let mut modes: Vec<ReadMode> = Vec::with_capacity(values.len());
     let mut bit_starts = RunStarts::default();
-    let mut word_starts: Vec<RunStarts> = residues.iter().map(|_| RunStarts::default()).collect();
+    let mut word_starts = [RunStarts::default(), RunStarts::default()];
     for (i, (_, value)) in values.iter().enumerate() {
         let before = costs[i];
         let mut best = (u64::MAX, ReadMode::Discretes { from: i });
@@ -120,42 +161,34 @@ pub(super) fn choose_words(
         if let Some(price) = unit_price {
             consider(before + item(symbol, 1, price), ReadMode::Discretes { from: i });
         }
-        let bit = address(i);
-        let mut at: Vec<(u16, u16, usize)> = Vec::with_capacity(2);
-        for (n, residue) in residues.iter().enumerate() {
-            let word = words::word_address(bit, *residue)
-                .and_then(|word| Some((word, words::word_at(symbol, word, limits, framing)?)));
-            match word {
-                Some((word, _)) => at.push((word, *residue, n)),
-                None => word_starts[n].clear(),
+        // Of equally cheap words, the one that ends first.
+        let mut at = candidates[i];
+        at.sort_unstable_by_key(|candidate| candidate.map(|candidate| candidate.address));
+        for residue in [0, 1] {
+            if candidates[i][residue].is_none() {
+                word_starts[residue].clear();
             }
         }
-        // Of equally cheap words, the one that ends first.
-        at.sort_unstable();
-        for (word, residue, n) in at {
-            let Some(cells) = words::word_at(symbol, word, limits, framing) else { continue };
+        for Candidate { address: word, residue, cells, has_pair } in at.into_iter().flatten() {
             // Words before the first discrete are not read: the key stays positive.
             let words_to = |cell: u32| u64::from(cell) * per_word;
             let last_word = u64::from(u16::MAX / WORD_BITS) + 1;
             let key = before + (last_word * per_word - words_to(cells.first));
+            let starts = &mut word_starts[usize::from(residue / OCTET)];
             let too_long = |from: usize| {
                 let start = words::word_address(address(from), residue).unwrap_or(0);
                 u32::from(word - start) / u32::from(WORD_BITS) >= max_words
             };
-            if let Some((key, from)) = word_starts[n].advance((i, cells), key, limits, too_long) {
+            if let Some((key, from)) = starts.advance((i, cells), key, limits, too_long) {
                 let price = key + word_run + words_to(cells.end()) - last_word * per_word;
                 consider(price, ReadMode::Words { from, residue });
             }
             let Some(price) = unit_price else { continue };
             let from = first_from(values, i, word);
             consider(costs[from] + item(word_symbol, 1, price), ReadMode::Words { from, residue });
-            if let Some(start) = word.checked_sub(WORD_BITS)
-                && limits.mixed_units() > 1
-                && words::word_at(symbol, start, limits, framing).is_some()
-            {
-                let from = first_from(values, i, start);
-                let dword = symbol.area().dword();
-                consider(costs[from] + item(dword, 2, price), ReadMode::Words { from, residue });
+            if has_pair && limits.mixed_units() > 1 {
+                let from = first_from(values, i, word - WORD_BITS);
+                consider(costs[from] + item(dword_symbol, 2, price), ReadMode::Words { from, residue });
             }
         }
         costs.push(best.0);
@@ -171,7 +204,7 @@ pub(super) fn choose_words(
                 at = from;
             }
             ReadMode::Words { from, residue } => {
-                for (n, value) in values[from..at].iter().rev() {
+                for ((n, value), candidate) in values[from..at].iter().zip(&candidates[from..at]).rev() {
                     match chosen.words.last_mut() {
                         Some((word, discretes))
                             if word.area.residue() == residue && word.find_bit(*value).is_some() =>
@@ -179,11 +212,9 @@ pub(super) fn choose_words(
                             discretes.push(*n);
                         }
                         Some(_) | None => {
-                            let address = value.addresses().next().and_then(|bit| words::word_address(bit, residue));
-                            let word = address.and_then(|word| words::word_at(symbol, word, limits, framing));
-                            debug_assert!(word.is_some(), "a word that was considered");
-                            match word {
-                                Some(word) => chosen.words.push((word, vec![*n])),
+                            debug_assert!(candidate[usize::from(residue / OCTET)].is_some(), "it was considered");
+                            match candidate[usize::from(residue / OCTET)] {
+                                Some(Candidate { cells, .. }) => chosen.words.push((cells, vec![*n])),
                                 None => chosen.discretes.push((*n, *value)),
                             }
                         }

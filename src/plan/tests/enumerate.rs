@@ -53,7 +53,7 @@ impl Enumeration<'_> {
         let mut requests: Vec<ReadRequest> = Vec::new();
         requests.extend(self.run(block));
         for residue in [0, 8] {
-            let words: Option<Smallest> = block.iter().map(|cell| self.in_words(*cell, residue)).collect();
+            let words: Option<Smallest> = block.iter().map(|cell| self.in_words(block, *cell, residue)).collect();
             requests.extend(words.and_then(|words| self.run(&words)));
         }
         let mut best = requests.iter().map(|request| self.model.cost(frames(request, self.model.framing()))).min();
@@ -66,7 +66,7 @@ impl Enumeration<'_> {
             for cell in &discretes {
                 let word = match rest % 3 {
                     0 => None,
-                    n => Some(self.in_words(*cell, 8 * (u16::try_from(n).unwrap() - 1))),
+                    n => Some(self.in_words(block, *cell, 8 * (u16::try_from(n).unwrap() - 1))),
                 };
                 rest /= 3;
                 match word {
@@ -83,12 +83,17 @@ impl Enumeration<'_> {
     }
 
     /// Returns the word that a discrete may be read by; other cells are their own.
-    fn in_words(&self, (symbol, address): (Symbol, u16), residue: u16) -> Option<(Symbol, u16)> {
+    fn in_words(&self, block: &Smallest, (symbol, address): (Symbol, u16), residue: u16) -> Option<(Symbol, u16)> {
         if !has_words(symbol) {
             return Some((symbol, address));
         }
         let first = address.checked_sub(residue)? / BITS * BITS + residue;
         let word = symbol.area().word();
+        // The word of a tag is read in any case.
+        let of_tag = block.range((word, address.saturating_sub(BITS - 1))..=(word, address));
+        if let Some(cell) = of_tag.into_iter().find(|cell| cell.1 % BITS == residue) {
+            return Some(*cell);
+        }
         let bits = first..=first.checked_add(BITS - 1)?;
         let segments: BTreeSet<_> = bits.clone().map(|bit| self.limits.segment(symbol, bit)).collect();
         let overlapping = first.saturating_sub(BITS - 1)..=first.saturating_add(BITS - 1);

@@ -243,3 +243,56 @@ fn a_group_has_discretes_as_words_of_one_mixed_read() {
     let error = group(Limits::new().words_of_discretes(false)).unwrap_err();
     assert_eq!(error, PlanError::OneScan { first: tags[0], tags: 3, units: 296, max: 64 });
 }
+
+#[test]
+fn a_group_that_does_not_fit_has_its_units_counted_as_words() {
+    let error = Plan::builder(serial()).one_scan([tag("M0-M255"), tag("R0-R48")]).build().unwrap_err();
+    assert_eq!(error, PlanError::OneScan { first: tag("M0-M255"), tags: 2, units: 65, max: 64 });
+}
+
+#[test]
+fn neighbours_have_replies_of_different_shapes_if_possible() {
+    let shapes = |plan: &Plan| -> Vec<(crate::command::Code, usize)> {
+        plan.requests().iter().map(|planned| (planned.request().code(), planned.reply_bytes)).collect()
+    };
+    let limits = Limits::new().mixed_reads(false);
+    for seed in 0..200 {
+        let mut random = Choices(Random::new(seed));
+        // Runs of one to three lengths, far apart.
+        let tags = (0..1 + random.below(12)).map(|n| {
+            let first = Register::r(u16::try_from(n * 500).unwrap());
+            Tag::new(first, TagType::U16, 1 + random.below(3)).unwrap()
+        });
+        let tags: Vec<Tag> = tags.collect();
+        let plan = Plan::builder(serial()).limits(limits.clone()).tags(tags.clone()).build().unwrap();
+        check(&plan, &serial(), &limits, &format!("seed {seed}"));
+        let shapes = shapes(&plan);
+        let count = |shape| shapes.iter().filter(|other| *other == shape).count();
+        let most = shapes.iter().map(count).max().unwrap();
+        let equal = shapes.windows(2).filter(|pair| pair[0] == pair[1]).count();
+        let own = shapes.iter().any(|shape| count(shape) == 1);
+        // One request with a shape of its own is the last, so one place fewer is left for the others.
+        let others = shapes.len() - usize::from(own);
+        assert!(equal <= (2 * most).saturating_sub(others + 1), "seed {seed}: {shapes:?}");
+        assert_eq!(own, count(shapes.last().unwrap()) == 1, "seed {seed}: {shapes:?}");
+    }
+    let plan =
+        Plan::builder(serial()).limits(limits).tags([tag("R0"), tag("R500"), tag("R1000-R1001")]).build().unwrap();
+    assert_eq!(requests(&plan).last().unwrap(), "46 R1000-R1001");
+}
+
+#[test]
+fn costs_of_a_link_have_its_gaps() {
+    use crate::endpoint::InStepSettings;
+    use crate::link::Link;
+    let (line, _) = tokio::io::duplex(64);
+    let quiet = Duration::from_millis(700);
+    let in_step = InStepSettings::new().with_one_request(true).with_quiet(quiet);
+    let gap = Duration::from_millis(9);
+    let link = Link::stream_builder(line, Framing::Ascii).frame_gap(gap).in_step(in_step).build();
+    assert_eq!(CostModel::of_link(&link).request_time(), Duration::from_millis(5) + gap + quiet);
+    let (line, _) = tokio::io::duplex(64);
+    let settings = SerialSettings::new(Framing::Ascii);
+    let link = Link::stream_builder(line, Framing::Ascii).serial_line(settings).build();
+    assert_eq!(CostModel::of_link(&link), CostModel::serial(settings, Framing::Ascii));
+}
