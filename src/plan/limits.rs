@@ -113,7 +113,8 @@ impl Limits {
     ///
     /// let serial = CostModel::serial(SerialSettings::new(Framing::Ascii), Framing::Ascii);
     /// let first = |limits| {
-    ///     let plan = Plan::builder(serial).limits(limits).tag("M0-M255".parse().unwrap()).build().unwrap();
+    ///     let tags = ["M0-M255"].map(|tag| tag.parse().unwrap());
+    ///     let plan = Plan::builder(serial).limits(limits).tags(tags).build().unwrap();
     ///     plan.requests()[0].request().to_string()
     /// };
     /// assert_eq!(first(Limits::new()), "46 WM0-WM240");
