@@ -107,13 +107,13 @@ mod target;
 use std::fmt;
 
 pub use self::error::{BackupError, InvalidBackup, RestoreError, RestoreFailure};
-pub use self::options::RestoreOptions;
+pub use self::options::{RestoreOptions, SpecialElements};
 pub use self::report::{RefusedRange, RestoreReport};
 pub use self::restore::Restore;
 pub use self::take::TakeBackup;
 pub use crate::transfer::PlcState;
 
-use self::block::{Block, check_overlaps, part, plain, runs_by};
+use self::block::{Block, check_overlaps, check_whole, part, plain, runs_by};
 use crate::command::Value;
 use crate::element::Element;
 use crate::error::ErrorCode;
@@ -187,9 +187,10 @@ impl Backup {
     /// Makes a backup of these ranges, in which no element has been read.
     ///
     /// # Errors
-    /// [`InvalidBackup::Empty`] and [`InvalidBackup::Overlap`].
+    /// [`InvalidBackup::Empty`], [`InvalidBackup::BitsOfRegister`] and [`InvalidBackup::Overlap`].
     pub fn of(ranges: impl IntoIterator<Item = Tag>) -> Result<Self, InvalidBackup> {
-        let ranges: Vec<Tag> = ranges.into_iter().map(plain).collect();
+        let whole = |range| check_whole(range).map(|()| plain(range));
+        let ranges: Vec<Tag> = ranges.into_iter().map(whole).collect::<Result<_, _>>()?;
         if ranges.is_empty() {
             return Err(InvalidBackup::Empty);
         }
@@ -250,10 +251,11 @@ impl Backup {
     /// # Errors
     /// [`InvalidBackup::NotIn`] for a range that is not wholly within one of this backup,
     /// [`InvalidBackup::SplitsPair`] for one that would split a value of several registers,
-    /// [`InvalidBackup::Empty`] and [`InvalidBackup::Overlap`].
+    /// [`InvalidBackup::BitsOfRegister`], [`InvalidBackup::Empty`] and [`InvalidBackup::Overlap`].
     pub fn select(&self, ranges: impl IntoIterator<Item = Tag>) -> Result<Self, InvalidBackup> {
         let mut selected = Vec::new();
         for range in ranges {
+            check_whole(range)?;
             let cells = self.blocks.iter().find_map(|block| {
                 let start = block.index(range.first())?;
                 let end = start.checked_add(range.element_count())?;

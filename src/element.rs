@@ -160,6 +160,11 @@ impl Element {
         let Some(symbol) = Symbol::from_letters(letters) else {
             return Err(ElementError::UnknownSymbol);
         };
+        Self::parse_address(symbol, digits)
+    }
+
+    /// Parses the decimal digits behind a symbol.
+    pub(crate) const fn parse_address(symbol: Symbol, digits: &[u8]) -> Result<Self, ElementError> {
         if digits.is_empty() {
             return Err(ElementError::MissingAddress { symbol });
         }
@@ -242,6 +247,14 @@ impl Element {
     pub const fn is_counter_of_32_bits(self) -> bool {
         let [first, last] = self.symbol().area().counters();
         first <= self.address() && self.address() <= last
+    }
+
+    /// First and last address that it covers, of discretes or of 16-bit registers.
+    pub(crate) const fn covered(self) -> (u16, u16) {
+        // Consecutive elements are adjacent, so each covers as many addresses as the step. No element
+        // ends above 65535.
+        let first = self.address();
+        (first, first + (self.step() - 1))
     }
 
     /// Returns whether elements follow each other without a gap from this one to one at this

@@ -7,6 +7,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::clock::ClockFailure;
 use crate::command::{Code, InvalidRequest};
 use crate::tag::TagAccessError;
 
@@ -234,6 +235,21 @@ pub enum Error {
         /// one request takes, can have been written. Values behind those were not written.
         source: Box<Error>,
     },
+    /// A read that a write depends on failed; nothing was written. See
+    /// [`Station::modify_bits`](crate::Station::modify_bits).
+    #[non_exhaustive]
+    ReadBeforeWrite {
+        /// The error of the read.
+        source: Box<Error>,
+    },
+    /// The clock of the PLC cannot be read or was not set.
+    #[non_exhaustive]
+    Clock {
+        /// The station.
+        station: u8,
+        /// The reason.
+        failure: Box<ClockFailure>,
+    },
     /// The link is closed, or its task has ended with its runtime.
     #[non_exhaustive]
     Closed {
@@ -302,6 +318,10 @@ impl fmt::Display for Error {
             Self::PartlyWritten { written, count, source } => {
                 write!(f, "{written} of {count} values were written, and then: {source}")
             }
+            Self::ReadBeforeWrite { source } => {
+                write!(f, "nothing was written, since the read before failed: {source}")
+            }
+            Self::Clock { station, failure } => write!(f, "station {station}: {failure}"),
             Self::Closed { sent: _ } => f.write_str("the link is closed"),
         }
     }
@@ -319,7 +339,8 @@ impl std::error::Error for Error {
             Self::Invalid(invalid) => invalid.source(),
             Self::Tag(error) => error.source(),
             Self::Connect { source, .. } | Self::Disconnected { source, .. } => source.source(),
-            Self::PartlyWritten { source, .. } => source.source(),
+            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.source(),
+            Self::Clock { failure, .. } => failure.call_error().and_then(std::error::Error::source),
             Self::Plc { .. }
             | Self::Timeout { .. }
             | Self::BadReply { .. }
@@ -341,13 +362,14 @@ impl From<InvalidRequest> for Error {
 impl Error {
     /// Returns `true` if no reply came in time, also of a station that is offline.
     ///
-    /// For [`PartlyWritten`](Self::PartlyWritten) this and the following methods tell of its
-    /// source.
+    /// For [`PartlyWritten`](Self::PartlyWritten) and [`ReadBeforeWrite`](Self::ReadBeforeWrite) this
+    /// and the following methods tell of its source.
     #[must_use]
     pub fn is_timeout(&self) -> bool {
         match self {
             Self::Timeout { .. } | Self::Offline { .. } => true,
-            Self::PartlyWritten { source, .. } => source.is_timeout(),
+            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.is_timeout(),
+            Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_timeout),
             Self::Invalid(_)
             | Self::Tag(_)
             | Self::Plc { .. }
@@ -366,7 +388,8 @@ impl Error {
     pub fn is_connect(&self) -> bool {
         match self {
             Self::Connect { .. } | Self::Disconnected { .. } => true,
-            Self::PartlyWritten { source, .. } => source.is_connect(),
+            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.is_connect(),
+            Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_connect),
             Self::Invalid(_)
             | Self::Tag(_)
             | Self::Plc { .. }
@@ -396,7 +419,8 @@ impl Error {
             | Self::Connect { .. }
             | Self::Disconnected { .. }
             | Self::QueueFull { .. } => true,
-            Self::PartlyWritten { source, .. } => source.is_transient(),
+            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.is_transient(),
+            Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_transient),
             Self::Invalid(_) | Self::Tag(_) | Self::Plc { .. } | Self::Closed { .. } => false,
         }
     }
@@ -409,9 +433,10 @@ impl Error {
     #[must_use]
     pub fn may_have_executed(&self) -> bool {
         match self {
-            Self::Invalid(_) | Self::Tag(_) | Self::QueueFull { .. } => false,
+            Self::Invalid(_) | Self::Tag(_) | Self::QueueFull { .. } | Self::ReadBeforeWrite { .. } => false,
             Self::Plc { repeated, .. } => *repeated,
             Self::PartlyWritten { .. } => true,
+            Self::Clock { failure, .. } => failure.may_have_executed(),
             Self::Timeout { sent, .. }
             | Self::BadReply { sent, .. }
             | Self::OutOfStep { sent, .. }
@@ -435,7 +460,8 @@ impl Error {
     pub fn error_code(&self) -> Option<ErrorCode> {
         match self {
             Self::Plc { error, .. } => Some(*error),
-            Self::PartlyWritten { source, .. } => source.error_code(),
+            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.error_code(),
+            Self::Clock { failure, .. } => failure.call_error().and_then(Self::error_code),
             Self::Invalid(_)
             | Self::Tag(_)
             | Self::Timeout { .. }

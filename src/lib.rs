@@ -34,14 +34,16 @@
 //! ```
 //!
 //! - [`mod@element`]: the elements of a PLC: `X0`, `WM8`, `R12`, `DR100` …
-//! - [`tag`]: an element or a range with a type: `R100:f32`.
+//! - [`mod@tag`]: an element or a range with a type: `R100:f32`.
 //! - [`command`]: the fourteen commands, one type each.
+//! - [`memory_map`]: [`MemoryMap`], the elements that a model of PLC has.
 //! - [`plan`]: the cheapest requests for a set of tags.
 //! - [`poll`]: [`Poller`] polls tags periodically and yields samples as a stream.
 //! - [`wire`]: the two framings, usable alone.
 //! - [`link`]: [`Link`], one connection, with its options and counters.
 //! - [`Station`] and [`Broadcast`]: the handles to one PLC, and to all PLCs of a link.
 //! - [`pool`]: [`Pool`], links to many PLCs by endpoint.
+//! - [`clock`]: the clock of a PLC, read and set.
 //! - [`mod@backup`]: [`Backup`], ranges of registers and discretes: take, save, compare, restore.
 //! - [`program`]: [`Program`], all pages of the user program: read, save, compare, write.
 //! - [`file`](mod@file): saved files and their errors. [`progress`]: the progress of a transfer.
@@ -68,6 +70,8 @@
 //!
 //! - `serial` (default): serial lines.
 //! - `sim`: the simulated PLC.
+//! - `serde`: `Serialize` and `Deserialize` of tags, values, samples, statistics and options, in the
+//!   forms of `docs/SERDE.md`.
 //! - `cli`: the `fatek` command line.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 #![warn(clippy::print_stdout, clippy::print_stderr)]
@@ -85,6 +89,8 @@
 )]
 
 pub mod backup;
+#[allow(clippy::arithmetic_side_effects, reason = "divisions by constants")]
+pub mod clock;
 #[allow(
     clippy::arithmetic_side_effects,
     clippy::indexing_slicing,
@@ -102,6 +108,7 @@ mod error;
 pub mod file;
 mod hex;
 pub mod link;
+pub mod memory_map;
 #[allow(
     clippy::arithmetic_side_effects,
     clippy::indexing_slicing,
@@ -114,6 +121,8 @@ mod printable;
 pub mod program;
 pub mod progress;
 mod random;
+#[cfg(feature = "serde")]
+pub mod serde_forms;
 mod settings;
 #[cfg(feature = "sim")]
 #[allow(
@@ -125,27 +134,37 @@ mod settings;
 pub mod sim;
 #[allow(clippy::arithmetic_side_effects, reason = "counts are checked before the first request")]
 mod station;
-#[allow(clippy::arithmetic_side_effects, reason = "counts and digits are checked when a tag is parsed")]
+#[allow(
+    clippy::arithmetic_side_effects,
+    clippy::indexing_slicing,
+    reason = "counts and digits are checked when a tag is parsed; constant functions over its text"
+)]
 pub mod tag;
+#[cfg(feature = "config")]
+pub mod tag_table;
 mod transfer;
 mod transport;
 pub mod wire;
 
 pub use backup::Backup;
+pub use clock::Clock;
 pub use command::InvalidRequest;
 pub use element::{Discrete, Element, Register, Register32, Symbol, Value, Width};
 pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode, Seen};
+#[cfg(feature = "derive")]
+pub use fatek_derive::Tags;
 pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
+pub use memory_map::MemoryMap;
 pub use plan::{CostModel, Limits, Plan};
 pub use poll::Poller;
 pub use pool::{Pool, PoolBuilder, PoolError, PoolStats};
 pub use program::Program;
 pub use station::{Broadcast, Station};
-pub use tag::Tag;
+pub use tag::{Tag, Tags};
 pub use wire::Framing;
 
 /// Compiles and runs the examples of the README.
-#[cfg(all(doctest, feature = "sim"))]
+#[cfg(all(doctest, feature = "sim", feature = "derive"))]
 #[doc = include_str!("../README.md")]
 pub struct Readme;

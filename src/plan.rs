@@ -75,6 +75,7 @@ mod readings;
 mod reply;
 mod request;
 mod solve;
+mod struct_plan;
 mod words;
 
 use std::collections::BTreeSet;
@@ -91,6 +92,7 @@ pub use readings::PlanReadings;
 pub use reply::Reply;
 pub(crate) use reply::ReplyWords;
 pub use request::{PlannedRequest, ReadRequest};
+pub use struct_plan::StructPlan;
 pub(crate) use words::WordAreas;
 
 use crate::tag::Tag;

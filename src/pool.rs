@@ -25,8 +25,10 @@
 mod builder;
 mod endpoint_links;
 mod error;
+mod eviction;
 mod stats;
 
+use std::cell::RefCell;
 use std::collections::HashMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -35,6 +37,7 @@ use futures::future::join_all;
 
 use self::builder::PoolSettings;
 use self::endpoint_links::{EndpointKey, EndpointLinks};
+use self::eviction::{EvictionOrder, Use};
 use crate::endpoint::Endpoint;
 use crate::link::{Link, LinkStats};
 use crate::station::Station;
@@ -85,7 +88,8 @@ struct PoolShared {
 #[derive(Default)]
 struct PoolState {
     /// Boxed, because a hash map allocates up to twice as many places as it has entries.
-    endpoints: HashMap<EndpointKey, Box<EndpointLinks>>,
+    endpoints: HashMap<Arc<EndpointKey>, Box<EndpointLinks>>,
+    eviction: EvictionOrder<Arc<EndpointKey>>,
     /// The number of stations requested: a logical clock for eviction.
     requests: u64,
     /// The number of evicted endpoints.
@@ -184,10 +188,19 @@ impl Pool {
         state.requests = state.requests.saturating_add(1);
         let requested_at = state.requests;
         let key = EndpointKey::of(endpoint);
-        if !state.endpoints.contains_key(&key) && state.endpoints.len() >= settings.max_endpoints {
-            state.make_room(endpoint, settings.max_endpoints)?;
-        }
-        let links = state.endpoints.entry(key).or_insert_with(|| Box::new(EndpointLinks::new(endpoint.clone())));
+        let state = &mut *state;
+        let links = match state.endpoints.get_mut(&key) {
+            Some(links) => links,
+            None => {
+                if state.endpoints.len() >= settings.max_endpoints {
+                    state.make_room(endpoint, settings.max_endpoints)?;
+                }
+                let key = Arc::new(key);
+                state.eviction.insert(requested_at, key.clone());
+                let links = EndpointLinks::new(endpoint.clone(), requested_at);
+                state.endpoints.entry(key).or_insert(Box::new(links))
+            }
+        };
         links.link(endpoint, requested_at, settings)
     }
 
@@ -200,8 +213,22 @@ impl Pool {
 impl PoolState {
     /// Evicts the least recently requested endpoint without handles.
     fn make_room(&mut self, endpoint: &Endpoint, limit: usize) -> Result<(), PoolError> {
-        let unused = self.endpoints.iter().filter(|(_, links)| links.is_unused());
-        let oldest = unused.min_by_key(|(_, links)| links.requested_at).map(|(key, _)| key.clone());
+        let endpoints = RefCell::new(&mut self.endpoints);
+        let in_use = |key: &Arc<EndpointKey>| {
+            let endpoints = endpoints.borrow();
+            let links = endpoints.get(key);
+            debug_assert!(links.is_some(), "each endpoint of the order is in the pool");
+            let has_handles = links.is_some_and(|links| !links.is_unused());
+            Use { requested_at: links.map_or(0, |links| links.requested_at), has_handles }
+        };
+        let requested = |key: &Arc<EndpointKey>| {
+            self.requests = self.requests.saturating_add(1);
+            if let Some(links) = endpoints.borrow_mut().get_mut(key) {
+                links.requested_at = self.requests;
+            }
+            self.requests
+        };
+        let oldest = self.eviction.evict(in_use, requested);
         let links = oldest.and_then(|key| self.endpoints.remove(&key));
         let links = links.ok_or_else(|| PoolError::Full { endpoint: endpoint.to_string(), limit })?;
         self.evicted = self.evicted.saturating_add(1);

@@ -3,7 +3,9 @@
 mod any_length;
 mod backup;
 mod broadcast;
+mod clock;
 mod job;
+mod modify_bits;
 mod program;
 mod tags;
 

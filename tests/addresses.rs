@@ -28,7 +28,7 @@ struct Bench {
 }
 
 fn bench(framing: Framing) -> Bench {
-    bench_with(framing, Plc::new())
+    bench_with(framing, Plc::with_model(Model::largest()))
 }
 
 fn bench_with(framing: Framing, plc: Plc) -> Bench {

@@ -7,7 +7,7 @@ use std::time::Duration;
 use fatek::command::{Code, Request, WriteDiscretes, WriteMixed, WriteRegisters};
 use fatek::endpoint::InStepSettings;
 use fatek::sim::fault::Arrival;
-use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
+use fatek::sim::{self, Bus, Fault, Faults, Model, Plc, Rule};
 use fatek::wire::Framing;
 use fatek::{
     CallOptions, Discrete, Error, ErrorCode, Link, Register, Register32, Station, Symbol, discrete, register,
@@ -25,7 +25,7 @@ fn bench(framing: Framing) -> Bench {
 }
 
 fn bench_with(framing: Framing, in_step: InStepSettings) -> Bench {
-    let (plc, faults) = (Plc::new(), Faults::new(1));
+    let (plc, faults) = (Plc::with_model(Model::largest()), Faults::new(1));
     let bus = Bus::new().with_station(1, plc.clone()).unwrap().with_faults(faults.clone());
     let link = Link::connector_builder("in memory", framing, sim::connector(bus, framing)).in_step(in_step).build();
     Bench { plc, faults, station: link.station(1).unwrap() }

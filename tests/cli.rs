@@ -243,6 +243,67 @@ fn an_error_of_the_plc_is_status_3() {
 }
 
 #[test]
+fn the_memory_map_of_a_model_is_checked_first() {
+    let sim = Sim::start(&["--model", "largest", "--set", "R4168=7"]);
+    sim.fatek(&["read", "R4168"]).ok();
+    for args in [
+        &["read", "R0", "R4167-R4168", "--model", "fbs-20mc"][..],
+        &["write", "R0=1", "R4168=1", "--model", "fbs-20mc"],
+        &["watch", "R4168", "--count", "1", "--model", "fbs-20mc"],
+        &["backup", "unused.backup", "R4000-R5000", "--model", "fbs-20mc"],
+    ] {
+        let ran = sim.fatek(args);
+        assert_eq!(ran.status, 2, "{ran:?}");
+        assert!(
+            ran.stderr.contains("R4168 is not in the memory map of an FBS-20MC, which has R0-R4167 R5000-"),
+            "{ran:?}"
+        );
+    }
+    sim.fatek(&["read", "R0", "--model", "auto"]).ok();
+    let counted = sim.fatek(&["read", "D3072", "--model", "auto"]);
+    assert_eq!(counted.status, 2, "{counted:?}");
+    assert!(counted.stderr.contains("D3072 is not in the memory map of this PLC by its status (53)"), "{counted:?}");
+    let unknown = sim.fatek(&["read", "R0", "--model", "m-1"]).usage();
+    assert!(unknown.contains("`m-1` is not a known model (known: fbe-28mc fbs-20mc)"), "{unknown}");
+}
+
+#[test]
+fn the_simulator_has_the_memory_of_a_model() {
+    let sim = Sim::start(&[]);
+    assert_eq!(sim.fatek(&["read", "R4160-R5010"]).status, 3);
+    assert_eq!(sim.fatek(&["read", "D3072"]).status, 3);
+    let newer = Sim::start(&["--model", "FBS-20MC"]);
+    newer.fatek(&["read", "D3072", "R4160-R4167", "R5000-R5010"]).ok();
+    assert!(newer.fatek(&["status"]).ok().contains("32768"));
+}
+
+#[test]
+fn special_elements_are_written_only_with_the_option() {
+    let sim = Sim::start(&[]);
+    for args in [&["write", "R0=1", "R3840=1"][..], &["write", "DR3839=1"], &["set", "M0", "M1912"]] {
+        let ran = sim.fatek(args);
+        assert_eq!(ran.status, 2, "{ran:?}");
+        assert!(ran.stderr.contains("give --special"), "{ran:?}");
+    }
+    let read = sim.fatek(&["read", "R0", "M0", "--format", "csv"]).ok();
+    assert_eq!(read, "tag,type,value\nR0,u16,0\nM0,bool,0\n");
+    sim.fatek(&["write", "R3840=1", "--special"]).ok();
+    sim.fatek(&["set", "M1912", "--special"]).ok();
+    let read = sim.fatek(&["read", "R3840", "M1912", "--format", "csv"]).ok();
+    assert_eq!(read, "tag,type,value\nR3840,u16,1\nM1912,bool,1\n");
+}
+
+#[test]
+fn the_clock_of_a_plc_without_one_is_status_3() {
+    let sim = Sim::start(&[]);
+    let ran = sim.fatek(&["clock"]);
+    assert_eq!((ran.status, ran.stderr.as_str()), (3, "error: station 1: the PLC has no clock: M1954 is 0\n"));
+    let bad = sim.fatek(&["clock", "--set", "noon"]);
+    assert!(bad.stderr.contains("`noon` is not a time such as 2026-11-29T06:30:00"), "{bad:?}");
+    assert_eq!(bad.status, 2);
+}
+
+#[test]
 fn no_reply_is_status_4() {
     let sim = Sim::start(&[]);
     let absent = fatek(&["--link", &sim.url, "--station", "9", "--timeout", "100ms", "read", "R0"]);
@@ -394,7 +455,7 @@ fn decode_explains_good_and_bad_frames() {
 
 #[test]
 fn a_closed_output_pipe_is_no_error() {
-    let sim = Sim::start(&[]);
+    let sim = Sim::start(&["--model", "largest"]);
     for format in ["table", "csv", "json"] {
         let mut command = Command::new(FATEK);
         command.args(["--link", &sim.url, "--station", "1", "--format", format, "read", "R0-R5999"]);

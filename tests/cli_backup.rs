@@ -87,6 +87,28 @@ fn a_resumed_restore_counts_earlier_writes() {
 }
 
 #[test]
+fn special_elements_of_a_file_are_restored_by_choice() {
+    let (sim, folder) = (Sim::start(&["--set", "R3839=1", "R3840=2"]), Folder::new("backup-special"));
+    let file = folder.file("plant.backup");
+    sim.fatek(&["backup", &file, "R3839-R3840"]).ok();
+    sim.fatek(&["write", "R3839-R3840=0,0", "--special"]).ok();
+    for args in [&["restore", &file, "--yes"][..], &["restore", &file, "--dry-run"]] {
+        let refused = sim.fatek(args);
+        assert_eq!(refused.status, 2, "{refused:?}");
+        assert!(refused.stderr.contains("has the special element R3840: "), "{refused:?}");
+    }
+    assert_eq!(values(&sim, &["R3839", "R3840"]), ["0", "0"]);
+    let skipped = sim.fatek(&["restore", &file, "--yes", "--special", "skip"]);
+    assert!(
+        skipped.stderr.contains("R3840 skipped: special elements; to write them give --special write"),
+        "{skipped:?}"
+    );
+    assert_eq!((skipped.status, values(&sim, &["R3839", "R3840"])), (0, vec!["1".to_owned(), "0".to_owned()]));
+    sim.fatek(&["restore", &file, "--yes", "--special", "write"]).ok();
+    assert_eq!(values(&sim, &["R3839", "R3840"]), ["1", "2"]);
+}
+
+#[test]
 fn missing_elements_are_reported_and_empty_backups_not_saved() {
     let (sim, folder) = (Sim::start(&["--last", "R99", "--set", "R0=1"]), Folder::new("backup-missing"));
     let file = folder.file("plant.backup");

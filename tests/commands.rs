@@ -24,7 +24,7 @@ fn alone(plc: &Plc, framing: Framing) -> Link {
 #[tokio::test(start_paused = true)]
 async fn registers_of_both_widths_are_read_and_written() {
     for framing in FRAMINGS {
-        let plc = Plc::new();
+        let plc = Plc::with_model(Model::largest());
         let station = alone(&plc, framing).station(1).unwrap();
         let values: Vec<u16> = (0..64).map(|n| n * 1021).collect();
         station.write_registers(register!("R100"), &values).await.unwrap();
@@ -48,7 +48,7 @@ async fn registers_of_both_widths_are_read_and_written() {
 #[tokio::test(start_paused = true)]
 async fn discretes_are_read_written_forced_and_disabled() {
     for framing in FRAMINGS {
-        let plc = Plc::new();
+        let plc = Plc::with_model(Model::largest());
         let station = alone(&plc, framing).station(1).unwrap();
         let states: Vec<bool> = (0..256).map(|n| n % 3 == 0).collect();
         for symbol in ["X", "Y", "M", "S", "T", "C"] {
@@ -77,7 +77,7 @@ async fn discretes_are_read_written_forced_and_disabled() {
 #[tokio::test(start_paused = true)]
 async fn mixed_requests_keep_their_order() {
     for framing in FRAMINGS {
-        let station = alone(&Plc::new(), framing).station(1).unwrap();
+        let station = alone(&Plc::with_model(Model::largest()), framing).station(1).unwrap();
         let items = [
             (element!("Y0"), Value::Bit(true)),
             (element!("Y1"), Value::Bit(false)),
@@ -99,7 +99,7 @@ async fn mixed_requests_keep_their_order() {
 #[tokio::test(start_paused = true)]
 async fn an_ambiguous_list_is_rejected_before_sending() {
     let list = [Element::from(Register::r(0x5400)), element!("WX0")];
-    let plc = Plc::new();
+    let plc = Plc::with_model(Model::largest());
     assert!(alone(&plc, Framing::Ascii).station(1).unwrap().read_mixed(&list).await.is_ok());
     let error = alone(&plc, Framing::Binary).station(1).unwrap().read_mixed(&list).await.unwrap_err();
     assert!(matches!(error, Error::Invalid(_)), "{error:?}");
@@ -132,7 +132,7 @@ async fn status_is_typed_and_keeps_its_raw_bytes() {
 #[tokio::test(start_paused = true)]
 async fn loop_back_checks_the_echo() {
     for framing in FRAMINGS {
-        let station = alone(&Plc::new(), framing).station(1).unwrap();
+        let station = alone(&Plc::with_model(Model::largest()), framing).station(1).unwrap();
         for data in ["", "A", "4", "ABCDEFG"] {
             station.loop_back(data).await.unwrap();
         }
@@ -177,7 +177,7 @@ async fn the_plc_refuses_addresses_outside_its_model() {
 #[tokio::test(start_paused = true)]
 async fn broadcasts_reach_every_station_of_a_link() {
     for framing in FRAMINGS {
-        let plcs: Vec<Plc> = (0..3).map(|_| Plc::new()).collect();
+        let plcs: Vec<Plc> = (0..3).map(|_| Plc::with_model(Model::largest())).collect();
         let mut bus = Bus::new();
         for (number, plc) in [1, 2, 254].into_iter().zip(&plcs) {
             bus = bus.with_station(number, plc.clone()).unwrap();
@@ -205,7 +205,7 @@ async fn broadcasts_reach_every_station_of_a_link() {
 
 #[tokio::test(start_paused = true)]
 async fn many_callers_share_one_station() {
-    let plc = Plc::new();
+    let plc = Plc::with_model(Model::largest());
     for n in 0..200_u16 {
         plc.write(Register::r(n), n * 7).unwrap();
     }
@@ -224,7 +224,7 @@ async fn many_callers_share_one_station() {
 
 #[tokio::test(start_paused = true)]
 async fn both_framings_give_equal_results_from_equal_memory() {
-    let plc = Plc::new();
+    let plc = Plc::with_model(Model::largest());
     for (n, &symbol) in Symbol::ALL.iter().enumerate() {
         let value = match symbol.width() {
             fatek::Width::Bit => Value::Bit(n % 2 == 0),

@@ -119,7 +119,7 @@ fn bit(station: u8, address: u16) -> bool {
 }
 
 fn plc(station: u8) -> Plc {
-    let plc = Plc::new();
+    let plc = Plc::with_model(fatek::sim::Model::largest());
     for address in 0..READ_ONLY {
         plc.write(Register::r(address), word(station, address)).unwrap();
         plc.write(Discrete::new(Symbol::M, address).unwrap(), bit(station, address)).unwrap();

@@ -56,6 +56,7 @@ const OPEN_TRAITS: &[(&str, &str)] = &[
     ("IntoTag", "own types name a tag"),
     ("IntoTagValues", "own types are written to tags"),
     ("TagSet", "own types name several tags"),
+    ("Tags", "structs of tags implement it, mostly by `#[derive(Tags)]`"),
 ];
 
 #[derive(Default)]

@@ -248,7 +248,7 @@ mod tests {
 
     #[test]
     fn prepared_values_are_read_back() {
-        let plc = Plc::new();
+        let plc = Plc::with_model(fatek::sim::Model::largest());
         prepare_constants(&plc, 3, 5).unwrap();
         for owner in 0..MAX_CALLERS {
             for kind in Kind::ALL {

@@ -73,7 +73,7 @@ impl Line {
         let faults = faults(&numbers, transport, framing, rng.next_u64());
         let mut bus = Bus::new();
         for (station, &station_number) in numbers.iter().enumerate() {
-            let plc = Plc::with_model(Model::default().pages_while_running(true));
+            let plc = Plc::with_model(Model::largest().pages_while_running(true));
             layout::prepare_constants(&plc, number, station)?;
             for owner in 0..options.callers + options.guests {
                 for kind in Kind::ALL {

@@ -5,7 +5,7 @@
 
 use bytes::BytesMut;
 use fatek::command::Request;
-use fatek::sim::{Bus, Plc};
+use fatek::sim::{Bus, Model, Plc};
 use fatek::wire::{Codec, Frame, Framing, MAX_FRAME_LEN, Received, Side};
 use tokio_util::codec::Decoder;
 
@@ -27,7 +27,8 @@ pub fn run(input: &[u8]) {
     if flags.has(REPAIR) {
         repair(framing, &mut bytes);
     }
-    let bus = STATIONS.iter().fold(Bus::new(), |bus, &station| bus.with_station(station, Plc::new()).unwrap());
+    let plc = || Plc::with_model(Model::largest());
+    let bus = STATIONS.iter().fold(Bus::new(), |bus, &station| bus.with_station(station, plc()).unwrap());
     let mut codec = Codec::new(framing, Side::Plc);
     let mut received = BytesMut::from(&bytes[..]);
     while let Some(item) = codec.decode_eof(&mut received).unwrap() {

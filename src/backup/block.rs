@@ -89,6 +89,11 @@ pub(super) fn is_never_restored(range: Tag) -> bool {
     range.first().symbol().area().is_derived()
 }
 
+/// Checks that a range is not of bits of a register: its elements would be whole registers.
+pub(super) fn check_whole(range: Tag) -> Result<(), InvalidBackup> {
+    if range.is_bits_of_register() { Err(InvalidBackup::BitsOfRegister { range }) } else { Ok(()) }
+}
+
 /// Checks that no two ranges share memory, under any names.
 pub(super) fn check_overlaps(ranges: &[Tag]) -> Result<(), InvalidBackup> {
     let mut sorted: Vec<_> = ranges.iter().map(|&range| (range.memory(), range)).collect();

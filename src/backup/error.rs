@@ -14,6 +14,14 @@ pub enum InvalidBackup {
     /// There is no range.
     #[error("there are no ranges: at least one was expected")]
     Empty,
+    /// A range is bits of a register, and a backup has whole registers: a restore would write its other
+    /// bits, too.
+    #[error("{range} is a part of {}, and a backup has whole registers", range.first())]
+    #[non_exhaustive]
+    BitsOfRegister {
+        /// The range.
+        range: Tag,
+    },
     /// Two ranges share memory.
     #[error("{first} and {second} share memory")]
     #[non_exhaustive]
@@ -133,6 +141,12 @@ pub enum RestoreFailure {
         /// The station of this run, and its endpoint.
         station: String,
     },
+    /// The backup has special elements, and their treatment was not chosen. Nothing was sent.
+    #[non_exhaustive]
+    Special {
+        /// The first of them.
+        range: Tag,
+    },
     /// The PLC is not the one that was read: see [`RestoreReport::other_plc`]. Nothing was written.
     OtherPlc,
     /// The PLC runs, and had to be stopped already. Nothing was written.
@@ -170,6 +184,11 @@ impl fmt::Display for RestoreFailure {
             Self::OtherStation { begun, station } => {
                 write!(f, "restoring was begun with {}, and cannot continue with {}", excerpt(begun), excerpt(station))
             }
+            Self::Special { range } => write!(
+                f,
+                "the backup has special elements, {range}, and writing these can cause system or I/O errors: choose \
+                 `RestoreOptions::special`"
+            ),
             Self::OtherPlc => {
                 f.write_str("the backup is of another PLC, and `RestoreOptions::accept_other_plc` was not chosen")
             }
@@ -201,6 +220,7 @@ impl std::error::Error for RestoreFailure {
         match self {
             Self::Call { source, .. } => source.source(),
             Self::OtherStation { .. }
+            | Self::Special { .. }
             | Self::OtherPlc
             | Self::Running
             | Self::StillRunning

@@ -1,7 +1,7 @@
 /// Options for restoring a backup.
 ///
 /// By default a running PLC keeps running, only elements that differ are written, forced discretes
-/// stay as they are, and the backup of another PLC is refused.
+/// stay as they are, and the backup of another PLC or one with special elements is refused.
 ///
 /// ```
 /// use fatek::backup::RestoreOptions;
@@ -18,6 +18,23 @@ pub struct RestoreOptions {
     pub(super) accept_other_plc: bool,
     pub(super) bridge: usize,
     pub(super) attempts: u32,
+    pub(super) special: SpecialElements,
+}
+
+/// Treatment of special elements of a backup: R3840 to R4167 and M1912 to M2001, as
+/// [`special_range`](crate::memory_map::special_range) has them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
+pub enum SpecialElements {
+    /// A backup with special elements is not restored:
+    /// [`RestoreFailure::Special`](super::RestoreFailure::Special) before anything is sent.
+    #[default]
+    Refuse,
+    /// They are neither compared nor written, and all others are restored.
+    /// [`RestoreReport::special`](super::RestoreReport::special) names them.
+    Skip,
+    /// They are restored as all others.
+    Write,
 }
 
 /// Treatment of a PLC that runs.
@@ -38,6 +55,7 @@ impl RestoreOptions {
             accept_other_plc: false,
             bridge: 0,
             attempts: 3,
+            special: SpecialElements::Refuse,
         }
     }
 
@@ -96,6 +114,12 @@ impl RestoreOptions {
     /// program makes to these elements meanwhile.
     pub fn bridge(self, elements: usize) -> Self {
         Self { bridge: elements, ..self }
+    }
+
+    /// Sets the treatment of special elements, R3840 to R4167 and M1912 to M2001. Default:
+    /// [`SpecialElements::Refuse`]. Writing them can cause system or I/O errors.
+    pub fn special(self, special: SpecialElements) -> Self {
+        Self { special, ..self }
     }
 
     /// How often a write, STOP or RUN is sent at most, if there is no reply and a read shows no effect.

@@ -36,6 +36,10 @@ pub struct RestoreReport {
     pub left_out: Vec<Tag>,
     /// Those of them that differ. Only [`Restore::compare`](super::Restore::compare) reads them.
     pub left_out_differences: Vec<Difference>,
+    /// Special elements of the backup that a restore does not write, because
+    /// [`SpecialElements::Write`](super::SpecialElements::Write) was not chosen. With
+    /// [`SpecialElements::Skip`](super::SpecialElements::Skip) they were not compared either.
+    pub special: Vec<Tag>,
     /// Elements without a value in the backup. They were neither compared nor written.
     pub missing: Vec<MissingRange>,
     /// How the PLC differs from the one that was read, as far as the backup states that: station
@@ -72,6 +76,9 @@ impl fmt::Display for RestoreReport {
         }
         if !self.forced.is_empty() {
             write!(f, ", {} left as they are forced", count(&self.forced))?;
+        }
+        if !self.special.is_empty() {
+            write!(f, ", {} special not to be written", count(&self.special))?;
         }
         if !self.missing.is_empty() {
             let missing: usize = self.missing.iter().map(|missing| missing.range.element_count()).sum();

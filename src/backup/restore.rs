@@ -54,7 +54,8 @@ impl Restore {
     /// # Errors
     /// [`RestoreError`]: the reason, the elements that are written and those that are not, and the
     /// state of the PLC. Its [`source`](RestoreError::source) is
-    /// - [`OtherStation`](RestoreFailure::OtherStation) before anything is sent;
+    /// - [`OtherStation`](RestoreFailure::OtherStation) and [`Special`](RestoreFailure::Special) before
+    ///   anything is sent;
     /// - [`OtherPlc`](RestoreFailure::OtherPlc), [`Running`](RestoreFailure::Running) and
     ///   [`NotThere`](RestoreFailure::NotThere) before anything is written;
     /// - [`Call`](RestoreFailure::Call) if a request fails: run it again when the PLC is back;
@@ -79,6 +80,9 @@ impl Restore {
         check_in(self.restoring.ranges(), station).map_err(|source| {
             self.failed(RestoreFailure::Call { doing: "checking the addresses".to_owned(), source })
         })?;
+        if let Some(range) = self.restoring.refused_special().filter(|_| goal == RestoreGoal::Restore) {
+            return Err(self.failed(RestoreFailure::Special { range }));
+        }
         self.restoring.begin(goal);
         self.check_origin(station, goal).await.map_err(|source| self.failed(source))?;
         let driven = self.driver.run(&mut self.restoring, station).await;

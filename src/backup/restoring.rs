@@ -2,15 +2,16 @@
 
 mod control;
 mod origin;
+mod report;
 
 use std::ops::Range;
 
 use self::ElementStage::{Check, Compare, Forced, Verify, Write};
 use self::control::ControlStage::{self, LastLook, Look};
 use super::block::{Chunk, Chunks, discretes, is_never_restored, runs, runs_of_values};
-use super::options::{IfRunning, RestoreOptions};
+use super::options::{IfRunning, RestoreOptions, SpecialElements};
 use super::target::{ElementState, Target, TargetElement};
-use super::{Backup, Difference, MissingRange, RestoreFailure, RestoreReport};
+use super::{Backup, Difference, MissingRange, RestoreFailure};
 use crate::command::Value;
 use crate::error::{Error, ErrorCode};
 use crate::file::{Origin, PlcDifference};
@@ -82,6 +83,8 @@ pub(super) struct Restoring {
     /// Ranges that are compared and never written.
     left_out: Vec<Target>,
     missing: Vec<MissingRange>,
+    /// Special elements that are not to be written.
+    special: Vec<Tag>,
     goal: RestoreGoal,
     stage: RestoreStage,
     control: RunControl,
@@ -102,14 +105,22 @@ impl Restoring {
     pub(super) fn new(backup: &Backup, options: RestoreOptions) -> Self {
         let (left_out, restored): (Vec<_>, Vec<_>) =
             backup.blocks.iter().partition(|block| is_never_restored(block.range));
+        let mut targets: Vec<_> = restored.into_iter().map(Target::new).collect();
+        let mut special: Vec<_> = targets.iter().flat_map(Target::special).collect();
+        match options.special {
+            SpecialElements::Refuse => {}
+            SpecialElements::Skip => targets.iter_mut().for_each(Target::skip_special),
+            SpecialElements::Write => special.clear(),
+        }
         Self {
             options,
             station: backup.station,
             origin: backup.origin.clone(),
             other_plc: Vec::new(),
-            targets: restored.into_iter().map(Target::new).collect(),
+            targets,
             left_out: left_out.into_iter().map(Target::new).collect(),
             missing: backup.missing(),
+            special,
             goal: RestoreGoal::Compare,
             stage: RestoreStage::Done,
             control: RunControl::new(options.attempts),
@@ -342,29 +353,6 @@ impl Restoring {
     }
 
     // Elements.
-
-    pub(super) fn report(&self) -> RestoreReport {
-        let ranges =
-            |holds: fn(ElementState) -> bool| self.targets.iter().flat_map(|target| target.ranges(holds)).collect();
-        let compared = self.all().flat_map(|target| &target.elements).filter(|element| element.found.is_some());
-        RestoreReport {
-            compared: compared.count(),
-            differences: self.targets.iter().flat_map(Target::differences).collect(),
-            written: ranges(|state| state == ElementState::Written),
-            in_doubt: ranges(|state| matches!(state, ElementState::InDoubt | ElementState::ToRepeat)),
-            unwritten: ranges(|state| state == ElementState::Differs),
-            to_write: self.targets.iter().flat_map(|target| target.ranges_to_write(self.options.bridge)).collect(),
-            refused: self.all().flat_map(Target::refused).collect(),
-            forced: ranges(|state| state == ElementState::Forced),
-            left_out: self.left_out.iter().map(|target| target.range).collect(),
-            left_out_differences: self.left_out.iter().flat_map(Target::differences).collect(),
-            missing: self.missing.clone(),
-            other_plc: self.other_plc.clone(),
-            remaining: self.remaining.clone(),
-            was_stopped: self.control.was_stopped(),
-            plc: self.control.plc(),
-        }
-    }
 
     /// All targets by number; those that are never written come last.
     fn all(&self) -> impl Iterator<Item = &Target> {

@@ -138,7 +138,7 @@ impl Transfer for Taking {
 mod tests {
     use super::*;
     use crate::random::Random;
-    use crate::sim::Plc;
+    use crate::sim::{Model, Plc};
     use crate::transfer::contract::{self, End};
 
     #[test]
@@ -146,7 +146,7 @@ mod tests {
         let ranges = ["R0-R2999", "M0-M499", "DR4000-DR4198", "D0-D199:u32"];
         for seed in 0..40 {
             let mut random = Random::new(seed);
-            let plc = Plc::new();
+            let plc = Plc::with_model(Model::largest());
             let backup = Backup::of(ranges.map(|range| range.parse().unwrap())).unwrap();
             for address in 0..3000_u16 {
                 plc.write(crate::Register::r(address), random.next() as u16).unwrap();

@@ -6,6 +6,7 @@ use super::block::{Block, Cell, part, runs, runs_by, runs_of_values};
 use super::{Difference, RefusedRange};
 use crate::command::{Value, most_in_one_request};
 use crate::error::ErrorCode;
+use crate::memory_map::special_range;
 use crate::tag::Tag;
 
 /// The state of an element.
@@ -68,6 +69,24 @@ impl Target {
             })
         });
         Self { range: block.range, elements: elements.collect() }
+    }
+
+    /// The ranges of special elements, and of values with such an element.
+    pub(super) fn special(&self) -> Vec<Tag> {
+        self.special_runs().iter().map(|run| part(self.range, run)).collect()
+    }
+
+    /// Takes special elements as if the backup had no value of them.
+    pub(super) fn skip_special(&mut self) {
+        for run in self.special_runs() {
+            self.elements.get_mut(run).into_iter().flatten().for_each(|element| element.wanted = None);
+        }
+    }
+
+    /// The indices of values with a special element.
+    fn special_runs(&self) -> Vec<Range<usize>> {
+        let special: Vec<bool> = self.range.elements().map(|element| special_range(element).is_some()).collect();
+        runs_of_values(&special, self.range.elements_per_value(), |&special| special)
     }
 
     /// Before the comparison.

@@ -174,6 +174,9 @@ fn ranges_that_share_memory_are_refused() {
         }
     }
     assert_eq!(Backup::of([]), Err(InvalidBackup::Empty));
+    // It was taken for the whole register, whose other bits a restore would have written.
+    let error = Backup::of(tags(["R0-R3", "R5.3"])).unwrap_err();
+    assert_eq!(error.to_string(), "R5.3 is a part of R5, and a backup has whole registers");
     of(["R0-R9", "R10", "DR11", "RT0-RT9", "T0-T9", "WM0", "M16", "DWM24", "D0-D9", "F0-F9", "RC0", "DRC1"]).unwrap();
 }
 
@@ -212,6 +215,7 @@ fn a_part_of_a_backup_is_a_backup() {
         assert!(error.contains(message), "{error}");
     }
     assert_eq!(backup.select([]), Err(InvalidBackup::Empty));
+    assert!(matches!(backup.select(tags(["R0.3"])), Err(InvalidBackup::BitsOfRegister { .. })));
     assert!(matches!(backup.select(tags(["M60-M62", "M62"])), Err(InvalidBackup::Overlap { .. })));
 }
 

@@ -31,6 +31,12 @@ macro_rules! discrete {
 /// ```compile_fail
 /// let _ = fatek::register!("RC200"); // a counter of 32 bits, DRC200
 /// ```
+///
+/// ```compile_fail
+/// fn generic<T>() -> fatek::Register {
+///     fatek::register!("R65536") // past the last address
+/// }
+/// ```
 #[macro_export]
 macro_rules! register {
     ($text:literal) => {
@@ -69,12 +75,13 @@ macro_rules! element {
 #[doc(hidden)]
 #[macro_export]
 macro_rules! checked_element {
-    ($type:ident, $text:literal, $rule:literal) => {
-        const {
-            match $crate::$type::parse($text) {
-                ::core::result::Result::Ok(element) => element,
-                ::core::result::Result::Err(_) => ::core::panic!(::core::concat!($text, " ", $rule)),
-            }
-        }
-    };
+    ($type:ident, $text:literal, $rule:literal) => {{
+        // An item, unlike a block of the surrounding function, is evaluated even if that function
+        // is generic.
+        const ELEMENT: $crate::$type = match $crate::$type::parse($text) {
+            ::core::result::Result::Ok(element) => element,
+            ::core::result::Result::Err(_) => ::core::panic!(::core::concat!($text, " ", $rule)),
+        };
+        ELEMENT
+    }};
 }

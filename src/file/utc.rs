@@ -10,6 +10,14 @@ pub fn utc(time: SystemTime) -> String {
     humantime::format_rfc3339_seconds(whole_seconds(time)).to_string()
 }
 
+/// Formats a time with milliseconds: `2026-11-22T07:09:13.250Z`. Limited to the years from 1970 to 9999,
+/// as in [`utc`].
+#[cfg(feature = "serde")]
+pub(crate) fn utc_millis(time: SystemTime) -> String {
+    let last = UNIX_EPOCH.checked_add(Duration::from_secs(LAST_SECOND)).unwrap_or(UNIX_EPOCH);
+    humantime::format_rfc3339_millis(time.clamp(UNIX_EPOCH, last)).to_string()
+}
+
 /// Parses the format of [`utc`] and no other.
 pub(crate) fn parse_utc(text: &str) -> Option<SystemTime> {
     let time = humantime::parse_rfc3339(text).ok()?;

@@ -1,8 +1,9 @@
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::sync::watch;
 
+use super::by_station::ByStation;
 use super::call::SpareSlots;
 use super::config::Config;
 use super::connect_limiter::ConnectLimiter;
@@ -276,6 +277,7 @@ impl LinkBuilder {
             response_timeout: timeout,
             shared: Arc::new(Shared::new(driver)),
             spares: SpareSlots::default(),
+            modifying: Mutex::new(ByStation::new()),
             state: watcher,
             stats,
             line: self.line,

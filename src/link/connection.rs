@@ -22,6 +22,8 @@ pub(crate) struct Connection {
     state: ConnectionState,
     /// Failed attempts, and connections that ended without a reply, since the last reply.
     failures: u32,
+    /// How often the shortest pause is doubled for the next one.
+    doublings: u32,
     /// The number of the host's address to be used next, of those that a transport chooses among.
     address: usize,
     /// A reply has come from this address.
@@ -52,6 +54,7 @@ impl Connection {
         Self {
             state: ConnectionState::Down { retry_at: None },
             failures: 0,
+            doublings: 0,
             address: 0,
             is_address_proven: false,
             spent: false,
@@ -103,6 +106,7 @@ impl Connection {
     pub(crate) fn replied(&mut self) {
         self.state = ConnectionState::Up { replied: true };
         self.failures = 0;
+        self.doublings = 0;
         self.is_address_proven = true;
     }
 
@@ -120,24 +124,33 @@ impl Connection {
         }
     }
 
-    /// Limits the pause before the next attempt.
-    pub(crate) fn retry_by(&mut self, latest: Instant) {
+    /// Limits the pause before the next attempt, and the one after another failure.
+    pub(crate) fn retry_within(&mut self, longest: Duration, now: Instant) {
         if let ConnectionState::Down { retry_at: Some(at) } = &mut self.state {
-            *at = latest.min(*at);
+            *at = later(now, longest).min(*at);
         }
+        while self.doublings > 0 && self.next_pause() > longest {
+            self.doublings = self.doublings.saturating_sub(1);
+        }
+    }
+
+    /// The next pause, without jitter.
+    fn next_pause(&self) -> Duration {
+        let (shortest, longest) = self.backoff;
+        shortest.saturating_mul(1_u32.checked_shl(self.doublings).unwrap_or(u32::MAX)).min(longest)
     }
 
     /// The attempt to connect has failed.
     pub(crate) fn failed(&mut self, now: Instant) {
-        let (shortest, longest) = self.backoff;
-        let doubled = shortest.saturating_mul(1_u32.checked_shl(self.failures).unwrap_or(u32::MAX));
-        self.failures = self.failures.saturating_add(1).min(31);
+        let pause = self.next_pause();
+        self.doublings = self.doublings.saturating_add(1).min(31);
+        self.failures = self.failures.saturating_add(1);
         self.is_address_proven &= self.failures < LOST;
         if !self.is_address_proven {
             let skip = usize::from(self.failures > IN_ORDER && self.random.next().is_multiple_of(4));
             self.address = self.address.wrapping_add(1).wrapping_add(skip);
         }
-        let delay = self.random.jitter(doubled.min(longest));
+        let delay = self.random.jitter(pause);
         self.state = ConnectionState::Down { retry_at: Some(later(now, delay)) };
     }
 }
@@ -202,6 +215,32 @@ mod tests {
             for wanted in [(0, 0), (0, 1), (1, 0), (1, 1)] {
                 assert!(reached(&mut connection, wanted), "seed {seed}: {wanted:?}");
             }
+        }
+    }
+
+    /// A host that was mute for minutes and then closed the connection was left alone for half a minute.
+    #[test]
+    fn the_pause_after_a_replaced_connection_is_short_and_so_is_the_next() {
+        let (backoff, limit) = ((Duration::from_millis(100), Duration::from_secs(30)), Duration::from_secs(5));
+        for seed in 0..100 {
+            let mut connection = Connection::new(backoff, Random::new(seed));
+            let now = Instant::now();
+            let pause = |connection: &Connection| match connection.state() {
+                ConnectionState::Down { retry_at } => retry_at.unwrap().duration_since(now),
+                state => panic!("{state:?}"),
+            };
+            for _ in 0..20 {
+                connection.opened();
+                connection.lost(now);
+                connection.retry_within(limit, now);
+                assert!(pause(&connection) <= limit, "seed {seed}");
+            }
+            connection.opened();
+            connection.lost(now);
+            assert!(pause(&connection) <= limit, "seed {seed}: {:?}", pause(&connection));
+            // Then it grows again.
+            (0..5).for_each(|_| connection.failed(now));
+            assert!(pause(&connection) >= backoff.1 / 2, "seed {seed}: {:?}", pause(&connection));
         }
     }
 

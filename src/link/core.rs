@@ -334,7 +334,7 @@ impl Core {
         self.connection.lost(now);
         if let (true, Some(limit)) = (std::mem::take(&mut self.replacing), self.config.mute_timeout) {
             // Stations that answer must not wait longer for the sake of one that does not.
-            self.connection.retry_by(later(now, limit));
+            self.connection.retry_within(limit, now);
         }
         self.exchange.forget();
         self.learn_one_request(error);

@@ -49,7 +49,8 @@ mod test_line;
 use std::fmt;
 use std::future::Future;
 use std::io;
-use std::sync::Arc;
+use std::panic::AssertUnwindSafe;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use futures::FutureExt;
@@ -60,6 +61,7 @@ use tokio::task::{consume_budget, yield_now};
 use tokio::time::{Instant, timeout_at};
 use tracing::Instrument;
 
+use self::by_station::ByStation;
 use self::call::{CallMeta, SpareSlots};
 pub(crate) use self::connect_limiter::ConnectLimiter;
 pub(crate) use self::connector::Connector;
@@ -107,6 +109,8 @@ struct LinkInner {
     response_timeout: Duration,
     shared: Arc<Shared>,
     spares: SpareSlots,
+    /// For each station whose bits of registers were changed: held from the read to the write.
+    modifying: Mutex<ByStation<Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>>>>,
     state: watch::Receiver<LinkState>,
     stats: Arc<SharedStats>,
     /// The serial line, if it is one.
@@ -249,6 +253,12 @@ impl Link {
     #[must_use]
     pub fn stats(&self) -> LinkStats {
         self.inner.stats.link_stats()
+    }
+
+    /// The lock that a caller holds while it changes bits of a register of a station.
+    pub(crate) fn turns_to_modify(&self, station: u8) -> Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>> {
+        let mut modifying = self.inner.modifying.lock().unwrap_or_else(PoisonError::into_inner);
+        modifying.with(station, || Arc::new(AssertUnwindSafe(tokio::sync::Mutex::default())), |turns| turns.clone())
     }
 
     /// Returns whether the link has been closed, or its task has ended.
@@ -456,6 +466,6 @@ impl fmt::Debug for Link {
 
 /// The instant `by` after `now`, at most a day: more than any call takes, and within the range of a
 /// clock.
-fn later(now: Instant, by: Duration) -> Instant {
+pub(crate) fn later(now: Instant, by: Duration) -> Instant {
     now.checked_add(by.min(Duration::from_secs(86_400))).unwrap_or(now)
 }

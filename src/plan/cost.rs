@@ -63,7 +63,8 @@ impl CostModel {
     /// The frame gap is that of the link. If its connections carry one request only, the quiet time
     /// that proves each request counts as overhead. Otherwise the proof of a request costs nothing
     /// if its neighbours have replies of other shapes, which is the order of a plan.
-    pub(crate) fn of_link(link: &Link) -> Self {
+    #[must_use]
+    pub fn of_link(link: &Link) -> Self {
         let model = match link.line() {
             Some(line) => Self::line(line, link.framing()),
             None => Self::network(link.framing(), DEFAULT_RESPONSE_TIME),
@@ -126,13 +127,27 @@ impl CostModel {
         self.byte_time
     }
 
+    /// Returns the silence between a reply and the next request.
+    #[must_use]
+    pub fn frame_gap(&self) -> Duration {
+        self.frame_gap
+    }
+
+    /// Returns the additional time per request.
+    #[must_use]
+    pub fn overhead(&self) -> Duration {
+        self.overhead
+    }
+
     /// Returns the fixed time per request: frame gap, response time and overhead.
     #[must_use]
     pub fn request_time(&self) -> Duration {
         self.frame_gap + self.response_time.min(MAX_RESPONSE_TIME) + self.overhead
     }
 
-    pub(crate) fn response_time(&self) -> Duration {
+    /// Returns the time from the end of a request to the beginning of its reply.
+    #[must_use]
+    pub fn response_time(&self) -> Duration {
         self.response_time
     }
 

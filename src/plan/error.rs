@@ -2,7 +2,8 @@ use std::fmt;
 
 use crate::command::InvalidRequest;
 use crate::element::Element;
-use crate::tag::Tag;
+use crate::error::Error;
+use crate::tag::{Tag, TagAccessError};
 
 /// The reason why there is no plan, or why replies do not match it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -75,6 +76,21 @@ pub enum PlanError {
     /// A request violates a rule of the protocol.
     #[error(transparent)]
     Request(#[from] InvalidRequest),
+}
+
+impl PlanError {
+    /// The error of a call that reads tags.
+    pub(crate) fn into_call_error(self) -> Error {
+        match self {
+            Self::Request(invalid) => Error::Invalid(invalid),
+            Self::Limit { .. }
+            | Self::Range { .. }
+            | Self::NotReadable { .. }
+            | Self::OneScan { .. }
+            | Self::TooManyValues { .. }
+            | Self::Reply { .. } => TagAccessError::NoPlan { reason: self.to_string() }.into(),
+        }
+    }
 }
 
 /// Displays the tags of [`PlanError::OneScan`].

@@ -261,8 +261,21 @@ impl Limits {
         as_u32(self.max_mixed)
     }
 
+    /// Returns the maxima of registers, of discretes, and of units of a mixed read.
+    #[cfg(feature = "serde")]
+    pub(crate) fn maxima(&self) -> [usize; 3] {
+        [self.max_registers, self.max_points, self.max_mixed]
+    }
+
+    /// Returns the readable ranges and those to avoid, by symbol and both addresses.
+    #[cfg(feature = "serde")]
+    pub(crate) fn ranges(&self) -> [Vec<(Symbol, u16, u16)>; 2] {
+        [&self.readable, &self.avoided]
+            .map(|Ranges(ranges)| ranges.iter().map(|range| (range.symbol, range.first, range.last)).collect())
+    }
+
     /// Returns the index of the readable range with this address; `None` if it is not readable.
-    pub(super) fn segment(&self, symbol: Symbol, address: u16) -> Option<u32> {
+    pub(crate) fn segment(&self, symbol: Symbol, address: u16) -> Option<u32> {
         let ranges = self.readable.for_symbol(symbol);
         if ranges.is_empty() {
             return Some(0);

@@ -22,11 +22,11 @@ const DEFAULT_PROBE_INTERVAL: Duration = Duration::from_secs(60);
 #[non_exhaustive]
 #[must_use]
 pub struct ScanClass {
-    pub(super) period: Duration,
-    pub(super) phase: Option<Duration>,
-    stale_after: Option<Duration>,
-    bad_after: Option<Duration>,
-    pub(super) probe_refused: Duration,
+    pub(crate) period: Duration,
+    pub(crate) phase: Option<Duration>,
+    pub(crate) stale_after: Option<Duration>,
+    pub(crate) bad_after: Option<Duration>,
+    pub(crate) probe_refused: Duration,
 }
 
 impl ScanClass {
@@ -77,7 +77,7 @@ impl ScanClass {
         self.bad_after.unwrap_or(self.period.saturating_mul(10)).max(self.stale_age())
     }
 
-    pub(super) fn check(&self) -> Result<(), PollError> {
+    pub(crate) fn check(&self) -> Result<(), PollError> {
         const SHORTEST: Duration = Duration::from_millis(1);
         const LONGEST: Duration = Duration::from_secs(86_400);
         if !(SHORTEST..=LONGEST).contains(&self.period) {
@@ -103,15 +103,15 @@ impl ScanClass {
 pub struct PollTag {
     pub(super) name: Arc<str>,
     pub(super) tag: Tag,
-    pub(super) policy: ReportPolicy,
+    pub(crate) policy: ReportPolicy,
 }
 
 /// When samples are reported.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct ReportPolicy {
-    pub(super) on_change: bool,
-    pub(super) deadband: f64,
-    pub(super) heartbeat: Option<Duration>,
+pub(crate) struct ReportPolicy {
+    pub(crate) on_change: bool,
+    pub(crate) deadband: f64,
+    pub(crate) heartbeat: Option<Duration>,
 }
 
 impl ReportPolicy {
@@ -161,7 +161,7 @@ impl PollTag {
         self.tag
     }
 
-    pub(super) fn check(&self) -> Result<(), PollError> {
+    pub(crate) fn check(&self) -> Result<(), PollError> {
         let deadband = self.policy.deadband;
         let is_number = self.tag.tag_type().is_number();
         if !deadband.is_finite() || deadband < 0.0 || (deadband > 0.0 && !is_number) {

@@ -50,7 +50,7 @@ impl TagPart {
 
     /// Its halves, each with its number of values; `None` for a single value.
     fn halves(&self, tag_map: &TagMap) -> Option<[(Self, usize); 2]> {
-        let count = self.tag(tag_map)?.value_count();
+        let count = self.tag(tag_map)?.slot_count();
         let middle = count / 2;
         let right = count.checked_sub(middle)?;
         Some([(self.values(0..middle, tag_map)?, middle), (self.values(middle..count, tag_map)?, right)])

@@ -1,7 +1,7 @@
 use std::time::Duration;
 
 use crate::plan::PlanError;
-use crate::tag::Tag;
+use crate::tag::{Tag, TagAccessError};
 
 /// The reason why tags or a station cannot be polled.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -32,6 +32,9 @@ pub enum PollError {
     /// No plan can read the tags.
     #[error(transparent)]
     Plan(#[from] PlanError),
+    /// The type of a field of a struct does not fit its tag.
+    #[error(transparent)]
+    Tag(Box<TagAccessError>),
     /// [`PolledStation::add_one_scan`](super::PolledStation::add_one_scan) without tags.
     #[error("no tags were given")]
     NoTags,

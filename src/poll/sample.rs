@@ -10,7 +10,7 @@ use crate::tag::TagValue;
 
 /// The id of a tag in a [`Poller`](super::Poller). Ids of removed tags are not reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct TagId(pub(super) u64);
+pub struct TagId(pub(crate) u64);
 
 impl fmt::Display for TagId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -30,7 +30,7 @@ pub struct Sample {
     pub quality: Quality,
     /// The time of the reply with the values; of a bad sample, when it became bad.
     pub at: Stamp,
-    pub(super) values: Option<Arc<[TagValue]>>,
+    pub(crate) values: Option<Arc<[TagValue]>>,
 }
 
 impl Sample {

@@ -31,8 +31,8 @@ pub(super) struct EndpointLinks {
 }
 
 impl EndpointLinks {
-    pub(super) fn new(endpoint: Endpoint) -> Self {
-        Self { endpoint, links: Vec::new(), requested_at: 0, closed_traffic: LinkStats::default() }
+    pub(super) fn new(endpoint: Endpoint, requested_at: u64) -> Self {
+        Self { endpoint, links: Vec::new(), requested_at, closed_traffic: LinkStats::default() }
     }
 
     /// Returns the link for one more handle.

@@ -137,7 +137,7 @@ fn files_of_both_forms_are_saved_and_loaded() {
 #[test]
 fn programs_are_compared_page_by_page() {
     let one = program(13_184, 3, true);
-    assert_eq!(one.differing_pages(&one), []);
+    assert!(one.differing_pages(&one).is_empty());
     let mut pages = one.pages().to_vec();
     pages[206] = ProgramPage::new([1; PAGE_WORDS]);
     pages[17] = ProgramPage::new([2; PAGE_WORDS]);

@@ -191,20 +191,27 @@ impl SerialSettings {
 
     /// The options for a URL: those that differ from the defaults of the framing.
     pub(crate) fn url_options(self, framing: Framing) -> impl Iterator<Item = String> {
-        let usual = Self::new(framing);
-        let options = [
-            (self.baud != usual.baud).then(|| format!("baud={}", self.baud)),
-            (self.character() != usual.character()).then(|| format!("frame={}", self.character())),
-            self.dtr.map(|on| format!("dtr={}", level_name(on))),
-            match self.rts {
-                Rts::Unchanged => None,
-                Rts::On => Some("rts=on".to_owned()),
-                Rts::Off => Some("rts=off".to_owned()),
-                Rts::OnWhileSending => Some("rs485=rts".to_owned()),
-                Rts::OffWhileSending => Some("rs485=rts-inverted".to_owned()),
-            },
-        ];
-        options.into_iter().flatten()
+        let usual = Self::new(framing).option_texts();
+        let options = self.option_texts().into_iter().zip(usual).filter(|(own, usual)| own != usual);
+        options.filter_map(|((name, text), _)| Some(format!("{name}={}", text?)))
+    }
+
+    /// The names of [`URL_OPTIONS`] with their texts; `None` for a line that is left as it is.
+    pub(crate) fn option_texts(self) -> [(&'static str, Option<String>); 5] {
+        let (rts, rs485) = match self.rts {
+            Rts::Unchanged => (None, None),
+            Rts::On => (Some(level_name(true)), None),
+            Rts::Off => (Some(level_name(false)), None),
+            Rts::OnWhileSending => (None, Some("rts")),
+            Rts::OffWhileSending => (None, Some("rts-inverted")),
+        };
+        [
+            ("baud", Some(self.baud.to_string())),
+            ("frame", Some(self.character())),
+            ("dtr", self.dtr.map(|on| level_name(on).to_owned())),
+            ("rts", rts.map(str::to_owned)),
+            ("rs485", rs485.map(str::to_owned)),
+        ]
     }
 
     /// Data bits, parity and stop bits, as in `7E1`.

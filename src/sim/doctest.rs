@@ -3,7 +3,7 @@ use std::future::Future;
 use tokio::runtime::Builder;
 
 use super::{Bus, Plc, serve};
-use crate::{Link, Station, wire::Framing};
+use crate::{Clock, Link, Station, wire::Framing};
 
 /// Runs an example of the documentation against a simulated PLC with station number 1.
 pub fn doctest<F, Fut>(example: F)
@@ -12,7 +12,9 @@ where
     Fut: Future<Output = Result<(), Box<dyn std::error::Error>>>,
 {
     let run = async {
-        let bus = Bus::new().with_station(1, Plc::new())?;
+        let plc = Plc::new();
+        plc.set_clock(Clock::from_seconds_since_2000(0, 0));
+        let bus = Bus::new().with_station(1, plc)?;
         let (client, plc) = tokio::io::duplex(4096);
         tokio::spawn(serve(plc, bus, Framing::Ascii));
         let station = Link::from_stream(client, Framing::Ascii).station(1)?;

@@ -103,13 +103,5 @@ fn bit_mask(discrete: Discrete) -> u8 {
     1 << (discrete.address() % 8)
 }
 
-/// First and last address that an element covers, of discretes or of 16-bit registers.
-pub(super) fn covered(element: Element) -> (u16, u16) {
-    // Consecutive elements are adjacent, so each covers as many addresses as the step. No element
-    // ends above 65535.
-    let first = element.address();
-    (first, first + (element.step() - 1))
-}
-
 #[cfg(test)]
 mod tests;

@@ -1,26 +1,25 @@
-use super::memory::covered;
 use crate::command::{BriefStatus, DetailedStatus, PAGE_WORDS, ProgramPage, StatusFlags};
 use crate::element::{Element, MemoryArea};
+use crate::memory_map::{Extent, MemoryMap, PlcModel};
 
-/// Model of a [`Plc`](super::Plc): the status it reports, and the size of its memory.
+/// Model of a [`Plc`](super::Plc): the status it reports, and the elements that it has.
 ///
-/// The default reports the status of the FBE-28MC in the manual's example of 53: 28 points, OS 3.1,
-/// a ladder of 13184 words. Its memory is the largest that the protocol can address. The reported
-/// sizes do not limit the memory; [`last`](Self::last) does.
+/// The default is the FBE-28MC of [`PlcModel`]: its statuses are those of the protocol manual's
+/// worked examples, and its ladder size is the one that its program has. [`largest`](Self::largest)
+/// has every element that the protocol can address.
 ///
 /// ```
 /// use fatek::element;
+/// use fatek::memory_map::PlcModel;
 /// use fatek::sim::{Model, Plc};
 ///
-/// let small = Model::default()
-///     .ladder_words(8192)
-///     .discrete_inputs(28)
-///     .last(element!("X255"))
-///     .last(element!("Y255"))
-///     .last(element!("S999"));
-/// let plc = Plc::with_model(small);
+/// let plc = Plc::with_model(Model::default());
 /// assert!(plc.write(element!("WX240"), 0xFFFF_u16).is_ok());
 /// assert!(plc.write(element!("WX248"), 0xFFFF_u16).is_err()); // X248 to X263
+/// assert!(plc.write(element!("R4168"), 1_u16).is_err()); // R4168 to R4999 do not exist
+///
+/// let newer = Model::of(PlcModel::Fbs20Mc).last(element!("R8999"));
+/// assert!(Plc::with_model(newer).write(element!("R8999"), 1_u16).is_ok());
 /// ```
 ///
 /// Source: protocol reference, sections 5 and 6 (manual 000, commands 40, 4F and 53).
@@ -30,8 +29,8 @@ pub struct Model {
     program_capacity: u8,
     /// STATUS1 to 64 of 53. STATUS1 is set from the PLC's flags.
     detailed: [u8; 64],
-    /// The last address of each area.
-    last: [u16; MemoryArea::ALL.len()],
+    /// The addresses of each area, ascending.
+    extents: Vec<Extent>,
     /// The first bytes of page 0.
     program_mark: [u8; 4],
     page_reply: PageReply,
@@ -39,9 +38,37 @@ pub struct Model {
 }
 
 impl Model {
+    /// A PLC of this model: its statuses, and the elements of its [`MemoryMap`].
+    ///
+    /// Areas that the map has no figures for, such as `F`, do not exist here: a simulated PLC refuses
+    /// elements that no document confirms.
+    #[must_use]
+    pub fn of(model: PlcModel) -> Self {
+        let [_, program_capacity, _] = model.brief_status().raw();
+        let mut detailed = [0; 64];
+        detailed.copy_from_slice(model.detailed_status().raw());
+        Self {
+            program_capacity,
+            detailed,
+            extents: Extent::merged(MemoryMap::of(model).ranges()),
+            program_mark: *b"FB00",
+            page_reply: PageReply::default(),
+            pages_while_running: false,
+        }
+    }
+
+    /// A PLC with every element that the protocol can address, and the statuses of the default.
+    ///
+    /// No documented unit has these. It is for tests of the protocol's own limits.
+    #[must_use]
+    pub fn largest() -> Self {
+        let all = |&area: &MemoryArea| Extent { area, first: 0, last: area.smallest().last_address() };
+        Self { extents: MemoryArea::ALL.iter().map(all).collect(), ..Self::default() }
+    }
+
     /// Sets STATUS2 of 40, the program capacity of older models.
     ///
-    /// Default: 54h, an FBE with 13K. FBs units answer 40h.
+    /// Default: that of the model, such as 54h, an FBE with 13K. FBs units answer 40h.
     #[must_use]
     pub fn program_capacity(mut self, code: u8) -> Self {
         self.program_capacity = code;
@@ -74,12 +101,17 @@ impl Model {
     /// Sets the last element of a memory area. Beyond it the PLC answers error A.
     ///
     /// It applies to all symbols of the area. With `M2001`, `WM1984` exists and `WM1992` does not;
-    /// with `DR100`, the last register is `R101`.
+    /// with `DR100`, the last register is `R101`. Gaps below it stay; an area that did not exist has
+    /// all elements up to it.
     #[must_use]
     pub fn last(mut self, element: impl Into<Element>) -> Self {
         let element = element.into();
-        let (_, last) = covered(element);
-        self.last[element.symbol().area() as usize] = last;
+        let ((_, last), area) = (element.covered(), element.symbol().area());
+        self.extents.retain(|extent| extent.area != area || extent.first <= last);
+        match self.extents.iter_mut().rfind(|extent| extent.area == area) {
+            Some(extent) => extent.last = last,
+            None => self.extents.push(Extent { area, first: 0, last }),
+        }
         self
     }
 
@@ -113,10 +145,9 @@ impl Model {
     }
 
     pub(super) fn has(&self, element: Element) -> bool {
-        let (_, last) = covered(element);
         // A received request can name a counter of 32 bits as one of 16 bits.
         let exists = Element::new(element.symbol(), element.address()).is_ok();
-        exists && last <= self.last[element.symbol().area() as usize]
+        exists && Extent::have(&self.extents, element)
     }
 
     pub(super) fn brief_status(&self, flags: StatusFlags) -> BriefStatus {
@@ -171,59 +202,42 @@ pub enum PageReply {
     Bare,
 }
 
-// The words in the reply to 53.
+// The words in the reply to 53. Their defaults are those of the model.
 //
-// - STATUS:  number of the high byte, from 1; the low byte follows
-// - default: the manual's example
+// - STATUS: number of the high byte, from 1; the low byte follows
 status_words! {
-    // STATUS  default  method            sets
-    5          13_184   ladder_words      "the ladder size in words; the program has a page per 64 words";
-    7             256   discrete_inputs   "the number of discrete inputs";
-    9             256   discrete_outputs  "the number of discrete outputs";
-    11            100   analog_inputs     "the number of analog inputs";
-    13            100   analog_outputs    "the number of analog outputs";
-    15          2_002   m_relays          "the number of relays `M`";
-    17          1_000   s_relays          "the number of step relays `S`";
-    19              0   l_relays          "the number of relays `L`";
-    21          8_072   r_registers       "the number of registers `R`";
-    23          3_072   d_registers       "the number of registers `D`";
-    25            256   timers            "the number of timers";
-    27            256   counters          "the number of counters";
+    // STATUS  method            sets
+    5          ladder_words      "the ladder size in words; the program has a page per 64 words";
+    7          discrete_inputs   "the number of discrete inputs";
+    9          discrete_outputs  "the number of discrete outputs";
+    11         analog_inputs     "the number of analog inputs";
+    13         analog_outputs    "the number of analog outputs";
+    15         m_relays          "the number of relays `M`";
+    17         s_relays          "the number of step relays `S`";
+    19         l_relays          "the number of relays `L`";
+    21         r_registers       "the number of registers `R`";
+    23         d_registers       "the number of registers `D`";
+    25         timers            "the number of timers";
+    27         counters          "the number of counters";
 }
 
-/// The last address of each area in the protocol.
-fn protocol_limits() -> [u16; MemoryArea::ALL.len()] {
-    std::array::from_fn(|n| MemoryArea::ALL[n].smallest().last_address())
+impl Default for Model {
+    fn default() -> Self {
+        Self::of(PlcModel::Fbe28Mc)
+    }
 }
 
 macro_rules! status_words {
-    ($($status:literal $default:literal $method:ident $sets:literal;)*) => {
+    ($($status:literal $method:ident $sets:literal;)*) => {
         impl Model {
             $(
                 #[doc = concat!("Sets ", $sets, ".")]
-                #[doc = concat!("\n\nSTATUS", $status, " and the next byte of 53. Default: ", $default, ".")]
+                #[doc = concat!("\n\nSTATUS", $status, " and the next byte of 53. It does not limit the memory.")]
                 #[must_use]
                 pub fn $method(self, number: u16) -> Self {
                     self.with_status_word($status, number)
                 }
             )*
-        }
-
-        impl Default for Model {
-            fn default() -> Self {
-                Self {
-                    program_capacity: 0x54,
-                    detailed: [0; 64],
-                    last: protocol_limits(),
-                    program_mark: *b"FB00",
-                    page_reply: PageReply::default(),
-                    pages_while_running: false,
-                }
-                .main_unit(0x01)
-                .io_points_code(0x02)
-                .os_version(3, 1)
-                $(.$method($default))*
-            }
         }
     };
 }

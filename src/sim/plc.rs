@@ -1,9 +1,12 @@
+mod clock;
+
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::memory::{Memory, covered};
+use super::memory::Memory;
 use super::{Error, Execute, Model, PageReply};
 use crate::ErrorCode;
+use crate::clock::Clock;
 use crate::command::{ProgramPage, StatusFlags, Value};
 use crate::element::{Discrete, Element};
 
@@ -65,7 +68,10 @@ impl Plc {
     ///   [accepts pages](Model::pages_while_running) then;
     /// - for 41, the error set with [`refuse_run`](Self::refuse_run).
     pub fn execute<C: Execute>(&self, request: &C) -> Result<C::Reply, ErrorCode> {
-        request.execute(&mut self.lock())
+        let mut inner = self.lock();
+        let reply = request.execute(&mut inner);
+        inner.settle_clock();
+        reply
     }
 
     /// The value of an element: 0 if it was never written, or is beyond the model.
@@ -192,6 +198,9 @@ pub struct PlcInner {
     program: BTreeMap<u16, ProgramPage>,
     pub(super) flags: StatusFlags,
     pub(super) refuse_run: Option<ErrorCode>,
+    clock: Option<Clock>,
+    /// M1952 after the last request or write.
+    clock_settable: bool,
 }
 
 impl PlcInner {
@@ -234,7 +243,7 @@ impl PlcInner {
         // Writes all bits, then restores those of disabled discretes.
         let before = self.memory.read(element);
         self.memory.write(element, value)?;
-        let (first, last) = covered(element);
+        let (first, last) = element.covered();
         for (&discrete, written) in &mut self.disabled {
             let same_area = discrete.symbol().area() == element.symbol().area();
             if same_area && (first..=last).contains(&discrete.address()) {
@@ -242,6 +251,7 @@ impl PlcInner {
                 self.memory.set_bit(discrete, bit(before, discrete.address() - first));
             }
         }
+        self.settle_clock();
         Ok(())
     }
 

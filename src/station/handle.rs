@@ -31,6 +31,12 @@ use crate::link::{CallOptions, CallOutcome, Link, Purpose, StationState, Station
 /// A call can be dropped at any time. A request that has not been sent is then never sent. One that
 /// has been sent may be executed by the PLC; its reply is discarded.
 ///
+/// # Special elements
+///
+/// Writes are sent to any element that the protocol has. R3840 to R4167 and M1912 to M2001 can cause
+/// system or I/O errors when written: [`special_range`](crate::memory_map::special_range) tells them.
+/// A [`MemoryMap`](crate::MemoryMap) tells the elements that a model has.
+///
 /// # Any length
 ///
 /// One request is answered from one scan of the PLC; two requests are not. One request takes 256

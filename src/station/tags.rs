@@ -9,11 +9,11 @@ use super::any_length::partly;
 use crate::command::{Command as _, WriteMixed};
 use crate::element::{Element, Value};
 use crate::error::Error;
-use crate::plan::{CostModel, Plan, PlanError};
+use crate::plan::{CostModel, Plan, PlanError, StructPlan};
 use crate::station::Station;
 use crate::tag::{
     Assignment, FromTags, IntoAssignment as _, IntoAssignments, IntoTag, IntoTagValues, Tag, TagAccessError, TagSet,
-    TagValue,
+    TagValue, Tags,
 };
 
 /// Tags as Rust values.
@@ -129,18 +129,38 @@ impl Station {
         Ok(())
     }
 
+    /// Reads a struct of tags by the cheapest requests; see [`Tags`].
+    ///
+    /// A service that reads the same struct again and again keeps a
+    /// [`StructPlan`](crate::plan::StructPlan), or uses a [`Poller`](crate::Poller).
+    ///
+    /// # Errors
+    /// Those of [`StructPlan::new`](crate::plan::StructPlan::new) and
+    /// [`StructPlan::read`](crate::plan::StructPlan::read).
+    ///
+    /// Cancel-safe: it only reads.
+    pub async fn read_struct<T: Tags>(&self) -> Result<T, Error> {
+        StructPlan::new(CostModel::of_link(&self.link))?.read(self).await
+    }
+
+    /// Writes the fields of a struct of tags in their order, but for those that are read only; see
+    /// [`Tags`] and [`write_all`](Self::write_all).
+    ///
+    /// It writes all of these fields, also those that were not changed. A value that the PLC has
+    /// changed since the struct was read is overwritten: make fields that the PLC writes `read_only`.
+    ///
+    /// # Errors
+    /// Those of [`write_all`](Self::write_all).
+    ///
+    /// Cancel safety: as of [every method](Self#cancel-safety); what was written stays written.
+    pub async fn write_struct<T: Tags>(&self, fields: &T) -> Result<(), Error> {
+        self.write_all(fields.assignments()?).await
+    }
+
     /// The values of each tag, by the cheapest plan.
     async fn read_tags(&self, tags: &[Tag]) -> Result<Vec<Vec<TagValue>>, Error> {
         let plan = Plan::builder(CostModel::of_link(&self.link)).tags(tags.iter().copied()).build();
-        let plan = plan.map_err(|error| match error {
-            PlanError::Request(invalid) => Error::Invalid(invalid),
-            PlanError::Limit { .. }
-            | PlanError::Range { .. }
-            | PlanError::NotReadable { .. }
-            | PlanError::OneScan { .. }
-            | PlanError::TooManyValues { .. }
-            | PlanError::Reply { .. } => TagAccessError::NoPlan { reason: error.to_string() }.into(),
-        })?;
+        let plan = plan.map_err(PlanError::into_call_error)?;
         let readings = plan.read(self).await;
         readings.iter().map(|(_, values)| values.map_err(Error::clone)).collect()
     }

@@ -5,7 +5,8 @@
 //! gain: the nearest value is written, as for text.
 
 use super::codec::Number;
-use super::{Storage, Tag, TagAccessError, TagValue};
+use super::types::Storage;
+use super::{Tag, TagAccessError, TagValue, ValueError};
 use crate::command::Value;
 
 /// A Rust type that holds the values of one tag: numbers, `bool`, `String`, [`TagValue`], and `Vec`s
@@ -52,6 +53,23 @@ pub trait FromTag: Sized {
 
 macro_rules! numbers {
     ($($name:ident: $($variant:ident)* | $($digits:ident)*;)*) => {
+        impl ValueKind {
+            /// Returns whether floats can be written to tags of this kind.
+            pub(super) const fn takes_floats(self) -> bool {
+                matches!(self, Self::F32 | Self::F64 | Self::Scaled)
+            }
+
+            /// Returns whether a Rust type, by its name, holds all values of this kind.
+            pub(super) const fn is_held_by(self, rust_type: &str) -> bool {
+                $(
+                    if is_equal_in_either_case(rust_type.as_bytes(), stringify!($name).as_bytes()) {
+                        return matches!(self, $(Self::$variant)|* $(| Self::$digits)*);
+                    }
+                )*
+                matches!(self, Self::Text) && matches!(rust_type.as_bytes(), b"String")
+            }
+        }
+
         $(
             impl $crate::tag::FromTag for $name {
                 fn type_name() -> String {
@@ -191,12 +209,15 @@ fn number_for(tag: &Tag, number: Number) -> Option<TagValue> {
     match (tag.storage, tag.scale) {
         (Storage::Bits(..), Some(_)) => Some(TagValue::Scaled(number.as_f64())),
         (Storage::Bits(format, _), None) => format.take(number),
-        (Storage::Text(_), _) => None,
+        (Storage::Text(_) | Storage::BitsOf(_), _) => None,
     }
 }
 
 /// The value of a single one, checked by encoding it: also its raw number must fit.
 fn single(tag: &Tag, value: Option<TagValue>, given: impl ToString) -> Result<Vec<TagValue>, TagAccessError> {
+    if tag.is_bits_of_register() {
+        return Err(TagAccessError::BitsOfRegister(ValueError::BitsOfRegister { tag: *tag }));
+    }
     let misfit = || TagAccessError::Misfit { tag: *tag, given: given.to_string() };
     let values = vec![value.ok_or_else(misfit)?];
     tag.encode(&values).map_err(|_| misfit())?;

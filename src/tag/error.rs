@@ -5,15 +5,58 @@ use crate::element::{Element, ElementError, Symbol, Width};
 use crate::printable::excerpt;
 
 /// A rule that a tag breaks.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TagError {
     /// The text, or an end of the range, is not an element.
     #[error(transparent)]
     Element(#[from] ElementError),
     /// The type is unknown.
-    #[error(transparent)]
-    Type(#[from] ParseTagTypeError),
+    #[error("the type is unknown (known: {})", Names(TagType::ALL.iter().copied()))]
+    UnknownType,
+    /// A bit of a register has a type other than `bool`.
+    #[error("a bit of a register is bool, not {tag_type}")]
+    #[non_exhaustive]
+    BitType {
+        /// The type.
+        tag_type: TagType,
+    },
+    /// The number of a bit is missing, or not decimal digits.
+    #[error("{element}. is followed by the number of a bit, such as {element}.0")]
+    #[non_exhaustive]
+    BadBit {
+        /// The register.
+        element: Element,
+    },
+    /// The register does not have this bit, or the element is a discrete.
+    #[error("{element} is {}, which has no bit {bit}", element.width())]
+    #[non_exhaustive]
+    NoBit {
+        /// The element.
+        element: Element,
+        /// The bit.
+        bit: u8,
+    },
+    /// The bits of a range are in two registers.
+    #[error("the bits of a range are in one register, and this range is from {first} to {last}")]
+    #[non_exhaustive]
+    BitsOfTwo {
+        /// The register of the first bit.
+        first: Element,
+        /// The register of the last bit.
+        last: Element,
+    },
+    /// The last bit precedes the first.
+    #[error("the range goes backwards, from {element}.{first} to {element}.{last}")]
+    #[non_exhaustive]
+    BackwardBits {
+        /// The register.
+        element: Element,
+        /// The first bit.
+        first: u8,
+        /// The last bit.
+        last: u8,
+    },
     /// The type does not exist for elements of this width.
     #[error("{symbol} is {}, which has no type {tag_type} (it has: {})", symbol.width(), TypesOf(symbol.width()))]
     WrongType {
@@ -101,6 +144,53 @@ pub enum TagError {
     },
 }
 
+impl TagError {
+    /// The rule without the names of the input, for errors of the compiler.
+    #[doc(hidden)]
+    #[must_use]
+    pub const fn rule(&self) -> &'static str {
+        match self {
+            Self::Element(ElementError::UnknownSymbol) => "not a tag: no element has these letters",
+            Self::Element(ElementError::MissingAddress { .. } | ElementError::BadAddress { .. }) => {
+                "not a tag: the letters of an element are followed by decimal digits and nothing else"
+            }
+            Self::Element(ElementError::Misaligned { .. }) => {
+                "not a tag: the address of a word of discretes is a multiple of 8"
+            }
+            Self::Element(ElementError::Counter { .. } | ElementError::NotConsecutive { .. }) => {
+                "not a tag: DRC200 to DRC255 are counters of 32 bits, with one address each"
+            }
+            Self::Element(
+                ElementError::OutOfRange { .. } | ElementError::PastFraming { .. } | ElementError::WrongWidth { .. },
+            ) => "not a tag: the address is past the last one",
+            Self::UnknownType => "not a tag: the type is unknown",
+            Self::WrongType { .. } => "not a tag: elements of this width do not have this type",
+            Self::BitType { .. } => "not a tag: a bit of a register is bool",
+            Self::BadBit { .. } => "not a tag: the number of a bit is missing, or not decimal digits",
+            Self::NoBit { .. } => "not a tag: the element does not have this bit",
+            Self::BitsOfTwo { .. } => "not a tag: the bits of a range are in one register",
+            Self::TwoSymbols { .. } => "not a tag: a range has elements of one symbol",
+            Self::Backwards { .. } | Self::BackwardBits { .. } => "not a tag: the range goes backwards",
+            Self::OffStep { .. } => "not a tag: the last element is not a whole number of steps behind the first",
+            Self::Uneven { .. } => "not a tag: the range is not a whole number of values",
+            Self::SeveralTexts { .. } => "not a tag: a tag has one text",
+            Self::LongText { .. } => "not a tag: a text has at most 64 registers",
+            Self::Scale(ScaleError::Malformed) => {
+                "not a tag: a scale is *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40"
+            }
+            Self::Scale(ScaleError::NotConst) => {
+                "a number of a scale in a constant has at most 15 digits, and an exponent from -22 to 22"
+            }
+            Self::Scale(ScaleError::Gain { .. } | ScaleError::Offset { .. } | ScaleError::Coarse { .. }) => {
+                "not a tag: the numbers of its scale are out of range"
+            }
+            Self::NotScalable { .. } => "not a tag: this type takes neither gain nor offset",
+            Self::NoValues => "not a tag: it has no values",
+            Self::PastTheEnd { .. } => "not a tag: the elements reach past the last address",
+        }
+    }
+}
+
 /// A text that is not a tag, with the rule that it breaks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("`{}` is not a tag: {reason}", excerpt(input))]
@@ -141,6 +231,17 @@ pub enum ValueError {
         expected: usize,
         /// Number of values given.
         given: usize,
+    },
+    /// The tag is bits of a register, and a write would replace all of its bits.
+    #[error(
+        "{tag} is a part of {register}, and a write replaces all bits of {register}; \
+         modify_bits reads, changes and writes them",
+        register = tag.first()
+    )]
+    #[non_exhaustive]
+    BitsOfRegister {
+        /// The tag.
+        tag: Tag,
     },
     /// A raw value has another width than the elements of the tag: [`ElementError::WrongWidth`].
     #[error(transparent)]
@@ -302,6 +403,18 @@ pub enum TagAccessError {
         tag: Tag,
         /// The value, or the number of values.
         given: String,
+    },
+    /// The tag is bits of a register, which are not written by themselves. See
+    /// [`Station::modify_bits`](crate::Station::modify_bits).
+    #[error(transparent)]
+    BitsOfRegister(ValueError),
+    /// The tag is not bits of a register, so [`Station::modify_bits`](crate::Station::modify_bits) does
+    /// not take it.
+    #[error("{tag} is not a bit of a register, such as R5.3: it is written by itself")]
+    #[non_exhaustive]
+    NotBitsOfRegister {
+        /// The tag.
+        tag: Tag,
     },
     /// A value of a tag is of another kind than the Rust type.
     #[error("{value} is {}, which cannot be converted to `{rust_type}`", value.description())]

@@ -16,7 +16,6 @@ use std::str::FromStr;
 use super::ValueError;
 use super::codec::{decimals, has_overflowed};
 use super::types::Format;
-use crate::printable::excerpt;
 
 /// A gain and an offset: `value = raw × gain + offset`.
 ///
@@ -42,7 +41,7 @@ pub struct Scale {
 }
 
 /// Why a gain and an offset are not a valid scale.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScaleError {
     /// The gain is 0, not a number, too small or too large.
@@ -69,15 +68,11 @@ pub enum ScaleError {
         offset: f64,
     },
     /// The text is not a scale.
-    #[error(
-        "`{}` is not a scale: it must be *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40",
-        excerpt(input)
-    )]
-    #[non_exhaustive]
-    Malformed {
-        /// The text.
-        input: String,
-    },
+    #[error("a scale is *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40")]
+    Malformed,
+    /// A number of a scale in a constant has more than 15 digits, or an exponent beyond 22.
+    #[error("a number of a scale in a constant has at most 15 digits, and an exponent from -22 to 22")]
+    NotConst,
 }
 
 /// Largest ratio of offset and gain. A sum of such an offset and a 32-bit number has 49 bits, which
@@ -92,8 +87,28 @@ impl Scale {
     /// - [`ScaleError::Offset`] unless the offset is finite
     /// - [`ScaleError::Coarse`] if the offset is more than 2^48 times the gain
     pub fn new(gain: f64, offset: f64) -> Result<Self, ScaleError> {
+        // NaN and infinity, which have no decimals, are refused.
+        Self::checked((gain, decimals(gain)), (offset, decimals(offset)))
+    }
+
+    /// Parses a scale as [`FromStr`] does, in constants.
+    pub(super) const fn parse_const(text: &str) -> Result<Self, ScaleError> {
+        let Some((gain, offset)) = split(text) else {
+            return Err(ScaleError::Malformed);
+        };
+        match (exact_number(gain), exact_number(offset)) {
+            (Some(gain), Some(offset)) => Self::checked(gain, offset),
+            (None, _) | (_, None) => Err(ScaleError::NotConst),
+        }
+    }
+
+    /// A scale of two numbers, each with its number of decimals.
+    const fn checked(
+        (gain, gain_decimals): (f64, u8),
+        (offset, offset_decimals): (f64, u8),
+    ) -> Result<Self, ScaleError> {
         // False for NaN.
-        if !(1e-200..=1e200).contains(&gain.abs()) {
+        if !(1e-200 <= gain.abs() && gain.abs() <= 1e200) {
             return Err(ScaleError::Gain { gain });
         }
         if !offset.is_finite() {
@@ -103,8 +118,7 @@ impl Scale {
             return Err(ScaleError::Coarse { gain, offset });
         }
         // Turns -0 into 0.
-        let offset = offset + 0.0;
-        Ok(Self { gain, offset, gain_decimals: decimals(gain), offset_decimals: decimals(offset) })
+        Ok(Self { gain, offset: offset + 0.0, gain_decimals, offset_decimals })
     }
 
     /// The factor of the raw number.
@@ -142,13 +156,15 @@ impl Scale {
     }
 }
 
+/// The powers of ten that an `f64` has exactly.
+const POWERS: [f64; 23] = [
+    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20,
+    1e21, 1e22,
+];
+
 /// Rounds a value to a number of decimals if that is exact: if `largest`, the larger of its two
 /// summands, has at most 14 digits, which hides the rounding errors of the calculation.
 fn round(value: f64, largest: f64, decimals: u8) -> f64 {
-    const POWERS: [f64; 23] = [
-        1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19,
-        1e20, 1e21, 1e22,
-    ];
     match POWERS.get(usize::from(decimals)) {
         Some(power) if largest * power < 1e14 => (value * power).round() / power,
         _ => value,
@@ -194,21 +210,9 @@ impl FromStr for Scale {
 
     /// Parses `*GAIN`, `+OFFSET`, `-OFFSET`, or `*GAIN` and an offset. A gain can be negative.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let malformed = || ScaleError::Malformed { input: text.to_owned() };
-        let (gain, rest) = match text.strip_prefix('*') {
-            Some(rest) => {
-                let size = rest.strip_prefix('-').unwrap_or(rest);
-                let sign = rest.len() - size.len();
-                rest.split_at(sign + unsigned(size).ok_or_else(malformed)?)
-            }
-            None => ("1", text),
-        };
-        let offset = match rest.strip_prefix(['+', '-']) {
-            Some(number) if unsigned(number) == Some(number.len()) => rest,
-            None if rest.is_empty() && !text.is_empty() => "0",
-            _ => return Err(malformed()),
-        };
-        Self::new(gain.parse().map_err(|_| malformed())?, offset.parse().map_err(|_| malformed())?)
+        let (gain, offset) = split(text).ok_or(ScaleError::Malformed)?;
+        let number = |text: &str| text.parse().map_err(|_| ScaleError::Malformed);
+        Self::new(number(gain)?, number(offset)?)
     }
 }
 
@@ -236,27 +240,110 @@ impl fmt::Display for Shortest {
     }
 }
 
-/// Length of the unsigned decimal number at the beginning of a text, with decimals and exponent.
-fn unsigned(text: &str) -> Option<usize> {
-    let digits = |from: usize| text.bytes().skip(from).take_while(u8::is_ascii_digit).count();
-    let byte = |at: usize| text.as_bytes().get(at).copied();
-    let mut end = digits(0);
-    let mut digit_count = end;
-    if byte(end) == Some(b'.') {
-        let decimals = digits(end + 1);
-        digit_count += decimals;
-        end += 1 + decimals;
+/// Splits a scale into gain and offset, both decimal numbers; `None` if it is malformed.
+const fn split(text: &str) -> Option<(&str, &str)> {
+    let (gain, rest) = match text.as_bytes() {
+        [] => return None,
+        [b'*', ..] => {
+            let (_, rest) = text.split_at(1);
+            let sign = matches!(rest.as_bytes(), [b'-', ..]) as usize;
+            let Some(end) = end_of_number(rest.as_bytes(), sign) else { return None };
+            rest.split_at(end)
+        }
+        _ => ("1", text),
+    };
+    match rest.as_bytes() {
+        [] => Some((gain, "0")),
+        number @ [b'+' | b'-', ..] => match end_of_number(number, 1) {
+            Some(end) if end == number.len() => Some((gain, rest)),
+            Some(_) | None => None,
+        },
+        _ => None,
     }
-    if digit_count == 0 {
+}
+
+/// The end of the unsigned decimal number that begins here, with decimals and exponent.
+const fn end_of_number(text: &[u8], begin: usize) -> Option<usize> {
+    let mut end = end_of_digits(text, begin);
+    let mut digits = end - begin;
+    if is_at(text, end, b'.') {
+        let decimals = end + 1;
+        end = end_of_digits(text, decimals);
+        digits += end - decimals;
+    }
+    if digits == 0 {
         return None;
     }
-    if let Some(b'e' | b'E') = byte(end) {
-        let sign = usize::from(matches!(byte(end + 1), Some(b'+' | b'-')));
+    if is_at(text, end, b'e') || is_at(text, end, b'E') {
+        let signed = is_at(text, end + 1, b'+') || is_at(text, end + 1, b'-');
+        let exponent = end + 1 + signed as usize;
+        end = end_of_digits(text, exponent);
         // An `e` without digits makes the number invalid.
-        match digits(end + 1 + sign) {
-            0 => return None,
-            exponent => end += 1 + sign + exponent,
+        if end == exponent {
+            return None;
         }
     }
     Some(end)
+}
+
+const fn end_of_digits(text: &[u8], begin: usize) -> usize {
+    let mut end = begin;
+    while end < text.len() && text[end].is_ascii_digit() {
+        end += 1;
+    }
+    end
+}
+
+const fn is_at(text: &[u8], at: usize, byte: u8) -> bool {
+    at < text.len() && text[at] == byte
+}
+
+/// The number of a decimal text in constants, with the number of decimals of its shortest text.
+///
+/// `None` beyond 15 digits or 22 decimals: up to there, number and power of ten are exact `f64`s, so
+/// product and quotient are the nearest ones.
+const fn exact_number(text: &str) -> Option<(f64, u8)> {
+    const MAX_DIGITS: u64 = 1_000_000_000_000_000;
+    let text = text.as_bytes();
+    let is_negative = is_at(text, 0, b'-');
+    let mut at = (is_negative || is_at(text, 0, b'+')) as usize;
+    let (mut digits, mut exponent, mut is_behind_point) = (0_u64, 0_i32, false);
+    while at < text.len() && !matches!(text[at], b'e' | b'E') {
+        if text[at] == b'.' {
+            is_behind_point = true;
+        } else {
+            digits = digits * 10 + (text[at] - b'0') as u64;
+            exponent -= is_behind_point as i32;
+            if digits >= MAX_DIGITS {
+                return None;
+            }
+        }
+        at += 1;
+    }
+    if at < text.len() {
+        let is_small = is_at(text, at + 1, b'-');
+        at += 1 + (is_small || is_at(text, at + 1, b'+')) as usize;
+        let mut given = 0_i32;
+        while at < text.len() {
+            given = given.saturating_mul(10).saturating_add((text[at] - b'0') as i32);
+            at += 1;
+        }
+        exponent = exponent.saturating_add(if is_small { -given } else { given });
+    }
+    while digits.is_multiple_of(10) && digits > 0 {
+        digits /= 10;
+        exponent = exponent.saturating_add(1);
+    }
+    if digits == 0 {
+        return Some((0.0, 0));
+    }
+    let places = exponent.unsigned_abs();
+    if places >= POWERS.len() as u32 {
+        return None;
+    }
+    let power = POWERS[places as usize];
+    let number = if exponent < 0 { digits as f64 / power } else { digits as f64 * power };
+    // Fewer than 23.
+    let decimals = if exponent < 0 { places as u8 } else { 0 };
+    Some((if is_negative { -number } else { number }, decimals))
 }

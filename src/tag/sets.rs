@@ -107,7 +107,7 @@ pub trait FromTags<Shape>: Sized {
     fn from_all_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError>;
 }
 
-fn check_one<T: FromTag>(tag: Option<&Tag>) -> Result<(), TagAccessError> {
+pub(super) fn check_one<T: FromTag>(tag: Option<&Tag>) -> Result<(), TagAccessError> {
     match tag {
         Some(tag) if T::fits(tag) => Ok(()),
         Some(tag) => Err(TagAccessError::NotInto { tag: *tag, rust_type: T::type_name() }),
@@ -115,7 +115,7 @@ fn check_one<T: FromTag>(tag: Option<&Tag>) -> Result<(), TagAccessError> {
     }
 }
 
-fn one<T: FromTag>(tag: Option<&Tag>, values: Option<&Vec<TagValue>>) -> Result<T, TagAccessError> {
+pub(super) fn one<T: FromTag>(tag: Option<&Tag>, values: Option<&Vec<TagValue>>) -> Result<T, TagAccessError> {
     let (tag, values) = tag.zip(values).ok_or(TagAccessError::Number)?;
     T::from_values(values).ok_or_else(|| {
         let rust_type = T::type_name();

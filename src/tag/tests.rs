@@ -1,10 +1,13 @@
 use proptest::prelude::*;
 
+mod bits;
+mod constants;
 mod scaled;
 mod text;
 
 use super::*;
-use crate::element::Symbol;
+use crate::command::Value;
+use crate::element::{Symbol, Width};
 use crate::{discrete, element, register, register32};
 
 #[test]
@@ -132,11 +135,11 @@ fn errors_of_tags_name_the_input_and_the_rule() {
         ("R0-R0:u32", "a value of u32 takes 2 elements, and the range has 1"),
         (
             "R0:f16",
-            "`f16` is not a type (known: bool u16 i16 u32 i32 f32 u64 i64 f64 bcd16 bcd32 hex text text-hi bcd32-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
+            "the type is unknown (known: bool u16 i16 u32 i32 f32 u64 i64 f64 bcd16 bcd32 hex text text-hi bcd32-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
         ),
         (
             "R0:",
-            "`` is not a type (known: bool u16 i16 u32 i32 f32 u64 i64 f64 bcd16 bcd32 hex text text-hi bcd32-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
+            "the type is unknown (known: bool u16 i16 u32 i32 f32 u64 i64 f64 bcd16 bcd32 hex text text-hi bcd32-hi u32-hi i32-hi f32-hi u64-hi i64-hi f64-hi)",
         ),
         (
             "R0:bool",

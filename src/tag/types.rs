@@ -9,9 +9,11 @@
 use std::fmt;
 use std::str::FromStr;
 
+use super::bits::BitRange;
 use super::codec::from_digits;
 use super::codec::{Bcd, Bit, Codec, Float, Hex, Integer, Number, Primitive, Real, primitives};
 use super::convert::{numbers, tag_values};
+use super::parse::is_equal_in_either_case;
 use super::text::{ByteOrder, Quoted};
 use super::{ParseTagTypeError, ValueError};
 use crate::element::Width;
@@ -128,6 +130,8 @@ pub(super) enum Storage {
     Bits(Format, WordOrder),
     /// A text over all elements of a tag.
     Text(ByteOrder),
+    /// Bits of the only element.
+    BitsOf(BitRange),
 }
 
 /// The order of the elements of a value.
@@ -139,10 +143,10 @@ pub(super) enum WordOrder {
 
 impl Storage {
     /// Number of elements of a value; for a text, of its shortest one.
-    pub(super) fn elements_per_value(self, width: Width) -> usize {
+    pub(super) const fn elements_per_value(self, width: Width) -> usize {
         match self {
             Self::Bits(format, _) => format.bits().div_ceil(width.bits()) as usize,
-            Self::Text(_) => 1,
+            Self::Text(_) | Self::BitsOf(_) => 1,
         }
     }
 }
@@ -203,13 +207,44 @@ impl FromStr for TagType {
 
     /// Parses the name of a type, or an alias of it such as `float`, `dint` or `word`, in either case.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let is_named = |tag_type: &&Self| {
-            let mut names = tag_type.aliases().split(' ').chain([tag_type.as_str()]);
-            !text.is_empty() && names.any(|name| name.eq_ignore_ascii_case(text))
-        };
-        let found = Self::ALL.iter().find(is_named);
-        found.copied().ok_or_else(|| ParseTagTypeError(text.to_owned()))
+        Self::named(text).ok_or_else(|| ParseTagTypeError(text.to_owned()))
     }
+}
+
+impl TagType {
+    /// The type with this name or alias, in either case.
+    pub(super) const fn named(text: &str) -> Option<Self> {
+        let text = text.as_bytes();
+        let mut n = 0;
+        while n < Self::ALL.len() {
+            let tag_type = Self::ALL[n];
+            if is_one_of(text, tag_type.as_str()) || is_one_of(text, tag_type.aliases()) {
+                return Some(tag_type);
+            }
+            n += 1;
+        }
+        None
+    }
+}
+
+/// Returns whether a text is one of these names, which are separated by blanks.
+const fn is_one_of(text: &[u8], names: &str) -> bool {
+    let mut rest = names.as_bytes();
+    while !rest.is_empty() {
+        let mut end = 0;
+        while end < rest.len() && rest[end] != b' ' {
+            end += 1;
+        }
+        let (name, behind) = rest.split_at(end);
+        if is_equal_in_either_case(name, text) {
+            return true;
+        }
+        rest = match behind {
+            [_, rest @ ..] => rest,
+            [] => behind,
+        };
+    }
+    false
 }
 
 impl Format {
@@ -265,10 +300,10 @@ macro_rules! types {
     ($($variant:ident $name:literal $discrete:tt $word:tt $dword:tt $class:ident $other:literal $takes:literal;)*) => {
         /// Data type of a tag.
         ///
-        /// Discretes are `bool`. 16-bit registers, and words of discretes, have all other types: a
-        /// value of 32 bits takes two of them, one of 64 bits four, the low word first, or with `-hi`
-        /// the high word; a text takes up to 64. 32-bit registers have the types of 32 and 64 bits
-        /// without `-hi`, and `hex`.
+        /// Discretes, and bits of registers, are `bool`. 16-bit registers, and words of discretes, have
+        /// all other types: a value of 32 bits takes two of them, one of 64 bits four, the low word
+        /// first, or with `-hi` the high word; a text takes up to 64. 32-bit registers have the types
+        /// of 32 and 64 bits without `-hi`, and `hex`.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         #[non_exhaustive]
         pub enum TagType {
@@ -338,6 +373,14 @@ macro_rules! formats {
             $($variant,)*
         }
 
+        /// The kind of a [`TagValue`].
+        #[derive(Clone, Copy)]
+        pub(super) enum ValueKind {
+            $($variant,)*
+            Scaled,
+            Text,
+        }
+
         /// A value of a tag.
         ///
         /// Displays as text that parses to the same value: floats in their shortest form, texts in
@@ -360,6 +403,12 @@ macro_rules! formats {
             pub(super) const fn bits(self) -> u32 {
                 match self {
                     $(Self::$variant => <$codec as Codec>::BITS,)*
+                }
+            }
+
+            pub(super) const fn kind(self) -> ValueKind {
+                match self {
+                    $(Self::$variant => ValueKind::$variant,)*
                 }
             }
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fatek::backup::{Backup, Restore, RestoreFailure, RestoreOptions};
+use fatek::backup::{Backup, Restore, RestoreFailure, RestoreOptions, SpecialElements};
 use fatek::command::Code;
 use fatek::program::PlcState;
 use fatek::sim::{Fault, Faults, Rule};
@@ -109,7 +109,7 @@ async fn a_plc_is_not_stopped_without_need() {
         let report = station.restore(&backup, options).await.unwrap();
         assert_eq!((stops(), report.was_stopped, report.forced), (0, false, tags(["M3"]).to_vec()));
         // The PLC lacks some elements.
-        let larger = Bench::with_model(framing, Faults::new(1), fatek::sim::Model::default());
+        let larger = Bench::with_model(framing, Faults::new(1), fatek::sim::Model::largest());
         let more = larger.station().back_up(tags(["F90-F150"])).await.unwrap();
         let error = station.restore(&more, options).await.unwrap_err();
         assert!(matches!(error.source, RestoreFailure::NotThere { .. }), "{error}");
@@ -354,4 +354,54 @@ async fn the_backup_of_another_plc_is_restored_only_by_option() {
         let report = own.station().restore(&backup, RestoreOptions::new()).await.unwrap();
         assert_eq!(report.other_plc, []);
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn special_elements_are_restored_only_by_choice() {
+    for framing in FRAMINGS {
+        // DR3838 is R3838 and R3839; the value at R3839 and R3840 is special as a whole.
+        let ranges = tags(["R3830-R3838", "R3839-R3842:u32", "M1910-M1913", "R5000-R5004"]);
+        let new = || Bench::with_model(framing, Faults::new(1), fatek::sim::Model::default());
+        let source = new();
+        for (element, value) in [("R3838", 1), ("R3839", 2), ("R3842", 3), ("R5004", 4)] {
+            source.plc.write(element.parse::<fatek::Element>().unwrap(), value as u16).unwrap();
+        }
+        for relay in [discrete!("M1911"), discrete!("M1912")] {
+            source.plc.write(relay, true).unwrap();
+        }
+        let backup = source.station().back_up(ranges).await.unwrap();
+
+        let bench = new();
+        let station = bench.station();
+        bench.clear_log();
+        let error = station.restore(&backup, RestoreOptions::new()).await.unwrap_err();
+        assert!(matches!(error.source, RestoreFailure::Special { .. }), "{error}");
+        assert_eq!(bench.faults.log().entries().len(), 0, "{error}");
+
+        let skip = RestoreOptions::new().special(SpecialElements::Skip).bridge(64);
+        let report = station.restore(&backup, skip).await.unwrap();
+        assert_eq!(report.special, tags(["R3839-R3842", "M1912-M1913"]));
+        assert_eq!(report.written, tags(["R3838", "M1911", "R5004"]));
+        let values = |elements: [&str; 6]| elements.map(|e| bench.plc.read(e.parse::<fatek::Element>().unwrap()));
+        let elements = ["R3838", "R3839", "R3842", "R5004", "M1911", "M1912"];
+        let (word, bit) = (Value::Word, Value::Bit);
+        assert_eq!(values(elements), [word(1), word(0), word(0), word(4), bit(true), bit(false)]);
+        assert!(report.to_string().contains(", 6 special not to be written"), "{report}");
+
+        let write = RestoreOptions::new().special(SpecialElements::Write);
+        let report = station.restore(&backup, write).await.unwrap();
+        assert_eq!(report.special, []);
+        assert_eq!(values(elements), [word(1), word(2), word(3), word(4), bit(true), bit(true)]);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn special_elements_are_compared_in_any_case() {
+    let bench = Bench::with_model(FRAMINGS[0], Faults::new(1), fatek::sim::Model::default());
+    let station = bench.station();
+    let backup = station.back_up(tags(["R3839-R3841"])).await.unwrap();
+    bench.plc.write(register!("R3841"), 1_u16).unwrap();
+    let report = Restore::new(&backup, RestoreOptions::new()).compare(&station).await.unwrap();
+    assert_eq!((report.compared, report.differences.len()), (3, 1));
+    assert_eq!(report.special, tags(["R3840-R3841"]));
 }

@@ -57,7 +57,7 @@ pub(crate) fn m(address: u16) -> Discrete {
 }
 
 pub(crate) fn plc(station: u8) -> Plc {
-    let plc = Plc::with_model(Model::default().ladder_words(LADDER_WORDS));
+    let plc = Plc::with_model(Model::largest().ladder_words(LADDER_WORDS));
     // One register more than is read: the upper word of the last pair.
     for address in 0..=READABLE {
         plc.write(r(address), word(station, address)).unwrap();

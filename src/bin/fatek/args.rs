@@ -4,6 +4,7 @@ mod backup;
 mod data;
 mod decode;
 mod line;
+mod model;
 mod program;
 mod sim;
 
@@ -12,10 +13,11 @@ use std::time::Duration;
 
 use clap::{ArgAction, Args, Parser, Subcommand};
 
-pub(crate) use self::backup::{BackupArgs, RestoreArgs};
+pub(crate) use self::backup::{BackupArgs, RestoreArgs, SpecialArg};
 pub(crate) use self::data::{DiscreteArgs, PlanArgs, ReadArgs, WatchArgs, WriteArgs};
 pub(crate) use self::decode::DecodeArgs;
-pub(crate) use self::line::{PingArgs, ScanArgs};
+pub(crate) use self::line::{ClockArgs, PingArgs, ScanArgs};
+pub(crate) use self::model::ModelArgs;
 pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
 pub(crate) use self::sim::SimArgs;
 use crate::duration;
@@ -201,6 +203,7 @@ pub(crate) enum Command {
     Program(ProgramCommand),
     Backup(BackupArgs),
     Restore(RestoreArgs),
+    Clock(ClockArgs),
     Decode(DecodeArgs),
 }
 

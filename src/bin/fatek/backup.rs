@@ -5,13 +5,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use fatek::backup::{
-    Backup, BackupError, Difference, Restore, RestoreError, RestoreOptions, RestoreReport, TakeBackup,
+    Backup, BackupError, Difference, Restore, RestoreError, RestoreOptions, RestoreReport, SpecialElements, TakeBackup,
 };
+use fatek::memory_map::special_range;
 use fatek::program::PlcState;
 use fatek::tag::Tag;
 use fatek::{Element, Station, Value};
 
-use crate::args::{BackupArgs, Consent, Plc, RestoreArgs};
+use crate::args::{BackupArgs, Consent, Plc, RestoreArgs, SpecialArg};
 use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
 use crate::failure::Failure;
@@ -30,7 +31,9 @@ pub(crate) async fn backup(
 ) -> Result<(), Failure> {
     if args.compare {
         let backup = load(&args.file, &args.ranges)?;
-        return verify(&connect::station(plc, timeout)?, &args.file, &backup, output).await;
+        let station = connect::station(plc, timeout)?;
+        args.model.check(&station, backup.ranges()).await?;
+        return verify(&station, &args.file, &backup, output).await;
     }
     let taking = TakeBackup::new(args.ranges.iter().copied()).map_err(Failure::usage)?;
     // Before the transfer, which may be long.
@@ -38,6 +41,7 @@ pub(crate) async fn backup(
     let reporter = Reporter::new(output);
     let mut taking = taking.on_progress(reporter.callback());
     let station = connect::station(plc, timeout)?;
+    args.model.check(&station, args.ranges.iter().copied()).await?;
     let run = async |taking: &mut TakeBackup| taking.run(&station).await;
     let progress = |taking: &TakeBackup, error: &BackupError| {
         is_line_failure(error.call_error()).then(|| taking.partial().value_count())
@@ -80,7 +84,9 @@ pub(crate) async fn backup(
 
 /// Compares the PLC with a backup. A refused input counts as different.
 async fn verify(station: &Station, file: &Path, backup: &Backup, output: &Output) -> Result<(), Failure> {
-    let report = compare(station, backup, RestoreOptions::new(), output).await?;
+    // A comparison writes nothing, and special elements are compared, too.
+    let options = RestoreOptions::new().special(SpecialElements::Write);
+    let report = compare(station, backup, options, output).await?;
     warn_of_other_plc(file, &report.other_plc);
     print(report.differences.iter().chain(&report.left_out_differences), output)?;
     let refused: usize = report.refused.iter().map(|refused| refused.range.element_count()).sum();
@@ -103,6 +109,13 @@ pub(crate) async fn restore(
     output: &Output,
 ) -> Result<(), Failure> {
     let backup = load(&args.file, &args.ranges)?;
+    if let (None, Some(element)) = (args.special, first_special(&backup)) {
+        return Err(Failure::Usage(format!(
+            "{} has the special element {element}: writing it can cause system or I/O errors; give --special write, \
+             or --special skip to restore the others",
+            shown(&args.file)
+        )));
+    }
     let Consent { yes, dry_run } = args.consent;
     if !dry_run {
         can_be_confirmed(yes)?;
@@ -194,6 +207,10 @@ fn to_be_written(report: &RestoreReport) -> impl Iterator<Item = &Difference> {
     report.differences.iter().filter(move |difference| written.contains(&difference.element))
 }
 
+fn first_special(backup: &Backup) -> Option<Element> {
+    backup.ranges().flat_map(|range| range.elements()).find(|&element| special_range(element).is_some())
+}
+
 fn is_to_stop(report: &RestoreReport, args: &RestoreArgs) -> bool {
     args.stop && report.plc == PlcState::Running && !report.to_write.is_empty()
 }
@@ -243,6 +260,9 @@ fn report_skipped(report: &RestoreReport, output: &Output) {
     for missing in &report.missing {
         complain(format_args!("{} is missing in the backup: {}", missing.range, missing.reason));
     }
+    for range in &report.special {
+        complain(format_args!("{range} skipped: special elements; to write them give --special write"));
+    }
     for range in &report.left_out {
         output.remark(format_args!("{range} skipped: inputs and contacts cannot be restored"));
     }
@@ -254,5 +274,10 @@ fn report_skipped(report: &RestoreReport, output: &Output) {
 fn options(args: &RestoreArgs) -> RestoreOptions {
     // The command line excludes --stop with --require-stopped.
     let options = RestoreOptions::new().stop_first(args.stop).require_stopped(args.require_stopped);
+    let options = options.special(match args.special {
+        None => SpecialElements::Refuse,
+        Some(SpecialArg::Write) => SpecialElements::Write,
+        Some(SpecialArg::Skip) => SpecialElements::Skip,
+    });
     options.run_again(args.run).write_forced(args.forced).accept_other_plc(args.force).bridge(args.bridge)
 }

@@ -6,6 +6,7 @@ use std::{fmt, io};
 use fatek::backup::{RestoreError, RestoreFailure};
 use fatek::file::{FileError, PlcDifference};
 use fatek::program::{PlcState, ProgramError, WriteProgramError, WriteState};
+use fatek::tag_table::TableFileError;
 
 use crate::printable::excerpt;
 use crate::signal::Signal;
@@ -16,6 +17,9 @@ pub(crate) enum Failure {
     /// Error in the command line. Nothing was sent.
     #[error("{0}")]
     Usage(String),
+    /// A table of tags cannot be loaded; one line for each fault.
+    #[error(transparent)]
+    Table(#[from] TableFileError),
     /// Failed call.
     #[error(transparent)]
     Call(#[from] fatek::Error),
@@ -111,7 +115,7 @@ impl Failure {
             Self::Output(_) | Self::Runtime(_) | Self::Declined => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
-            Self::Usage(_) => 2,
+            Self::Usage(_) | Self::Table(_) => 2,
             Self::Missing { .. } => 3,
             Self::Call(error) | Self::CallOf { error, .. } => of_call(error),
             Self::Restore(RestoreError { source: RestoreFailure::NotThere { .. }, .. }) => 3,
@@ -175,11 +179,20 @@ fn of_call(error: &fatek::Error) -> u8 {
         fatek::Error::Connect { .. } | fatek::Error::Disconnected { .. } | fatek::Error::Closed { .. } => 5,
         fatek::Error::OutOfStep { sent: false, .. } => 4,
         fatek::Error::BadReply { .. } | fatek::Error::OutOfStep { .. } | fatek::Error::Duplicates { .. } => 6,
+        fatek::Error::Clock { .. } => 3,
         fatek::Error::QueueFull { .. } | fatek::Error::PartlyWritten { .. } | _ => 1,
     }
 }
 
-/// Cause of a failed call; for a write of several requests, that of the first failed request.
+/// Cause of a failed call; of a write of several requests and of a clock, that of the failed request.
 fn cause(error: &fatek::Error) -> &fatek::Error {
-    if let fatek::Error::PartlyWritten { source, .. } = error { cause(source) } else { error }
+    let source =
+        if let fatek::Error::PartlyWritten { source, .. } | fatek::Error::ReadBeforeWrite { source, .. } = error {
+            Some(&**source)
+        } else if let fatek::Error::Clock { failure, .. } = error {
+            failure.call_error()
+        } else {
+            None
+        };
+    source.map_or(error, cause)
 }

@@ -2,12 +2,14 @@
 
 mod args;
 mod backup;
+mod clock;
 mod confirm;
 mod connect;
 mod control;
 mod decode;
 mod duration;
 mod failure;
+mod names;
 mod output;
 mod ping;
 mod plan;
@@ -85,7 +87,12 @@ fn report(failure: &Failure) -> ExitCode {
     if failure.is_broken_pipe() {
         return ExitCode::SUCCESS;
     }
-    complain(format_args!("error: {failure}"));
+    if let Failure::Table(_) = failure {
+        // One line for each fault; the texts of the file in it are escaped.
+        format!("error: {failure}").lines().for_each(|line| complain(format_args!("{line}")));
+    } else {
+        complain(format_args!("error: {failure}"));
+    }
     if let Failure::Usage(_) = failure {
         complain(format_args!(""));
         complain(format_args!("For more information, try '--help'."));
@@ -100,13 +107,14 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let timeout = cli.common.timeout;
     let station = |plc: &Plc| connect::station(&cli.plc.or(plc), timeout);
     let discretes = async |args: &DiscreteArgs, control| {
+        write::refuse_special(args.special, args.discretes.iter().map(|&discrete| discrete.into()))?;
         control::discretes(&station(&args.plc)?, control, &args.discretes, output).await
     };
     runtime.block_on(async {
         match &cli.command {
             Command::Sim(args) => sim::sim(args).await,
-            Command::Read(args) => read::read(&station(&args.plc)?, &args.tags, output).await,
-            Command::Write(args) => write::write(&station(&args.plc)?, &args.assignments, output).await,
+            Command::Read(args) => read::read(&station(&args.plc)?, args, output).await,
+            Command::Write(args) => write::write(&station(&args.plc)?, args, output).await,
             Command::Status(args) => status::status(&station(&args.plc)?, output).await,
             Command::Run(args) => control::plc(&station(&args.plc)?, ControlPlc::Run, output).await,
             Command::Stop(args) => control::plc(&station(&args.plc)?, ControlPlc::Stop, output).await,
@@ -135,6 +143,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             Command::Program(ProgramCommand::Info(file)) => program::info(file, output),
             Command::Backup(args) => backup::backup(&cli.plc.or(&args.plc), timeout, args, output).await,
             Command::Restore(args) => backup::restore(&cli.plc.or(&args.plc), timeout, args, output).await,
+            Command::Clock(args) => clock::clock(&station(&args.plc)?, args, output).await,
             Command::Decode(args) => decode::decode(args, output),
         }
     })

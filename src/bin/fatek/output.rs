@@ -275,21 +275,11 @@ impl<T: Into<Cell>> From<Option<T>> for Cell {
 }
 
 impl From<TagValue> for Cell {
-    /// Hexadecimal numbers, NaN and infinities are JSON strings with the text of the table, which
-    /// `write` accepts. Texts have quotes in the table only.
+    /// JSON in the form of the library: hexadecimal numbers, NaN and infinities are strings with the
+    /// text of the table, which `write` accepts. Texts have quotes in the table only.
     fn from(value: TagValue) -> Self {
         let text = value.to_string();
-        let json = if let TagValue::Bool(on) = value {
-            on.into()
-        } else if let TagValue::Text(characters) = value {
-            characters.into()
-        } else if value.as_f64().is_some_and(f64::is_finite) {
-            // By its shortest text: 0.1, not 0.10000000149011612. `0x00AA` is no number in JSON.
-            let whole = text.parse::<i64>().map(Value::from).or_else(|_| text.parse::<u64>().map(Value::from));
-            whole.or_else(|_| text.parse::<f64>().map(Value::from)).unwrap_or_else(|_| text.clone().into())
-        } else {
-            text.clone().into()
-        };
+        let json = serde_json::to_value(&value).unwrap_or_else(|_| text.clone().into());
         Self { text, json }
     }
 }

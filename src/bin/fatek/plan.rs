@@ -12,7 +12,10 @@ use crate::output::{Cell, Format, Output, Rows, print};
 
 pub(crate) fn plan(link: Option<&str>, args: &PlanArgs, output: &Output) -> Result<(), Failure> {
     let builder = Plan::builder(cost(link, args)?).limits(limits(args)?);
-    let tags = args.tags.iter().copied();
+    let table = args.table.load()?;
+    table.remark_overlaps(output);
+    let tags = table.tags(&args.tags)?;
+    let tags = tags.iter().map(|named| named.tag);
     let builder = if args.one_scan { builder.one_scan(tags) } else { builder.tags(tags) };
     let plan = builder.build().map_err(Failure::usage)?;
     match output.format {

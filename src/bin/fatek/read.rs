@@ -3,16 +3,21 @@
 use fatek::tag::Tag;
 use fatek::{Element, Error, Station, Value};
 
+use crate::args::ReadArgs;
 use crate::failure::Failure;
 use crate::output::{Output, Rows};
 
-pub(crate) async fn read(station: &Station, tags: &[Tag], output: &Output) -> Result<(), Failure> {
+pub(crate) async fn read(station: &Station, args: &ReadArgs, output: &Output) -> Result<(), Failure> {
+    let tags = args.table.load()?.tags(&args.tags)?;
+    args.model.check(station, tags.iter().map(|named| named.tag)).await?;
     let mut rows = Rows::new(["tag", "type", "value"]);
-    for tag in tags {
+    for named in &tags {
+        let tag = &named.tag;
         let raw = fetch(station, tag).await.map_err(Failure::of(tag))?;
         let values = tag.decode(&raw).map_err(Failure::usage)?;
-        for (single, value) in tag.singles().zip(values) {
-            rows.push([elements(&single).into(), type_name(&single).into(), value.into()]);
+        for (number, (single, value)) in tag.singles().zip(values).enumerate() {
+            let label = named.label(number, || elements(&single));
+            rows.push([label.into(), type_name(&single).into(), value.into()]);
         }
     }
     output.rows(&rows)

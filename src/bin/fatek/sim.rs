@@ -107,7 +107,7 @@ fn bus(args: &SimArgs) -> Result<Bus, Failure> {
 }
 
 fn model(args: &SimArgs) -> Model {
-    let model = args.last.iter().fold(Model::default(), |model, &element| model.last(element));
+    let model = args.last.iter().fold(args.model.clone(), |model, &element| model.last(element));
     match args.ladder_words {
         Some(words) => model.ladder_words(words),
         None => model,

@@ -4,13 +4,14 @@ use std::pin::pin;
 use std::time::SystemTime;
 
 use fatek::Station;
-use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass};
+use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass, StationPolling};
 use fatek::tag::Tag;
 use futures::StreamExt;
 use humantime::format_rfc3339_millis;
 
 use crate::args::WatchArgs;
 use crate::failure::Failure;
+use crate::names::NamedTag;
 use crate::output::{Cell, Format, Output, complain, print, stdout_closed};
 use crate::signal::Stop;
 
@@ -18,13 +19,19 @@ pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) 
     let mut stop = Stop::new()?;
     let mut closed = pin!(stdout_closed());
     let mut poller = Poller::new();
-    let polled = poller.station(station).map_err(Failure::usage)?;
+    let named = args.table.load()?.tags(&args.tags)?;
+    let limits = args.model.check(station, named.iter().map(|named| named.tag)).await?;
+    let polled = poller.handle().station_with(station, StationPolling::new().limits(limits)).map_err(Failure::usage)?;
     // One tag per value, so that each change is reported alone.
-    let tags: Vec<Tag> = args.tags.iter().flat_map(Tag::singles).collect();
+    let labelled = |named: NamedTag| {
+        let singles = named.tag.singles().enumerate();
+        singles.map(move |(number, tag)| (named.label(number, || tag.to_string()), tag))
+    };
+    let tags: Vec<(String, Tag)> = named.into_iter().flat_map(labelled).collect();
     let class = ScanClass::every(args.interval);
-    polled.add(class, tags.iter().map(|tag| poll_tag(*tag, args))).map_err(Failure::usage)?;
+    polled.add(class, tags.iter().map(|(label, tag)| poll_tag(label, *tag, args))).map_err(Failure::usage)?;
 
-    let printer = Printer::new(&tags, output);
+    let printer = Printer::new(tags.iter().map(|(label, _)| label.as_str()), output);
     printer.header()?;
     let mut lines = 0_u64;
     while args.count.is_none_or(|count| lines < count) {
@@ -52,8 +59,8 @@ pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) 
     Ok(())
 }
 
-fn poll_tag(tag: Tag, args: &WatchArgs) -> PollTag {
-    let polled = PollTag::from(tag);
+fn poll_tag(label: &str, tag: Tag, args: &WatchArgs) -> PollTag {
+    let polled = PollTag::new(label, tag);
     match args.deadband {
         // Only numbers have a deadband.
         Some(deadband) if tag.tag_type().is_number() => polled.deadband(deadband),
@@ -72,8 +79,8 @@ struct Printer<'o> {
 const COLUMNS: [&str; 4] = ["time", "tag", "value", "quality"];
 
 impl<'o> Printer<'o> {
-    fn new(tags: &[Tag], output: &'o Output) -> Self {
-        Self { output, width: tags.iter().map(|tag| tag.to_string().len()).max().unwrap_or(0).max(3) }
+    fn new<'t>(labels: impl Iterator<Item = &'t str>, output: &'o Output) -> Self {
+        Self { output, width: labels.map(str::len).max().unwrap_or(0).max(3) }
     }
 
     fn header(&self) -> Result<(), Failure> {

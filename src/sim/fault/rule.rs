@@ -3,7 +3,6 @@ use super::{Fault, FaultTarget};
 use crate::command::{Code, Command, Request, Run, with_command};
 use crate::element::{Element, MemoryArea, Width};
 use crate::sim::bus::BROADCAST;
-use crate::sim::memory::covered;
 
 /// A [`Fault`] with the requests it applies to. Default: all requests.
 ///
@@ -229,7 +228,7 @@ impl Span {
         let Some(others) = count.checked_sub(1) else { return Self { area, first: 1, last: 0 } };
         // Elements past the last address do not exist, so the span ends there.
         let behind = u16::try_from(others.saturating_mul(first.step().into())).unwrap_or(u16::MAX);
-        Self { area, first: first.address(), last: covered(first).1.saturating_add(behind) }
+        Self { area, first: first.address(), last: first.covered().1.saturating_add(behind) }
     }
 
     fn is_accessed_by(self, request: &Request) -> bool {

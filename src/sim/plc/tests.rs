@@ -1,8 +1,9 @@
 use super::*;
 use crate::command::{
-    ControlDiscrete, ControlPlc, DiscreteControl, PAGE_WORDS, ReadDetailedStatus, ReadDisabled, ReadProgramPage,
-    ReadRegisters, ReadStatus, WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters,
+    ControlDiscrete, ControlPlc, DiscreteControl, PAGE_WORDS, ReadDetailedStatus, ReadDisabled, ReadMixed,
+    ReadProgramPage, ReadRegisters, ReadStatus, WriteDiscretes, WriteMixed, WriteProgramPage, WriteRegisters,
 };
+use crate::memory_map::PlcModel;
 use crate::{discrete, element, register, register32};
 
 #[test]
@@ -163,7 +164,7 @@ fn a_model_reports_the_status_that_was_set() {
 
 #[test]
 fn the_last_element_limits_all_widths() {
-    let plc = Plc::with_model(Model::default().last(element!("M2001")).last(element!("DR100")));
+    let plc = Plc::with_model(Model::largest().last(element!("M2001")).last(element!("DR100")));
     for (element, value) in [
         (element!("M2001"), Value::Bit(true)),
         (element!("WM1984"), Value::Word(1)),
@@ -183,6 +184,36 @@ fn the_last_element_limits_all_widths() {
     ] {
         assert_eq!(plc.write(element, value), Err(Error::BeyondModel { element }));
     }
+}
+
+#[test]
+fn the_default_has_the_gap_and_the_ends_of_an_fbe_28mc() {
+    let plc = Plc::new();
+    let run =
+        |first, count| plc.execute(&ReadRegisters::new(first, count).unwrap()).map(|values: Vec<u16>| values.len());
+    assert_eq!(run(register!("R4160"), 8), Ok(8));
+    assert_eq!(run(register!("R4160"), 9), Err(ErrorCode::IllegalAddress));
+    assert_eq!(run(register!("R4999"), 2), Err(ErrorCode::IllegalAddress));
+    assert_eq!(run(register!("R8010"), 62), Ok(62));
+    for missing in [element!("R8072"), element!("D3072"), element!("M2002"), element!("F0"), element!("DR4167")] {
+        let error = plc.execute(&ReadMixed::new([missing]).unwrap()).unwrap_err();
+        assert_eq!(error, ErrorCode::IllegalAddress, "{missing}");
+    }
+    let newer = Plc::with_model(Model::of(PlcModel::Fbs20Mc));
+    assert_eq!(newer.write(element!("D4095"), Value::Word(1)), Ok(()));
+    assert_eq!((newer.pages(), Plc::new().pages()), (513, 207));
+}
+
+#[test]
+fn the_last_element_keeps_gaps_below_it() {
+    let plc = Plc::with_model(Model::default().last(element!("R9999")).last(element!("F10")));
+    for (element, exists) in [("R9999", true), ("R4500", false), ("F10", true), ("F11", false)] {
+        let written = plc.write(element.parse::<Element>().unwrap(), 1_u16);
+        assert_eq!(written.is_ok(), exists, "{element}");
+    }
+    // The gap is above this one.
+    let small = Plc::with_model(Model::default().last(element!("R4100")));
+    assert!(small.write(element!("R4101"), 1_u16).is_err() && small.write(element!("R5000"), 1_u16).is_err());
 }
 
 #[test]

@@ -1,3 +1,5 @@
+mod bits;
+
 use super::*;
 use crate::error::ErrorCode;
 use crate::link::Link;

@@ -135,8 +135,8 @@ fn an_invalid_scale_is_refused() {
     for scale in [
         "*", "+", "-", "*x", "*nan", "+inf", "*1*2", "+1*2", "*+1", "+-1", "*1e", "*.", "*1 ", "*0x1", "-40x", "*1+2+3",
     ] {
-        let rule = "it must be *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40";
-        let expected = format!("`R0:u16{scale}` is not a tag: `{scale}` is not a scale: {rule}");
+        let rule = "a scale is *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40";
+        let expected = format!("`R0:u16{scale}` is not a tag: {rule}");
         assert_eq!(message(&format!("R0:u16{scale}")), expected);
     }
     for (tag, name) in [("M0:bool*2", "bool"), ("R0:hex*2", "hex"), ("R0:text*2", "text")] {

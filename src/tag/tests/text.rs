@@ -102,10 +102,7 @@ fn a_text_is_at_most_as_long_as_one_request() {
         ("R0-R64:text", "a text comes from one request, which holds 64 registers, and the range has 65"),
         ("DR0-DR8:text", "DR is a 32-bit register, which has no type text (it has: u32 i32 f32 u64 i64 f64 bcd32 hex)"),
         ("M0-M15:text-hi", "M is a discrete, which has no type text-hi (it has: bool)"),
-        (
-            "R0:text-ho",
-            "`-ho` is not a scale: it must be *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40",
-        ),
+        ("R0:text-ho", "a scale is *GAIN, +OFFSET, -OFFSET or both in this order, such as *0.1-40"),
     ] {
         assert_eq!(message(input), format!("`{input}` is not a tag: {rule}"));
     }

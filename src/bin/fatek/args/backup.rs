@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use fatek::tag::Tag;
 
-use super::{Consent, Plc};
+use super::{Consent, ModelArgs, Plc};
 
 /// Save ranges of registers and discretes to a file
 ///
@@ -32,6 +32,8 @@ pub(crate) struct BackupArgs {
     /// Compare the PLC with the file, or with the given ranges of it; save nothing
     #[arg(long)]
     pub(crate) compare: bool,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -76,6 +78,12 @@ pub(crate) struct RestoreArgs {
     /// differences, and writes nothing.
     #[arg(long)]
     pub(crate) force: bool,
+    /// Special elements of the file, R3840-R4167 and M1912-M2001: write or skip [default: refuse the
+    /// file]
+    ///
+    /// Writing them can cause system or I/O errors, or cut the line.
+    #[arg(long, value_enum, value_name = "CHOICE")]
+    pub(crate) special: Option<SpecialArg>,
     /// Number of equal elements written between two that differ, if that saves a request
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub(crate) bridge: usize,
@@ -83,4 +91,13 @@ pub(crate) struct RestoreArgs {
     pub(crate) consent: Consent,
     #[command(flatten)]
     pub(crate) plc: Plc,
+}
+
+/// Treatment of special elements.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub(crate) enum SpecialArg {
+    /// They are restored as all others
+    Write,
+    /// All others are restored
+    Skip,
 }

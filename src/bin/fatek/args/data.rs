@@ -4,11 +4,12 @@ use std::time::Duration;
 
 use clap::Args;
 use fatek::Discrete;
-use fatek::tag::{Assignment, Tag};
+use fatek::tag::Tag;
 use fatek::wire::Framing;
 
-use super::{LinkArgs, Plc};
+use super::{LinkArgs, ModelArgs, Plc};
 use crate::duration;
+use crate::names::TableArgs;
 
 /// Read tags and print their values
 ///
@@ -17,6 +18,7 @@ use crate::duration;
 #[command(after_help = "Examples:
   fatek read R0-R9 R100:f32 M0-M7 --link tcp://192.168.2.3 --station 1
   fatek read WY8:hex DR2:i32 --format csv
+  fatek read level alarm --tags mixer.csv
 
 JSON: array of objects with tag, type and value, one for each value of a range.
 The value is true or false for bool, a string for hex and text, else a number;
@@ -24,8 +26,14 @@ floats without a JSON number are \"NaN\", \"inf\" and \"-inf\". The table shows 
 in double quotes, with backslash escapes for control characters.")]
 pub(crate) struct ReadArgs {
     /// Element or range, with an optional type: R5, R0-R9, R100:f32, R5:i16*0.1, WY8:hex, M0-M7
-    #[arg(required = true, value_name = "TAG")]
-    pub(crate) tags: Vec<Tag>,
+    ///
+    /// Also a name of the table of --tags; without any, all of its tags.
+    #[arg(required_unless_present = "table", value_name = "TAG")]
+    pub(crate) tags: Vec<String>,
+    #[command(flatten)]
+    pub(crate) table: TableArgs,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -53,7 +61,23 @@ separated by commas.")]
 pub(crate) struct WriteArgs {
     /// Tag with its value or values: R0=5, R100:f32=1.5, R0-R2=1,2,3
     #[arg(required = true, value_name = "TAG=VALUE")]
-    pub(crate) assignments: Vec<Assignment>,
+    pub(crate) assignments: Vec<String>,
+    /// Take bits of registers, such as R5.3=1: read the register, change the bits, write it
+    ///
+    /// A change of its other bits by the program of the PLC or by another master between the read and
+    /// the write is undone.
+    #[arg(long)]
+    pub(crate) modify_bits: bool,
+    #[command(flatten)]
+    pub(crate) table: TableArgs,
+    /// Write special elements, too: R3840-R4167 and M1912-M2001
+    ///
+    /// Writing them can cause system or I/O errors, or cut the line. Without it nothing is written if
+    /// a tag touches them.
+    #[arg(long)]
+    pub(crate) special: bool,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -63,6 +87,9 @@ pub(crate) struct DiscreteArgs {
     /// Discrete: X, Y, M, S, T or C with an address, such as Y3
     #[arg(required = true, value_name = "DISCRETE")]
     pub(crate) discretes: Vec<Discrete>,
+    /// Change special relays, too: M1912-M2001
+    #[arg(long)]
+    pub(crate) special: bool,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -82,8 +109,12 @@ without a value.
 JSON: one object per line with time, tag, value and quality; no value is null.")]
 pub(crate) struct WatchArgs {
     /// Element or range, with an optional type, as for read
-    #[arg(required = true, value_name = "TAG")]
-    pub(crate) tags: Vec<Tag>,
+    ///
+    /// Also a name of the table of --tags; without any, all of its tags.
+    #[arg(required_unless_present = "table", value_name = "TAG")]
+    pub(crate) tags: Vec<String>,
+    #[command(flatten)]
+    pub(crate) table: TableArgs,
     /// Poll interval, more than 0s, up to 24h
     #[arg(long, default_value = "1s", value_parser = duration::parse_positive, value_name = "TIME")]
     pub(crate) interval: Duration,
@@ -96,6 +127,8 @@ pub(crate) struct WatchArgs {
     /// Number of lines before exit, 1 or more [default: unlimited]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), value_name = "N")]
     pub(crate) count: Option<u64>,
+    #[command(flatten)]
+    pub(crate) model: ModelArgs,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
@@ -115,8 +148,12 @@ time_ms, reads and tags, and the sums values, bytes and time_ms.
 CSV: the requests alone.")]
 pub(crate) struct PlanArgs {
     /// Element or range, with an optional type, as for read
-    #[arg(required = true, value_name = "TAG")]
-    pub(crate) tags: Vec<Tag>,
+    ///
+    /// Also a name of the table of --tags; without any, all of its tags.
+    #[arg(required_unless_present = "table", value_name = "TAG")]
+    pub(crate) tags: Vec<String>,
+    #[command(flatten)]
+    pub(crate) table: TableArgs,
     /// Framing: ascii or binary [default: of the link, else ascii]
     #[arg(long)]
     pub(crate) framing: Option<Framing>,

@@ -82,3 +82,25 @@ impl FromStr for Stations {
         }
     }
 }
+
+/// Print or set the clock of the PLC
+///
+/// The clock has no time zone. Setting it writes M1952 and R4128 to R4134, and reads the clock back.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek clock --link tcp://192.168.2.3 --station 1
+  fatek clock --set 2026-11-29T06:30:00
+  fatek clock --set now
+
+The PLC does not say which weekday is 0: without --weekday the number follows
+from the date and the weekday that the clock has now.")]
+pub(crate) struct ClockArgs {
+    /// Time to set: now (UTC), or date and time such as 2026-11-29T06:30:00
+    #[arg(long, value_name = "TIME")]
+    pub(crate) set: Option<String>,
+    /// Weekday to set, 0 to 6 [default: counted on from the clock]
+    #[arg(long, requires = "set", value_parser = clap::value_parser!(u8).range(0..=6), value_name = "N")]
+    pub(crate) weekday: Option<u8>,
+    #[command(flatten)]
+    pub(crate) plc: Plc,
+}

@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use clap::Args;
 use fatek::Element;
+use fatek::memory_map::{ParsePlcModelError, PlcModel};
+use fatek::sim::Model;
 use fatek::tag::Assignment;
 use fatek::wire::Framing;
 
@@ -42,8 +44,13 @@ pub(crate) struct SimArgs {
     /// Initial values; all others are 0
     #[arg(long = "set", value_name = "TAG=VALUE", num_args = 1..)]
     pub(crate) assignments: Vec<Assignment>,
-    /// Last element of a memory area, such as R3839; repeat for other areas [default: last of the
-    /// protocol]
+    /// Model with its memory and status: fbe-28mc or fbs-20mc, or `largest` for all addresses of the
+    /// protocol
+    ///
+    /// Other addresses are refused. File registers F are in `largest` only, or by --last.
+    #[arg(long, value_name = "MODEL", default_value = "fbe-28mc", value_parser = model)]
+    pub(crate) model: Model,
+    /// Last element of a memory area, such as R3839; repeat for other areas [default: of the model]
     ///
     /// Requests for higher addresses are refused.
     #[arg(long = "last", value_name = "ELEMENT")]
@@ -51,4 +58,8 @@ pub(crate) struct SimArgs {
     /// Ladder size in the detailed status, in words
     #[arg(long, value_name = "N")]
     pub(crate) ladder_words: Option<u16>,
+}
+
+fn model(name: &str) -> Result<Model, ParsePlcModelError> {
+    if name.eq_ignore_ascii_case("largest") { Ok(Model::largest()) } else { name.parse::<PlcModel>().map(Model::of) }
 }

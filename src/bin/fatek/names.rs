@@ -1,0 +1,110 @@
+//! Tags of the command line: texts, or names of a table of tags (`--tags`).
+
+use std::ffi::OsString;
+
+use clap::Args;
+use fatek::tag::{Assignment, Tag, TagValue};
+use fatek::tag_table::TagTable;
+
+use crate::failure::Failure;
+use crate::output::Output;
+use crate::write::Write;
+
+/// Option of the commands that take tags.
+#[derive(Debug, Args)]
+pub(crate) struct TableArgs {
+    /// Table of tags (CSV, or TOML if the name ends in .toml), whose names stand for tags
+    #[arg(long = "tags", id = "table", env = "FATEK_TAGS", hide_env_values = true, value_name = "FILE")]
+    path: Option<OsString>,
+}
+
+/// The table of tags, if there is one.
+#[derive(Debug)]
+pub(crate) struct Table(Option<TagTable>);
+
+/// A tag with the name to be printed, if it was given by name.
+#[derive(Clone, Debug)]
+pub(crate) struct NamedTag {
+    pub(crate) tag: Tag,
+    name: Option<String>,
+}
+
+impl NamedTag {
+    /// The text of its value with this number, and of the only one.
+    pub(crate) fn label(&self, number: usize, unnamed: impl FnOnce() -> String) -> String {
+        match &self.name {
+            Some(name) if self.tag.value_count() > 1 => format!("{name}[{number}]"),
+            Some(name) => name.clone(),
+            None => unnamed(),
+        }
+    }
+}
+
+impl TableArgs {
+    /// Loads the table, if there is one.
+    pub(crate) fn load(&self) -> Result<Table, Failure> {
+        // An empty variable counts as unset.
+        let path = self.path.as_ref().filter(|path| !path.is_empty());
+        Ok(Table(path.map(TagTable::load).transpose()?))
+    }
+}
+
+impl Table {
+    /// The tags of these texts; without any, all tags of the table.
+    pub(crate) fn tags(&self, texts: &[String]) -> Result<Vec<NamedTag>, Failure> {
+        if let (Some(table), true) = (&self.0, texts.is_empty()) {
+            let named =
+                |entry: &fatek::tag_table::TagEntry| NamedTag { tag: entry.tag(), name: Some(entry.name().to_owned()) };
+            let all: Vec<NamedTag> = table.iter().map(named).collect();
+            return if all.is_empty() { Err(Failure::Usage("the table has no tags".to_owned())) } else { Ok(all) };
+        }
+        let named = |text: &String| {
+            let tag = self.tag(text)?;
+            let is_name = self.0.as_ref().is_some_and(|table| table.get(text).is_some());
+            Ok(NamedTag { tag, name: is_name.then(|| text.clone()) })
+        };
+        if texts.is_empty() {
+            return Err(Failure::Usage("no tag is given, and no table of tags".to_owned()));
+        }
+        texts.iter().map(named).collect()
+    }
+
+    /// The writes of these texts, each a tag or a name with its values. `modify_bits`: bits of registers
+    /// are taken, too.
+    pub(crate) fn writes(&self, texts: &[String], modify_bits: bool) -> Result<Vec<Write>, Failure> {
+        let write = |text: &String| {
+            let Some((name, values)) = text.split_once('=') else {
+                return text.parse().map(Write::Values).map_err(Failure::usage);
+            };
+            let tag = self.tag(name)?;
+            let values = tag.parse_values(values).map_err(Failure::usage)?;
+            if !tag.is_bits_of_register() {
+                return Assignment::new(tag, values).map(Write::Values).map_err(Failure::usage);
+            }
+            if !modify_bits {
+                return Err(Failure::Usage(format!(
+                    "{tag} is a part of {register}, and a write replaces all bits of {register}; \
+                     --modify-bits reads, changes and writes them",
+                    register = tag.first()
+                )));
+            }
+            let states = values.iter().map(|value| *value == TagValue::Bool(true)).collect();
+            Ok(Write::Bits { tag, states })
+        };
+        texts.iter().map(write).collect()
+    }
+
+    /// Prints the tags of the table that have common elements.
+    pub(crate) fn remark_overlaps(&self, output: &Output) {
+        for overlap in self.0.iter().flat_map(TagTable::overlaps) {
+            output.remark(format_args!("{overlap}"));
+        }
+    }
+
+    fn tag(&self, text: &str) -> Result<Tag, Failure> {
+        match &self.0 {
+            Some(table) => table.tag(text).map_err(Failure::usage),
+            None => text.parse().map_err(Failure::usage),
+        }
+    }
+}
