@@ -22,17 +22,25 @@ pub struct PlanBuilder {
     tags: Vec<Tag>,
     /// The indices of the tags of each one-scan group.
     groups: Vec<Range<usize>>,
+    /// The plan keeps what it needs to read the values of a refused request by others.
+    fallbacks: bool,
 }
 
 impl PlanBuilder {
     pub(super) fn new(cost: CostModel) -> Self {
-        Self { cost, limits: Limits::new(), tags: Vec::new(), groups: Vec::new() }
+        Self { cost, limits: Limits::new(), tags: Vec::new(), groups: Vec::new(), fallbacks: true }
     }
 
     /// Sets the limits of the PLC. Default: the limits of the protocol.
     #[must_use]
     pub fn limits(self, limits: Limits) -> Self {
         Self { limits, ..self }
+    }
+
+    /// Makes a plan without fallbacks, for a caller that has its own. It takes less memory.
+    #[must_use]
+    pub(crate) fn without_fallbacks(self) -> Self {
+        Self { fallbacks: false, ..self }
     }
 
     /// Adds a tag. Tags have indices from 0 in the order in which they are added.
@@ -118,9 +126,7 @@ impl PlanBuilder {
         }
         slots.iter_mut().for_each(|slot: &mut ValueSlot| slot.request = place[slot.request as usize]);
         requests = order.into_iter().map(|request| requests[request].clone()).collect();
-        let inputs = requests
-            .iter()
-            .any(PlannedRequest::has_words_of_discretes)
+        let inputs = (self.fallbacks && requests.iter().any(PlannedRequest::may_have_fallback))
             .then(|| Arc::new(PlanInputs { cost: self.cost, limits: self.limits, groups: self.groups }));
         let (mut tags, mut first_slot) = (self.tags, values.first_slot);
         // A poller keeps thousands of plans.

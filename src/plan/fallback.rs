@@ -1,8 +1,9 @@
-//! Discretes whose words a PLC refuses: read again, by requests without words.
+//! Values of a request that a PLC refuses: read again, without words of discretes or mixed reads.
 
 use std::ops::Range;
 
-use super::{CostModel, Limits, Plan, PlanBuilder};
+use super::{CostModel, Limits, Plan, PlanBuilder, PlannedRequest};
+use crate::command::Code;
 use crate::element::Width;
 use crate::error::{Error, ErrorCode};
 use crate::tag::Tag;
@@ -31,7 +32,7 @@ struct FallbackBuilder {
     values: Vec<usize>,
 }
 
-/// Returns whether a PLC that refuses a request with this error may accept its discretes as such.
+/// Returns whether a PLC that refuses a request with this error may accept others for its values.
 pub(super) fn is_refusal(error: &Error) -> bool {
     match error.error_code() {
         Some(
@@ -47,20 +48,26 @@ pub(super) fn is_refusal(error: &Error) -> bool {
 }
 
 impl Plan {
-    /// Plans the values of a request without words of discretes; none if it has no such words.
+    /// Plans the values of a refused request: without words of discretes, and without mixed reads if
+    /// the error may mean that the PLC does not know these. None if that excludes nothing.
     ///
     /// Tags of words are in a plan of their own, since the PLC may refuse these. Values of a one-scan
-    /// group that only fits as words are left out.
-    pub(super) fn fallbacks(&self, request: usize) -> Vec<Fallback> {
-        self.build_fallbacks(request).unwrap_or_default()
+    /// group that needs what is excluded are left out.
+    pub(super) fn fallbacks(&self, request: usize, refusal: &Error) -> Vec<Fallback> {
+        self.build_fallbacks(request, refusal).unwrap_or_default()
     }
 
-    fn build_fallbacks(&self, request: usize) -> Option<Vec<Fallback>> {
+    fn build_fallbacks(&self, request: usize, refusal: &Error) -> Option<Vec<Fallback>> {
         let inputs = self.inputs.as_deref()?;
-        if !self.requests.get(request)?.has_words_of_discretes() {
+        let planned = self.requests.get(request)?;
+        let lacks_mixed = planned.lacks_mixed_reads(refusal);
+        if !planned.has_words_of_discretes() && !lacks_mixed {
             return None;
         }
-        let limits = inputs.limits.clone().words_of_discretes(false);
+        let mut limits = inputs.limits.clone().words_of_discretes(false);
+        if lacks_mixed {
+            limits = limits.mixed_reads(false);
+        }
         let builder = || Plan::builder(inputs.cost).limits(limits.clone());
         let mut words = FallbackBuilder { builder: builder(), values: Vec::new() };
         let mut others = FallbackBuilder { builder: builder(), values: Vec::new() };
@@ -101,6 +108,13 @@ impl Plan {
             Some(Fallback { plan, values })
         });
         Some(built.collect())
+    }
+}
+
+impl PlannedRequest {
+    /// Returns whether this refusal may mean that the PLC does not know mixed reads.
+    pub(super) fn lacks_mixed_reads(&self, refusal: &Error) -> bool {
+        self.request().code() == Code::ReadMixed && refusal.error_code().is_some_and(ErrorCode::is_about_the_command)
     }
 }
 

@@ -143,8 +143,11 @@ impl Cells {
         // Words have discretes in them, whose limits apply to the gap as well.
         let Some(discrete) = self.area.discrete() else { return false };
         let (first, last) = (self.address_of_bit(self.first, 0), self.address_of_bit(end - 1, WORD_BITS - 1));
-        let gap_first = self.address_of_bit(self.end(), 0);
-        (has_gap && !limits.allows_word_gap(discrete, gap_first, address(next.first) - 1))
+        // Without a gap, there may be no cell behind these.
+        let avoids_gap = || {
+            !limits.allows_word_gap(discrete, self.address_of_bit(self.end(), 0), address(next.first) - 1)
+        };
+        (has_gap && avoids_gap())
             || split(discrete, first.saturating_add(1), last)
     }
 

@@ -216,9 +216,8 @@ impl Limits {
     }
 
     /// Excludes words of the discretes of these areas.
-    pub(crate) fn without_words(mut self, areas: WordAreas) -> Self {
-        self.word_areas.remove(areas);
-        self
+    pub(crate) fn without_words(self, areas: WordAreas) -> Self {
+        Self { word_areas: self.word_areas.without(areas), ..self }
     }
 
     /// Returns whether discretes with this symbol may be read as words.

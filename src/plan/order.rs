@@ -14,9 +14,9 @@ fn shape(planned: &PlannedRequest) -> ReplyShape {
 
 /// Returns the order in which the requests are sent, as indices.
 ///
-/// No two neighbours have replies of one shape, if that is possible: between such requests the link
-/// sends a check or another spelling. The last request has a shape of its own, if there is one: then
-/// no check ends the job. Requests that are in such an order stay as they are.
+/// The last request has a shape of its own, if there is one: then no check ends the job. Among the
+/// others, no two neighbours have replies of one shape, if that is possible: between such requests the
+/// link sends a check or another spelling. Requests that are in such an order stay as they are.
 pub(super) fn distinct_order(requests: &[PlannedRequest]) -> Vec<usize> {
     let mut by_shape: BTreeMap<ReplyShape, Vec<usize>> = BTreeMap::new();
     for (n, planned) in requests.iter().enumerate() {
@@ -46,7 +46,7 @@ pub(super) fn distinct_order(requests: &[PlannedRequest]) -> Vec<usize> {
         let next = next.map(|next| (left - 1, std::cmp::Reverse(next), shape));
         if heap.is_empty() { heap.extend(next) } else { waiting = next }
     }
-    order.extend(waiting.map(|(_, std::cmp::Reverse(n), _)| n));
     order.extend(last);
+    assert_eq!(order.len(), requests.len(), "each request once: values are found by the place of theirs");
     order
 }

@@ -60,10 +60,13 @@ impl Plan {
         before: &mut [RequestResult<Error>],
     ) -> Progress<RequestResult<Error>> {
         let reply = self.call(request, request, job, before).await?;
-        let refused = matches!(&reply, Err(error) if is_refusal(error));
+        let fallbacks = match &reply {
+            Err(error) if is_refusal(error) => self.fallbacks(request, error),
+            Ok(_) | Err(_) => Vec::new(),
+        };
         let mut result = RequestResult::from(reply);
-        for fallback in if refused { self.fallbacks(request) } else { Vec::new() } {
-            tracing::debug!(request, "refused: its values are read without words of discretes");
+        for fallback in fallbacks {
+            tracing::debug!(request, "refused: its values are read by other requests");
             let mut replies = Vec::with_capacity(fallback.plan.requests.len());
             for n in 0..fallback.plan.requests.len() {
                 let reply = fallback.plan.call(n, request, job, before).await?;

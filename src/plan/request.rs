@@ -70,6 +70,13 @@ impl PlannedRequest {
     }
 }
 
+impl PlannedRequest {
+    /// Returns whether a PLC may refuse the request and accept others with the same values.
+    pub(super) fn may_have_fallback(&self) -> bool {
+        self.has_words_of_discretes() || self.request.code() == Code::ReadMixed
+    }
+}
+
 impl ReadRequest {
     /// Sends the request and returns the reply.
     ///

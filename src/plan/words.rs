@@ -28,8 +28,12 @@ impl WordAreas {
         self.0 == 0
     }
 
-    pub(super) fn contains(self, discrete: Symbol) -> bool {
+    pub(crate) fn contains(self, discrete: Symbol) -> bool {
         self.0 & Self::mask(discrete) != 0
+    }
+
+    pub(crate) fn contains_all(self, areas: Self) -> bool {
+        self.0 & areas.0 == areas.0
     }
 
     /// Adds an area; symbols without words have no effect.
@@ -37,12 +41,21 @@ impl WordAreas {
         self.0 |= Self::mask(discrete);
     }
 
-    pub(crate) fn extend(&mut self, areas: Self) {
-        self.0 |= areas.0;
+    /// These areas and others.
+    #[must_use]
+    pub(crate) fn and(self, areas: Self) -> Self {
+        Self(self.0 | areas.0)
     }
 
-    pub(super) fn remove(&mut self, areas: Self) {
-        self.0 &= !areas.0;
+    /// The areas that are in both.
+    #[must_use]
+    pub(crate) fn common(self, areas: Self) -> Self {
+        Self(self.0 & areas.0)
+    }
+
+    #[must_use]
+    pub(crate) fn without(self, areas: Self) -> Self {
+        Self(self.0 & !areas.0)
     }
 
     fn mask(discrete: Symbol) -> u8 {
@@ -168,7 +181,10 @@ fn covers(cells: &[Cells], limits: &Limits, cost: &CostModel, max: u32) -> Optio
         let allows = |octet: u16| {
             limits.allows_words_at(octet % 2 * OCTET) && limits.allows_word(*symbol, octet * OCTET, cost.framing())
         };
-        let here = area.covers(*symbol, allows, prices, max.saturating_sub(units));
+        // A mixed read has no double word over the edge of a readable range.
+        let segment = |octet: u16| limits.segment(symbol.area().word(), octet * OCTET);
+        let is_joined = |octet: u16| octet.checked_sub(2).is_some_and(|before| segment(before) == segment(octet));
+        let here = area.covers(*symbol, (allows, is_joined), prices, max.saturating_sub(units));
         let both = |a: &Cover, b: &Cover| Cover {
             units: a.units + b.units,
             bytes: a.bytes + b.bytes,
@@ -295,7 +311,15 @@ impl OctetMap {
     ///
     /// A dynamic program over the octets. Its state is the stretch of words that begin in the last
     /// octet, and in the one before: neighbours of both residues modulo 16 form pairs.
-    fn covers(&self, symbol: Symbol, allows: impl Fn(u16) -> bool, prices: Prices, max_units: u32) -> Vec<Cover> {
+    /// `allows`: the word that begins in this octet may be read; `is_joined`: as a double word with the
+    /// one two octets before.
+    fn covers(
+        &self,
+        symbol: Symbol,
+        (allows, is_joined): (impl Fn(u16) -> bool, impl Fn(u16) -> bool),
+        prices: Prices,
+        max_units: u32,
+    ) -> Vec<Cover> {
         const STATES: [Stretch; 3] = [Stretch::None, Stretch::Odd, Stretch::Even];
         let mut octets: Vec<u16> = Vec::with_capacity(2 * self.octets.len());
         for (octet, (discretes, _)) in &self.octets {
@@ -315,6 +339,7 @@ impl OctetMap {
             before = Some(octet);
             let (discretes, is_read) = self.octets.get(&octet).copied().unwrap_or_default();
             let may_read = is_read || allows(octet);
+            let is_joined = is_joined(octet);
             let mut next: [Vec<Choice>; 9] = Default::default();
             for (state, choice) in choices.iter().enumerate().flat_map(|(n, list)| list.iter().map(move |c| (n, *c))) {
                 let (last, second) = (STATES[state / 3], STATES[state % 3]);
@@ -325,8 +350,8 @@ impl OctetMap {
                 };
                 if may_read {
                     let (bytes, now) = match second {
-                        Stretch::None | Stretch::Even => (prices.word, Stretch::Odd),
-                        Stretch::Odd => (prices.dword - prices.word, Stretch::Even),
+                        Stretch::Odd if is_joined => (prices.dword - prices.word, Stretch::Even),
+                        Stretch::None | Stretch::Odd | Stretch::Even => (prices.word, Stretch::Odd),
                     };
                     let mut with = Choice { units: choice.units + 1, bytes: choice.bytes + bytes, ..choice };
                     if !is_read {

@@ -138,12 +138,6 @@ impl CompiledPlan {
         Some(Halves { left: parts(left), right: parts(right), split_point })
     }
 
-    /// The parts of a request that are still polled. Of a tag that has values in other requests too,
-    /// only the values in this one.
-    pub(super) fn parts_in(&self, request: usize, tag_map: &TagMap) -> Vec<TagPart> {
-        self.items_of(request, tag_map).into_iter().flat_map(|item| item.parts).collect()
-    }
-
     /// The tags and groups of a request that are still polled, each with its words of the reply.
     fn items_of(&self, request: usize, tag_map: &TagMap) -> Vec<RefusedItem> {
         // A removed tag has no group that would keep the others together.

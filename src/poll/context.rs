@@ -69,8 +69,12 @@ impl StationContext {
         }
     }
 
-    /// Plans these parts with the learned limits and without runs through refused tags.
-    pub(super) fn plan(&mut self, parts: &[TagPart]) -> Result<CompiledPlan, PlanError> {
+    /// Plans these parts with the learned limits, without runs through refused tags, and without words
+    /// of the discretes of these areas.
+    pub(super) fn plan(&mut self, parts: &[TagPart], no_words: WordAreas) -> Result<CompiledPlan, PlanError> {
+        if !no_words.is_empty() {
+            return self.compile(parts, &self.restricted_limits().without_words(no_words));
+        }
         let cost = self.latency.cost();
         if self.learned_limits.is_empty() && !self.tag_map.values().any(TagState::is_refused) {
             return CompiledPlan::new(parts, &self.tag_map, &self.limits, &cost, &self.plan_cache);
@@ -80,19 +84,23 @@ impl StationContext {
         CompiledPlan::new(parts, &self.tag_map, limits, &cost, &self.plan_cache)
     }
 
-    /// Plans these parts without the learned limits, which may stem from other kinds of requests.
-    pub(super) fn plan_with_configured_limits(&self, parts: &[TagPart]) -> Result<CompiledPlan, PlanError> {
-        self.compile(parts, &self.limits)
+    /// Plans these parts without the learned limits, which may stem from other kinds of requests, and
+    /// without words of the discretes of these areas.
+    pub(super) fn plan_with_configured_limits(
+        &self,
+        parts: &[TagPart],
+        no_words: WordAreas,
+    ) -> Result<CompiledPlan, PlanError> {
+        self.compile(parts, &Limits::clone(&self.limits).without_words(no_words))
     }
 
-    /// Plans these parts by runs alone, without words of the discretes of these areas.
+    /// Plans these parts by runs alone, without words of the discretes of these areas; if possible, also
+    /// without those that were learned.
     pub(super) fn plan_runs(&self, parts: &[TagPart], no_words: WordAreas) -> Result<CompiledPlan, PlanError> {
-        self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false).without_words(no_words))
-    }
-
-    /// Plans these parts with the learned limits, and the discretes of these areas not as words.
-    pub(super) fn plan_without_words(&self, parts: &[TagPart], areas: WordAreas) -> Result<CompiledPlan, PlanError> {
-        self.compile(parts, &self.restricted_limits().without_words(areas))
+        let runs = |no_words| {
+            self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false).without_words(no_words))
+        };
+        runs(no_words.and(self.learned_limits.no_words())).or_else(|_| runs(no_words))
     }
 
     /// Returns the configured limits with the learned ones, and with refused tags avoided.

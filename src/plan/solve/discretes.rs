@@ -50,7 +50,11 @@ pub(super) fn candidates(values: &[(usize, Cells)], limits: &Limits, cost: &Cost
                 let address = words::word_address(bit, residue)?;
                 let cells = words::word_at(symbol, address, limits, framing)?;
                 let pair = address.checked_sub(WORD_BITS);
-                let has_pair = pair.is_some_and(|pair| limits.allows_word(symbol, pair, framing));
+                let has_pair = pair.is_some_and(|pair| {
+                    let words = symbol.area().word();
+                    limits.allows_word(symbol, pair, framing)
+                        && limits.segment(words, pair) == limits.segment(words, address)
+                });
                 Some(Candidate { address, residue, cells, has_pair })
             });
         }
