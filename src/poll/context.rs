@@ -94,13 +94,9 @@ impl StationContext {
         self.compile(parts, &Limits::clone(&self.limits).without_words(no_words))
     }
 
-    /// Plans these parts by runs alone, without words of the discretes of these areas; if possible, also
-    /// without those that were learned.
+    /// Plans these parts by runs alone, without words of the discretes of these areas.
     pub(super) fn plan_runs(&self, parts: &[TagPart], no_words: WordAreas) -> Result<CompiledPlan, PlanError> {
-        let runs = |no_words| {
-            self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false).without_words(no_words))
-        };
-        runs(no_words.and(self.learned_limits.no_words())).or_else(|_| runs(no_words))
+        self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false).without_words(no_words))
     }
 
     /// Returns the configured limits with the learned ones, and with refused tags avoided.

@@ -117,6 +117,8 @@ struct RefusedRequest {
     resend: bool,
     /// The number of removed tags when it was sent; `None` if it read some of these tags.
     removals: Option<u64>,
+    /// Its tags are read by runs alone.
+    by_runs: bool,
     /// The areas whose words its tags are read without, instead of in halves.
     word_areas: WordAreas,
 }
@@ -289,6 +291,7 @@ impl Cycle {
             explained: false,
             resend: false,
             removals: (!removed).then_some(ctx.station.removals),
+            by_runs: false,
             word_areas: WordAreas::default(),
         };
         // The PLC may accept the discretes. A group that fits only as words is halved as usual.
@@ -320,10 +323,18 @@ impl Cycle {
                 self.push(&parts, now, ctx);
             }
             None => {
-                // The PLC may refuse a mixed read of elements that it accepts as a run.
-                let no_words = self.refused_words().and(word_areas);
-                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| ctx.station.plan_runs(&parts, no_words));
+                // The PLC may refuse a mixed read of elements that it accepts as a run. A group may be
+                // a run by words only, and then these are tried once.
+                let no_words = self.refused_words().and(word_areas).and(ctx.station.learned_limits.no_words());
+                let with_words = !self.has_runs_on_stack();
+                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| {
+                    let runs = ctx.station.plan_runs(&parts, no_words);
+                    runs.or_else(|error| {
+                        if with_words { ctx.station.plan_runs(&parts, WordAreas::default()) } else { Err(error) }
+                    })
+                });
                 if let Some(Ok(plan)) = runs {
+                    refused.by_runs = true;
                     self.stack.push(StackFrame::Refused(refused));
                     self.stack.push(StackFrame::Plan(InFlight::new(Arc::new(plan), 0)));
                 } else {
@@ -460,6 +471,14 @@ impl Cycle {
         })
     }
 
+    /// Returns whether the tags of a refused request are being read by runs alone.
+    fn has_runs_on_stack(&self) -> bool {
+        self.stack.iter().any(|frame| match frame {
+            StackFrame::Refused(refused) => refused.by_runs,
+            StackFrame::Plan(_) => false,
+        })
+    }
+
     fn probe_at(&self, now: Stamp, ctx: &CycleContext<'_>) -> Instant {
         now.instant.checked_add(ctx.scan.probe_refused).unwrap_or(now.instant)
     }
@@ -546,6 +565,7 @@ impl RefusedRequest {
             explained: false,
             resend: false,
             removals: None,
+            by_runs: false,
             word_areas,
         }
     }
