@@ -38,6 +38,7 @@ fn word_limits() -> Vec<Limits> {
         avoiding(),
         readable(readable(Limits::new(), "M0", "M37"), "M42", "M9999"),
         readable(readable(Limits::new().max_mixed(4).unwrap(), "WM0", "WM16"), "WM40", "WM9984"),
+        readable(readable(Limits::new(), "WM0", "WM16"), "WM32", "WM9984"),
     ]
 }
 
@@ -295,4 +296,27 @@ fn costs_of_a_link_have_its_gaps() {
     let settings = SerialSettings::new(Framing::Ascii);
     let link = Link::stream_builder(line, Framing::Ascii).serial_line(settings).build();
     assert_eq!(CostModel::of_link(&link), CostModel::serial(settings, Framing::Ascii));
+}
+
+/// No double word crosses the edge of a range. Before, the cost of one was counted, and a dearer request
+/// chosen.
+#[test]
+fn words_at_the_edge_of_a_range_are_not_priced_as_a_pair() {
+    let element = |text: &str| Element::parse(text).unwrap();
+    let readable = |limits: Limits, first, last| limits.readable(element(first), element(last)).unwrap();
+    let limits = readable(readable(Limits::new(), "WM0", "WM16"), "WM32", "WM9984");
+    let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
+    let tags = ["M16", "M20", "M40"].map(|tag| Tag::parse(tag).unwrap());
+    let time = |limits| Plan::builder(network).limits(limits).tags(tags).build().unwrap().time();
+    assert!(time(limits.clone()) <= time(limits.words_of_discretes(false)));
+}
+
+/// Before, a debug assertion failed: there is no word behind the last one.
+#[test]
+fn the_last_word_of_the_binary_framing_is_planned() {
+    let limits = Limits::new().avoid(Element::parse("R5000").unwrap(), Element::parse("R5001").unwrap()).unwrap();
+    let network = CostModel::network(Framing::Binary, Duration::from_millis(5));
+    let tags = ["M65520-M65535", "R0-R63", "D0-D63"].map(|tag| Tag::parse(tag).unwrap());
+    let plan = Plan::builder(network).limits(limits).tags(tags).build().unwrap();
+    assert!(plan.requests().iter().any(PlannedRequest::has_words_of_discretes), "{}", plan.explain());
 }
