@@ -55,7 +55,8 @@
 //!   prices of a unit in a mixed read. If the values left for mixed reads at price 0 fit in one,
 //!   the plan is optimal. Otherwise the loss is about the unused part of the last mixed read.
 //! - Words of discretes are chosen by another such program for each area, before the values are
-//!   distributed. A plan without words is made as well, and the cheaper one is taken.
+//!   distributed. A plan without words is made as well, unless a lower bound shows that it is
+//!   dearer, and the cheaper one is taken.
 //! - Groups are placed first, each as its own cheapest request, and values fill the remaining room.
 //!   This is a heuristic. A text that is longer than the PLC's longest run is planned as a group.
 //!
@@ -136,9 +137,9 @@ impl Plan {
 
     /// Returns the requests, in the order in which they are sent.
     ///
-    /// Neighbours differ in the command or in the length of the reply, if that is possible, and the
-    /// last one from all others: a link sends a check or another spelling between requests of one
-    /// shape.
+    /// The last one differs from all others in the command or in the length of the reply, if that is
+    /// possible, and so do neighbours before it: a link sends a check or another spelling between
+    /// requests of one shape.
     #[must_use]
     pub fn requests(&self) -> &[PlannedRequest] {
         &self.requests

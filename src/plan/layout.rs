@@ -144,11 +144,9 @@ impl Cells {
         let Some(discrete) = self.area.discrete() else { return false };
         let (first, last) = (self.address_of_bit(self.first, 0), self.address_of_bit(end - 1, WORD_BITS - 1));
         // Without a gap, there may be no cell behind these.
-        let avoids_gap = || {
-            !limits.allows_word_gap(discrete, self.address_of_bit(self.end(), 0), address(next.first) - 1)
-        };
-        (has_gap && avoids_gap())
-            || split(discrete, first.saturating_add(1), last)
+        let avoids_gap =
+            || !limits.allows_word_gap(discrete, self.address_of_bit(self.end(), 0), address(next.first) - 1);
+        (has_gap && avoids_gap()) || split(discrete, first.saturating_add(1), last)
     }
 
     /// Returns the address of a discrete in a word.

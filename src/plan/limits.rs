@@ -101,7 +101,8 @@ impl Limits {
     /// Sets whether discretes X, Y, M and S may be read as bits of words, such as M0 to M15 as
     /// `WM0`. Default: `true`.
     ///
-    /// A word has the bytes of four discretes in a reply, and one unit of a mixed read. It can
+    /// A word has the bytes of four discretes in a reply, or of two in the binary framing, and one unit
+    /// of a mixed read. It can
     /// contain up to 15 discretes that no tag reads, all of them within the readable ranges and none
     /// to avoid. `false` is for PLCs that refuse words of discretes: [`Plan::read`](super::Plan::read)
     /// reads their discretes by a second request.
