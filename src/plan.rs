@@ -38,16 +38,25 @@
 //! - a *mixed* read, 48: only the cells of the parts, neighbours in pairs (`DR0` is shorter than
 //!   `R0 R1`), in the order of symbols and addresses.
 //!
-//! The cost of a plan is the sum of the costs of its requests by the [`CostModel`]. Discretes are
-//! not read as words, nor words as discretes. `WM0` and `WM8`, which overlap, are not in one run.
+//! A discrete X, Y, M or S is also read as a bit of a word, by a run 46 or a mixed read: `WM0` is M0
+//! to M15. The word begins at a multiple of 8 and has only discretes that the [`Limits`] allow. A
+//! discrete within the word of a tag is read with it. Words are not read as discretes, nor T and C
+//! as words. `WM0` and `WM8`, which overlap, are not in one run.
 //!
-//! Up to eight parts, the plan is the cheapest of all partitions. Above that:
+//! The cost of a plan is the sum of the costs of its requests by the [`CostModel`].
 //!
-//! - Without mixed reads and groups, the plan is still optimal: a dynamic program over the sorted
-//!   values finds the runs.
+//! Up to eight parts, the plan is the cheapest of all partitions, and of all choices of words in
+//! each request. Lists that would be ambiguous in the binary framing are the exception: if the
+//! cheapest choice of words is one, the discretes are read without words. Above eight parts:
+//!
+//! - Without mixed reads, groups and words of discretes, the plan is still optimal: a dynamic
+//!   program over the sorted values finds the runs.
 //! - With mixed reads, the same program chooses run or mixed read for each value, for several
 //!   prices of a unit in a mixed read. If the values left for mixed reads at price 0 fit in one,
 //!   the plan is optimal. Otherwise the loss is about the unused part of the last mixed read.
+//! - Words of discretes are chosen by another such program for each area, before the values are
+//!   distributed. A plan without words is made as well, unless a lower bound shows that it is
+//!   dearer, and the cheaper one is taken.
 //! - Groups are placed first, each as its own cheapest request, and values fill the remaining room.
 //!   This is a heuristic. A text that is longer than the PLC's longest run is planned as a group.
 //!
@@ -58,15 +67,21 @@ mod builder;
 mod cost;
 mod error;
 mod explain;
+mod fallback;
 mod layout;
 mod limits;
+mod order;
+mod read;
 mod readings;
 mod reply;
 mod request;
 mod solve;
 mod struct_plan;
+mod words;
 
 use std::collections::BTreeSet;
+use std::ops::Range;
+use std::sync::Arc;
 use std::time::Duration;
 
 pub use builder::PlanBuilder;
@@ -79,9 +94,8 @@ pub use reply::Reply;
 pub(crate) use reply::ReplyWords;
 pub use request::{PlannedRequest, ReadRequest};
 pub use struct_plan::StructPlan;
+pub(crate) use words::WordAreas;
 
-use crate::error::Error;
-use crate::station::{JobReply, Outcome, Station, StationJob};
 use crate::tag::Tag;
 
 /// The maximum number of values in a plan.
@@ -95,13 +109,17 @@ pub struct Plan {
     first_slot: Vec<usize>,
     slots: Vec<ValueSlot>,
     requests: Vec<PlannedRequest>,
+    /// Present if a request reads discretes as words.
+    inputs: Option<Arc<fallback::PlanInputs>>,
 }
 
 /// The place of a value: its request, and its first word in the reply.
 #[derive(Clone, Copy, Debug)]
 struct ValueSlot {
     request: u32,
-    word: u32,
+    word: u16,
+    /// The bit of the word, for a discrete that is read as part of it.
+    bit: Option<u8>,
 }
 
 impl Plan {
@@ -117,7 +135,11 @@ impl Plan {
         &self.tags
     }
 
-    /// Returns the requests.
+    /// Returns the requests, in the order in which they are sent.
+    ///
+    /// The last one differs from all others in the command or in the length of the reply, if that is
+    /// possible, and so do neighbours before it: a link sends a check or another spelling between
+    /// requests of one shape.
     #[must_use]
     pub fn requests(&self) -> &[PlannedRequest] {
         &self.requests
@@ -160,38 +182,10 @@ impl Plan {
         Explanation { plan: self }
     }
 
-    /// Sends the requests in turn and returns their replies.
-    ///
-    /// After a failed request the others are sent all the same: its tags have the error, the others
-    /// their values. A check at the end confirms several requests; they are repeated if a duplicate
-    /// of a reply came out of order. Cancel-safe: the requests only read.
-    pub async fn read(&self, station: &Station) -> PlanReadings<'_, Error> {
-        let mut job = StationJob::new(station);
-        let mut replies: Vec<Result<ReplyWords, Error>> = Vec::with_capacity(self.requests.len());
-        loop {
-            while let Some(planned) = self.requests.get(replies.len()) {
-                match planned.request.call_in_job(&mut job, replies.len()).await {
-                    Ok(Outcome::Reply(JobReply { reply, .. })) => replies.push(Ok(reply.into())),
-                    Ok(Outcome::Rewind(confirmed)) => replies.truncate(confirmed),
-                    Err(error @ Error::Duplicates { .. }) => {
-                        fail_from(&mut replies, job.first_held(), &error);
-                        replies.push(Err(error));
-                    }
-                    Err(error) => replies.push(Err(error)),
-                }
-            }
-            match job.end().await {
-                Ok(None) => return PlanReadings::new(self, replies),
-                Ok(Some(confirmed)) => replies.truncate(confirmed),
-                Err(error) => {
-                    fail_from(&mut replies, job.first_held(), &error);
-                    return PlanReadings::new(self, replies);
-                }
-            }
-        }
-    }
-
     /// Assigns replies to the tags, one for each request, if the caller sends the requests.
+    ///
+    /// A refused request is an error of its tags. [`Limits::words_of_discretes`] makes plans for a PLC
+    /// that refuses words of discretes.
     ///
     /// # Errors
     /// [`PlanError::Reply`] if a reply does not match its request, or their numbers differ.
@@ -216,16 +210,13 @@ impl Plan {
     }
 
     fn slots(&self, tag: usize) -> Option<&[ValueSlot]> {
-        let start = *self.first_slot.get(tag)?;
-        let end = self.first_slot.get(tag + 1).copied().unwrap_or(self.slots.len());
-        self.slots.get(start..end)
+        self.slots.get(self.slot_range(tag)?)
     }
-}
 
-/// Replaces the replies from `first` on, which are not confirmed, by an error.
-fn fail_from(replies: &mut [Result<ReplyWords, Error>], first: Option<usize>, error: &Error) {
-    for reply in replies.iter_mut().skip(first.unwrap_or(usize::MAX)) {
-        *reply = Err(error.clone());
+    /// Returns the indices of the values of a tag.
+    fn slot_range(&self, tag: usize) -> Option<Range<usize>> {
+        let start = *self.first_slot.get(tag)?;
+        Some(start..self.first_slot.get(tag + 1).copied().unwrap_or(self.slots.len()))
     }
 }
 

@@ -102,3 +102,11 @@ fn an_impossible_plan_is_a_usage_error_and_sends_nothing() {
     fatek(&["--link", &plc.url, "plan", "R0-R9", "M0", "--one-scan"]).ok();
     assert_eq!((plc.connections(), plc.received()), (0, vec![]));
 }
+
+#[test]
+fn words_of_discretes_are_shown_with_the_tags_in_them() {
+    let csv = fatek(&["plan", "M0-M255", "M7", "--baud", "9600", "--format", "csv"]).ok();
+    assert!(csv.ends_with(",46 WM0-WM240,M0-M255 M7\n"), "{csv}");
+    let table = fatek(&["plan", "M0-M255", "--baud", "9600"]).ok();
+    assert!(table.contains("  46 WM0-WM240\n"), "{table}");
+}

@@ -27,9 +27,9 @@ fn main() -> Result<()> {
     for (name, tags) in &sets {
         for (line, cost) in [("9600 baud", serial), ("TCP, 10 ms", network)] {
             row(name, line, "one request per tag", &one_by_one(tags, cost)?);
-            // Gap merging: a plan without mixed reads, with runs that read through short gaps.
-            let merged =
-                Plan::builder(cost).limits(Limits::new().mixed_reads(false)).tags(tags.iter().copied()).build()?;
+            // Gap merging: runs that read through short gaps, without mixed reads and words of discretes.
+            let runs = Limits::new().mixed_reads(false).words_of_discretes(false);
+            let merged = Plan::builder(cost).limits(runs.clone()).tags(tags.iter().copied()).build()?;
             row(name, line, "gap merging", &[merged]);
             row(name, line, "`Plan`", &[Plan::builder(cost).tags(tags.iter().copied()).build()?]);
         }
@@ -45,7 +45,9 @@ fn row(name: &str, line: &str, method: &str, plans: &[Plan]) {
 }
 
 fn one_by_one(tags: &[Tag], cost: CostModel) -> Result<Vec<Plan>> {
-    tags.iter().map(|&tag| Ok(Plan::builder(cost).tag(tag).build()?)).collect()
+    tags.iter()
+        .map(|&tag| Ok(Plan::builder(cost).limits(Limits::new().words_of_discretes(false)).tag(tag).build()?))
+        .collect()
 }
 
 /// Long ranges of each symbol, and some single values far apart.

@@ -264,6 +264,9 @@ impl LinkBuilder {
         let mute_timeout = self.config.mute_timeout.filter(|_| reopens);
         let config = Config { probe_timeout: timeout, idle_timeout, mute_timeout, ..self.config };
         let stats = Arc::new(SharedStats::default());
+        let in_step = config.in_step;
+        let proof_gap = if in_step.one_request() { in_step.quiet() } else { Duration::ZERO };
+        let request_gaps = [config.frame_gap.short, proof_gap];
         let (name, framing) = (config.name.clone(), config.framing);
         let core = Core::new(config, stats.clone(), self.seed.unwrap_or_else(Random::seed));
         let driver = Driver::new(core, (self.connector, self.connect_timeout), self.connect_limiter, self.line, state);
@@ -278,6 +281,7 @@ impl LinkBuilder {
             state: watcher,
             stats,
             line: self.line,
+            request_gaps,
         };
         Link { inner: Arc::new(inner) }
     }

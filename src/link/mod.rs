@@ -115,6 +115,8 @@ struct LinkInner {
     stats: Arc<SharedStats>,
     /// The serial line, if it is one.
     line: Option<Line>,
+    /// The silence before a request: see [`Link::request_gaps`].
+    request_gaps: [Duration; 2],
 }
 
 impl Drop for LinkInner {
@@ -276,6 +278,12 @@ impl Link {
 
     pub(crate) fn line(&self) -> Option<Line> {
         self.inner.line
+    }
+
+    /// The silence between a reply and the next request, and the one that the proof of each request
+    /// needs: the quiet time if a connection carries one request only, else zero.
+    pub(crate) fn request_gaps(&self) -> [Duration; 2] {
+        self.inner.request_gaps
     }
 
     pub(crate) fn shared_stats(&self) -> &SharedStats {

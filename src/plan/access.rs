@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use super::reply::{Reply, ReplyWords};
+use super::words::WordAreas;
 use super::{Plan, PlannedRequest, ReadRequest, ValueSlot};
 use crate::element::Element;
 use crate::tag::TagValue;
@@ -19,7 +20,7 @@ impl Plan {
     pub(crate) fn words_in(&self, tag: usize, request: usize) -> Option<Range<usize>> {
         let words = self.tags.get(tag)?.words_per_value();
         let here = |slot: &&ValueSlot| slot.request as usize == request;
-        let starts = self.slots(tag)?.iter().filter(here).map(|slot| slot.word as usize);
+        let starts = self.slots(tag)?.iter().filter(here).map(|slot| usize::from(slot.word));
         let (first, last) =
             starts.fold((usize::MAX, None), |(first, last), word| (first.min(word), last.max(Some(word))));
         Some(first..last? + words)
@@ -34,13 +35,18 @@ impl Plan {
         let tag = self.tags.get(index)?;
         let mut raw = Vec::with_capacity(tag.element_count());
         for slot in self.slots(index)? {
-            tag.append_value(reply(slot.request as usize)?, slot.word as usize, &mut raw)?;
+            tag.append_value(reply(slot.request as usize)?, *slot, &mut raw)?;
         }
         tag.decode(&raw).ok()
     }
 }
 
 impl PlannedRequest {
+    /// Returns the areas of the discretes that it reads as bits of words.
+    pub(crate) fn word_areas(&self) -> WordAreas {
+        self.word_areas
+    }
+
     /// Returns the length of the reply in bytes.
     pub(crate) fn reply_bytes(&self) -> usize {
         self.reply_bytes

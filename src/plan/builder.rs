@@ -1,11 +1,16 @@
 use std::collections::HashMap;
 use std::ops::Range;
+use std::sync::Arc;
 use std::time::Duration;
 
-use super::layout::{self, Cells, Draft};
+use super::fallback::PlanInputs;
+use super::layout::{Cells, Draft};
+use super::order;
 use super::solve::{self, Part};
+use super::words::{self, WordAreas};
 use super::{CostModel, Limits, MAX_VALUES, Plan, PlanError, PlannedRequest, ValueSlot};
 use crate::command::InvalidRequest;
+use crate::element::{Symbol, Width};
 use crate::tag::Tag;
 use crate::wire::Framing;
 
@@ -17,17 +22,25 @@ pub struct PlanBuilder {
     tags: Vec<Tag>,
     /// The indices of the tags of each one-scan group.
     groups: Vec<Range<usize>>,
+    /// The plan keeps what it needs to read the values of a refused request by others.
+    fallbacks: bool,
 }
 
 impl PlanBuilder {
     pub(super) fn new(cost: CostModel) -> Self {
-        Self { cost, limits: Limits::new(), tags: Vec::new(), groups: Vec::new() }
+        Self { cost, limits: Limits::new(), tags: Vec::new(), groups: Vec::new(), fallbacks: true }
     }
 
     /// Sets the limits of the PLC. Default: the limits of the protocol.
     #[must_use]
     pub fn limits(self, limits: Limits) -> Self {
         Self { limits, ..self }
+    }
+
+    /// Makes a plan without fallbacks, for a caller that has its own. It takes less memory.
+    #[must_use]
+    pub(crate) fn without_fallbacks(self) -> Self {
+        Self { fallbacks: false, ..self }
     }
 
     /// Adds a tag. Tags have indices from 0 in the order in which they are added.
@@ -75,8 +88,7 @@ impl PlanBuilder {
     /// framing of the costs does not have the address of an element.
     pub fn build(self) -> Result<Plan, PlanError> {
         let values = Values::of(&self.tags, &self.limits, self.cost.framing())?;
-        let parts = self.parts(&values)?;
-        let shares = solve::solve(&parts.groups, &parts.single, &self.limits, &self.cost);
+        let (parts, shares) = self.solve(&values)?;
 
         let mut request_of = vec![0_u32; parts.groups.len() + parts.single.len()];
         for (request, (_, parts)) in (0..).zip(&shares) {
@@ -86,27 +98,72 @@ impl PlanBuilder {
         }
         let words_before: Vec<Vec<u32>> = shares.iter().map(|(draft, _)| draft.words_before()).collect();
         let mut counts = vec![0; shares.len()];
+        let mut word_areas = vec![WordAreas::default(); shares.len()];
         let mut slots = Vec::with_capacity(values.cells.len());
         for (cells, part) in values.cells.iter().zip(&parts.part_of) {
             let request = request_of[*part];
             let at = request as usize;
             counts[at] += 1;
-            let word = shares[at].0.find(*cells, &words_before[at]);
-            debug_assert!(word.is_some(), "the solver assigned this value to this request");
-            slots.push(ValueSlot { request, word: word.unwrap_or(u32::MAX) });
+            let found = shares[at].0.find(*cells, &words_before[at]);
+            debug_assert!(found.is_some(), "the solver assigned this value to this request");
+            let (word, bit) = found.unwrap_or((u32::MAX, None));
+            if bit.is_some() {
+                word_areas[at].insert(cells.area.symbol());
+            }
+            slots.push(ValueSlot { request, word: u16::try_from(word).unwrap_or(u16::MAX), bit });
         }
-        let planned = |((draft, _), values): (&solve::Share, usize)| {
+        let planned = |(((draft, _), values), word_areas): ((&solve::Share, usize), WordAreas)| {
             let (request_bytes, reply_bytes) = draft.bytes(&self.cost);
             let time = Duration::from_nanos(draft.cost(&self.cost));
-            Ok(PlannedRequest { request: draft.request()?, values, request_bytes, reply_bytes, time })
+            Ok(PlannedRequest { request: draft.request()?, values, request_bytes, reply_bytes, time, word_areas })
         };
-        let mut requests = shares.iter().zip(counts).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
+        let mut requests =
+            shares.iter().zip(counts).zip(word_areas).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
+        let order = order::distinct_order(&requests);
+        let mut place = vec![0; requests.len()];
+        for (at, request) in (0..).zip(&order) {
+            place[*request] = at;
+        }
+        slots.iter_mut().for_each(|slot: &mut ValueSlot| slot.request = place[slot.request as usize]);
+        requests = order.into_iter().map(|request| requests[request].clone()).collect();
+        let inputs = (self.fallbacks && requests.iter().any(PlannedRequest::may_have_fallback))
+            .then(|| Arc::new(PlanInputs { cost: self.cost, limits: self.limits, groups: self.groups }));
         let (mut tags, mut first_slot) = (self.tags, values.first_slot);
         // A poller keeps thousands of plans.
         requests.shrink_to_fit();
         tags.shrink_to_fit();
         first_slot.shrink_to_fit();
-        Ok(Plan { tags, first_slot, slots, requests })
+        Ok(Plan { tags, first_slot, slots, requests, inputs })
+    }
+
+    /// Distributes the values among requests: with words of discretes if that is cheaper.
+    fn solve(&self, values: &Values) -> Result<(Parts, Vec<solve::Share>), PlanError> {
+        let solved = |builder: &Self| {
+            let parts = builder.parts(values)?;
+            let shares = solve::solve(&parts.groups, &parts.single, &builder.limits, &self.cost);
+            Ok::<_, PlanError>((parts, shares))
+        };
+        let with_words = solved(self)?;
+        let (parts, shares) = &with_words;
+        // For few parts, the solver compares all plans; in the binary framing some are ambiguous.
+        let is_exact = parts.groups.len() + parts.single.len() <= solve::MAX_EXACT_PARTS;
+        let is_best = shares.len() == 1 || is_exact && self.cost.framing() == Framing::Ascii;
+        if is_best || !values.cells.iter().any(|cells| words::has_words(cells, &self.limits)) {
+            return Ok(with_words);
+        }
+        let limits = self.limits.clone().words_of_discretes(false);
+        let price = |shares: &[solve::Share]| shares.iter().map(|(draft, _)| draft.cost(&self.cost)).sum::<u64>();
+        let builder = Self { limits, ..self.clone() };
+        // Mostly the bound shows that no plan without words is cheaper, at a fraction of the time.
+        let is_dearer = |parts: &Parts| {
+            parts.groups.is_empty() && solve::least_cost(&parts.single, &builder.limits, &self.cost) >= price(shares)
+        };
+        if builder.parts(values).is_ok_and(|parts| is_dearer(&parts)) {
+            return Ok(with_words);
+        }
+        // A group may fit in a request by words only.
+        let Ok(without_words) = solved(&builder) else { return Ok(with_words) };
+        Ok(if price(&without_words.1) < price(shares) { without_words } else { with_words })
     }
 
     /// Divides the values into parts, each of which must come from one request.
@@ -124,7 +181,7 @@ impl PlanBuilder {
                 return Err(PlanError::OneScan {
                     first: self.tags[tags.start],
                     tags: tags.len(),
-                    units: layout::mixed_units(&part) as usize,
+                    units: words::fewest_units(&part, &self.limits, &self.cost) as usize,
                     max: self.limits.mixed_units() as usize,
                 });
             }
@@ -140,13 +197,23 @@ impl PlanBuilder {
         let mut sorted: Vec<(Cells, bool, usize)> =
             values.cells.iter().zip(&plain).enumerate().map(|(n, (cells, plain))| (*cells, *plain, n)).collect();
         sorted.sort_unstable_by_key(|(cells, plain, n)| (cells.key(), *plain, *n));
+        let in_words = self.words(values);
         let mut single: Vec<Cells> = Vec::with_capacity(sorted.len());
         // Sorted by first cell: if an earlier part contains the next value, the one with the
         // last end does.
         let mut farthest: Option<(Cells, usize)> = None;
+        // Words come behind discretes, so the number of a word that is a part of its own is not yet
+        // known.
+        let mut bits_of_words: Vec<(usize, usize)> = Vec::new();
         for (cells, plain, n) in sorted {
             let container = farthest.filter(|(other, _)| other.contains(cells));
             if plain {
+                if container.is_none()
+                    && let Some(word) = in_words.find(cells)
+                {
+                    bits_of_words.push((n, word));
+                    continue;
+                }
                 part_of[n] = container.map_or(groups.len() + single.len(), |(_, part)| part);
                 if container.is_none() {
                     single.push(cells);
@@ -156,7 +223,21 @@ impl PlanBuilder {
                 farthest = Some((cells, part_of[n]));
             }
         }
+        for (n, word) in bits_of_words {
+            part_of[n] = part_of[word];
+        }
         Ok(Parts { groups, single, part_of })
+    }
+
+    /// Returns the values that are words of discretes, which may be read with them.
+    fn words(&self, values: &Values) -> TagWords {
+        let mut words = TagWords::default();
+        for (n, cells) in values.cells.iter().enumerate() {
+            if cells.area.discrete().is_some_and(|discrete| self.limits.has_words_of(discrete)) {
+                words.by_address.extend(cells.addresses().map(|address| ((cells.area.symbol(), address), n)));
+            }
+        }
+        words
     }
 
     /// Texts outside of groups that are longer than a run, and so need a mixed read.
@@ -176,6 +257,26 @@ struct Values {
     cells: Vec<Cells>,
     /// For each tag, the index of its first value.
     first_slot: Vec<usize>,
+}
+
+/// The values that have words of discretes.
+#[derive(Default)]
+struct TagWords {
+    /// By symbol and address of the word, the number of a value with it.
+    by_address: HashMap<(Symbol, u16), usize>,
+}
+
+impl TagWords {
+    /// Returns the number of a value whose words contain this discrete.
+    fn find(&self, cells: Cells) -> Option<usize> {
+        if self.by_address.is_empty() || cells.area.width() != Width::Bit {
+            return None;
+        }
+        let address = cells.addresses().next()?;
+        let symbol = cells.area.symbol().area().word();
+        let word = |residue| self.by_address.get(&(symbol, words::word_address(address, residue)?)).copied();
+        word(0).or_else(|| word(8))
+    }
 }
 
 /// Groups and single values, each of which must come from one request.

@@ -13,7 +13,9 @@ use crate::wire::Framing;
 /// frame gap + response time + overhead + (bytes of the request + bytes of the reply) × byte time
 /// ```
 ///
-/// A plan takes the sum over its requests, because a link has one request in flight at a time.
+/// A plan takes the sum over its requests, because a link has one request in flight at a time. The
+/// sum is without the check of the link that ends a job of several requests, one short exchange; it
+/// is not sent if no other reply of the plan has the shape of the last one.
 ///
 /// ```
 /// use std::time::Duration;
@@ -57,12 +59,18 @@ impl CostModel {
     }
 
     /// Costs of a link: of its serial line if known, else of a network with a 5 ms round trip.
+    ///
+    /// The frame gap is that of the link. If its connections carry one request only, the quiet time
+    /// that proves each request counts as overhead. Otherwise the proof of a request costs nothing
+    /// if its neighbours have replies of other shapes, which is the order of a plan.
     #[must_use]
     pub fn of_link(link: &Link) -> Self {
-        match link.line() {
+        let model = match link.line() {
             Some(line) => Self::line(line, link.framing()),
             None => Self::network(link.framing(), DEFAULT_RESPONSE_TIME),
-        }
+        };
+        let [frame_gap, proof_gap] = link.request_gaps();
+        model.with_frame_gap(frame_gap).with_overhead(proof_gap)
     }
 
     /// Costs of a network with this round trip of a short request.

@@ -4,7 +4,8 @@ use std::cmp::Reverse;
 
 use super::ReadRequest;
 use super::cost::CostModel;
-use super::limits::Limits;
+use super::limits::{Limits, WORD_BITS};
+use super::words;
 use crate::command::{InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Discrete, Element, Register, Register32, Symbol, Width};
 
@@ -32,6 +33,14 @@ pub(super) struct Cells {
 }
 
 impl Area {
+    pub(super) fn symbol(self) -> Symbol {
+        self.symbol
+    }
+
+    pub(super) fn residue(self) -> u16 {
+        self.residue
+    }
+
     pub(super) fn width(self) -> Width {
         self.symbol.width()
     }
@@ -60,6 +69,12 @@ impl Area {
     /// Returns whether its cells have 32 bits. All other elements of 32 bits are two cells.
     fn has_counters_of_32_bits(self) -> bool {
         self.width() == Width::DWord
+    }
+
+    /// Returns the symbol of the discretes in its words; `None` for other areas.
+    pub(super) fn discrete(self) -> Option<Symbol> {
+        let smallest = self.symbol.area().smallest();
+        (self.width() == Width::Word && smallest.width() == Width::Bit).then_some(smallest)
     }
 
     fn element(self, symbol: Symbol, cell: u32) -> Result<Element, InvalidRequest> {
@@ -118,9 +133,47 @@ impl Cells {
     pub(super) fn must_split_from(self, next: Self, limits: &Limits) -> bool {
         let address = |cell: u32| self.area.address(cell);
         let listed = self.area.listed();
-        let gap = next.first > self.end() && limits.avoids_any(listed, address(self.end()), address(next.first - 1));
+        let has_gap = next.first > self.end();
+        let gap = has_gap && limits.avoids_any(listed, address(self.end()), address(next.first - 1));
         let end = self.end().max(next.end());
-        gap || (end > self.first + 1 && limits.must_split_within(listed, address(self.first + 1), address(end - 1)))
+        let split = |symbol, first, last| first <= last && limits.must_split_within(symbol, first, last);
+        if gap || (end > self.first + 1 && split(listed, address(self.first + 1), address(end - 1))) {
+            return true;
+        }
+        // Words have discretes in them, whose limits apply to the gap as well.
+        let Some(discrete) = self.area.discrete() else { return false };
+        let (first, last) = (self.address_of_bit(self.first, 0), self.address_of_bit(end - 1, WORD_BITS - 1));
+        // Without a gap, there may be no cell behind these.
+        let avoids_gap =
+            || !limits.allows_word_gap(discrete, self.address_of_bit(self.end(), 0), address(next.first) - 1);
+        (has_gap && avoids_gap()) || split(discrete, first.saturating_add(1), last)
+    }
+
+    /// Returns the address of a discrete in a word.
+    fn address_of_bit(self, cell: u32, bit: u16) -> u16 {
+        self.area.address(cell).saturating_add(bit)
+    }
+
+    /// Returns the cell with this address, which is one of its own.
+    pub(super) fn at(self, address: u16) -> Self {
+        Self { first: u32::from(address / self.area.step()), len: 1, ..self }
+    }
+
+    /// Returns the addresses of its cells.
+    pub(super) fn addresses(self) -> impl Iterator<Item = u16> {
+        (self.first..self.end()).map(move |cell| self.area.address(cell))
+    }
+
+    /// Returns the position of a discrete in these words: the cell and the bit. `None` if it is not
+    /// in them.
+    pub(super) fn find_bit(self, discrete: Self) -> Option<(u32, u8)> {
+        if self.area.discrete()? != discrete.area.symbol {
+            return None;
+        }
+        let from_first = discrete.first.checked_sub(u32::from(self.area.address(self.first)))?;
+        let cell = self.first + from_first / u32::from(WORD_BITS);
+        let bit = u8::try_from(from_first % u32::from(WORD_BITS)).ok()?;
+        (cell < self.end()).then_some((cell, bit))
     }
 
     /// Returns whether it contains all cells of `other`.
@@ -131,7 +184,7 @@ impl Cells {
 
 /// Returns whether no run may read all of these cells, which are sorted and of one area.
 fn must_split(cells: &[Cells], limits: &Limits) -> bool {
-    if limits.allows_any_run() {
+    if limits.has_no_ranges() {
         return false;
     }
     let Some((first, rest)) = cells.split_first() else { return false };
@@ -171,10 +224,12 @@ pub(super) fn mixed_units(cells: &[Cells]) -> u32 {
     stretches(cells).iter().map(|stretch| stretch.len * stretch.area.units()).sum()
 }
 
-/// Returns the bytes of the values of these cells in replies. The cells are sorted.
-pub(super) fn value_bytes(cells: &[Cells], cost: &CostModel) -> usize {
+/// Returns a lower bound of the bytes of these cells in replies. The cells are sorted.
+pub(super) fn least_value_bytes(cells: &[Cells], limits: &Limits, cost: &CostModel) -> usize {
+    let as_word = |stretch: &Cells| stretch.area.width() == Width::Bit && limits.has_words_of(stretch.area.symbol);
     let bytes = |s: Cells| usize::try_from(s.len).unwrap_or(usize::MAX) * cost.value_bytes(s.area.width());
-    stretches(cells).into_iter().map(bytes).sum()
+    let (discretes, others): (Vec<Cells>, Vec<Cells>) = stretches(cells).into_iter().partition(as_word);
+    others.into_iter().map(bytes).sum::<usize>() + words::least_value_bytes(&discretes, cells, cost)
 }
 
 /// A request in terms of cells.
@@ -196,10 +251,19 @@ impl Draft {
         (fits && !must_split(cells, limits)).then_some(Self::Run(run))
     }
 
+    /// Returns the cheapest mixed read of these cells, if there is one. They are sorted.
+    ///
+    /// Discretes are read as words where that is shorter, or where they would be too many.
+    pub(super) fn mixed(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Self> {
+        let with_words = words::cover(cells, limits, cost);
+        let with_words = with_words.and_then(|cells| Self::mixed_of(&cells, limits, cost));
+        with_words.or_else(|| Self::mixed_of(cells, limits, cost))
+    }
+
     /// Returns the mixed read of exactly these cells, if there is one. They are sorted.
     ///
     /// Neighbours are read in pairs: `DR0` is shorter than `R0 R1`.
-    pub(super) fn mixed(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Self> {
+    pub(super) fn mixed_of(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Self> {
         if mixed_units(cells) > limits.mixed_units() {
             return None;
         }
@@ -222,8 +286,9 @@ impl Draft {
     /// Returns the cheapest request for all of these cells, which are sorted.
     pub(super) fn cheapest(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Self> {
         let run = Self::run(cells, limits);
+        let words = words::runs(cells, limits, cost.framing());
         let mixed = Self::mixed(cells, limits, cost);
-        [run, mixed].into_iter().flatten().min_by_key(|draft| draft.cost(cost))
+        [run].into_iter().chain(words).chain([mixed]).flatten().min_by_key(|draft| draft.cost(cost))
     }
 
     /// Returns the cost of request and reply in nanoseconds.
@@ -269,19 +334,34 @@ impl Draft {
         }
     }
 
-    /// Returns the first word of these cells in the reply; `None` if they are not in it.
+    /// Returns the first word of these cells in the reply, and the bit of a discrete that is read
+    /// as part of a word; `None` if they are not in it.
     ///
     /// `words_before` is that of [`words_before`](Self::words_before).
-    pub(super) fn find(&self, cells: Cells, words_before: &[u32]) -> Option<u32> {
+    pub(super) fn find(&self, cells: Cells, words_before: &[u32]) -> Option<(u32, Option<u8>)> {
         match self {
-            Self::Run(run) => run.contains(cells).then(|| (cells.first - run.first) * run.area.words()),
+            Self::Run(run) if run.contains(cells) => Some(((cells.first - run.first) * run.area.words(), None)),
+            Self::Run(run) => run.find_bit(cells).map(|(cell, bit)| (cell - run.first, Some(bit))),
             Self::Mixed(items) => {
                 let after = items.partition_point(|item| (item.area, item.first) <= (cells.area, cells.first));
-                let n = after.checked_sub(1)?;
-                let (item, before) = (items.get(n)?, words_before.get(n)?);
-                let held = item.area == cells.area && cells.first < item.end();
-                held.then(|| before + (cells.first - item.first) * item.area.words())
+                let held = after.checked_sub(1).and_then(|n| Some((items.get(n)?, words_before.get(n)?)));
+                let held = held.filter(|(item, _)| item.area == cells.area && cells.first < item.end());
+                if let Some((item, before)) = held {
+                    return Some((before + (cells.first - item.first) * item.area.words(), None));
+                }
+                items.iter().zip(words_before).find_map(|(item, before)| {
+                    let (cell, bit) = item.find_bit(cells)?;
+                    Some((before + cell - item.first, Some(bit)))
+                })
             }
+        }
+    }
+
+    /// Returns the units of a mixed read; 0 for a run.
+    pub(super) fn mixed_units(&self) -> u32 {
+        match self {
+            Self::Run(_) => 0,
+            Self::Mixed(items) => items.iter().map(|item| item.len * item.area.units()).sum(),
         }
     }
 

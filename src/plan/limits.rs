@@ -1,6 +1,8 @@
 use super::PlanError;
+use super::words::WordAreas;
 use crate::command::{MAX_MIXED_READ_UNITS, MAX_POINTS, MAX_UNITS};
 use crate::element::{Element, Symbol, Width};
+use crate::wire::Framing;
 
 /// The limits of a PLC where they are lower than those of the protocol: lengths and addresses.
 ///
@@ -26,6 +28,10 @@ pub struct Limits {
     avoided: Ranges,
     /// The elements that no run reads together with the one before. Sorted.
     split_points: Vec<(Symbol, u16)>,
+    /// The areas whose discretes may be read as words.
+    word_areas: WordAreas,
+    /// Words of discretes begin at multiples of this.
+    word_alignment: u16,
 }
 
 /// Sorted ranges of elements; adjacent and overlapping ones are merged.
@@ -50,6 +56,8 @@ impl Limits {
             readable: Ranges::default(),
             avoided: Ranges::default(),
             split_points: Vec::new(),
+            word_areas: WordAreas::all(),
+            word_alignment: 8,
         }
     }
 
@@ -90,13 +98,50 @@ impl Limits {
         Self { max_mixed, ..self }
     }
 
+    /// Sets whether discretes X, Y, M and S may be read as bits of words, such as M0 to M15 as
+    /// `WM0`. Default: `true`.
+    ///
+    /// A word has the bytes of four discretes in a reply, or of two in the binary framing, and one unit
+    /// of a mixed read. It can
+    /// contain up to 15 discretes that no tag reads, all of them within the readable ranges and none
+    /// to avoid. `false` is for PLCs that refuse words of discretes: [`Plan::read`](super::Plan::read)
+    /// reads their discretes by a second request.
+    ///
+    /// ```
+    /// use fatek::endpoint::SerialSettings;
+    /// use fatek::plan::{CostModel, Limits, Plan};
+    /// use fatek::wire::Framing;
+    ///
+    /// let serial = CostModel::serial(SerialSettings::new(Framing::Ascii), Framing::Ascii);
+    /// let first = |limits| {
+    ///     let tags = ["M0-M255"].map(|tag| tag.parse().unwrap());
+    ///     let plan = Plan::builder(serial).limits(limits).tags(tags).build().unwrap();
+    ///     plan.requests()[0].request().to_string()
+    /// };
+    /// assert_eq!(first(Limits::new()), "46 WM0-WM240");
+    /// assert_eq!(first(Limits::new().words_of_discretes(false)), "44 M0-M255");
+    /// ```
+    #[must_use]
+    pub fn words_of_discretes(self, allowed: bool) -> Self {
+        Self { word_areas: if allowed { WordAreas::all() } else { WordAreas::default() }, ..self }
+    }
+
+    /// Sets whether discretes are read by words at multiples of 16 only: `true` is for devices that
+    /// refuse `WM8`. Default: `false`, for multiples of 8.
+    ///
+    /// Tags such as `WM8` are read all the same.
+    #[must_use]
+    pub fn words_at_multiples_of_16(self, only: bool) -> Self {
+        Self { word_alignment: if only { 16 } else { 8 }, ..self }
+    }
+
     /// Adds a readable range, from `first` to `last` inclusive.
     ///
     /// For a symbol with readable ranges, no request reads outside of them, neither for a tag nor
     /// in a gap. Symbols without a range are not limited. A range of `R` applies to `DR` too. A
-    /// range of `M` does not apply to `WM`, because a PLC may allow one and not the other. Counters
-    /// of 32 bits belong to `RC`: beside a range of `RC`, they need one such as `DRC200` to
-    /// `DRC255`.
+    /// range of `M` does not apply to a tag of `WM`, because a PLC may allow one and not the other;
+    /// a word that is read for discretes, or in a gap, is within the ranges of both. Counters of 32
+    /// bits belong to `RC`: beside a range of `RC`, they need one such as `DRC200` to `DRC255`.
     ///
     /// # Errors
     /// [`PlanError::Range`] unless both ends have one symbol of 1 or 16 bits, or are counters of 32
@@ -110,7 +155,8 @@ impl Limits {
     ///
     /// A tag in the range is read all the same. Use it for addresses that the PLC refuses or that
     /// should not be read needlessly. As with [`readable`](Self::readable), a range of `R` applies
-    /// to `DR` too, and a range of `M` does not apply to `WM`.
+    /// to `DR` too, and a range of `M` to words that are read for discretes or in a gap, but not to
+    /// a tag of `WM`.
     ///
     /// ```
     /// use std::time::Duration;
@@ -170,6 +216,41 @@ impl Limits {
         }
     }
 
+    /// Excludes words of the discretes of these areas.
+    pub(crate) fn without_words(self, areas: WordAreas) -> Self {
+        Self { word_areas: self.word_areas.without(areas), ..self }
+    }
+
+    /// Returns whether discretes with this symbol may be read as words.
+    pub(super) fn has_words_of(&self, discrete: Symbol) -> bool {
+        self.word_areas.contains(discrete)
+    }
+
+    /// Returns whether discretes may be read as words at addresses with this residue modulo 16.
+    pub(super) fn allows_words_at(&self, residue: u16) -> bool {
+        residue.is_multiple_of(self.word_alignment)
+    }
+
+    /// Returns whether the word at this address may be read for discretes with this symbol.
+    pub(super) fn allows_word(&self, discrete: Symbol, address: u16, framing: Framing) -> bool {
+        let word = discrete.area().word();
+        self.has_words_of(discrete)
+            && address <= word.last_address_in(framing)
+            && (self.has_no_ranges() || self.allows_word_gap(discrete, address, address + (WORD_BITS - 1)))
+            && self.segment(word, address).is_some()
+            // A word that overlaps the other one.
+            && !self.avoids_any(word, address.saturating_sub(WORD_BITS - 1), address.saturating_add(WORD_BITS - 1))
+    }
+
+    /// Returns whether the discretes from `first` to `last` may be read although no tag has them.
+    pub(super) fn allows_word_gap(&self, discrete: Symbol, first: u16, last: u16) -> bool {
+        let segment = self.segment(discrete, first);
+        segment.is_some()
+            && segment == self.segment(discrete, last)
+            && !self.avoids_any(discrete, first, last)
+            && !(first < last && self.must_split_within(discrete, first + 1, last))
+    }
+
     /// Returns the maximum of units in a run of elements of this width.
     pub(super) fn units(&self, width: Width) -> u32 {
         as_u32(if width == Width::Bit { self.max_points } else { self.max_registers })
@@ -217,9 +298,9 @@ impl Limits {
         self.split_points.get(at).is_some_and(|split| *split <= (symbol, last))
     }
 
-    /// Returns whether nothing is to be avoided and there are no split points.
-    pub(super) fn allows_any_run(&self) -> bool {
-        self.avoided.0.is_empty() && self.split_points.is_empty()
+    /// Returns whether there are no readable ranges, nothing to avoid and no split points.
+    pub(super) fn has_no_ranges(&self) -> bool {
+        self.readable.0.is_empty() && self.avoided.0.is_empty() && self.split_points.is_empty()
     }
 }
 
@@ -260,6 +341,9 @@ impl Default for Limits {
         Self::new()
     }
 }
+
+/// The number of discretes in a word.
+pub(super) const WORD_BITS: u16 = 16;
 
 /// A limit, which is at most that of the protocol.
 fn as_u32(limit: usize) -> u32 {

@@ -1,3 +1,4 @@
+use super::read::RequestResult;
 use super::reply::ReplyWords;
 use super::{Plan, ValueSlot};
 use crate::command::Value;
@@ -24,13 +25,43 @@ use crate::tag::{Tag, TagValue};
 #[derive(Clone, Debug)]
 pub struct PlanReadings<'p, E> {
     plan: &'p Plan,
-    /// One for each request.
+    /// One for each request, and those of the requests in place of refused ones.
     replies: Vec<Result<ReplyWords, E>>,
+    /// For each further reply, the request that was refused.
+    refused: Vec<usize>,
+    /// The places of all values, if some differ from those of the plan.
+    slots: Option<Vec<ValueSlot>>,
 }
 
 impl<'p, E> PlanReadings<'p, E> {
     pub(super) fn new(plan: &'p Plan, replies: Vec<Result<ReplyWords, E>>) -> Self {
-        Self { plan, replies }
+        Self { plan, replies, refused: Vec::new(), slots: None }
+    }
+
+    /// Results of which some are those of other requests, in place of a refused one.
+    pub(super) fn with_fallbacks(plan: &'p Plan, results: Vec<RequestResult<E>>) -> Self {
+        let mut readings = Self::new(plan, Vec::with_capacity(results.len()));
+        let mut fallbacks = Vec::new();
+        for (request, result) in results.into_iter().enumerate() {
+            readings.replies.push(result.reply);
+            fallbacks.extend(result.fallbacks.into_iter().map(|fallback| (request, fallback)));
+        }
+        for (request, (fallback, replies)) in fallbacks {
+            let slots = readings.slots.get_or_insert_with(|| plan.slots.clone());
+            let first = u32::try_from(readings.replies.len()).unwrap_or(u32::MAX);
+            for (value, slot) in fallback.values.iter().zip(&fallback.plan.slots) {
+                if let Some(moved) = slots.get_mut(*value) {
+                    *moved = ValueSlot { request: first.saturating_add(slot.request), ..*slot };
+                }
+            }
+            let is_left = slots.iter().any(|slot| slot.request as usize == request);
+            if let Some(reply) = readings.replies.get_mut(request).filter(|_| !is_left) {
+                *reply = Ok(ReplyWords::Words(Vec::new()));
+            }
+            readings.refused.extend(replies.iter().map(|_| request));
+            readings.replies.extend(replies);
+        }
+        readings
     }
 
     /// Returns the values of the tag with this index, or the error of its first failed request.
@@ -46,13 +77,19 @@ impl<'p, E> PlanReadings<'p, E> {
     }
 
     /// Iterates over the requests that failed: their index in [`Plan::requests`] and the error.
+    ///
+    /// A refused request whose values were read by others is none of them. If these fail, each error
+    /// is one of the refused request.
     pub fn errors(&self) -> impl Iterator<Item = (usize, &E)> {
-        self.replies.iter().enumerate().filter_map(|(n, reply)| Some((n, reply.as_ref().err()?)))
+        let requests = (0..self.plan.requests.len()).chain(self.refused.iter().copied());
+        requests.zip(&self.replies).filter_map(|(n, reply)| Some((n, reply.as_ref().err()?)))
     }
 
     fn values(&self, index: usize, tag: &Tag) -> Result<Vec<TagValue>, &E> {
         let mut raw = Vec::with_capacity(tag.element_count());
-        for slot in self.plan.slots(index).unwrap_or_default() {
+        let slots = self.slots.as_ref().unwrap_or(&self.plan.slots);
+        let range = self.plan.slot_range(index).unwrap_or_default();
+        for slot in slots.get(range).unwrap_or_default() {
             self.value(tag, *slot, &mut raw)?;
         }
         // Number and width of the elements are those of the tag.
@@ -64,7 +101,7 @@ impl<'p, E> PlanReadings<'p, E> {
     fn value(&self, tag: &Tag, slot: ValueSlot, raw: &mut Vec<Value>) -> Result<(), &E> {
         let words = self.replies[slot.request as usize].as_ref()?;
         // The link and `Plan::scatter` check the length of each reply.
-        let taken = tag.append_value(words, slot.word as usize, raw);
+        let taken = tag.append_value(words, slot, raw);
         debug_assert!(taken.is_some(), "a reply matches its request");
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Replies, and the words of them that tags decode.
 
-use super::ReadRequest;
+use super::{ReadRequest, ValueSlot};
 use crate::command::Value;
 use crate::element::Width;
 use crate::tag::Tag;
@@ -90,13 +90,16 @@ impl Tag {
         words_per_element * self.elements_per_value()
     }
 
-    /// Appends the elements of one value, from word `at` of a reply on, to `raw`.
+    /// Appends the elements of one value, from its place in a reply on, to `raw`.
     ///
     /// Returns `None` if the reply is too short.
-    pub(super) fn append_value(&self, words: &ReplyWords, at: usize, raw: &mut Vec<Value>) -> Option<()> {
-        let word = |n: usize| words.word(at.checked_add(n)?);
+    pub(super) fn append_value(&self, words: &ReplyWords, slot: ValueSlot, raw: &mut Vec<Value>) -> Option<()> {
+        let word = |n: usize| words.word(usize::from(slot.word).checked_add(n)?);
         match self.first().width() {
-            Width::Bit => raw.push(Value::Bit(word(0)? != 0)),
+            Width::Bit => raw.push(Value::Bit(match slot.bit {
+                None => word(0)? != 0,
+                Some(bit) => word(0)?.checked_shr(bit.into())? & 1 == 1,
+            })),
             Width::Word => {
                 for n in 0..self.words_per_value() {
                     raw.push(Value::Word(word(n)?));

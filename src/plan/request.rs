@@ -2,7 +2,8 @@ use std::fmt;
 use std::time::Duration;
 
 use super::Reply;
-use crate::command::{Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
+use super::words::WordAreas;
+use crate::command::{Code, Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Element, Register, Register32};
 use crate::error::Error;
 use crate::link::{CallOutcome, Purpose};
@@ -17,6 +18,8 @@ pub struct PlannedRequest {
     pub(super) request_bytes: usize,
     pub(super) reply_bytes: usize,
     pub(super) time: Duration,
+    /// The areas of the discretes that it reads as bits of words.
+    pub(super) word_areas: WordAreas,
 }
 
 /// A request that reads elements, of one of four kinds.
@@ -56,6 +59,21 @@ impl PlannedRequest {
     #[must_use]
     pub fn time(&self) -> Duration {
         self.time
+    }
+
+    /// Returns whether it reads discretes as bits of words, such as M0 to M15 as `WM0`.
+    ///
+    /// A PLC may refuse these words although it accepts the discretes.
+    #[must_use]
+    pub fn has_words_of_discretes(&self) -> bool {
+        !self.word_areas.is_empty()
+    }
+}
+
+impl PlannedRequest {
+    /// Returns whether a PLC may refuse the request and accept others with the same values.
+    pub(super) fn may_have_fallback(&self) -> bool {
+        self.has_words_of_discretes() || self.request.code() == Code::ReadMixed
     }
 }
 
@@ -104,6 +122,15 @@ impl ReadRequest {
             Self::Registers32(request) => job.call(mark, *request, false).await?.map(Reply::DWords),
             Self::Mixed(request) => job.call(mark, request.clone(), false).await?.map(Reply::Mixed),
         })
+    }
+
+    /// Returns the command.
+    pub(super) fn code(&self) -> Code {
+        match self {
+            Self::Discretes(_) => Code::ReadDiscretes,
+            Self::Registers(_) | Self::Registers32(_) => Code::ReadRegisters,
+            Self::Mixed(_) => Code::ReadMixed,
+        }
     }
 
     /// Checks that the request is valid and unambiguous in this framing.

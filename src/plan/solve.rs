@@ -1,10 +1,16 @@
 //! The solver: distributes parts among requests at minimum cost.
 
-use std::collections::VecDeque;
+mod area;
+mod discretes;
 
+use std::borrow::Cow;
+
+use self::area::solve_area;
+use self::discretes::Candidates;
 use super::cost::CostModel;
-use super::layout::{self, Cells, Draft, ItemCost};
+use super::layout::{self, Cells, Draft};
 use super::limits::Limits;
+use super::words;
 
 /// The maximum number of parts for which all partitions are compared.
 pub(super) const MAX_EXACT_PARTS: usize = 8;
@@ -29,14 +35,20 @@ pub(super) fn solve(groups: &[Part], values: &[Cells], limits: &Limits, cost: &C
     }
 }
 
+fn price_of(shares: &[Share], cost: &CostModel) -> u64 {
+    shares.iter().map(|(draft, _)| draft.cost(cost)).sum()
+}
+
 /// Returns a single request for all parts if two requests cannot be cheaper.
 ///
 /// Two requests have the bytes of all values and twice the overhead. This quick test succeeds for
 /// most small sets.
-fn single_request(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Share> {
+pub(super) fn single_request(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Share> {
     let cells = sorted(groups.iter().flatten().chain(values));
     let draft = Draft::cheapest(&cells, limits, cost)?;
-    let two = mixed_overhead(cost).saturating_mul(2).saturating_add(cost.bytes_cost(layout::value_bytes(&cells, cost)));
+    let two = mixed_overhead(cost)
+        .saturating_mul(2)
+        .saturating_add(cost.bytes_cost(layout::least_value_bytes(&cells, limits, cost)));
     (draft.cost(cost) <= two).then(|| (draft, (0..groups.len() + values.len()).collect()))
 }
 
@@ -89,10 +101,11 @@ pub(super) fn solve_large(groups: &[Part], values: &[Cells], limits: &Limits, co
     let rest: Vec<(usize, Cells)> = values.iter().enumerate().map(|(n, &value)| (first_value + n, value)).collect();
     let rest = absorb_into_runs(rest, &mut shares);
 
+    let candidates = discretes::candidates(&rest, limits, cost);
     let mut best: Option<(u64, Outcome)> = None;
     let mut consider = |unit_price: Option<u64>| {
-        let outcome = pack_values(&rest, unit_price, &open_bins, limits, cost);
-        let price = outcome.iter().map(|(draft, _)| draft.cost(cost)).sum::<u64>();
+        let outcome = pack_values((&rest, &candidates), unit_price, &open_bins, limits, cost);
+        let price = price_of(&outcome, cost);
         if best.as_ref().is_none_or(|(cheapest, _)| price < *cheapest) {
             best = Some((price, outcome));
         }
@@ -108,6 +121,17 @@ pub(super) fn solve_large(groups: &[Part], values: &[Cells], limits: &Limits, co
         shares.extend(outcome);
     }
     shares
+}
+
+/// Returns a lower bound of the cost of any plan for these values without words of discretes.
+///
+/// A mixed read has its fixed cost and at most as many units as the limits allow, so each unit costs
+/// at least its share. The dynamic program is exact for that price.
+pub(super) fn least_cost(values: &[Cells], limits: &Limits, cost: &CostModel) -> u64 {
+    let values: Vec<(usize, Cells)> = values.iter().copied().enumerate().collect();
+    let unit_price = mixed_overhead(cost).checked_div(limits.mixed_units().into());
+    let areas = values.chunk_by(|(_, a), (_, b)| a.area == b.area);
+    areas.map(|area| solve_area(area, unit_price, limits, cost, &mut Vec::new(), &mut Vec::new())).sum()
 }
 
 /// A mixed read that is being filled.
@@ -143,21 +167,23 @@ fn place_groups(groups: &[Part], limits: &Limits, cost: &CostModel) -> (Vec<Shar
             Some(Draft::Run(run)) => runs.push((run, vec![n])),
             Some(Draft::Mixed(_)) | None => {
                 // Only the last few bins, so that the time stays linear.
-                let fits = |bin: &&mut Bin| {
+                let with_group = |bin: &Bin| {
                     let cells = sorted(bin.cells.iter().chain(group));
-                    bin.units + units(group) <= limits.mixed_units() && Draft::mixed(&cells, limits, cost).is_some()
+                    Draft::mixed(&cells, limits, cost).map(|draft| draft.mixed_units())
                 };
-                let bin = match bins.iter_mut().rev().take(8).find(fits) {
-                    Some(bin) => bin,
+                let mut open = bins.iter_mut().rev().take(8);
+                let (bin, units) = match open.find_map(|bin| with_group(bin).map(|units| (bin, units))) {
+                    Some(found) => found,
                     None => {
+                        let units = with_group(&Bin::default()).unwrap_or(0);
                         bins.push(Bin::default());
                         let last = bins.len() - 1;
-                        &mut bins[last]
+                        (&mut bins[last], units)
                     }
                 };
                 bin.parts.push(n);
                 bin.cells.extend(group);
-                bin.units += units(group);
+                bin.units = units;
             }
         }
     }
@@ -196,6 +222,74 @@ fn absorb_into_runs(values: Vec<(usize, Cells)>, shares: &mut [Share]) -> Vec<(u
 
 /// Returns one outcome: runs where they are cheaper, and mixed reads of the remaining values.
 fn pack_values(
+    values: (&[(usize, Cells)], &[Candidates]),
+    unit_price: Option<u64>,
+    open: &[Bin],
+    limits: &Limits,
+    cost: &CostModel,
+) -> Outcome {
+    let (values, words) = with_words(values, unit_price, limits, cost);
+    let mut shares = pack_chosen(&values, unit_price, open, limits, cost);
+    if !words.parts.is_empty() {
+        shares.iter_mut().for_each(|(_, parts)| words.expand(parts));
+    }
+    shares
+}
+
+/// Words that are read for discretes, as values with numbers of their own.
+struct WordValues {
+    first: usize,
+    /// For each word, the numbers of its discretes.
+    parts: Vec<Vec<usize>>,
+}
+
+impl WordValues {
+    /// Replaces words by their discretes.
+    fn expand(&self, parts: &mut Vec<usize>) {
+        let numbers = std::mem::take(parts);
+        for n in numbers {
+            match n.checked_sub(self.first).and_then(|word| self.parts.get(word)) {
+                Some(discretes) => parts.extend(discretes),
+                None => parts.push(n),
+            }
+        }
+    }
+}
+
+/// Replaces discretes by words where that is cheaper. The values are sorted, before and after.
+fn with_words<'v>(
+    (values, candidates): (&'v [(usize, Cells)], &[Candidates]),
+    unit_price: Option<u64>,
+    limits: &Limits,
+    cost: &CostModel,
+) -> (Cow<'v, [(usize, Cells)]>, WordValues) {
+    let first = values.iter().map(|(n, _)| n + 1).max().unwrap_or(0);
+    let mut words = WordValues { first, parts: Vec::new() };
+    if !values.iter().any(|(_, value)| words::has_words(value, limits)) {
+        return (Cow::Borrowed(values), words);
+    }
+    let mut chosen = Vec::with_capacity(values.len());
+    let mut rest = candidates;
+    for area in values.chunk_by(|(_, a), (_, b)| a.area == b.area) {
+        let (candidates, others) = rest.split_at(area.len());
+        rest = others;
+        if area.first().is_some_and(|(_, value)| words::has_words(value, limits)) {
+            let choice = discretes::choose_words((area, candidates), unit_price, limits, cost);
+            chosen.extend(choice.discretes);
+            for (word, discretes) in choice.words {
+                chosen.push((first + words.parts.len(), word));
+                words.parts.push(discretes);
+            }
+        } else {
+            chosen.extend_from_slice(area);
+        }
+    }
+    chosen.sort_by_key(|(_, value)| value.key());
+    (Cow::Owned(chosen), words)
+}
+
+/// Returns one outcome for values that are read as they are.
+fn pack_chosen(
     values: &[(usize, Cells)],
     unit_price: Option<u64>,
     open: &[Bin],
@@ -284,122 +378,4 @@ fn pack_mixed(values: &[(usize, Cells)], limits: &Limits, cost: &CostModel, shar
         }
         _ => shares.extend(runs),
     }
-}
-
-/// How the last of the values considered so far is read.
-#[derive(Clone, Copy)]
-enum ReadMode {
-    /// At the end of a run that begins with the value `from`.
-    Run { from: usize },
-    /// In a mixed read, behind values with this tail.
-    Mixed { before: Tail },
-}
-
-/// The end of the values considered so far: a run, or a stretch of cells of even or odd length in a
-/// mixed read.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Tail {
-    Run,
-    Even,
-    Odd,
-}
-
-/// Finds the cheapest way to read the values of one area: appends runs to `shares`, and the values
-/// for mixed reads to `left`.
-///
-/// `unit_price` is the price of a unit of a mixed read without bytes; `None`: no mixed reads.
-///
-/// Values are sorted and none contains another. In an optimum the values of a run are consecutive:
-/// where two runs overlap, one of them can read all common values. `costs[i]` is the cost of the
-/// first `i` values for each tail. A monotonic queue has the best start of a run, because the cost
-/// of a run is linear in its length: O(n).
-fn solve_area(
-    values: &[(usize, Cells)],
-    unit_price: Option<u64>,
-    limits: &Limits,
-    cost: &CostModel,
-    shares: &mut Outcome,
-    left: &mut Vec<(usize, Cells)>,
-) {
-    let Some((_, first)) = values.first() else { return };
-    let area = first.area;
-    let max_run = area.max_run(limits);
-    let (run_fixed, per_cell) = {
-        let one = Draft::Run(Cells { len: 1, ..*first }).cost(cost);
-        let cell = cost.bytes_cost(cost.value_bytes(area.width()));
-        (one - cell, cell)
-    };
-    let item = ItemCost::new(area, cost);
-    let cell_price = unit_price.map(|price| price.saturating_mul(u64::from(area.units())));
-
-    const INFINITE: u64 = u64::MAX / 4;
-    // Indexed by `Tail`.
-    let mut costs = vec![[0, INFINITE, INFINITE]];
-    let mut modes: Vec<[ReadMode; 3]> = Vec::with_capacity(values.len());
-    let mut run_starts: VecDeque<(u64, usize)> = VecDeque::new();
-    let distance = |cell: u32| u64::from(cell - first.first) * per_cell;
-    // Added to keep the keys positive: cells before the start of a run are not read.
-    let all = distance(values.last().map_or(first.first, |(_, last)| last.first));
-
-    for (i, (_, value)) in values.iter().enumerate() {
-        let before = costs[i];
-        let cheapest = before.into_iter().min().unwrap_or(INFINITE);
-        let key = cheapest + (all - distance(value.first));
-        if i > 0 && !limits.allows_any_run() && values[i - 1].1.must_split_from(*value, limits) {
-            run_starts.clear();
-        }
-        while run_starts.back().is_some_and(|(worse, _)| *worse >= key) {
-            run_starts.pop_back();
-        }
-        run_starts.push_back((key, i));
-        while run_starts.front().is_some_and(|(_, from)| value.end() - values[*from].1.first > max_run) {
-            run_starts.pop_front();
-        }
-        let (run, from) = match run_starts.front() {
-            Some((key, from)) => (*key + run_fixed + distance(value.end()) - all, *from),
-            None => (INFINITE, i),
-        };
-        let mut here = [run, INFINITE, INFINITE];
-        let mut mode = [ReadMode::Run { from }; 3];
-        let fits = value.len * area.units() <= limits.mixed_units();
-        if let Some(cell_price) = cell_price.filter(|_| fits) {
-            let neighbour = i > 0 && value.first <= values[i - 1].1.end();
-            for tail in [Tail::Run, Tail::Even, Tail::Odd] {
-                let continues = neighbour && tail != Tail::Run;
-                let new = if continues { value.end() - values[i - 1].1.end() } else { value.len };
-                let odd = continues && tail == Tail::Odd;
-                let price = before[tail as usize] + item.cost(new, odd) + cell_price * u64::from(new);
-                let now = if (new % 2 == 1) == odd { 1 } else { 2 };
-                if price < here[now] {
-                    here[now] = price;
-                    mode[now] = ReadMode::Mixed { before: tail };
-                }
-            }
-        }
-        costs.push(here);
-        modes.push(mode);
-    }
-
-    // Traces the decisions back from the last value.
-    let mut at = values.len();
-    let cheapest = |costs: &[u64; 3]| (0..3).min_by_key(|n| costs[*n]).unwrap_or(0);
-    let mut tail = cheapest(&costs[at]);
-    let mut mixed = Vec::new();
-    while at > 0 {
-        match modes[at - 1][tail] {
-            ReadMode::Run { from } => {
-                let (start, end) = (values[from].1, values[at - 1].1);
-                let run = Cells { len: end.end() - start.first, ..start };
-                shares.push((Draft::Run(run), values[from..at].iter().map(|(n, _)| *n).collect()));
-                at = from;
-                tail = cheapest(&costs[at]);
-            }
-            ReadMode::Mixed { before } => {
-                at -= 1;
-                mixed.push(values[at]);
-                tail = before as usize;
-            }
-        }
-    }
-    left.extend(mixed.into_iter().rev());
 }

@@ -12,7 +12,10 @@ use crate::random::Random;
 use crate::tag::TagType;
 use crate::wire::Framing;
 
+mod addresses;
+mod enumerate;
 mod texts;
+mod words;
 
 /// Random choices. Failed tests print the seed.
 struct Choices(Random);
@@ -101,8 +104,12 @@ fn text(first: Element, registers: usize) -> Tag {
     (1..=registers).rev().find_map(|registers| Tag::spanning(first, TagType::Text, registers).ok()).unwrap()
 }
 
-/// A word of the simulated memory.
+/// A word of the simulated memory. Words of discretes consist of these.
 fn word(symbol: Symbol, address: u16) -> u16 {
+    let smallest = symbol.area().smallest();
+    if smallest.width() == Width::Bit && symbol != smallest {
+        return (0..16).map(|bit| (word(smallest, address + bit) & 1) << bit).sum();
+    }
     let mut random = Choices(Random::new(u64::from(address) << 8 | symbol as u64));
     u16::try_from(random.below(65_536)).unwrap()
 }
@@ -214,13 +221,18 @@ fn brute_force(parts: &[Vec<Cells>], limits: &Limits, model: &CostModel) -> u64 
     go(parts, &mut Vec::new(), (limits, model))
 }
 
+fn words_are_read(cells: &Cells, limits: &Limits) -> bool {
+    super::words::has_words(cells, limits)
+}
+
 /// Returns the parts of single values, as the module defines them, by comparing all pairs.
 fn parts(tags: &[Tag], limits: &Limits) -> Vec<Vec<Cells>> {
     let cells: Vec<Cells> =
         tags.iter().map(|tag| Cells::of(tag.first(), tag.element_count(), limits).unwrap()).collect();
     let mut kept: Vec<Cells> = Vec::new();
     for (n, one) in cells.iter().enumerate() {
-        let held = |(m, other): (usize, &Cells)| other.contains(*one) && (other != one || m < n);
+        let in_word = |other: &Cells| words_are_read(one, limits) && other.find_bit(*one).is_some();
+        let held = |(m, other): (usize, &Cells)| other.contains(*one) && (other != one || m < n) || in_word(other);
         if !cells.iter().enumerate().any(held) {
             kept.push(*one);
         }
@@ -234,6 +246,8 @@ fn no_partition_is_cheaper_than_the_plan_for_up_to_8_tags() {
     for seed in 0..300 {
         let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), limits()[random.below(4)].clone());
+        // `words` compares plans with words of discretes.
+        let limits = limits.words_of_discretes(false);
         // 8 tags have 4140 partitions (a Bell number), which is slow in a debug build.
         let n = if seed % 30 == 0 { 8 } else { 1 + random.below(6) };
         let tags: Vec<Tag> = (0..n).map(|_| random_tag(&mut random)).collect();
@@ -279,6 +293,7 @@ fn the_solver_for_many_values_is_optimal_where_documented() {
     for seed in 0..2000 {
         let mut random = Choices(Random::new(seed));
         let (model, limits) = (random.one(&models()), limits()[random.below(4)].clone());
+        let limits = limits.words_of_discretes(false);
         let n = 1 + random.below(8);
         let tags: Vec<Tag> = (0..n).map(|_| random_tag(&mut random)).collect();
         let values = parts(&tags, &limits).concat();
@@ -306,7 +321,7 @@ fn cells_added_to_a_mixed_read_cost_as_much_as_its_elements() {
         for first in ["R0", "WM0", "RC0", "DRC0", "DRC200", "M0"].map(|first| first.parse().unwrap()) {
             let one = Cells::of(first, 1, &Limits::new()).unwrap();
             let item = layout::ItemCost::new(one.area, &model);
-            let mixed = |len| Draft::mixed(&[Cells { len, ..one }], &Limits::new(), &model).unwrap().cost(&model);
+            let mixed = |len| Draft::mixed_of(&[Cells { len, ..one }], &Limits::new(), &model).unwrap().cost(&model);
             for (before, more) in (1..16).flat_map(|before| (1..16).map(move |more| (before, more))) {
                 let cost = mixed(before) + item.cost(more, before % 2 == 1);
                 assert_eq!(cost, mixed(before + more), "{first}, {before} and {more}, {model:?}");
@@ -464,46 +479,4 @@ fn a_plan_without_tags_has_no_requests() {
     assert_eq!((plan.requests().len(), plan.time()), (0, Duration::ZERO));
     let whole = vec![tag("R0-R65535"); 17];
     assert_eq!(Plan::builder(network).tags(whole).build().unwrap_err(), PlanError::TooManyValues { max: MAX_VALUES });
-}
-
-/// Before: a run of `RC` read through counters of 32 bits, and counters were read as a run.
-#[test]
-fn counters_of_32_bits_are_planned_one_by_one() {
-    for model in models() {
-        let plan = |limits: Limits, tags: &[&str]| {
-            let tags = tags.iter().map(|text| tag(text));
-            let plan = Plan::builder(model).limits(limits).tags(tags).build().unwrap();
-            check(&plan, &model, &Limits::new(), "counters");
-            let mut requests: Vec<_> = plan.requests().iter().map(|planned| planned.request().to_string()).collect();
-            requests.sort();
-            requests
-        };
-        let mixed = plan(Limits::new(), &["RC199", "DRC200-DRC205", "RC256"]);
-        assert_eq!(mixed, ["48 RC199 RC256 DRC200 DRC201 DRC202 DRC203 DRC204 DRC205"]);
-        let single = plan(Limits::new().mixed_reads(false), &["RC198-RC199", "DRC200-DRC202", "RC256"]);
-        assert_eq!(single, ["46 DRC200", "46 DRC201", "46 DRC202", "46 RC198-RC199", "46 RC256"]);
-        let pairs = plan(Limits::new().mixed_reads(false), &["DRC196-DRC198", "DRC256"]);
-        assert_eq!(pairs, ["46 RC196-RC199", "46 RC256-RC257"]);
-    }
-    let model = models()[0];
-    let build = |limits| Plan::builder(model).limits(limits).tag(tag("DRC200-DRC255")).build();
-    let counters = Limits::new().readable(Element::parse("RC0").unwrap(), Element::parse("RC199").unwrap()).unwrap();
-    assert!(matches!(build(counters.clone()), Err(PlanError::NotReadable { .. })));
-    let range = ["DRC200", "DRC255"].map(|text| Element::parse(text).unwrap());
-    assert!(build(counters.readable(range[0], range[1]).unwrap()).is_ok());
-}
-
-/// Before: no tag had such an address.
-#[test]
-fn a_plan_has_addresses_of_its_framing_only() {
-    let plan = |framing, text| {
-        let network = CostModel::network(framing, Duration::from_millis(5));
-        Plan::builder(network).tag(tag(text)).build()
-    };
-    for text in ["M10000", "M9990-M10000", "WM9992", "DRT9999", "RC9999:f32"] {
-        assert!(plan(Framing::Binary, text).is_ok(), "{text}");
-        let error = plan(Framing::Ascii, text).unwrap_err().to_string();
-        assert!(error.contains("past the last address of the ascii framing"), "{text}: {error}");
-    }
-    assert!(plan(Framing::Ascii, "M9990-M9999").is_ok());
 }

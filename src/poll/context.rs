@@ -6,7 +6,7 @@ use super::learned_limit::LearnedLimits;
 use super::plan_cache::PlanCache;
 use super::tag_map::TagMap;
 use super::tag_state::TagState;
-use crate::plan::{Limits, PlanError};
+use crate::plan::{Limits, PlanError, WordAreas};
 use crate::tag::Tag;
 
 /// The tags, limits and costs of one station: everything a plan depends on.
@@ -69,28 +69,41 @@ impl StationContext {
         }
     }
 
-    /// Plans these parts with the learned limits and without runs through refused tags.
-    pub(super) fn plan(&mut self, parts: &[TagPart]) -> Result<CompiledPlan, PlanError> {
+    /// Plans these parts with the learned limits, without runs through refused tags, and without words
+    /// of the discretes of these areas.
+    pub(super) fn plan(&mut self, parts: &[TagPart], no_words: WordAreas) -> Result<CompiledPlan, PlanError> {
+        if !no_words.is_empty() {
+            return self.compile(parts, &self.restricted_limits().without_words(no_words));
+        }
         let cost = self.latency.cost();
         if self.learned_limits.is_empty() && !self.tag_map.values().any(TagState::is_refused) {
             return CompiledPlan::new(parts, &self.tag_map, &self.limits, &cost, &self.plan_cache);
         }
-        let limits = self.effective_limits.get_or_insert_with(|| {
-            let refused = self.tag_map.values().filter(|state| state.is_refused());
-            let refused = refused.map(|state| (state.tag.first(), state.tag.element_count()));
-            Box::new(self.learned_limits.apply(&self.limits).avoid_all(refused))
-        });
+        let limits = self.effective_limits.take().unwrap_or_else(|| Box::new(self.restricted_limits()));
+        let limits = self.effective_limits.insert(limits);
         CompiledPlan::new(parts, &self.tag_map, limits, &cost, &self.plan_cache)
     }
 
-    /// Plans these parts without the learned limits, which may stem from other kinds of requests.
-    pub(super) fn plan_with_configured_limits(&self, parts: &[TagPart]) -> Result<CompiledPlan, PlanError> {
-        self.compile(parts, &self.limits)
+    /// Plans these parts without the learned limits, which may stem from other kinds of requests, and
+    /// without words of the discretes of these areas.
+    pub(super) fn plan_with_configured_limits(
+        &self,
+        parts: &[TagPart],
+        no_words: WordAreas,
+    ) -> Result<CompiledPlan, PlanError> {
+        self.compile(parts, &Limits::clone(&self.limits).without_words(no_words))
     }
 
-    /// Plans these parts by runs alone.
-    pub(super) fn plan_runs(&self, parts: &[TagPart]) -> Result<CompiledPlan, PlanError> {
-        self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false))
+    /// Plans these parts by runs alone, without words of the discretes of these areas.
+    pub(super) fn plan_runs(&self, parts: &[TagPart], no_words: WordAreas) -> Result<CompiledPlan, PlanError> {
+        self.compile(parts, &Limits::clone(&self.limits).mixed_reads(false).without_words(no_words))
+    }
+
+    /// Returns the configured limits with the learned ones, and with refused tags avoided.
+    fn restricted_limits(&self) -> Limits {
+        let refused = self.tag_map.values().filter(|state| state.is_refused());
+        let refused = refused.map(|state| (state.tag.first(), state.tag.element_count()));
+        self.learned_limits.apply(&self.limits).avoid_all(refused)
     }
 
     fn compile(&self, parts: &[TagPart], limits: &Limits) -> Result<CompiledPlan, PlanError> {

@@ -15,6 +15,11 @@
 //!   own. A tag or group that is refused alone is at fault and is not read further. If neither half
 //!   contains one, the request is sent once more. A second refusal is due to the request itself and
 //!   gives a [`LearnedLimit`] for the next plans; otherwise the cause has passed.
+//! - If a refused request has *words of discretes*, its tags are read by requests without these words
+//!   instead of in halves. If none of them is at fault, the request is sent once more, and a second
+//!   refusal excludes words for the lifetime of a learned limit: those of the areas of which no word
+//!   was ever accepted. If there is none, a request of several words is halved, and a single word is
+//!   avoided. Requests of this cycle with excluded words are replaced before they are sent.
 //! - *Probe*: the tag that was refused longest ago is read again when its probe is due.
 //! - *Others*: after an accepted probe, all other refused tags are read again too.
 //! - A missing reply *abandons* the cycle: the station would not reply to the other requests
@@ -28,7 +33,8 @@
 //!   first reply;
 //! - each value is reported once, and only if confirmed;
 //! - a tag is at fault only if it was refused alone, and the refusal is confirmed;
-//! - the cycle ends: each half is smaller than the whole, and each phase occurs once.
+//! - the cycle ends: each half is smaller than the whole, or excludes more areas of words, and each
+//!   phase occurs once.
 
 mod confirm;
 
@@ -45,7 +51,7 @@ use super::learned_limit::{LearnedLimit, SplitPoint};
 use super::tag_map::TagMap;
 use super::{Reason, Sample, Stamp, TagId};
 use crate::error::ErrorCode;
-use crate::plan::{PlannedRequest, ReadRequest, ReplyWords};
+use crate::plan::{PlannedRequest, ReadRequest, ReplyWords, WordAreas};
 
 #[derive(Debug)]
 pub(super) struct Cycle {
@@ -111,6 +117,10 @@ struct RefusedRequest {
     resend: bool,
     /// The number of removed tags when it was sent; `None` if it read some of these tags.
     removals: Option<u64>,
+    /// Its tags are read by runs alone.
+    by_runs: bool,
+    /// The areas whose words its tags are read without, instead of in halves.
+    word_areas: WordAreas,
 }
 
 /// The environment of a cycle: its station and class, and the samples it makes.
@@ -184,6 +194,21 @@ impl Cycle {
         }
     }
 
+    /// The areas whose discretes the request to send next reads as words.
+    pub(super) fn word_areas(&self) -> WordAreas {
+        let areas = self.stack.last().and_then(|frame| match frame {
+            StackFrame::Plan(in_flight) => in_flight.planned().map(PlannedRequest::word_areas),
+            StackFrame::Refused(refused) => Some(refused.word_areas),
+        });
+        areas.unwrap_or_default()
+    }
+
+    /// Returns whether the PLC may accept other requests for the values of the one to send next: it is
+    /// a mixed read, or reads discretes as words.
+    pub(super) fn is_optional(&self) -> bool {
+        !self.word_areas().is_empty() || matches!(self.request(), Some(ReadRequest::Mixed(_)))
+    }
+
     /// Returns the length of the reply to [`request`](Self::request) in bytes; `None` if not known.
     pub(super) fn reply_bytes(&self) -> Option<usize> {
         match self.stack.last()? {
@@ -195,7 +220,7 @@ impl Cycle {
     /// Handles the reply to the current request.
     fn handle_reply(&mut self, words: ReplyWords, at: Stamp, ctx: &mut CycleContext<'_>) {
         if let Some(request) = self.request() {
-            ctx.station.learned_limits.record_accepted(request);
+            ctx.station.learned_limits.record_accepted(request, self.word_areas());
         }
         match self.stack.last_mut() {
             Some(StackFrame::Plan(in_flight)) => {
@@ -255,7 +280,8 @@ impl Cycle {
 
     /// Reads the parts of a refused request in halves, or marks them as refused.
     fn halve(&mut self, plan: &CompiledPlan, index: usize, code: ErrorCode, now: Stamp, ctx: &mut CycleContext<'_>) {
-        let Some(request) = plan.requests().get(index).map(PlannedRequest::request) else { return };
+        let Some(planned) = plan.requests().get(index) else { return };
+        let (request, word_areas) = (planned.request(), planned.word_areas());
         let parts: Vec<TagPart> = plan.parts_of(index).iter().filter_map(|part| plan.part(*part)).collect();
         let removed = parts.iter().any(|part| !ctx.station.tag_map.contains(part.id));
         let mut refused = RefusedRequest {
@@ -265,7 +291,19 @@ impl Cycle {
             explained: false,
             resend: false,
             removals: (!removed).then_some(ctx.station.removals),
+            by_runs: false,
+            word_areas: WordAreas::default(),
         };
+        // The PLC may accept the discretes. A group that fits only as words is halved as usual.
+        if ctx.station.learned_limits.may_lack_words(request, word_areas) {
+            let polled: Vec<TagPart> =
+                parts.iter().copied().filter(|part| ctx.station.tag_map.contains(part.id)).collect();
+            if self.fit_without_words(&polled, word_areas, ctx) {
+                refused.word_areas = word_areas;
+                self.stack.push(StackFrame::Refused(refused));
+                return self.push(&polled, now, ctx);
+            }
+        }
         match plan.halves(index, &ctx.station.tag_map) {
             Some(halves) => {
                 refused.split_point = halves.split_point;
@@ -285,9 +323,18 @@ impl Cycle {
                 self.push(&parts, now, ctx);
             }
             None => {
-                // The PLC may refuse a mixed read of elements that it accepts as a run.
-                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| ctx.station.plan_runs(&parts));
+                // The PLC may refuse a mixed read of elements that it accepts as a run. A group may be
+                // a run by words only, and then these are tried once.
+                let no_words = self.refused_words().and(word_areas).and(ctx.station.learned_limits.no_words());
+                let with_words = !self.has_runs_on_stack();
+                let runs = matches!(request, ReadRequest::Mixed(_)).then(|| {
+                    let runs = ctx.station.plan_runs(&parts, no_words);
+                    runs.or_else(|error| {
+                        if with_words { ctx.station.plan_runs(&parts, WordAreas::default()) } else { Err(error) }
+                    })
+                });
                 if let Some(Ok(plan)) = runs {
+                    refused.by_runs = true;
                     self.stack.push(StackFrame::Refused(refused));
                     self.stack.push(StackFrame::Plan(InFlight::new(Arc::new(plan), 0)));
                 } else {
@@ -297,6 +344,47 @@ impl Cycle {
         }
     }
 
+    /// Returns whether these parts can be planned without words of these areas.
+    fn fit_without_words(&self, parts: &[TagPart], areas: WordAreas, ctx: &mut CycleContext<'_>) -> bool {
+        let no_words = self.refused_words().and(areas);
+        if ctx.station.plan(parts, no_words).is_ok() {
+            return true;
+        }
+        // A group or a text exceeds the learned limits, or those of any request.
+        let excluded = no_words.and(ctx.station.learned_limits.no_words());
+        let fits = |item| ctx.station.plan_with_configured_limits(item, excluded).is_ok();
+        tags_and_groups(parts, &ctx.station.tag_map).all(fits)
+    }
+
+    /// Replaces the current request if it has words that a request of this cycle has excluded.
+    /// Returns whether it did.
+    fn replace_words(&mut self, now: Stamp, ctx: &mut CycleContext<'_>) -> bool {
+        let Some(StackFrame::Plan(in_flight)) = self.stack.last() else { return false };
+        let Some(planned) = in_flight.planned() else { return false };
+        let excluded = planned.word_areas().common(ctx.station.learned_limits.no_words());
+        // Requests in place of a refused one were planned for it.
+        let is_retry = self.stack.iter().any(|frame| match frame {
+            StackFrame::Refused(_) => true,
+            StackFrame::Plan(_) => false,
+        });
+        if excluded.is_empty() || is_retry {
+            return false;
+        }
+        let plan = &in_flight.plan;
+        let parts: Vec<TagPart> =
+            plan.parts_of(in_flight.current()).iter().filter_map(|part| plan.part(*part)).collect();
+        let replaced = RefusedRequest::replaced(planned.request().clone(), excluded);
+        if !self.fit_without_words(&parts, excluded, ctx) {
+            return false;
+        }
+        if let Some(StackFrame::Plan(in_flight)) = self.stack.last_mut() {
+            in_flight.done = in_flight.done.saturating_add(1);
+        }
+        self.stack.push(StackFrame::Refused(replaced));
+        self.push(&parts, now, ctx);
+        true
+    }
+
     /// Advances until there is a step to take, or the cycle is over.
     fn settle(&mut self, now: Stamp, ctx: &mut CycleContext<'_>) {
         loop {
@@ -304,10 +392,11 @@ impl Cycle {
                 Some(StackFrame::Plan(in_flight)) => {
                     let number = self.number;
                     let is_wanted = |part: TagPart| is_wanted(part, number, &ctx.station.tag_map);
-                    if in_flight.skip_to(is_wanted) {
+                    if !in_flight.skip_to(is_wanted) {
+                        self.stack.pop();
+                    } else if !self.replace_words(now, ctx) {
                         return;
                     }
-                    self.stack.pop();
                 }
                 Some(StackFrame::Refused(refused)) => {
                     if let Some(half) = refused.second_half.take() {
@@ -372,6 +461,24 @@ impl Cycle {
         }
     }
 
+    /// The areas of discretes whose words were refused in the requests that are being read again.
+    ///
+    /// The discrete at fault may be in words of others.
+    fn refused_words(&self) -> WordAreas {
+        self.stack.iter().fold(WordAreas::default(), |areas, frame| match frame {
+            StackFrame::Refused(refused) => areas.and(refused.word_areas),
+            StackFrame::Plan(_) => areas,
+        })
+    }
+
+    /// Returns whether the tags of a refused request are being read by runs alone.
+    fn has_runs_on_stack(&self) -> bool {
+        self.stack.iter().any(|frame| match frame {
+            StackFrame::Refused(refused) => refused.by_runs,
+            StackFrame::Plan(_) => false,
+        })
+    }
+
     fn probe_at(&self, now: Stamp, ctx: &CycleContext<'_>) -> Instant {
         now.instant.checked_add(ctx.scan.probe_refused).unwrap_or(now.instant)
     }
@@ -386,23 +493,27 @@ impl Cycle {
     fn plan(&mut self, parts: &[TagPart], now: Stamp, ctx: &mut CycleContext<'_>) -> Vec<Arc<CompiledPlan>> {
         let is_wanted = |part: &TagPart| is_wanted(*part, self.number, &ctx.station.tag_map);
         let parts: Vec<TagPart> = parts.iter().copied().filter(is_wanted).collect();
-        if let Ok(plan) = ctx.station.plan(&parts) {
+        let no_words = self.refused_words();
+        if let Ok(plan) = ctx.station.plan(&parts, no_words) {
             return vec![Arc::new(plan)];
         }
         // A group or a text exceeds the learned limits, or those of any request.
         let items: Vec<Vec<TagPart>> = tags_and_groups(&parts, &ctx.station.tag_map).map(<[TagPart]>::to_vec).collect();
         let (mut plans, mut plannable) = (Vec::new(), Vec::new());
         for item in items {
-            if ctx.station.plan(&item).is_ok() {
+            if ctx.station.plan(&item, no_words).is_ok() {
                 plannable.extend(item);
                 continue;
             }
-            match ctx.station.plan_with_configured_limits(&item) {
+            let excluded = no_words.and(ctx.station.learned_limits.no_words());
+            let configured = |no_words| ctx.station.plan_with_configured_limits(&item, no_words);
+            // A group may fit as words only.
+            match configured(excluded).or_else(|_| configured(WordAreas::default())) {
                 Ok(plan) => plans.push(Arc::new(plan)),
                 Err(error) => self.mark_refused(&item, &Reason::NoPlan(Arc::new(error)), now, ctx),
             }
         }
-        match ctx.station.plan(&plannable) {
+        match ctx.station.plan(&plannable, no_words) {
             Ok(plan) => plans.push(Arc::new(plan)),
             // Too many values, which `StationPoller::add` excludes.
             Err(error) => self.mark_refused(&plannable, &Reason::NoPlan(Arc::new(error)), now, ctx),
@@ -445,10 +556,27 @@ fn is_wanted(part: TagPart, number: u64, tag_map: &TagMap) -> bool {
 }
 
 impl RefusedRequest {
+    /// A request that is not sent, because its words of these areas are excluded.
+    fn replaced(request: ReadRequest, word_areas: WordAreas) -> Self {
+        Self {
+            request,
+            split_point: SplitPoint { left_end: 0, right_start: 0, right_len: 0 },
+            second_half: None,
+            explained: false,
+            resend: false,
+            removals: None,
+            by_runs: false,
+            word_areas,
+        }
+    }
+
     /// Returns the limit to learn if the request is refused again.
     fn explanation(&self, station: &StationContext) -> Option<LearnedLimit> {
         // After the removal of a tag, a plan would not contain the same request.
         let unchanged = self.removals == Some(station.removals);
+        if !self.word_areas.is_empty() {
+            return unchanged.then(|| station.learned_limits.words_explanation(&self.request, self.word_areas));
+        }
         unchanged.then(|| station.learned_limits.explanation(&self.request, self.split_point))?
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use crate::element::Element;
-use crate::plan::{Limits, ReadRequest};
+use crate::plan::{Limits, ReadRequest, WordAreas};
 
 /// The lifetime of a learned limit. Then the request is tried again: the cause may have passed.
 const LIFETIME: Duration = Duration::from_secs(600);
@@ -25,6 +25,8 @@ pub(super) enum LearnedLimit {
     Points(usize),
     /// The most units of a mixed read; 0: no mixed reads.
     Mixed(usize),
+    /// The discretes of these areas are not read as words.
+    NoWords(WordAreas),
 }
 
 /// The position between the halves of a request, in words of its reply.
@@ -51,6 +53,8 @@ struct LongestAccepted {
     registers: usize,
     points: usize,
     mixed: usize,
+    /// The areas of discretes of which a word was accepted.
+    words: WordAreas,
 }
 
 impl LearnedLimits {
@@ -58,8 +62,9 @@ impl LearnedLimits {
         self.limits.is_empty()
     }
 
-    /// Records that the PLC accepted a request.
-    pub(super) fn record_accepted(&mut self, request: &ReadRequest) {
+    /// Records that the PLC accepted a request, with words of the discretes of these areas.
+    pub(super) fn record_accepted(&mut self, request: &ReadRequest, word_areas: WordAreas) {
+        self.accepted.words = self.accepted.words.and(word_areas);
         let (kind, units) = match request {
             ReadRequest::Discretes(request) => (&mut self.accepted.points, request.count()),
             ReadRequest::Registers(request) => (&mut self.accepted.registers, request.count()),
@@ -104,7 +109,52 @@ impl LearnedLimits {
         }
     }
 
+    /// Returns whether a request may be refused because of its words of the discretes of these areas,
+    /// rather than for its length or one of its elements.
+    pub(super) fn may_lack_words(&self, request: &ReadRequest, areas: WordAreas) -> bool {
+        !areas.is_empty() && (!self.accepted.words.contains_all(areas) || is_one_word(request))
+    }
+
+    /// Returns the limit that explains why `request` is refused although its tags are accepted without
+    /// words of the discretes of these areas.
+    pub(super) fn words_explanation(&self, request: &ReadRequest, areas: WordAreas) -> LearnedLimit {
+        let unknown = areas.without(self.accepted.words);
+        if !unknown.is_empty() {
+            return LearnedLimit::NoWords(unknown);
+        }
+        // A second word of an area shows that the PLC does not accept its words any more.
+        let is_second = |known: &(LearnedLimit, Instant)| match known.0 {
+            LearnedLimit::Avoid { first, .. } => areas.contains(first.symbol().area().smallest()),
+            LearnedLimit::Split { .. }
+            | LearnedLimit::Registers(_)
+            | LearnedLimit::Points(_)
+            | LearnedLimit::Mixed(_)
+            | LearnedLimit::NoWords(_) => false,
+        };
+        match request.run() {
+            Some((first, _)) if is_one_word(request) && !self.limits.iter().any(is_second) => {
+                LearnedLimit::Avoid { first, count: 1 }
+            }
+            Some(_) | None => LearnedLimit::NoWords(areas),
+        }
+    }
+
+    /// The areas whose discretes are not read as words.
+    pub(super) fn no_words(&self) -> WordAreas {
+        self.limits.iter().fold(WordAreas::default(), |areas, (limit, _)| match limit {
+            LearnedLimit::NoWords(more) => areas.and(*more),
+            LearnedLimit::Avoid { .. }
+            | LearnedLimit::Split { .. }
+            | LearnedLimit::Registers(_)
+            | LearnedLimit::Points(_)
+            | LearnedLimit::Mixed(_) => areas,
+        })
+    }
+
     pub(super) fn learn(&mut self, limit: LearnedLimit, now: Instant) {
+        if let LearnedLimit::NoWords(areas) = limit {
+            self.accepted.words = self.accepted.words.without(areas);
+        }
         self.limits.retain(|(known, _)| *known != limit);
         self.limits.push((limit, now));
     }
@@ -127,9 +177,21 @@ impl LearnedLimits {
                 LearnedLimit::Registers(max) => registers = registers.min(max),
                 LearnedLimit::Points(max) => points = points.min(max),
                 LearnedLimit::Mixed(max) => mixed = mixed.min(max),
+                LearnedLimit::NoWords(_) => {}
             }
         }
-        limits.clone().at_most(registers, points, mixed).avoid_all(avoided).split_before(splits)
+        let limits = limits.clone().without_words(self.no_words());
+        limits.at_most(registers, points, mixed).avoid_all(avoided).split_before(splits)
+    }
+}
+
+/// Returns whether a request reads one element.
+fn is_one_word(request: &ReadRequest) -> bool {
+    match request {
+        ReadRequest::Discretes(request) => request.count() == 1,
+        ReadRequest::Registers(request) => request.count() == 1,
+        ReadRequest::Registers32(request) => request.count() == 1,
+        ReadRequest::Mixed(request) => request.elements().len() == 1,
     }
 }
 

@@ -66,7 +66,7 @@ impl PlanCache {
 
 impl IndexedPlan {
     fn new(key: &PlanKey) -> Result<Self, PlanError> {
-        let mut builder = Plan::builder(key.cost).limits(key.limits.clone());
+        let mut builder = Plan::builder(key.cost).limits(key.limits.clone()).without_fallbacks();
         let mut tags = key.tags.iter().copied();
         for group in &key.groups {
             let members: Vec<Tag> = tags.by_ref().take((*group).max(1)).collect();

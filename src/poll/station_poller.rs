@@ -248,16 +248,18 @@ impl StationPoller {
                     // Does not occur: the link returns only replies that match the request.
                     None => cycle.failed(Reason::Overdue, ctx),
                 },
-                Err(error) => match error.error_code().filter(|code| concerns_the_request(*code)) {
-                    Some(code) => {
-                        stats.refusals = stats.refusals.saturating_add(1);
-                        cycle.answered(Err(code), (shape, proof), now, ctx);
+                Err(error) => {
+                    match error.error_code().filter(|code| concerns_the_request(*code, cycle.is_optional())) {
+                        Some(code) => {
+                            stats.refusals = stats.refusals.saturating_add(1);
+                            cycle.answered(Err(code), (shape, proof), now, ctx);
+                        }
+                        None => {
+                            stats.failures = stats.failures.saturating_add(1);
+                            cycle.failed(Reason::Failed(Arc::new(error)), ctx);
+                        }
                     }
-                    None => {
-                        stats.failures = stats.failures.saturating_add(1);
-                        cycle.failed(Reason::Failed(Arc::new(error)), ctx);
-                    }
-                },
+                }
             }
         })
     }
@@ -401,13 +403,11 @@ impl StationPoller {
 }
 
 /// Returns whether an error code is about the request. The others are about the state of the PLC.
-fn concerns_the_request(code: ErrorCode) -> bool {
+/// `is_optional`: a PLC may accept other requests for the same values.
+fn concerns_the_request(code: ErrorCode, is_optional: bool) -> bool {
     match code {
         ErrorCode::IllegalValue | ErrorCode::IllegalFormat | ErrorCode::IllegalAddress | ErrorCode::Unknown(_) => true,
-        ErrorCode::WriteProhibited
-        | ErrorCode::LadderChecksum
-        | ErrorCode::IdMismatch
-        | ErrorCode::Syntax
-        | ErrorCode::NotSupported => false,
+        ErrorCode::WriteProhibited | ErrorCode::LadderChecksum | ErrorCode::IdMismatch | ErrorCode::Syntax => false,
+        ErrorCode::NotSupported => is_optional,
     }
 }

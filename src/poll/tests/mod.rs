@@ -5,3 +5,4 @@ mod random;
 mod refusals;
 mod regressions;
 mod rig;
+mod words;

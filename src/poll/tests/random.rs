@@ -7,9 +7,11 @@ use std::time::Duration;
 
 use super::rig::{TestRig, cells, ms, value};
 use crate::element::{Element, Symbol};
+use crate::plan::{CostModel, Limits, Plan};
 use crate::poll::{PollTag, Quality, Reason, Sample, ScanClass, TagId};
 use crate::random::Random;
 use crate::tag::{Scale, Tag, TagType};
+use crate::wire::Framing;
 
 struct TestRandom(Random);
 
@@ -74,6 +76,7 @@ impl RandomTest {
         }
         rig.plc.one_shape = random.below(2) == 0;
         rig.plc.mixed = random.below(3) > 0;
+        rig.plc.words = random.below(3) > 0;
         rig.plc.max_registers = random.one(&[64, 64, 32, 10]);
         rig.plc.max_points = random.one(&[256, 256, 16]);
         let class = |random: &mut TestRandom| {
@@ -172,7 +175,17 @@ impl RandomTest {
     /// Checks that all tags have recovered some time after the last fault.
     fn check_recovered(&mut self) {
         let plc = &self.rig.plc;
-        let limited = !plc.mixed || plc.max_registers < 64 || plc.max_points < 256;
+        let limits = Limits::new().max_registers(plc.max_registers).unwrap().max_points(plc.max_points).unwrap();
+        let limits = limits.mixed_reads(plc.mixed).words_of_discretes(plc.words);
+        // A run through one of these is refused.
+        let limits = plc.refused.iter().fold(limits, |limits, (symbol, address)| {
+            let element = Element::new(*symbol, *address).unwrap();
+            limits.avoid(element, element).unwrap()
+        });
+        let is_possible = |tags: &[Tag]| {
+            let cost = CostModel::network(Framing::Ascii, ms(5));
+            Plan::builder(cost).limits(limits.clone()).one_scan(tags.iter().copied()).build().is_ok()
+        };
         let longest = self.classes.iter().map(ScanClass::period).max().unwrap();
         for (id, tag) in &self.tags {
             let sample = self.rig.latest(*id);
@@ -189,7 +202,12 @@ impl RandomTest {
                 }
                 Quality::Bad(Reason::Refused(_)) if refused => {}
                 // A group or a text may exceed the PLC's limits of one request.
-                Quality::Bad(Reason::Refused(_)) if (group.is_some() || tag.tag_type().is_text()) && limited => {}
+                Quality::Bad(Reason::Refused(_)) => {
+                    let in_group = group.map(|group| group.iter().filter_map(|id| self.tags.get(id)).copied());
+                    let tags: Vec<Tag> = in_group.map_or_else(|| vec![*tag], Iterator::collect);
+                    let one_request = group.is_some() || tag.tag_type().is_text();
+                    assert!(one_request && !is_possible(&tags), "{tag} is refused, of {tags:?}: {limits:?}");
+                }
                 other => panic!("{tag} is {other}, refused: {refused}"),
             }
         }

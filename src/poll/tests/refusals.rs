@@ -66,7 +66,7 @@ fn a_refused_gap_is_not_read_through_again() {
 
 #[test]
 fn a_lower_length_limit_of_the_plc_is_learned() {
-    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false).words_of_discretes(false));
     rig.plc.max_registers = 20;
     rig.plc.max_points = 100;
     let mut texts = registers(60, 1);

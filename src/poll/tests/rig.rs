@@ -49,6 +49,13 @@ pub(super) struct FakePlc {
     pub(super) refused: BTreeSet<(Symbol, u16)>,
     pub(super) refuses_all: bool,
     pub(super) mixed: bool,
+    /// `false` if it refuses words of discretes.
+    pub(super) words: bool,
+    /// It refuses words of the discretes with this symbol.
+    pub(super) refuses_words_of: Option<Symbol>,
+    /// The error code of refused words and mixed reads.
+    pub(super) code: ErrorCode,
+    pub(super) max_mixed: usize,
     pub(super) max_registers: usize,
     pub(super) max_points: usize,
     pub(super) silent: bool,
@@ -83,6 +90,10 @@ impl Default for FakePlc {
             refused: BTreeSet::new(),
             refuses_all: false,
             mixed: true,
+            words: true,
+            refuses_words_of: None,
+            code: ErrorCode::IllegalFormat,
+            max_mixed: 64,
             max_registers: 64,
             max_points: 256,
             silent: false,
@@ -115,6 +126,10 @@ pub(super) fn cells(element: Element) -> Vec<(Symbol, u16)> {
 }
 
 fn word(epoch: u64, (symbol, address): (Symbol, u16)) -> u16 {
+    let smallest = symbol.area().smallest();
+    if smallest.width() == Width::Bit && symbol != smallest {
+        return (0..16).map(|bit| (word(epoch, (smallest, address + bit)) & 1) << bit).sum();
+    }
     let seed = epoch << 32 | u64::from(address) << 8 | symbol as u64;
     u16::try_from(Random::new(seed).next() & 0xFFFF).unwrap()
 }
@@ -145,10 +160,14 @@ impl FakePlc {
             ReadRequest::Discretes(r) => r.count() <= self.max_points,
             ReadRequest::Registers(r) => r.count() <= self.max_registers,
             ReadRequest::Registers32(r) => r.count() * 2 <= self.max_registers,
-            ReadRequest::Mixed(_) if !self.mixed => return Err(ErrorCode::IllegalFormat),
-            ReadRequest::Mixed(_) => true,
+            ReadRequest::Mixed(_) if !self.mixed => return Err(self.code),
+            ReadRequest::Mixed(r) => r.elements().iter().map(|e| e.width().units()).sum::<usize>() <= self.max_mixed,
         };
-        let refused = elements.into_iter().flat_map(cells).any(|cell| self.refused.contains(&cell));
+        let lacks = |element: &Element| cells(*element).into_iter().any(|(symbol, _)| self.lacks_words(symbol));
+        if elements.iter().any(lacks) {
+            return Err(self.code);
+        }
+        let refused = elements.into_iter().flat_map(cells).any(|cell| self.refuses_cell(cell));
         if refused || !fits || self.refuses_all { Err(ErrorCode::IllegalAddress) } else { Ok(()) }
     }
 
@@ -209,7 +228,21 @@ impl FakePlc {
 
     /// Returns whether it refuses a request for this tag alone.
     pub(super) fn refuses(&self, tag: Tag) -> bool {
-        tag.elements().flat_map(cells).any(|cell| self.refused.contains(&cell))
+        tag.elements().flat_map(cells).any(|cell| self.refuses_cell(cell))
+    }
+
+    fn lacks_words(&self, symbol: Symbol) -> bool {
+        let smallest = symbol.area().smallest();
+        let is_word = smallest.width() == Width::Bit && symbol != smallest;
+        is_word && (!self.words || self.refuses_words_of == Some(smallest))
+    }
+
+    /// A word is refused with any of its discretes.
+    fn refuses_cell(&self, (symbol, address): (Symbol, u16)) -> bool {
+        let smallest = symbol.area().smallest();
+        let is_word = smallest.width() == Width::Bit && symbol != smallest;
+        let has_refused = |bit| self.refused.contains(&(smallest, address.saturating_add(bit)));
+        self.refused.contains(&(symbol, address)) || is_word && (self.lacks_words(symbol) || (0..16).any(has_refused))
     }
 }
 

@@ -1,7 +1,7 @@
 use super::rng::FaultRng;
 use super::{Fault, FaultTarget};
 use crate::command::{Code, Command, Request, Run, with_command};
-use crate::element::{Element, MemoryArea};
+use crate::element::{Element, MemoryArea, Width};
 use crate::sim::bus::BROADCAST;
 
 /// A [`Fault`] with the requests it applies to. Default: all requests.
@@ -29,6 +29,7 @@ pub struct Rule {
     station: Option<u8>,
     command: Option<Code>,
     elements: Option<Span>,
+    words_of_discretes: bool,
     skip: u64,
     times: Option<u64>,
     odds: Odds,
@@ -46,6 +47,7 @@ impl Rule {
             station: None,
             command: None,
             elements: None,
+            words_of_discretes: false,
             skip: 0,
             times: None,
             odds: Odds { hits: 1, of: 1 },
@@ -84,6 +86,15 @@ impl Rule {
     pub fn elements(mut self, first: impl Into<Element>, count: usize) -> Self {
         self.elements = Some(Span::new(first.into(), count));
         self
+    }
+
+    /// Limits the rule to requests for words of discretes: `WX`, `WY`, `WM`, `WS`, `WT`, `WC`, and
+    /// double words of them.
+    ///
+    /// With [`Fault::Error`]: a PLC that has discretes, but not as words.
+    #[must_use]
+    pub fn words_of_discretes(self) -> Self {
+        Self { words_of_discretes: true, ..self }
     }
 
     /// Excludes the first `requests` requests in the scope. Default: 0.
@@ -156,8 +167,20 @@ impl Rule {
         self.fault.applies_to(subject.target)
             && self.station.is_none_or(|station| subject.is_for(station))
             && self.command.is_none_or(|code| subject.command == Some(code))
+            && (!self.words_of_discretes || subject.request.is_some_and(has_words_of_discretes))
             && self.elements.is_none_or(|span| subject.request.is_some_and(|request| span.is_accessed_by(request)))
     }
+}
+
+fn has_words_of_discretes(request: &Request) -> bool {
+    let mut has_words = false;
+    let mut check = |run: Run| {
+        let symbol = run.first.symbol();
+        let smallest = symbol.area().smallest();
+        has_words |= smallest.width() == Width::Bit && symbol != smallest;
+    };
+    with_command!(request, command => command.for_each_run(&mut check));
+    has_words
 }
 
 /// A request, broadcast or connection for which a rule is evaluated.

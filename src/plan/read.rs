@@ -1,0 +1,111 @@
+//! Sends the requests of a plan.
+
+use super::fallback::{Fallback, is_refusal};
+use super::reply::ReplyWords;
+use super::{Plan, PlanReadings};
+use crate::error::Error;
+use crate::station::{JobReply, Outcome, Station, StationJob};
+
+/// The result of a request of the plan.
+pub(super) struct RequestResult<E> {
+    pub(super) reply: Result<ReplyWords, E>,
+    /// The plans in place of a refused request, each with the results of its requests.
+    pub(super) fallbacks: Vec<(Fallback, Vec<Result<ReplyWords, E>>)>,
+}
+
+impl<E> From<Result<ReplyWords, E>> for RequestResult<E> {
+    fn from(reply: Result<ReplyWords, E>) -> Self {
+        Self { reply, fallbacks: Vec::new() }
+    }
+}
+
+/// A result, or the request from which on the job is repeated.
+type Progress<T> = Result<T, usize>;
+
+impl Plan {
+    /// Sends the requests in turn and returns their replies.
+    ///
+    /// After a failed request the others are sent all the same: its tags have the error, the others
+    /// their values. If the PLC refuses a request with
+    /// [words of discretes](super::PlannedRequest::has_words_of_discretes), its values are read
+    /// without them in the same call; silence is not a refusal. A check at the end confirms several
+    /// requests; they are repeated if a duplicate of a reply came out of order. Cancel-safe: the
+    /// requests only read.
+    pub async fn read(&self, station: &Station) -> PlanReadings<'_, Error> {
+        let mut job = StationJob::new(station);
+        let mut results: Vec<RequestResult<Error>> = Vec::with_capacity(self.requests.len());
+        loop {
+            while results.len() < self.requests.len() {
+                match self.read_request(results.len(), &mut job, &mut results).await {
+                    Ok(result) => results.push(result),
+                    Err(confirmed) => results.truncate(confirmed),
+                }
+            }
+            match job.end().await {
+                Ok(None) => return PlanReadings::with_fallbacks(self, results),
+                Ok(Some(confirmed)) => results.truncate(confirmed),
+                Err(error) => {
+                    fail_from(&mut results, job.first_held(), &error);
+                    return PlanReadings::with_fallbacks(self, results);
+                }
+            }
+        }
+    }
+
+    /// Reads one request, or the values of it without words of discretes.
+    async fn read_request(
+        &self,
+        request: usize,
+        job: &mut StationJob<'_, usize>,
+        before: &mut [RequestResult<Error>],
+    ) -> Progress<RequestResult<Error>> {
+        let reply = self.call(request, request, job, before).await?;
+        let fallbacks = match &reply {
+            Err(error) if is_refusal(error) => self.fallbacks(request, error),
+            Ok(_) | Err(_) => Vec::new(),
+        };
+        let mut result = RequestResult::from(reply);
+        for fallback in fallbacks {
+            tracing::debug!(request, "refused: its values are read by other requests");
+            let mut replies = Vec::with_capacity(fallback.plan.requests.len());
+            for n in 0..fallback.plan.requests.len() {
+                let reply = fallback.plan.call(n, request, job, before).await?;
+                if let Err(error @ Error::Duplicates { .. }) = &reply {
+                    // The replies since the last proof are not reliable.
+                    return Ok(Err(error.clone()).into());
+                }
+                replies.push(reply);
+            }
+            result.fallbacks.push((fallback, replies));
+        }
+        Ok(result)
+    }
+
+    /// Sends one request at this mark of the job.
+    async fn call(
+        &self,
+        request: usize,
+        mark: usize,
+        job: &mut StationJob<'_, usize>,
+        before: &mut [RequestResult<Error>],
+    ) -> Progress<Result<ReplyWords, Error>> {
+        // The callers count through the requests.
+        let Some(planned) = self.requests.get(request) else { return Err(mark) };
+        match planned.request.call_in_job(job, mark).await {
+            Ok(Outcome::Reply(JobReply { reply, .. })) => Ok(Ok(reply.into())),
+            Ok(Outcome::Rewind(confirmed)) => Err(confirmed),
+            Err(error @ Error::Duplicates { .. }) => {
+                fail_from(before, job.first_held(), &error);
+                Ok(Err(error))
+            }
+            Err(error) => Ok(Err(error)),
+        }
+    }
+}
+
+/// Replaces the results from `first` on, which are not confirmed, by an error.
+fn fail_from(results: &mut [RequestResult<Error>], first: Option<usize>, error: &Error) {
+    for result in results.iter_mut().skip(first.unwrap_or(usize::MAX)) {
+        *result = Err(error.clone()).into();
+    }
+}
