@@ -89,6 +89,7 @@
 )]
 
 pub mod backup;
+pub mod capabilities;
 #[allow(clippy::arithmetic_side_effects, reason = "divisions by constants")]
 pub mod clock;
 #[allow(
@@ -147,6 +148,7 @@ mod transport;
 pub mod wire;
 
 pub use backup::Backup;
+pub use capabilities::Capabilities;
 pub use clock::Clock;
 pub use command::InvalidRequest;
 pub use element::{Discrete, Element, Register, Register32, Symbol, Value, Width};

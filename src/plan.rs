@@ -89,6 +89,7 @@ pub use cost::CostModel;
 pub use error::PlanError;
 pub use explain::Explanation;
 pub use limits::Limits;
+pub(crate) use limits::check_range;
 pub use readings::PlanReadings;
 pub use reply::Reply;
 pub(crate) use reply::ReplyWords;
@@ -96,6 +97,7 @@ pub use request::{PlannedRequest, ReadRequest};
 pub use struct_plan::StructPlan;
 pub(crate) use words::WordAreas;
 
+use crate::station::Station;
 use crate::tag::Tag;
 
 /// The maximum number of values in a plan.
@@ -127,6 +129,21 @@ impl Plan {
     #[must_use]
     pub fn builder(cost: CostModel) -> PlanBuilder {
         PlanBuilder::new(cost)
+    }
+
+    /// Starts a plan for a station: with its costs, within its [capabilities](Station::capabilities).
+    ///
+    /// ```
+    /// # fatek::sim::doctest(|station| async move {
+    /// use fatek::{Plan, Tag};
+    ///
+    /// let plan = Plan::builder_for(&station).tags(["R0", "R7"].map(|tag| tag.parse::<Tag>().expect("a tag"))).build()?;
+    /// assert_eq!(plan.read(&station).await.errors().count(), 0);
+    /// # Ok(()) });
+    /// ```
+    #[must_use]
+    pub fn builder_for(station: &Station) -> PlanBuilder {
+        Self::builder(CostModel::of_station(station)).limits(Limits::new().within(&station.capabilities()))
     }
 
     /// Returns the tags in the order in which they were added.

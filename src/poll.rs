@@ -183,7 +183,8 @@ impl PollerHandle {
         self.station_with(station, StationPolling::new())
     }
 
-    /// Adds a station with the given limits and costs: see [`station`](Self::station).
+    /// Adds a station with the given limits and costs: see [`station`](Self::station). The limits are
+    /// lowered to the [capabilities](Station::capabilities) that are known now.
     ///
     /// # Errors
     /// [`PollError::Closed`]; [`PollError::NoRuntime`] outside of a Tokio runtime.
@@ -192,7 +193,11 @@ impl PollerHandle {
         let shared = &self.shared;
         let StationPolling { limits, cost } = polling;
         let limits = limits.unwrap_or_else(|| shared.limits.clone());
-        let cost = cost.unwrap_or_else(|| CostModel::of_link(station.link()));
+        let limits = match station.link().knows_capabilities() {
+            true => Arc::new((*limits).clone().within(&station.capabilities())),
+            false => limits,
+        };
+        let cost = cost.unwrap_or_else(|| CostModel::of_station(station));
         let seed = lock(&shared.random).next();
         let params = StationParams { station: station.number(), retries: station.options().retries };
         let poller = StationPoller::new(params, (limits, cost), shared.epoch, seed, shared.plan_cache.clone());

@@ -3,6 +3,7 @@
 mod any_length;
 mod backup;
 mod broadcast;
+mod capabilities;
 mod clock;
 mod job;
 mod modify_bits;

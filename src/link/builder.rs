@@ -15,6 +15,7 @@ use super::frame_gap::GapLengths;
 use super::line::Line;
 use super::options::{CallOptions, EchoMode};
 use super::shared::Shared;
+use super::shared_capabilities::SharedCapabilities;
 use super::stations::OfflineRules;
 use super::stats::SharedStats;
 use super::{Link, LinkInner, LinkState};
@@ -278,6 +279,7 @@ impl LinkBuilder {
             shared: Arc::new(Shared::new(driver)),
             spares: SpareSlots::default(),
             modifying: Mutex::new(ByStation::new()),
+            capabilities: SharedCapabilities::default(),
             state: watcher,
             stats,
             line: self.line,

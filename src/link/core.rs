@@ -40,6 +40,7 @@ use super::mute::MuteDetector;
 use super::scheduler::Scheduler;
 use super::stations::Stations;
 use super::stats::{SharedStats, StationState, add};
+use crate::command::CommandSet;
 use crate::error::{Error, Seen};
 use crate::random::Random;
 use crate::transport::LateDatagrams;
@@ -128,6 +129,11 @@ impl Core {
             has_read_again: false,
             config,
         }
+    }
+
+    /// Declares the commands that a station does not know, in place of those declared or found before.
+    pub(crate) fn declare_lacking(&mut self, station: u8, commands: CommandSet) {
+        self.stations.with_in_step(station, |in_step| in_step.declare_lacking(commands));
     }
 
     /// Takes a call.

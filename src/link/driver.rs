@@ -44,6 +44,7 @@ use super::core::{Action, Core};
 use super::io_waker::IoWaker;
 use super::later;
 use super::line::Line;
+use crate::command::CommandSet;
 use crate::error::Rounded;
 use crate::transport::{BoxIo, Io};
 
@@ -161,6 +162,11 @@ impl Driver {
             ending: false,
             received: 0,
         }
+    }
+
+    /// Declares the commands that a station does not know.
+    pub(crate) fn declare_lacking(&mut self, station: u8, commands: CommandSet) {
+        self.core.declare_lacking(station, commands);
     }
 
     /// Takes a call.

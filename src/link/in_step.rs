@@ -31,7 +31,6 @@
 mod answered;
 #[cfg(test)]
 mod checker;
-mod command_set;
 mod terms;
 #[cfg(test)]
 mod tests;
@@ -41,11 +40,10 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use self::answered::AnsweredElements;
-use self::command_set::CommandSet;
 use self::terms::ANY_SIZE;
 pub(crate) use self::terms::{Check, Choice, Kind, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why};
 use super::later;
-use crate::command::{Candidate, Code, NO_CANDIDATES, Run, Spelling};
+use crate::command::{Candidate, Code, CommandSet, NO_CANDIDATES, Run, Spelling};
 
 /// The state of the rule for one station.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -76,7 +74,7 @@ pub(crate) struct InStep {
     ambiguous: bool,
     /// Such a stray came over this connection: a check goes before each page.
     careful: bool,
-    /// Commands that are used as spellings and that the station does not know.
+    /// Commands that the station does not know: spellings that were refused, and those declared.
     lacks: CommandSet,
     answered: AnsweredElements,
     /// The silence before the reply, in the slowest of recent exchanges.
@@ -201,7 +199,7 @@ impl InStep {
     fn prove(&mut self, rule: &Rule, now: Instant) -> Option<Choice> {
         self.lapse(rule, now);
         let why = self.suspect?;
-        if !rule.one_request && !self.refused {
+        if !rule.one_request && !self.lacks_check() {
             return Some(Choice::Check(Check::Nonce, why));
         }
         let until = later(*self.silent_since.get_or_insert(now), rule.quiet);
@@ -212,18 +210,34 @@ impl InStep {
         None
     }
 
+    /// Returns whether the loop-back is refused, or declared as not supported.
+    fn lacks_check(&self) -> bool {
+        self.refused || self.lacks.contains(Code::LoopBack)
+    }
+
+    /// The check that probes an offline station: any answer shows that it is back.
+    pub(crate) fn probe(&self) -> Check {
+        let lacks_nonce = self.lacks.contains(Code::LoopBack) && !self.lacks.contains(Code::ReadStatus);
+        if lacks_nonce { Check::Status } else { Check::Nonce }
+    }
+
+    /// Replaces the commands that the station does not know by those declared.
+    pub(crate) fn declare_lacking(&mut self, commands: CommandSet) {
+        self.lacks = commands;
+    }
+
     /// Chooses what goes between two requests: `check`, if nothing owed could answer it.
     fn separate(&mut self, why: Why, check: Check, rule: &Rule, now: Instant) -> Choice {
         let free = |shape: Shape| self.threat(shape) == Threat::None;
-        if !self.refused && matches!(check, Check::Empty | Check::Nonce) {
+        if !self.lacks_check() && matches!(check, Check::Empty | Check::Nonce) {
             // A nonce may always be sent: only its own reply echoes it.
             let empty = check == Check::Empty && free(Check::EMPTY);
             return Choice::Check(if empty { Check::Empty } else { Check::Nonce }, why);
         }
-        if free(Check::STATUS) {
+        if free(Check::STATUS) && !self.lacks.contains(Code::ReadStatus) {
             return Choice::Check(Check::Status, why);
         }
-        if free(Check::DETAIL) {
+        if free(Check::DETAIL) && !self.lacks.contains(Code::ReadDetailedStatus) {
             return Choice::Check(Check::Detail, why);
         }
         self.suspect = Some(why);
@@ -343,10 +357,9 @@ impl InStep {
         let echo = check == Check::Nonce && !reply.refused;
         let proves = echo || self.suspect.is_none() && !(reply.refused && self.threat(reply.shape) > Threat::None);
         if !proves {
-            if reply.shape.code == Code::LoopBack && reply.refused {
-                self.refused = true;
-                self.silent_since = None;
-            }
+            self.refused |= reply.shape.code == Code::LoopBack && reply.refused;
+            // Its duplicate may come.
+            self.silent_since = None;
             return false;
         }
         if echo {

@@ -38,6 +38,7 @@ pub(crate) mod job;
 mod line;
 mod mute;
 mod shared;
+mod shared_capabilities;
 pub(crate) use line::Line;
 mod options;
 mod scheduler;
@@ -67,7 +68,9 @@ pub(crate) use self::connect_limiter::ConnectLimiter;
 pub(crate) use self::connector::Connector;
 pub(crate) use self::in_step::{Proof, Shape};
 use self::shared::Shared;
+use self::shared_capabilities::SharedCapabilities;
 use self::stats::SharedStats;
+use crate::capabilities::{Capabilities, Learned};
 use crate::command::{Command, InvalidRequest, Spelling};
 use crate::endpoint::Endpoint;
 use crate::error::{Error, Rounded};
@@ -111,6 +114,7 @@ struct LinkInner {
     spares: SpareSlots,
     /// For each station whose bits of registers were changed: held from the read to the write.
     modifying: Mutex<ByStation<Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>>>>,
+    capabilities: SharedCapabilities,
     state: watch::Receiver<LinkState>,
     stats: Arc<SharedStats>,
     /// The serial line, if it is one.
@@ -259,6 +263,28 @@ impl Link {
     pub(crate) fn turns_to_modify(&self, station: u8) -> Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>> {
         let mut modifying = self.inner.modifying.lock().unwrap_or_else(PoisonError::into_inner);
         modifying.with(station, || Arc::new(AssertUnwindSafe(tokio::sync::Mutex::default())), |turns| turns.clone())
+    }
+
+    /// What is known of the capabilities of a station: declared, or learned from refusals.
+    pub(crate) fn known_capabilities(&self, station: u8) -> Capabilities {
+        self.inner.capabilities.get(station)
+    }
+
+    /// Returns whether anything is known of the capabilities of any station.
+    pub(crate) fn knows_capabilities(&self) -> bool {
+        self.inner.capabilities.has_any()
+    }
+
+    /// Declares the capabilities of a station, for its calls and for the requests of the link itself.
+    pub(crate) fn declare_capabilities(&self, station: u8, capabilities: Capabilities) {
+        self.inner.shared.declare_lacking(station, capabilities.lacking());
+        self.inner.capabilities.with(station, |known| known.declare(capabilities));
+    }
+
+    /// Notes what a refusal has shown.
+    pub(crate) fn learn_capability(&self, station: u8, learned: Learned) {
+        tracing::debug!(station, ?learned, "learned from a refusal");
+        self.inner.capabilities.with(station, |known| known.learn(learned, Instant::now()));
     }
 
     /// Returns whether the link has been closed, or its task has ended.

@@ -43,6 +43,7 @@ use tokio::time::{Instant, Sleep, sleep_until};
 use super::call::PendingCall;
 use super::driver::{AdvancedBy, Driver, DriverStatus};
 use super::io_waker::IoWaker;
+use crate::command::CommandSet;
 
 /// The state of a link that its handles and its task share.
 pub(crate) struct Shared {
@@ -113,6 +114,15 @@ impl Shared {
     pub(crate) fn orphan(&self) {
         self.orphaned.store(true, Ordering::Release);
         self.io_waker.wake_task();
+    }
+
+    /// Declares the commands that a station does not know.
+    pub(crate) fn declare_lacking(&self, station: u8, commands: CommandSet) {
+        if let Some(slot) = lock(&self.slot).as_mut() {
+            slot.driver.declare_lacking(station, commands);
+        }
+        // A call that was posted meanwhile found the lock taken.
+        self.drain_inbox();
     }
 
     /// Takes a call, and sends it at once if the driver is free.

@@ -3,6 +3,7 @@ use std::time::Duration;
 use crate::element::{Symbol, Width};
 use crate::endpoint::SerialSettings;
 use crate::link::{Line, Link};
+use crate::station::Station;
 use crate::wire::Framing;
 
 /// The cost of requests in time: a fixed time per request, and a time per byte.
@@ -71,6 +72,14 @@ impl CostModel {
         };
         let [frame_gap, proof_gap] = link.request_gaps();
         model.with_frame_gap(frame_gap).with_overhead(proof_gap)
+    }
+
+    /// Costs of a station: those of its link, with its [response
+    /// time](crate::Capabilities::response_time) if it is known.
+    #[must_use]
+    pub fn of_station(station: &Station) -> Self {
+        let model = Self::of_link(station.link());
+        station.capabilities().response_time().map_or(model, |time| model.with_response_time(time))
     }
 
     /// Costs of a network with this round trip of a short request.

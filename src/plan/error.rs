@@ -1,7 +1,7 @@
 use std::fmt;
 
 use crate::command::InvalidRequest;
-use crate::element::Element;
+use crate::element::{Element, Symbol};
 use crate::error::Error;
 use crate::tag::{Tag, TagAccessError};
 
@@ -32,6 +32,14 @@ pub enum PlanError {
         first: Element,
         /// The last element given.
         last: Element,
+    },
+    /// Plans do not read the discretes with this symbol as words, because no source says that a PLC has
+    /// these words.
+    #[error("{symbol} has no words of discretes that plans read: only X, Y, M and S have")]
+    #[non_exhaustive]
+    NoWords {
+        /// The symbol.
+        symbol: Symbol,
     },
     /// A tag is outside of the readable ranges.
     #[error("{element} of the tag {tag} is not in a readable range of the PLC, or only in part")]
@@ -85,6 +93,7 @@ impl PlanError {
             Self::Request(invalid) => Error::Invalid(invalid),
             Self::Limit { .. }
             | Self::Range { .. }
+            | Self::NoWords { .. }
             | Self::NotReadable { .. }
             | Self::OneScan { .. }
             | Self::TooManyValues { .. }

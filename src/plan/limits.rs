@@ -1,6 +1,7 @@
 use super::PlanError;
 use super::words::WordAreas;
-use crate::command::{MAX_MIXED_READ_UNITS, MAX_POINTS, MAX_UNITS};
+use crate::capabilities::Capabilities;
+use crate::command::{Code, MAX_MIXED_READ_UNITS, MAX_POINTS, MAX_UNITS};
 use crate::element::{Element, Symbol, Width};
 use crate::wire::Framing;
 
@@ -204,6 +205,27 @@ impl Limits {
         self
     }
 
+    /// Lowers the limits to what a station supports.
+    ///
+    /// ```
+    /// use fatek::capabilities::{Capabilities, Support};
+    /// use fatek::command::Code;
+    /// use fatek::plan::Limits;
+    ///
+    /// let known = Capabilities::new().with_command(Code::ReadMixed, Support::Refused).with_max_registers(32)?;
+    /// assert_eq!(Limits::new().within(&known), Limits::new().mixed_reads(false).max_registers(32)?);
+    /// # Ok::<(), fatek::plan::PlanError>(())
+    /// ```
+    #[must_use]
+    pub fn within(self, capabilities: &Capabilities) -> Self {
+        let or_any = |max: Option<usize>| max.unwrap_or(usize::MAX);
+        let mixed = if capabilities.lacks(Code::ReadMixed) { 0 } else { or_any(capabilities.max_mixed()) };
+        let limits = self
+            .at_most(or_any(capabilities.max_registers()), or_any(capabilities.max_points()), mixed)
+            .without_words(capabilities.refused_words());
+        if capabilities.has_words_at_16() { limits.words_at_multiples_of_16(true) } else { limits }
+    }
+
     /// Lowers the maximum of registers, discretes and units of a mixed read to learned limits.
     ///
     /// 0 units exclude mixed reads.
@@ -351,6 +373,7 @@ fn as_u32(limit: usize) -> u32 {
     u32::try_from(limit).unwrap_or(u32::MAX)
 }
 
-fn check_range(name: &'static str, given: usize, min: usize, max: usize) -> Result<usize, PlanError> {
+/// Checks a setting against its range.
+pub(crate) fn check_range(name: &'static str, given: usize, min: usize, max: usize) -> Result<usize, PlanError> {
     if (min..=max).contains(&given) { Ok(given) } else { Err(PlanError::Limit { name, given, min, max }) }
 }

@@ -3,6 +3,7 @@
 use super::fallback::{Fallback, is_refusal};
 use super::reply::ReplyWords;
 use super::{Plan, PlanReadings};
+use crate::capabilities::Learned;
 use crate::error::Error;
 use crate::station::{JobReply, Outcome, Station, StationJob};
 
@@ -19,6 +20,14 @@ impl<E> From<Result<ReplyWords, E>> for RequestResult<E> {
     }
 }
 
+impl<E> RequestResult<E> {
+    /// Returns whether other requests have read its values.
+    fn is_read_by_others(&self) -> bool {
+        let mut replies = self.fallbacks.iter().flat_map(|(_, replies)| replies).peekable();
+        replies.peek().is_some() && replies.all(Result::is_ok)
+    }
+}
+
 /// A result, or the request from which on the job is repeated.
 type Progress<T> = Result<T, usize>;
 
@@ -27,8 +36,9 @@ impl Plan {
     ///
     /// After a failed request the others are sent all the same: its tags have the error, the others
     /// their values. If the PLC refuses a request with
-    /// [words of discretes](super::PlannedRequest::has_words_of_discretes), its values are read
-    /// without them in the same call; silence is not a refusal. A check at the end confirms several
+    /// [words of discretes](super::PlannedRequest::has_words_of_discretes), or a mixed read that it does not
+    /// know, the values are read by others in the same call; silence is not a refusal. The station's
+    /// [capabilities](Station::capabilities) have the refusal then, for the plans made after that. A check at the end confirms several
     /// requests; they are repeated if a duplicate of a reply came out of order. Cancel-safe: the
     /// requests only read.
     pub async fn read(&self, station: &Station) -> PlanReadings<'_, Error> {
@@ -77,6 +87,15 @@ impl Plan {
                 replies.push(reply);
             }
             result.fallbacks.push((fallback, replies));
+        }
+        if let (Some(planned), Err(refusal)) = (self.requests.get(request), &result.reply)
+            && result.is_read_by_others()
+        {
+            let learned = match planned.lacks_mixed_reads(refusal) {
+                true => Learned::NoMixedReads,
+                false => Learned::NoWords(planned.word_areas),
+            };
+            job.station().link().learn_capability(job.station().number(), learned);
         }
         Ok(result)
     }

@@ -23,7 +23,7 @@ use crate::tag::{Field, TagAccessError, TagValue, Tags};
 ///     alarm: bool,
 /// }
 /// # fatek::sim::doctest(|station| async move {
-/// let plan = StructPlan::<Tank>::new(CostModel::of_link(station.link()))?;
+/// let plan = StructPlan::<Tank>::for_station(&station)?;
 /// assert_eq!(plan.as_plan().requests().len(), 1);
 /// for _ in 0..3 {
 ///     let tank = plan.read(&station).await?;
@@ -45,6 +45,15 @@ impl<T: Tags> StructPlan<T> {
     /// Those of [`with_limits`](Self::with_limits).
     pub fn new(cost: CostModel) -> Result<Self, Error> {
         Self::with_limits(cost, Limits::new())
+    }
+
+    /// Makes a plan for a station: with its costs, within its
+    /// [capabilities](Station::capabilities).
+    ///
+    /// # Errors
+    /// Those of [`with_limits`](Self::with_limits).
+    pub fn for_station(station: &Station) -> Result<Self, Error> {
+        Self::with_limits(CostModel::of_station(station), Limits::new().within(&station.capabilities()))
     }
 
     /// Makes a plan with these costs, within these limits.

@@ -18,7 +18,7 @@ use crate::wire::Framing;
 pub(crate) struct WordAreas(u8);
 
 impl WordAreas {
-    const SYMBOLS: [Symbol; 4] = [Symbol::X, Symbol::Y, Symbol::M, Symbol::S];
+    pub(crate) const SYMBOLS: [Symbol; 4] = [Symbol::X, Symbol::Y, Symbol::M, Symbol::S];
 
     pub(crate) fn all() -> Self {
         Self((1 << Self::SYMBOLS.len()) - 1)
@@ -39,6 +39,11 @@ impl WordAreas {
     /// Adds an area; symbols without words have no effect.
     pub(super) fn insert(&mut self, discrete: Symbol) {
         self.0 |= Self::mask(discrete);
+    }
+
+    /// The area of the discretes with this symbol; none for symbols without words.
+    pub(crate) fn of(discrete: Symbol) -> Self {
+        Self(Self::mask(discrete))
     }
 
     /// These areas and others.

@@ -1,14 +1,10 @@
 //! Limits learned from refusals: requests that a PLC refuses although it accepts both halves.
 
-use std::time::Duration;
-
 use tokio::time::Instant;
 
+use crate::capabilities::LEARNED_LIFETIME;
 use crate::element::Element;
 use crate::plan::{Limits, ReadRequest, WordAreas};
-
-/// The lifetime of a learned limit. Then the request is tried again: the cause may have passed.
-const LIFETIME: Duration = Duration::from_secs(600);
 
 /// A restriction of future requests.
 ///
@@ -159,10 +155,10 @@ impl LearnedLimits {
         self.limits.push((limit, now));
     }
 
-    /// Drops limits that have reached [`LIFETIME`]. Returns whether there were any.
+    /// Drops limits that have reached [`LEARNED_LIFETIME`]. Returns whether there were any.
     pub(super) fn expire(&mut self, now: Instant) -> bool {
         let before = self.limits.len();
-        self.limits.retain(|(_, learned)| now.saturating_duration_since(*learned) < LIFETIME);
+        self.limits.retain(|(_, learned)| now.saturating_duration_since(*learned) < LEARNED_LIFETIME);
         self.limits.len() < before
     }
 

@@ -4,13 +4,13 @@
 //! Invariants:
 //! - Nothing is sent unless all the elements exist, in the framing of the link.
 //! - A request begins where the one before it has ended, so no value of 32 bits is split. It is as
-//!   long as the protocol allows, or one element shorter: the link chooses, to tell its reply from
+//!   long as the protocol and the station's capabilities allow, or one element shorter: the link chooses, to tell its reply from
 //!   the one before. Counters of 32 bits are read and written one by one.
 //! - The first failure ends the call. A write reports how many elements are confirmed as written.
 
 use super::{JobReply, Outcome, Station, StationJob};
-use crate::command::{Command, Consecutive, InvalidRequest, StackReply, ValueOf, check_range, most_in_one_request};
-use crate::element::{Element, ElementError};
+use crate::command::{self, Command, Consecutive, InvalidRequest, StackReply, ValueOf, check_range};
+use crate::element::{Element, ElementError, Width};
 use crate::error::Error;
 
 /// Reads `count` elements from `first` on; `request` makes one request.
@@ -24,7 +24,7 @@ where
     E: Into<Element> + TryFrom<Element, Error = ElementError> + Copy,
     C: Command<Reply = Vec<T>>,
 {
-    let most = most_in_one_request(first.into());
+    let most = most_in_one_request(station, first.into());
     if (1..=most).contains(&count) {
         return station.call(request(first, count)?).await;
     }
@@ -60,7 +60,7 @@ where
     C: Consecutive,
 {
     let count = into.len();
-    let most = most_in_one_request(first.into());
+    let most = most_in_one_request(station, first.into());
     // The caller copies the values: the link holds no reference to memory of a future that may be
     // dropped.
     let mut copy = |from: usize, values: &[ValueOf<C>]| {
@@ -103,7 +103,7 @@ where
     E: Into<Element> + TryFrom<Element, Error = ElementError> + Copy,
     C: Command<Reply = ()>,
 {
-    let (count, most) = (values.len(), most_in_one_request(first.into()));
+    let (count, most) = (values.len(), most_in_one_request(station, first.into()));
     if (1..=most).contains(&count) {
         return station.call(request(first, values)?).await;
     }
@@ -128,6 +128,21 @@ where
         // All were acknowledged, but not confirmed.
         Err(error) => Err(unknown(job.first_held().unwrap_or(count), error)),
     }
+}
+
+/// The most consecutive elements from this one on in one request, within the capabilities of the station.
+fn most_in_one_request(station: &Station, first: Element) -> usize {
+    let most = command::most_in_one_request(first);
+    if !station.link.knows_capabilities() {
+        return most;
+    }
+    let known = station.link.known_capabilities(station.number);
+    let lowered = match first.width() {
+        Width::Bit => known.max_points(),
+        Width::Word => known.max_registers(),
+        Width::DWord => known.max_registers().map(|units| units / 2),
+    };
+    lowered.map_or(most, |lowered| most.min(lowered.max(1)))
 }
 
 /// The error of a write of `count` values, of which `written` were written before it.

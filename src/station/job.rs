@@ -51,6 +51,10 @@ impl<'s, M: Copy> StationJob<'s, M> {
         Self { station, job: Job::new(1), given_up: None }
     }
 
+    pub(crate) fn station(&self) -> &'s Station {
+        self.station
+    }
+
     /// The mark of the first result that is not confirmed. It and later ones are lost if the job ends now.
     pub(crate) fn first_held(&self) -> Option<M> {
         self.given_up.or(self.job.first_held())

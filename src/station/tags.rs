@@ -22,7 +22,8 @@ impl Station {
     ///
     /// One tag is read into a number, a `bool`, a `String`, an array or a `Vec`; a tuple, an array or
     /// a `Vec` of tags into a tuple, an array or a `Vec` of these. All tags of a call are read by the
-    /// cheapest [`Plan`] for the link. Values of several requests can be of different scans.
+    /// cheapest [`Plan`] within the [capabilities](Self::capabilities) of the station. Values of several
+    /// requests can be of different scans.
     ///
     /// A service that reads the same tags again and again keeps a [`Plan`], or uses a
     /// [`Poller`](crate::Poller).
@@ -113,7 +114,7 @@ impl Station {
     /// Cancel safety: as of [every method](Self#cancel-safety); what was written stays written.
     pub async fn write_all(&self, assignments: impl IntoAssignments) -> Result<(), Error> {
         let assignments = assignments.into_assignments()?;
-        let cost = CostModel::of_link(&self.link);
+        let cost = CostModel::of_station(self);
         let framing = self.link.framing();
         for assignment in &assignments {
             assignment.tag().check_in(framing).map_err(crate::InvalidRequest::from)?;
@@ -135,12 +136,12 @@ impl Station {
     /// [`StructPlan`](crate::plan::StructPlan), or uses a [`Poller`](crate::Poller).
     ///
     /// # Errors
-    /// Those of [`StructPlan::new`](crate::plan::StructPlan::new) and
+    /// Those of [`StructPlan::for_station`](crate::plan::StructPlan::for_station) and
     /// [`StructPlan::read`](crate::plan::StructPlan::read).
     ///
     /// Cancel-safe: it only reads.
     pub async fn read_struct<T: Tags>(&self) -> Result<T, Error> {
-        StructPlan::new(CostModel::of_link(&self.link))?.read(self).await
+        StructPlan::for_station(self)?.read(self).await
     }
 
     /// Writes the fields of a struct of tags in their order, but for those that are read only; see
@@ -159,7 +160,7 @@ impl Station {
 
     /// The values of each tag, by the cheapest plan.
     async fn read_tags(&self, tags: &[Tag]) -> Result<Vec<Vec<TagValue>>, Error> {
-        let plan = Plan::builder(CostModel::of_link(&self.link)).tags(tags.iter().copied()).build();
+        let plan = Plan::builder_for(self).tags(tags.iter().copied()).build();
         let plan = plan.map_err(PlanError::into_call_error)?;
         let readings = plan.read(self).await;
         readings.iter().map(|(_, values)| values.map_err(Error::clone)).collect()

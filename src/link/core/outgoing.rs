@@ -43,7 +43,8 @@ impl Core {
             None => {}
         }
         if let Some(station) = self.stations.due_probe(now) {
-            return Some(self.check(station, in_step::Check::Nonce, Why::Confirm, None));
+            let check = self.stations.with_in_step(station, |in_step| in_step.probe());
+            return Some(self.check(station, check, Why::Confirm, None));
         }
         loop {
             let call = self.scheduler.pop(now)?;

@@ -22,7 +22,7 @@ use crate::sim::bus::BROADCAST;
 /// ```
 ///
 /// The order of the methods has no effect. A request in the scope of the rule (station, command,
-/// elements) is counted; then [`skip`](Self::skip), [`times`](Self::times) and the chance apply.
+/// elements, length) is counted; then [`skip`](Self::skip), [`times`](Self::times) and the chance apply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rule {
     fault: Fault,
@@ -30,6 +30,7 @@ pub struct Rule {
     command: Option<Code>,
     elements: Option<Span>,
     words_of_discretes: bool,
+    longer_than: Option<usize>,
     skip: u64,
     times: Option<u64>,
     odds: Odds,
@@ -48,6 +49,7 @@ impl Rule {
             command: None,
             elements: None,
             words_of_discretes: false,
+            longer_than: None,
             skip: 0,
             times: None,
             odds: Odds { hits: 1, of: 1 },
@@ -95,6 +97,14 @@ impl Rule {
     #[must_use]
     pub fn words_of_discretes(self) -> Self {
         Self { words_of_discretes: true, ..self }
+    }
+
+    /// Limits the rule to requests that read or write more than this number of elements.
+    ///
+    /// With [`Fault::Error`]: a PLC whose requests are shorter than those of the protocol.
+    #[must_use]
+    pub fn longer_than(self, elements: usize) -> Self {
+        Self { longer_than: Some(elements), ..self }
     }
 
     /// Excludes the first `requests` requests in the scope. Default: 0.
@@ -168,8 +178,15 @@ impl Rule {
             && self.station.is_none_or(|station| subject.is_for(station))
             && self.command.is_none_or(|code| subject.command == Some(code))
             && (!self.words_of_discretes || subject.request.is_some_and(has_words_of_discretes))
+            && self.longer_than.is_none_or(|most| subject.request.is_some_and(|request| element_count(request) > most))
             && self.elements.is_none_or(|span| subject.request.is_some_and(|request| span.is_accessed_by(request)))
     }
+}
+
+fn element_count(request: &Request) -> usize {
+    let mut count = 0;
+    with_command!(request, command => command.for_each_run(&mut |run: Run| count += run.count));
+    count
 }
 
 fn has_words_of_discretes(request: &Request) -> bool {

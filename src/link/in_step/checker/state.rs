@@ -3,8 +3,8 @@
 use super::frame::{Frame, NONCES};
 use super::jobs::ModelJob;
 use super::requests::Name;
+use crate::command::CommandSet;
 use crate::command::Spelling;
-use crate::link::in_step::command_set::CommandSet;
 use crate::link::in_step::{Check, InStep, Proof, Shape, Why};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,19 +1,28 @@
 //! A set of commands.
 
-use crate::command::Code;
+use super::Code;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct CommandSet(u32);
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(crate) struct CommandSet(u32);
 
 impl CommandSet {
-    pub(super) const NONE: Self = Self(0);
+    pub(crate) const NONE: Self = Self(0);
 
-    pub(super) fn contains(self, code: Code) -> bool {
+    pub(crate) fn contains(self, code: Code) -> bool {
         self.0 & Self::bit(code) != 0
     }
 
-    pub(super) fn insert(&mut self, code: Code) {
+    pub(crate) fn insert(&mut self, code: Code) {
         self.0 |= Self::bit(code);
+    }
+
+    pub(crate) fn remove(&mut self, code: Code) {
+        self.0 &= !Self::bit(code);
+    }
+
+    #[must_use]
+    pub(crate) fn and(self, others: Self) -> Self {
+        Self(self.0 | others.0)
     }
 
     /// The commands are 40h to 5Fh.

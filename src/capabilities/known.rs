@@ -1,0 +1,56 @@
+//! The capabilities of a station that a link knows: declared, and learned from refusals.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::{Capabilities, Support, WordSupport};
+use crate::command::Code;
+use crate::element::Symbol;
+use crate::plan::WordAreas;
+
+/// The lifetime of what is learned from a refusal. Then it is tried again: the cause may have passed.
+pub(crate) const LEARNED_LIFETIME: Duration = Duration::from_secs(600);
+
+/// What the refusal of a request has shown, whose values were read by others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Learned {
+    /// Words of the discretes of these areas are refused.
+    NoWords(WordAreas),
+    /// Mixed reads are refused.
+    NoMixedReads,
+}
+
+/// What a link knows of a station.
+#[derive(Debug, Default)]
+pub(crate) struct KnownCapabilities {
+    declared: Capabilities,
+    /// Each once, with the time when it was learned last.
+    learned: Vec<(Learned, Instant)>,
+}
+
+impl KnownCapabilities {
+    /// Replaces all by these.
+    pub(crate) fn declare(&mut self, capabilities: Capabilities) {
+        *self = Self { declared: capabilities, learned: Vec::new() };
+    }
+
+    pub(crate) fn learn(&mut self, learned: Learned, now: Instant) {
+        self.learned.retain(|(known, _)| *known != learned);
+        self.learned.push((learned, now));
+    }
+
+    /// The capabilities as of now.
+    pub(crate) fn get(&self, now: Instant) -> Capabilities {
+        let recent = self.learned.iter().filter(|(_, at)| now.saturating_duration_since(*at) < LEARNED_LIFETIME);
+        recent.fold(self.declared.clone(), |known, (learned, _)| match *learned {
+            Learned::NoMixedReads => known.with_command(Code::ReadMixed, Support::Refused),
+            Learned::NoWords(areas) => {
+                let refused = |known: Capabilities, symbol: &Symbol| {
+                    known.clone().with_words_of(*symbol, WordSupport::Refused).unwrap_or(known)
+                };
+                WordAreas::SYMBOLS.iter().filter(|symbol| areas.contains(**symbol)).fold(known, refused)
+            }
+        })
+    }
+}

@@ -1,0 +1,216 @@
+//! Finds the capabilities of a station by requests that only read.
+
+use std::time::Duration;
+
+use super::{Capabilities, Support, WordSupport};
+use crate::command::{
+    Code, Command, InvalidRequest, LoopBack, MAX_MIXED_READ_UNITS, MAX_POINTS, MAX_UNITS, ReadDetailedStatus,
+    ReadDisabled, ReadDiscretes, ReadMixed, ReadRegisters, ReadStatus, Request,
+};
+use crate::element::{Discrete, Element, Register, Register32, Symbol};
+use crate::error::{Error, ErrorCode};
+use crate::plan::WordAreas;
+use crate::station::Station;
+use crate::wire::{Frame, Framing};
+
+/// Number of exchanges that measure the response time.
+const SAMPLES: usize = 5;
+
+/// The answer to a request.
+enum Answer<T> {
+    Reply(T),
+    Refused(ErrorCode),
+    /// Not answered, though the station answers others.
+    None,
+}
+
+impl Station {
+    /// Finds the capabilities of the station, by some 30 requests that only read, and
+    /// [declares](Self::set_capabilities) them.
+    ///
+    /// It reads the status (40, 53), R0 to R63, M0 to M255 and their enable states, words of X, Y, M and S, and
+    /// the counters DRC200 to DRC202, with the loop-back (4E) between. Not found are commands that write or
+    /// control, program pages (4F), which a running PLC may refuse, and answers to broadcasts. A command that is
+    /// refused because the PLC lacks the elements counts as supported.
+    ///
+    /// A request that is not answered twice counts as unanswered if R0 is answered behind it. A largest
+    /// request of fewer than the protocol's elements is found by halving. The counters tell their step only if
+    /// their values differ.
+    ///
+    /// # Errors
+    /// Those of [every method](Self#errors) if R0 cannot be read: then nothing is declared.
+    ///
+    /// Cancel-safe: it only reads. If it is dropped, nothing is declared.
+    pub async fn probe(&self) -> Result<Capabilities, Error> {
+        // One lost reply is no missing answer. More retries would make the station offline.
+        let probe = Probe { station: self.with_options(self.options().with_retries(1)) };
+        let found = probe.run().await?;
+        self.set_capabilities(found.clone());
+        Ok(found)
+    }
+}
+
+struct Probe {
+    station: Station,
+}
+
+impl Probe {
+    async fn run(&self) -> Result<Capabilities, Error> {
+        let register = first_register()?;
+        let discrete = first_discrete()?;
+        let mut found = Capabilities::new().with_response_time(self.response_time(register).await?);
+
+        found = found.with_command(Code::ReadStatus, self.support(ReadStatus).await?);
+        found = found.with_command(Code::LoopBack, self.support(LoopBack::new("probe")?).await?);
+        found = found.with_command(Code::ReadDetailedStatus, self.support(ReadDetailedStatus).await?);
+        found = found.with_command(Code::ReadDisabled, self.support(ReadDisabled::new(discrete, 1)?).await?);
+
+        let registers = |count: usize| ReadRegisters::new(register, count);
+        found = found.with_command(Code::ReadRegisters, Support::Supported);
+        // R0 was answered.
+        let most = self.largest(1, MAX_UNITS, registers).await?;
+        found.max_registers = Some(most.max(2));
+
+        let support = self.support(ReadDiscretes::new(discrete, 1)?).await?;
+        found = found.with_command(Code::ReadDiscretes, support);
+        if support == Support::Supported {
+            let discretes = |count: usize| ReadDiscretes::new(discrete, count);
+            let most = self.largest(1, MAX_POINTS, discretes).await?;
+            found.max_points = Some(most);
+        }
+
+        let mixed = |count: usize| {
+            let elements = (0..count).map(|n| Element::from(register).nth(n)).collect::<Result<Vec<_>, _>>()?;
+            ReadMixed::new(elements)
+        };
+        let support = self.support(mixed(1)?).await?;
+        found = found.with_command(Code::ReadMixed, support);
+        if support == Support::Supported {
+            let most = self.largest(1, MAX_MIXED_READ_UNITS, mixed).await?;
+            found.max_mixed = Some(most);
+        }
+
+        for (support, symbol) in found.words.iter_mut().zip(WordAreas::SYMBOLS) {
+            *support = self.words_of(symbol).await?;
+        }
+        found.counter_step = self.counter_step().await?;
+        Ok(found)
+    }
+
+    /// Sends a request. Fails if the station answers no other either.
+    async fn ask<C: Command>(&self, request: C) -> Result<Answer<C::Reply>, Error> {
+        match self.station.call(request).await {
+            Ok(reply) => Ok(Answer::Reply(reply)),
+            Err(Error::Plc { error, .. }) => Ok(Answer::Refused(error)),
+            Err(Error::Timeout { .. } | Error::BadReply { .. }) => {
+                self.station.call(ReadRegisters::new(first_register()?, 1)?).await?;
+                Ok(Answer::None)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// The support of the command of a request.
+    async fn support<C: Command>(&self, request: C) -> Result<Support, Error> {
+        Ok(match self.ask(request).await? {
+            // With an illegal address the command is known; its elements are not.
+            Answer::Reply(_) | Answer::Refused(ErrorCode::IllegalAddress) => Support::Supported,
+            Answer::Refused(_) => Support::Refused,
+            Answer::None => Support::Unanswered,
+        })
+    }
+
+    /// The largest accepted count, from `accepted` to `max`.
+    async fn largest<C: Command>(
+        &self,
+        mut accepted: usize,
+        max: usize,
+        request: impl Fn(usize) -> Result<C, InvalidRequest>,
+    ) -> Result<usize, Error> {
+        let mut tried = max;
+        let mut refused = max.saturating_add(1);
+        while accepted < tried {
+            match self.ask(request(tried)?).await? {
+                Answer::Reply(_) => accepted = tried,
+                Answer::Refused(_) | Answer::None => refused = tried,
+            }
+            tried = accepted.midpoint(refused);
+        }
+        Ok(accepted)
+    }
+
+    async fn words_of(&self, discrete: Symbol) -> Result<WordSupport, Error> {
+        let word = |address: u16| {
+            let element = Element::new(discrete.area().word(), address)?;
+            Ok::<_, InvalidRequest>(ReadRegisters::new(Register::try_from(element)?, 1)?)
+        };
+        match (self.ask(word(0)?).await?, self.ask(word(8)?).await?) {
+            (Answer::Refused(_) | Answer::None, _) => Ok(WordSupport::Refused),
+            (Answer::Reply(_), Answer::Reply(_)) => Ok(WordSupport::MultiplesOf8),
+            (Answer::Reply(_), Answer::Refused(_) | Answer::None) => Ok(WordSupport::MultiplesOf16),
+        }
+    }
+
+    /// The step of counters of 32 bits in a run; `None` if they are not there, or have equal values.
+    async fn counter_step(&self) -> Result<Option<u8>, Error> {
+        let mut values = [0; 3];
+        for (value, address) in values.iter_mut().zip(200..) {
+            let counter = Register32::new(Symbol::DRC, address).map_err(InvalidRequest::from)?;
+            let Answer::Reply(read) = self.ask(ReadRegisters::new(counter, 1)?).await? else { return Ok(None) };
+            *value = read.first().copied().unwrap_or_default();
+        }
+        // As a gateway gets it: a request that this crate makes has one of these counters.
+        let run =
+            Frame { station: self.station.number(), command: Code::ReadRegisters.into(), data: "02DRC0200".into() };
+        let Ok(Request::ReadRegisters32(run)) = Request::decode(&run, Framing::Ascii) else { return Ok(None) };
+        let Answer::Reply(run) = self.ask(run).await? else { return Ok(None) };
+        Ok(step_of(values, &run))
+    }
+
+    /// The median of several response times of a read of one register.
+    async fn response_time(&self, register: Register) -> Result<Duration, Error> {
+        let mut times = Vec::with_capacity(SAMPLES);
+        for _ in 0..SAMPLES {
+            self.station.call(ReadRegisters::new(register, 1)?).await?;
+            let round_trip = self.station.stats().round_trip.map(|round_trip| round_trip.last).unwrap_or_default();
+            // The reply has at most two registers in one of its spellings.
+            let framing = self.station.link().framing();
+            let reply = self.station.link().line().map(|line| line.transmission(framing.frame_overhead()));
+            times.push(round_trip.saturating_sub(reply.unwrap_or_default()));
+        }
+        times.sort_unstable();
+        Ok(times.get(SAMPLES / 2).copied().unwrap_or_default())
+    }
+}
+
+fn first_register() -> Result<Register, Error> {
+    Ok(Register::new(Symbol::R, 0).map_err(InvalidRequest::from)?)
+}
+
+fn first_discrete() -> Result<Discrete, Error> {
+    Ok(Discrete::new(Symbol::M, 0).map_err(InvalidRequest::from)?)
+}
+
+/// The step of a run of two counters, by the values of three counters one by one. `None` if it does not show.
+fn step_of([first, second, third]: [u32; 3], run: &[u32]) -> Option<u8> {
+    match run {
+        [a, b] if *a == first && *b == second && second != third => Some(1),
+        [a, b] if *a == first && *b == third && second != third => Some(2),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_step_of_counters_shows_if_their_values_differ() {
+        assert_eq!(step_of([7, 8, 9], &[7, 8]), Some(1));
+        assert_eq!(step_of([7, 8, 9], &[7, 9]), Some(2));
+        assert_eq!(step_of([7, 8, 8], &[7, 8]), None);
+        // They count meanwhile.
+        assert_eq!(step_of([7, 8, 9], &[8, 9]), None);
+        assert_eq!(step_of([7, 8, 9], &[7]), None);
+    }
+}
