@@ -1,4 +1,4 @@
-//! Capabilities of a station: what a PLC, or the device in front of it, supports.
+//! Capabilities of a station: commands and limits of a PLC, or of the device in front of it.
 //!
 //! The protocol documents one list of commands and limits. Gateways and servers of other makers support
 //! less: some answer error 4 to 42, 48, 4E and 53, some have shorter requests or no words of discretes.
@@ -31,7 +31,8 @@ use crate::command::{Code, CommandSet, MAX_MIXED_READ_UNITS, MAX_POINTS, MAX_UNI
 use crate::element::Symbol;
 use crate::plan::{PlanError, WordAreas, check_range};
 
-/// What a station supports. By default, nothing is known, and the limits of the protocol hold.
+/// The capabilities of a station: commands, lengths and timing. By default, none is known, and the limits of
+/// the protocol hold.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Capabilities {
     /// A command is in one of the three sets at most.

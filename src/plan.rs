@@ -137,7 +137,7 @@ impl Plan {
     /// # fatek::sim::doctest(|station| async move {
     /// use fatek::{Plan, Tag};
     ///
-    /// let plan = Plan::builder_for(&station).tags(["R0", "R7"].map(|tag| tag.parse::<Tag>().expect("a tag"))).build()?;
+    /// let plan = Plan::builder_for(&station).tag(Tag::parse("R0-R7")?).build()?;
     /// assert_eq!(plan.read(&station).await.errors().count(), 0);
     /// # Ok(()) });
     /// ```

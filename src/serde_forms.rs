@@ -2,6 +2,7 @@
 //!
 //! The implementations are in this module, one file per kind of form.
 
+mod capabilities;
 mod duration;
 mod error;
 mod names;

@@ -294,6 +294,24 @@ fn special_elements_are_written_only_with_the_option() {
 }
 
 #[test]
+fn a_probe_prints_what_the_plc_supports() {
+    let sim = Sim::start(&[]);
+    let table = sim.fatek(&["probe", "--format", "csv"]).ok();
+    for row in [
+        "48 mixed read,supported",
+        "45 write discretes,unknown",
+        "words of M,multiples of 8",
+        "registers in one request,64",
+        "discretes in one request,256",
+        "step of DRC in a run,unknown",
+    ] {
+        assert!(table.lines().any(|line| line == row), "{row}: {table}");
+    }
+    let json: serde_json::Value = sim.fatek(&["probe", "--format", "json"]).ok().parse().unwrap();
+    assert_eq!((&json["commands"]["4E"], &json["max_mixed"]), (&"supported".into(), &64.into()));
+}
+
+#[test]
 fn the_clock_of_a_plc_without_one_is_status_3() {
     let sim = Sim::start(&[]);
     let ran = sim.fatek(&["clock"]);

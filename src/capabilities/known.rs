@@ -12,7 +12,7 @@ use crate::plan::WordAreas;
 /// The lifetime of what is learned from a refusal. Then it is tried again: the cause may have passed.
 pub(crate) const LEARNED_LIFETIME: Duration = Duration::from_secs(600);
 
-/// What the refusal of a request has shown, whose values were read by others.
+/// A conclusion from a refused request whose values were read by others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Learned {
     /// Words of the discretes of these areas are refused.
@@ -21,7 +21,7 @@ pub(crate) enum Learned {
     NoMixedReads,
 }
 
-/// What a link knows of a station.
+/// The capabilities of a station, declared and learned.
 #[derive(Debug, Default)]
 pub(crate) struct KnownCapabilities {
     declared: Capabilities,

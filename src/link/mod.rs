@@ -265,7 +265,7 @@ impl Link {
         modifying.with(station, || Arc::new(AssertUnwindSafe(tokio::sync::Mutex::default())), |turns| turns.clone())
     }
 
-    /// What is known of the capabilities of a station: declared, or learned from refusals.
+    /// The known capabilities of a station: declared, or learned from refusals.
     pub(crate) fn known_capabilities(&self, station: u8) -> Capabilities {
         self.inner.capabilities.get(station)
     }

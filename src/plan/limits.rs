@@ -289,6 +289,12 @@ impl Limits {
         [self.max_registers, self.max_points, self.max_mixed]
     }
 
+    /// Returns the areas whose discretes are read as words, and whether only at multiples of 16.
+    #[cfg(feature = "serde")]
+    pub(crate) fn words(&self) -> (WordAreas, bool) {
+        (self.word_areas, self.word_alignment == WORD_BITS)
+    }
+
     /// Returns the readable ranges and those to avoid, by symbol and both addresses.
     #[cfg(feature = "serde")]
     pub(crate) fn ranges(&self) -> [Vec<(Symbol, u16, u16)>; 2] {

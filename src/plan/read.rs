@@ -38,9 +38,10 @@ impl Plan {
     /// their values. If the PLC refuses a request with
     /// [words of discretes](super::PlannedRequest::has_words_of_discretes), or a mixed read that it does not
     /// know, the values are read by others in the same call; silence is not a refusal. The station's
-    /// [capabilities](Station::capabilities) have the refusal then, for the plans made after that. A check at the end confirms several
-    /// requests; they are repeated if a duplicate of a reply came out of order. Cancel-safe: the
-    /// requests only read.
+    /// [capabilities](Station::capabilities) have the refusal then, for the plans made after that.
+    ///
+    /// A check at the end confirms several requests; they are repeated if a duplicate of a reply came
+    /// out of order. Cancel-safe: the requests only read.
     pub async fn read(&self, station: &Station) -> PlanReadings<'_, Error> {
         let mut job = StationJob::new(station);
         let mut results: Vec<RequestResult<Error>> = Vec::with_capacity(self.requests.len());

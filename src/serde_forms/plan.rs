@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{DurationText, check_kept, through_forms};
 use crate::element::{Element, Symbol, Width};
-use crate::plan::{CostModel, Limits};
+use crate::plan::{CostModel, Limits, WordAreas};
 use crate::wire::Framing;
 
 through_forms! {
@@ -70,6 +70,9 @@ struct LimitsForm {
     mixed_reads: bool,
     /// `None` without mixed reads; else the default is the limit of the protocol.
     max_mixed: Option<usize>,
+    /// The areas whose discretes are read as words.
+    words_of_discretes: Vec<Symbol>,
+    words_at_multiples_of_16: bool,
     readable: Vec<RangeText>,
     avoid: Vec<RangeText>,
 }
@@ -85,7 +88,18 @@ impl LimitsForm {
         let [readable, avoid] = limits.ranges().map(texts);
         let mixed_reads = max_mixed > 0;
         let max_mixed = mixed_reads.then_some(max_mixed);
-        Self { max_registers, max_points, mixed_reads, max_mixed, readable, avoid }
+        let (areas, words_at_multiples_of_16) = limits.words();
+        let words_of_discretes = WordAreas::SYMBOLS.into_iter().filter(|symbol| areas.contains(*symbol)).collect();
+        Self {
+            max_registers,
+            max_points,
+            mixed_reads,
+            max_mixed,
+            words_of_discretes,
+            words_at_multiples_of_16,
+            readable,
+            avoid,
+        }
     }
 
     fn make(self) -> Result<Limits, String> {
@@ -99,7 +113,18 @@ impl LimitsForm {
                 return Err(format!("`max_mixed` is {units}, and `mixed_reads` is false: one of them is wrong"));
             }
         };
-        let mut limits = limits.map_err(rule)?;
+        let mut areas = WordAreas::default();
+        for symbol in self.words_of_discretes {
+            let area = WordAreas::of(symbol);
+            if area.is_empty() {
+                return Err(rule(crate::plan::PlanError::NoWords { symbol }));
+            }
+            areas = areas.and(area);
+        }
+        let mut limits = limits
+            .map_err(rule)?
+            .without_words(WordAreas::all().without(areas))
+            .words_at_multiples_of_16(self.words_at_multiples_of_16);
         for RangeText { first, last } in self.readable {
             limits = limits.readable(first, last).map_err(rule)?;
         }

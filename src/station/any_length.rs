@@ -4,8 +4,9 @@
 //! Invariants:
 //! - Nothing is sent unless all the elements exist, in the framing of the link.
 //! - A request begins where the one before it has ended, so no value of 32 bits is split. It is as
-//!   long as the protocol and the station's capabilities allow, or one element shorter: the link chooses, to tell its reply from
-//!   the one before. Counters of 32 bits are read and written one by one.
+//!   long as the protocol and the station's capabilities allow, or one element shorter: the link
+//!   chooses, to tell its reply from the one before. Counters of 32 bits are read and written one by
+//!   one.
 //! - The first failure ends the call. A write reports how many elements are confirmed as written.
 
 use super::{JobReply, Outcome, Station, StationJob};

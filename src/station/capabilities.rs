@@ -3,7 +3,7 @@
 use crate::capabilities::Capabilities;
 use crate::station::Station;
 
-/// What a PLC supports.
+/// Capabilities of the PLC.
 impl Station {
     /// Returns what is known of the capabilities of the station, over all handles of the link.
     ///

@@ -16,7 +16,7 @@ use clap::{ArgAction, Args, Parser, Subcommand};
 pub(crate) use self::backup::{BackupArgs, RestoreArgs, SpecialArg};
 pub(crate) use self::data::{DiscreteArgs, PlanArgs, ReadArgs, WatchArgs, WriteArgs};
 pub(crate) use self::decode::DecodeArgs;
-pub(crate) use self::line::{ClockArgs, PingArgs, ScanArgs};
+pub(crate) use self::line::{ClockArgs, PingArgs, ProbeArgs, ScanArgs};
 pub(crate) use self::model::ModelArgs;
 pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
 pub(crate) use self::sim::SimArgs;
@@ -204,6 +204,7 @@ pub(crate) enum Command {
     Backup(BackupArgs),
     Restore(RestoreArgs),
     Clock(ClockArgs),
+    Probe(ProbeArgs),
     Decode(DecodeArgs),
 }
 

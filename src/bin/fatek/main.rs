@@ -15,6 +15,7 @@ mod ping;
 mod plan;
 #[path = "../../printable.rs"]
 mod printable;
+mod probe;
 mod program;
 mod progress;
 mod read;
@@ -144,6 +145,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             Command::Backup(args) => backup::backup(&cli.plc.or(&args.plc), timeout, args, output).await,
             Command::Restore(args) => backup::restore(&cli.plc.or(&args.plc), timeout, args, output).await,
             Command::Clock(args) => clock::clock(&station(&args.plc)?, args, output).await,
+            Command::Probe(args) => probe::probe(&station(&args.plc)?, output).await,
             Command::Decode(args) => decode::decode(args, output),
         }
     })

@@ -10,6 +10,7 @@ use serde_json::{Value as Json, json};
 use tokio::time::Instant;
 
 use super::{json as text_of, read_json, read_values, tag};
+use crate::capabilities::{Capabilities, Support, WordSupport};
 use crate::command::Code;
 use crate::element::{Symbol, Value};
 use crate::endpoint::{DataBits, InStepSettings, Parity, Rts, SerialSettings};
@@ -17,7 +18,7 @@ use crate::error::{Error, ErrorCode};
 use crate::link::{
     CallOptions, CheckStats, EchoMode, LinkState, LinkStats, RoundTripStats, SpellingStats, StationState, StationStats,
 };
-use crate::plan::{CostModel, Limits};
+use crate::plan::{CostModel, Limits, WordAreas};
 use crate::poll::{ClassStats, Counters, PollTag, PollerStats, Quality, Reason, Sample, ScanClass, Stamp, TagId};
 use crate::pool::{PoolEndpoint, PoolStats};
 use crate::tag::{Assignment, Scale, TagType, TagValue};
@@ -185,7 +186,23 @@ fn options(examples: &mut Remaining) {
     let limits = range(Limits::new(), element!("R5000"), element!("R5998"));
     let limits = range(limits, element!("R0"), element!("R3839")).max_registers(32).unwrap().max_mixed(16).unwrap();
     let limits = limits.avoid(element!("R4"), element!("R4")).unwrap();
+    let limits = limits.without_words(WordAreas::of(Symbol::Y).and(WordAreas::of(Symbol::S)));
     examples.both("`Limits`", limits.avoid(element!("DRC200"), element!("DRC255")).unwrap());
+    let known = Capabilities::new()
+        .with_command(Code::ReadDiscretes, Support::Supported)
+        .with_command(Code::ReadMixed, Support::Refused)
+        .with_command(Code::LoopBack, Support::Unanswered)
+        .with_answers_broadcasts(false)
+        .with_response_time(5 * MS);
+    let known = known.with_max_registers(64).unwrap().with_max_points(256).unwrap().with_counter_step(1).unwrap();
+    let known = [
+        (Symbol::X, WordSupport::MultiplesOf16),
+        (Symbol::Y, WordSupport::Refused),
+        (Symbol::M, WordSupport::MultiplesOf8),
+    ]
+    .into_iter()
+    .fold(known, |known, (symbol, support)| known.with_words_of(symbol, support).unwrap());
+    examples.both("`Capabilities`", known);
     examples.both("`CostModel`", CostModel::network(Framing::Ascii, 12 * MS).with_overhead(MS));
 }
 

@@ -205,7 +205,7 @@ proptest! {
         maxima in (2..=64_usize, 1..=256_usize, 0..=64_usize),
         ranges in prop::collection::vec((element(), 0..40_u16, any::<bool>()), 0..6),
         times in (duration(MINUTE), duration(SECOND), duration(SECOND)),
-        is_binary: bool,
+        (is_binary, words, at_16) in any::<(bool, bool, bool)>(),
     ) {
         let (registers, points, mixed) = maxima;
         let limits = Limits::new().max_registers(registers).unwrap().max_points(points).unwrap();
@@ -216,7 +216,8 @@ proptest! {
             let with = if avoid { limits.clone().avoid(first, last) } else { limits.clone().readable(first, last) };
             limits = with.unwrap_or(limits);
         }
-        assert_round_trip(&limits);
+        // Before, the form left out words of discretes.
+        assert_round_trip(&limits.words_of_discretes(words).words_at_multiples_of_16(at_16));
         let (response, byte, gap) = times;
         let framing = if is_binary { Framing::Binary } else { Framing::Ascii };
         let cost = CostModel::network(framing, response).with_byte_time(byte).with_frame_gap(gap).with_overhead(gap);

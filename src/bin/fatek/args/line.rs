@@ -104,3 +104,19 @@ pub(crate) struct ClockArgs {
     #[command(flatten)]
     pub(crate) plc: Plc,
 }
+
+/// Find what the PLC supports, by reading only
+///
+/// Some 30 requests: commands, longest requests, words of discretes, response time. JSON is the form
+/// of the type Capabilities.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek probe --link tcp://192.168.2.3 --station 1
+  fatek probe --format json
+
+Commands that write or control, and program pages, are not tried: their support is
+unknown. R0 must be readable.")]
+pub(crate) struct ProbeArgs {
+    #[command(flatten)]
+    pub(crate) plc: Plc,
+}
