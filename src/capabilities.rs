@@ -19,6 +19,9 @@
 //! ```
 //!
 //! Source: protocol reference, section 7 (field facts).
+//!
+//! [`Station::probe`]: crate::Station::probe
+//! [`Station::set_capabilities`]: crate::Station::set_capabilities
 
 mod known;
 mod probe;

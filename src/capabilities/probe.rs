@@ -142,7 +142,7 @@ impl Probe {
     async fn words_of(&self, discrete: Symbol) -> Result<WordSupport, Error> {
         let word = |address: u16| {
             let element = Element::new(discrete.area().word(), address)?;
-            Ok::<_, InvalidRequest>(ReadRegisters::new(Register::try_from(element)?, 1)?)
+            ReadRegisters::new(Register::try_from(element)?, 1)
         };
         match (self.ask(word(0)?).await?, self.ask(word(8)?).await?) {
             (Answer::Refused(_) | Answer::None, _) => Ok(WordSupport::Refused),
