@@ -43,7 +43,7 @@
 //! Every run goes through these stages:
 //!
 //! ```text
-//! Brief (40) ─▶ Status (53) ─▶ Header (page 0) ─▶ Page n … ─▶ [Again n …] ─▶ LastHeader ─▶ LastStatus ─▶ Done
+//! Brief (40) ─▶ Status (53) ─▶ Header (page 0) ─▶ Page n … ─▶ [Behind] ─▶ [Again n …] ─▶ LastHeader ─▶ LastStatus ─▶ Done
 //! ```
 //!
 //! Invariants:
@@ -51,6 +51,9 @@
 //!   confirms that. If an out-of-order duplicate came, the pages since the last check are read again,
 //!   as often as reads are retried. Pages that are not confirmed are dropped when a run ends.
 //! - The header fits the ladder size of 53, so the number of pages is known before page 1 is read.
+//!   An FBs can state more than it has: the first page from page 2 on that it refuses with error 2 or A
+//!   ends the ladder, if it refuses the last page, too; the program says so
+//!   ([`Program::refused_page`]).
 //! - Pages of two runs are combined only if both runs are with the same station, by number and
 //!   endpoint, and the PLC's type, version, ladder size and page 0 are equal. They are compared once
 //!   more when all pages are read. A change is [`ProgramError::Changed`], and nothing is kept then.
@@ -136,6 +139,7 @@ use std::fmt;
 use std::path::Path;
 
 use crate::command::{DetailedStatus, PAGE_WORDS, ProgramPage};
+use crate::error::{Error, ErrorCode};
 use crate::file::{self, FileError, FormatError, Origin, PlcDifference, file_methods, model_differences};
 
 pub use self::error::{InvalidProgram, ProgramAction, ProgramError, WriteProgramError};
@@ -149,13 +153,22 @@ pub use crate::transfer::PlcState;
 /// Bytes of a page.
 const PAGE_BYTES: usize = 2 * PAGE_WORDS;
 
+/// The fewest pages of a program whose other pages were refused: the header and a page of the ladder.
+const MIN_PAGES: usize = 2;
+
+/// Returns whether a refusal of a page may mean that the memory of the PLC has no such page.
+fn ends_the_ladder(refusal: &Error) -> bool {
+    matches!(refusal.error_code(), Some(ErrorCode::IllegalAddress | ErrorCode::IllegalValue))
+}
+
 /// A whole program: the header, all pages of the ladder, and the status of the PLC it was read from.
 ///
-/// The header always fits the number of pages. Two programs are equal if all their pages are.
+/// The header fits the number of pages, unless the PLC [refused](Self::refused_page) the pages behind
+/// them. Two programs are equal if all their pages are.
 #[derive(Clone)]
 pub struct Program {
     header: ProgramHeader,
-    /// The header first; the number of pages that the header requires.
+    /// The header first; the number of pages that the header requires, or fewer that a PLC had.
     pages: Vec<ProgramPage>,
     /// All of its fields are known, or none.
     origin: Origin,
@@ -184,6 +197,16 @@ impl Program {
         }
     }
 
+    /// Makes a program of the pages of a PLC, which may have refused those behind them.
+    pub(crate) fn from_plc(pages: Vec<ProgramPage>) -> Result<Self, InvalidProgram> {
+        let header = ProgramHeader::parse(pages.first().ok_or(InvalidProgram::Empty)?)?;
+        // A header and a page of the ladder.
+        if (MIN_PAGES..usize::from(header.page_count())).contains(&pages.len()) {
+            return Ok(Self { header, pages, origin: Origin::default(), unknown_fields: Vec::new() });
+        }
+        Self::from_pages(pages)
+    }
+
     /// Makes a program of the bytes of all its pages, as [`to_bytes`](Self::to_bytes) returns them.
     ///
     /// # Errors
@@ -208,7 +231,23 @@ impl Program {
         self.header
     }
 
-    /// Size of the ladder in words.
+    /// The first page that the PLC refused, although its ladder should have it; `None` for a whole program.
+    ///
+    /// The memory of an FBs may end before the size that it states. Such a program is written only to a PLC
+    /// that refuses this page, too.
+    #[must_use]
+    pub fn refused_page(&self) -> Option<u16> {
+        let count = self.page_count();
+        (count < self.header.page_count()).then_some(count)
+    }
+
+    /// The number of pages, the header included: those of [`pages`](Self::pages).
+    pub(crate) fn page_count(&self) -> u16 {
+        // At most 1025.
+        u16::try_from(self.pages.len()).unwrap_or(u16::MAX)
+    }
+
+    /// Size of the ladder in words, as the header states it.
     #[must_use]
     pub fn ladder_words(&self) -> u16 {
         self.header.ladder_words()
@@ -226,7 +265,8 @@ impl Program {
         self.pages.get(usize::from(page))
     }
 
-    /// The words of the ladder, as many as the header states.
+    /// The words of the ladder, as many as the header states, or those before the [refused
+    /// page](Self::refused_page).
     pub fn words(&self) -> impl Iterator<Item = u16> {
         let ladder = self.pages.iter().skip(1).flat_map(|page| page.words().iter().copied());
         ladder.take(self.ladder_words().into())
@@ -235,7 +275,7 @@ impl Program {
     /// The pages that differ, in ascending order, with those that only one of the programs has.
     #[must_use]
     pub fn differing_pages(&self, other: &Self) -> Vec<u16> {
-        let count = self.header.page_count().max(other.header.page_count());
+        let count = self.page_count().max(other.page_count());
         (0..count).filter(|&page| self.page(page) != other.page(page)).collect()
     }
 
@@ -246,7 +286,8 @@ impl Program {
         self.status().map(|file| model_differences(file, status)).unwrap_or_default()
     }
 
-    /// Saves the [bytes](Self::to_bytes) alone, for other tools. Such a file has no checksum.
+    /// Saves the [bytes](Self::to_bytes) alone, for other tools. Such a file has no checksum. One without
+    /// the pages that a PLC [refused](Self::refused_page) cannot be loaded again.
     ///
     /// # Errors
     /// [`FileError`]; the file is as it was before.

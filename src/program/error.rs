@@ -133,6 +133,12 @@ pub enum ProgramError {
         /// The kind of the program in the PLC.
         plc: ProgramKind,
     },
+    /// The program lacks this page, which the PLC that it was read from refused, and this PLC has it.
+    #[non_exhaustive]
+    HasRefusedPage {
+        /// The page.
+        page: u16,
+    },
     /// The PLC is not the one that the program was read from: see
     /// [`WriteState::other_plc`](super::WriteState::other_plc).
     OtherPlc,
@@ -187,6 +193,10 @@ impl fmt::Display for ProgramError {
             Self::KindMisfit { program, plc } => {
                 write!(f, "the program is of the kind {program}, and that of the PLC of the kind {plc}")
             }
+            Self::HasRefusedPage { page } => write!(
+                f,
+                "the program ends before page {page}, which the PLC that it was read from refused, and this PLC has it"
+            ),
             Self::OtherPlc => {
                 f.write_str("the program is of another PLC, and `WriteOptions::accept_other_plc` was not chosen")
             }
@@ -215,6 +225,7 @@ impl std::error::Error for ProgramError {
             | Self::OtherStation { .. }
             | Self::SizeMisfit { .. }
             | Self::KindMisfit { .. }
+            | Self::HasRefusedPage { .. }
             | Self::OtherPlc
             | Self::MemoryCard
             | Self::Running

@@ -5,7 +5,7 @@
 //! about FB00, 13184 words, …     for people; it follows from the other fields
 //! brief 005400                   bytes of 40, or `-`
 //! status 00010231 …              bytes of 53, or `-`
-//! pages 207
+//! pages 207                      or `321 of 513`, where the PLC refused page 321
 //! page 0 4642 …                  256 digits each, in ascending order
 //! ```
 //!
@@ -28,7 +28,10 @@ pub(super) fn read(file: &[u8]) -> Result<Program, FormatError> {
 
 fn form(program: &Program) -> String {
     let mut form = program.origin.lines(Some(about(program)));
-    form += &format!("pages {}\n", program.pages.len());
+    form += &match program.refused_page() {
+        None => format!("pages {}\n", program.pages.len()),
+        Some(_) => format!("pages {} of {}\n", program.pages.len(), program.header.page_count()),
+    };
     for (number, page) in program.pages.iter().enumerate() {
         form += &format!("page {number} {}\n", hex::encode(&page.to_bytes()));
     }
@@ -51,7 +54,10 @@ fn parse(content: Content<'_>) -> Result<Program, FormatError> {
     if origin.brief.is_some() != known || origin.detailed.is_some() != known {
         return Err(lines.error("`read`, `brief` and `status` must be known together"));
     }
-    let count: usize = lines.field("pages")?.parse().map_err(|_| lines.error("a number of pages was expected"))?;
+    let count = lines.field("pages")?;
+    // The number of all pages follows from the header; the form is compared below.
+    let (count, is_cut) = count.split_once(" of ").map_or((count, false), |(count, _)| (count, true));
+    let count: usize = count.parse().map_err(|_| lines.error("a number of pages was expected"))?;
     let mut pages = Vec::new();
     for expected in 0..count {
         let (number, digits) = lines.field("page")?.split_once(' ').unwrap_or_default();
@@ -63,7 +69,8 @@ fn parse(content: Content<'_>) -> Result<Program, FormatError> {
         pages.push(ProgramPage::from_bytes(&bytes));
     }
     lines.end()?;
-    let program = Program { origin, ..Program::from_pages(pages).map_err(FormatError::content)? };
+    let program = if is_cut { Program::from_plc(pages) } else { Program::from_pages(pages) };
+    let program = Program { origin, ..program.map_err(FormatError::content)? };
     let unknown_fields = lines.in_form(content, &form(&program))?;
     Ok(Program { unknown_fields, ..program })
 }

@@ -3,7 +3,7 @@
 use std::time::SystemTime;
 
 use super::header::page_count;
-use super::{InvalidProgram, Program, ProgramAction, ProgramError, ProgramHeader};
+use super::{InvalidProgram, MIN_PAGES, Program, ProgramAction, ProgramError, ProgramHeader, ends_the_ladder};
 use crate::command::{BriefStatus, DetailedStatus, ProgramPage};
 use crate::error::Error;
 use crate::file::{Origin, whole_seconds};
@@ -17,6 +17,8 @@ enum ReadStage {
     Header,
     /// The first page that is missing.
     Pages,
+    /// That page was refused: the last page of the stated size, which must be refused, too.
+    Behind,
     /// No page is missing; this one is read again.
     Again(u16),
     LastHeader,
@@ -54,6 +56,10 @@ pub(super) struct Reading {
     pages: Vec<ProgramPage>,
     /// Pages of this run that have been read again.
     again: u16,
+    /// The refusal of the first page that is missing, until the last page is refused, too.
+    refusal: Option<Error>,
+    /// The first page that the PLC refused: the ladder ends before it.
+    refused: Option<u16>,
 }
 
 /// The result of a reading.
@@ -61,6 +67,8 @@ pub(super) struct Reading {
 enum Verdict {
     Changed(Option<u16>),
     Invalid(InvalidProgram),
+    /// The PLC refused the first page that is missing.
+    Refused,
     Good,
 }
 
@@ -77,6 +85,8 @@ impl Default for Reading {
             status: None,
             pages: Vec::new(),
             again: 0,
+            refusal: None,
+            refused: None,
         }
     }
 }
@@ -90,6 +100,7 @@ impl Reading {
         self.stage = ReadStage::Brief;
         self.again = 0;
         self.verdict = None;
+        (self.refusal, self.refused) = (None, None);
         self.pages.truncate(self.confirmed);
         if !self.status_confirmed {
             self.status = None;
@@ -98,10 +109,11 @@ impl Reading {
 
     /// The program, after [`Step::Done`]. The reading is as new then.
     pub(super) fn finish(&mut self, now: SystemTime) -> Result<Program, ProgramError> {
-        let Self { brief, status, pages, .. } = std::mem::take(self);
+        let Self { brief, status, pages, refused, .. } = std::mem::take(self);
         debug_assert!(brief.is_some() && status.is_some(), "both are read before page 0");
         let origin = Origin { read_at: Some(whole_seconds(now)), brief, detailed: status };
-        Ok(Program { origin, ..Program::from_pages(pages)? })
+        let program = if refused.is_some() { Program::from_plc(pages) } else { Program::from_pages(pages) };
+        Ok(Program { origin, ..program? })
     }
 
     /// Confirmed pages.
@@ -144,7 +156,7 @@ impl Reading {
                     self.stage = ReadStage::LastStatus;
                 }
             }
-            ReadStage::Brief | ReadStage::Status | ReadStage::LastStatus | ReadStage::Done => {
+            ReadStage::Brief | ReadStage::Status | ReadStage::Behind | ReadStage::LastStatus | ReadStage::Done => {
                 debug_assert!(false, "a page in {:?}", self.stage);
             }
         }
@@ -198,9 +210,22 @@ impl Reading {
         u16::try_from(self.pages.len()).unwrap_or(u16::MAX)
     }
 
-    /// 0 before the size is known.
+    /// The number of pages to read; 0 before the size is known.
     fn total(&self) -> u16 {
+        self.refused.map_or(self.stated(), |refused| self.stated().min(refused))
+    }
+
+    /// The number of pages by the size in 53; 0 before it is known.
+    fn stated(&self) -> u16 {
         self.status.as_ref().map_or(0, |status| page_count(status.ladder_words()))
+    }
+
+    /// The memory of the PLC ends before the first page that is missing.
+    fn end_here(&mut self) {
+        let page = self.first_missing();
+        tracing::info!(page, "the PLC refuses this page of its ladder, which ends before it");
+        self.refused = Some(page);
+        self.stage = self.after_pages();
     }
 }
 
@@ -221,6 +246,7 @@ impl Transfer for Reading {
             ReadStage::Status | ReadStage::LastStatus => Request::DetailedStatus,
             ReadStage::Header | ReadStage::LastHeader => Request::ReadPage(0),
             ReadStage::Pages => Request::ReadPage(self.first_missing()),
+            ReadStage::Behind => Request::ReadPage(self.stated().saturating_sub(1)),
             ReadStage::Again(page) => Request::ReadPage(page),
             ReadStage::Done => return Ok(Step::Done),
         }))
@@ -238,14 +264,28 @@ impl Transfer for Reading {
                 self.stage = ReadStage::Status;
             }
             Ok(Reply::DetailedStatus(status)) => self.status(status),
+            // The PLC has pages behind the one that it refused.
+            Ok(Reply::Page(_)) if self.stage == ReadStage::Behind => {
+                if let Some(source) = self.refusal.take() {
+                    return Err(ProgramError::Call { action: ProgramAction::ReadPage(self.first_missing()), source });
+                }
+            }
             Ok(Reply::Page(content)) => self.page(content),
             Ok(reply @ (Reply::Values(_) | Reply::Disabled(_) | Reply::Done)) => {
                 debug_assert!(false, "{reply:?} in {:?}", self.stage);
             }
+            Err(source)
+                if self.stage == ReadStage::Pages && self.pages.len() >= MIN_PAGES && ends_the_ladder(&source) =>
+            {
+                self.refusal = Some(source);
+                self.verdict = Some(Verdict::Refused);
+            }
+            Err(source) if self.stage == ReadStage::Behind && ends_the_ladder(&source) => self.end_here(),
             Err(source) => {
                 let action = match self.stage {
                     ReadStage::Header | ReadStage::LastHeader => ProgramAction::ReadPage(0),
                     ReadStage::Pages => ProgramAction::ReadPage(self.first_missing()),
+                    ReadStage::Behind => ProgramAction::ReadPage(self.stated().saturating_sub(1)),
                     ReadStage::Again(page) => ProgramAction::ReadPage(page),
                     ReadStage::Brief | ReadStage::Status | ReadStage::LastStatus | ReadStage::Done => {
                         ProgramAction::ReadStatus
@@ -270,6 +310,10 @@ impl Transfer for Reading {
                 self.forget();
                 return Err(error.into());
             }
+            Some(Verdict::Refused) if self.first_missing().saturating_add(1) < self.stated() => {
+                self.stage = ReadStage::Behind;
+            }
+            Some(Verdict::Refused) => self.end_here(),
             Some(Verdict::Good) => self.stage = ReadStage::Done,
             None => {}
         }
@@ -281,6 +325,9 @@ impl Transfer for Reading {
         (self.stage, self.again, self.verdict) = (stage, again, None);
         self.pages.truncate(pages);
         self.confirmed = self.confirmed.min(pages);
+        if matches!(stage, ReadStage::Pages | ReadStage::Behind) {
+            self.refused = None;
+        }
         if !status_known {
             (self.status, self.status_confirmed) = (None, false);
         }

@@ -7,7 +7,7 @@ mod outcome;
 use std::collections::BTreeSet;
 
 use self::confirm::Pending;
-use super::{Program, ProgramAction, ProgramError, WriteOptions};
+use super::{Program, ProgramAction, ProgramError, WriteOptions, ends_the_ladder};
 use crate::command::ProgramPage;
 use crate::error::Error;
 use crate::file::PlcDifference;
@@ -33,6 +33,8 @@ pub(super) enum WriteGoal {
 pub(super) enum WriteStage {
     /// Does the program fit the PLC (53)?
     Fit,
+    /// The page behind the program, if it ends before the size of its header: does the PLC refuse it, too?
+    End(u16),
     /// Page 0: is the program of the PLC's kind?
     Kind,
     Compare(u16),
@@ -319,7 +321,7 @@ impl Writing {
         if self.program.page(page) != Some(content) {
             self.comparisons.push((page, true));
         }
-        let total = self.program.header().page_count();
+        let total = self.program.page_count();
         // A page number is below the count of pages.
         let next = page.saturating_add(1);
         self.position = Position { phase: Phase::Verifying, done: next.into(), total: total.into() };
@@ -397,9 +399,10 @@ impl Transfer for Writing {
         let request = match self.stage {
             WriteStage::Fit => Request::DetailedStatus,
             WriteStage::Kind => Request::ReadPage(0),
-            WriteStage::Compare(page) | WriteStage::Verify(page) | WriteStage::ReadBack { page, .. } => {
-                Request::ReadPage(page)
-            }
+            WriteStage::End(page)
+            | WriteStage::Compare(page)
+            | WriteStage::Verify(page)
+            | WriteStage::ReadBack { page, .. } => Request::ReadPage(page),
             WriteStage::Write { page, .. } => match self.program.page(page) {
                 Some(content) => {
                     Request::WritePage { page, content: content.clone(), timeout: self.options.page_timeout }
@@ -428,15 +431,21 @@ impl Transfer for Writing {
         }
         match (self.stage, result) {
             (WriteStage::Write { page, left }, result) => self.wrote(page, left, result.err()),
+            (WriteStage::End(page), Ok(Reply::Page(_))) => self.refuse(ProgramError::HasRefusedPage { page }),
+            (WriteStage::End(_), Err(source)) if ends_the_ladder(&source) => self.stage = WriteStage::Kind,
             (WriteStage::Kind, Ok(Reply::Page(content))) => self.kind(&content),
             (WriteStage::Compare(page), Ok(Reply::Page(content))) => self.compare(page, &content),
             (WriteStage::ReadBack { page, left }, Ok(Reply::Page(content))) => self.read_back(page, left, &content),
             (WriteStage::Verify(page), Ok(Reply::Page(content))) => self.verify(page, &content),
             (_, Ok(Reply::DetailedStatus(status))) => self.fits(&status),
             (stage, Ok(reply)) => debug_assert!(false, "{reply:?} in {stage:?}"),
-            (WriteStage::Compare(page) | WriteStage::ReadBack { page, .. } | WriteStage::Verify(page), Err(source)) => {
-                self.give_up(ProgramError::Call { action: ProgramAction::ReadPage(page), source });
-            }
+            (
+                WriteStage::End(page)
+                | WriteStage::Compare(page)
+                | WriteStage::ReadBack { page, .. }
+                | WriteStage::Verify(page),
+                Err(source),
+            ) => self.give_up(ProgramError::Call { action: ProgramAction::ReadPage(page), source }),
             (WriteStage::Kind, Err(source)) => {
                 self.give_up(ProgramError::Call { action: ProgramAction::ReadPage(0), source });
             }

@@ -33,6 +33,8 @@ pub struct Model {
     extents: Vec<Extent>,
     /// The first bytes of page 0.
     program_mark: [u8; 4],
+    /// `None`: the last page of the stated ladder.
+    real_last_page: Option<u16>,
     page_reply: PageReply,
     pages_while_running: bool,
 }
@@ -52,6 +54,7 @@ impl Model {
             detailed,
             extents: Extent::merged(MemoryMap::of(model).ranges()),
             program_mark: *b"FB00",
+            real_last_page: None,
             page_reply: PageReply::default(),
             pages_while_running: false,
         }
@@ -124,6 +127,14 @@ impl Model {
         self
     }
 
+    /// Sets the last page of the program memory. Pages behind it are refused with error A, though the
+    /// statuses state more: an FBs states 32768 words and may have 20 K.
+    #[must_use]
+    pub fn real_last_page(mut self, page: u16) -> Self {
+        self.real_last_page = Some(page);
+        self
+    }
+
     /// Sets the form of the reply to 4F.
     #[must_use]
     pub fn page_reply(mut self, form: PageReply) -> Self {
@@ -162,7 +173,8 @@ impl Model {
 
     /// Number of the last page of the program. Page 0 is the header.
     pub(super) fn last_page(&self) -> u16 {
-        u16::from_be_bytes(self.ladder_size()).div_ceil(PAGE_WORDS as u16)
+        let stated = u16::from_be_bytes(self.ladder_size()).div_ceil(PAGE_WORDS as u16);
+        self.real_last_page.map_or(stated, |real| stated.min(real))
     }
 
     /// A page that was never written: the header of this model, or a page of zeros.

@@ -154,7 +154,7 @@ impl Plc {
         self.lock().set_flag(6, on);
     }
 
-    /// Number of pages of the program, header included: 207 for a ladder of 13184 words.
+    /// Number of pages of the program memory, header included: 207 for a ladder of 13184 words.
     #[must_use]
     pub fn pages(&self) -> u16 {
         self.lock().model.last_page() + 1

@@ -8,6 +8,7 @@ mod bench;
 mod crash;
 mod duplicates;
 mod interference;
+mod real_end;
 mod regressions;
 #[path = "../roaming/mod.rs"]
 mod roaming;

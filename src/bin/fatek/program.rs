@@ -36,6 +36,10 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     let program = ended.map_err(interrupted)??;
     if args.file.raw { program.save_raw(path) } else { program.save(path) }?;
     output.remark(format_args!("{}: {}, {} pages", shown(path), program.header(), program.pages().len()));
+    if let Some(page) = program.refused_page() {
+        let stated = program.header().page_count();
+        output.remark(format_args!("the PLC refused page {page}: its memory ends before the {stated} pages it states"));
+    }
     Ok(())
 }
 
@@ -128,13 +132,15 @@ pub(crate) fn info(file: &ProgramFile, output: &Output) -> Result<(), Failure> {
 fn fields(program: &Program) -> Vec<(&'static str, Cell)> {
     let header = program.header();
     let unknown = || Cell { text: "unknown".to_owned(), json: Value::Null };
+    let none = || Cell { text: "none".to_owned(), json: Value::Null };
     let known = |text: Option<String>| text.map_or_else(unknown, Cell::from);
     let status = program.status();
     vec![
         ("kind", header.kind().to_string().into()),
         ("digits", header.digits().into_iter().collect::<String>().into()),
         ("ladder_words", header.ladder_words().into()),
-        ("pages", header.page_count().into()),
+        ("pages", program.pages().len().into()),
+        ("refused_page", program.refused_page().map_or_else(none, Cell::from)),
         ("read_at", known(program.read_at().map(utc))),
         ("program_capacity", known(program.brief_status().map(|status| status.capacity().to_string()))),
         ("main_unit", known(status.map(|status| status.main_unit().to_string()))),

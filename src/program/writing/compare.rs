@@ -26,7 +26,7 @@ impl Writing {
         if runs && !self.suspect && !self.options.stop_first && self.goal != WriteGoal::Compare {
             return self.refuse(ProgramError::Running);
         }
-        self.stage = WriteStage::Kind;
+        self.stage = self.program.refused_page().map_or(WriteStage::Kind, WriteStage::End);
     }
 
     /// A PLC whose page 0 is no header has no kind, and may be given any program.
@@ -38,11 +38,11 @@ impl Writing {
             }
             // Pages that an earlier run wrote may have changed since: those are compared.
             Ok(_) | Err(_) if self.writes_all() && self.written_before.is_empty() => {
-                self.pending = (0..self.program.header().page_count()).collect();
+                self.pending = (0..self.program.page_count()).collect();
                 self.to_confirm = Some(Pending::AllCompared);
             }
             Ok(_) | Err(_) => {
-                self.uncompared = (1..self.program.header().page_count()).rev().collect();
+                self.uncompared = (1..self.program.page_count()).rev().collect();
                 self.uncompared.sort_by_key(|&page| page >= self.telling);
                 self.compare(0, content);
             }
@@ -56,7 +56,7 @@ impl Writing {
     pub(super) fn compare(&mut self, page: u16, content: &ProgramPage) {
         let differs = self.program.page(page) != Some(content);
         self.comparisons.push((page, differs));
-        let total = usize::from(self.program.header().page_count());
+        let total = usize::from(self.program.page_count());
         debug_assert!(self.uncompared.len() < total, "each page is compared once");
         let done = total.saturating_sub(self.uncompared.len());
         self.position = Position { phase: Phase::Comparing, done, total };

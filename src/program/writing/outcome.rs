@@ -10,7 +10,7 @@ impl Writing {
     /// The report of a run that succeeded.
     pub(in crate::program) fn report(&self) -> WriteReport {
         let WriteState { written, written_before, was_stopped, plc, other_plc, .. } = self.state();
-        let pages = self.program.header().page_count();
+        let pages = self.program.page_count();
         WriteReport { written, written_before, pages, was_stopped, running: plc == PlcState::Running, other_plc }
     }
 
