@@ -43,7 +43,9 @@
 //! Every run goes through these stages:
 //!
 //! ```text
-//! Brief (40) ─▶ Status (53) ─▶ Header (page 0) ─▶ Page n … ─▶ [Behind] ─▶ [Again n …] ─▶ LastHeader ─▶ LastStatus ─▶ Done
+//! Brief (40) ─▶ Status (53) ─▶ Header (page 0) ─▶ Page n … ─▶ [Behind] ─▶ [Again n …]
+//!                                                                             │
+//!                                      Done ◀─ LastStatus ◀─ LastHeader ◀──────┘
 //! ```
 //!
 //! Invariants:

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use fatek::command::{Code, Request};
-use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
+use fatek::sim::{self, Bus, Fault, Faults, Model, Plc, Rule};
 use fatek::tag::{Tag, TagValue};
 use fatek::wire::Framing;
 use fatek::{CostModel, Element, Error, ErrorCode, Limits, Link, Plan, Station};
@@ -18,7 +18,7 @@ struct Bench {
 }
 
 fn bench(framing: Framing, seed: u64) -> Bench {
-    let (plc, faults) = (Plc::new(), Faults::new(1));
+    let (plc, faults) = (Plc::with_model(Model::largest()), Faults::new(1));
     let mut state = seed;
     for symbol in ["X", "Y", "M", "S"] {
         for address in 0..320 {
