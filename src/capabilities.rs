@@ -105,9 +105,9 @@ impl Capabilities {
 
     /// Sets the support of a command.
     ///
-    /// A link does without the mixed read and write (48, 49), the loop-back (4E) and the status (40, 53)
-    /// where it would use them by itself, if they are refused or unanswered. A call of such a command is
-    /// sent all the same.
+    /// A link does without mixed reads and writes (48, 49) that are refused or unanswered, where it would
+    /// use them by itself. If the loop-back (4E) is unanswered, the status (40 or 53) takes its place: a
+    /// station that answers none of the three cannot be used. A call of such a command is sent all the same.
     #[must_use]
     pub fn with_command(mut self, code: Code, support: Support) -> Self {
         for set in [&mut self.supported, &mut self.refused, &mut self.unanswered] {
@@ -229,12 +229,12 @@ impl Capabilities {
 
     /// Returns whether this command is not to be used.
     pub(crate) fn lacks(&self, code: Code) -> bool {
-        self.lacking().contains(code)
+        self.refused.and(self.unanswered).contains(code)
     }
 
-    /// The commands that are not to be used.
-    pub(crate) fn lacking(&self) -> CommandSet {
-        self.refused.and(self.unanswered)
+    /// The commands that are refused, and those that are not answered.
+    pub(crate) fn lacking(&self) -> (CommandSet, CommandSet) {
+        (self.refused, self.unanswered)
     }
 
     /// The areas whose discretes are not read as words.

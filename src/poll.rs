@@ -184,7 +184,7 @@ impl PollerHandle {
     }
 
     /// Adds a station with the given limits and costs: see [`station`](Self::station). The limits are
-    /// lowered to the [capabilities](Station::capabilities) that are known now.
+    /// lowered to the capabilities that are [declared](Station::set_capabilities) now.
     ///
     /// # Errors
     /// [`PollError::Closed`]; [`PollError::NoRuntime`] outside of a Tokio runtime.
@@ -194,7 +194,7 @@ impl PollerHandle {
         let StationPolling { limits, cost } = polling;
         let limits = limits.unwrap_or_else(|| shared.limits.clone());
         let limits = match station.link().knows_capabilities() {
-            true => Arc::new((*limits).clone().within(&station.capabilities())),
+            true => Arc::new((*limits).clone().within(&station.declared_capabilities())),
             false => limits,
         };
         let cost = cost.unwrap_or_else(|| CostModel::of_station(station));

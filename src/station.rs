@@ -198,7 +198,7 @@ impl Station {
     /// # Errors
     /// Those of [every method](Self#errors), and [`Error::PartlyWritten`].
     pub async fn write_discretes(&self, first: Discrete, states: &[bool]) -> Result<(), Error> {
-        any_length::write(self, first, states, |first, states: &[bool]| WriteDiscretes::new(first, states)).await
+        any_length::write(self, (first, 1), states, |first, states: &[bool]| WriteDiscretes::new(first, states)).await
     }
 
     /// Reads `count` consecutive registers of 16 bits (46).
@@ -258,7 +258,12 @@ impl Station {
     /// # Errors
     /// Those of [every method](Self#errors), and [`Error::PartlyWritten`].
     pub async fn write_registers(&self, first: Register, values: &[u16]) -> Result<(), Error> {
-        any_length::write(self, first, values, |first, values: &[u16]| WriteRegisters::new(first, values)).await
+        self.write_values((first, 1), values).await
+    }
+
+    /// Writes consecutive registers of 16 bits, each `unit` of which is one value that no request splits.
+    async fn write_values(&self, (first, unit): (Register, usize), values: &[u16]) -> Result<(), Error> {
+        any_length::write(self, (first, unit), values, |first, values: &[u16]| WriteRegisters::new(first, values)).await
     }
 
     /// Reads `count` consecutive registers of 32 bits (46): `DR0`, `DR2`, `DR4` …
@@ -292,7 +297,7 @@ impl Station {
     /// # Errors
     /// Those of [every method](Self#errors), and [`Error::PartlyWritten`].
     pub async fn write_registers32(&self, first: Register32, values: &[u32]) -> Result<(), Error> {
-        any_length::write(self, first, values, |first, values: &[u32]| WriteRegisters::new(first, values)).await
+        any_length::write(self, (first, 1), values, |first, values: &[u32]| WriteRegisters::new(first, values)).await
     }
 
     /// Reads any elements in one request (48), in the order given: up to 64, where one of 32 bits

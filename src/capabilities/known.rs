@@ -19,6 +19,8 @@ pub(crate) enum Learned {
     NoWords(WordAreas),
     /// Mixed reads are refused.
     NoMixedReads,
+    /// Mixed writes are refused.
+    NoMixedWrites,
 }
 
 /// The capabilities of a station, declared and learned.
@@ -30,6 +32,10 @@ pub(crate) struct KnownCapabilities {
 }
 
 impl KnownCapabilities {
+    pub(crate) fn declared(&self) -> &Capabilities {
+        &self.declared
+    }
+
     /// Replaces all by these.
     pub(crate) fn declare(&mut self, capabilities: Capabilities) {
         *self = Self { declared: capabilities, learned: Vec::new() };
@@ -45,6 +51,7 @@ impl KnownCapabilities {
         let recent = self.learned.iter().filter(|(_, at)| now.saturating_duration_since(*at) < LEARNED_LIFETIME);
         recent.fold(self.declared.clone(), |known, (learned, _)| match *learned {
             Learned::NoMixedReads => known.with_command(Code::ReadMixed, Support::Refused),
+            Learned::NoMixedWrites => known.with_command(Code::WriteMixed, Support::Refused),
             Learned::NoWords(areas) => {
                 let refused = |known: Capabilities, symbol: &Symbol| {
                     known.clone().with_words_of(*symbol, WordSupport::Refused).unwrap_or(known)

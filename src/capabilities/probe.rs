@@ -34,19 +34,53 @@ impl Station {
     /// refused because the PLC lacks the elements counts as supported.
     ///
     /// A request that is not answered twice counts as unanswered if R0 is answered behind it. A largest
-    /// request of fewer than the protocol's elements is found by halving. The counters tell their step only if
-    /// their values differ.
+    /// request of fewer than the protocol's elements is found by halving; it stays unknown if only addresses
+    /// were refused. The counters tell their step only if their values differ. Capabilities that it does not
+    /// find stay as they were declared.
     ///
     /// # Errors
-    /// Those of [every method](Self#errors) if R0 cannot be read: then nothing is declared.
+    /// Those of [every method](Self#errors) if R0 cannot be read, or a request cannot be sent: then the
+    /// declared capabilities are as before.
     ///
-    /// Cancel-safe: it only reads. If it is dropped, nothing is declared.
+    /// Cancel-safe: it only reads. If it is dropped, the declared capabilities are as before. Other calls of the
+    /// link at the same time may lengthen the response time that it finds.
     pub async fn probe(&self) -> Result<Capabilities, Error> {
+        let before = self.declared_capabilities();
+        let mut restore = RestoreOnDrop { station: self, before: None };
         // One lost reply is no missing answer. More retries would make the station offline.
         let probe = Probe { station: self.with_options(self.options().with_retries(1)) };
-        let found = probe.run().await?;
+        let mut found = before.clone();
+        if let Err(error) = probe.read_register().await {
+            // No request is answered before the check of the connection is.
+            if !matches!(error, Error::Timeout { checked: true, .. })
+                || before.command(Code::LoopBack) == Support::Unanswered
+            {
+                return Err(error);
+            }
+            found = found.with_command(Code::LoopBack, Support::Unanswered);
+            restore.before = Some(before);
+            self.set_capabilities(found.clone());
+            probe.read_register().await.map_err(|_| error)?;
+        }
+        let found = probe.run(found).await?;
+        restore.before = None;
         self.set_capabilities(found.clone());
         Ok(found)
+    }
+}
+
+/// Declares the capabilities of before, unless the probe succeeds.
+struct RestoreOnDrop<'s> {
+    station: &'s Station,
+    /// `None`: nothing was declared.
+    before: Option<Capabilities>,
+}
+
+impl Drop for RestoreOnDrop<'_> {
+    fn drop(&mut self) {
+        if let Some(before) = self.before.take() {
+            self.station.set_capabilities(before);
+        }
     }
 }
 
@@ -55,28 +89,30 @@ struct Probe {
 }
 
 impl Probe {
-    async fn run(&self) -> Result<Capabilities, Error> {
+    /// Replaces the capabilities that a read shows.
+    async fn run(&self, mut found: Capabilities) -> Result<Capabilities, Error> {
         let register = first_register()?;
         let discrete = first_discrete()?;
-        let mut found = Capabilities::new().with_response_time(self.response_time(register).await?);
+        found = found.with_response_time(self.response_time(register).await?);
 
         found = found.with_command(Code::ReadStatus, self.support(ReadStatus).await?);
-        found = found.with_command(Code::LoopBack, self.support(LoopBack::new("probe")?).await?);
+        if found.command(Code::LoopBack) != Support::Unanswered {
+            found = found.with_command(Code::LoopBack, self.support(LoopBack::new("probe")?).await?);
+        }
         found = found.with_command(Code::ReadDetailedStatus, self.support(ReadDetailedStatus).await?);
         found = found.with_command(Code::ReadDisabled, self.support(ReadDisabled::new(discrete, 1)?).await?);
 
         let registers = |count: usize| ReadRegisters::new(register, count);
         found = found.with_command(Code::ReadRegisters, Support::Supported);
         // R0 was answered.
-        let most = self.largest(1, MAX_UNITS, registers).await?;
-        found.max_registers = Some(most.max(2));
+        // A device that takes one register only is asked for two: a value of 32 bits has two.
+        found.max_registers = self.largest(MAX_UNITS, registers).await?.map(|most| most.max(2));
 
         let support = self.support(ReadDiscretes::new(discrete, 1)?).await?;
         found = found.with_command(Code::ReadDiscretes, support);
         if support == Support::Supported {
             let discretes = |count: usize| ReadDiscretes::new(discrete, count);
-            let most = self.largest(1, MAX_POINTS, discretes).await?;
-            found.max_points = Some(most);
+            found.max_points = self.largest(MAX_POINTS, discretes).await?;
         }
 
         let mixed = |count: usize| {
@@ -86,14 +122,13 @@ impl Probe {
         let support = self.support(mixed(1)?).await?;
         found = found.with_command(Code::ReadMixed, support);
         if support == Support::Supported {
-            let most = self.largest(1, MAX_MIXED_READ_UNITS, mixed).await?;
-            found.max_mixed = Some(most);
+            found.max_mixed = self.largest(MAX_MIXED_READ_UNITS, mixed).await?;
         }
 
         for (support, symbol) in found.words.iter_mut().zip(WordAreas::SYMBOLS) {
             *support = self.words_of(symbol).await?;
         }
-        found.counter_step = self.counter_step().await?;
+        found.counter_step = self.counter_step().await?.or(found.counter_step);
         Ok(found)
     }
 
@@ -102,12 +137,16 @@ impl Probe {
         match self.station.call(request).await {
             Ok(reply) => Ok(Answer::Reply(reply)),
             Err(Error::Plc { error, .. }) => Ok(Answer::Refused(error)),
-            Err(Error::Timeout { .. } | Error::BadReply { .. }) => {
-                self.station.call(ReadRegisters::new(first_register()?, 1)?).await?;
+            Err(error) if is_silence(&error) => {
+                self.read_register().await?;
                 Ok(Answer::None)
             }
             Err(error) => Err(error),
         }
+    }
+
+    async fn read_register(&self) -> Result<(), Error> {
+        self.station.call(ReadRegisters::new(first_register()?, 1)?).await.map(drop)
     }
 
     /// The support of the command of a request.
@@ -120,23 +159,24 @@ impl Probe {
         })
     }
 
-    /// The largest accepted count, from `accepted` to `max`.
+    /// The largest accepted count up to `max`; one is accepted. `None` if a shorter memory may be the reason
+    /// of all refusals: other areas may be longer.
     async fn largest<C: Command>(
         &self,
-        mut accepted: usize,
         max: usize,
         request: impl Fn(usize) -> Result<C, InvalidRequest>,
-    ) -> Result<usize, Error> {
-        let mut tried = max;
-        let mut refused = max.saturating_add(1);
+    ) -> Result<Option<usize>, Error> {
+        let (mut accepted, mut refused) = (1_usize, max.saturating_add(1));
+        let (mut tried, mut is_length) = (max, false);
         while accepted < tried {
             match self.ask(request(tried)?).await? {
                 Answer::Reply(_) => accepted = tried,
-                Answer::Refused(_) | Answer::None => refused = tried,
+                Answer::Refused(ErrorCode::IllegalAddress) => refused = tried,
+                Answer::Refused(_) | Answer::None => (refused, is_length) = (tried, true),
             }
             tried = accepted.midpoint(refused);
         }
-        Ok(accepted)
+        Ok((accepted == max || is_length).then_some(accepted))
     }
 
     async fn words_of(&self, discrete: Symbol) -> Result<WordSupport, Error> {
@@ -144,10 +184,13 @@ impl Probe {
             let element = Element::new(discrete.area().word(), address)?;
             ReadRegisters::new(Register::try_from(element)?, 1)
         };
-        match (self.ask(word(0)?).await?, self.ask(word(8)?).await?) {
-            (Answer::Refused(_) | Answer::None, _) => Ok(WordSupport::Refused),
-            (Answer::Reply(_), Answer::Reply(_)) => Ok(WordSupport::MultiplesOf8),
-            (Answer::Reply(_), Answer::Refused(_) | Answer::None) => Ok(WordSupport::MultiplesOf16),
+        match self.ask(word(0)?).await? {
+            Answer::Refused(_) | Answer::None => return Ok(WordSupport::Refused),
+            Answer::Reply(_) => {}
+        }
+        match self.ask(word(8)?).await? {
+            Answer::Reply(_) => Ok(WordSupport::MultiplesOf8),
+            Answer::Refused(_) | Answer::None => Ok(WordSupport::MultiplesOf16),
         }
     }
 
@@ -181,6 +224,11 @@ impl Probe {
         times.sort_unstable();
         Ok(times.get(SAMPLES / 2).copied().unwrap_or_default())
     }
+}
+
+/// Returns whether the station did not answer a request that was sent, or answered it by something else.
+fn is_silence(error: &Error) -> bool {
+    matches!(error, Error::Timeout { sent: true, .. } | Error::BadReply { .. } | Error::OutOfStep { sent: true, .. })
 }
 
 fn first_register() -> Result<Register, Error> {

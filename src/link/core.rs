@@ -131,9 +131,10 @@ impl Core {
         }
     }
 
-    /// Declares the commands that a station does not know, in place of those declared or found before.
-    pub(crate) fn declare_lacking(&mut self, station: u8, commands: CommandSet) {
-        self.stations.with_in_step(station, |in_step| in_step.declare_lacking(commands));
+    /// Declares the commands that a station refuses and those that it does not answer, in place of those
+    /// declared or found before.
+    pub(crate) fn declare_commands(&mut self, station: u8, refused: CommandSet, unanswered: CommandSet) {
+        self.stations.with_in_step(station, |in_step| in_step.declare(refused, unanswered));
     }
 
     /// Takes a call.

@@ -164,9 +164,9 @@ impl Driver {
         }
     }
 
-    /// Declares the commands that a station does not know.
-    pub(crate) fn declare_lacking(&mut self, station: u8, commands: CommandSet) {
-        self.core.declare_lacking(station, commands);
+    /// Declares the commands that a station refuses and those that it does not answer.
+    pub(crate) fn declare_commands(&mut self, station: u8, refused: CommandSet, unanswered: CommandSet) {
+        self.core.declare_commands(station, refused, unanswered);
     }
 
     /// Takes a call.

@@ -10,7 +10,7 @@
 //! ```text
 //!                 connected, stray, timeout, reply without proof
 //!   in step ───────────────────────────────────────────────────────▶ suspect
-//!      ▲      nonce echoed, or (where 4E is refused) silence             │
+//!      ▲      nonce echoed, or (behind a refused 4E) silence              │
 //!      └─────────────────────────────────────────────────────────────────┘
 //! ```
 //!
@@ -50,7 +50,7 @@ use crate::command::{Candidate, Code, CommandSet, NO_CANDIDATES, Run, Spelling};
 pub(crate) struct InStep {
     /// Why any reply may come; `None`: the station is in step.
     suspect: Option<Why>,
-    /// 4E was refused without proof since the last proof.
+    /// 4E was refused, or the command in its place was answered, without proof since the last proof.
     refused: bool,
     /// The beginning of the silence that replaces a check.
     silent_since: Option<Instant>,
@@ -76,6 +76,8 @@ pub(crate) struct InStep {
     careful: bool,
     /// Commands that the station does not know: spellings that were refused, and those declared.
     lacks: CommandSet,
+    /// Commands that are declared as unanswered: no check uses them.
+    unanswered: CommandSet,
     answered: AnsweredElements,
     /// The silence before the reply, in the slowest of recent exchanges.
     slowest: Duration,
@@ -97,6 +99,10 @@ struct Taken {
     /// The line's busy time at `heard_at`.
     busy_at: Duration,
 }
+
+/// The checks besides 4E.
+const CHECK_40: (Check, Code) = (Check::Status, Code::ReadStatus);
+const CHECK_53: (Check, Code) = (Check::Detail, Code::ReadDetailedStatus);
 
 /// The owed frames that could answer a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -123,6 +129,7 @@ impl InStep {
             ambiguous: false,
             careful: false,
             lacks: CommandSet::NONE,
+            unanswered: CommandSet::NONE,
             answered: AnsweredElements::new(),
             slowest: Duration::ZERO,
             proof: Proof::default(),
@@ -199,8 +206,8 @@ impl InStep {
     fn prove(&mut self, rule: &Rule, now: Instant) -> Option<Choice> {
         self.lapse(rule, now);
         let why = self.suspect?;
-        if !rule.one_request && !self.lacks_check() {
-            return Some(Choice::Check(Check::Nonce, why));
+        if !rule.one_request && !self.refused {
+            return Some(Choice::Check(self.first_check(), why));
         }
         let until = later(*self.silent_since.get_or_insert(now), rule.quiet);
         if now < until {
@@ -210,37 +217,38 @@ impl InStep {
         None
     }
 
-    /// Returns whether the loop-back is refused, or declared as not supported.
-    fn lacks_check(&self) -> bool {
-        self.refused || self.lacks.contains(Code::LoopBack)
+    /// The check of a suspect station, and the probe of an offline one: 4E, or in its place the first
+    /// command that is not declared as unanswered.
+    pub(crate) fn first_check(&self) -> Check {
+        let checks = [(Check::Nonce, Code::LoopBack), CHECK_40, CHECK_53];
+        let answered = checks.into_iter().find(|(_, code)| !self.unanswered.contains(*code));
+        answered.map_or(Check::Nonce, |(check, _)| check)
     }
 
-    /// The check that probes an offline station: any answer shows that it is back.
-    pub(crate) fn probe(&self) -> Check {
-        let lacks_nonce = self.lacks.contains(Code::LoopBack) && !self.lacks.contains(Code::ReadStatus);
-        if lacks_nonce { Check::Status } else { Check::Nonce }
-    }
-
-    /// Replaces the commands that the station does not know by those declared.
-    pub(crate) fn declare_lacking(&mut self, commands: CommandSet) {
-        self.lacks = commands;
+    /// Declares the commands that the station refuses or does not answer, in place of those declared or
+    /// found before.
+    pub(crate) fn declare(&mut self, refused: CommandSet, unanswered: CommandSet) {
+        (self.lacks, self.unanswered) = (refused.and(unanswered), unanswered);
     }
 
     /// Chooses what goes between two requests: `check`, if nothing owed could answer it.
     fn separate(&mut self, why: Why, check: Check, rule: &Rule, now: Instant) -> Choice {
         let free = |shape: Shape| self.threat(shape) == Threat::None;
-        if !self.lacks_check() && matches!(check, Check::Empty | Check::Nonce) {
+        let answered = |code: Code| !self.unanswered.contains(code);
+        if !self.refused && answered(Code::LoopBack) && matches!(check, Check::Empty | Check::Nonce) {
             // A nonce may always be sent: only its own reply echoes it.
             let empty = check == Check::Empty && free(Check::EMPTY);
             return Choice::Check(if empty { Check::Empty } else { Check::Nonce }, why);
         }
-        if free(Check::STATUS) && !self.lacks.contains(Code::ReadStatus) {
-            return Choice::Check(Check::Status, why);
-        }
-        if free(Check::DETAIL) && !self.lacks.contains(Code::ReadDetailedStatus) {
-            return Choice::Check(Check::Detail, why);
+        for ((check, code), shape) in [(CHECK_40, Check::STATUS), (CHECK_53, Check::DETAIL)] {
+            if free(shape) && answered(code) {
+                return Choice::Check(check, why);
+            }
         }
         self.suspect = Some(why);
+        if !self.refused && !answered(Code::LoopBack) {
+            return Choice::Check(self.first_check(), why);
+        }
         Choice::Silence(later(*self.silent_since.get_or_insert(now), rule.quiet))
     }
 
@@ -357,8 +365,10 @@ impl InStep {
         let echo = check == Check::Nonce && !reply.refused;
         let proves = echo || self.suspect.is_none() && !(reply.refused && self.threat(reply.shape) > Threat::None);
         if !proves {
-            self.refused |= reply.shape.code == Code::LoopBack && reply.refused;
-            // Its duplicate may come.
+            let is_refusal = reply.shape.code == Code::LoopBack && reply.refused;
+            let in_its_place = check != Check::Nonce && check == self.first_check();
+            self.refused |= is_refusal || in_its_place;
+            // The silence begins behind every reply: its duplicate may come.
             self.silent_since = None;
             return false;
         }

@@ -270,6 +270,11 @@ impl Link {
         self.inner.capabilities.get(station)
     }
 
+    /// The declared capabilities of a station, without those learned.
+    pub(crate) fn declared_capabilities(&self, station: u8) -> Capabilities {
+        self.inner.capabilities.declared(station)
+    }
+
     /// Returns whether anything is known of the capabilities of any station.
     pub(crate) fn knows_capabilities(&self) -> bool {
         self.inner.capabilities.has_any()
@@ -277,8 +282,12 @@ impl Link {
 
     /// Declares the capabilities of a station, for its calls and for the requests of the link itself.
     pub(crate) fn declare_capabilities(&self, station: u8, capabilities: Capabilities) {
-        self.inner.shared.declare_lacking(station, capabilities.lacking());
-        self.inner.capabilities.with(station, |known| known.declare(capabilities));
+        let (refused, unanswered) = capabilities.lacking();
+        // Under the lock of the capabilities, so that both are of one declaration.
+        self.inner.capabilities.with(station, |known| {
+            self.inner.shared.declare_commands(station, refused, unanswered);
+            known.declare(capabilities);
+        });
     }
 
     /// Notes what a refusal has shown.

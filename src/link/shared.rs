@@ -7,7 +7,7 @@
 //!             └─────▶ lock is taken: inbox ──▶ drained by the lock holder ─┘
 //! ```
 //!
-//! A caller never waits for the driver's lock. One caller or the task holds it for a short time,
+//! A caller never waits for the driver's lock, but to declare the commands of a station. One caller or the task holds it for a short time,
 //! and checks the inbox once more after releasing it, so no call is left there. Only the task opens
 //! connections, keeps the timer and is woken by I/O; callers only put their request on the wire.
 //!
@@ -116,10 +116,10 @@ impl Shared {
         self.io_waker.wake_task();
     }
 
-    /// Declares the commands that a station does not know.
-    pub(crate) fn declare_lacking(&self, station: u8, commands: CommandSet) {
+    /// Declares the commands that a station refuses and those that it does not answer.
+    pub(crate) fn declare_commands(&self, station: u8, refused: CommandSet, unanswered: CommandSet) {
         if let Some(slot) = lock(&self.slot).as_mut() {
-            slot.driver.declare_lacking(station, commands);
+            slot.driver.declare_commands(station, refused, unanswered);
         }
         // A call that was posted meanwhile found the lock taken.
         self.drain_inbox();

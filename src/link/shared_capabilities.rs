@@ -29,6 +29,14 @@ impl SharedCapabilities {
         known.get(station).map(|known| known.get(Instant::now())).unwrap_or_default()
     }
 
+    pub(super) fn declared(&self, station: u8) -> Capabilities {
+        if !self.has_any() {
+            return Capabilities::new();
+        }
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        known.get(station).map(|known| known.declared().clone()).unwrap_or_default()
+    }
+
     pub(super) fn with(&self, station: u8, work: impl FnOnce(&mut KnownCapabilities)) {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         known.with(station, Box::default, |known| work(known));

@@ -91,10 +91,12 @@ impl Plan {
         }
         if let (Some(planned), Err(refusal)) = (self.requests.get(request), &result.reply)
             && result.is_read_by_others()
+            && is_refusal(refusal)
         {
-            let learned = match planned.lacks_mixed_reads(refusal) {
-                true => Learned::NoMixedReads,
-                false => Learned::NoWords(planned.word_areas),
+            // With words, these may be the reason: a plan without them shows if it is the command.
+            let learned = match planned.has_words_of_discretes() {
+                true => Learned::NoWords(planned.word_areas),
+                false => Learned::NoMixedReads,
             };
             job.station().link().learn_capability(job.station().number(), learned);
         }

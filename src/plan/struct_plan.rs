@@ -4,6 +4,7 @@ use std::fmt;
 use std::marker::PhantomData;
 
 use super::{CostModel, Limits, Plan, PlanError};
+use crate::capabilities::Capabilities;
 use crate::error::Error;
 use crate::station::Station;
 use crate::tag::{Field, TagAccessError, TagValue, Tags};
@@ -53,7 +54,10 @@ impl<T: Tags> StructPlan<T> {
     /// # Errors
     /// Those of [`with_limits`](Self::with_limits).
     pub fn for_station(station: &Station) -> Result<Self, Error> {
-        Self::with_limits(CostModel::of_station(station), Limits::new().within(&station.capabilities()))
+        let cost = CostModel::of_station(station);
+        let plan = |known: &Capabilities| Self::with_limits(cost, Limits::new().within(known));
+        // A group may need a command whose refusal has passed.
+        plan(&station.capabilities()).or_else(|_| plan(&station.declared_capabilities()))
     }
 
     /// Makes a plan with these costs, within these limits.

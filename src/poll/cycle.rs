@@ -119,6 +119,8 @@ struct RefusedRequest {
     removals: Option<u64>,
     /// Its tags are read by runs alone.
     by_runs: bool,
+    /// The areas whose discretes it reads as words.
+    own_areas: WordAreas,
     /// The areas whose words its tags are read without, instead of in halves.
     word_areas: WordAreas,
 }
@@ -198,7 +200,7 @@ impl Cycle {
     pub(super) fn word_areas(&self) -> WordAreas {
         let areas = self.stack.last().and_then(|frame| match frame {
             StackFrame::Plan(in_flight) => in_flight.planned().map(PlannedRequest::word_areas),
-            StackFrame::Refused(refused) => Some(refused.word_areas),
+            StackFrame::Refused(refused) => Some(refused.own_areas),
         });
         areas.unwrap_or_default()
     }
@@ -292,6 +294,7 @@ impl Cycle {
             resend: false,
             removals: (!removed).then_some(ctx.station.removals),
             by_runs: false,
+            own_areas: word_areas,
             word_areas: WordAreas::default(),
         };
         // The PLC may accept the discretes. A group that fits only as words is halved as usual.
@@ -320,6 +323,12 @@ impl Cycle {
             None if removed => {
                 let parts: Vec<TagPart> =
                     parts.into_iter().filter(|part| ctx.station.tag_map.contains(part.id)).collect();
+                self.push(&parts, now, ctx);
+            }
+            // A group whose discretes the PLC may accept.
+            None if !word_areas.is_empty() && self.fit_without_words(&parts, word_areas, ctx) => {
+                refused.word_areas = word_areas;
+                self.stack.push(StackFrame::Refused(refused));
                 self.push(&parts, now, ctx);
             }
             None => {
@@ -566,6 +575,7 @@ impl RefusedRequest {
             resend: false,
             removals: None,
             by_runs: false,
+            own_areas: word_areas,
             word_areas,
         }
     }

@@ -3,7 +3,7 @@
 use tokio::time::Instant;
 
 use crate::capabilities::LEARNED_LIFETIME;
-use crate::element::Element;
+use crate::element::{Element, Width};
 use crate::plan::{Limits, ReadRequest, WordAreas};
 
 /// A restriction of future requests.
@@ -120,7 +120,9 @@ impl LearnedLimits {
         }
         // A second word of an area shows that the PLC does not accept its words any more.
         let is_second = |known: &(LearnedLimit, Instant)| match known.0 {
-            LearnedLimit::Avoid { first, .. } => areas.contains(first.symbol().area().smallest()),
+            LearnedLimit::Avoid { first, .. } => {
+                first.width() != Width::Bit && areas.contains(first.symbol().area().smallest())
+            }
             LearnedLimit::Split { .. }
             | LearnedLimit::Registers(_)
             | LearnedLimit::Points(_)

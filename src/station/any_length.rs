@@ -93,10 +93,11 @@ where
     }
 }
 
-/// Writes `values` to `first` and the elements after it; `request` makes one request.
+/// Writes `values` to `first` and the elements after it; `request` makes one request. Each `unit` of
+/// elements, from the first on, is one value, which no request splits.
 pub(super) async fn write<E, T, C>(
     station: &Station,
-    first: E,
+    (first, unit): (E, usize),
     values: &[T],
     request: impl Fn(E, &[T]) -> Result<C, InvalidRequest>,
 ) -> Result<(), Error>
@@ -105,6 +106,8 @@ where
     C: Command<Reply = ()>,
 {
     let (count, most) = (values.len(), most_in_one_request(station, first.into()));
+    // A value that the device cannot take at once is sent whole, and refused.
+    let most = (most / unit.max(1) * unit).max(unit.min(command::most_in_one_request(first.into())));
     if (1..=most).contains(&count) {
         return station.call(request(first, values)?).await;
     }

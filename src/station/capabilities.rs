@@ -8,8 +8,9 @@ impl Station {
     /// Returns what is known of the capabilities of the station, over all handles of the link.
     ///
     /// They are those of [`set_capabilities`](Self::set_capabilities) and [`probe`](Self::probe), and what
-    /// was learned since: a refusal of mixed reads or of words of discretes, for ten minutes; an answer to a
-    /// broadcast; and, except on a serial line, the smoothed round trip as the response time.
+    /// calls and plans have learned since: a refusal of mixed reads or writes, or of words of discretes, for
+    /// ten minutes; an answer to a broadcast; and, except on a serial line, the smoothed round trip as the
+    /// response time. A poller learns for itself.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -33,13 +34,21 @@ impl Station {
         known
     }
 
+    /// The declared capabilities, without those learned, which expire.
+    pub(crate) fn declared_capabilities(&self) -> Capabilities {
+        self.link.declared_capabilities(self.number)
+    }
+
     /// Declares the capabilities of the station, for all handles of the link, in place of all that was
     /// declared or learned before.
     ///
     /// Reads and writes of any length, [`read`](Self::read) and its like, and plans and pollers that are made
-    /// from now on keep to them. The link no longer uses the commands that are refused or unanswered for its
-    /// own checks: without the loop-back (4E), the [quiet
-    /// time](crate::endpoint::InStepSettings::with_quiet) of a connection without a proof takes its place.
+    /// from now on keep to them; backups and restores do not. The link sends nothing by itself that is
+    /// refused or unanswered, but for a refused loop-back (4E). If that is unanswered, the status (40 or 53) and
+    /// the [quiet time](crate::endpoint::InStepSettings::with_quiet) behind it take its place.
+    ///
+    /// Another link to the same PLC, such as one of a [`Pool`](crate::Pool) or after an eviction, does not
+    /// know them.
     pub fn set_capabilities(&self, capabilities: Capabilities) {
         self.link.declare_capabilities(self.number, capabilities);
     }

@@ -6,7 +6,8 @@
 //! - A value of several registers is read by one request and written by one request.
 
 use super::any_length::partly;
-use crate::command::{Command as _, WriteMixed};
+use crate::capabilities::Learned;
+use crate::command::{Code, Command as _, WriteMixed};
 use crate::element::{Element, Value};
 use crate::error::Error;
 use crate::plan::{CostModel, Plan, PlanError, StructPlan};
@@ -169,10 +170,12 @@ impl Station {
     /// Writes assignments by one request, or one by one. The error has the number of values written
     /// before.
     async fn write_group(&self, group: &[Assignment]) -> Result<(), (usize, Error)> {
-        if group.len() > 1 {
+        if group.len() > 1 && !self.link.known_capabilities(self.number).lacks(Code::WriteMixed) {
             match self.write_mixed(&items(group)).await {
                 // The PLC does not know the command, so it has written nothing.
-                Err(Error::Plc { repeated: false, error, .. }) if error.is_about_the_command() => {}
+                Err(Error::Plc { repeated: false, error, .. }) if error.is_about_the_command() => {
+                    self.link.learn_capability(self.number, Learned::NoMixedWrites);
+                }
                 result => return result.map_err(|error| (0, error)),
             }
         }
@@ -188,10 +191,10 @@ impl Station {
         let (tag, raw) = (assignment.tag(), assignment.encode());
         let written = match tag.first() {
             Element::Discrete(first) => self.write_discretes(first, &of_width(&raw)).await,
-            Element::Register(first) => self.write_registers(first, &of_width(&raw)).await,
+            Element::Register(first) => self.write_values((first, tag.elements_per_value()), &of_width(&raw)).await,
             Element::Register32(first) => self.write_registers32(first, &of_width(&raw)).await,
         };
-        // Requests end where a value does: they have 64 or 32 words, or are the last one.
+        // Requests end where a value does.
         let per_value = tag.elements_per_value().max(1);
         if let Err(Error::PartlyWritten { written, count, source }) = written {
             debug_assert!(written.is_multiple_of(per_value), "no value is split");

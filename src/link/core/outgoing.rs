@@ -43,7 +43,7 @@ impl Core {
             None => {}
         }
         if let Some(station) = self.stations.due_probe(now) {
-            let check = self.stations.with_in_step(station, |in_step| in_step.probe());
+            let check = self.stations.with_in_step(station, |in_step| in_step.first_check());
             return Some(self.check(station, check, Why::Confirm, None));
         }
         loop {

@@ -56,6 +56,8 @@ pub(super) struct FakePlc {
     /// The error code of refused words and mixed reads.
     pub(super) code: ErrorCode,
     pub(super) max_mixed: usize,
+    /// The error code of requests that are too long.
+    pub(super) length_code: ErrorCode,
     pub(super) max_registers: usize,
     pub(super) max_points: usize,
     pub(super) silent: bool,
@@ -94,6 +96,7 @@ impl Default for FakePlc {
             refuses_words_of: None,
             code: ErrorCode::IllegalFormat,
             max_mixed: 64,
+            length_code: ErrorCode::IllegalAddress,
             max_registers: 64,
             max_points: 256,
             silent: false,
@@ -167,8 +170,11 @@ impl FakePlc {
         if elements.iter().any(lacks) {
             return Err(self.code);
         }
+        if !fits {
+            return Err(self.length_code);
+        }
         let refused = elements.into_iter().flat_map(cells).any(|cell| self.refuses_cell(cell));
-        if refused || !fits || self.refuses_all { Err(ErrorCode::IllegalAddress) } else { Ok(()) }
+        if refused || self.refuses_all { Err(ErrorCode::IllegalAddress) } else { Ok(()) }
     }
 
     /// Returns the reply and how long it takes.

@@ -214,3 +214,47 @@ fn a_single_refused_word_is_avoided_and_a_second_one_excludes_all() {
     rig.run(ms(1000));
     assert!(!rig.take_requests().iter().any(has_words));
 }
+
+/// Words of M were accepted before, and the group has too many of them for the PLC, or one behind its memory.
+/// Before, such groups were refused.
+#[test]
+fn a_group_is_read_without_words_although_words_were_accepted() {
+    for by_length in [false, true] {
+        let mut rig = TestRig::new(1);
+        add(&mut rig, every(1000), &singles("M", 32, 1));
+        rig.run(ms(500));
+        let group = if by_length {
+            rig.plc.max_registers = 8;
+            singles("M", 256, 1)
+        } else {
+            rig.plc.refused.insert((Symbol::WM, 1992));
+            rig.plc.refused.insert((Symbol::WM, 2000));
+            ["M2000", "M2001", "R100"].map(str::to_owned).to_vec()
+        };
+        let texts: Vec<&str> = group.iter().map(String::as_str).collect();
+        let ids = rig.try_add(every(1000), super::rig::tags(&texts), true).unwrap();
+        rig.run(ms(2500));
+        for _ in 0..130 {
+            for id in &ids {
+                assert!(rig.latest(*id).is_good(), "{by_length}: {}", rig.latest(*id).quality);
+            }
+            rig.run(ms(1000));
+        }
+    }
+}
+
+/// Before, error 9 to a run of words was a failure once it was sent again: each cycle was abandoned.
+#[test]
+fn a_length_refused_as_not_supported_is_learned() {
+    let mut rig = TestRig::with_limits(1, Limits::new().mixed_reads(false));
+    (rig.plc.max_registers, rig.plc.length_code) = (32, ErrorCode::NotSupported);
+    add(&mut rig, every(1000), &singles("M", 64, 1));
+    rig.run(ms(500));
+    let ids: Vec<String> = (0..1024).map(|n| format!("M{}", 1000 + n)).collect();
+    let ids = add(&mut rig, every(1000), &ids);
+    rig.run(ms(2500));
+    assert!(ids.iter().all(|id| rig.latest(*id).is_good()));
+    let abandoned = rig.poller.classes().next().unwrap().abandoned;
+    rig.run(ms(5000));
+    assert_eq!(rig.poller.classes().next().unwrap().abandoned, abandoned);
+}

@@ -114,8 +114,8 @@ pub(crate) struct ClockArgs {
   fatek probe --link tcp://192.168.2.3 --station 1
   fatek probe --format json
 
-Commands that write or control, and program pages, are not tried: their support is
-unknown. R0 must be readable.")]
+Commands that write or control, and program pages, are not tried: their support
+is unknown. R0 must be readable.")]
 pub(crate) struct ProbeArgs {
     #[command(flatten)]
     pub(crate) plc: Plc,
