@@ -29,7 +29,7 @@ mod probe;
 use std::fmt;
 use std::time::Duration;
 
-pub(crate) use self::known::{KnownCapabilities, LEARNED_LIFETIME, Learned};
+pub(crate) use self::known::{KnownCapabilities, LEARNED_LIFETIME, Refused};
 use crate::command::{Code, CommandSet, MAX_MIXED_READ_UNITS, MAX_POINTS, MAX_UNITS};
 use crate::element::Symbol;
 use crate::plan::{PlanError, WordAreas, check_range};

@@ -14,13 +14,13 @@ pub(crate) const LEARNED_LIFETIME: Duration = Duration::from_secs(600);
 
 /// A conclusion from a refused request whose values were read by others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Learned {
+pub(crate) enum Refused {
     /// Words of the discretes of these areas are refused.
-    NoWords(WordAreas),
+    Words(WordAreas),
     /// Mixed reads are refused.
-    NoMixedReads,
+    MixedReads,
     /// Mixed writes are refused.
-    NoMixedWrites,
+    MixedWrites,
 }
 
 /// The capabilities of a station, declared and learned.
@@ -28,7 +28,7 @@ pub(crate) enum Learned {
 pub(crate) struct KnownCapabilities {
     declared: Capabilities,
     /// Each once, with the time when it was learned last.
-    learned: Vec<(Learned, Instant)>,
+    learned: Vec<(Refused, Instant)>,
 }
 
 impl KnownCapabilities {
@@ -41,7 +41,7 @@ impl KnownCapabilities {
         *self = Self { declared: capabilities, learned: Vec::new() };
     }
 
-    pub(crate) fn learn(&mut self, learned: Learned, now: Instant) {
+    pub(crate) fn learn(&mut self, learned: Refused, now: Instant) {
         self.learned.retain(|(known, _)| *known != learned);
         self.learned.push((learned, now));
     }
@@ -50,9 +50,9 @@ impl KnownCapabilities {
     pub(crate) fn get(&self, now: Instant) -> Capabilities {
         let recent = self.learned.iter().filter(|(_, at)| now.saturating_duration_since(*at) < LEARNED_LIFETIME);
         recent.fold(self.declared.clone(), |known, (learned, _)| match *learned {
-            Learned::NoMixedReads => known.with_command(Code::ReadMixed, Support::Refused),
-            Learned::NoMixedWrites => known.with_command(Code::WriteMixed, Support::Refused),
-            Learned::NoWords(areas) => {
+            Refused::MixedReads => known.with_command(Code::ReadMixed, Support::Refused),
+            Refused::MixedWrites => known.with_command(Code::WriteMixed, Support::Refused),
+            Refused::Words(areas) => {
                 let refused = |known: Capabilities, symbol: &Symbol| {
                     known.clone().with_words_of(*symbol, WordSupport::Refused).unwrap_or(known)
                 };

@@ -70,7 +70,7 @@ pub(crate) use self::in_step::{Proof, Shape};
 use self::shared::Shared;
 use self::shared_capabilities::SharedCapabilities;
 use self::stats::SharedStats;
-use crate::capabilities::{Capabilities, Learned};
+use crate::capabilities::{Capabilities, Refused};
 use crate::command::{Command, InvalidRequest, Spelling};
 use crate::endpoint::Endpoint;
 use crate::error::{Error, Rounded};
@@ -291,7 +291,7 @@ impl Link {
     }
 
     /// Notes what a refusal has shown.
-    pub(crate) fn learn_capability(&self, station: u8, learned: Learned) {
+    pub(crate) fn learn_capability(&self, station: u8, learned: Refused) {
         tracing::debug!(station, ?learned, "learned from a refusal");
         self.inner.capabilities.with(station, |known| known.learn(learned, Instant::now()));
     }

@@ -7,9 +7,10 @@
 //!             └─────▶ lock is taken: inbox ──▶ drained by the lock holder ─┘
 //! ```
 //!
-//! A caller never waits for the driver's lock, but to declare the commands of a station. One caller or the task holds it for a short time,
-//! and checks the inbox once more after releasing it, so no call is left there. Only the task opens
-//! connections, keeps the timer and is woken by I/O; callers only put their request on the wire.
+//! A call never waits for the driver's lock; only a declaration of a station's commands does. One
+//! caller or the task holds it for a short time, and checks the inbox once more after releasing it, so
+//! no call is left there. Only the task opens connections, keeps the timer and is woken by I/O; callers
+//! only put their request on the wire.
 //!
 //! Invariants:
 //! - A call that is in the inbox when the lock is released is taken by the thread that has released

@@ -3,7 +3,7 @@
 use super::fallback::{Fallback, is_refusal};
 use super::reply::ReplyWords;
 use super::{Plan, PlanReadings};
-use crate::capabilities::Learned;
+use crate::capabilities::Refused;
 use crate::error::Error;
 use crate::station::{JobReply, Outcome, Station, StationJob};
 
@@ -95,8 +95,8 @@ impl Plan {
         {
             // With words, these may be the reason: a plan without them shows if it is the command.
             let learned = match planned.has_words_of_discretes() {
-                true => Learned::NoWords(planned.word_areas),
-                false => Learned::NoMixedReads,
+                true => Refused::Words(planned.word_areas),
+                false => Refused::MixedReads,
             };
             job.station().link().learn_capability(job.station().number(), learned);
         }

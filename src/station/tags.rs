@@ -6,7 +6,7 @@
 //! - A value of several registers is read by one request and written by one request.
 
 use super::any_length::partly;
-use crate::capabilities::Learned;
+use crate::capabilities::Refused;
 use crate::command::{Code, Command as _, WriteMixed};
 use crate::element::{Element, Value};
 use crate::error::Error;
@@ -174,7 +174,7 @@ impl Station {
             match self.write_mixed(&items(group)).await {
                 // The PLC does not know the command, so it has written nothing.
                 Err(Error::Plc { repeated: false, error, .. }) if error.is_about_the_command() => {
-                    self.link.learn_capability(self.number, Learned::NoMixedWrites);
+                    self.link.learn_capability(self.number, Refused::MixedWrites);
                 }
                 result => return result.map_err(|error| (0, error)),
             }
