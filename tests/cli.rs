@@ -7,7 +7,7 @@ use std::io::Read;
 use std::net::TcpListener;
 use std::process::{Command, Stdio};
 
-use process::{FATEK, ScriptedPlc, Sim, ascii, fatek, run};
+use process::{FATEK, Folder, ScriptedPlc, Sim, ascii, fatek, run};
 
 const FRAMINGS: [&str; 2] = ["ascii", "binary"];
 
@@ -309,6 +309,37 @@ fn a_probe_prints_what_the_plc_supports() {
     }
     let json: serde_json::Value = sim.fatek(&["probe", "--format", "json"]).ok().parse().unwrap();
     assert_eq!((&json["commands"]["4E"], &json["max_mixed"]), (&"supported".into(), &64.into()));
+}
+
+/// A file of `probe` is taken by the other commands, and a bad one is refused before anything is sent.
+#[test]
+fn capabilities_of_a_file_are_kept_to() {
+    let (sim, folder) = (Sim::start(&[]), Folder::new("capabilities"));
+    let (found, low, bad) = (folder.file("found.json"), folder.file("low.json"), folder.file("bad.json"));
+    std::fs::write(&found, sim.fatek(&["probe", "--format", "json"]).ok()).unwrap();
+    sim.fatek(&["--capabilities", &found, "read", "R0-R99"]).ok();
+    std::fs::write(&low, r#"{"max_registers": 10, "commands": {"48": "refused"}}"#).unwrap();
+    let reads = |args: &[&str]| fatek(&[&["plan", "--format", "csv"], args].concat()).ok().lines().count() - 1;
+    assert_eq!((reads(&["R0-R29"]), reads(&["R0-R29", "--capabilities", &low])), (1, 3));
+    sim.fatek(&["read", "R0-R29", "--capabilities", &low]).ok();
+    std::fs::write(&bad, r#"{"max_registers": 65}"#).unwrap();
+    let ran = sim.fatek(&["read", "R0", "--capabilities", &bad]);
+    assert!(ran.stderr.contains("bad.json: max_registers is 65, and must be 2 to 64"), "{ran:?}");
+    assert_eq!((ran.status, ran.stdout.as_str()), (2, ""));
+}
+
+#[test]
+fn a_plan_keeps_to_a_model_and_reads_no_words_if_told() {
+    let plan = |args: &[&str]| fatek(&[&["plan", "--format", "csv"], args].concat());
+    assert!(plan(&["M0-M255"]).ok().contains("46 WM0-WM240"));
+    assert!(plan(&["M0-M255", "--no-words"]).ok().contains("44 M0-M255"));
+    let ran = plan(&["R4160-R4170", "--model", "fbs-20mc"]);
+    assert_eq!(ran.status, 2, "{ran:?}");
+    assert!(ran.stderr.contains("R4168"), "{ran:?}");
+    // R4168 to R4999 are not read through.
+    assert_eq!(plan(&["R4167", "R5000", "--model", "fbs-20mc", "--no-mixed"]).ok().lines().count(), 3);
+    let bits = plan(&["R0", "--readable", "R5.3"]);
+    assert!(bits.stderr.contains("--readable R5.3: a range has whole registers"), "{bits:?}");
 }
 
 #[test]

@@ -129,6 +129,9 @@ pub(crate) struct DefaultPlc {
     /// Station number, 1 to 254 (`sim` has an option of its own)
     #[arg(long, env = "FATEK_STATION", hide_env_values = true, value_name = "N")]
     station: Option<String>,
+    /// Capabilities of the PLC: a file of `fatek probe --format json`
+    #[arg(long, env = "FATEK_CAPABILITIES", hide_env_values = true, value_name = "FILE")]
+    capabilities: Option<String>,
 }
 
 impl DefaultPlc {
@@ -138,12 +141,16 @@ impl DefaultPlc {
         let first = |plc: &Option<String>, default: &Option<String>| {
             plc.clone().or_else(|| default.clone()).filter(|text| !text.is_empty())
         };
-        Plc { link: first(&plc.link, &self.link), station: first(&plc.station, &self.station) }
+        Plc {
+            link: first(&plc.link, &self.link),
+            station: first(&plc.station, &self.station),
+            capabilities: first(&plc.capabilities, &self.capabilities),
+        }
     }
 
     /// Link alone, for commands without a single station.
     pub(crate) fn link(&self, own: &LinkArgs) -> Option<String> {
-        self.or(&Plc { link: own.link.clone(), station: None }).link
+        self.or(&Plc { link: own.link.clone(), station: None, capabilities: None }).link
     }
 }
 
@@ -157,6 +164,9 @@ pub(crate) struct Plc {
     /// Station number, 1 to 254 [env: FATEK_STATION=]
     #[arg(long, value_name = "N")]
     pub(crate) station: Option<String>,
+    /// Capabilities of the PLC: a file of `fatek probe --format json` [env: FATEK_CAPABILITIES=]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) capabilities: Option<String>,
 }
 
 impl fmt::Display for Plc {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fatek::{CallOptions, Endpoint, Link, Station};
+use fatek::{CallOptions, Capabilities, Endpoint, Link, Station};
 
 use crate::args::Plc;
 use crate::failure::Failure;
@@ -21,7 +21,20 @@ pub(crate) fn station(plc: &Plc, timeout: Option<Duration>) -> Result<Station, F
             excerpt(station)
         )));
     };
-    link(endpoint, options(timeout), timeout).station(number).map_err(Failure::usage)
+    let station = link(endpoint, options(timeout), timeout).station(number).map_err(Failure::usage)?;
+    if let Some(path) = &plc.capabilities {
+        station.set_capabilities(capabilities(path)?);
+    }
+    Ok(station)
+}
+
+/// Capabilities of a file.
+pub(crate) fn capabilities(path: &str) -> Result<Capabilities, Failure> {
+    let fault = |error: &dyn std::fmt::Display| {
+        Failure::Usage(format!("the capabilities in {}: {}", excerpt(path), excerpt(&error.to_string())))
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| fault(&error))?;
+    serde_json::from_str(&text).map_err(|error| fault(&error))
 }
 
 /// Endpoint of `--link`.

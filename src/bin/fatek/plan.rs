@@ -2,7 +2,7 @@
 
 use fatek::endpoint::SerialSettings;
 use fatek::wire::Framing;
-use fatek::{CostModel, Limits, Plan};
+use fatek::{CostModel, Limits, MemoryMap, Plan};
 use serde_json::Value;
 
 use crate::args::PlanArgs;
@@ -45,7 +45,7 @@ fn cost(link: Option<&str>, args: &PlanArgs) -> Result<CostModel, Failure> {
 }
 
 fn limits(args: &PlanArgs) -> Result<Limits, Failure> {
-    let mut limits = Limits::new();
+    let mut limits = args.model.map_or_else(Limits::new, |model| MemoryMap::of(model).limits());
     if let Some(registers) = args.max_registers {
         limits = limits.max_registers(registers).map_err(Failure::usage)?;
     }
@@ -55,8 +55,14 @@ fn limits(args: &PlanArgs) -> Result<Limits, Failure> {
     if let Some(units) = args.max_mixed {
         limits = limits.max_mixed(units).map_err(Failure::usage)?;
     }
-    limits = limits.mixed_reads(!args.no_mixed);
+    limits = limits.mixed_reads(!args.no_mixed).words_of_discretes(!args.no_words);
+    if let Some(path) = &args.capabilities {
+        limits = limits.within(&connect::capabilities(path)?);
+    }
     for range in &args.readable {
+        if range.is_bits_of_register() {
+            return Err(Failure::Usage(format!("--readable {range}: a range has whole registers, or discretes")));
+        }
         let last = range.elements().last().unwrap_or(range.first());
         limits = limits.readable(range.first(), last).map_err(Failure::usage)?;
     }

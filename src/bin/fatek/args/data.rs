@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use clap::Args;
 use fatek::Discrete;
+use fatek::memory_map::PlcModel;
 use fatek::tag::Tag;
 use fatek::wire::Framing;
 
@@ -180,6 +181,15 @@ pub(crate) struct PlanArgs {
     /// No mixed reads (command 48)
     #[arg(long)]
     pub(crate) no_mixed: bool,
+    /// No words of discretes: M0 to M15 are not read as WM0
+    #[arg(long)]
+    pub(crate) no_words: bool,
+    /// Limits of the capabilities in this file, as `fatek probe --format json` prints them
+    #[arg(long, value_name = "FILE")]
+    pub(crate) capabilities: Option<String>,
+    /// Memory of this model: fbe-28mc or fbs-20mc
+    #[arg(long, value_name = "MODEL")]
+    pub(crate) model: Option<PlcModel>,
     /// Readable range, such as R0-R3839; repeat for more [default: all addresses]
     ///
     /// Of a symbol with readable ranges no other addresses are read.
