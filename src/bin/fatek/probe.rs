@@ -37,6 +37,8 @@ fn rows(found: &Capabilities) -> Rows {
     push("discretes in one request", count(found.max_points()));
     push("units in a mixed read", count(found.max_mixed()));
     push("step of DRC in a run", found.counter_step().map(|step| step.to_string()));
+    let answer = |answers: bool| if answers { "yes" } else { "no" }.to_owned();
+    push("answers broadcasts", found.answers_broadcasts().map(answer));
     let time = |time: std::time::Duration| format!("{:.1} ms", time.as_secs_f64() * 1000.0);
     push("response time", found.response_time().map(time));
     rows
