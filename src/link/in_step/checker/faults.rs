@@ -61,6 +61,10 @@ const NO_4E: Faults = Faults {
 };
 const NO_4E_LEFT: Faults =
     Faults { name: "no 4E: 3 left over", left: 3, loopback: LoopBack::Refused, calls: &[Read, Write, Status], ..NONE };
+const SILENT_4E: Faults =
+    Faults { name: "4E unanswered: late, copy", late: 1, loopback: LoopBack::Unanswered, ..NO_4E };
+const SILENT_4E_LEFT: Faults =
+    Faults { name: "4E unanswered: 3 left over", loopback: LoopBack::Unanswered, ..NO_4E_LEFT };
 const NO_4E_AT_TIMES: Faults = Faults {
     name: "4E at times: late, copy, left",
     copies: 1,
@@ -132,6 +136,14 @@ fn a_device_without_loop_back_gives_no_wrong_result() {
 }
 
 #[test]
+fn a_device_that_does_not_answer_the_loop_back_gives_no_wrong_result() {
+    for faults in [&SILENT_4E, &SILENT_4E_LEFT] {
+        is_sound("serial", faults, rule(true, 1));
+        is_sound("network", faults, rule(false, 1));
+    }
+}
+
+#[test]
 fn a_roaming_copy_gives_one_wrong_result_and_no_shift() {
     let verdict = report("network", &ROAM, rule(false, 1), Ablation::Nothing, 4);
     assert!(verdict.most <= 1 && !verdict.cut);
@@ -158,7 +170,7 @@ fn a_job_of_equal_pages_gives_out_no_page_of_a_roaming_copy() {
 
 #[test]
 fn every_ingredient_of_the_rule_is_needed() {
-    let ablations: [(Ablation, &Faults, bool); 13] = [
+    let ablations: [(Ablation, &Faults, bool); 14] = [
         (Ablation::Suspicion, &LEFT, false),
         (Ablation::Timeout, &LATE, false),
         (Ablation::Broadcast, &BROADCAST, false),
@@ -169,6 +181,7 @@ fn every_ingredient_of_the_rule_is_needed() {
         (Ablation::Proof, &COPIES, false),
         (Ablation::Echo, &NO_4E_LEFT, false),
         (Ablation::Silence, &NO_4E_LEFT, false),
+        (Ablation::Silence, &SILENT_4E_LEFT, false),
         (Ablation::Strays, &JOB, false),
         (Ablation::IdleInput, &JOB, false),
         (Ablation::Confirmation, &JOB, false),

@@ -7,7 +7,7 @@ use super::frame::{Frame, NONCES};
 use super::jobs::ModelJob;
 use super::requests::Name;
 use super::state::{Asked, BROADCASTS, COPIES, LATE, LOSS, ModelState, Out, RECONNECTS};
-use crate::command::{Code, Spelling};
+use crate::command::{Code, CommandSet, Spelling};
 use crate::link::in_step::{Check, Choice, InStep, Shape, Spelled};
 
 /// The faults of a line and a PLC, and the calls of the client.
@@ -42,6 +42,8 @@ pub(super) enum LoopBack {
     Known,
     Refused,
     AtTimes,
+    /// Not answered, and declared so; the status may be refused.
+    Unanswered,
 }
 
 /// Number of exchanges in which a roaming duplicate may come.
@@ -55,12 +57,13 @@ pub(super) fn starts(faults: &Faults, client: &Client) -> Vec<ModelState> {
     let shape = |name| client.request(name).shape(client.request(name).plain());
     let mut shapes: Vec<_> = faults.calls.iter().map(|&name| Frame::of(shape(name), 0)).collect();
     shapes.push(Frame::refusal(shape(Name::Read).code));
-    if faults.loopback != LoopBack::Refused {
-        shapes.push(Frame::of(Shape { code: Code::LoopBack, size: NONCES }, 0));
-    }
-    if faults.loopback != LoopBack::Known {
-        shapes.push(Frame::refusal(Code::LoopBack));
-    }
+    let (echo, refusal) = (Frame::of(Shape { code: Code::LoopBack, size: NONCES }, 0), Frame::refusal(Code::LoopBack));
+    shapes.extend(match faults.loopback {
+        LoopBack::Known => vec![echo],
+        LoopBack::Refused => vec![refusal],
+        LoopBack::AtTimes => vec![echo, refusal],
+        LoopBack::Unanswered => vec![Frame::of(Check::STATUS, 0), Frame::refusal(Code::ReadStatus)],
+    });
     let mut queues = vec![vec![]];
     let mut longest = queues.clone();
     for _ in 0..faults.left {
@@ -71,6 +74,11 @@ pub(super) fn starts(faults: &Faults, client: &Client) -> Vec<ModelState> {
     let mut in_step = InStep::new();
     if client.ablation == Ablation::Suspicion {
         in_step.suspect = None;
+    }
+    if faults.loopback == LoopBack::Unanswered {
+        let mut unanswered = CommandSet::NONE;
+        unanswered.insert(Code::LoopBack);
+        in_step.declare(CommandSet::NONE, unanswered);
     }
     let budget = [faults.copies, faults.loss, faults.late, faults.broadcasts, faults.reconnects];
     let start = |channel| ModelState {
@@ -279,7 +287,9 @@ fn answers(faults: &Faults, out: &Out) -> Vec<Frame> {
             LoopBack::Known => vec![positive(0)],
             LoopBack::Refused => vec![refusal],
             LoopBack::AtTimes => vec![positive(0), refusal],
+            LoopBack::Unanswered => vec![],
         },
+        Asked::Check { .. } if faults.loopback == LoopBack::Unanswered => vec![positive(0), refusal],
         Asked::Check { .. } => vec![positive(0)],
     }
 }
