@@ -43,9 +43,9 @@
 //! Every run goes through these stages:
 //!
 //! ```text
-//! Brief (40) ─▶ Status (53) ─▶ Header (page 0) ─▶ Page n … ─▶ [Behind] ─▶ [Again n …]
-//!                                                                             │
-//!                                      Done ◀─ LastStatus ◀─ LastHeader ◀──────┘
+//! Brief (40) ─▶ Status (53) ─▶ Header (page 0) ─▶ Page n … ─▶ [Behind ─▶ Before] ─▶ [Again n …]
+//!                                                                                       │
+//!                     Done ◀─ LastStatus ◀─ [StillRefused] ◀─ LastHeader ◀──────────────┘
 //! ```
 //!
 //! Invariants:
@@ -54,8 +54,8 @@
 //!   as often as reads are retried. Pages that are not confirmed are dropped when a run ends.
 //! - The header fits the ladder size of 53, so the number of pages is known before page 1 is read.
 //!   An FBs can state more than it has: the first page from page 2 on that it refuses with error 2 or A
-//!   ends the ladder, if it refuses the last page, too; the program says so
-//!   ([`Program::refused_page`]).
+//!   ends the ladder, if it refuses the last page, too, has the page before, and refuses the page still
+//!   when all others are read. The program says so ([`Program::refused_page`]).
 //! - Pages of two runs are combined only if both runs are with the same station, by number and
 //!   endpoint, and the PLC's type, version, ladder size and page 0 are equal. They are compared once
 //!   more when all pages are read. A change is [`ProgramError::Changed`], and nothing is kept then.

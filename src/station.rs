@@ -297,7 +297,12 @@ impl Station {
     /// # Errors
     /// Those of [every method](Self#errors), and [`Error::PartlyWritten`].
     pub async fn write_registers32(&self, first: Register32, values: &[u32]) -> Result<(), Error> {
-        any_length::write(self, (first, 1), values, |first, values: &[u32]| WriteRegisters::new(first, values)).await
+        self.write_values32((first, 1), values).await
+    }
+
+    /// Writes consecutive registers of 32 bits, each `unit` of which is one value that no request splits.
+    async fn write_values32(&self, (first, unit): (Register32, usize), values: &[u32]) -> Result<(), Error> {
+        any_length::write(self, (first, unit), values, |first, values: &[u32]| WriteRegisters::new(first, values)).await
     }
 
     /// Reads any elements in one request (48), in the order given: up to 64, where one of 32 bits

@@ -242,9 +242,17 @@ async fn values_of_several_registers_are_written_whole() {
             let error = bench.station.write("R0-R127:f32", values.as_slice()).await.unwrap_err();
             let Error::PartlyWritten { written, count: 64, .. } = error else { panic!("{error}") };
             assert!(written > 0 && written < 64, "{most}");
+            bench.faults.set_rules([]);
+            let doubles: Vec<f64> = (0..16_u8).map(f64::from).collect();
+            bench.station.write("DR200-DR262:f64", doubles.as_slice()).await.unwrap();
+            let read: Vec<f64> = bench.station.read("DR200-DR262:f64").await.unwrap();
+            assert_eq!(read, doubles);
             for entry in bench.faults.log().entries() {
                 if let Some(fatek::command::Request::WriteRegisters(write)) = entry.request() {
                     assert!(write.values().len() <= most && write.values().len().is_multiple_of(2), "{most}");
+                }
+                if let Some(fatek::command::Request::WriteRegisters32(write)) = entry.request() {
+                    assert!(write.values().len().is_multiple_of(2), "{most}");
                 }
             }
         }

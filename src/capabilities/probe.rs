@@ -57,10 +57,19 @@ impl Station {
             {
                 return Err(error);
             }
-            found = found.with_command(Code::LoopBack, Support::Unanswered);
             restore.before = Some(before);
-            self.set_capabilities(found.clone());
-            probe.read_register().await.map_err(|_| error)?;
+            let mut answered = false;
+            for code in [Code::LoopBack, Code::ReadStatus] {
+                found = found.with_command(code, Support::Unanswered);
+                self.set_capabilities(found.clone());
+                answered = probe.read_register().await.is_ok();
+                if answered {
+                    break;
+                }
+            }
+            if !answered {
+                return Err(error);
+            }
         }
         let found = probe.run(found).await?;
         restore.before = None;
@@ -96,9 +105,7 @@ impl Probe {
         found = found.with_response_time(self.response_time(register).await?);
 
         found = found.with_command(Code::ReadStatus, self.support(ReadStatus).await?);
-        if found.command(Code::LoopBack) != Support::Unanswered {
-            found = found.with_command(Code::LoopBack, self.support(LoopBack::new("probe")?).await?);
-        }
+        found = found.with_command(Code::LoopBack, self.support(LoopBack::new("probe")?).await?);
         found = found.with_command(Code::ReadDetailedStatus, self.support(ReadDetailedStatus).await?);
         found = found.with_command(Code::ReadDisabled, self.support(ReadDisabled::new(discrete, 1)?).await?);
 
@@ -106,13 +113,14 @@ impl Probe {
         found = found.with_command(Code::ReadRegisters, Support::Supported);
         // R0 was answered.
         // A device that takes one register only is asked for two: a value of 32 bits has two.
-        found.max_registers = self.largest(MAX_UNITS, registers).await?.map(|most| most.max(2));
+        let most = self.largest(MAX_UNITS, registers).await?.map(|most| most.max(2));
+        found.max_registers = most.or(found.max_registers);
 
         let support = self.support(ReadDiscretes::new(discrete, 1)?).await?;
         found = found.with_command(Code::ReadDiscretes, support);
         if support == Support::Supported {
             let discretes = |count: usize| ReadDiscretes::new(discrete, count);
-            found.max_points = self.largest(MAX_POINTS, discretes).await?;
+            found.max_points = self.largest(MAX_POINTS, discretes).await?.or(found.max_points);
         }
 
         let mixed = |count: usize| {
@@ -122,7 +130,7 @@ impl Probe {
         let support = self.support(mixed(1)?).await?;
         found = found.with_command(Code::ReadMixed, support);
         if support == Support::Supported {
-            found.max_mixed = self.largest(MAX_MIXED_READ_UNITS, mixed).await?;
+            found.max_mixed = self.largest(MAX_MIXED_READ_UNITS, mixed).await?.or(found.max_mixed);
         }
 
         for (support, symbol) in found.words.iter_mut().zip(WordAreas::SYMBOLS) {
@@ -160,7 +168,7 @@ impl Probe {
     }
 
     /// The largest accepted count up to `max`; one is accepted. `None` if a shorter memory may be the reason
-    /// of all refusals: other areas may be longer.
+    /// why one more is refused: other areas may be longer.
     async fn largest<C: Command>(
         &self,
         max: usize,
@@ -171,7 +179,7 @@ impl Probe {
         while accepted < tried {
             match self.ask(request(tried)?).await? {
                 Answer::Reply(_) => accepted = tried,
-                Answer::Refused(ErrorCode::IllegalAddress) => refused = tried,
+                Answer::Refused(ErrorCode::IllegalAddress) => (refused, is_length) = (tried, false),
                 Answer::Refused(_) | Answer::None => (refused, is_length) = (tried, true),
             }
             tried = accepted.midpoint(refused);
@@ -226,9 +234,12 @@ impl Probe {
     }
 }
 
-/// Returns whether the station did not answer a request that was sent, or answered it by something else.
+/// Returns whether the station did not answer a request that was sent twice, or answered it by something else.
 fn is_silence(error: &Error) -> bool {
-    matches!(error, Error::Timeout { sent: true, .. } | Error::BadReply { .. } | Error::OutOfStep { sent: true, .. })
+    matches!(
+        error,
+        Error::Timeout { sent: true, attempts: 2.., .. } | Error::BadReply { sent: true, attempts: 2.., .. }
+    )
 }
 
 fn first_register() -> Result<Register, Error> {

@@ -288,6 +288,8 @@ impl Link {
             self.inner.shared.declare_commands(station, refused, unanswered);
             known.declare(capabilities);
         });
+        // Without that lock: it may wake callers.
+        self.inner.shared.serve_posted();
     }
 
     /// Notes what a refusal has shown.

@@ -122,7 +122,10 @@ impl Shared {
         if let Some(slot) = lock(&self.slot).as_mut() {
             slot.driver.declare_commands(station, refused, unanswered);
         }
-        // A call that was posted meanwhile found the lock taken.
+    }
+
+    /// Serves calls that were posted while [`declare_commands`](Self::declare_commands) held the lock.
+    pub(crate) fn serve_posted(&self) {
         self.drain_inbox();
     }
 

@@ -19,9 +19,13 @@ enum ReadStage {
     Pages,
     /// That page was refused: the last page of the stated size, which must be refused, too.
     Behind,
+    /// The page before it is read again: the PLC must have it.
+    Before,
     /// No page is missing; this one is read again.
     Again(u16),
     LastHeader,
+    /// The ladder ends early: the page behind it must still be refused.
+    StillRefused,
     LastStatus,
     Done,
 }
@@ -150,11 +154,22 @@ impl Reading {
                     self.stage = if next < self.total() { ReadStage::Again(next) } else { ReadStage::LastHeader };
                 }
             }
+            ReadStage::Before => {
+                if self.is_same(self.first_missing().saturating_sub(1), &content) {
+                    self.end_here();
+                }
+            }
             ReadStage::LastHeader => {
                 if self.is_same(0, &content) {
                     self.again = self.total();
-                    self.stage = ReadStage::LastStatus;
+                    self.stage = if self.refused.is_some() { ReadStage::StillRefused } else { ReadStage::LastStatus };
                 }
+            }
+            // The refusal has passed: the ladder goes on.
+            ReadStage::StillRefused => {
+                self.refused = None;
+                self.pages.push(content);
+                self.stage = self.after_pages();
             }
             ReadStage::Brief | ReadStage::Status | ReadStage::Behind | ReadStage::LastStatus | ReadStage::Done => {
                 debug_assert!(false, "a page in {:?}", self.stage);
@@ -245,7 +260,8 @@ impl Transfer for Reading {
             ReadStage::Brief => Request::Status,
             ReadStage::Status | ReadStage::LastStatus => Request::DetailedStatus,
             ReadStage::Header | ReadStage::LastHeader => Request::ReadPage(0),
-            ReadStage::Pages => Request::ReadPage(self.first_missing()),
+            ReadStage::Pages | ReadStage::StillRefused => Request::ReadPage(self.first_missing()),
+            ReadStage::Before => Request::ReadPage(self.first_missing().saturating_sub(1)),
             ReadStage::Behind => Request::ReadPage(self.stated().saturating_sub(1)),
             ReadStage::Again(page) => Request::ReadPage(page),
             ReadStage::Done => return Ok(Step::Done),
@@ -280,11 +296,18 @@ impl Transfer for Reading {
                 self.refusal = Some(source);
                 self.verdict = Some(Verdict::Refused);
             }
-            Err(source) if self.stage == ReadStage::Behind && ends_the_ladder(&source) => self.end_here(),
+            Err(source) if self.stage == ReadStage::Behind && ends_the_ladder(&source) => {
+                self.stage = ReadStage::Before;
+            }
+            Err(source) if self.stage == ReadStage::StillRefused && ends_the_ladder(&source) => {
+                self.refused = Some(self.first_missing());
+                self.stage = ReadStage::LastStatus;
+            }
             Err(source) => {
                 let action = match self.stage {
                     ReadStage::Header | ReadStage::LastHeader => ProgramAction::ReadPage(0),
-                    ReadStage::Pages => ProgramAction::ReadPage(self.first_missing()),
+                    ReadStage::Pages | ReadStage::StillRefused => ProgramAction::ReadPage(self.first_missing()),
+                    ReadStage::Before => ProgramAction::ReadPage(self.first_missing().saturating_sub(1)),
                     ReadStage::Behind => ProgramAction::ReadPage(self.stated().saturating_sub(1)),
                     ReadStage::Again(page) => ProgramAction::ReadPage(page),
                     ReadStage::Brief | ReadStage::Status | ReadStage::LastStatus | ReadStage::Done => {
@@ -313,7 +336,7 @@ impl Transfer for Reading {
             Some(Verdict::Refused) if self.first_missing().saturating_add(1) < self.stated() => {
                 self.stage = ReadStage::Behind;
             }
-            Some(Verdict::Refused) => self.end_here(),
+            Some(Verdict::Refused) => self.stage = ReadStage::Before,
             Some(Verdict::Good) => self.stage = ReadStage::Done,
             None => {}
         }
@@ -325,7 +348,7 @@ impl Transfer for Reading {
         (self.stage, self.again, self.verdict) = (stage, again, None);
         self.pages.truncate(pages);
         self.confirmed = self.confirmed.min(pages);
-        if matches!(stage, ReadStage::Pages | ReadStage::Behind) {
+        if matches!(stage, ReadStage::Pages | ReadStage::Behind | ReadStage::Before) {
             self.refused = None;
         }
         if !status_known {

@@ -37,6 +37,8 @@ pub(super) enum WriteStage {
     End(u16),
     /// Page 0: is the program of the PLC's kind?
     Kind,
+    /// The last page of the program, if all are written without a comparison: does the PLC have it?
+    LastPage,
     Compare(u16),
     Look(LookAt),
     Write {
@@ -399,6 +401,7 @@ impl Transfer for Writing {
         let request = match self.stage {
             WriteStage::Fit => Request::DetailedStatus,
             WriteStage::Kind => Request::ReadPage(0),
+            WriteStage::LastPage => Request::ReadPage(self.program.page_count().saturating_sub(1)),
             WriteStage::End(page)
             | WriteStage::Compare(page)
             | WriteStage::Verify(page)
@@ -434,6 +437,7 @@ impl Transfer for Writing {
             (WriteStage::End(page), Ok(Reply::Page(_))) => self.refuse(ProgramError::HasRefusedPage { page }),
             (WriteStage::End(_), Err(source)) if ends_the_ladder(&source) => self.stage = WriteStage::Kind,
             (WriteStage::Kind, Ok(Reply::Page(content))) => self.kind(&content),
+            (WriteStage::LastPage, Ok(Reply::Page(_))) => self.write_all(),
             (WriteStage::Compare(page), Ok(Reply::Page(content))) => self.compare(page, &content),
             (WriteStage::ReadBack { page, left }, Ok(Reply::Page(content))) => self.read_back(page, left, &content),
             (WriteStage::Verify(page), Ok(Reply::Page(content))) => self.verify(page, &content),
@@ -446,6 +450,10 @@ impl Transfer for Writing {
                 | WriteStage::Verify(page),
                 Err(source),
             ) => self.give_up(ProgramError::Call { action: ProgramAction::ReadPage(page), source }),
+            (WriteStage::LastPage, Err(source)) => {
+                let page = self.program.page_count().saturating_sub(1);
+                self.give_up(ProgramError::Call { action: ProgramAction::ReadPage(page), source });
+            }
             (WriteStage::Kind, Err(source)) => {
                 self.give_up(ProgramError::Call { action: ProgramAction::ReadPage(0), source });
             }

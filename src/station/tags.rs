@@ -192,7 +192,7 @@ impl Station {
         let written = match tag.first() {
             Element::Discrete(first) => self.write_discretes(first, &of_width(&raw)).await,
             Element::Register(first) => self.write_values((first, tag.elements_per_value()), &of_width(&raw)).await,
-            Element::Register32(first) => self.write_registers32(first, &of_width(&raw)).await,
+            Element::Register32(first) => self.write_values32((first, tag.elements_per_value()), &of_width(&raw)).await,
         };
         // Requests end where a value does.
         let per_value = tag.elements_per_value().max(1);

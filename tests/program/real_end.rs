@@ -74,6 +74,16 @@ async fn a_refused_page_among_others_is_an_error() {
         "{error}"
     );
     assert!(error.to_string().starts_with("cannot read page 5: "), "{error}");
+    // Nor are two refusals in a row: the page is asked for again when all others are read.
+    for refused in 3..12 {
+        let rule = Rule::new(Fault::Error(ErrorCode::IllegalAddress)).command(Code::ReadProgramPage);
+        bench.faults.set_rules([rule.skip(5).times(refused)]);
+        match ReadProgram::new().run(&bench.station()).await {
+            Ok(whole) => assert_eq!((whole.refused_page(), whole.pages().len()), (None, 11), "{refused}"),
+            Err(ProgramError::Call { .. }) => {}
+            Err(error) => panic!("{refused}: {error}"),
+        }
+    }
     // Nor is another refusal, such as one of a PLC that runs.
     bench.faults.set_rules([Rule::new(Fault::Error(ErrorCode::NotSupported)).command(Code::ReadProgramPage).skip(3)]);
     assert!(ReadProgram::new().run(&bench.station()).await.is_err());
@@ -91,6 +101,12 @@ async fn a_program_that_ends_early_is_written_only_to_such_a_plc() {
     let report = write.run(&same.station()).await.unwrap();
     assert_eq!(report.pages, REAL + 1);
     assert_eq!(same.pages_held(), read.pages());
+    // One with fewer pages is not written at all, also without a comparison.
+    let shorter = Bench::with_model(Model::default().ladder_words(STATED).real_last_page(200), 5);
+    let before = shorter.pages_held();
+    let options = WriteOptions::new().all_pages(true).stop_first(true);
+    assert!(WriteProgram::new(&read, options).run(&shorter.station()).await.is_err());
+    assert_eq!(shorter.pages_held(), before);
     // A PLC with more pages would keep those of another program behind it.
     let larger = Bench::with_model(Model::default().ladder_words(STATED), 4);
     let before = larger.pages_held();

@@ -148,6 +148,12 @@ impl DefaultPlc {
         }
     }
 
+    /// Link and capabilities of a plan.
+    pub(crate) fn of_plan(&self, plan: &PlanArgs) -> Plc {
+        let (link, capabilities) = (plan.link.link.clone(), plan.capabilities.clone());
+        self.or(&Plc { link, station: None, capabilities })
+    }
+
     /// Link alone, for commands without a single station.
     pub(crate) fn link(&self, own: &LinkArgs) -> Option<String> {
         self.or(&Plc { link: own.link.clone(), station: None, capabilities: None }).link

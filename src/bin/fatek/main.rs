@@ -132,7 +132,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 let endpoint = connect::endpoint(cli.plc.link(&args.link).as_deref())?;
                 scan::scan(endpoint, args, timeout, output).await
             }
-            Command::Plan(args) => plan::plan(cli.plc.link(&args.link).as_deref(), args, output),
+            Command::Plan(args) => plan::plan(&cli.plc.of_plan(args), args, output),
             Command::Watch(args) => watch::watch(&station(&args.plc)?, args, output).await,
             Command::Program(ProgramCommand::Read(args)) => program::read(&station(&args.plc)?, args, output).await,
             Command::Program(ProgramCommand::Write(args)) => {
@@ -145,7 +145,11 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             Command::Backup(args) => backup::backup(&cli.plc.or(&args.plc), timeout, args, output).await,
             Command::Restore(args) => backup::restore(&cli.plc.or(&args.plc), timeout, args, output).await,
             Command::Clock(args) => clock::clock(&station(&args.plc)?, args, output).await,
-            Command::Probe(args) => probe::probe(&station(&args.plc)?, output).await,
+            Command::Probe(args) => {
+                // It finds them anew.
+                let plc = Plc { capabilities: None, ..cli.plc.or(&args.plc) };
+                probe::probe(&connect::station(&plc, timeout)?, output).await
+            }
             Command::Decode(args) => decode::decode(args, output),
         }
     })

@@ -1,17 +1,24 @@
 //! Subcommand `fatek plan TAG…`.
 
+use std::time::Duration;
+
 use fatek::endpoint::SerialSettings;
 use fatek::wire::Framing;
 use fatek::{CostModel, Limits, MemoryMap, Plan};
 use serde_json::Value;
 
-use crate::args::PlanArgs;
+use crate::args::{PlanArgs, Plc};
 use crate::connect;
 use crate::failure::Failure;
 use crate::output::{Cell, Format, Output, Rows, print};
 
-pub(crate) fn plan(link: Option<&str>, args: &PlanArgs, output: &Output) -> Result<(), Failure> {
-    let builder = Plan::builder(cost(link, args)?).limits(limits(args)?);
+/// Time per request besides its bytes, where it is not known.
+const DEFAULT_ROUND_TRIP: Duration = Duration::from_millis(5);
+
+pub(crate) fn plan(plc: &Plc, args: &PlanArgs, output: &Output) -> Result<(), Failure> {
+    let known = plc.capabilities.as_deref().map(connect::capabilities).transpose()?.unwrap_or_default();
+    let cost = cost(plc.link.as_deref(), known.response_time(), args)?;
+    let builder = Plan::builder(cost).limits(limits(args)?.within(&known));
     let table = args.table.load()?;
     table.remark_overlaps(output);
     let tags = table.tags(&args.tags)?;
@@ -26,7 +33,7 @@ pub(crate) fn plan(link: Option<&str>, args: &PlanArgs, output: &Output) -> Resu
 }
 
 /// Cost model of the link, or of a network, with the settings of the options.
-fn cost(link: Option<&str>, args: &PlanArgs) -> Result<CostModel, Failure> {
+fn cost(link: Option<&str>, response_time: Option<Duration>, args: &PlanArgs) -> Result<CostModel, Failure> {
     let endpoint = link.map(|link| connect::endpoint(Some(link))).transpose()?;
     let link_framing = endpoint.as_ref().map_or(Framing::Ascii, |endpoint| endpoint.framing());
     let framing = args.framing.unwrap_or(link_framing);
@@ -38,9 +45,10 @@ fn cost(link: Option<&str>, args: &PlanArgs) -> Result<CostModel, Failure> {
         }
         None => settings,
     };
+    let round_trip = args.round_trip.or(response_time).unwrap_or(DEFAULT_ROUND_TRIP);
     Ok(match settings {
-        Some(settings) => CostModel::serial(settings, framing).with_response_time(args.round_trip),
-        None => CostModel::network(framing, args.round_trip),
+        Some(settings) => CostModel::serial(settings, framing).with_response_time(round_trip),
+        None => CostModel::network(framing, round_trip),
     })
 }
 
@@ -56,9 +64,6 @@ fn limits(args: &PlanArgs) -> Result<Limits, Failure> {
         limits = limits.max_mixed(units).map_err(Failure::usage)?;
     }
     limits = limits.mixed_reads(!args.no_mixed).words_of_discretes(!args.no_words);
-    if let Some(path) = &args.capabilities {
-        limits = limits.within(&connect::capabilities(path)?);
-    }
     for range in &args.readable {
         if range.is_bits_of_register() {
             return Err(Failure::Usage(format!("--readable {range}: a range has whole registers, or discretes")));

@@ -39,6 +39,9 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     if let Some(page) = program.refused_page() {
         let stated = program.header().page_count();
         output.remark(format_args!("the PLC refused page {page}: its memory ends before the {stated} pages it states"));
+        if args.file.raw {
+            output.remark(format_args!("a raw file without the others cannot be loaded again: save one without --raw"));
+        }
     }
     Ok(())
 }

@@ -38,8 +38,7 @@ impl Writing {
             }
             // Pages that an earlier run wrote may have changed since: those are compared.
             Ok(_) | Err(_) if self.writes_all() && self.written_before.is_empty() => {
-                self.pending = (0..self.program.page_count()).collect();
-                self.to_confirm = Some(Pending::AllCompared);
+                self.stage = WriteStage::LastPage;
             }
             Ok(_) | Err(_) => {
                 self.uncompared = (1..self.program.page_count()).rev().collect();
@@ -47,6 +46,12 @@ impl Writing {
                 self.compare(0, content);
             }
         }
+    }
+
+    /// All pages are written without a comparison.
+    pub(super) fn write_all(&mut self) {
+        self.pending = (0..self.program.page_count()).collect();
+        self.to_confirm = Some(Pending::AllCompared);
     }
 
     fn writes_all(&self) -> bool {

@@ -46,7 +46,9 @@ impl Writing {
         self.to_confirm = None;
         match self.stage {
             WriteStage::Fit | WriteStage::Done | WriteStage::Failed => {}
-            WriteStage::End(_) | WriteStage::Kind | WriteStage::Compare(_) => self.compare_from(mark),
+            WriteStage::End(_) | WriteStage::Kind | WriteStage::LastPage | WriteStage::Compare(_) => {
+                self.compare_from(mark);
+            }
             WriteStage::Look(_) | WriteStage::Write { .. } | WriteStage::ReadBack { .. } => {
                 self.read_back_from(mark.written);
             }

@@ -162,8 +162,9 @@ pub(crate) struct PlanArgs {
     #[arg(long, value_name = "BAUD")]
     pub(crate) baud: Option<u32>,
     /// Time per request besides its bytes: network round trip, or response time of the PLC
-    #[arg(long, default_value = "5ms", value_parser = duration::parse, value_name = "TIME")]
-    pub(crate) round_trip: Duration,
+    /// [default: that of --capabilities, else 5ms]
+    #[arg(long, value_parser = duration::parse, value_name = "TIME")]
+    pub(crate) round_trip: Option<Duration>,
     /// One request for all tags, so that all values come from one scan cycle
     #[arg(long)]
     pub(crate) one_scan: bool,
@@ -184,11 +185,11 @@ pub(crate) struct PlanArgs {
     /// No words of discretes: M0 to M15 are not read as WM0
     #[arg(long)]
     pub(crate) no_words: bool,
-    /// Limits of the capabilities in this file, as `fatek probe --format json` prints them
+    /// Capabilities of the PLC: a file of `fatek probe --format json` [env: FATEK_CAPABILITIES=]
     #[arg(long, value_name = "FILE")]
     pub(crate) capabilities: Option<String>,
     /// Memory of this model: fbe-28mc or fbs-20mc
-    #[arg(long, value_name = "MODEL")]
+    #[arg(long, value_name = "MODEL", conflicts_with = "readable")]
     pub(crate) model: Option<PlcModel>,
     /// Readable range, such as R0-R3839; repeat for more [default: all addresses]
     ///
