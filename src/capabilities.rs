@@ -30,9 +30,9 @@ use std::fmt;
 use std::time::Duration;
 
 pub(crate) use self::known::{KnownCapabilities, LEARNED_LIFETIME, Refused};
-use crate::command::{Code, CommandSet, MAX_MIXED_READ_UNITS, MAX_POINTS, MAX_UNITS};
+use crate::command::{Code, CommandSet};
 use crate::element::Symbol;
-use crate::plan::{PlanError, WordAreas, check_range};
+use crate::plan::{Limits, PlanError, WordAreas, check_range};
 
 /// The capabilities of a station: commands, lengths and timing. By default, none is known, and the limits of
 /// the protocol hold.
@@ -126,7 +126,8 @@ impl Capabilities {
     #[must_use]
     pub fn words_of(&self, discrete: Symbol) -> WordSupport {
         let places = WordAreas::SYMBOLS.iter().zip(&self.words);
-        places.filter(|(symbol, _)| **symbol == discrete).map(|(_, support)| *support).next().unwrap_or_default()
+        let mut of_symbol = places.filter(|(symbol, _)| **symbol == discrete).map(|(_, support)| *support);
+        of_symbol.next().unwrap_or(WordSupport::Unknown)
     }
 
     /// Sets the support of words of the discretes with this symbol: X, Y, M or S.
@@ -153,7 +154,8 @@ impl Capabilities {
     /// # Errors
     /// [`PlanError::Limit`] unless it is 2 to 64.
     pub fn with_max_registers(self, units: usize) -> Result<Self, PlanError> {
-        Ok(Self { max_registers: Some(check_range("max_registers", units, 2, MAX_UNITS)?), ..self })
+        Limits::new().max_registers(units)?;
+        Ok(Self { max_registers: Some(units), ..self })
     }
 
     /// Returns the maximum of discretes in one request 44 or 45; `None` if it is not known.
@@ -167,7 +169,8 @@ impl Capabilities {
     /// # Errors
     /// [`PlanError::Limit`] unless it is 1 to 256.
     pub fn with_max_points(self, points: usize) -> Result<Self, PlanError> {
-        Ok(Self { max_points: Some(check_range("max_points", points, 1, MAX_POINTS)?), ..self })
+        Limits::new().max_points(points)?;
+        Ok(Self { max_points: Some(points), ..self })
     }
 
     /// Returns the maximum of units in one request 48; `None` if it is not known.
@@ -181,7 +184,8 @@ impl Capabilities {
     /// # Errors
     /// [`PlanError::Limit`] unless it is 1 to 64.
     pub fn with_max_mixed(self, units: usize) -> Result<Self, PlanError> {
-        Ok(Self { max_mixed: Some(check_range("max_mixed", units, 1, MAX_MIXED_READ_UNITS)?), ..self })
+        Limits::new().max_mixed(units)?;
+        Ok(Self { max_mixed: Some(units), ..self })
     }
 
     /// Returns the distance between two counters of 32 bits in a run: 1 for `DRC200 DRC201`, 2 for `DRC200

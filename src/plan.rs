@@ -143,7 +143,8 @@ impl Plan {
     /// ```
     #[must_use]
     pub fn builder_for(station: &Station) -> PlanBuilder {
-        Self::builder(CostModel::of_station(station)).limits(Limits::new().within(&station.capabilities()))
+        let known = station.capabilities();
+        Self::builder(CostModel::of_link(station.link()).with_known(&known)).limits(Limits::new().within(&known))
     }
 
     /// Returns the tags in the order in which they were added.

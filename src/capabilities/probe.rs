@@ -78,7 +78,7 @@ impl Station {
     }
 }
 
-/// Declares the capabilities of before, unless the probe succeeds.
+/// Restores the declared capabilities, unless the probe succeeds.
 struct RestoreOnDrop<'s> {
     station: &'s Station,
     /// `None`: nothing was declared.
@@ -102,7 +102,7 @@ impl Probe {
     async fn run(&self, mut found: Capabilities) -> Result<Capabilities, Error> {
         let register = first_register()?;
         let discrete = first_discrete()?;
-        found = found.with_response_time(self.response_time(register).await?);
+        found.response_time = self.response_time(register).await?.or(found.response_time);
 
         found = found.with_command(Code::ReadStatus, self.support(ReadStatus).await?);
         found = found.with_command(Code::LoopBack, self.support(LoopBack::new("probe")?).await?);
@@ -208,7 +208,8 @@ impl Probe {
         for (value, address) in values.iter_mut().zip(200..) {
             let counter = Register32::new(Symbol::DRC, address).map_err(InvalidRequest::from)?;
             let Answer::Reply(read) = self.ask(ReadRegisters::new(counter, 1)?).await? else { return Ok(None) };
-            *value = read.first().copied().unwrap_or_default();
+            let [read] = read.as_slice() else { return Ok(None) };
+            *value = *read;
         }
         // As a gateway gets it: a request that this crate makes has one of these counters.
         let run =
@@ -219,18 +220,19 @@ impl Probe {
     }
 
     /// The median of several response times of a read of one register.
-    async fn response_time(&self, register: Register) -> Result<Duration, Error> {
+    async fn response_time(&self, register: Register) -> Result<Option<Duration>, Error> {
         let mut times = Vec::with_capacity(SAMPLES);
         for _ in 0..SAMPLES {
             self.station.call(ReadRegisters::new(register, 1)?).await?;
-            let round_trip = self.station.stats().round_trip.map(|round_trip| round_trip.last).unwrap_or_default();
+            let round_trip = self.station.stats().round_trip.map(|round_trip| round_trip.last);
+            debug_assert!(round_trip.is_some(), "a call was answered");
             // The reply has at most two registers in one of its spellings.
             let framing = self.station.link().framing();
             let reply = self.station.link().line().map(|line| line.transmission(framing.frame_overhead()));
-            times.push(round_trip.saturating_sub(reply.unwrap_or_default()));
+            times.extend(round_trip.map(|time| time.saturating_sub(reply.unwrap_or(Duration::ZERO))));
         }
         times.sort_unstable();
-        Ok(times.get(SAMPLES / 2).copied().unwrap_or_default())
+        Ok(times.get(SAMPLES / 2).copied())
     }
 }
 

@@ -288,8 +288,9 @@ impl Link {
             self.inner.shared.declare_commands(station, refused, unanswered);
             known.declare(capabilities);
         });
-        // Without that lock: it may wake callers.
-        self.inner.shared.serve_posted();
+        // Calls that were posted meanwhile found the driver's lock taken. Without the lock of the
+        // capabilities: it may wake callers.
+        self.inner.shared.drain_inbox();
     }
 
     /// Notes what a refusal has shown.

@@ -124,11 +124,6 @@ impl Shared {
         }
     }
 
-    /// Serves calls that were posted while [`declare_commands`](Self::declare_commands) held the lock.
-    pub(crate) fn serve_posted(&self) {
-        self.drain_inbox();
-    }
-
     /// Takes a call, and sends it at once if the driver is free.
     pub(crate) fn submit(&self, call: PendingCall) {
         if self.is_closed() {
@@ -154,7 +149,7 @@ impl Shared {
     }
 
     /// Empties the inbox, unless another thread has the driver: that one empties it.
-    fn drain_inbox(&self) {
+    pub(crate) fn drain_inbox(&self) {
         while !lock(&self.inbox).is_empty() {
             let mut slot = match self.slot.try_lock() {
                 Ok(slot) => slot,

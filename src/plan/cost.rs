@@ -1,5 +1,6 @@
 use std::time::Duration;
 
+use crate::capabilities::Capabilities;
 use crate::element::{Symbol, Width};
 use crate::endpoint::SerialSettings;
 use crate::link::{Line, Link};
@@ -78,8 +79,12 @@ impl CostModel {
     /// time](crate::Capabilities::response_time) if it is known.
     #[must_use]
     pub fn of_station(station: &Station) -> Self {
-        let model = Self::of_link(station.link());
-        station.capabilities().response_time().map_or(model, |time| model.with_response_time(time))
+        Self::of_link(station.link()).with_known(&station.capabilities())
+    }
+
+    /// Sets the response time of the capabilities, if it is known.
+    pub(crate) fn with_known(self, known: &Capabilities) -> Self {
+        known.response_time().map_or(self, |time| self.with_response_time(time))
     }
 
     /// Costs of a network with this round trip of a short request.

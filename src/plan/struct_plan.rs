@@ -54,10 +54,11 @@ impl<T: Tags> StructPlan<T> {
     /// # Errors
     /// Those of [`with_limits`](Self::with_limits).
     pub fn for_station(station: &Station) -> Result<Self, Error> {
-        let cost = CostModel::of_station(station);
+        let known = station.capabilities();
+        let cost = CostModel::of_link(station.link()).with_known(&known);
         let plan = |known: &Capabilities| Self::with_limits(cost, Limits::new().within(known));
         // A group may need a command whose refusal has passed.
-        plan(&station.capabilities()).or_else(|_| plan(&station.declared_capabilities()))
+        plan(&known).or_else(|_| plan(&station.declared_capabilities()))
     }
 
     /// Makes a plan with these costs, within these limits.

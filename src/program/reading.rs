@@ -282,6 +282,7 @@ impl Transfer for Reading {
             Ok(Reply::DetailedStatus(status)) => self.status(status),
             // The PLC has pages behind the one that it refused.
             Ok(Reply::Page(_)) if self.stage == ReadStage::Behind => {
+                debug_assert!(self.refusal.is_some(), "it led here");
                 if let Some(source) = self.refusal.take() {
                     return Err(ProgramError::Call { action: ProgramAction::ReadPage(self.first_missing()), source });
                 }
