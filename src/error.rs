@@ -69,6 +69,17 @@ impl ErrorCode {
 }
 
 impl ErrorCode {
+    /// Returns whether it may be due to the request: the PLC may accept another one for the same values.
+    /// The others are about the state of the PLC.
+    pub(crate) fn is_about_the_request(self) -> bool {
+        match self {
+            Self::IllegalValue | Self::IllegalFormat | Self::IllegalAddress | Self::NotSupported | Self::Unknown(_) => {
+                true
+            }
+            Self::WriteProhibited | Self::LadderChecksum | Self::IdMismatch | Self::Syntax => false,
+        }
+    }
+
     /// Returns whether it may mean that the device does not know the command.
     pub(crate) fn is_about_the_command(self) -> bool {
         match self {

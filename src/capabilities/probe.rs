@@ -34,8 +34,8 @@ impl Station {
     /// refused because the PLC lacks the elements counts as supported.
     ///
     /// A request that is not answered twice counts as unanswered if R0 is answered behind it. A largest
-    /// request of fewer than the protocol's elements is found by halving; it stays unknown if only addresses
-    /// were refused. The counters tell their step only if their values differ. Capabilities that it does not
+    /// request of fewer than the protocol's elements is found by halving; it stays unknown if one more
+    /// element is refused for its address. The counters tell their step only if their values differ. Capabilities that it does not
     /// find stay as they were declared.
     ///
     /// # Errors
@@ -111,7 +111,6 @@ impl Probe {
 
         let registers = |count: usize| ReadRegisters::new(register, count);
         found = found.with_command(Code::ReadRegisters, Support::Supported);
-        // R0 was answered.
         // A device that takes one register only is asked for two: a value of 32 bits has two.
         let most = self.largest(MAX_UNITS, registers).await?.map(|most| most.max(2));
         found.max_registers = most.or(found.max_registers);

@@ -10,7 +10,7 @@
 //! ```text
 //!                 connected, stray, timeout, reply without proof
 //!   in step ───────────────────────────────────────────────────────▶ suspect
-//!      ▲      nonce echoed, or (behind a refused 4E) silence              │
+//!      ▲      nonce echoed, or (behind a refused 4E) silence             │
 //!      └─────────────────────────────────────────────────────────────────┘
 //! ```
 //!

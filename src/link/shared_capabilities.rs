@@ -21,20 +21,22 @@ impl SharedCapabilities {
         self.has_any.load(Ordering::Acquire)
     }
 
+    /// The declared capabilities of a station, and those learned.
     pub(super) fn get(&self, station: u8) -> Capabilities {
-        if !self.has_any() {
-            return Capabilities::new();
-        }
-        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        known.get(station).map(|known| known.get(Instant::now())).unwrap_or_default()
+        self.read(station, |known| known.get(Instant::now()))
     }
 
+    /// The declared capabilities of a station.
     pub(super) fn declared(&self, station: u8) -> Capabilities {
+        self.read(station, |known| known.declared().clone())
+    }
+
+    fn read(&self, station: u8, read: impl FnOnce(&KnownCapabilities) -> Capabilities) -> Capabilities {
         if !self.has_any() {
             return Capabilities::new();
         }
         let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        known.get(station).map(|known| known.declared().clone()).unwrap_or_default()
+        known.get(station).map_or_else(Capabilities::new, |known| read(known))
     }
 
     pub(super) fn with(&self, station: u8, work: impl FnOnce(&mut KnownCapabilities)) {

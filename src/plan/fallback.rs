@@ -34,17 +34,7 @@ struct FallbackBuilder {
 
 /// Returns whether a PLC that refuses a request with this error may accept others for its values.
 pub(super) fn is_refusal(error: &Error) -> bool {
-    match error.error_code() {
-        Some(
-            ErrorCode::IllegalValue
-            | ErrorCode::IllegalFormat
-            | ErrorCode::IllegalAddress
-            | ErrorCode::NotSupported
-            | ErrorCode::Unknown(_),
-        ) => true,
-        Some(ErrorCode::WriteProhibited | ErrorCode::LadderChecksum | ErrorCode::IdMismatch | ErrorCode::Syntax)
-        | None => false,
-    }
+    error.error_code().is_some_and(ErrorCode::is_about_the_request)
 }
 
 impl Plan {

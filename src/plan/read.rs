@@ -89,9 +89,8 @@ impl Plan {
             }
             result.fallbacks.push((fallback, replies));
         }
-        if let (Some(planned), Err(refusal)) = (self.requests.get(request), &result.reply)
+        if let Some(planned) = self.requests.get(request)
             && result.is_read_by_others()
-            && is_refusal(refusal)
         {
             // With words, these may be the reason: a plan without them shows if it is the command.
             let learned = match planned.has_words_of_discretes() {

@@ -108,7 +108,7 @@ impl LearnedLimits {
     /// Returns whether a request may be refused because of its words of the discretes of these areas,
     /// rather than for its length or one of its elements.
     pub(super) fn may_lack_words(&self, request: &ReadRequest, areas: WordAreas) -> bool {
-        !areas.is_empty() && (!self.accepted.words.contains_all(areas) || is_one_word(request))
+        !areas.is_empty() && (!self.accepted.words.contains_all(areas) || reads_one_element(request))
     }
 
     /// Returns the limit that explains why `request` is refused although its tags are accepted without
@@ -130,7 +130,7 @@ impl LearnedLimits {
             | LearnedLimit::NoWords(_) => false,
         };
         match request.run() {
-            Some((first, _)) if is_one_word(request) && !self.limits.iter().any(is_second) => {
+            Some((first, _)) if reads_one_element(request) && !self.limits.iter().any(is_second) => {
                 LearnedLimit::Avoid { first, count: 1 }
             }
             Some(_) | None => LearnedLimit::NoWords(areas),
@@ -184,7 +184,7 @@ impl LearnedLimits {
 }
 
 /// Returns whether a request reads one element.
-fn is_one_word(request: &ReadRequest) -> bool {
+fn reads_one_element(request: &ReadRequest) -> bool {
     match request {
         ReadRequest::Discretes(request) => request.count() == 1,
         ReadRequest::Registers(request) => request.count() == 1,

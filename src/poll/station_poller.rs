@@ -402,12 +402,8 @@ impl StationPoller {
     }
 }
 
-/// Returns whether an error code is about the request. The others are about the state of the PLC.
-/// `is_optional`: a PLC may accept other requests for the same values.
+/// Returns whether an error code is about the request. Error 9 is, only if the PLC may accept other requests
+/// for the same values (`is_optional`).
 fn concerns_the_request(code: ErrorCode, is_optional: bool) -> bool {
-    match code {
-        ErrorCode::IllegalValue | ErrorCode::IllegalFormat | ErrorCode::IllegalAddress | ErrorCode::Unknown(_) => true,
-        ErrorCode::WriteProhibited | ErrorCode::LadderChecksum | ErrorCode::IdMismatch | ErrorCode::Syntax => false,
-        ErrorCode::NotSupported => is_optional,
-    }
+    code.is_about_the_request() && (is_optional || code != ErrorCode::NotSupported)
 }

@@ -62,8 +62,6 @@ pub(super) struct Reading {
     again: u16,
     /// The refusal of the first page that is missing, until the last page is refused, too.
     refusal: Option<Error>,
-    /// The first page that the PLC refused: the ladder ends before it.
-    refused: Option<u16>,
 }
 
 /// The result of a reading.
@@ -90,7 +88,6 @@ impl Default for Reading {
             pages: Vec::new(),
             again: 0,
             refusal: None,
-            refused: None,
         }
     }
 }
@@ -104,7 +101,7 @@ impl Reading {
         self.stage = ReadStage::Brief;
         self.again = 0;
         self.verdict = None;
-        (self.refusal, self.refused) = (None, None);
+        self.refusal = None;
         self.pages.truncate(self.confirmed);
         if !self.status_confirmed {
             self.status = None;
@@ -113,11 +110,10 @@ impl Reading {
 
     /// The program, after [`Step::Done`]. The reading is as new then.
     pub(super) fn finish(&mut self, now: SystemTime) -> Result<Program, ProgramError> {
-        let Self { brief, status, pages, refused, .. } = std::mem::take(self);
+        let Self { brief, status, pages, .. } = std::mem::take(self);
         debug_assert!(brief.is_some() && status.is_some(), "both are read before page 0");
         let origin = Origin { read_at: Some(whole_seconds(now)), brief, detailed: status };
-        let program = if refused.is_some() { Program::from_plc(pages) } else { Program::from_pages(pages) };
-        Ok(Program { origin, ..program? })
+        Ok(Program { origin, ..Program::from_plc(pages)? })
     }
 
     /// Confirmed pages.
@@ -156,18 +152,20 @@ impl Reading {
             }
             ReadStage::Before => {
                 if self.is_same(self.first_missing().saturating_sub(1), &content) {
-                    self.end_here();
+                    let page = self.first_missing();
+                    tracing::info!(page, "the PLC refuses this page of its ladder, which ends before it");
+                    self.stage = self.after_last_page();
                 }
             }
             ReadStage::LastHeader => {
                 if self.is_same(0, &content) {
                     self.again = self.total();
-                    self.stage = if self.refused.is_some() { ReadStage::StillRefused } else { ReadStage::LastStatus };
+                    let is_whole = self.first_missing() == self.stated();
+                    self.stage = if is_whole { ReadStage::LastStatus } else { ReadStage::StillRefused };
                 }
             }
             // The refusal has passed: the ladder goes on.
             ReadStage::StillRefused => {
-                self.refused = None;
                 self.pages.push(content);
                 self.stage = self.after_pages();
             }
@@ -199,11 +197,11 @@ impl Reading {
     }
 
     fn after_pages(&self) -> ReadStage {
-        match (self.first_missing() < self.total(), self.twice && self.total() > 1) {
-            (true, _) => ReadStage::Pages,
-            (false, true) => ReadStage::Again(1),
-            (false, false) => ReadStage::LastHeader,
-        }
+        if self.first_missing() < self.stated() { ReadStage::Pages } else { self.after_last_page() }
+    }
+
+    fn after_last_page(&self) -> ReadStage {
+        if self.twice && self.pages.len() > 1 { ReadStage::Again(1) } else { ReadStage::LastHeader }
     }
 
     /// Returns whether a page is unchanged; if not, that is the verdict.
@@ -225,9 +223,22 @@ impl Reading {
         u16::try_from(self.pages.len()).unwrap_or(u16::MAX)
     }
 
-    /// The number of pages to read; 0 before the size is known.
+    /// The number of pages to read; 0 before the size is known. Once all are read, it is theirs: the memory
+    /// may end before the size in 53.
     fn total(&self) -> u16 {
-        self.refused.map_or(self.stated(), |refused| self.stated().min(refused))
+        match self.stage {
+            ReadStage::Brief
+            | ReadStage::Status
+            | ReadStage::Header
+            | ReadStage::Pages
+            | ReadStage::Behind
+            | ReadStage::Before => self.stated(),
+            ReadStage::Again(_)
+            | ReadStage::LastHeader
+            | ReadStage::StillRefused
+            | ReadStage::LastStatus
+            | ReadStage::Done => self.first_missing(),
+        }
     }
 
     /// The number of pages by the size in 53; 0 before it is known.
@@ -235,12 +246,47 @@ impl Reading {
         self.status.as_ref().map_or(0, |status| page_count(status.ladder_words()))
     }
 
-    /// The memory of the PLC ends before the first page that is missing.
-    fn end_here(&mut self) {
-        let page = self.first_missing();
-        tracing::info!(page, "the PLC refuses this page of its ladder, which ends before it");
-        self.refused = Some(page);
-        self.stage = self.after_pages();
+    /// The request of this stage; `None` if there is none left.
+    fn request(&self) -> Option<Request> {
+        Some(match self.stage {
+            ReadStage::Brief => Request::Status,
+            ReadStage::Status | ReadStage::LastStatus => Request::DetailedStatus,
+            ReadStage::Header | ReadStage::LastHeader => Request::ReadPage(0),
+            ReadStage::Pages | ReadStage::StillRefused => Request::ReadPage(self.first_missing()),
+            ReadStage::Behind => Request::ReadPage(self.stated().saturating_sub(1)),
+            ReadStage::Before => Request::ReadPage(self.first_missing().saturating_sub(1)),
+            ReadStage::Again(page) => Request::ReadPage(page),
+            ReadStage::Done => return None,
+        })
+    }
+
+    /// Handles a failed request. A refusal may show the end of the memory.
+    fn failed(&mut self, source: Error) -> Result<(), ProgramError> {
+        let ends = ends_the_ladder(&source);
+        match self.stage {
+            ReadStage::Pages if ends && self.pages.len() >= MIN_PAGES => {
+                self.refusal = Some(source);
+                self.verdict = Some(Verdict::Refused);
+            }
+            ReadStage::Behind if ends => self.stage = ReadStage::Before,
+            ReadStage::StillRefused if ends => self.stage = ReadStage::LastStatus,
+            ReadStage::Brief
+            | ReadStage::Status
+            | ReadStage::Header
+            | ReadStage::Pages
+            | ReadStage::Behind
+            | ReadStage::Before
+            | ReadStage::Again(_)
+            | ReadStage::LastHeader
+            | ReadStage::StillRefused
+            | ReadStage::LastStatus
+            | ReadStage::Done => {
+                let page = if let Some(Request::ReadPage(page)) = self.request() { Some(page) } else { None };
+                let action = page.map_or(ProgramAction::ReadStatus, ProgramAction::ReadPage);
+                return Err(ProgramError::Call { action, source });
+            }
+        }
+        Ok(())
     }
 }
 
@@ -256,16 +302,7 @@ impl Transfer for Reading {
         if self.verdict.is_some() || self.limit.is_reached(held) {
             return Ok(Step::Confirm);
         }
-        Ok(Step::Send(match self.stage {
-            ReadStage::Brief => Request::Status,
-            ReadStage::Status | ReadStage::LastStatus => Request::DetailedStatus,
-            ReadStage::Header | ReadStage::LastHeader => Request::ReadPage(0),
-            ReadStage::Pages | ReadStage::StillRefused => Request::ReadPage(self.first_missing()),
-            ReadStage::Before => Request::ReadPage(self.first_missing().saturating_sub(1)),
-            ReadStage::Behind => Request::ReadPage(self.stated().saturating_sub(1)),
-            ReadStage::Again(page) => Request::ReadPage(page),
-            ReadStage::Done => return Ok(Step::Done),
-        }))
+        Ok(self.request().map_or(Step::Done, Step::Send))
     }
 
     fn mark(&self) -> ReadMark {
@@ -291,32 +328,7 @@ impl Transfer for Reading {
             Ok(reply @ (Reply::Values(_) | Reply::Disabled(_) | Reply::Done)) => {
                 debug_assert!(false, "{reply:?} in {:?}", self.stage);
             }
-            Err(source)
-                if self.stage == ReadStage::Pages && self.pages.len() >= MIN_PAGES && ends_the_ladder(&source) =>
-            {
-                self.refusal = Some(source);
-                self.verdict = Some(Verdict::Refused);
-            }
-            Err(source) if self.stage == ReadStage::Behind && ends_the_ladder(&source) => {
-                self.stage = ReadStage::Before;
-            }
-            Err(source) if self.stage == ReadStage::StillRefused && ends_the_ladder(&source) => {
-                self.refused = Some(self.first_missing());
-                self.stage = ReadStage::LastStatus;
-            }
-            Err(source) => {
-                let action = match self.stage {
-                    ReadStage::Header | ReadStage::LastHeader => ProgramAction::ReadPage(0),
-                    ReadStage::Pages | ReadStage::StillRefused => ProgramAction::ReadPage(self.first_missing()),
-                    ReadStage::Before => ProgramAction::ReadPage(self.first_missing().saturating_sub(1)),
-                    ReadStage::Behind => ProgramAction::ReadPage(self.stated().saturating_sub(1)),
-                    ReadStage::Again(page) => ProgramAction::ReadPage(page),
-                    ReadStage::Brief | ReadStage::Status | ReadStage::LastStatus | ReadStage::Done => {
-                        ProgramAction::ReadStatus
-                    }
-                };
-                return Err(ProgramError::Call { action, source });
-            }
+            Err(source) => return self.failed(source),
         }
         Ok(())
     }
@@ -349,9 +361,6 @@ impl Transfer for Reading {
         (self.stage, self.again, self.verdict) = (stage, again, None);
         self.pages.truncate(pages);
         self.confirmed = self.confirmed.min(pages);
-        if matches!(stage, ReadStage::Pages | ReadStage::Behind | ReadStage::Before) {
-            self.refused = None;
-        }
         if !status_known {
             (self.status, self.status_confirmed) = (None, false);
         }
