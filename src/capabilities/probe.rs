@@ -35,8 +35,8 @@ impl Station {
     ///
     /// A request that is not answered twice counts as unanswered if R0 is answered behind it. A largest
     /// request of fewer than the protocol's elements is found by halving; it stays unknown if one more
-    /// element is refused for its address. The counters tell their step only if their values differ. Capabilities that it does not
-    /// find stay as they were declared.
+    /// element is refused for its address. The counters tell their step only if their values differ.
+    /// Capabilities that it does not find stay as they were declared.
     ///
     /// # Errors
     /// Those of [every method](Self#errors) if R0 cannot be read, or a request cannot be sent: then the
