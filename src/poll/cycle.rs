@@ -37,6 +37,7 @@
 //!   phase occurs once.
 
 mod confirm;
+mod words;
 
 use std::sync::Arc;
 
@@ -105,7 +106,7 @@ enum StackFrame {
 }
 
 /// A refused request that is being read in halves. The half in progress is above it on the stack.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct RefusedRequest {
     request: ReadRequest,
     split_point: SplitPoint,
@@ -196,21 +197,6 @@ impl Cycle {
         }
     }
 
-    /// The areas whose discretes the request to send next reads as words.
-    pub(super) fn word_areas(&self) -> WordAreas {
-        let areas = self.stack.last().and_then(|frame| match frame {
-            StackFrame::Plan(in_flight) => in_flight.planned().map(PlannedRequest::word_areas),
-            StackFrame::Refused(refused) => Some(refused.own_areas),
-        });
-        areas.unwrap_or_default()
-    }
-
-    /// Returns whether the PLC may accept other requests for the values of the one to send next: it is
-    /// a mixed read, or reads discretes as words.
-    pub(super) fn is_optional(&self) -> bool {
-        !self.word_areas().is_empty() || matches!(self.request(), Some(ReadRequest::Mixed(_)))
-    }
-
     /// Returns the length of the reply to [`request`](Self::request) in bytes; `None` if not known.
     pub(super) fn reply_bytes(&self) -> Option<usize> {
         match self.stack.last()? {
@@ -286,28 +272,18 @@ impl Cycle {
         let (request, word_areas) = (planned.request(), planned.word_areas());
         let parts: Vec<TagPart> = plan.parts_of(index).iter().filter_map(|part| plan.part(*part)).collect();
         let removed = parts.iter().any(|part| !ctx.station.tag_map.contains(part.id));
-        let mut refused = RefusedRequest {
-            request: request.clone(),
-            split_point: SplitPoint { left_end: 0, right_start: 0, right_len: 0 },
-            second_half: None,
-            explained: false,
-            resend: false,
-            removals: (!removed).then_some(ctx.station.removals),
-            by_runs: false,
-            own_areas: word_areas,
-            word_areas: WordAreas::default(),
-        };
-        // The PLC may accept the discretes. A group that fits only as words is halved as usual.
-        if ctx.station.learned_limits.may_lack_words(request, word_areas) {
+        let removals = (!removed).then_some(ctx.station.removals);
+        let mut refused = RefusedRequest::new(request.clone(), word_areas, removals);
+        let halves = plan.halves(index, &ctx.station.tag_map);
+        // The PLC may accept the discretes. A group has no halves.
+        if halves.is_none() || ctx.station.learned_limits.may_lack_words(request, word_areas) {
             let polled: Vec<TagPart> =
                 parts.iter().copied().filter(|part| ctx.station.tag_map.contains(part.id)).collect();
-            if self.fit_without_words(&polled, word_areas, ctx) {
-                refused.word_areas = word_areas;
-                self.stack.push(StackFrame::Refused(refused));
-                return self.push(&polled, now, ctx);
+            if self.read_without_words(refused.clone(), &polled, word_areas, now, ctx) {
+                return;
             }
         }
-        match plan.halves(index, &ctx.station.tag_map) {
+        match halves {
             Some(halves) => {
                 refused.split_point = halves.split_point;
                 // Alternates between cycles: a half without a reply must not starve the other.
@@ -323,12 +299,6 @@ impl Cycle {
             None if removed => {
                 let parts: Vec<TagPart> =
                     parts.into_iter().filter(|part| ctx.station.tag_map.contains(part.id)).collect();
-                self.push(&parts, now, ctx);
-            }
-            // A group whose discretes the PLC may accept.
-            None if !word_areas.is_empty() && self.fit_without_words(&parts, word_areas, ctx) => {
-                refused.word_areas = word_areas;
-                self.stack.push(StackFrame::Refused(refused));
                 self.push(&parts, now, ctx);
             }
             None => {
@@ -351,47 +321,6 @@ impl Cycle {
                 }
             }
         }
-    }
-
-    /// Returns whether these parts can be planned without words of these areas.
-    fn fit_without_words(&self, parts: &[TagPart], areas: WordAreas, ctx: &mut CycleContext<'_>) -> bool {
-        let no_words = self.refused_words().and(areas);
-        if ctx.station.plan(parts, no_words).is_ok() {
-            return true;
-        }
-        // A group or a text exceeds the learned limits, or those of any request.
-        let excluded = no_words.and(ctx.station.learned_limits.no_words());
-        let fits = |item| ctx.station.plan_with_configured_limits(item, excluded).is_ok();
-        tags_and_groups(parts, &ctx.station.tag_map).all(fits)
-    }
-
-    /// Replaces the current request if it has words that a request of this cycle has excluded.
-    /// Returns whether it did.
-    fn replace_words(&mut self, now: Stamp, ctx: &mut CycleContext<'_>) -> bool {
-        let Some(StackFrame::Plan(in_flight)) = self.stack.last() else { return false };
-        let Some(planned) = in_flight.planned() else { return false };
-        let excluded = planned.word_areas().common(ctx.station.learned_limits.no_words());
-        // Requests in place of a refused one were planned for it.
-        let is_retry = self.stack.iter().any(|frame| match frame {
-            StackFrame::Refused(_) => true,
-            StackFrame::Plan(_) => false,
-        });
-        if excluded.is_empty() || is_retry {
-            return false;
-        }
-        let plan = &in_flight.plan;
-        let parts: Vec<TagPart> =
-            plan.parts_of(in_flight.current()).iter().filter_map(|part| plan.part(*part)).collect();
-        let replaced = RefusedRequest::replaced(planned.request().clone(), excluded);
-        if !self.fit_without_words(&parts, excluded, ctx) {
-            return false;
-        }
-        if let Some(StackFrame::Plan(in_flight)) = self.stack.last_mut() {
-            in_flight.done = in_flight.done.saturating_add(1);
-        }
-        self.stack.push(StackFrame::Refused(replaced));
-        self.push(&parts, now, ctx);
-        true
     }
 
     /// Advances until there is a step to take, or the cycle is over.
@@ -468,16 +397,6 @@ impl Cycle {
             }
             CyclePhase::Probe | CyclePhase::Others | CyclePhase::Over => None,
         }
-    }
-
-    /// The areas of discretes whose words were refused in the requests that are being read again.
-    ///
-    /// The discrete at fault may be in words of others.
-    fn refused_words(&self) -> WordAreas {
-        self.stack.iter().fold(WordAreas::default(), |areas, frame| match frame {
-            StackFrame::Refused(refused) => areas.and(refused.word_areas),
-            StackFrame::Plan(_) => areas,
-        })
     }
 
     /// Returns whether the tags of a refused request are being read by runs alone.
@@ -565,18 +484,18 @@ fn is_wanted(part: TagPart, number: u64, tag_map: &TagMap) -> bool {
 }
 
 impl RefusedRequest {
-    /// A request that is not sent, because its words of these areas are excluded.
-    fn replaced(request: ReadRequest, word_areas: WordAreas) -> Self {
+    /// A request with words of the discretes of these areas. `removals`: see the field.
+    fn new(request: ReadRequest, own_areas: WordAreas, removals: Option<u64>) -> Self {
         Self {
             request,
             split_point: SplitPoint { left_end: 0, right_start: 0, right_len: 0 },
             second_half: None,
             explained: false,
             resend: false,
-            removals: None,
+            removals,
             by_runs: false,
-            own_areas: word_areas,
-            word_areas,
+            own_areas,
+            word_areas: WordAreas::default(),
         }
     }
 
