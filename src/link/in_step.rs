@@ -100,10 +100,6 @@ struct Taken {
     busy_at: Duration,
 }
 
-/// The checks besides 4E.
-const CHECK_40: (Check, Code) = (Check::Status, Code::ReadStatus);
-const CHECK_53: (Check, Code) = (Check::Detail, Code::ReadDetailedStatus);
-
 /// The owed frames that could answer a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Threat {
@@ -220,8 +216,11 @@ impl InStep {
     /// The check of a suspect station, and the probe of an offline one: 4E, or in its place the first
     /// command that is not declared as unanswered.
     pub(crate) fn first_check(&self) -> Check {
-        let checks = [(Check::Nonce, Code::LoopBack), CHECK_40, CHECK_53];
-        let answered = checks.into_iter().find(|(_, code)| !self.unanswered.contains(*code));
+        if !self.unanswered.contains(Code::LoopBack) {
+            return Check::Nonce;
+        }
+        let answered = Check::IN_PLACE.into_iter().find(|(_, shape)| !self.unanswered.contains(shape.code));
+        // A station that answers none of them cannot be used.
         answered.map_or(Check::Nonce, |(check, _)| check)
     }
 
@@ -240,10 +239,8 @@ impl InStep {
             let empty = check == Check::Empty && free(Check::EMPTY);
             return Choice::Check(if empty { Check::Empty } else { Check::Nonce }, why);
         }
-        for ((check, code), shape) in [(CHECK_40, Check::STATUS), (CHECK_53, Check::DETAIL)] {
-            if free(shape) && answered(code) {
-                return Choice::Check(check, why);
-            }
+        if let Some((check, _)) = Check::IN_PLACE.into_iter().find(|(_, shape)| free(*shape) && answered(shape.code)) {
+            return Choice::Check(check, why);
         }
         self.suspect = Some(why);
         if !self.refused && !answered(Code::LoopBack) {

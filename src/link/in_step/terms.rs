@@ -138,6 +138,9 @@ impl Check {
     pub(crate) const EMPTY: Shape = Shape { code: Code::LoopBack, size: 0 };
     pub(crate) const STATUS: Shape = Shape { code: Code::ReadStatus, size: 0 };
     pub(crate) const DETAIL: Shape = Shape { code: Code::ReadDetailedStatus, size: 0 };
+
+    /// The checks in place of 4E, the first one first.
+    pub(super) const IN_PLACE: [(Self, Shape); 2] = [(Self::Status, Self::STATUS), (Self::Detail, Self::DETAIL)];
 }
 
 impl Prices {
