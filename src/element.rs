@@ -233,6 +233,15 @@ impl Element {
         }
     }
 
+    /// This element and those after it, `count` in all, or fewer if fewer follow.
+    pub(crate) fn run(self, count: usize) -> impl Iterator<Item = Self> + Clone {
+        let (symbol, first, step) = (self.symbol(), self.address(), self.step());
+        // A received request can name half a counter of 32 bits, which no other element follows.
+        let others = if self.nth(1).is_ok() { (self.last_consecutive() - first) / step } else { 0 };
+        let addresses = (0..=others).take(count).map(move |n| first + n * step);
+        addresses.map(move |address| Self::unchecked(symbol, address))
+    }
+
     /// The distance to the address of the next element: that of [`Symbol::step`], and 1 for
     /// counters of 32 bits.
     #[must_use]
@@ -245,7 +254,7 @@ impl Element {
     /// They are read and written one by one: by 48 and 49, or by 46 and 47 with one element.
     #[must_use]
     pub const fn is_counter_of_32_bits(self) -> bool {
-        let [first, last] = self.symbol().area().counters();
+        let [first, last] = self.symbol().counters();
         first <= self.address() && self.address() <= last
     }
 
@@ -260,13 +269,13 @@ impl Element {
     /// Returns whether elements follow each other without a gap from this one to one at this
     /// address.
     pub(crate) const fn is_consecutive_with(self, address: u16) -> bool {
-        let [first, last] = self.symbol().area().consecutive(self.address());
+        let [first, last] = self.symbol().consecutive(self.address());
         first <= address && address <= last
     }
 
     /// The last address that elements consecutive with this one can have.
     pub(crate) const fn last_consecutive(self) -> u16 {
-        let [_, last] = self.symbol().area().consecutive(self.address());
+        let [_, last] = self.symbol().consecutive(self.address());
         let (last, of_symbol) = (last - (self.step() - 1), self.symbol().last_address());
         if last < of_symbol { last } else { of_symbol }
     }

@@ -188,8 +188,10 @@ impl MemoryMap {
     pub fn check(&self, first: impl Into<Element>, count: usize) -> Result<(), NotInMap> {
         let first = first.into();
         // A run past the last address of the protocol has no such element.
-        let elements = (0..count).map_while(|n| first.nth(n).ok());
-        elements.filter(|&element| !self.has(element)).take(1).try_for_each(|element| Err(self.error(element)))
+        match first.run(count).find(|&element| !self.has(element)) {
+            Some(element) => Err(self.error(element)),
+            None => Ok(()),
+        }
     }
 
     /// Checks that the PLC has all elements of a tag.
@@ -247,7 +249,7 @@ impl Extent {
 
     /// First and last smallest element; counters of 32 bits are a range of their own.
     fn elements(&self) -> Vec<(Element, Element)> {
-        let [first_counter, last_counter] = self.area.counters();
+        let [first_counter, last_counter] = self.area.word().counters();
         let range = |symbol, first: u16, last: u16| {
             let ends = (Element::new(symbol, first).ok()?, Element::new(symbol, last).ok()?);
             (first <= last).then_some(ends)

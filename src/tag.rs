@@ -281,8 +281,7 @@ impl Tag {
 
     /// Its elements in order, to be read or written.
     pub fn elements(&self) -> impl Iterator<Item = Element> + use<> {
-        let first = self.first;
-        (0..self.count).filter_map(move |n| first.nth(n).ok())
+        self.first.run(self.count)
     }
 
     /// Checks the addresses of its elements against the limit of a framing.

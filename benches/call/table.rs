@@ -34,10 +34,10 @@ pub(crate) fn rows(runtime: &'static str, setting: Setting, rates: &[(Way, Vec<f
     let of = |way: Way| rates.iter().find(|(other, _)| *other == way).map(|(_, rates)| rates);
     let row = |(way, own): &(Way, Vec<f64>)| {
         let limit = match way {
-            Way::Fatek(bytes) | Way::Into(bytes) | Way::Task(bytes) => of(Way::Bare(*bytes)),
+            Way::Fatek(bytes) | Way::Into(bytes) | Way::Single(bytes) | Way::Task(bytes) => of(Way::Bare(*bytes)),
             Way::Modbus | Way::Timed | Way::Bare(_) => None,
         };
-        let ours = matches!(way, Way::Fatek(_) | Way::Into(_));
+        let ours = matches!(way, Way::Fatek(_) | Way::Into(_) | Way::Single(_));
         let peer = if ours || *way == Way::Timed { of(Way::Modbus) } else { None };
         let timed = if ours { of(Way::Timed) } else { None };
         Row {

@@ -122,10 +122,7 @@ impl Probe {
             found.max_points = self.largest(MAX_POINTS, discretes).await?.or(found.max_points);
         }
 
-        let mixed = |count: usize| {
-            let elements = (0..count).map(|n| Element::from(register).nth(n)).collect::<Result<Vec<_>, _>>()?;
-            ReadMixed::new(elements)
-        };
+        let mixed = |count: usize| ReadMixed::new(Element::from(register).run(count).collect::<Vec<_>>());
         let support = self.support(mixed(1)?).await?;
         found = found.with_command(Code::ReadMixed, support);
         if support == Support::Supported {

@@ -112,8 +112,7 @@ impl Run {
             return [Some(self.mixed(Code::WriteMixed, count, framing)), None, None, None];
         }
         // The values, too, decide whether a list is ambiguous in the binary framing.
-        let elements = (0..count).map_while(|n| self.first.nth(n).ok());
-        let items = elements.zip(values.iter().map(|&value| value.into()));
+        let items = self.first.run(count).zip(values.iter().map(|&value| value.into()));
         let request = WriteMixed::new(items.collect::<Vec<_>>());
         if !request.is_ok_and(|request| request.check(framing).is_ok()) {
             return NONE;
@@ -126,8 +125,7 @@ impl Run {
             return None;
         }
         if !self.is_surely_unambiguous(self.count, framing) {
-            let elements = (0..self.count).map(|n| self.first.nth(n)).collect::<Result<Vec<_>, _>>().ok()?;
-            ReadMixed::new(elements).ok()?.check(framing).ok()?;
+            ReadMixed::new(self.first.run(self.count).collect::<Vec<_>>()).ok()?.check(framing).ok()?;
         }
         Some(self.mixed(Code::ReadMixed, self.count, framing))
     }
@@ -235,7 +233,7 @@ pub(super) fn write_fields<W: FieldWriter, C: Command>(
 /// Invariant: all of them exist, because only known runs have such a spelling.
 fn elements(first: Element, count: usize) -> impl Iterator<Item = Element> {
     debug_assert!(first.nth(count.saturating_sub(1)).is_ok(), "{count} elements from {first} on");
-    (0..count).filter_map(move |n| first.nth(n).ok())
+    first.run(count)
 }
 
 /// The length of values in a reply, in bytes.

@@ -110,7 +110,7 @@ struct Counters(Symbol);
 
 impl fmt::Display for Counters {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (dword, [first, last]) = (self.0.area().dword(), self.0.area().counters());
+        let (dword, [first, last]) = (self.0.area().dword(), self.0.counters());
         write!(f, "{dword}{first} to {dword}{last} are counters of 32 bits, with one address each")
     }
 }

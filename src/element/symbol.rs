@@ -85,8 +85,7 @@ impl Symbol {
     /// [`IllegalAddress`](crate::ErrorCode::IllegalAddress).
     #[must_use]
     pub const fn last_address(self) -> u16 {
-        let row = self.row();
-        if row.last_in_ascii > row.last_in_binary { row.last_in_ascii } else { row.last_in_binary }
+        self.row().last_address
     }
 
     /// The largest address in a framing: of `M`, 9999 in ASCII and 65535 in binary.
@@ -115,6 +114,22 @@ impl Symbol {
         self.row().alignment
     }
 
+    /// The first and the last counter of 32 bits. An area without counters has an empty range.
+    pub(crate) const fn counters(self) -> [u16; 2] {
+        self.row().counters
+    }
+
+    /// The first and the last address of the elements that are consecutive with those at this one:
+    /// all of the area, but counters of 32 bits are apart from the elements before and behind them.
+    pub(crate) const fn consecutive(self, address: u16) -> [u16; 2] {
+        match self.counters() {
+            [first, last] if first > last => [0, u16::MAX],
+            [first, _] if address < first => [0, first - 1],
+            [_, last] if address > last => [last + 1, u16::MAX],
+            counters => counters,
+        }
+    }
+
     /// The symbol with these letters, in either case.
     #[must_use]
     pub const fn from_letters(letters: &[u8]) -> Option<Self> {
@@ -135,7 +150,7 @@ impl Symbol {
             Err(error) => return Err(error),
         };
         let row = self.row();
-        let [first, last] = row.area.counters();
+        let [first, last] = row.counters;
         let is_counter = first <= address && address <= last;
         let splits_one = first <= last && address < first && first - address < row.step;
         if splits_one || is_counter && matches!(row.width, Width::Word) {
@@ -185,22 +200,6 @@ impl MemoryArea {
     /// The symbol of its smallest elements.
     pub(crate) const fn smallest(self) -> Symbol {
         self.row().symbol
-    }
-
-    /// The first and the last counter of 32 bits. An area without counters has an empty range.
-    pub(crate) const fn counters(self) -> [u16; 2] {
-        self.row().counters
-    }
-
-    /// The first and the last address of the elements that are consecutive with those at this one:
-    /// all of the area, but counters of 32 bits are apart from the elements before and behind them.
-    pub(crate) const fn consecutive(self, address: u16) -> [u16; 2] {
-        match self.counters() {
-            [first, last] if first > last => [0, u16::MAX],
-            [first, _] if address < first => [0, first - 1],
-            [_, last] if address > last => [last + 1, u16::MAX],
-            counters => counters,
-        }
     }
 
     /// Returns whether the PLC itself sets its elements in each scan.
@@ -260,8 +259,12 @@ struct SymbolRow {
     digits: usize,
     last_in_ascii: u16,
     last_in_binary: u16,
+    /// The last address in the framing that has more.
+    last_address: u16,
     step: u16,
     alignment: u16,
+    /// The first and the last counter of 32 bits of its area.
+    counters: [u16; 2],
 }
 
 impl SymbolRow {
@@ -272,15 +275,19 @@ impl SymbolRow {
         let step = (width.bits() / area.bits_per_address()) as u16;
         let alignment =
             if matches!(row.smallest, Width::Bit) && !matches!(width, Width::Bit) { WORD_ALIGNMENT } else { 1 };
+        let last_in_ascii = last_element(row.last_in_ascii, step, alignment);
+        let last_in_binary = last_element(row.last_in_binary, step, alignment);
         Self {
             letters,
             area,
             width,
             digits: row.digits,
-            last_in_ascii: last_element(row.last_in_ascii, step, alignment),
-            last_in_binary: last_element(row.last_in_binary, step, alignment),
+            last_in_ascii,
+            last_in_binary,
+            last_address: if last_in_ascii > last_in_binary { last_in_ascii } else { last_in_binary },
             step,
             alignment,
+            counters: row.counters,
         }
     }
 }
@@ -331,18 +338,18 @@ macro_rules! memory_areas {
                 $(Self::$bit,)* $(Self::$word,)* $(Self::$register,)* $(Self::$dword,)* $(Self::$pair,)*
             ];
 
-            const fn row(self) -> SymbolRow {
+            const fn row(self) -> &'static SymbolRow {
                 match self {
                     $(
-                        Self::$bit => const { SymbolRow::new(stringify!($bit), MemoryArea::$bit, Width::Bit) },
-                        Self::$word => const { SymbolRow::new(stringify!($word), MemoryArea::$bit, Width::Word) },
-                        Self::$dword => const { SymbolRow::new(stringify!($dword), MemoryArea::$bit, Width::DWord) },
+                        Self::$bit => const { &SymbolRow::new(stringify!($bit), MemoryArea::$bit, Width::Bit) },
+                        Self::$word => const { &SymbolRow::new(stringify!($word), MemoryArea::$bit, Width::Word) },
+                        Self::$dword => const { &SymbolRow::new(stringify!($dword), MemoryArea::$bit, Width::DWord) },
                     )*
                     $(
                         Self::$register => const {
-                            SymbolRow::new(stringify!($register), MemoryArea::$register, Width::Word)
+                            &SymbolRow::new(stringify!($register), MemoryArea::$register, Width::Word)
                         },
-                        Self::$pair => const { SymbolRow::new(stringify!($pair), MemoryArea::$register, Width::DWord) },
+                        Self::$pair => const { &SymbolRow::new(stringify!($pair), MemoryArea::$register, Width::DWord) },
                     )*
                 }
             }

@@ -179,6 +179,19 @@ fn a_received_request_can_name_half_a_counter() {
     assert!(Element::received(Symbol::M, 10_000, Framing::Binary).is_ok());
 }
 
+#[test]
+fn a_run_has_the_elements_that_nth_gives() {
+    let near = |address: u16| address.saturating_sub(70)..=address.saturating_add(70);
+    let addresses = [0, 200, 256, 9999, u16::MAX].into_iter().flat_map(near);
+    for (&symbol, address) in Symbol::ALL.iter().flat_map(|symbol| addresses.clone().map(move |at| (symbol, at))) {
+        let Ok(first) = Element::received(symbol, address.into(), Framing::Binary) else { continue };
+        for count in [0, 1, 2, 64, 80, 300] {
+            let by_nth: Vec<_> = (0..count).map_while(|n| first.nth(n).ok()).collect();
+            assert!(first.run(count).eq(by_nth), "{count} from {first}");
+        }
+    }
+}
+
 proptest! {
     #[test]
     fn no_text_panics_and_every_accepted_text_round_trips(text in "\\PC{0,12}|[xymstcwrdf]{0,4}[0-9]{0,12}") {

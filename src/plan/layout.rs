@@ -102,7 +102,7 @@ impl Cells {
     /// Returns the cells of consecutive elements; `None` if they are not readable.
     pub(super) fn of(first: Element, elements: usize, limits: &Limits) -> Option<Self> {
         let (symbol, per_element) = cell_symbol(first);
-        let [stretch, _] = first.symbol().area().consecutive(first.address());
+        let [stretch, _] = first.symbol().consecutive(first.address());
         let area = Area { symbol, segment: 0, residue: 0, stretch };
         let step = area.step();
         let area = Area { residue: first.address() % step, ..area };

@@ -154,7 +154,7 @@ impl RangeText {
     /// The ranges of these addresses. Counters of 32 bits among those of 16 bits are a range of
     /// their own.
     fn of((symbol, first, last): (Symbol, u16, u16)) -> impl Iterator<Item = Self> {
-        let [counter, last_counter] = symbol.area().counters();
+        let [counter, last_counter] = symbol.counters();
         let is_split = symbol.width() == Width::Word && counter <= last_counter;
         let parts = if is_split {
             [

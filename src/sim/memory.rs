@@ -93,7 +93,7 @@ fn locate(element: Element) -> (MemoryArea, usize) {
     let bytes_before = |addresses: usize| addresses * area.bits_per_address() as usize / 8;
     let address = usize::from(element.address());
     if element.is_counter_of_32_bits() {
-        let [first, _] = area.counters();
+        let [first, _] = area.word().counters();
         return (area, bytes_before(1 << 16) + 4 * (address - usize::from(first)));
     }
     (area, bytes_before(address))
