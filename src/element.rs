@@ -226,20 +226,33 @@ impl Element {
         // An address beyond u32 stays above every limit.
         let n = if n > u32::MAX as usize { u32::MAX } else { n as u32 };
         let address = (self.address() as u32).saturating_add(n.saturating_mul(self.step() as u32));
+        // Without counters of 32 bits only the last address counts: the alignment stays.
+        if !symbol.has_counters() && address <= symbol.last_address() as u32 {
+            return Ok(self.at(address as u16));
+        }
         match symbol.check(address) {
-            Ok(address) if self.is_consecutive_with(address) => Ok(Self::unchecked(symbol, address)),
+            Ok(address) if self.is_consecutive_with(address) => Ok(self.at(address)),
             Ok(address) => Err(ElementError::NotConsecutive { symbol, first: self.address(), address }),
             Err(error) => Err(error),
         }
     }
 
+    /// The element of the same symbol at this address.
+    const fn at(self, address: u16) -> Self {
+        match self {
+            Self::Discrete(e) => Self::Discrete(Discrete { address, ..e }),
+            Self::Register(e) => Self::Register(Register { address, ..e }),
+            Self::Register32(e) => Self::Register32(Register32 { address, ..e }),
+        }
+    }
+
     /// This element and those after it, `count` in all, or fewer if fewer follow.
     pub(crate) fn run(self, count: usize) -> impl Iterator<Item = Self> + Clone {
-        let (symbol, first, step) = (self.symbol(), self.address(), self.step());
+        let (first, step) = (self.address(), self.step());
         // A received request can name half a counter of 32 bits, which no other element follows.
         let others = if self.nth(1).is_ok() { (self.last_consecutive() - first) / step } else { 0 };
         let addresses = (0..=others).take(count).map(move |n| first + n * step);
-        addresses.map(move |address| Self::unchecked(symbol, address))
+        addresses.map(move |address| self.at(address))
     }
 
     /// The distance to the address of the next element: that of [`Symbol::step`], and 1 for

@@ -114,6 +114,12 @@ impl Symbol {
         self.row().alignment
     }
 
+    /// Returns whether some of its addresses are counters of 32 bits.
+    pub(super) const fn has_counters(self) -> bool {
+        let [first, last] = self.row().counters;
+        first <= last
+    }
+
     /// The first and the last counter of 32 bits. An area without counters has an empty range.
     pub(crate) const fn counters(self) -> [u16; 2] {
         self.row().counters

@@ -4,7 +4,6 @@ use std::time::Duration;
 use tokio::sync::watch;
 
 use super::by_station::ByStation;
-use super::call::SpareSlots;
 use super::config::Config;
 use super::connect_limiter::ConnectLimiter;
 use super::connector::Connector;
@@ -277,7 +276,6 @@ impl LinkBuilder {
             options: self.options.with_response_timeout(timeout),
             response_timeout: timeout,
             shared: Arc::new(Shared::new(driver)),
-            spares: SpareSlots::default(),
             modifying: Mutex::new(ByStation::new()),
             capabilities: SharedCapabilities::default(),
             state: watcher,

@@ -15,6 +15,7 @@
 //! - A call that its caller has abandoned before it was sent is never sent.
 //! - A [`PendingCall`] that is dropped ends its call, so no caller waits for a task that has ended.
 
+mod deadline;
 mod slot;
 mod spares;
 #[cfg(test)]
@@ -27,12 +28,13 @@ use std::time::Duration;
 use bytes::BytesMut;
 use tokio::time::Instant;
 
+pub(crate) use self::deadline::ended_by;
 pub(crate) use self::slot::CallFuture;
 use self::slot::CallSlot;
 pub(crate) use self::spares::SpareSlots;
 use super::in_step::{Kind, Proof, Shape, Spelled};
 use super::options::{CallOptions, Lane};
-use crate::command::{Candidates, Class, Code, Command, InvalidRequest, Run, Spelling};
+use crate::command::{Candidates, Class, Code, Command, Run, Spelling};
 use crate::error::{Error, ErrorCode, Seen};
 use crate::wire::{FieldError, Framing};
 
@@ -62,8 +64,9 @@ pub(crate) trait AnyCall: Send + Sync {
     /// Returns the spelling that was set last.
     fn spelling(&self) -> Spelling;
 
-    /// Appends the request to `dst` as a frame, in the spelling that is set.
-    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest>;
+    /// Appends the request to `dst` as a frame, in the spelling that is set. The request was checked for
+    /// this framing.
+    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut);
 
     /// Decodes the data of a frame that has the right station and command, received at `now`.
     ///

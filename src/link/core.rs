@@ -79,7 +79,8 @@ pub(crate) struct Core {
     connection: Connection,
     /// Nothing is sent before this time: after a broadcast, or after connecting.
     hold_until: Option<Instant>,
-    frame_gap: FrameGap,
+    /// `None`: a network needs no gap.
+    frame_gap: Option<Box<FrameGap>>,
     /// When a call came or ended last; `None` while the link is idle.
     used_at: Option<Instant>,
     /// Nothing new is sent.
@@ -114,7 +115,7 @@ impl Core {
             stats,
             resynced: None,
             hold_until: None,
-            frame_gap: FrameGap::new(config.frame_gap),
+            frame_gap: FrameGap::new(config.frame_gap).map(Box::new),
             used_at: None,
             closing: false,
             nonce: random.next(),
@@ -205,7 +206,7 @@ impl Core {
                 self.stats.count_link(|link| add(&mut link.mute_connections, 1));
                 return Action::Replace(silent);
             }
-            let gap_until = self.frame_gap.until(|| self.may_send_write());
+            let gap_until = self.frame_gap.as_ref().and_then(|gap| gap.until(|| self.may_send_write()));
             if let Some(until) = self.hold_until.max(gap_until).filter(|&until| now < until) {
                 return Action::Wait(Some(until));
             }
@@ -241,7 +242,7 @@ impl Core {
             self.hold_until = Some(later(at, self.config.broadcast_gap));
             return;
         }
-        let deadline = later(at, self.response_timeout(&active.outgoing));
+        let deadline = later(at, active.response_timeout);
         self.exchange.sent(at, deadline);
     }
 
@@ -275,7 +276,7 @@ impl Core {
         if let (Some(active), false) = (self.exchange.active(), self.exchange.received.is_empty())
             && let Some(sent) = active.sent
         {
-            let usual = later(sent, self.response_timeout(&active.outgoing));
+            let usual = later(sent, active.response_timeout);
             let extended = later(now, self.config.byte_timeout).min(later(usual, self.config.slow_frame_time));
             if extended > active.deadline {
                 if let Some(call) = active.outgoing.call() {
@@ -399,7 +400,9 @@ impl Core {
         self.exchange.forget();
         self.mute.reset();
         self.hold_until = None;
-        self.frame_gap.runtime_ended();
+        if let Some(gap) = &mut self.frame_gap {
+            gap.runtime_ended();
+        }
         self.has_read_again = false;
     }
 

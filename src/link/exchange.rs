@@ -24,6 +24,8 @@
 //! later frame can be its reply. A copy that cannot be a reply proves an echo at any time, also
 //! where none was expected.
 
+use std::time::Duration;
+
 use bytes::BytesMut;
 use tokio::time::Instant;
 use tokio_util::codec::Decoder;
@@ -93,19 +95,21 @@ impl Outgoing {
         }
     }
 
-    fn encode(&self, framing: Framing, tx: &mut BytesMut) -> Result<(), command::InvalidRequest> {
+    /// Appends the request as a frame. A call was checked when it was made, and both framings have all
+    /// requests of the link.
+    fn encode(&self, framing: Framing, tx: &mut BytesMut) {
         let station = self.station();
         match self {
             Self::Call(call) => call.slot.encode(framing, station, tx),
             Self::Link { request, .. } => match request {
                 LinkRequest::Check(in_step::Check::Nonce | in_step::Check::Empty, data) => {
-                    command::encode_request(data, framing, station, tx)
+                    command::encode_spelled(data, data.plain(), framing, station, tx);
                 }
                 LinkRequest::Check(in_step::Check::Status, _) | LinkRequest::EchoTest => {
-                    command::encode_request(&ReadStatus, framing, station, tx)
+                    command::encode_spelled(&ReadStatus, ReadStatus.plain(), framing, station, tx);
                 }
                 LinkRequest::Check(in_step::Check::Detail, _) => {
-                    command::encode_request(&ReadDetailedStatus, framing, station, tx)
+                    command::encode_spelled(&ReadDetailedStatus, ReadDetailedStatus.plain(), framing, station, tx);
                 }
             },
         }
@@ -149,6 +153,8 @@ pub(crate) struct Active {
     pub(crate) sent: Option<Instant>,
     /// When the reply is given up.
     pub(crate) deadline: Instant,
+    /// The time from `sent` to the deadline, unless the deadline was moved.
+    pub(crate) response_timeout: Duration,
     /// The error in the last frame that came instead of the reply.
     pub(crate) fault: Option<String>,
     /// Shape of the positive reply.
@@ -255,16 +261,11 @@ impl Exchange {
         &self.request
     }
 
-    /// Begins an exchange. Returns the number of bytes received before it, which are dropped.
-    /// `None`: the request does not exist in this framing, and its call has failed.
-    pub(crate) fn begin(&mut self, outgoing: Outgoing, now: Instant, deadline: Instant) -> Option<usize> {
+    /// Begins an exchange, whose request must be written `by` then. Returns the number of bytes received
+    /// before it, which are dropped.
+    pub(crate) fn begin(&mut self, outgoing: Outgoing, response_timeout: Duration, now: Instant, by: Instant) -> usize {
         let mut request = buffer::borrow();
-        if let Err(invalid) = outgoing.encode(self.framing(), &mut request) {
-            if let Some(call) = outgoing.call() {
-                call.slot.fail(invalid.into());
-            }
-            return None;
-        }
+        outgoing.encode(self.framing(), &mut request);
         self.request_len = request.len();
         self.request_fingerprint = echo_fingerprint(self.framing(), &request);
         self.request = request;
@@ -281,12 +282,13 @@ impl Exchange {
             outgoing,
             began: now,
             sent: None,
-            deadline,
+            deadline: by,
+            response_timeout,
             fault: None,
             echoed: false,
             discarded: 0,
         });
-        Some(stale)
+        stale
     }
 
     /// Notes that the request was sent at `at`, and sets the deadline of its reply.

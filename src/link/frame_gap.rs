@@ -73,8 +73,10 @@ const GROWTH: u32 = 4;
 const MOST: u32 = 65_536;
 
 impl FrameGap {
-    pub(crate) fn new(lengths: GapLengths) -> Self {
-        Self { lengths, state: State::Short, replied_at: None, long_for: FIRST, good: 0 }
+    /// The gap of a line; `None` if its lengths are zero.
+    pub(crate) fn new(lengths: GapLengths) -> Option<Self> {
+        let gap = Self { lengths, state: State::Short, replied_at: None, long_for: FIRST, good: 0 };
+        (lengths != GapLengths::fixed(Duration::ZERO)).then_some(gap)
     }
 
     /// The end of the gap; `None` before the first reply. `for_write` returns whether the next
@@ -160,7 +162,7 @@ mod tests {
 
     impl Line {
         fn new() -> Self {
-            let mut gap = FrameGap::new(GapLengths { short: SHORT, long: LONG });
+            let mut gap = FrameGap::new(GapLengths { short: SHORT, long: LONG }).unwrap();
             let now = Instant::now();
             assert!(gap.until(|| false).is_none() && !gap.replied(1, now, now));
             Self { gap, now, short: 0 }
@@ -249,7 +251,7 @@ mod tests {
 
     #[test]
     fn a_silent_station_does_not_clear_the_suspicion_of_another() {
-        let mut gap = FrameGap::new(GapLengths { short: SHORT, long: LONG });
+        let mut gap = FrameGap::new(GapLengths { short: SHORT, long: LONG }).unwrap();
         let now = Instant::now();
         gap.replied(1, now, now);
         gap.gave_up(1, true, now + SHORT);
@@ -268,7 +270,7 @@ mod tests {
 
     #[test]
     fn a_suspected_station_that_answers_after_a_short_gap_is_no_reason() {
-        let mut gap = FrameGap::new(GapLengths { short: SHORT, long: LONG });
+        let mut gap = FrameGap::new(GapLengths { short: SHORT, long: LONG }).unwrap();
         let now = Instant::now();
         gap.replied(1, now, now);
         gap.gave_up(1, true, now + SHORT);

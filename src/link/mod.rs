@@ -54,16 +54,15 @@ use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use futures::FutureExt;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tokio::task::{consume_budget, yield_now};
-use tokio::time::{Instant, timeout_at};
+use tokio::time::Instant;
 use tracing::Instrument;
 
 use self::by_station::ByStation;
-use self::call::{CallMeta, SpareSlots};
+use self::call::CallMeta;
 pub(crate) use self::connect_limiter::ConnectLimiter;
 pub(crate) use self::connector::Connector;
 pub(crate) use self::in_step::{Proof, Shape};
@@ -111,7 +110,6 @@ struct LinkInner {
     /// For calls whose options have none.
     response_timeout: Duration,
     shared: Arc<Shared>,
-    spares: SpareSlots,
     /// For each station whose bits of registers were changed: held from the read to the write.
     modifying: Mutex<ByStation<Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>>>>,
     capabilities: SharedCapabilities,
@@ -372,40 +370,46 @@ impl Link {
             Purpose::Whole | Purpose::InJob | Purpose::Part => None,
             Purpose::Broadcast(reply) | Purpose::Confirm(reply) => Some(reply),
         };
-        let (call, mut future) = call::new(request, implied_reply, meta, &self.inner.spares);
+        let (call, mut future) = call::new(request, implied_reply, meta, self.inner.shared.spares());
         // Lasts until the call has ended.
         let span = tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name());
         // Work for the link may also serve calls of others, so it runs in the link's span.
         self.span().in_scope(|| self.inner.shared.submit(call));
         // The runtime of the task may have ended just before.
-        if let Err(error) = self.start() {
+        if !self.inner.shared.is_started(false)
+            && let Err(error) = self.start()
+        {
             return CallOutcome::none(Err(error), future.spelling());
         }
         // A call may be ready at once: a broadcast is done when it is written. Other tasks must run
         // all the same.
         consume_budget().await;
-        let mut answered = timeout_at(deadline, &mut future).await.ok();
+        let mut ended = call::ended_by(&mut future, deadline, self.inner.shared.spares()).await;
         // This process may have been stopped until now, with the reply in the socket: the runtime
         // looks for events, and then the link's task reads it.
         for _ in 0..LOOKS_AT_DEADLINE {
-            if answered.is_some() {
+            if ended {
                 break;
             }
             yield_now().await;
-            answered = (&mut future).now_or_never();
+            ended = future.has_ended();
         }
         drop(span);
-        let result = answered.unwrap_or_else(|| {
+        let spelling = future.spelling();
+        let result = if ended {
+            future.take_result()
+        } else {
             future.abandon();
             Err(future.unanswered(queued_at.elapsed()))
-        });
-        let mut outcome = CallOutcome::none(result.map_err(|error| self.explain(error, deadline)), future.spelling());
-        outcome.replied_at = future.replied_at();
-        outcome.proof = future.proof();
-        if in_job {
-            outcome.shape = future.shape(self.framing());
-        }
-        future.recycle(&self.inner.spares);
+        };
+        let outcome = CallOutcome {
+            result: result.map_err(|error| self.explain(error, deadline)),
+            replied_at: future.replied_at(),
+            spelling,
+            shape: if in_job { future.shape(self.framing()) } else { Shape { code: spelling.code, size: 0 } },
+            proof: future.proof(),
+        };
+        future.recycle(self.inner.shared.spares());
         outcome
     }
 

@@ -13,7 +13,8 @@ use tokio::time::Instant;
 pub(crate) struct MuteDetector {
     /// Silence after which a connection is mute; `None`: never.
     limit: Option<Duration>,
-    unanswered: Option<Unanswered>,
+    /// Boxed: most connections are answered.
+    unanswered: Option<Box<Unanswered>>,
     /// One request without an answer is enough.
     on_trial: bool,
 }
@@ -52,12 +53,12 @@ impl MuteDetector {
     /// Notes that a request, begun at `began`, was not answered. `for_call`: not the probe of a station
     /// that is offline, which decides no trial.
     pub(crate) fn unanswered(&mut self, began: Instant, for_call: bool) {
-        let first = Unanswered { since: began, last: began, requests: 0, for_call: false };
+        let first = || Box::new(Unanswered { since: began, last: began, requests: 0, for_call: false });
         // A time without requests is no silence.
         let is_old =
-            |it: &mut Unanswered| self.limit.is_some_and(|limit| began.saturating_duration_since(it.last) > limit);
+            |it: &mut Box<Unanswered>| self.limit.is_some_and(|limit| began.saturating_duration_since(it.last) > limit);
         self.unanswered.take_if(is_old);
-        let unanswered = self.unanswered.get_or_insert(first);
+        let unanswered = self.unanswered.get_or_insert_with(first);
         unanswered.last = began;
         unanswered.for_call |= for_call;
         unanswered.requests = unanswered.requests.saturating_add(1);

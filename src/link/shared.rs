@@ -41,7 +41,7 @@ use futures::future::FutureExt;
 use tokio::task::{unconstrained, yield_now};
 use tokio::time::{Instant, Sleep, sleep_until};
 
-use super::call::PendingCall;
+use super::call::{PendingCall, SpareSlots};
 use super::driver::{AdvancedBy, Driver, DriverStatus};
 use super::io_waker::IoWaker;
 use crate::command::CommandSet;
@@ -56,6 +56,7 @@ pub(crate) struct Shared {
     slot: Mutex<Option<Box<DriverSlot>>>,
     /// Wakes the task.
     io_waker: Arc<IoWaker>,
+    spares: SpareSlots,
     started: AtomicBool,
     /// No new calls are accepted.
     closed: AtomicBool,
@@ -83,10 +84,16 @@ impl Shared {
             posted: AtomicBool::new(false),
             slot: Mutex::new(Some(Box::new(DriverSlot { driver, timer: None, panic: None }))),
             io_waker,
+            spares: SpareSlots::default(),
             started: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             orphaned: AtomicBool::new(false),
         }
+    }
+
+    /// Slots and timers of ended calls.
+    pub(crate) fn spares(&self) -> &SpareSlots {
+        &self.spares
     }
 
     /// Returns whether the task has been started. With `start`, the first caller gets `false` and
@@ -175,13 +182,13 @@ impl Shared {
     ///
     /// A call that is posted at the same moment may be missed. [`drain_inbox`](Self::drain_inbox)
     /// and the task check again under the inbox's lock.
-    fn take_inbox(&self) -> VecDeque<PendingCall> {
+    fn take_inbox(&self) -> Option<VecDeque<PendingCall>> {
         if !self.posted.load(Ordering::Acquire) {
-            return VecDeque::new();
+            return None;
         }
         let mut inbox = lock(&self.inbox);
         self.posted.store(false, Ordering::Release);
-        std::mem::take(&mut *inbox)
+        Some(std::mem::take(&mut *inbox))
     }
 
     /// The link's task: runs until the link is closed, its last handle is dropped, or its only
@@ -218,9 +225,9 @@ impl Shared {
                 slot.driver.orphan();
             }
             let inbox = self.take_inbox();
-            let now = (!inbox.is_empty()).then(Instant::now);
-            for (call, now) in inbox.into_iter().zip(now.into_iter().cycle()) {
-                slot.driver.push(call, now);
+            let now = inbox.is_some().then(Instant::now);
+            if let (Some(inbox), Some(now)) = (inbox, now) {
+                inbox.into_iter().for_each(|call| slot.driver.push(call, now));
             }
             match slot.driver.advance(AdvancedBy::LinkTask, now) {
                 DriverStatus::Ended => return Poll::Ready(TaskStatus::Ended),
@@ -270,8 +277,9 @@ impl Shared {
         }
         slot.timer = None;
         // A waker keeps the memory of its task, and with it that of the runtime. Removed before
-        // another task can start and register its own.
+        // another task can start and register its own. A timer keeps the memory of its runtime, too.
         self.io_waker.unregister();
+        self.spares.forget_timers();
         // Before the inbox is emptied: a call that comes later finds that the task must be started.
         self.started.store(false, Ordering::SeqCst);
         let inbox = std::mem::take(&mut *lock(&self.inbox));
@@ -290,8 +298,9 @@ impl Shared {
         if let Some(slot) = slot {
             slot.driver.finish();
         }
-        // A waker keeps the memory of its task, and with it that of the runtime.
+        // A waker keeps the memory of its task, and with it that of the runtime, as a timer does.
         self.io_waker.unregister();
+        self.spares.forget_timers();
         // Dropping the calls ends them with the right error. The driver's lock was released before,
         // so a call that is posted later finds it free.
         drop(std::mem::take(&mut *lock(&self.inbox)));
@@ -300,10 +309,10 @@ impl Shared {
 
 impl DriverSlot {
     /// Takes calls, and sends one if none is on the wire. Returns whether the task must be woken.
-    fn serve(&mut self, call: Option<PendingCall>, inbox: VecDeque<PendingCall>, now: Instant) -> bool {
+    fn serve(&mut self, call: Option<PendingCall>, inbox: Option<VecDeque<PendingCall>>, now: Instant) -> bool {
         let (can_send, awaiting_reply) = (self.driver.can_send_now(), self.driver.is_awaiting_reply());
-        for call in inbox {
-            self.driver.push(call, now);
+        if let Some(inbox) = inbox {
+            inbox.into_iter().for_each(|call| self.driver.push(call, now));
         }
         if let Some(call) = call {
             self.driver.push(call, now);

@@ -20,6 +20,8 @@ pub(crate) struct Stations {
     stations: ByStation<Health>,
     offline_rules: OfflineRules,
     probe_allowed_at: Option<Instant>,
+    /// Number of stations that are offline.
+    offline: usize,
 }
 
 /// When a station is offline, and how it is probed.
@@ -56,7 +58,7 @@ struct Offline {
 
 impl Stations {
     pub(crate) fn new(offline_rules: OfflineRules) -> Self {
-        Self { stations: ByStation::new(), offline_rules, probe_allowed_at: None }
+        Self { stations: ByStation::new(), offline_rules, probe_allowed_at: None, offline: 0 }
     }
 
     /// The in-step state of a station. `None`: it was never sent a request.
@@ -97,6 +99,7 @@ impl Stations {
             health.offline.take().is_some()
         });
         if back {
+            self.offline = self.offline.saturating_sub(1);
             // The same cause has probably kept other stations away.
             self.probe_soon(now);
         }
@@ -116,12 +119,19 @@ impl Stations {
             }
             goes_offline
         });
-        if goes_offline { self.offline_until(station) } else { None }
+        if !goes_offline {
+            return None;
+        }
+        self.offline = self.offline.saturating_add(1);
+        self.offline_until(station)
     }
 
     /// When the next probe of an offline station is due; later, if others are due as well. `None`:
     /// online.
     pub(crate) fn offline_until(&self, station: u8) -> Option<Instant> {
+        if self.offline == 0 {
+            return None;
+        }
         Some(self.not_before_pause(self.stations.get(station)?.offline?.probe_at))
     }
 
@@ -143,6 +153,7 @@ impl Stations {
 
     /// Makes offline stations unknown, but keeps their in-step state. Returns their numbers.
     pub(crate) fn forget_offline(&mut self) -> Vec<u8> {
+        self.offline = 0;
         let offline = self.stations.iter_mut().filter(|(_, health)| health.offline.is_some());
         let forget = |(station, health): (u8, &mut Health)| {
             health.offline = None;
@@ -154,6 +165,9 @@ impl Stations {
 
     /// The station whose probe is due; of several, the one probed longest ago.
     pub(crate) fn due_probe(&self, now: Instant) -> Option<u8> {
+        if self.offline == 0 {
+            return None;
+        }
         let probes = self.stations.iter().filter_map(|(station, health)| Some((health.offline?, station)));
         let due = probes.filter(|(offline, _)| self.not_before_pause(offline.probe_at) <= now);
         due.min_by_key(|&(offline, station)| (offline.probed_at, station)).map(|(_, station)| station)
@@ -161,6 +175,9 @@ impl Stations {
 
     /// When the next probe is due.
     pub(crate) fn next_probe(&self) -> Option<Instant> {
+        if self.offline == 0 {
+            return None;
+        }
         let due = self.stations.values().filter_map(|health| Some(health.offline?.probe_at)).min()?;
         Some(self.not_before_pause(due))
     }

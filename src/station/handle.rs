@@ -161,12 +161,16 @@ impl Station {
     /// # Errors
     /// Those of [every method](Self#errors).
     pub async fn call<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
-        self.submit(request, Purpose::Whole).await.result
+        self.link.submit(self.number, request, Purpose::Whole, self.options).await.result
     }
 
     /// Makes a call for this purpose, and returns its result and proof.
-    pub(crate) async fn submit<C: Command>(&self, request: C, purpose: Purpose<C>) -> CallOutcome<C::Reply> {
-        self.link.submit(self.number, request, purpose, self.options).await
+    pub(crate) fn submit<C: Command>(
+        &self,
+        request: C,
+        purpose: Purpose<C>,
+    ) -> impl Future<Output = CallOutcome<C::Reply>> {
+        self.link.submit(self.number, request, purpose, self.options)
     }
 
     /// Forwards a request, such as one that a gateway has decoded, and returns its reply for

@@ -17,7 +17,7 @@ use tokio::time::Instant;
 
 use super::{AnyCall, CallMeta, SpareSlots, lock};
 use crate::command::{
-    self, Candidates, Class, Code, Command, InvalidRequest, NO_CANDIDATES, ReplyError, Run, Spelling,
+    self, Candidates, Class, Code, Command, NO_CANDIDATES, ReplyError, Run, Spelling,
 };
 use crate::error::{Error, ErrorCode, Seen};
 use crate::link::in_step::{Kind, Proof, Shape};
@@ -39,6 +39,34 @@ impl<C: Command> CallFuture<C> {
     /// never will be.
     pub(crate) fn abandon(&self) -> bool {
         self.slot.state.fetch_or(ABANDONED, Ordering::AcqRel) & SENT != 0
+    }
+
+    /// Waits for the end of the call: [`take_result`](Self::take_result) has its result then. A result
+    /// may be large, so it is moved once.
+    pub(crate) fn poll_ended(&mut self, cx: &mut Context<'_>) -> Poll<()> {
+        if self.has_ended() {
+            return Poll::Ready(());
+        }
+        self.slot.waker.register(cx.waker());
+        // Checked again: the call may have ended before the waker was registered, and have woken no
+        // task.
+        if self.has_ended() { Poll::Ready(()) } else { Poll::Pending }
+    }
+
+    pub(crate) fn has_ended(&self) -> bool {
+        self.slot.state.load(Ordering::Acquire) & DONE != 0
+    }
+
+    /// Takes the result of a call that has ended. A result that was taken already is an error rather
+    /// than a panic.
+    pub(crate) fn take_result(&mut self) -> Result<C::Reply, Error> {
+        match lock(&self.slot.result).take() {
+            Some((result, at)) => {
+                self.replied_at = at;
+                result
+            }
+            None => Err(Error::Closed { sent: true }),
+        }
     }
 
     /// The error of the call if it ends without a reply after this time.
@@ -70,9 +98,10 @@ impl<C: Command> CallFuture<C> {
 
     /// Leaves the slot to a later call if this one has ended.
     pub(crate) fn recycle(self, spares: &SpareSlots) {
+        let has_ended = self.has_ended();
         let slot = self.slot.clone();
         drop(self);
-        if slot.state.load(Ordering::Acquire) & DONE != 0 {
+        if has_ended {
             // A waker keeps its task's memory alive.
             drop(slot.waker.take());
             spares.keep(slot);
@@ -80,24 +109,12 @@ impl<C: Command> CallFuture<C> {
     }
 }
 
+/// The result of the call.
 impl<C: Command> Future for CallFuture<C> {
     type Output = Result<C::Reply, Error>;
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
-        if self.slot.state.load(Ordering::Acquire) & DONE == 0 {
-            self.slot.waker.register(cx.waker());
-            // Checked again: the call may have ended before the waker was registered, and have
-            // woken no task.
-            if self.slot.state.load(Ordering::Acquire) & DONE == 0 {
-                return Poll::Pending;
-            }
-        }
-        // A future is not polled again after it is ready, so the result is there. A caller that
-        // polls again gets an error rather than a panic.
-        let answer = lock(&self.slot.result).take();
-        let (result, at) = answer.unwrap_or((Err(Error::Closed { sent: true }), None));
-        self.replied_at = at;
-        Poll::Ready(result)
+        self.poll_ended(cx).map(|()| self.take_result())
     }
 }
 
@@ -248,12 +265,11 @@ impl<C: Command> AnyCall for CallSlot<C> {
         }
     }
 
-    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
+    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) {
         if let Some(request) = self.request() {
-            request.check(framing)?;
+            debug_assert!(request.check(framing).is_ok(), "a request is checked before it is queued");
             command::encode_spelled(request, self.spelling(), framing, station, dst);
         }
-        Ok(())
     }
 
     fn try_complete(

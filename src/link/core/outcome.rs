@@ -83,7 +83,7 @@ impl Core {
         let station = active.outgoing.station();
         self.connection.replied();
         self.mute.reset();
-        if self.frame_gap.replied(station, active.began, now) {
+        if self.frame_gap.as_mut().is_some_and(|gap| gap.replied(station, active.began, now)) {
             tracing::debug!(station, "no answer after a short frame gap, but after a long one: it is long for a while");
             self.stats.count_link(|link| add(&mut link.long_gaps, 1));
         }
@@ -91,7 +91,7 @@ impl Core {
         self.scheduler.charge(station, took);
         let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
         // While the process was stopped, no round trip was measured.
-        let measured = round_trip.min(self.response_timeout(&active.outgoing));
+        let measured = round_trip.min(active.response_timeout);
         // How long the line was silent within that time.
         debug_assert!(self.exchange.line_bytes() >= active.bytes_before, "the bytes of a line only grow");
         let reply_bytes = self.exchange.line_bytes().saturating_sub(active.bytes_before);
@@ -115,7 +115,7 @@ impl Core {
                 if !proven || contradicted {
                     return self.unproven(call, &reply, active.copied, now);
                 }
-                self.mark_online(station, measured, now);
+                self.answered(station, measured, now);
                 let rule = self.rule(station);
                 let (plain, spelling, run) = (call.slot.plain(), call.slot.spelling(), call.slot.run());
                 if reply.refused && spelling != plain {
@@ -129,7 +129,7 @@ impl Core {
                         }
                         in_step.strays()
                     });
-                    self.stats.count_station(station, |stats| add(&mut stats.refused_spellings, 1));
+                    self.stats.mark_online(station, |stats| add(&mut stats.refused_spellings, 1));
                     return self.respell(call, (kind == Kind::Once).then_some(strays));
                 }
                 let proof = self.stations.with_in_step(station, |in_step| {
@@ -146,7 +146,8 @@ impl Core {
                 call.slot.commit(proof);
             }
             Outgoing::Link { request, call, .. } => {
-                self.mark_online(station, measured, now);
+                self.answered(station, measured, now);
+                self.stats.mark_online(station, |_| ());
                 let rule = self.rule(station);
                 let passed = match request {
                     LinkRequest::Check(check, _) => {
@@ -179,13 +180,12 @@ impl Core {
         }
     }
 
-    /// Notes that a station has answered.
-    fn mark_online(&mut self, station: u8, round_trip: Duration, now: Instant) {
+    /// Notes that a station has answered within this round trip. The caller sets its state in the statistics.
+    fn answered(&mut self, station: u8, round_trip: Duration, now: Instant) {
         if self.stations.answered(station, round_trip, now) {
             tracing::info!(station, "station is back");
             self.scheduler.forgive(station);
         }
-        self.stats.mark_online(station, |_| ());
     }
 
     /// Drops a reply without proof, and sends its request again. The reply may belong to another
@@ -234,8 +234,10 @@ impl Core {
         self.scheduler.charge_timeout(station, after);
         self.echo_was_last = false;
         self.timed_out = Some((station, now));
-        let answers = self.stations.is_answering(station) && self.stations.round_trip(station).is_some();
-        self.frame_gap.gave_up(station, answers, active.began);
+        if let Some(gap) = &mut self.frame_gap {
+            let answers = self.stations.is_answering(station) && self.stations.round_trip(station).is_some();
+            gap.gave_up(station, answers, active.began);
+        }
         self.stations.with_in_step(station, |in_step| in_step.timed_out(active.shape.code));
         self.stats.count_station(station, |stats| match &active.fault {
             Some(_) => add(&mut stats.bad_replies, 1),

@@ -127,13 +127,14 @@ impl Core {
     pub(super) fn begin(&mut self, outgoing: Outgoing, now: Instant) -> Option<Action> {
         // Not limited by the caller's deadline: a request that is not written in time costs the
         // connection.
-        let deadline = later(now, self.response_timeout(&outgoing).saturating_add(self.config.frame_time));
+        let response_timeout = self.response_timeout(&outgoing);
+        let written_by = later(now, response_timeout.saturating_add(self.config.frame_time));
         if let Outgoing::Call(call) = &outgoing
             && !call.slot.mark_sent()
         {
             return None;
         }
-        let stale = self.exchange.begin(outgoing, now, deadline)?;
+        let stale = self.exchange.begin(outgoing, response_timeout, now, written_by);
         let active = self.exchange.active()?;
         let station = active.outgoing.station();
         self.stations.note_sent(station, now);
@@ -157,7 +158,7 @@ impl Core {
             }
         }
         tracing::trace!(station, bytes = %self.exchange.request().escape_ascii(), "sending");
-        Some(Action::Send(deadline))
+        Some(Action::Send(written_by))
     }
 
     /// Makes a check of a station, for a call or as a probe.
@@ -182,7 +183,7 @@ impl Core {
 
     /// The response timeout of a request. It does not end with the deadline of the call: a reply
     /// that its caller no longer awaits is still the reply to this request, and no stray.
-    pub(super) fn response_timeout(&self, outgoing: &Outgoing) -> Duration {
+    fn response_timeout(&self, outgoing: &Outgoing) -> Duration {
         let Some(call) = outgoing.call() else {
             return self.config.probe_timeout.max(self.stations.longest_timeout(outgoing.station()));
         };
