@@ -282,7 +282,7 @@ mod tests {
 
     #[test]
     fn a_fixed_gap_never_changes() {
-        let mut gap = FrameGap::new(GapLengths::fixed(LONG));
+        let mut gap = FrameGap::new(GapLengths::fixed(LONG)).unwrap();
         let mut now = Instant::now();
         gap.replied(1, now, now);
         for n in 0..1000 {
@@ -292,5 +292,11 @@ mod tests {
             gap.gave_up(1, true, now);
             assert!(!gap.replied(1, now, now), "no request is sent before its end");
         }
+    }
+
+    #[test]
+    fn lengths_of_zero_are_no_gap() {
+        assert!(FrameGap::new(GapLengths::fixed(Duration::ZERO)).is_none());
+        assert!(FrameGap::new(GapLengths { short: Duration::ZERO, long: LONG }).is_some());
     }
 }
