@@ -1,10 +1,8 @@
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use tokio::sync::watch;
-
-use super::by_station::ByStation;
-use super::config::Config;
+use super::call::SpareSlots;
+use super::config::{Config, SharedConfigs};
 use super::connect_limiter::ConnectLimiter;
 use super::connector::Connector;
 use super::core::Core;
@@ -15,10 +13,11 @@ use super::line::Line;
 use super::options::{CallOptions, EchoMode};
 use super::shared::Shared;
 use super::shared_capabilities::SharedCapabilities;
+use super::state::SharedLinkState;
 use super::stations::OfflineRules;
 use super::stats::SharedStats;
-use super::{Link, LinkInner, LinkState};
-use crate::endpoint::{InStepSettings, SerialSettings};
+use super::{Link, LinkInner};
+use crate::endpoint::{Endpoint, InStepSettings, SerialSettings};
 use crate::random::Random;
 use crate::wire::{Framing, LONGEST_FRAME};
 
@@ -33,6 +32,9 @@ pub struct LinkBuilder {
     connect_timeout: Duration,
     line: Option<Line>,
     pub(super) config: Config,
+    name: Arc<str>,
+    /// The settings of other links, to be shared with them.
+    configs: Option<Arc<SharedConfigs>>,
     seed: Option<u64>,
     connect_limiter: Option<Arc<ConnectLimiter>>,
 }
@@ -241,6 +243,24 @@ impl LinkBuilder {
         self
     }
 
+    /// A link to an endpoint, which is opened again after a loss.
+    pub(crate) fn of_endpoint(endpoint: Arc<Endpoint>) -> Self {
+        let (framing, in_step, name) = (endpoint.framing(), endpoint.in_step(), endpoint.to_string());
+        let serial = endpoint.transport().serial_settings();
+        let connector = Connector::Endpoint { endpoint, keep_alive: true };
+        let builder = Self::with_connector(connector, framing, &name).in_step(in_step);
+        match serial {
+            Some(settings) => builder.serial_line(settings),
+            None => builder,
+        }
+    }
+
+    /// Shares the settings with other links that have the same ones.
+    pub(crate) fn share_config(mut self, configs: &Arc<SharedConfigs>) -> Self {
+        self.configs = Some(configs.clone());
+        self
+    }
+
     /// Sets the limiter of connection attempts that the link shares with others.
     pub(crate) fn connect_limiter(mut self, connect_limiter: Arc<ConnectLimiter>) -> Self {
         self.connect_limiter = Some(connect_limiter);
@@ -256,7 +276,7 @@ impl LinkBuilder {
     /// Makes the link. The connection is opened by the first call.
     #[must_use]
     pub fn build(self) -> Link {
-        let (state, watcher) = watch::channel(LinkState::Idle);
+        let state = Arc::new(SharedLinkState::new());
         let timeout = self.options.response_timeout.unwrap_or(self.response_timeout);
         // A connection that cannot be opened again is not closed.
         let reopens = !matches!(self.connector, Connector::Once(_));
@@ -267,18 +287,23 @@ impl LinkBuilder {
         let in_step = config.in_step;
         let proof_gap = if in_step.one_request() { in_step.quiet() } else { Duration::ZERO };
         let request_gaps = [config.frame_gap.short, proof_gap];
-        let (name, framing) = (config.name.clone(), config.framing);
-        let core = Core::new(config, stats.clone(), self.seed.unwrap_or_else(Random::seed));
-        let driver = Driver::new(core, (self.connector, self.connect_timeout), self.connect_limiter, self.line, state);
+        let (name, framing) = (self.name, config.framing);
+        let config = match self.configs {
+            Some(configs) => configs.share(config),
+            None => Arc::new(config),
+        };
+        let core = Core::new(config, name.clone(), stats.clone(), self.seed.unwrap_or_else(Random::seed));
+        let driver = Driver::new(core, (self.connector, self.connect_timeout), self.connect_limiter, self.line, state.clone());
         let inner = LinkInner {
             name,
             framing,
             options: self.options.with_response_timeout(timeout),
             response_timeout: timeout,
             shared: Arc::new(Shared::new(driver)),
-            modifying: Mutex::new(ByStation::new()),
+            spares: SpareSlots::default(),
+            modifying: OnceLock::new(),
             capabilities: SharedCapabilities::default(),
-            state: watcher,
+            state,
             stats,
             line: self.line,
             request_gaps,
@@ -290,7 +315,6 @@ impl LinkBuilder {
         let response_timeout = defaults::RESPONSE_TIMEOUT;
         let config = Config {
             framing,
-            name: name.into(),
             queue_capacity: defaults::QUEUE_CAPACITY,
             ageing: Duration::from_secs(1),
             probe_timeout: response_timeout,
@@ -320,6 +344,8 @@ impl LinkBuilder {
             connect_timeout: defaults::CONNECT_TIMEOUT,
             line: None,
             config,
+            name: name.into(),
+            configs: None,
             seed: None,
             connect_limiter: None,
         }
@@ -332,7 +358,6 @@ pub(crate) const NETWORK_BYTE: Duration = Duration::from_nanos(800);
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::endpoint::Endpoint;
 
     #[test]
     fn only_a_serial_link_has_a_line() {

@@ -94,7 +94,7 @@ impl World {
         }
         set(&mut config);
         let stats = Arc::new(SharedStats::default());
-        let core = Core::new(config, stats.clone(), 1);
+        let core = Core::new(config.into(), "a line".into(), stats.clone(), 1);
         let codec = Codec::new(framing, Side::Plc);
         let now = Instant::now();
         Self {

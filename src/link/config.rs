@@ -1,4 +1,6 @@
-use std::sync::Arc;
+//! The settings of a link that hold for all its stations, shared by links with the same ones.
+
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
 use super::frame_gap::GapLengths;
@@ -8,11 +10,9 @@ use crate::endpoint::InStepSettings;
 use crate::wire::Framing;
 
 /// Settings of a link that hold for all its stations.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Config {
     pub(crate) framing: Framing,
-    /// The name of the endpoint in errors.
-    pub(crate) name: Arc<str>,
     pub(crate) queue_capacity: usize,
     pub(crate) ageing: Duration,
     pub(crate) offline_rules: OfflineRules,
@@ -43,4 +43,51 @@ pub(crate) struct Config {
     pub(crate) echo: EchoMode,
     /// The connection is closed after this time without a call.
     pub(crate) idle_timeout: Option<Duration>,
+}
+
+/// The settings in use in a pool. Its links have few different ones, and thousands of copies would take
+/// as much memory as the rest of their state.
+#[derive(Debug, Default)]
+pub(crate) struct SharedConfigs {
+    configs: Mutex<Vec<Weak<Config>>>,
+}
+
+/// Maximum number of different settings that are shared.
+const MOST_SHARED: usize = 16;
+
+impl SharedConfigs {
+    pub(super) fn share(&self, config: Config) -> Arc<Config> {
+        let mut configs = self.configs.lock().unwrap_or_else(PoisonError::into_inner);
+        configs.retain(|shared| shared.strong_count() > 0);
+        if let Some(shared) = configs.iter().filter_map(Weak::upgrade).find(|shared| **shared == config) {
+            return shared;
+        }
+        let config = Arc::new(config);
+        if configs.len() < MOST_SHARED {
+            configs.push(Arc::downgrade(&config));
+        }
+        config
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::link::{Connector, LinkBuilder};
+
+    #[test]
+    fn equal_settings_are_shared_while_in_use_and_others_are_not() {
+        let config = |queue_capacity| {
+            let config = LinkBuilder::with_connector(Connector::Once(None), Framing::Ascii, "here").config;
+            Config { queue_capacity, ..config }
+        };
+        let shared = SharedConfigs::default();
+        let (first, second, other) = (shared.share(config(1)), shared.share(config(1)), shared.share(config(2)));
+        assert!(Arc::ptr_eq(&first, &second) && !Arc::ptr_eq(&first, &other));
+        assert_eq!(other.queue_capacity, 2);
+        drop((first, second));
+        let many: Vec<_> = (0..100).map(|capacity| shared.share(config(capacity))).collect();
+        assert!(many.iter().enumerate().all(|(capacity, config)| config.queue_capacity == capacity));
+        assert!(shared.configs.lock().unwrap().len() <= MOST_SHARED);
+    }
 }

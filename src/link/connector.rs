@@ -3,6 +3,7 @@
 use std::fmt;
 use std::future::Future;
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 
 use futures::future::{BoxFuture, FutureExt};
@@ -15,7 +16,7 @@ use crate::transport::BoxIo;
 pub(crate) enum Connector {
     /// To an endpoint, any number of times.
     Endpoint {
-        endpoint: Endpoint,
+        endpoint: Arc<Endpoint>,
         /// TCP keep-alive.
         keep_alive: bool,
     },
@@ -100,7 +101,7 @@ mod tests {
     async fn connectors_show_their_endpoint_and_open_connections() {
         let endpoint: Endpoint = "tcp://127.0.0.1:500".parse().expect("an endpoint");
         let shown = format!("Connector({endpoint})");
-        let endpoint = Connector::Endpoint { endpoint, keep_alive: true };
+        let endpoint = Connector::Endpoint { endpoint: Arc::new(endpoint), keep_alive: true };
         assert_eq!((format!("{endpoint:?}"), endpoint.wakes_reader()), (shown, true));
 
         let mut once = Connector::Once(Some(Box::new(tokio::io::empty())));

@@ -69,7 +69,9 @@ pub(crate) enum Action {
 
 #[derive(Debug)]
 pub(crate) struct Core {
-    config: Config,
+    config: Arc<Config>,
+    /// The name of the endpoint in errors.
+    name: Arc<str>,
     exchange: Exchange,
     scheduler: Scheduler,
     stations: Stations,
@@ -106,7 +108,7 @@ pub(crate) struct Core {
 const CLOSES_TO_LEARN: u32 = 2;
 
 impl Core {
-    pub(crate) fn new(config: Config, stats: Arc<SharedStats>, seed: u64) -> Self {
+    pub(crate) fn new(config: Arc<Config>, name: Arc<str>, stats: Arc<SharedStats>, seed: u64) -> Self {
         let mut random = Random::new(seed);
         Self {
             exchange: Exchange::new(config.framing, config.echo),
@@ -129,6 +131,7 @@ impl Core {
             timed_out: None,
             has_read_again: false,
             config,
+            name,
         }
     }
 
@@ -330,7 +333,7 @@ impl Core {
         self.connection.failed(now);
         if self.config.fail_fast {
             for call in self.resynced.take().into_iter().chain(self.scheduler.drain_all()) {
-                let (endpoint, sent) = (self.config.name.to_string(), call.slot.was_sent());
+                let (endpoint, sent) = (self.name.to_string(), call.slot.was_sent());
                 call.slot.fail(Error::Connect { endpoint, source: error.clone(), sent });
             }
         }
@@ -356,7 +359,7 @@ impl Core {
                 None => self.probe_failed(station, now),
                 Some(call) if !own && self.may_repeat_check(&call, now) => self.repeat_check(call),
                 Some(call) => {
-                    let endpoint = self.config.name.to_string();
+                    let endpoint = self.name.to_string();
                     let source = error.clone();
                     self.retry_or_fail(call, now, |call, _| Error::Disconnected {
                         endpoint,
@@ -388,7 +391,7 @@ impl Core {
         let active = self.exchange.end().and_then(|active| active.outgoing.into_call());
         for call in active.into_iter().chain(self.resynced.take()).chain(self.scheduler.drain_all()) {
             let sent = call.slot.was_sent();
-            let endpoint = self.config.name.to_string();
+            let endpoint = self.name.to_string();
             call.slot.fail(Error::Disconnected { endpoint, source: error.clone(), sent });
         }
     }

@@ -32,10 +32,9 @@ use std::time::Duration;
 use bytes::BytesMut;
 use futures::future::{BoxFuture, FutureExt};
 use tokio::io::{AsyncRead as _, AsyncWrite as _, ReadBuf};
-use tokio::sync::watch;
 use tokio::time::Instant;
 
-use super::LinkState;
+use super::state::{LinkState, SharedLinkState};
 use super::buffer;
 use super::call::PendingCall;
 use super::connect_limiter::{ConnectLimiter, ConnectPermit, ConnectSlot};
@@ -59,7 +58,7 @@ pub(crate) struct Driver {
     line: Option<Line>,
     /// When the last written byte has left the machine.
     sent_until: Option<Instant>,
-    state: watch::Sender<LinkState>,
+    state: Arc<SharedLinkState>,
     io_waker: Arc<IoWaker>,
     /// A waker of `io_waker`.
     waker: Waker,
@@ -140,7 +139,7 @@ impl Driver {
         (connector, connect_timeout): (Connector, Duration),
         connect_limiter: Option<Arc<ConnectLimiter>>,
         line: Option<Line>,
-        state: watch::Sender<LinkState>,
+        state: Arc<SharedLinkState>,
     ) -> Self {
         let io_waker = Arc::new(IoWaker::default());
         Self {
@@ -197,7 +196,7 @@ impl Driver {
         self.read_armed = false;
         let error = Arc::new(io::Error::other("the runtime of the link's task has ended"));
         self.core.runtime_ended(&error);
-        self.state.send_replace(LinkState::Down { error });
+        self.state.set(LinkState::Down { error });
     }
 
     /// Notes that the last handle was dropped.
@@ -298,7 +297,7 @@ impl Driver {
                 Action::Disconnect => {
                     tracing::debug!("idle");
                     self.io = None;
-                    self.state.send_replace(LinkState::Idle);
+                    self.state.set(LinkState::Idle);
                 }
                 Action::Send(by) => {
                     if std::mem::replace(&mut sends, true) {
@@ -363,7 +362,7 @@ impl Driver {
     /// waits for that.
     pub(crate) fn finish(mut self) {
         self.io = None;
-        self.state.send_replace(LinkState::Closed);
+        self.state.end();
     }
 
     /// When the bytes just written leave the machine.
@@ -482,31 +481,19 @@ impl Driver {
     /// Reports that the link waits for its slot. A link that is down keeps its state, and with it
     /// the error.
     fn enter_waiting(&self) {
-        self.state.send_if_modified(|state| {
-            let down = matches!(state, LinkState::Down { .. });
-            if !down {
-                *state = LinkState::Waiting;
-            }
-            !down
-        });
+        self.state.set_if(|state| !matches!(state, LinkState::Down { .. }), LinkState::Waiting);
     }
 
     /// Reports that the link no longer waits for its slot: no call needs the connection any more.
     fn leave_waiting(&self) {
-        self.state.send_if_modified(|state| {
-            let waiting = matches!(state, LinkState::Waiting);
-            if waiting {
-                *state = LinkState::Idle;
-            }
-            waiting
-        });
+        self.state.set_if(|state| matches!(state, LinkState::Waiting), LinkState::Idle);
     }
 
     /// Begins to open a connection. If the connector has none left, the link ends.
     fn start_opening(&mut self, permit: Option<ConnectPermit>) {
         match self.connector.open(self.connect_timeout, self.core.address()) {
             Some(opening) => {
-                self.state.send_replace(LinkState::Connecting);
+                self.state.set(LinkState::Connecting);
                 self.opening = Some(Opening::Connection { opening, _permit: permit });
             }
             None => self.ending = true,
@@ -524,12 +511,12 @@ impl Driver {
                 if has_other_addresses {
                     self.core.note_other_addresses();
                 }
-                self.state.send_replace(LinkState::Up);
+                self.state.set(LinkState::Up);
             }
             Err(error) => {
                 tracing::debug!(%error, "cannot connect");
                 let error = Arc::new(error);
-                self.state.send_replace(LinkState::Down { error: error.clone() });
+                self.state.set(LinkState::Down { error: error.clone() });
                 self.core.connect_failed(&error, Instant::now());
             }
         }
@@ -547,7 +534,7 @@ impl Driver {
             self.core.abort(&error);
             self.ending = true;
         }
-        self.state.send_replace(LinkState::Down { error });
+        self.state.set(LinkState::Down { error });
     }
 }
 

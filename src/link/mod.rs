@@ -42,16 +42,18 @@ mod shared_capabilities;
 pub(crate) use line::Line;
 mod options;
 mod scheduler;
+mod state;
 mod stations;
 mod stats;
 #[cfg(test)]
 mod test_line;
+mod watchable;
 
 use std::fmt;
 use std::future::Future;
 use std::io;
 use std::panic::AssertUnwindSafe;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -62,12 +64,14 @@ use tokio::time::Instant;
 use tracing::Instrument;
 
 use self::by_station::ByStation;
-use self::call::CallMeta;
+use self::call::{CallMeta, SpareSlots};
+pub(crate) use self::config::SharedConfigs;
 pub(crate) use self::connect_limiter::ConnectLimiter;
 pub(crate) use self::connector::Connector;
 pub(crate) use self::in_step::{Proof, Shape};
 use self::shared::Shared;
 use self::shared_capabilities::SharedCapabilities;
+use self::state::SharedLinkState;
 use self::stats::SharedStats;
 use crate::capabilities::{Capabilities, Refused};
 use crate::command::{Command, InvalidRequest, Spelling};
@@ -78,6 +82,7 @@ use crate::wire::Framing;
 
 pub use self::builder::LinkBuilder;
 pub use self::options::{CallOptions, EchoMode};
+pub use self::state::LinkState;
 pub use self::stats::{CheckStats, LinkStats, RoundTripStats, SpellingStats, StationState, StationStats};
 
 /// One connection to one or more PLCs. Cheap to clone; all clones share the connection.
@@ -110,10 +115,11 @@ struct LinkInner {
     /// For calls whose options have none.
     response_timeout: Duration,
     shared: Arc<Shared>,
+    spares: SpareSlots,
     /// For each station whose bits of registers were changed: held from the read to the write.
-    modifying: Mutex<ByStation<Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>>>>,
+    modifying: OnceLock<Box<Mutex<ByStation<ModifyLock>>>>,
     capabilities: SharedCapabilities,
-    state: watch::Receiver<LinkState>,
+    state: Arc<SharedLinkState>,
     stats: Arc<SharedStats>,
     /// The serial line, if it is one.
     line: Option<Line>,
@@ -121,34 +127,13 @@ struct LinkInner {
     request_gaps: [Duration; 2],
 }
 
+/// Held by a change of bits of a station's registers.
+type ModifyLock = Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>>;
+
 impl Drop for LinkInner {
     fn drop(&mut self) {
         self.shared.orphan();
     }
-}
-
-/// State of a link's connection.
-#[derive(Clone, Debug)]
-#[non_exhaustive]
-pub enum LinkState {
-    /// Not open: no call has been made yet, or none for the [idle
-    /// timeout](LinkBuilder::idle_timeout).
-    Idle,
-    /// Waiting to be opened: a [`Pool`](crate::Pool) limits connection attempts. A link that was
-    /// down stays `Down` while it waits.
-    Waiting,
-    /// Being opened.
-    Connecting,
-    /// Open.
-    Up,
-    /// Lost, or could not be opened. The next call, or one that waits, opens it again.
-    #[non_exhaustive]
-    Down {
-        /// Why the connection was lost or not opened.
-        error: Arc<io::Error>,
-    },
-    /// Closed for good.
-    Closed,
 }
 
 impl Link {
@@ -160,15 +145,7 @@ impl Link {
 
     /// Settings of a link to this endpoint.
     pub fn builder(endpoint: Endpoint) -> LinkBuilder {
-        let framing = endpoint.framing();
-        let name = endpoint.to_string();
-        let (serial, in_step) = (endpoint.transport().serial_settings(), endpoint.in_step());
-        let connector = Connector::Endpoint { endpoint, keep_alive: true };
-        let builder = LinkBuilder::with_connector(connector, framing, &name).in_step(in_step);
-        match serial {
-            Some(settings) => builder.serial_line(settings),
-            None => builder,
-        }
+        LinkBuilder::of_endpoint(Arc::new(endpoint))
     }
 
     /// A link over an open connection, which cannot be opened again after a loss.
@@ -234,13 +211,13 @@ impl Link {
     /// The present state of the connection.
     #[must_use]
     pub fn state(&self) -> LinkState {
-        self.inner.state.borrow().clone()
+        self.inner.state.get()
     }
 
     /// Watches the state of the connection.
     #[must_use]
     pub fn watch_state(&self) -> watch::Receiver<LinkState> {
-        self.inner.state.clone()
+        self.inner.state.watch()
     }
 
     /// Returns the counters of the link: a snapshot.
@@ -259,7 +236,8 @@ impl Link {
 
     /// The lock that a caller holds while it changes bits of a register of a station.
     pub(crate) fn turns_to_modify(&self, station: u8) -> Arc<AssertUnwindSafe<tokio::sync::Mutex<()>>> {
-        let mut modifying = self.inner.modifying.lock().unwrap_or_else(PoisonError::into_inner);
+        let modifying = self.inner.modifying.get_or_init(Box::default);
+        let mut modifying = modifying.lock().unwrap_or_else(PoisonError::into_inner);
         modifying.with(station, || Arc::new(AssertUnwindSafe(tokio::sync::Mutex::default())), |turns| turns.clone())
     }
 
@@ -335,7 +313,7 @@ impl Link {
     pub async fn close(&self) {
         // Another handle may have called it before, and closing may still be under way.
         self.inner.shared.close();
-        let mut state = self.inner.state.clone();
+        let mut state = self.watch_state();
         let _ = state.wait_for(|state| matches!(state, LinkState::Closed)).await;
     }
 
@@ -370,7 +348,7 @@ impl Link {
             Purpose::Whole | Purpose::InJob | Purpose::Part => None,
             Purpose::Broadcast(reply) | Purpose::Confirm(reply) => Some(reply),
         };
-        let (call, mut future) = call::new(request, implied_reply, meta, self.inner.shared.spares());
+        let (call, mut future) = call::new(request, implied_reply, meta, &self.inner.spares);
         // Lasts until the call has ended.
         let span = tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name());
         // Work for the link may also serve calls of others, so it runs in the link's span.
@@ -384,7 +362,7 @@ impl Link {
         // A call may be ready at once: a broadcast is done when it is written. Other tasks must run
         // all the same.
         consume_budget().await;
-        let mut ended = call::ended_by(&mut future, deadline, self.inner.shared.spares()).await;
+        let mut ended = call::ended_by(&mut future, deadline).await;
         // This process may have been stopped until now, with the reply in the socket: the runtime
         // looks for events, and then the link's task reads it.
         for _ in 0..LOOKS_AT_DEADLINE {
@@ -409,7 +387,7 @@ impl Link {
             shape: if in_job { future.shape(self.framing()) } else { Shape { code: spelling.code, size: 0 } },
             proof: future.proof(),
         };
-        future.recycle(self.inner.shared.spares());
+        future.recycle(&self.inner.spares);
         outcome
     }
 
@@ -425,8 +403,8 @@ impl Link {
         let still = |doing: &str| {
             Arc::new(io::Error::new(io::ErrorKind::TimedOut, format!("still {doing} after {}", Rounded(after))))
         };
-        let source = match &*self.inner.state.borrow() {
-            LinkState::Down { error } => error.clone(),
+        let source = match self.inner.state.get() {
+            LinkState::Down { error } => error,
             LinkState::Connecting => still("connecting"),
             LinkState::Waiting => still("waiting for other connections to be opened"),
             LinkState::Idle | LinkState::Up | LinkState::Closed => return error,

@@ -52,8 +52,11 @@ const MAX_ALLOWANCE: Duration = Duration::from_secs(2);
 #[derive(Debug, Default)]
 struct Queues {
     service: Service,
-    lanes: [VecDeque<PendingCall>; Lane::COUNT],
+    /// Made by the first call that waits in them: on most links none does.
+    lanes: Option<Box<Lanes>>,
 }
+
+type Lanes = [VecDeque<PendingCall>; Lane::COUNT];
 
 /// How a station has been served.
 #[derive(Debug, Default)]
@@ -74,11 +77,20 @@ impl Service {
 
 impl Queues {
     fn lane(&mut self, lane: Lane) -> &mut VecDeque<PendingCall> {
-        of_lane(&mut self.lanes, lane)
+        of_lane(self.lanes.get_or_insert_default(), lane)
     }
 
     fn len(&self) -> usize {
-        self.lanes.iter().map(VecDeque::len).sum()
+        self.lanes().iter().map(VecDeque::len).sum()
+    }
+
+    /// All lanes, from the best one; none if no call ever waited in them.
+    fn lanes(&self) -> &[VecDeque<PendingCall>] {
+        self.lanes.as_deref().map_or(&[], <[_; Lane::COUNT]>::as_slice)
+    }
+
+    fn lanes_mut(&mut self) -> &mut [VecDeque<PendingCall>] {
+        self.lanes.as_deref_mut().map_or(&mut [], <[_; Lane::COUNT]>::as_mut_slice)
     }
 }
 
@@ -110,7 +122,7 @@ impl Scheduler {
         let (refused, left) = self.queues(call.station, |queues| {
             let before = queues.len();
             if before >= capacity {
-                queues.lanes.iter_mut().for_each(|lane| lane.retain(|waiting| keep(waiting, now)));
+                queues.lanes_mut().iter_mut().for_each(|lane| lane.retain(|waiting| keep(waiting, now)));
             }
             let left = before.saturating_sub(queues.len());
             if queues.len() >= capacity {
@@ -146,7 +158,7 @@ impl Scheduler {
                 Some(call) => call,
                 None => {
                     let (station, lane) = self.next(now)?;
-                    let call = self.stations.get_mut(station)?.lanes.get_mut(lane)?.pop_front()?;
+                    let call = self.stations.get_mut(station)?.lanes_mut().get_mut(lane)?.pop_front()?;
                     self.count_removed(1);
                     call
                 }
@@ -164,8 +176,9 @@ impl Scheduler {
     /// Returns whether a write or a control command waits.
     pub(crate) fn has_write(&self) -> bool {
         let writes = |queues: &Queues| {
-            let [control, write, _read, _background] = &queues.lanes;
-            !control.is_empty() || !write.is_empty()
+            queues.lanes.as_deref().is_some_and(|[control, write, _read, _background]| {
+                !control.is_empty() || !write.is_empty()
+            })
         };
         self.only.as_ref().is_some_and(PendingCall::is_write) || self.queued > 0 && self.stations.values().any(writes)
     }
@@ -177,7 +190,7 @@ impl Scheduler {
             return true;
         }
         while let Some((station, lane)) = self.next(now) {
-            let queue = self.stations.get_mut(station).and_then(|queues| queues.lanes.get_mut(lane));
+            let queue = self.stations.get_mut(station).and_then(|queues| queues.lanes_mut().get_mut(lane));
             match queue {
                 Some(queue) if queue.front().is_some_and(|call| keep(call, now)) => return true,
                 Some(queue) => {
@@ -194,7 +207,7 @@ impl Scheduler {
     pub(crate) fn is_waiting(&mut self, now: Instant) -> bool {
         self.only.take_if(|call| !keep(call, now));
         if self.queued > 0 {
-            let queues = self.stations.values_mut().flat_map(|queues| queues.lanes.iter_mut());
+            let queues = self.stations.values_mut().flat_map(|queues| queues.lanes_mut());
             self.queued = queues.fold(0_usize, |queued, queue| {
                 queue.retain(|call| keep(call, now));
                 queued.saturating_add(queue.len())
@@ -213,7 +226,7 @@ impl Scheduler {
     pub(crate) fn drain(&mut self, station: u8) -> VecDeque<PendingCall> {
         self.queue_only();
         let calls: VecDeque<PendingCall> = match self.stations.get_mut(station) {
-            Some(queues) => queues.lanes.iter_mut().flat_map(std::mem::take).collect(),
+            Some(queues) => queues.lanes_mut().iter_mut().flat_map(std::mem::take).collect(),
             None => VecDeque::new(),
         };
         self.count_removed(calls.len());
@@ -224,7 +237,7 @@ impl Scheduler {
     pub(crate) fn drain_all(&mut self) -> VecDeque<PendingCall> {
         self.queue_only();
         self.queued = 0;
-        let queues = self.stations.values_mut().flat_map(|queues| queues.lanes.iter_mut());
+        let queues = self.stations.values_mut().flat_map(|queues| queues.lanes_mut());
         queues.flat_map(std::mem::take).collect()
     }
 
@@ -315,7 +328,7 @@ impl Scheduler {
     fn waiting(&self, now: Instant) -> impl Iterator<Item = (u8, &Queues, usize, &PendingCall)> {
         let served = self.stations.iter().filter(move |(_, queues)| !queues.service.is_blocked(now));
         served.flat_map(|(station, queues)| {
-            let lanes = queues.lanes.iter().enumerate();
+            let lanes = queues.lanes().iter().enumerate();
             lanes.filter_map(move |(lane, queue)| Some((station, queues, lane, queue.front()?)))
         })
     }

@@ -41,7 +41,7 @@ use futures::future::FutureExt;
 use tokio::task::{unconstrained, yield_now};
 use tokio::time::{Instant, Sleep, sleep_until};
 
-use super::call::{PendingCall, SpareSlots};
+use super::call::PendingCall;
 use super::driver::{AdvancedBy, Driver, DriverStatus};
 use super::io_waker::IoWaker;
 use crate::command::CommandSet;
@@ -56,7 +56,6 @@ pub(crate) struct Shared {
     slot: Mutex<Option<Box<DriverSlot>>>,
     /// Wakes the task.
     io_waker: Arc<IoWaker>,
-    spares: SpareSlots,
     started: AtomicBool,
     /// No new calls are accepted.
     closed: AtomicBool,
@@ -84,16 +83,10 @@ impl Shared {
             posted: AtomicBool::new(false),
             slot: Mutex::new(Some(Box::new(DriverSlot { driver, timer: None, panic: None }))),
             io_waker,
-            spares: SpareSlots::default(),
             started: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             orphaned: AtomicBool::new(false),
         }
-    }
-
-    /// Slots and timers of ended calls.
-    pub(crate) fn spares(&self) -> &SpareSlots {
-        &self.spares
     }
 
     /// Returns whether the task has been started. With `start`, the first caller gets `false` and
@@ -277,9 +270,8 @@ impl Shared {
         }
         slot.timer = None;
         // A waker keeps the memory of its task, and with it that of the runtime. Removed before
-        // another task can start and register its own. A timer keeps the memory of its runtime, too.
+        // another task can start and register its own.
         self.io_waker.unregister();
-        self.spares.forget_timers();
         // Before the inbox is emptied: a call that comes later finds that the task must be started.
         self.started.store(false, Ordering::SeqCst);
         let inbox = std::mem::take(&mut *lock(&self.inbox));
@@ -298,9 +290,8 @@ impl Shared {
         if let Some(slot) = slot {
             slot.driver.finish();
         }
-        // A waker keeps the memory of its task, and with it that of the runtime, as a timer does.
+        // A waker keeps the memory of its task, and with it that of the runtime.
         self.io_waker.unregister();
-        self.spares.forget_timers();
         // Dropping the calls ends them with the right error. The driver's lock was released before,
         // so a call that is posted later finds it free.
         drop(std::mem::take(&mut *lock(&self.inbox)));

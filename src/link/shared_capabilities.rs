@@ -1,7 +1,6 @@
 //! The capabilities of the stations of a link, shared by its handles.
 
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 use tokio::time::Instant;
 
@@ -10,15 +9,13 @@ use crate::capabilities::{Capabilities, KnownCapabilities};
 
 #[derive(Debug, Default)]
 pub(super) struct SharedCapabilities {
-    /// Boxed: of most stations nothing is known.
-    known: Mutex<ByStation<Box<KnownCapabilities>>>,
-    /// `true` once something is known of any station, so that other links need no lock.
-    has_any: AtomicBool,
+    /// Made once something is known of any station; on most links nothing is.
+    known: OnceLock<Box<Mutex<ByStation<KnownCapabilities>>>>,
 }
 
 impl SharedCapabilities {
     pub(super) fn has_any(&self) -> bool {
-        self.has_any.load(Ordering::Acquire)
+        self.known.get().is_some()
     }
 
     /// The declared capabilities of a station, and those learned.
@@ -32,16 +29,13 @@ impl SharedCapabilities {
     }
 
     fn read(&self, station: u8, read: impl FnOnce(&KnownCapabilities) -> Capabilities) -> Capabilities {
-        if !self.has_any() {
-            return Capabilities::new();
-        }
-        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(known) = self.known.get() else { return Capabilities::new() };
+        let known = known.lock().unwrap_or_else(PoisonError::into_inner);
         known.get(station).map_or_else(Capabilities::new, |known| read(known))
     }
 
     pub(super) fn with(&self, station: u8, work: impl FnOnce(&mut KnownCapabilities)) {
-        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        known.with(station, Box::default, |known| work(known));
-        self.has_any.store(true, Ordering::Release);
+        let mut known = self.known.get_or_init(Box::default).lock().unwrap_or_else(PoisonError::into_inner);
+        known.with(station, KnownCapabilities::default, work);
     }
 }

@@ -25,7 +25,7 @@ pub(crate) struct Stations {
 }
 
 /// When a station is offline, and how it is probed.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct OfflineRules {
     /// After this many timeouts in a row.
     pub(crate) offline_after: u32,

@@ -102,41 +102,74 @@ pub struct RoundTripStats {
     pub smoothed: Duration,
 }
 
-/// Counters of a link since it was made. A snapshot.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct LinkStats {
-    /// The sum of all stations.
-    pub stations: StationStats,
+/// Declares the counters of a link: as users see them, with the sum of its stations, and as the link
+/// keeps them.
+macro_rules! link_counters {
+    ($($(#[$doc:meta])* $name:ident,)*) => {
+        /// Counters of a link since it was made. A snapshot.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        #[non_exhaustive]
+        pub struct LinkStats {
+            /// The sum of all stations.
+            pub stations: StationStats,
+            $($(#[$doc])* pub $name: u64,)*
+            /// `true` if the device closes its connection after each reply, as
+            /// [set](crate::endpoint::InStepSettings::one_request) or learned.
+            pub one_request: bool,
+        }
+
+        /// Counters of a link without those of its stations.
+        #[derive(Clone, Copy, Debug, Default)]
+        pub(crate) struct LinkCounters {
+            $(pub(crate) $name: u64,)*
+            pub(crate) one_request: bool,
+        }
+
+        impl LinkCounters {
+            pub(crate) fn with_stations(self, stations: StationStats) -> LinkStats {
+                LinkStats { stations, $($name: self.$name,)* one_request: self.one_request }
+            }
+        }
+
+        impl LinkStats {
+            pub(crate) fn plus(self, other: &Self) -> Self {
+                Self {
+                    stations: self.stations.plus(&other.stations),
+                    $($name: self.$name.saturating_add(other.$name),)*
+                    one_request: self.one_request || other.one_request,
+                }
+            }
+        }
+    };
+}
+
+link_counters! {
     /// Broadcasts sent.
-    pub broadcasts: u64,
+    broadcasts,
     /// Frames with a bad checksum.
-    pub checksum_errors: u64,
+    checksum_errors,
     /// Bytes that were part of no good frame, those of bad frames included.
-    pub garbage_bytes: u64,
+    garbage_bytes,
     /// Bytes that came before a request was sent, and were dropped then.
-    pub stale_bytes: u64,
+    stale_bytes,
     /// Datagrams that came to the local port of an earlier request: late replies and duplicates
     /// over UDP.
-    pub late_datagrams: u64,
+    late_datagrams,
     /// Echoes of requests from an RS-485 adapter.
-    pub echoes: u64,
+    echoes,
     /// Connections opened.
-    pub connects: u64,
+    connects,
     /// Connections lost.
-    pub disconnects: u64,
+    disconnects,
     /// Connections closed because the link was idle.
-    pub idle_closes: u64,
+    idle_closes,
     /// Connections that were replaced because nothing was answered over them.
-    pub mute_connections: u64,
+    mute_connections,
     /// Times that the frame gap became long, since slow RS-485 drivers were seen; see
     /// [`LinkBuilder::frame_gap`](crate::LinkBuilder::frame_gap).
-    pub long_gaps: u64,
+    long_gaps,
     /// Attempts to connect that failed.
-    pub connect_failures: u64,
-    /// `true` if the device closes its connection after each reply, as
-    /// [set](crate::endpoint::InStepSettings::one_request) or learned.
-    pub one_request: bool,
+    connect_failures,
 }
 
 /// State of a station: answering or not.
@@ -154,27 +187,6 @@ pub enum StationState {
         /// When the next probe is due.
         probe_at: Instant,
     },
-}
-
-impl LinkStats {
-    pub(crate) fn plus(self, other: &Self) -> Self {
-        Self {
-            stations: self.stations.plus(&other.stations),
-            broadcasts: self.broadcasts.saturating_add(other.broadcasts),
-            checksum_errors: self.checksum_errors.saturating_add(other.checksum_errors),
-            garbage_bytes: self.garbage_bytes.saturating_add(other.garbage_bytes),
-            stale_bytes: self.stale_bytes.saturating_add(other.stale_bytes),
-            late_datagrams: self.late_datagrams.saturating_add(other.late_datagrams),
-            echoes: self.echoes.saturating_add(other.echoes),
-            connects: self.connects.saturating_add(other.connects),
-            disconnects: self.disconnects.saturating_add(other.disconnects),
-            idle_closes: self.idle_closes.saturating_add(other.idle_closes),
-            mute_connections: self.mute_connections.saturating_add(other.mute_connections),
-            long_gaps: self.long_gaps.saturating_add(other.long_gaps),
-            connect_failures: self.connect_failures.saturating_add(other.connect_failures),
-            one_request: self.one_request || other.one_request,
-        }
-    }
 }
 
 impl StationStats {

@@ -9,7 +9,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::{Pool, PoolShared, PoolState};
 use crate::endpoint::Endpoint;
-use crate::link::{ConnectLimiter, Connector, Link, LinkBuilder};
+use crate::link::{ConnectLimiter, Connector, Link, LinkBuilder, SharedConfigs};
 use crate::random::Random;
 use crate::transport::BoxIo;
 
@@ -163,6 +163,7 @@ impl PoolBuilder {
             links_per_endpoint: self.links_per_endpoint,
             idle_timeout: self.idle_timeout,
             connect_limiter: ConnectLimiter::new(self.connects_at_once, self.connects_per_second, seed),
+            configs: Arc::default(),
             configure: self.configure,
             connect: self.connect,
         };
@@ -188,14 +189,15 @@ pub(super) struct PoolSettings {
     pub(super) links_per_endpoint: usize,
     idle_timeout: Option<Duration>,
     connect_limiter: Arc<ConnectLimiter>,
+    configs: Arc<SharedConfigs>,
     configure: Option<Configure>,
     connect: Option<Connect>,
 }
 
 impl PoolSettings {
     /// Makes a new link.
-    pub(super) fn link(&self, endpoint: &Endpoint) -> Link {
-        let mut builder = Link::builder(endpoint.clone());
+    pub(super) fn link(&self, endpoint: &Arc<Endpoint>) -> Link {
+        let mut builder = LinkBuilder::of_endpoint(endpoint.clone()).share_config(&self.configs);
         // Opening a UDP socket or a local port puts no load on a PLC, and must not be delayed.
         if endpoint.transport().is_remote() || self.connect.is_some() {
             builder = builder.connect_limiter(self.connect_limiter.clone());
@@ -206,7 +208,7 @@ impl PoolSettings {
         if let Some(connect) = self.connect.clone() {
             let endpoint = endpoint.clone();
             builder = builder.connector(Connector::Custom {
-                open: Box::new(move || connect(endpoint.clone())),
+                open: Box::new(move || connect(Endpoint::clone(&endpoint))),
                 wakes_reader: false,
             });
         }

@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use super::builder::PoolSettings;
 use super::error::PoolError;
 use crate::endpoint::{Endpoint, Transport};
@@ -22,17 +24,18 @@ impl EndpointKey {
 /// An endpoint and its links.
 #[derive(Debug)]
 pub(super) struct EndpointLinks {
-    pub(super) endpoint: Endpoint,
+    /// Shared with the links.
+    pub(super) endpoint: Arc<Endpoint>,
     pub(super) links: Vec<Link>,
     /// The time of the last request for it, by the pool's logical clock.
     pub(super) requested_at: u64,
-    /// The statistics of closed links.
-    closed_traffic: LinkStats,
+    /// The statistics of closed links; boxed, since most endpoints have none.
+    closed_traffic: Option<Box<LinkStats>>,
 }
 
 impl EndpointLinks {
     pub(super) fn new(endpoint: Endpoint, requested_at: u64) -> Self {
-        Self { endpoint, links: Vec::new(), requested_at, closed_traffic: LinkStats::default() }
+        Self { endpoint: Arc::new(endpoint), links: Vec::new(), requested_at, closed_traffic: None }
     }
 
     /// Returns the link for one more handle.
@@ -44,15 +47,15 @@ impl EndpointLinks {
     ) -> Result<Link, PoolError> {
         self.remove_closed();
         let one_line = endpoint.transport().is_one_line();
-        if one_line && self.endpoint != *endpoint {
+        if one_line && *self.endpoint != *endpoint {
             if !self.is_unused() {
                 let (asked, known) = (endpoint.to_string(), self.endpoint.to_string());
                 return Err(PoolError::OtherSettings { asked, known });
             }
             // No handle uses the old settings.
-            self.closed_traffic = self.traffic();
+            self.closed_traffic = Some(Box::new(self.traffic()));
             self.links.clear();
-            self.endpoint = endpoint.clone();
+            self.endpoint = Arc::new(endpoint.clone());
         }
         self.requested_at = requested_at;
         let limit = if one_line { 1 } else { settings.links_per_endpoint };
@@ -60,7 +63,9 @@ impl EndpointLinks {
         match idlest {
             Some(link) if self.links.len() >= limit || link.handles() == 1 => Ok(link.clone()),
             Some(_) | None => {
-                let link = settings.link(endpoint);
+                let same = *self.endpoint == *endpoint;
+                let endpoint = if same { self.endpoint.clone() } else { Arc::new(endpoint.clone()) };
+                let link = settings.link(&endpoint);
                 self.links.push(link.clone());
                 Ok(link)
             }
@@ -74,7 +79,8 @@ impl EndpointLinks {
 
     /// Returns the sum of the statistics of its links, including closed ones.
     pub(super) fn traffic(&self) -> LinkStats {
-        self.links.iter().fold(self.closed_traffic, |sum, link| sum.plus(&link.stats()))
+        let closed = self.closed_traffic.as_deref().copied().unwrap_or_default();
+        self.links.iter().fold(closed, |sum, link| sum.plus(&link.stats()))
     }
 
     /// Removes links that were closed through a handle or ended with their runtime.
@@ -83,7 +89,8 @@ impl EndpointLinks {
         self.links.retain(|link| {
             let closed = link.is_closed();
             if closed {
-                *traffic = traffic.plus(&link.stats());
+                let traffic = traffic.get_or_insert_default();
+                **traffic = traffic.plus(&link.stats());
             }
             !closed
         });

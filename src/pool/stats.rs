@@ -64,7 +64,7 @@ impl PoolStats {
 impl PoolEndpoint {
     pub(super) fn of(links: &EndpointLinks) -> Self {
         Self {
-            endpoint: links.endpoint.clone(),
+            endpoint: Endpoint::clone(&links.endpoint),
             links: links.links.iter().map(|link| link.state()).collect(),
             traffic: links.traffic(),
         }

@@ -1,14 +1,17 @@
-//! The timers of calls' deadlines, kept for later calls of the link.
+//! The timers of calls' deadlines, kept for later calls of the thread.
 //!
 //! A call has a timer of its own, so it ends by its deadline even if the runtime of the link's task
-//! stands still. Creating, registering and removing a timer costs more than all other work for the
-//! deadline. So a call takes a timer that an earlier one has left, and moves it only after it has fired.
+//! stands still. To create, register and remove a timer costs more than all other work for the deadline.
+//! So a call takes a timer that an earlier one has left, and moves it only after it has fired.
 //!
 //! Invariants:
 //! - A timer in use is due at the deadline of its call or before.
 //! - A timer is used on the runtime that drives it, and on no other.
 //! - A timer that no call uses holds no waker: a waker keeps the memory of its task.
+//! - A thread keeps a bounded number of timers, and those of one runtime only until it is used with
+//!   another: a timer keeps the memory of its runtime.
 
+use std::cell::Cell;
 use std::future::poll_fn;
 use std::pin::Pin;
 use std::task::{Context, Poll, Waker, ready};
@@ -18,25 +21,53 @@ use tokio::runtime::{Handle, Id};
 use tokio::task::unconstrained;
 use tokio::time::{Instant, Sleep, sleep_until};
 
-use super::{CallFuture, SpareSlots};
+use super::CallFuture;
 use crate::command::Command;
 
+/// Maximum number of timers that a thread keeps.
+const MAX_KEPT: usize = 256;
+
+thread_local! {
+    static KEPT: Cell<Vec<CallTimer>> = const { Cell::new(Vec::new()) };
+}
+
 /// A timer, and the runtime that drives it.
-pub(super) struct CallTimer {
+struct CallTimer {
     sleep: Pin<Box<Sleep>>,
     runtime: Id,
 }
 
 impl CallTimer {
-    pub(super) fn runtime(&self) -> Id {
-        self.runtime
+    /// Takes a timer of this runtime that is due at the deadline or before.
+    fn take(deadline: Instant) -> Self {
+        let runtime = Handle::current().id();
+        // A thread that is ending keeps none.
+        let mut kept = KEPT.try_with(Cell::take).unwrap_or_default();
+        if kept.last().is_some_and(|timer| timer.runtime != runtime) {
+            kept.retain(|timer| timer.runtime == runtime);
+        }
+        let timer = kept.pop();
+        let _ = KEPT.try_with(|place| place.set(kept));
+        let Some(mut timer) = timer else { return Self { sleep: Box::pin(sleep_until(deadline)), runtime } };
+        if timer.sleep.deadline() > deadline {
+            timer.sleep.as_mut().reset(deadline);
+        }
+        timer
     }
 
-    fn new(runtime: Id, deadline: Instant) -> Self {
-        Self { sleep: Box::pin(sleep_until(deadline)), runtime }
+    /// Leaves the timer to a later call.
+    fn keep(mut self) {
+        // Replaces the waker. Outside of Tokio's budget: an exhausted one would leave the waker.
+        let mut sleep = unconstrained(self.sleep.as_mut());
+        let _ = Pin::new(&mut sleep).poll(&mut Context::from_waker(Waker::noop()));
+        let mut kept = KEPT.try_with(Cell::take).unwrap_or_default();
+        if kept.len() < MAX_KEPT {
+            kept.push(self);
+        }
+        let _ = KEPT.try_with(|place| place.set(kept));
     }
 
-    /// Polls until the deadline. The timer may have been set for an earlier one.
+    /// Waits for the deadline. The timer may have been set for an earlier one.
     fn poll(&mut self, deadline: Instant, cx: &mut Context<'_>) -> Poll<()> {
         loop {
             ready!(self.sleep.as_mut().poll(cx));
@@ -48,52 +79,122 @@ impl CallTimer {
     }
 }
 
-/// A timer while a call uses it. Returned to the link when it is dropped.
-struct TimerInUse<'a> {
-    spares: &'a SpareSlots,
-    timer: Option<CallTimer>,
-}
+/// The timer of a call that waits; `None` before it waits for the first time.
+struct TimerInUse(Option<CallTimer>);
 
-impl TimerInUse<'_> {
-    fn poll(&mut self, deadline: Instant, cx: &mut Context<'_>) -> Poll<()> {
-        let Self { spares, timer } = self;
-        timer.get_or_insert_with(|| take(spares, deadline)).poll(deadline, cx)
-    }
-}
-
-impl Drop for TimerInUse<'_> {
+impl Drop for TimerInUse {
     fn drop(&mut self) {
-        if let Some(mut timer) = self.timer.take() {
-            // Replaces the waker. Outside of Tokio's budget: an exhausted budget would leave the waker.
-            let mut sleep = unconstrained(timer.sleep.as_mut());
-            let _ = Pin::new(&mut sleep).poll(&mut Context::from_waker(Waker::noop()));
-            self.spares.keep_timer(timer);
-        }
-    }
-}
-
-/// Takes a timer of this runtime that is due at the deadline or before.
-fn take(spares: &SpareSlots, deadline: Instant) -> CallTimer {
-    let runtime = Handle::current().id();
-    match spares.take_timer(runtime) {
-        None => CallTimer::new(runtime, deadline),
-        Some(mut timer) => {
-            if timer.sleep.deadline() > deadline {
-                timer.sleep.as_mut().reset(deadline);
-            }
-            timer
+        if let Some(timer) = self.0.take() {
+            timer.keep();
         }
     }
 }
 
 /// Waits until a call has ended or its deadline has passed. Returns whether it has ended.
-pub(crate) async fn ended_by<C: Command>(call: &mut CallFuture<C>, deadline: Instant, spares: &SpareSlots) -> bool {
-    let mut timer = TimerInUse { spares, timer: None };
+pub(crate) async fn ended_by<C: Command>(call: &mut CallFuture<C>, deadline: Instant) -> bool {
+    let mut timer = TimerInUse(None);
     poll_fn(|cx| {
         if call.poll_ended(cx).is_ready() {
             return Poll::Ready(true);
         }
-        timer.poll(deadline, cx).map(|()| false)
+        timer.0.get_or_insert_with(|| CallTimer::take(deadline)).poll(deadline, cx).map(|()| false)
     })
     .await
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::time::Duration;
+
+    use futures::task::{ArcWake, waker};
+    use tokio::runtime::Builder;
+
+    use super::*;
+    use crate::command::ReadStatus;
+    use crate::link::CallOptions;
+    use crate::link::call::PendingCall;
+    use crate::link::call::tests::call;
+
+    const SECOND: Duration = Duration::from_secs(1);
+
+    fn kept() -> usize {
+        let timers = KEPT.take();
+        let count = timers.len();
+        KEPT.set(timers);
+        count
+    }
+
+    /// A call that waits for its deadline, this long from now.
+    async fn time_out_after(time: Duration) -> Duration {
+        let (_pending, mut future): (PendingCall, CallFuture<ReadStatus>) = call(CallOptions::new());
+        let began = Instant::now();
+        assert!(!ended_by(&mut future, began + time).await);
+        began.elapsed()
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn calls_with_a_kept_timer_end_at_their_own_deadlines() {
+        for (n, seconds) in [10, 3, 3, 25, 1, 10].into_iter().enumerate() {
+            assert_eq!(time_out_after(seconds * SECOND).await, seconds * SECOND);
+            assert_eq!(kept(), 1, "call {n} has used the timer of the one before");
+        }
+        // Calls that end early leave a timer that is due before the next deadlines.
+        for _ in 0..100 {
+            let (pending, mut future) = call(CallOptions::new());
+            let deadline = Instant::now() + 10 * SECOND;
+            let (ended, ()) = tokio::join!(ended_by(&mut future, deadline), async {
+                tokio::time::sleep(SECOND / 2).await;
+                drop(pending);
+            });
+            assert!(ended && kept() == 1);
+        }
+        assert_eq!(time_out_after(SECOND).await, SECOND, "the timer of the last one is due later");
+        assert_eq!(time_out_after(10 * SECOND).await, 10 * SECOND);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn calls_under_way_at_once_have_timers_of_their_own() {
+        for _ in 0..2 {
+            let calls = (1..=2 * MAX_KEPT).rev().map(|n| async move {
+                let time = Duration::from_millis(u64::try_from(n).expect("a number"));
+                assert_eq!(time_out_after(time).await, time);
+            });
+            futures::future::join_all(calls).await;
+            assert_eq!(kept(), MAX_KEPT);
+        }
+    }
+
+    /// With a timer of the ended runtime the call would wait forever, or panic.
+    #[test]
+    fn a_timer_is_not_used_on_another_runtime() {
+        let runtime = || Builder::new_current_thread().enable_all().start_paused(true).build().expect("a runtime");
+        let (first, second) = (runtime(), runtime());
+        for runtime in [&first, &second, &first] {
+            assert_eq!(runtime.block_on(time_out_after(10 * SECOND)), 10 * SECOND);
+            assert_eq!(kept(), 1, "that of the other runtime was dropped");
+        }
+        drop(first);
+        assert_eq!(second.block_on(time_out_after(SECOND)), SECOND);
+    }
+
+    struct Task;
+
+    impl ArcWake for Task {
+        fn wake_by_ref(_task: &Arc<Self>) {}
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_kept_timer_holds_no_waker() {
+        let task = Arc::new(Task);
+        let (pending, mut future) = call(CallOptions::new());
+        {
+            let mut waits = Box::pin(ended_by(&mut future, Instant::now() + SECOND));
+            let waker = waker(task.clone());
+            assert!(waits.as_mut().poll(&mut Context::from_waker(&waker)).is_pending());
+            assert!(Arc::strong_count(&task) > 1);
+        }
+        drop((pending, future));
+        assert_eq!((kept(), Arc::strong_count(&task)), (1, 1), "a dropped call leaves its timer and no waker");
+    }
 }

@@ -1,34 +1,24 @@
-//! Slots of calls that have ended, and their timers, kept for later calls of the link.
+//! Slots of calls that have ended, kept for later calls of the link.
 
 use std::any::Any;
 use std::sync::{Arc, Mutex};
 
-use tokio::runtime::Id;
-
-use super::deadline::CallTimer;
 use super::lock;
 use super::slot::CallSlot;
 use crate::command::Command;
 
-/// Slots and timers of ended calls, so that most calls need no heap allocation.
+/// Slots of ended calls, so that most calls need no heap allocation.
 #[derive(Default)]
 pub(crate) struct SpareSlots {
-    spares: Mutex<Spares>,
+    slots: Mutex<Vec<Arc<dyn Any + Send + Sync>>>,
 }
 
-#[derive(Default)]
-struct Spares {
-    slots: Vec<Arc<dyn Any + Send + Sync>>,
-    timers: Vec<CallTimer>,
-}
-
-/// Maximum number of slots and of timers that are kept. This many calls under way at once need no new
-/// memory.
+/// Maximum number of slots that are kept. This many calls under way at once need no new memory.
 const MAX_SPARES: usize = 16;
 
 impl SpareSlots {
     pub(super) fn take<S: Any + Send + Sync>(&self) -> Option<Arc<S>> {
-        let slots = &mut lock(&self.spares).slots;
+        let mut slots = lock(&self.slots);
         let at = slots.iter().rposition(|slot| slot.is::<S>() && Arc::strong_count(slot) == 1)?;
         slots.swap_remove(at).downcast().ok()
     }
@@ -41,37 +31,12 @@ impl SpareSlots {
                 None => return,
             }
         }
-        keep(&mut lock(&self.spares).slots, slot);
-    }
-
-    /// Takes a timer of this runtime. Timers of other runtimes are dropped: theirs may have ended, and
-    /// a timer keeps the memory of its runtime.
-    pub(super) fn take_timer(&self, runtime: Id) -> Option<CallTimer> {
-        let timers = &mut lock(&self.spares).timers;
-        let timer = timers.pop()?;
-        if timer.runtime() == runtime {
-            return Some(timer);
+        let mut slots = lock(&self.slots);
+        if slots.len() >= MAX_SPARES {
+            slots.remove(0);
         }
-        timers.retain(|timer| timer.runtime() == runtime);
-        timers.pop()
+        // Most links have one caller at a time.
+        slots.reserve_exact(1);
+        slots.push(slot);
     }
-
-    pub(super) fn keep_timer(&self, timer: CallTimer) {
-        keep(&mut lock(&self.spares).timers, timer);
-    }
-
-    /// Drops all timers: their runtime may have ended.
-    pub(crate) fn forget_timers(&self) {
-        let timers = std::mem::take(&mut lock(&self.spares).timers);
-        drop(timers);
-    }
-}
-
-fn keep<T>(spares: &mut Vec<T>, spare: T) {
-    if spares.len() >= MAX_SPARES {
-        spares.remove(0);
-    }
-    // Most links have one caller at a time.
-    spares.reserve_exact(1);
-    spares.push(spare);
 }

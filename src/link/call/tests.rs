@@ -8,7 +8,7 @@ use super::*;
 use crate::command::{LoopBack, ReadRegisters, ReadStatus, WriteRegisters};
 use crate::element::Register;
 
-fn call(options: CallOptions) -> (PendingCall, CallFuture<ReadStatus>) {
+pub(super) fn call(options: CallOptions) -> (PendingCall, CallFuture<ReadStatus>) {
     call_of(ReadStatus, options, &SpareSlots::default())
 }
 

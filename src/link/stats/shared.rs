@@ -4,8 +4,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::watch;
 
-use super::{LinkStats, StationState, StationStats, add};
+use super::{LinkCounters, LinkStats, StationState, StationStats, add};
 use crate::link::by_station::ByStation;
+use crate::link::watchable::Watchable;
 use crate::wire::Discard;
 
 /// The counters and states of a link, shared by its task and its handles.
@@ -16,31 +17,24 @@ pub(crate) struct SharedStats {
 
 #[derive(Debug, Default)]
 struct Records {
-    link: LinkStats,
+    link: LinkCounters,
     stations: ByStation<StationRecord>,
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct StationRecord {
     stats: StationStats,
-    state: StationState,
-    /// Made when the state is first watched. Most stations are not, and a channel takes more memory
-    /// than all other fields.
-    watched: Option<watch::Sender<StationState>>,
+    state: Watchable<StationState>,
 }
 
 impl StationRecord {
-    fn watch(&mut self) -> watch::Receiver<StationState> {
-        self.watched.get_or_insert_with(|| watch::Sender::new(self.state)).subscribe()
+    fn new() -> Self {
+        Self { stats: StationStats::default(), state: Watchable::new(StationState::default()) }
     }
 
     fn set_state(&mut self, state: StationState) {
-        if self.state == state {
-            return;
-        }
-        self.state = state;
-        if let Some(watched) = &self.watched {
-            watched.send_replace(state);
+        if *self.state.get() != state {
+            self.state.set(state);
         }
     }
 }
@@ -49,7 +43,7 @@ impl SharedStats {
     pub(crate) fn link_stats(&self) -> LinkStats {
         let records = self.lock();
         let stations = records.stations.values().fold(StationStats::default(), |sum, record| sum.plus(&record.stats));
-        LinkStats { stations, ..records.link }
+        records.link.with_stations(stations)
     }
 
     pub(crate) fn station_stats(&self, station: u8) -> StationStats {
@@ -57,20 +51,20 @@ impl SharedStats {
     }
 
     pub(crate) fn watch_state(&self, station: u8) -> watch::Receiver<StationState> {
-        self.lock().stations.with(station, StationRecord::default, StationRecord::watch)
+        self.lock().stations.with(station, StationRecord::new, |record| record.state.watch())
     }
 
-    pub(crate) fn count_link(&self, count: impl FnOnce(&mut LinkStats)) {
+    pub(crate) fn count_link(&self, count: impl FnOnce(&mut LinkCounters)) {
         count(&mut self.lock().link);
     }
 
     pub(crate) fn count_station(&self, station: u8, count: impl FnOnce(&mut StationStats)) {
-        self.lock().stations.with(station, StationRecord::default, |record| count(&mut record.stats));
+        self.lock().stations.with(station, StationRecord::new, |record| count(&mut record.stats));
     }
 
     /// Notes that a station has answered.
     pub(crate) fn mark_online(&self, station: u8, count: impl FnOnce(&mut StationStats)) {
-        self.lock().stations.with(station, StationRecord::default, |record| {
+        self.lock().stations.with(station, StationRecord::new, |record| {
             record.set_state(StationState::Online);
             count(&mut record.stats);
         });
@@ -92,7 +86,7 @@ impl SharedStats {
     }
 
     pub(crate) fn set_state(&self, station: u8, state: StationState) {
-        self.lock().stations.with(station, StationRecord::default, |record| record.set_state(state));
+        self.lock().stations.with(station, StationRecord::new, |record| record.set_state(state));
     }
 
     fn lock(&self) -> MutexGuard<'_, Records> {

@@ -65,7 +65,7 @@ impl TestLink {
         set(&mut config);
         let stats = Arc::new(SharedStats::default());
         let mut link =
-            Self { core: Core::new(config, stats.clone(), 1), stats, framing, now: Instant::now(), sent: Vec::new() };
+            Self { core: Core::new(config.into(), "desk".into(), stats.clone(), 1), stats, framing, now: Instant::now(), sent: Vec::new() };
         link.core.connected(link.now);
         link.put_in_step();
         link
