@@ -42,7 +42,8 @@ struct Health {
     longest_timeout: Duration,
     /// Timeouts in a row.
     timeouts: u32,
-    offline: Option<Offline>,
+    /// Boxed: most stations are online.
+    offline: Option<Box<Offline>>,
     round_trip: RoundTrip,
     /// When it was sent something last.
     sent_at: Option<Instant>,
@@ -115,7 +116,8 @@ impl Stations {
             health.round_trip.timed_out();
             let goes_offline = health.timeouts >= offline_after && health.offline.is_none();
             if goes_offline {
-                health.offline = Some(Offline { probe_at: later(now, interval), interval, probed_at: None });
+                let offline = Offline { probe_at: later(now, interval), interval, probed_at: None };
+                health.offline = Some(Box::new(offline));
             }
             goes_offline
         });
@@ -132,7 +134,7 @@ impl Stations {
         if self.offline == 0 {
             return None;
         }
-        Some(self.not_before_pause(self.stations.get(station)?.offline?.probe_at))
+        Some(self.not_before_pause(self.stations.get(station)?.offline.as_ref()?.probe_at))
     }
 
     /// Makes the probes of all offline stations due now: the cause may be over.
@@ -168,7 +170,7 @@ impl Stations {
         if self.offline == 0 {
             return None;
         }
-        let probes = self.stations.iter().filter_map(|(station, health)| Some((health.offline?, station)));
+        let probes = self.stations.iter().filter_map(|(station, health)| Some((health.offline.as_deref()?, station)));
         let due = probes.filter(|(offline, _)| self.not_before_pause(offline.probe_at) <= now);
         due.min_by_key(|&(offline, station)| (offline.probed_at, station)).map(|(_, station)| station)
     }
@@ -178,7 +180,7 @@ impl Stations {
         if self.offline == 0 {
             return None;
         }
-        let due = self.stations.values().filter_map(|health| Some(health.offline?.probe_at)).min()?;
+        let due = self.stations.values().filter_map(|health| Some(health.offline.as_ref()?.probe_at)).min()?;
         Some(self.not_before_pause(due))
     }
 
