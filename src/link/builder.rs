@@ -1,7 +1,6 @@
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use super::call::SpareSlots;
 use super::config::{Config, SharedConfigs};
 use super::connect_limiter::ConnectLimiter;
 use super::connector::Connector;
@@ -300,7 +299,6 @@ impl LinkBuilder {
             options: self.options.with_response_timeout(timeout),
             response_timeout: timeout,
             shared: Arc::new(Shared::new(driver)),
-            spares: SpareSlots::default(),
             modifying: OnceLock::new(),
             capabilities: SharedCapabilities::default(),
             state,

@@ -17,7 +17,7 @@ use bytes::{Bytes, BytesMut};
 use tokio::time::Instant;
 use tokio_util::codec::Decoder;
 
-use super::call::{self, CallFuture, CallMeta, SpareSlots};
+use super::call::{self, CallFuture, CallMeta};
 use super::config::Config;
 use super::connector::Connector;
 use super::core::{Action, Core};
@@ -198,7 +198,7 @@ impl World {
             part,
             confirms: confirms.is_some(),
         };
-        let (mut call, future) = call::new(request, confirms, meta, &SpareSlots::default());
+        let (mut call, future) = call::new(request, confirms, meta);
         call.retries_left = 2;
         self.core.push(call, self.now);
         future

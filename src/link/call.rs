@@ -7,7 +7,7 @@
 //!
 //! Caller and link share one allocation, the slot. The caller holds it as a [`CallFuture`], the
 //! link as a [`PendingCall`]. The link sees the slot as [`AnyCall`], without the type of the
-//! request; the scheduler needs its [`CallMeta`] only. [`SpareSlots`] keeps the slots of ended
+//! request; the scheduler needs its [`CallMeta`] only. [`spares`] keeps the slots of ended
 //! calls for later ones.
 //!
 //! Invariants:
@@ -31,7 +31,6 @@ use tokio::time::Instant;
 pub(crate) use self::deadline::ended_by;
 pub(crate) use self::slot::CallFuture;
 use self::slot::CallSlot;
-pub(crate) use self::spares::SpareSlots;
 use super::in_step::{Kind, Proof, Shape, Spelled};
 use super::options::{CallOptions, Lane};
 use crate::command::{Candidates, Class, Code, Command, Run, Spelling};
@@ -246,11 +245,10 @@ pub(crate) fn new<C: Command>(
     request: C,
     implied_reply: Option<C::Reply>,
     meta: CallMeta,
-    spares: &SpareSlots,
 ) -> (PendingCall, CallFuture<C>) {
     let retries_left = meta.options.retries_for(C::CODE.class());
     let check_retries_left = meta.options.retries.saturating_sub(retries_left);
-    let slot = match spares.take::<CallSlot<C>>() {
+    let slot = match spares::take::<C>() {
         None => Arc::new(CallSlot::new(request, implied_reply, meta)),
         Some(mut spare) => match Arc::get_mut(&mut spare) {
             None => Arc::new(CallSlot::new(request, implied_reply, meta)),

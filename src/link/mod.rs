@@ -64,7 +64,7 @@ use tokio::time::Instant;
 use tracing::Instrument;
 
 use self::by_station::ByStation;
-use self::call::{CallMeta, SpareSlots};
+use self::call::CallMeta;
 pub(crate) use self::config::SharedConfigs;
 pub(crate) use self::connect_limiter::ConnectLimiter;
 pub(crate) use self::connector::Connector;
@@ -115,7 +115,6 @@ struct LinkInner {
     /// For calls whose options have none.
     response_timeout: Duration,
     shared: Arc<Shared>,
-    spares: SpareSlots,
     /// For each station whose bits of registers were changed: held from the read to the write.
     modifying: OnceLock<Box<Mutex<ByStation<ModifyLock>>>>,
     capabilities: SharedCapabilities,
@@ -348,7 +347,7 @@ impl Link {
             Purpose::Whole | Purpose::InJob | Purpose::Part => None,
             Purpose::Broadcast(reply) | Purpose::Confirm(reply) => Some(reply),
         };
-        let (call, mut future) = call::new(request, implied_reply, meta, &self.inner.spares);
+        let (call, mut future) = call::new(request, implied_reply, meta);
         // Lasts until the call has ended.
         let span = tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name());
         // Work for the link may also serve calls of others, so it runs in the link's span.
@@ -387,7 +386,7 @@ impl Link {
             shape: if in_job { future.shape(self.framing()) } else { Shape { code: spelling.code, size: 0 } },
             proof: future.proof(),
         };
-        future.recycle(&self.inner.spares);
+        future.recycle();
         outcome
     }
 

@@ -15,7 +15,7 @@ use bytes::BytesMut;
 use futures::task::AtomicWaker;
 use tokio::time::Instant;
 
-use super::{AnyCall, CallMeta, SpareSlots, lock};
+use super::{AnyCall, CallMeta, lock, spares};
 use crate::command::{
     self, Candidates, Class, Code, Command, NO_CANDIDATES, ReplyError, Run, Spelling,
 };
@@ -97,14 +97,14 @@ impl<C: Command> CallFuture<C> {
     }
 
     /// Leaves the slot to a later call if this one has ended.
-    pub(crate) fn recycle(self, spares: &SpareSlots) {
+    pub(crate) fn recycle(self) {
         let has_ended = self.has_ended();
         let slot = self.slot.clone();
         drop(self);
         if has_ended {
             // A waker keeps its task's memory alive.
             drop(slot.waker.take());
-            spares.keep(slot);
+            spares::keep(slot);
         }
     }
 }

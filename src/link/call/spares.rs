@@ -1,42 +1,55 @@
-//! Slots of calls that have ended, kept for later calls of the link.
+//! Slots of calls that have ended, kept for later calls of the thread, so that most calls need no heap
+//! allocation. A slot per link would be most of an idle link's memory.
+//!
+//! Invariants:
+//! - A slot is kept after its call has ended, and given out only when no other holder is left.
+//! - A thread keeps a bounded number of slots, without the values of writes and without wakers.
 
 use std::any::Any;
-use std::sync::{Arc, Mutex};
+use std::cell::Cell;
+use std::sync::Arc;
 
-use super::lock;
 use super::slot::CallSlot;
 use crate::command::Command;
 
-/// Slots of ended calls, so that most calls need no heap allocation.
-#[derive(Default)]
-pub(crate) struct SpareSlots {
-    slots: Mutex<Vec<Arc<dyn Any + Send + Sync>>>,
+type Slots = Vec<Arc<dyn Any + Send + Sync>>;
+
+thread_local! {
+    static KEPT: Cell<Slots> = const { Cell::new(Vec::new()) };
 }
 
-/// Maximum number of slots that are kept. This many calls under way at once need no new memory.
-const MAX_SPARES: usize = 16;
+/// Maximum number of slots that a thread keeps. This many calls under way at once need no new memory.
+const MAX_KEPT: usize = 64;
 
-impl SpareSlots {
-    pub(super) fn take<S: Any + Send + Sync>(&self) -> Option<Arc<S>> {
-        let mut slots = lock(&self.slots);
-        let at = slots.iter().rposition(|slot| slot.is::<S>() && Arc::strong_count(slot) == 1)?;
+/// Takes a slot of this type.
+pub(super) fn take<C: Command>() -> Option<Arc<CallSlot<C>>> {
+    with(|slots| {
+        let at = slots.iter().rposition(|slot| slot.is::<CallSlot<C>>() && Arc::strong_count(slot) == 1)?;
         slots.swap_remove(at).downcast().ok()
-    }
+    })
+}
 
-    pub(super) fn keep<C: Command>(&self, mut slot: Arc<CallSlot<C>>) {
-        if std::mem::needs_drop::<C>() {
-            // The values of a write are not kept with its slot.
-            match Arc::get_mut(&mut slot) {
-                Some(slot) => slot.drop_request(),
-                None => return,
-            }
+/// Leaves a slot to a later call.
+pub(super) fn keep<C: Command>(mut slot: Arc<CallSlot<C>>) {
+    if std::mem::needs_drop::<C>() {
+        // The values of a write are not kept with its slot.
+        match Arc::get_mut(&mut slot) {
+            Some(slot) => slot.drop_request(),
+            None => return,
         }
-        let mut slots = lock(&self.slots);
-        if slots.len() >= MAX_SPARES {
+    }
+    with(|slots| {
+        if slots.len() >= MAX_KEPT {
             slots.remove(0);
         }
-        // Most links have one caller at a time.
-        slots.reserve_exact(1);
         slots.push(slot);
-    }
+    });
+}
+
+fn with<R>(work: impl FnOnce(&mut Slots) -> R) -> R {
+    // A thread that is ending keeps none.
+    let mut slots = KEPT.try_with(Cell::take).unwrap_or_default();
+    let result = work(&mut slots);
+    let _ = KEPT.try_with(|place| place.set(slots));
+    result
 }

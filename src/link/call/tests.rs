@@ -9,10 +9,10 @@ use crate::command::{LoopBack, ReadRegisters, ReadStatus, WriteRegisters};
 use crate::element::Register;
 
 pub(super) fn call(options: CallOptions) -> (PendingCall, CallFuture<ReadStatus>) {
-    call_of(ReadStatus, options, &SpareSlots::default())
+    call_of(ReadStatus, options)
 }
 
-fn call_of<C: Command>(request: C, options: CallOptions, spares: &SpareSlots) -> (PendingCall, CallFuture<C>) {
+fn call_of<C: Command>(request: C, options: CallOptions) -> (PendingCall, CallFuture<C>) {
     let queued_at = Instant::now();
     let meta = CallMeta {
         station: 7,
@@ -25,7 +25,7 @@ fn call_of<C: Command>(request: C, options: CallOptions, spares: &SpareSlots) ->
         part: false,
         confirms: false,
     };
-    new(request, None, meta, spares)
+    new(request, None, meta)
 }
 
 fn result<C: Command>(future: &mut CallFuture<C>) -> Option<Result<(), Error>> {
@@ -211,65 +211,71 @@ fn the_caller_learns_proofs_and_doubts_of_its_reply() {
 fn only_a_loop_back_of_one_byte_could_be_a_refusal() {
     for (data, kind) in [("", Kind::Read), ("4", Kind::Once), ("44", Kind::Read)] {
         let request = LoopBack::new(data).expect("a short one");
-        let (call, _future) = call_of(request, CallOptions::new(), &SpareSlots::default());
+        let (call, _future) = call_of(request, CallOptions::new());
         assert_eq!(call.slot.kind(), kind, "{data:?}");
     }
 }
 
 #[test]
 fn replies_to_reads_show_which_elements_exist() {
-    let (first, spares) = (Register::r(5), SpareSlots::default());
-    let (read, _future) = call_of(ReadRegisters::new(first, 3).expect("a read"), CallOptions::new(), &spares);
+    let first = Register::r(5);
+    let (read, _future) = call_of(ReadRegisters::new(first, 3).expect("a read"), CallOptions::new());
     assert_eq!(read.slot.run(), Some(Run { first: first.into(), count: 3 }));
-    let (write, _future) = call_of(WriteRegisters::new(first, [1]).expect("a write"), CallOptions::new(), &spares);
+    let (write, _future) = call_of(WriteRegisters::new(first, [1]).expect("a write"), CallOptions::new());
     assert_eq!(write.slot.run(), None, "some elements can be written only");
 }
 
+/// Takes the slots that other tests of the thread have left.
+fn take_all() {
+    while spares::take::<ReadStatus>().is_some() || spares::take::<LoopBack>().is_some() {}
+}
+
 /// Ends a call and leaves its slot to later calls.
-fn end<C: Command>((call, mut future): (PendingCall, CallFuture<C>), spares: &SpareSlots) {
+fn end<C: Command>((call, mut future): (PendingCall, CallFuture<C>)) {
     call.expire();
     drop(call);
     assert!(result(&mut future).is_some());
-    future.recycle(spares);
+    future.recycle();
 }
 
 #[test]
 fn the_slot_of_an_ended_call_serves_a_later_call_of_its_type() {
-    let spares = SpareSlots::default();
-    end(call_of(ReadStatus, CallOptions::new(), &spares), &spares);
-    end(call_of(LoopBack::empty(), CallOptions::new(), &spares), &spares);
-    assert!(spares.take::<CallSlot<ReadStatus>>().is_some(), "the slot of another type is newer");
-    assert!(spares.take::<CallSlot<LoopBack>>().is_some());
-    assert!(spares.take::<CallSlot<ReadStatus>>().is_none(), "each serves one call");
+    take_all();
+    end(call_of(ReadStatus, CallOptions::new()));
+    end(call_of(LoopBack::empty(), CallOptions::new()));
+    assert!(spares::take::<ReadStatus>().is_some(), "the slot of another type is newer");
+    assert!(spares::take::<LoopBack>().is_some());
+    assert!(spares::take::<ReadStatus>().is_none(), "each serves one call");
 
-    end(call_of(ReadStatus, CallOptions::new(), &spares), &spares);
-    let (call, mut future) = call_of(ReadStatus, CallOptions::new(), &spares);
-    assert!(spares.take::<CallSlot<ReadStatus>>().is_none(), "the new call has it");
+    end(call_of(ReadStatus, CallOptions::new()));
+    let (call, mut future) = call_of(ReadStatus, CallOptions::new());
+    assert!(spares::take::<ReadStatus>().is_none(), "the new call has it");
     assert!(!call.slot.was_sent() && result(&mut future).is_none(), "nothing of the earlier call is left");
 }
 
 #[test]
 fn the_slot_of_a_call_under_way_serves_no_other() {
-    let spares = SpareSlots::default();
+    take_all();
     let (call, mut future) = call(CallOptions::new());
     call.expire();
     assert!(result(&mut future).is_some());
-    future.recycle(&spares);
-    assert!(spares.take::<CallSlot<ReadStatus>>().is_none(), "the link still has it");
+    future.recycle();
+    assert!(spares::take::<ReadStatus>().is_none(), "the link still has it");
     drop(call);
-    assert!(spares.take::<CallSlot<ReadStatus>>().is_some());
+    assert!(spares::take::<ReadStatus>().is_some());
 
     let (call, future) = self::call(CallOptions::new());
-    future.recycle(&spares);
+    future.recycle();
     drop(call);
-    assert!(spares.take::<CallSlot<ReadStatus>>().is_none(), "its caller did not see its end");
+    assert!(spares::take::<ReadStatus>().is_none(), "its caller did not see its end");
 }
 
 #[test]
 fn the_data_of_an_ended_call_are_not_kept() {
-    let (data, spares) = (Bytes::from(vec![b'A'; 200]), SpareSlots::default());
+    take_all();
+    let data = Bytes::from(vec![b'A'; 200]);
     let request = LoopBack::new(data.clone()).expect("not too long");
-    end(call_of(request, CallOptions::new(), &spares), &spares);
+    end(call_of(request, CallOptions::new()));
     assert!(data.is_unique());
-    assert!(spares.take::<CallSlot<LoopBack>>().is_some(), "only its slot is");
+    assert!(spares::take::<LoopBack>().is_some(), "only its slot is");
 }

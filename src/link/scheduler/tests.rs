@@ -1,6 +1,6 @@
 use super::*;
 use crate::command::{Command, ReadStatus};
-use crate::link::call::{self, CallFuture, CallMeta, SpareSlots};
+use crate::link::call::{self, CallFuture, CallMeta};
 use crate::link::options::CallOptions;
 use crate::random::Random;
 
@@ -18,7 +18,7 @@ fn call(station: u8, lane: Lane, now: Instant) -> (PendingCall, CallFuture<ReadS
         part: false,
         confirms: false,
     };
-    call::new(ReadStatus, None, meta, &SpareSlots::default())
+    call::new(ReadStatus, None, meta)
 }
 
 /// A scheduler with these calls waiting, and the futures that keep them wanted.

@@ -12,7 +12,7 @@ use super::super::{Action, Core};
 use crate::command::{self, Code, Command, ReadRegisters, WriteRegisters};
 use crate::element::Register;
 use crate::error::Error;
-use crate::link::call::{self, CallFuture, CallMeta, SpareSlots};
+use crate::link::call::{self, CallFuture, CallMeta};
 use crate::link::config::Config;
 use crate::link::connector::Connector;
 use crate::link::in_step::InStep;
@@ -95,7 +95,7 @@ impl TestLink {
             part: false,
             confirms: false,
         };
-        let (call, future) = call::new(request, None, meta, &SpareSlots::default());
+        let (call, future) = call::new(request, None, meta);
         self.core.push(call, self.now);
         future
     }
