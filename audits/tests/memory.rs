@@ -39,10 +39,10 @@ async fn a_link_keeps_little_memory_and_no_buffers() {
             assert!(bytes <= limit, "{framing}: {bytes} bytes per link {what}, more than {limit}");
             bytes
         };
-        per_link("when unused", 3 * KIB);
+        per_link("when unused", 22 * KIB / 10);
 
         read_all(&stations, 10).await;
-        let connected = per_link("when connected", 4 * KIB);
+        let connected = per_link("when connected", 33 * KIB / 10);
 
         read_all(&stations, 64).await;
         all_are(Mode::Noisy);

@@ -26,10 +26,6 @@ use crate::wire::{Framing, LONGEST_FRAME};
 pub struct LinkBuilder {
     connector: Connector,
     options: CallOptions,
-    /// The response timeout if the options have none.
-    response_timeout: Duration,
-    connect_timeout: Duration,
-    line: Option<Line>,
     pub(super) config: Config,
     name: Arc<str>,
     /// The settings of other links, to be shared with them.
@@ -71,7 +67,7 @@ impl LinkBuilder {
     /// Sets the timeout of one attempt to connect. Default:
     /// [`CONNECT_TIMEOUT`](defaults::CONNECT_TIMEOUT).
     pub fn connect_timeout(mut self, timeout: Duration) -> Self {
-        self.connect_timeout = timeout;
+        self.config.connect_timeout = timeout;
         self
     }
 
@@ -104,8 +100,8 @@ impl LinkBuilder {
     /// ```
     pub fn serial_line(mut self, settings: SerialSettings) -> Self {
         let line = Line::from(settings);
-        self.line = Some(line);
-        self.response_timeout = defaults::SERIAL_RESPONSE_TIMEOUT;
+        self.config.line = Some(line);
+        self.config.response_timeout = defaults::SERIAL_RESPONSE_TIMEOUT;
         self.config.frame_time = line.transmission(LONGEST_FRAME);
         self.config.byte_time = line.transmission(1);
         self.config.frame_gap = line.frame_gap();
@@ -276,46 +272,41 @@ impl LinkBuilder {
     #[must_use]
     pub fn build(self) -> Link {
         let state = Arc::new(SharedLinkState::new());
-        let timeout = self.options.response_timeout.unwrap_or(self.response_timeout);
+        let timeout = self.options.response_timeout.unwrap_or(self.config.response_timeout);
         // A connection that cannot be opened again is not closed.
         let reopens = !matches!(self.connector, Connector::Once(_));
         let idle_timeout = self.config.idle_timeout.filter(|_| reopens);
         let mute_timeout = self.config.mute_timeout.filter(|_| reopens);
-        let config = Config { probe_timeout: timeout, idle_timeout, mute_timeout, ..self.config };
+        let config = Config { response_timeout: timeout, idle_timeout, mute_timeout, ..self.config };
         let stats = Arc::new(SharedStats::default());
-        let in_step = config.in_step;
-        let proof_gap = if in_step.one_request() { in_step.quiet() } else { Duration::ZERO };
-        let request_gaps = [config.frame_gap.short, proof_gap];
-        let (name, framing) = (self.name, config.framing);
+        let name = self.name;
         let config = match self.configs {
             Some(configs) => configs.share(config),
             None => Arc::new(config),
         };
-        let core = Core::new(config, name.clone(), stats.clone(), self.seed.unwrap_or_else(Random::seed));
-        let driver = Driver::new(core, (self.connector, self.connect_timeout), self.connect_limiter, self.line, state.clone());
+        let core = Core::new(config.clone(), name.clone(), stats.clone(), self.seed.unwrap_or_else(Random::seed));
+        let driver = Driver::new(core, self.connector, self.connect_limiter, state.clone());
         let inner = LinkInner {
             name,
-            framing,
+            config,
             options: self.options.with_response_timeout(timeout),
-            response_timeout: timeout,
             shared: Arc::new(Shared::new(driver)),
             modifying: OnceLock::new(),
             capabilities: SharedCapabilities::default(),
             state,
             stats,
-            line: self.line,
-            request_gaps,
         };
         Link { inner: Arc::new(inner) }
     }
 
     pub(super) fn with_connector(connector: Connector, framing: Framing, name: &str) -> Self {
-        let response_timeout = defaults::RESPONSE_TIMEOUT;
         let config = Config {
             framing,
             queue_capacity: defaults::QUEUE_CAPACITY,
             ageing: Duration::from_secs(1),
-            probe_timeout: response_timeout,
+            line: None,
+            response_timeout: defaults::RESPONSE_TIMEOUT,
+            connect_timeout: defaults::CONNECT_TIMEOUT,
             offline_rules: OfflineRules {
                 offline_after: defaults::OFFLINE_AFTER,
                 probe_interval: defaults::PROBE_INTERVAL,
@@ -338,9 +329,6 @@ impl LinkBuilder {
         Self {
             connector,
             options: CallOptions::new(),
-            response_timeout,
-            connect_timeout: defaults::CONNECT_TIMEOUT,
-            line: None,
             config,
             name: name.into(),
             configs: None,

@@ -87,7 +87,7 @@ impl World {
         // As for a serial line, except for the frame gap, which is that of the adapter.
         let mut config = LinkBuilder::with_connector(Connector::Once(None), framing, "a line").config;
         config.frame_time = line.transmission(1024);
-        config.probe_timeout = RESPONSE_TIMEOUT;
+        config.response_timeout = RESPONSE_TIMEOUT;
         config.mute_timeout = None;
         if !line.transmission(1).is_zero() {
             config.byte_time = line.transmission(1);

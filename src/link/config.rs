@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
 use super::frame_gap::GapLengths;
+use super::line::Line;
 use super::options::EchoMode;
 use super::stations::OfflineRules;
 use crate::endpoint::InStepSettings;
@@ -16,8 +17,12 @@ pub(crate) struct Config {
     pub(crate) queue_capacity: usize,
     pub(crate) ageing: Duration,
     pub(crate) offline_rules: OfflineRules,
-    /// The response timeout of a probe.
-    pub(crate) probe_timeout: Duration,
+    /// The serial line, if it is one.
+    pub(crate) line: Option<Line>,
+    /// The response timeout of probes, and of calls whose options have none.
+    pub(crate) response_timeout: Duration,
+    /// The timeout of one attempt to connect.
+    pub(crate) connect_timeout: Duration,
     pub(crate) connect_backoff: (Duration, Duration),
     /// `true` if waiting calls fail with the first failed attempt to connect.
     pub(crate) fail_fast: bool,
@@ -43,6 +48,15 @@ pub(crate) struct Config {
     pub(crate) echo: EchoMode,
     /// The connection is closed after this time without a call.
     pub(crate) idle_timeout: Option<Duration>,
+}
+
+impl Config {
+    /// The silence between a reply and the next request, and the one that the proof of each request
+    /// needs: the quiet time if a connection carries one request only, else zero.
+    pub(crate) fn request_gaps(&self) -> [Duration; 2] {
+        let proof_gap = if self.in_step.one_request() { self.in_step.quiet() } else { Duration::ZERO };
+        [self.frame_gap.short, proof_gap]
+    }
 }
 
 /// The settings in use in a pool. Its links have few different ones, and thousands of copies would take

@@ -141,6 +141,10 @@ impl Core {
         self.stations.with_in_step(station, |in_step| in_step.declare(refused, unanswered));
     }
 
+    pub(crate) fn config(&self) -> &Config {
+        &self.config
+    }
+
     /// Takes a call.
     pub(crate) fn push(&mut self, call: PendingCall, now: Instant) {
         if self.closing {

@@ -27,7 +27,6 @@ use std::mem::MaybeUninit;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, Waker, ready};
-use std::time::Duration;
 
 use bytes::BytesMut;
 use futures::future::{BoxFuture, FutureExt};
@@ -42,7 +41,6 @@ use super::connector::Connector;
 use super::core::{Action, Core};
 use super::io_waker::IoWaker;
 use super::later;
-use super::line::Line;
 use crate::command::CommandSet;
 use crate::error::Rounded;
 use crate::transport::{BoxIo, Io};
@@ -51,11 +49,8 @@ use crate::transport::{BoxIo, Io};
 pub(crate) struct Driver {
     core: Core,
     connector: Connector,
-    connect_timeout: Duration,
     /// Shared by links that must not all connect at once.
     connect_limiter: Option<Arc<ConnectLimiter>>,
-    /// The serial line, if it is one.
-    line: Option<Line>,
     /// When the last written byte has left the machine.
     sent_until: Option<Instant>,
     state: Arc<SharedLinkState>,
@@ -136,18 +131,15 @@ const MAX_BYTES_AT_ONCE: usize = 8 * buffer::LEN;
 impl Driver {
     pub(crate) fn new(
         core: Core,
-        (connector, connect_timeout): (Connector, Duration),
+        connector: Connector,
         connect_limiter: Option<Arc<ConnectLimiter>>,
-        line: Option<Line>,
         state: Arc<SharedLinkState>,
     ) -> Self {
         let io_waker = Arc::new(IoWaker::default());
         Self {
             core,
             connector,
-            connect_timeout,
             connect_limiter,
-            line,
             sent_until: None,
             state,
             waker: Waker::from(io_waker.clone()),
@@ -370,7 +362,7 @@ impl Driver {
     /// On a serial line they follow those written before. A socket takes them at once, and the
     /// clock need not be read for it. A user's stream may take long within a write or a flush.
     fn transmitted_at(&mut self, clock: &mut Clock) -> Instant {
-        let Some(line) = self.line else {
+        let Some(line) = self.core.config().line else {
             return if self.connector.wakes_reader() { clock.now() } else { clock.look() };
         };
         let now = clock.look();
@@ -396,7 +388,7 @@ impl Driver {
                     Err(error) => break Err(error),
                 },
                 // Flushing a serial port blocks the thread until the last bit is sent.
-                _ if self.line.is_some() => break Ok(()),
+                _ if self.core.config().line.is_some() => break Ok(()),
                 _ => break ready!(Pin::new(&mut *io).poll_flush(cx)),
             }
         };
@@ -491,7 +483,7 @@ impl Driver {
 
     /// Begins to open a connection. If the connector has none left, the link ends.
     fn start_opening(&mut self, permit: Option<ConnectPermit>) {
-        match self.connector.open(self.connect_timeout, self.core.address()) {
+        match self.connector.open(self.core.config().connect_timeout, self.core.address()) {
             Some(opening) => {
                 self.state.set(LinkState::Connecting);
                 self.opening = Some(Opening::Connection { opening, _permit: permit });

@@ -65,6 +65,7 @@ use tracing::Instrument;
 
 use self::by_station::ByStation;
 use self::call::CallMeta;
+use self::config::Config;
 pub(crate) use self::config::SharedConfigs;
 pub(crate) use self::connect_limiter::ConnectLimiter;
 pub(crate) use self::connector::Connector;
@@ -110,20 +111,14 @@ pub struct Link {
 
 struct LinkInner {
     name: Arc<str>,
-    framing: Framing,
+    config: Arc<Config>,
     options: CallOptions,
-    /// For calls whose options have none.
-    response_timeout: Duration,
     shared: Arc<Shared>,
     /// For each station whose bits of registers were changed: held from the read to the write.
     modifying: OnceLock<Box<Mutex<ByStation<ModifyLock>>>>,
     capabilities: SharedCapabilities,
     state: Arc<SharedLinkState>,
     stats: Arc<SharedStats>,
-    /// The serial line, if it is one.
-    line: Option<Line>,
-    /// The silence before a request: see [`Link::request_gaps`].
-    request_gaps: [Duration; 2],
 }
 
 /// Held by a change of bits of a station's registers.
@@ -204,7 +199,7 @@ impl Link {
     /// The framing of the link.
     #[must_use]
     pub fn framing(&self) -> Framing {
-        self.inner.framing
+        self.inner.config.framing
     }
 
     /// The present state of the connection.
@@ -290,13 +285,12 @@ impl Link {
     }
 
     pub(crate) fn line(&self) -> Option<Line> {
-        self.inner.line
+        self.inner.config.line
     }
 
-    /// The silence between a reply and the next request, and the one that the proof of each request
-    /// needs: the quiet time if a connection carries one request only, else zero.
+    /// See [`Config::request_gaps`].
     pub(crate) fn request_gaps(&self) -> [Duration; 2] {
-        self.inner.request_gaps
+        self.inner.config.request_gaps()
     }
 
     pub(crate) fn shared_stats(&self) -> &SharedStats {
@@ -337,7 +331,7 @@ impl Link {
             lane: options.lane(C::CODE.class()),
             deadline,
             queued_at,
-            response_timeout: options.response_timeout.unwrap_or(self.inner.response_timeout),
+            response_timeout: options.response_timeout.unwrap_or(self.inner.config.response_timeout),
             options,
             part: matches!(purpose, Purpose::Part),
             confirms: matches!(purpose, Purpose::Confirm(_)),
@@ -479,7 +473,7 @@ impl<T> CallOutcome<T> {
 
 impl fmt::Debug for Link {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Link({}, {})", self.inner.name, self.inner.framing)
+        write!(f, "Link({}, {})", self.inner.name, self.framing())
     }
 }
 

@@ -66,6 +66,8 @@ impl EndpointLinks {
                 let same = *self.endpoint == *endpoint;
                 let endpoint = if same { self.endpoint.clone() } else { Arc::new(endpoint.clone()) };
                 let link = settings.link(&endpoint);
+                // Mostly it is the only one.
+                self.links.reserve_exact(1);
                 self.links.push(link.clone());
                 Ok(link)
             }

@@ -185,7 +185,7 @@ impl Core {
     /// that its caller no longer awaits is still the reply to this request, and no stray.
     fn response_timeout(&self, outgoing: &Outgoing) -> Duration {
         let Some(call) = outgoing.call() else {
-            return self.config.probe_timeout.max(self.stations.longest_timeout(outgoing.station()));
+            return self.config.response_timeout.max(self.stations.longest_timeout(outgoing.station()));
         };
         match call.options.adaptive {
             Some(shortest) => self.stations.adaptive_timeout(call.station, shortest, call.response_timeout),

@@ -59,7 +59,7 @@ impl TestLink {
     /// A link with its connection open.
     pub(super) fn with(framing: Framing, set: impl FnOnce(&mut Config)) -> Self {
         let mut config = LinkBuilder::with_connector(Connector::Once(None), framing, "desk").config;
-        config.probe_timeout = TIMEOUT;
+        config.response_timeout = TIMEOUT;
         config.mute_timeout = None;
         config.in_step = config.in_step.with_quiet(TIMEOUT);
         set(&mut config);
