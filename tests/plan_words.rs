@@ -1,13 +1,20 @@
 //! Discretes that a plan reads as bits of words, from a simulated PLC.
 #![cfg(feature = "sim")]
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-use fatek::command::{Code, Request};
+use bytes::BytesMut;
+use fatek::command::{Code, Request, encode_refusal};
+use fatek::endpoint::{InStepSettings, SerialSettings};
 use fatek::sim::{self, Bus, Fault, Faults, Model, Plc, Rule};
 use fatek::tag::{Tag, TagValue};
-use fatek::wire::Framing;
+use fatek::wire::{Codec, Framing, Received, Side};
 use fatek::{CostModel, Element, Error, ErrorCode, Limits, Link, Plan, Station};
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
+use tokio::time::timeout;
+use tokio_util::codec::Decoder;
 
 const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 
@@ -136,11 +143,58 @@ async fn silence_is_not_a_refusal() {
     let bench = bench(Framing::Ascii, 10);
     bench.faults.add_rule(Rule::new(Fault::Ignore).elements(Element::parse("WM0").unwrap(), 16));
     let model = CostModel::network(Framing::Ascii, Duration::from_millis(5));
-    let plan = Plan::builder(model).tag("M0-M255".parse::<Tag>().unwrap()).build().unwrap();
+    let plan = Plan::builder(model).tag("M0-M1023".parse::<Tag>().unwrap()).build().unwrap();
     let readings = plan.read(&bench.station).await;
     assert!(matches!(readings.tag(0).unwrap(), Err(Error::Timeout { .. })));
     let reads = bench.faults.log().entries();
     assert!(
         reads.iter().filter_map(|entry| entry.request().map(Request::code)).all(|code| code != Code::ReadDiscretes)
     );
+}
+
+/// A PLC that refuses words of discretes and M256, and sends an unexpected frame behind each reply to a read
+/// from M512 on, as late as the next reply.
+async fn stray_behind_reads_of_m512(mut line: DuplexStream, reads: Arc<AtomicU32>) {
+    let bus = Bus::new().with_station(1, Plc::with_model(Model::largest())).unwrap();
+    let (mut codec, mut received, mut stray) = (Codec::new(Framing::Ascii, Side::Plc), BytesMut::new(), false);
+    while line.read_buf(&mut received).await.is_ok_and(|count| count > 0) {
+        while let Some(item) = codec.decode(&mut received).unwrap() {
+            let mut replies = BytesMut::new();
+            let Received::Frame(frame) = &item else { panic!("{item:?}") };
+            let reads_from = |element: &[u8]| frame.data.ends_with(element);
+            if std::mem::replace(&mut stray, reads_from(b"M0512")) {
+                reads.fetch_add(1, Ordering::Relaxed);
+                replies.extend_from_slice(b"\x0201470FE\x03");
+            }
+            if frame.data.contains(&b'W') || reads_from(b"M0256") {
+                encode_refusal(frame.command, ErrorCode::IllegalAddress, Framing::Ascii, 1, &mut replies);
+            } else {
+                bus.answer(&item, Framing::Ascii, &mut replies);
+            }
+            if line.write_all(&replies).await.is_err() {
+                return;
+            }
+        }
+    }
+}
+
+/// Before: the requests in place of the refused one were repeated without end. They have one mark of the
+/// job, and each proof between them allowed as many repetitions again.
+#[tokio::test(start_paused = true)]
+async fn unexpected_frames_end_a_read_of_refused_words() {
+    let (line, plc) = tokio::io::duplex(4096);
+    let reads = Arc::new(AtomicU32::new(0));
+    tokio::spawn(stray_behind_reads_of_m512(plc, reads.clone()));
+    // With duplicates that roam, a proof stands between any two reads.
+    let in_step = InStepSettings::default().with_copies(2).unwrap();
+    let builder = Link::stream_builder(line, Framing::Ascii).in_step(in_step);
+    let link = builder.response_timeout(Duration::from_millis(100)).build();
+    let model = CostModel::serial(SerialSettings::new(Framing::Ascii), Framing::Ascii);
+    let plan = Plan::builder(model).tag("M0-M1023".parse::<Tag>().unwrap()).build().unwrap();
+    assert!(plan.requests()[0].has_words_of_discretes());
+    let station = link.station(1).unwrap();
+    let readings = timeout(Duration::from_secs(60), plan.read(&station)).await.expect("it ends");
+    let error = readings.iter().next().unwrap().1.unwrap_err();
+    assert!(matches!(error, Error::Duplicates { station: 1, sent: true, .. }), "{error:?}");
+    assert_eq!(reads.load(Ordering::Relaxed), 1 + station.options().retries(), "a read and its repetitions");
 }

@@ -23,8 +23,8 @@ pub(crate) enum Way {
     Fatek(Bytes),
     /// [`Station`], into memory of the caller.
     Into(Bytes),
-    /// The same over a link whose line never doubles a reply (`copies=0`).
-    Single(Bytes),
+    /// The same, in the binary framing, over a link whose line never doubles a reply (`copies=0`).
+    Single,
     /// Bare write and read of the same bytes.
     Bare(Bytes),
     /// Bare write and read by a task that owns the connection, with channels to the callers.
@@ -43,7 +43,7 @@ pub(crate) enum Bytes {
 }
 
 impl Way {
-    pub(crate) const ALL: [Self; 11] = [
+    pub(crate) const ALL: [Self; 10] = [
         Self::Fatek(Bytes::Binary),
         Self::Bare(Bytes::Binary),
         Self::Modbus,
@@ -52,8 +52,7 @@ impl Way {
         Self::Fatek(Bytes::Ascii),
         Self::Bare(Bytes::Ascii),
         Self::Into(Bytes::Ascii),
-        Self::Single(Bytes::Binary),
-        Self::Single(Bytes::Ascii),
+        Self::Single,
         Self::Task(Bytes::Binary),
     ];
 
@@ -63,8 +62,7 @@ impl Way {
             Self::Fatek(Bytes::Binary) => "fatek-binary",
             Self::Into(Bytes::Ascii) => "into-ascii",
             Self::Into(Bytes::Binary) => "into-binary",
-            Self::Single(Bytes::Ascii) => "single-ascii",
-            Self::Single(Bytes::Binary) => "single-binary",
+            Self::Single => "single-binary",
             Self::Bare(Bytes::Ascii) => "bare-ascii",
             Self::Bare(Bytes::Binary) => "bare-binary",
             Self::Task(Bytes::Ascii) => "task-ascii",
@@ -101,14 +99,15 @@ pub(crate) async fn connect(way: Way, setting: Setting, servers: &Servers) -> Re
     let mut clients = Vec::new();
     for _ in 0..setting.links {
         match way {
-            Way::Fatek(bytes) | Way::Into(bytes) | Way::Single(bytes) => {
+            Way::Fatek(_) | Way::Into(_) | Way::Single => {
+                let bytes = if let Way::Fatek(bytes) | Way::Into(bytes) = way { bytes } else { Bytes::Binary };
                 let (address, _) = server(bytes, servers);
                 let framing = if bytes == Bytes::Ascii { "ascii" } else { "binary" };
-                let copies = if matches!(way, Way::Single(_)) { "&copies=0" } else { "" };
+                let copies = if way == Way::Single { "&copies=0" } else { "" };
                 let endpoint: Endpoint = format!("tcp://{address}?framing={framing}{copies}").parse()?;
                 let station = Link::new(endpoint).station(1)?;
                 clients.extend((0..setting.callers).map(|_| match way {
-                    Way::Into(_) | Way::Single(_) => Client::Into(station.clone(), [0; REGISTERS]),
+                    Way::Into(_) | Way::Single => Client::Into(station.clone(), [0; REGISTERS]),
                     _ => Client::Fatek(station.clone()),
                 }));
             }

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::fs;
 
-use crate::clients::Way;
+use crate::clients::{Bytes, Way};
 use crate::{Result, Setting};
 
 /// Result of one method in one setting.
@@ -34,10 +34,11 @@ pub(crate) fn rows(runtime: &'static str, setting: Setting, rates: &[(Way, Vec<f
     let of = |way: Way| rates.iter().find(|(other, _)| *other == way).map(|(_, rates)| rates);
     let row = |(way, own): &(Way, Vec<f64>)| {
         let limit = match way {
-            Way::Fatek(bytes) | Way::Into(bytes) | Way::Single(bytes) | Way::Task(bytes) => of(Way::Bare(*bytes)),
+            Way::Fatek(bytes) | Way::Into(bytes) | Way::Task(bytes) => of(Way::Bare(*bytes)),
+            Way::Single => of(Way::Bare(Bytes::Binary)),
             Way::Modbus | Way::Timed | Way::Bare(_) => None,
         };
-        let ours = matches!(way, Way::Fatek(_) | Way::Into(_) | Way::Single(_));
+        let ours = matches!(way, Way::Fatek(_) | Way::Into(_) | Way::Single);
         let peer = if ours || *way == Way::Timed { of(Way::Modbus) } else { None };
         let timed = if ours { of(Way::Timed) } else { None };
         Row {

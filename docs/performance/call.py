@@ -24,7 +24,6 @@ WAYS = {
     "single-binary": "the same, `copies=0`",
     "fatek-binary": "`read_registers`, binary",
     "fatek-ascii": "`read_registers`, ASCII",
-    "single-ascii": "`read_registers_into`, ASCII, `copies=0`",
 }
 # Rounds of the benchmark: two to warm up and two to measure.
 ROUNDS = 4

@@ -41,20 +41,39 @@ impl Plan {
     /// [capabilities](Station::capabilities) have the refusal then, for the plans made after that.
     ///
     /// A check at the end confirms several requests; they are repeated if a duplicate of a reply came
-    /// out of order. Cancel-safe: the requests only read.
+    /// out of order. Repeated more often than a read is retried without a further result, the rest has
+    /// [`Error::Duplicates`]. Cancel-safe: the requests only read.
     pub async fn read(&self, station: &Station) -> PlanReadings<'_, Error> {
         let mut job = StationJob::new(station);
         let mut results: Vec<RequestResult<Error>> = Vec::with_capacity(self.requests.len());
+        // The job counts the repetitions since its last proof, and each refusal is proven.
+        let (mut most_results, mut repeats_left) = (0, station.options().retries);
         loop {
-            while results.len() < self.requests.len() {
+            let progress = if results.len() < self.requests.len() {
                 match self.read_request(results.len(), &mut job, &mut results).await {
-                    Ok(result) => results.push(result),
-                    Err(confirmed) => results.truncate(confirmed),
+                    Ok(result) => {
+                        results.push(result);
+                        if results.len() > most_results {
+                            (most_results, repeats_left) = (results.len(), station.options().retries);
+                        }
+                        continue;
+                    }
+                    Err(confirmed) => Ok(Some(confirmed)),
                 }
-            }
-            match job.end().await {
+            } else {
+                job.end().await
+            };
+            match progress {
                 Ok(None) => return PlanReadings::with_fallbacks(self, results),
-                Ok(Some(confirmed)) => results.truncate(confirmed),
+                Ok(Some(confirmed)) => {
+                    results.truncate(confirmed);
+                    let Some(left) = repeats_left.checked_sub(1) else {
+                        let error = Error::Duplicates { station: station.number(), sent: true };
+                        results.resize_with(self.requests.len(), || Err(error.clone()).into());
+                        return PlanReadings::with_fallbacks(self, results);
+                    };
+                    repeats_left = left;
+                }
                 Err(error) => {
                     fail_from(&mut results, job.first_held(), &error);
                     return PlanReadings::with_fallbacks(self, results);
