@@ -33,7 +33,6 @@ use futures::future::{BoxFuture, FutureExt};
 use tokio::io::{AsyncRead as _, AsyncWrite as _, ReadBuf};
 use tokio::time::Instant;
 
-use super::state::{LinkState, SharedLinkState};
 use super::buffer;
 use super::call::PendingCall;
 use super::connect_limiter::{ConnectLimiter, ConnectPermit, ConnectSlot};
@@ -41,6 +40,7 @@ use super::connector::Connector;
 use super::core::{Action, Core};
 use super::io_waker::IoWaker;
 use super::later;
+use super::state::{LinkState, SharedLinkState};
 use crate::command::CommandSet;
 use crate::error::Rounded;
 use crate::transport::{BoxIo, Io};

@@ -176,9 +176,10 @@ impl Scheduler {
     /// Returns whether a write or a control command waits.
     pub(crate) fn has_write(&self) -> bool {
         let writes = |queues: &Queues| {
-            queues.lanes.as_deref().is_some_and(|[control, write, _read, _background]| {
-                !control.is_empty() || !write.is_empty()
-            })
+            queues
+                .lanes
+                .as_deref()
+                .is_some_and(|[control, write, _read, _background]| !control.is_empty() || !write.is_empty())
         };
         self.only.as_ref().is_some_and(PendingCall::is_write) || self.queued > 0 && self.stations.values().any(writes)
     }

@@ -31,7 +31,7 @@ impl SharedCapabilities {
     fn read(&self, station: u8, read: impl FnOnce(&KnownCapabilities) -> Capabilities) -> Capabilities {
         let Some(known) = self.known.get() else { return Capabilities::new() };
         let known = known.lock().unwrap_or_else(PoisonError::into_inner);
-        known.get(station).map_or_else(Capabilities::new, |known| read(known))
+        known.get(station).map_or_else(Capabilities::new, read)
     }
 
     pub(super) fn with(&self, station: u8, work: impl FnOnce(&mut KnownCapabilities)) {

@@ -1,5 +1,6 @@
 use std::fmt;
 
+use super::types::Storage;
 use super::{ScaleError, Tag, TagType, TagValue};
 use crate::element::{Element, ElementError, Symbol, Width};
 use crate::printable::excerpt;
@@ -58,7 +59,7 @@ pub enum TagError {
         last: u8,
     },
     /// The type does not exist for elements of this width.
-    #[error("{symbol} is {}, which has no type {tag_type} (it has: {})", symbol.width(), TypesOf(symbol.width()))]
+    #[error("{symbol} is {}, which has no type {tag_type} (it has: {})", Elements(*symbol, *tag_type), TypesOf(*symbol, *tag_type))]
     WrongType {
         /// The symbol of the elements.
         symbol: Symbol,
@@ -487,12 +488,30 @@ fn scalable() -> impl Iterator<Item = TagType> + Clone {
     TagType::ALL.iter().copied().filter(|tag_type| tag_type.is_scalable())
 }
 
-/// Displays the types that exist for a width.
-struct TypesOf(Width);
+/// Returns whether the type is missing only for counters of 32 bits, which are no parts of longer values.
+fn is_of_counters(symbol: Symbol, missing: TagType) -> bool {
+    missing.storage(symbol.width()).is_some()
+}
+
+/// Displays the kind of the elements that lack a type.
+struct Elements(Symbol, TagType);
+
+impl fmt::Display for Elements {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(symbol, missing) = *self;
+        if is_of_counters(symbol, missing) { f.write_str("a counter of 32 bits here") } else { symbol.width().fmt(f) }
+    }
+}
+
+/// Displays the types of elements that lack one.
+struct TypesOf(Symbol, TagType);
 
 impl fmt::Display for TypesOf {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        Names(TagType::ALL.iter().copied().filter(|tag_type| tag_type.storage(self.0).is_some())).fmt(f)
+        let Self(symbol, missing) = *self;
+        let (width, counters) = (symbol.width(), is_of_counters(symbol, missing));
+        let has = |storage: Storage| !counters || storage.elements_per_value(width) == 1;
+        Names(TagType::ALL.iter().copied().filter(|tag_type| tag_type.storage(width).is_some_and(has))).fmt(f)
     }
 }
 

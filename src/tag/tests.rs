@@ -347,7 +347,7 @@ fn values_of_64_bits_and_the_high_word_first() {
     for (text, reason) in [
         ("R0-R6:i64", "a value of i64 takes 4 elements, and the range has 7"),
         ("DR0:f32-hi", "has no type f32-hi"),
-        ("DRC200:u64", "has no type u64"),
+        ("DRC200:u64", "DRC is a counter of 32 bits here, which has no type u64 (it has: u32 i32 f32 bcd32 hex)"),
         ("R0:i64*2", "i64 takes neither gain nor offset"),
     ] {
         let error = text.parse::<Tag>().unwrap_err().to_string();

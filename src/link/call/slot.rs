@@ -16,9 +16,7 @@ use futures::task::AtomicWaker;
 use tokio::time::Instant;
 
 use super::{AnyCall, CallMeta, lock, spares};
-use crate::command::{
-    self, Candidates, Class, Code, Command, NO_CANDIDATES, ReplyError, Run, Spelling,
-};
+use crate::command::{self, Candidates, Class, Code, Command, NO_CANDIDATES, ReplyError, Run, Spelling};
 use crate::error::{Error, ErrorCode, Seen};
 use crate::link::in_step::{Kind, Proof, Shape};
 use crate::wire::{FieldError, Framing};

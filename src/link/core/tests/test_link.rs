@@ -64,8 +64,13 @@ impl TestLink {
         config.in_step = config.in_step.with_quiet(TIMEOUT);
         set(&mut config);
         let stats = Arc::new(SharedStats::default());
-        let mut link =
-            Self { core: Core::new(config.into(), "desk".into(), stats.clone(), 1), stats, framing, now: Instant::now(), sent: Vec::new() };
+        let mut link = Self {
+            core: Core::new(config.into(), "desk".into(), stats.clone(), 1),
+            stats,
+            framing,
+            now: Instant::now(),
+            sent: Vec::new(),
+        };
         link.core.connected(link.now);
         link.put_in_step();
         link
