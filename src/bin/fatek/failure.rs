@@ -65,6 +65,9 @@ pub(crate) enum Failure {
     /// The file is of another PLC, and `--force` was not given.
     #[error("the file is of another PLC: {}; to write it nevertheless, give --force", listed(.0))]
     OtherPlc(Vec<PlcDifference>),
+    /// Tags that the PLC refused, or a part of which it refused.
+    #[error("{refused} of {all} tags refused, whole or in part")]
+    RefusedTags { refused: usize, all: usize },
     /// Elements refused by the PLC. `file` has the others, if there are any.
     #[error(
         "{missing} of {all} elements are missing; {}",
@@ -116,7 +119,7 @@ impl Failure {
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) | Self::Table(_) => 2,
-            Self::Missing { .. } => 3,
+            Self::Missing { .. } | Self::RefusedTags { .. } => 3,
             Self::Call(error) | Self::CallOf { error, .. } => of_call(error),
             Self::Restore(RestoreError { source: RestoreFailure::NotThere { .. }, .. }) => 3,
             Self::WriteProgram(error) if is_run_refused(error) => 3,

@@ -14,7 +14,9 @@ use crate::names::TableArgs;
 
 /// Read tags and print their values
 ///
-/// All tags are checked before the first request. Nothing is printed unless all tags were read.
+/// All tags are checked before the first request. `fatek plan` shows the requests. A tag that the PLC
+/// refuses does not hide the others: its reason is on stderr, and the exit status is 3. Of a range
+/// that ends outside the memory of the PLC, the values up to there are printed.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   fatek read R0-R9 R100:f32 M0-M7 --link tcp://192.168.2.3 --station 1
@@ -31,6 +33,9 @@ pub(crate) struct ReadArgs {
     /// Also a name of the table of --tags; without any, all of its tags.
     #[arg(required_unless_present = "table", value_name = "TAG")]
     pub(crate) tags: Vec<String>,
+    /// Print nothing unless all tags were read
+    #[arg(long)]
+    pub(crate) strict: bool,
     #[command(flatten)]
     pub(crate) table: TableArgs,
     #[command(flatten)]
