@@ -355,7 +355,9 @@ macro_rules! memory_areas {
                         Self::$register => const {
                             &SymbolRow::new(stringify!($register), MemoryArea::$register, Width::Word)
                         },
-                        Self::$pair => const { &SymbolRow::new(stringify!($pair), MemoryArea::$register, Width::DWord) },
+                        Self::$pair => const {
+                            &SymbolRow::new(stringify!($pair), MemoryArea::$register, Width::DWord)
+                        },
                     )*
                 }
             }

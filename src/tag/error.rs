@@ -59,7 +59,10 @@ pub enum TagError {
         last: u8,
     },
     /// The type does not exist for elements of this width.
-    #[error("{symbol} is {}, which has no type {tag_type} (it has: {})", Elements(*symbol, *tag_type), TypesOf(*symbol, *tag_type))]
+    #[error(
+        "{symbol} is {}, which has no type {tag_type} (it has: {})",
+        Elements(*symbol, *tag_type), TypesOf(*symbol, *tag_type)
+    )]
     WrongType {
         /// The symbol of the elements.
         symbol: Symbol,
