@@ -14,7 +14,7 @@ use std::time::Duration;
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 pub(crate) use self::backup::{BackupArgs, RestoreArgs, SpecialArg};
-pub(crate) use self::data::{DiscreteArgs, PlanArgs, ReadArgs, WatchArgs, WriteArgs};
+pub(crate) use self::data::{DiscreteArgs, ForcedArgs, PlanArgs, ReadArgs, WatchArgs, WriteArgs};
 pub(crate) use self::decode::DecodeArgs;
 pub(crate) use self::line::{ClockArgs, PingArgs, ProbeArgs, ScanArgs};
 pub(crate) use self::model::ModelArgs;
@@ -73,11 +73,11 @@ Exit status:
   0  success
   1  file or output error, or no confirmation
   2  usage error: nothing was sent
-  3  error code from the PLC; backup: also for a part of the ranges
+  3  error code from the PLC; read and backup: also for a part
   4  timeout: no reply; scan: from no station
   5  no connection
   6  bad reply; scan: also from one station of several; decode: bad frame
-  7  file damaged or of another PLC, or contents differ
+  7  file damaged or of another PLC, or contents or values differ
   129, 130, 143  ended by SIGHUP, by SIGINT (Ctrl-C), or by SIGTERM; watch
      and sim end with 0
 
@@ -210,6 +210,7 @@ pub(crate) enum Command {
     Set(DiscreteArgs),
     /// Set discretes off
     Reset(DiscreteArgs),
+    Forced(ForcedArgs),
     Ping(PingArgs),
     Watch(WatchArgs),
     Scan(ScanArgs),

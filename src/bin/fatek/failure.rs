@@ -80,6 +80,9 @@ pub(crate) enum Failure {
     /// Contents of PLC and file differ. `parts` is pages or elements.
     #[error("{differing} of {all} {parts} differ")]
     Differs { parts: &'static str, differing: usize, all: usize },
+    /// Values that were read back differ from those written.
+    #[error("{differing} of {all} values read back differ from those written")]
+    NotAsWritten { differing: usize, all: usize },
     /// The simulator cannot listen.
     #[error("cannot listen on {}: {error}", excerpt(url))]
     Listen { url: String, error: io::Error },
@@ -127,6 +130,7 @@ impl Failure {
             Self::WriteProgram(error) => error.source.call_error().map_or(7, of_call),
             Self::Restore(error) => error.source.call_error().map_or(7, of_call),
             Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } | Self::OtherPlc(_) => 7,
+            Self::NotAsWritten { .. } => 7,
             Self::Lost { .. } | Self::NoStation { .. } => 4,
             Self::Listen { .. } => 5,
             Self::BadReplies { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,

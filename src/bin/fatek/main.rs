@@ -9,6 +9,8 @@ mod control;
 mod decode;
 mod duration;
 mod failure;
+mod forced;
+mod hint;
 mod names;
 mod output;
 mod ping;
@@ -18,6 +20,7 @@ mod printable;
 mod probe;
 mod program;
 mod progress;
+mod ranges;
 mod read;
 mod retry;
 mod scan;
@@ -40,6 +43,7 @@ use self::args::{Cli, Command, DiscreteArgs, Plc, ProgramCommand};
 use self::failure::Failure;
 use self::output::{Output, complain, printable_lines};
 use self::printable::{excerpt, printable};
+use self::ranges::DiscreteRange;
 
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
@@ -49,7 +53,7 @@ fn main() -> ExitCode {
     let output = Output::new(cli.common.format.unwrap_or_default(), cli.common.quiet);
     match run(&cli, &output) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => report(&failure),
+        Err(failure) => report(&failure, &output),
     }
 }
 
@@ -83,7 +87,7 @@ fn refuse(mut error: clap::Error) -> ExitCode {
 }
 
 /// Prints the error to stderr and returns the exit status.
-fn report(failure: &Failure) -> ExitCode {
+fn report(failure: &Failure, output: &Output) -> ExitCode {
     // Success for `fatek read … | head -1`: the reader has closed the pipe on purpose.
     if failure.is_broken_pipe() {
         return ExitCode::SUCCESS;
@@ -93,6 +97,10 @@ fn report(failure: &Failure) -> ExitCode {
         format!("error: {failure}").lines().for_each(|line| complain(format_args!("{line}")));
     } else {
         complain(format_args!("error: {failure}"));
+    }
+    let error = if let Failure::Call(error) | Failure::CallOf { error, .. } = failure { Some(error) } else { None };
+    for hint in error.map(hint::unanswered).unwrap_or_default() {
+        output.remark(format_args!("hint: {hint}"));
     }
     if let Failure::Usage(_) = failure {
         complain(format_args!(""));
@@ -108,8 +116,9 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let timeout = cli.common.timeout;
     let station = |plc: &Plc| connect::station(&cli.plc.or(plc), timeout);
     let discretes = async |args: &DiscreteArgs, control| {
-        write::refuse_special(args.special, args.discretes.iter().map(|&discrete| discrete.into()))?;
-        control::discretes(&station(&args.plc)?, control, &args.discretes, output).await
+        let discretes: Vec<_> = args.discretes.iter().flat_map(DiscreteRange::iter).collect();
+        write::refuse_special(args.special, discretes.iter().map(|&discrete| discrete.into()))?;
+        control::discretes(&station(&args.plc)?, control, &discretes, output).await
     };
     runtime.block_on(async {
         match &cli.command {
@@ -123,6 +132,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             Command::Disable(args) => discretes(args, DiscreteControl::Disable).await,
             Command::Set(args) => discretes(args, DiscreteControl::Set).await,
             Command::Reset(args) => discretes(args, DiscreteControl::Reset).await,
+            Command::Forced(args) => forced::forced(&station(&args.plc)?, args, output).await,
             Command::Ping(args) => {
                 // A retry would hide a lost reply.
                 let station = station(&args.plc)?.with_options(connect::options(timeout).with_retries(0));

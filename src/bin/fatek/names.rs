@@ -7,6 +7,7 @@ use fatek::tag::{Assignment, Tag, TagValue};
 use fatek::tag_table::TagTable;
 
 use crate::failure::Failure;
+use crate::hint;
 use crate::output::Output;
 use crate::write::Write;
 
@@ -77,7 +78,10 @@ impl Table {
                 return text.parse().map(Write::Values).map_err(Failure::usage);
             };
             let tag = self.tag(name)?;
-            let values = tag.parse_values(values).map_err(Failure::usage)?;
+            let values = tag.parse_values(values).map_err(|error| match hint::with_other_type(&tag, name, values) {
+                Some(other) => Failure::Usage(format!("{error}; {other} is possible")),
+                None => Failure::usage(error),
+            })?;
             if !tag.is_bits_of_register() {
                 return Assignment::new(tag, values).map(Write::Values).map_err(Failure::usage);
             }

@@ -97,6 +97,11 @@ impl Output {
         if is_terminal { format!("{prefix}{}", printable(cell)) } else { format!("{prefix}{cell}") }
     }
 
+    /// Returns whether programs read the output: an empty result is a document, too.
+    pub(crate) fn is_for_programs(&self) -> bool {
+        self.format != Format::Table
+    }
+
     /// Prints a message to stderr, unless `--quiet` was given.
     pub(crate) fn remark(&self, text: fmt::Arguments<'_>) {
         if !self.quiet {

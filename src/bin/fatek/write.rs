@@ -2,14 +2,16 @@
 
 use std::cell::Cell;
 use std::fmt;
+use std::time::Duration;
 
 use fatek::memory_map::special_range;
-use fatek::tag::{Assignment, Tag};
+use fatek::tag::{Assignment, Tag, TagValue};
 use fatek::{Element, Error, Station};
+use tokio::time::MissedTickBehavior;
 
 use crate::args::WriteArgs;
 use crate::failure::Failure;
-use crate::output::Output;
+use crate::output::{Output, complain};
 use crate::signal::unless_signalled;
 
 /// A write of a tag.
@@ -28,6 +30,13 @@ impl Write {
         match self {
             Self::Values(assignment) => assignment.tag(),
             Self::Bits { tag, .. } => *tag,
+        }
+    }
+
+    fn values(&self) -> Vec<TagValue> {
+        match self {
+            Self::Values(assignment) => assignment.values().to_vec(),
+            Self::Bits { states, .. } => states.iter().map(|&state| state.into()).collect(),
         }
     }
 
@@ -58,8 +67,70 @@ pub(crate) async fn write(station: &Station, args: &WriteArgs, output: &Output) 
     refuse_special(args.special, tags().flat_map(|tag| tag.elements()))?;
     args.model.check(station, tags()).await?;
     let done = Cell::new(0);
-    let ended = unless_signalled(write_all(station, writes, output, &done)).await?;
-    ended.map_err(|signal| Failure::interrupted(progress(writes, done.get()))(signal))?
+    let rounds = async {
+        match args.every {
+            None => write_round(station, writes, args.verify, output, &done).await,
+            Some(interval) => write_every(station, writes, interval, args.verify, output, &done).await,
+        }
+    };
+    let ended = unless_signalled(rounds).await?;
+    match (ended, args.every) {
+        (Ok(ended), _) => ended,
+        // Between two rounds nothing is interrupted.
+        (Err(_), Some(_)) if done.get() == writes.len() => Ok(()),
+        (Err(signal), _) => Err(Failure::interrupted(progress(writes, done.get()))(signal)),
+    }
+}
+
+/// Writes all values again and again, until a refusal or an error of the command line.
+async fn write_every(
+    station: &Station,
+    writes: &[Write],
+    interval: Duration,
+    verify: bool,
+    output: &Output,
+    done: &Cell<usize>,
+) -> Result<(), Failure> {
+    let mut rounds = tokio::time::interval(interval);
+    rounds.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    loop {
+        rounds.tick().await;
+        done.set(0);
+        match write_round(station, writes, verify, output, done).await {
+            Err(failure) if [2, 3].contains(&failure.exit_status()) => return Err(failure),
+            Err(failure) => complain(format_args!("{failure}")),
+            Ok(()) => {}
+        }
+        done.set(writes.len());
+    }
+}
+
+/// Writes the values in their order, and reads them back if they are to be verified.
+async fn write_round(
+    station: &Station,
+    writes: &[Write],
+    verify: bool,
+    output: &Output,
+    done: &Cell<usize>,
+) -> Result<(), Failure> {
+    write_all(station, writes, output, done).await?;
+    if !verify {
+        return Ok(());
+    }
+    let (mut differing, mut all) = (0, 0);
+    for write in writes {
+        let tag = write.tag();
+        let read: Vec<TagValue> = station.read(tag).await.map_err(Failure::of(format_args!("{tag} (read back)")))?;
+        let written = write.values();
+        all += written.len();
+        for ((single, written), read) in tag.singles().zip(written).zip(read) {
+            if !is_stored_alike(&single, &written, &read) {
+                differing += 1;
+                complain(format_args!("{single}: {written} was written, and {read} is read"));
+            }
+        }
+    }
+    if differing > 0 { Err(Failure::NotAsWritten { differing, all }) } else { Ok(()) }
 }
 
 /// Refuses elements of a special range, unless `--special` was given.
@@ -69,6 +140,15 @@ pub(crate) fn refuse_special(allowed: bool, mut elements: impl Iterator<Item = E
             "{element} is special ({range}): writing it can cause system or I/O errors; to write it, give --special"
         ))),
         Some(_) | None => Ok(()),
+    }
+}
+
+/// Returns whether two values of a tag have the same registers.
+fn is_stored_alike(tag: &Tag, one: &TagValue, other: &TagValue) -> bool {
+    match (tag.encode(std::slice::from_ref(one)), tag.encode(std::slice::from_ref(other))) {
+        (Ok(one), Ok(other)) => one == other,
+        // Bits of a register are not encoded.
+        (Err(_), _) | (_, Err(_)) => one == other,
     }
 }
 

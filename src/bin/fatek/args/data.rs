@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use clap::Args;
-use fatek::Discrete;
 use fatek::memory_map::PlcModel;
 use fatek::tag::Tag;
 use fatek::wire::Framing;
@@ -11,6 +10,7 @@ use fatek::wire::Framing;
 use super::{LinkArgs, ModelArgs, Plc};
 use crate::duration;
 use crate::names::TableArgs;
+use crate::ranges::DiscreteRange;
 
 /// Read tags and print their values
 ///
@@ -74,6 +74,16 @@ pub(crate) struct WriteArgs {
     /// the write is undone.
     #[arg(long)]
     pub(crate) modify_bits: bool,
+    /// Read each value back and compare it; exit status 7 if one differs
+    ///
+    /// A program that sets the element itself can be the reason.
+    #[arg(long)]
+    pub(crate) verify: bool,
+    /// Write again and again, at this interval, until Ctrl-C: for a watchdog of the PLC
+    ///
+    /// After a round without a reply the next one is written at its time; a refusal ends the command.
+    #[arg(long, value_parser = duration::parse_positive, value_name = "TIME")]
+    pub(crate) every: Option<Duration>,
     #[command(flatten)]
     pub(crate) table: TableArgs,
     /// Write special elements, too: R3840-R4167 and M1912-M2001
@@ -90,12 +100,32 @@ pub(crate) struct WriteArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct DiscreteArgs {
-    /// Discrete: X, Y, M, S, T or C with an address, such as Y3
+    /// Discrete or range: X, Y, M, S, T or C with an address, such as Y3 or M0-M7
+    ///
+    /// One command is sent for each discrete.
     #[arg(required = true, value_name = "DISCRETE")]
-    pub(crate) discretes: Vec<Discrete>,
+    pub(crate) discretes: Vec<DiscreteRange>,
     /// Change special relays, too: M1912-M2001
     #[arg(long)]
     pub(crate) special: bool,
+    #[command(flatten)]
+    pub(crate) plc: Plc,
+}
+
+/// List the disabled (forced) discretes with their states
+///
+/// Reads only. Without a range all discretes of the PLC are examined, as many as its status (53) says.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek forced
+  fatek forced X0-X23 Y0-Y15 --format csv
+  fatek disable M0-M7 && fatek set M0-M7 && fatek forced M0-M99
+
+JSON: array of objects with discrete and state, true for on.")]
+pub(crate) struct ForcedArgs {
+    /// Range of discretes, such as M0-M99, or one discrete
+    #[arg(value_name = "RANGE")]
+    pub(crate) ranges: Vec<DiscreteRange>,
     #[command(flatten)]
     pub(crate) plc: Plc,
 }

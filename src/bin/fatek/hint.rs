@@ -1,0 +1,66 @@
+//! Hints behind an error: what to try next.
+
+use fatek::tag::{Tag, TagType};
+use fatek::{Error, Seen};
+
+/// What to try after a call without a usable reply, by what came in place of the reply.
+pub(crate) fn unanswered(error: &Error) -> Vec<String> {
+    let seen = if let Error::Timeout { seen, .. } | Error::BadReply { seen, .. } = error {
+        *seen
+    } else if let Error::Offline { .. } = error {
+        Seen::default()
+    } else {
+        return Vec::new();
+    };
+    let mut hints = Vec::new();
+    if let Some(station) = seen.other_station {
+        hints.push(format!("station {station} has sent frames: try --station {station}"));
+    }
+    if seen.late_by.is_some() {
+        hints.push("replies come too late: try a longer --timeout".to_owned());
+    }
+    if seen.echo {
+        hints.push("the line echoes requests, and no PLC answers: check the wires A and B, and --station".to_owned());
+    }
+    if seen.garbage > 0 || seen.half_frame {
+        hints.push("bytes came that are no frame: try the other framing (?framing=binary or ascii)".to_owned());
+        hints.push("on a serial line, try another speed and frame (?baud=19200&frame=8N1)".to_owned());
+    }
+    if seen.is_nothing() {
+        hints.push("nothing came: `fatek scan` finds the stations of a link".to_owned());
+        hints.push("try the other framing (?framing=binary or ascii); on a serial line, ?baud= and ?frame=".to_owned());
+    }
+    hints.push("docs/CONNECT.md has more causes".to_owned());
+    hints
+}
+
+/// The assignment with a type that takes these values, if the default type of the elements does not.
+pub(crate) fn with_other_type(tag: &Tag, elements: &str, values: &str) -> Option<String> {
+    let default = TagType::default_for(tag.first().width());
+    if tag.tag_type() != default || tag.scale().is_some() {
+        return None;
+    }
+    [TagType::I16, TagType::I32, TagType::F32].into_iter().find_map(|tag_type| {
+        let other: Tag = format!("{elements}:{tag_type}").parse().ok()?;
+        other.parse_values(values).ok()?;
+        Some(format!("{other}={values}"))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_type_is_suggested_if_it_takes_the_values() {
+        let hint = |elements: &str, values| with_other_type(&elements.parse().unwrap(), elements, values);
+        assert_eq!(hint("R0", "-5").as_deref(), Some("R0:i16=-5"));
+        assert_eq!(hint("R0-R1", "-5,6").as_deref(), Some("R0-R1:i16=-5,6"));
+        assert_eq!(hint("DR0", "-70000").as_deref(), Some("DR0:i32=-70000"));
+        assert_eq!(hint("R0", "-70000").as_deref(), Some("R0:i32=-70000"));
+        assert_eq!(hint("R0", "21.5").as_deref(), Some("R0:f32=21.5"));
+        for (elements, values) in [("R0", "abc"), ("M0", "7"), ("R0:i16", "-40000"), ("R0:u16*0.1", "x")] {
+            assert_eq!(hint(elements, values), None, "{elements}={values}");
+        }
+    }
+}
