@@ -116,6 +116,8 @@ pub mod memory_map;
     reason = "indexes of its own lists; property tests cover it"
 )]
 pub mod plan;
+#[cfg(feature = "config")]
+pub mod plant;
 pub mod poll;
 pub mod pool;
 mod printable;
