@@ -238,7 +238,7 @@ impl LinkBuilder {
         self
     }
 
-    /// A link to an endpoint, which is opened again after a loss.
+    /// A link to an endpoint. Its connection is opened again after a loss.
     pub(crate) fn of_endpoint(endpoint: Arc<Endpoint>) -> Self {
         let (framing, in_step, name) = (endpoint.framing(), endpoint.in_step(), endpoint.to_string());
         let serial = endpoint.transport().serial_settings();

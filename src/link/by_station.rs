@@ -23,7 +23,7 @@ impl<T> ByStation<T> {
         }
     }
 
-    #[cold]
+    #[inline(never)]
     fn get_other(&self, station: u8) -> Option<&T> {
         let at = self.place(station).ok()?;
         self.entries.get(at).map(|(_, value)| value)
@@ -43,7 +43,7 @@ impl<T> ByStation<T> {
         }
     }
 
-    #[cold]
+    #[inline(never)]
     fn with_other<R>(&mut self, station: u8, new: impl FnOnce() -> T, work: impl FnOnce(&mut T) -> R) -> R {
         if let Some(value) = self.get_mut(station) {
             return work(value);

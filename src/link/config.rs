@@ -67,7 +67,7 @@ pub(crate) struct SharedConfigs {
 }
 
 /// Maximum number of different settings that are shared.
-const MOST_SHARED: usize = 16;
+const MAX_SHARED: usize = 16;
 
 impl SharedConfigs {
     pub(super) fn share(&self, config: Config) -> Arc<Config> {
@@ -77,7 +77,7 @@ impl SharedConfigs {
             return shared;
         }
         let config = Arc::new(config);
-        if configs.len() < MOST_SHARED {
+        if configs.len() < MAX_SHARED {
             configs.push(Arc::downgrade(&config));
         }
         config
@@ -102,6 +102,6 @@ mod tests {
         drop((first, second));
         let many: Vec<_> = (0..100).map(|capacity| shared.share(config(capacity))).collect();
         assert!(many.iter().enumerate().all(|(capacity, config)| config.queue_capacity == capacity));
-        assert!(shared.configs.lock().unwrap().len() <= MOST_SHARED);
+        assert!(shared.configs.lock().unwrap().len() <= MAX_SHARED);
     }
 }

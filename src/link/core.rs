@@ -81,7 +81,7 @@ pub(crate) struct Core {
     connection: Connection,
     /// Nothing is sent before this time: after a broadcast, or after connecting.
     hold_until: Option<Instant>,
-    /// `None`: a network needs no gap.
+    /// `None`: a network, or a line with a gap of zero.
     frame_gap: Option<Box<FrameGap>>,
     /// When a call came or ended last; `None` while the link is idle.
     used_at: Option<Instant>,

@@ -261,8 +261,8 @@ impl Exchange {
         &self.request
     }
 
-    /// Begins an exchange, whose request must be written `by` then. Returns the number of bytes received
-    /// before it, which are dropped.
+    /// Begins an exchange. Its request must be written before `by`. Returns the number of bytes received
+    /// before the exchange, which are dropped.
     pub(crate) fn begin(&mut self, outgoing: Outgoing, response_timeout: Duration, now: Instant, by: Instant) -> usize {
         let mut request = buffer::borrow();
         outgoing.encode(self.framing(), &mut request);

@@ -12,7 +12,7 @@ use super::watchable::Watchable;
 #[non_exhaustive]
 pub enum LinkState {
     /// Not open: no call has been made yet, or none for the [idle
-    /// timeout](LinkBuilder::idle_timeout).
+    /// timeout](crate::LinkBuilder::idle_timeout).
     Idle,
     /// Waiting to be opened: a [`Pool`](crate::Pool) limits connection attempts. A link that was
     /// down stays `Down` while it waits.
@@ -44,28 +44,39 @@ impl SharedLinkState {
     }
 
     pub(super) fn watch(&self) -> watch::Receiver<LinkState> {
-        self.lock().watch()
+        self.lock().watch_unseen()
     }
 
+    // Watchers are notified after the lock was released: a waker may come here.
     pub(super) fn set(&self, state: LinkState) {
-        self.lock().set(state);
+        let channel = self.lock().store(state.clone());
+        notify(channel, state);
     }
 
     /// Replaces the state if this is one of those to be replaced.
     pub(super) fn set_if(&self, replaces: impl FnOnce(&LinkState) -> bool, state: LinkState) {
         let mut present = self.lock();
         if replaces(present.get()) {
-            present.set(state);
+            let channel = present.store(state.clone());
+            drop(present);
+            notify(channel, state);
         }
     }
 
     /// Sets the final state: [`LinkState::Closed`].
     pub(super) fn end(&self) {
-        self.lock().end(LinkState::Closed);
+        let channel = self.lock().end(LinkState::Closed);
+        notify(channel, LinkState::Closed);
     }
 
     fn lock(&self) -> MutexGuard<'_, Watchable<LinkState>> {
         // No code panics while it holds this lock.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn notify(channel: Option<watch::Sender<LinkState>>, state: LinkState) {
+    if let Some(channel) = channel {
+        channel.send_replace(state);
     }
 }

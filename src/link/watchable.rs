@@ -10,12 +10,14 @@ use tokio::sync::watch;
 pub(super) struct Watchable<T> {
     state: T,
     channel: Option<watch::Sender<T>>,
+    /// It is not the first state any more.
+    was_set: bool,
     ended: bool,
 }
 
 impl<T: Clone> Watchable<T> {
     pub(super) fn new(state: T) -> Self {
-        Self { state, channel: None, ended: false }
+        Self { state, channel: None, was_set: false, ended: false }
     }
 
     pub(super) fn get(&self) -> &T {
@@ -29,19 +31,37 @@ impl<T: Clone> Watchable<T> {
         self.channel.get_or_insert_with(|| watch::Sender::new(self.state.clone())).subscribe()
     }
 
-    /// Sets the state, and notifies its watchers.
-    pub(super) fn set(&mut self, state: T) {
-        if let Some(channel) = &self.channel {
-            channel.send_replace(state.clone());
+    /// A watcher that has not seen the present state, unless that is the first one.
+    pub(super) fn watch_unseen(&mut self) -> watch::Receiver<T> {
+        let mut watcher = self.watch();
+        if self.was_set {
+            watcher.mark_changed();
         }
-        self.state = state;
+        watcher
     }
 
-    /// Sets the final state.
-    pub(super) fn end(&mut self, state: T) {
-        self.set(state);
-        self.channel = None;
+    /// Sets the state, and notifies its watchers.
+    pub(super) fn set(&mut self, state: T) {
+        if let Some(channel) = self.store(state.clone()) {
+            channel.send_replace(state);
+        }
+    }
+
+    /// Sets the state, and returns its channel for the notification of the watchers.
+    #[must_use]
+    pub(super) fn store(&mut self, state: T) -> Option<watch::Sender<T>> {
+        self.state = state;
+        self.was_set = true;
+        self.channel.clone()
+    }
+
+    /// Sets the final state, and returns its channel for the last notification of the watchers.
+    #[must_use]
+    pub(super) fn end(&mut self, state: T) -> Option<watch::Sender<T>> {
+        self.state = state;
+        self.was_set = true;
         self.ended = true;
+        self.channel.take()
     }
 }
 
@@ -58,9 +78,12 @@ mod tests {
         assert_eq!(*watcher.borrow_and_update(), 2);
         state.set(3);
         assert_eq!((watcher.changed().await.is_ok(), *watcher.borrow()), (true, 3));
-        state.end(4);
+        state.end(4).unwrap().send_replace(4);
         assert_eq!((watcher.wait_for(|&state| state == 4).await.is_ok(), *state.get()), (true, 4));
         assert!(watcher.changed().await.is_err(), "it does not change again");
+        let mut unseen = state.watch_unseen();
+        assert_eq!((unseen.changed().await.is_ok(), *unseen.borrow()), (true, 4));
+        assert!(unseen.changed().await.is_err());
         let mut late = state.watch();
         assert_eq!(*late.borrow_and_update(), 4);
         assert!(late.changed().await.is_err());

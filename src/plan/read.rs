@@ -41,21 +41,19 @@ impl Plan {
     /// [capabilities](Station::capabilities) have the refusal then, for the plans made after that.
     ///
     /// A check at the end confirms several requests; they are repeated if a duplicate of a reply came
-    /// out of order. Repeated more often than a read is retried without a further result, the rest has
-    /// [`Error::Duplicates`]. Cancel-safe: the requests only read.
+    /// out of order. After as many repetitions from one request on as a read has retries, the rest has
+    /// [`Error::Duplicates`], and is not sent. Cancel-safe: the requests only read.
     pub async fn read(&self, station: &Station) -> PlanReadings<'_, Error> {
         let mut job = StationJob::new(station);
         let mut results: Vec<RequestResult<Error>> = Vec::with_capacity(self.requests.len());
-        // The job counts the repetitions since its last proof, and each refusal is proven.
-        let (mut most_results, mut repeats_left) = (0, station.options().retries);
+        // The job counts the repetitions since its last proof. The requests in place of a refused one have
+        // one mark, and may be proven in part each time.
+        let (mut farthest, mut repeats_left) = (None, 0);
         loop {
             let progress = if results.len() < self.requests.len() {
                 match self.read_request(results.len(), &mut job, &mut results).await {
                     Ok(result) => {
                         results.push(result);
-                        if results.len() > most_results {
-                            (most_results, repeats_left) = (results.len(), station.options().retries);
-                        }
                         continue;
                     }
                     Err(confirmed) => Ok(Some(confirmed)),
@@ -67,6 +65,9 @@ impl Plan {
                 Ok(None) => return PlanReadings::with_fallbacks(self, results),
                 Ok(Some(confirmed)) => {
                     results.truncate(confirmed);
+                    if farthest.is_none_or(|farthest| confirmed > farthest) {
+                        (farthest, repeats_left) = (Some(confirmed), station.options().retries);
+                    }
                     let Some(left) = repeats_left.checked_sub(1) else {
                         let error = Error::Duplicates { station: station.number(), sent: true };
                         results.resize_with(self.requests.len(), || Err(error.clone()).into());

@@ -2,21 +2,26 @@
 //!
 //! A call has a timer of its own, so it ends by its deadline even if the runtime of the link's task
 //! stands still. To create, register and remove a timer costs more than all other work for the deadline.
-//! So a call takes a timer that an earlier one has left, and moves it only after it has fired.
+//! So a call takes a timer that an earlier one has left, and moves it only after it has fired, or for an
+//! earlier deadline.
 //!
 //! Invariants:
 //! - A timer in use is due at the deadline of its call or before.
-//! - A timer is used on the runtime that drives it, and on no other.
-//! - A timer that no call uses holds no waker: a waker keeps the memory of its task.
-//! - A thread keeps a bounded number of timers, and those of one runtime only until it is used with
-//!   another: a timer keeps the memory of its runtime.
+//! - A timer is used on the runtime that drives it, and on no other. Tokio gives no two runtimes of a
+//!   process one id, as long as it counts them.
+//! - A timer is polled only for a call that waits: a timer of a runtime that has ended panics then.
+//! - A timer that no call uses holds no waker of a task: a waker keeps the memory of its task.
+//! - A thread keeps a bounded number of timers, all of the runtime that it was used with last. A timer
+//!   keeps the memory and the descriptors of its runtime.
 
 use std::cell::Cell;
 use std::future::poll_fn;
 use std::pin::Pin;
-use std::task::{Context, Poll, Waker, ready};
+use std::sync::Arc;
+use std::task::{Context, Poll, Wake, Waker, ready};
 
 use futures::future::Future;
+use futures::task::AtomicWaker;
 use tokio::runtime::{Handle, Id};
 use tokio::task::unconstrained;
 use tokio::time::{Instant, Sleep, sleep_until};
@@ -34,49 +39,95 @@ thread_local! {
 /// A timer, and the runtime that drives it.
 struct CallTimer {
     sleep: Pin<Box<Sleep>>,
+    /// The timer is registered with its own waker, or has fired since.
+    registered: bool,
+    /// The task of the call that uses it.
+    task: Arc<Task>,
+    /// Wakes `task`.
+    waker: Waker,
     runtime: Id,
+}
+
+/// The task to be woken by a timer. `None`: no call uses the timer.
+#[derive(Default)]
+struct Task(AtomicWaker);
+
+impl Wake for Task {
+    fn wake(self: Arc<Self>) {
+        self.0.wake();
+    }
+
+    fn wake_by_ref(self: &Arc<Self>) {
+        self.0.wake();
+    }
 }
 
 impl CallTimer {
     /// Takes a timer of this runtime that is due at the deadline or before.
     fn take(deadline: Instant) -> Self {
         let runtime = Handle::current().id();
-        // A thread that is ending keeps none.
-        let mut kept = KEPT.try_with(Cell::take).unwrap_or_default();
-        if kept.last().is_some_and(|timer| timer.runtime != runtime) {
-            kept.retain(|timer| timer.runtime == runtime);
-        }
-        let timer = kept.pop();
-        let _ = KEPT.try_with(|place| place.set(kept));
-        let Some(mut timer) = timer else { return Self { sleep: Box::pin(sleep_until(deadline)), runtime } };
+        let timer = with_kept(|kept| {
+            keep_only(kept, runtime);
+            kept.pop()
+        });
+        let Some(mut timer) = timer else {
+            let task = Arc::<Task>::default();
+            let waker = task.clone().into();
+            return Self { sleep: Box::pin(sleep_until(deadline)), registered: false, task, waker, runtime };
+        };
         if timer.sleep.deadline() > deadline {
-            timer.sleep.as_mut().reset(deadline);
+            timer.reset(deadline);
         }
         timer
     }
 
     /// Leaves the timer to a later call.
-    fn keep(mut self) {
-        // Replaces the waker. Outside of Tokio's budget: an exhausted one would leave the waker.
-        let mut sleep = unconstrained(self.sleep.as_mut());
-        let _ = Pin::new(&mut sleep).poll(&mut Context::from_waker(Waker::noop()));
-        let mut kept = KEPT.try_with(Cell::take).unwrap_or_default();
-        if kept.len() < MAX_KEPT {
-            kept.push(self);
-        }
-        let _ = KEPT.try_with(|place| place.set(kept));
+    fn keep(self) {
+        drop(self.task.0.take());
+        with_kept(|kept| {
+            keep_only(kept, self.runtime);
+            if kept.len() < MAX_KEPT {
+                kept.push(self);
+            }
+        });
+    }
+
+    fn reset(&mut self, deadline: Instant) {
+        self.sleep.as_mut().reset(deadline);
+        self.registered = false;
     }
 
     /// Waits for the deadline. The timer may have been set for an earlier one.
     fn poll(&mut self, deadline: Instant, cx: &mut Context<'_>) -> Poll<()> {
-        loop {
-            ready!(self.sleep.as_mut().poll(cx));
+        self.task.0.register(cx.waker());
+        // Looked at after the task was registered: a timer that fires later wakes it.
+        while !self.registered || self.sleep.is_elapsed() {
+            // Outside of Tokio's budget: an exhausted one would leave the timer unregistered.
+            let mut sleep = unconstrained(self.sleep.as_mut());
+            self.registered = true;
+            ready!(Pin::new(&mut sleep).poll(&mut Context::from_waker(&self.waker)));
             if self.sleep.deadline() >= deadline {
                 return Poll::Ready(());
             }
-            self.sleep.as_mut().reset(deadline);
+            self.reset(deadline);
         }
+        Poll::Pending
     }
+}
+
+/// Drops the kept timers of other runtimes. All are of one runtime.
+fn keep_only(kept: &mut Vec<CallTimer>, runtime: Id) {
+    if kept.last().is_some_and(|timer| timer.runtime != runtime) {
+        kept.clear();
+    }
+}
+
+fn with_kept<R>(work: impl FnOnce(&mut Vec<CallTimer>) -> R) -> R {
+    // A thread that is ending keeps none.
+    let mut kept = KEPT.try_with(Cell::take).unwrap_or_default();
+    let result = work(&mut kept);
+    let _ = KEPT.try_with(|place| place.set(kept));
+    result
 }
 
 /// The timer of a call that waits; `None` before it waits for the first time.
@@ -104,11 +155,10 @@ pub(crate) async fn ended_by<C: Command>(call: &mut CallFuture<C>, deadline: Ins
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
     use std::time::Duration;
 
-    use futures::task::{ArcWake, waker};
-    use tokio::runtime::Builder;
+    use futures::future::FutureExt;
+    use tokio::runtime::{Builder, Runtime};
 
     use super::*;
     use crate::command::ReadStatus;
@@ -119,10 +169,11 @@ mod tests {
     const SECOND: Duration = Duration::from_secs(1);
 
     fn kept() -> usize {
-        let timers = KEPT.take();
-        let count = timers.len();
-        KEPT.set(timers);
-        count
+        with_kept(|kept| kept.len())
+    }
+
+    fn runtime() -> Runtime {
+        Builder::new_current_thread().enable_all().start_paused(true).build().expect("a runtime")
     }
 
     /// A call that waits for its deadline, this long from now.
@@ -168,7 +219,6 @@ mod tests {
     /// With a timer of the ended runtime the call would wait forever, or panic.
     #[test]
     fn a_timer_is_not_used_on_another_runtime() {
-        let runtime = || Builder::new_current_thread().enable_all().start_paused(true).build().expect("a runtime");
         let (first, second) = (runtime(), runtime());
         for runtime in [&first, &second, &first] {
             assert_eq!(runtime.block_on(time_out_after(10 * SECOND)), 10 * SECOND);
@@ -178,23 +228,52 @@ mod tests {
         assert_eq!(second.block_on(time_out_after(SECOND)), SECOND);
     }
 
-    struct Task;
-
-    impl ArcWake for Task {
-        fn wake_by_ref(_task: &Arc<Self>) {}
-    }
 
     #[tokio::test(start_paused = true)]
     async fn a_kept_timer_holds_no_waker() {
-        let task = Arc::new(Task);
+        let task = Arc::<Task>::default();
         let (pending, mut future) = call(CallOptions::new());
         {
             let mut waits = Box::pin(ended_by(&mut future, Instant::now() + SECOND));
-            let waker = waker(task.clone());
+            let waker = Waker::from(task.clone());
             assert!(waits.as_mut().poll(&mut Context::from_waker(&waker)).is_pending());
             assert!(Arc::strong_count(&task) > 1);
         }
         drop((pending, future));
         assert_eq!((kept(), Arc::strong_count(&task)), (1, 1), "a dropped call leaves its timer and no waker");
+    }
+
+    /// Before, with a timer that is polled when it is kept: a panic in `drop`.
+    #[test]
+    fn a_call_may_be_dropped_after_its_runtime() {
+        let (runtime, other) = (runtime(), runtime());
+        let (_pending, mut future) = call(CallOptions::new());
+        let mut waits = Box::pin(ended_by(&mut future, Instant::now() + SECOND));
+        runtime.block_on(async {
+            assert!((&mut waits).now_or_never().is_none());
+        });
+        drop(runtime);
+        drop(waits);
+        assert_eq!(kept(), 1);
+        assert_eq!(other.block_on(time_out_after(SECOND)), SECOND, "that timer is not used");
+    }
+
+    /// Before: that of the other runtime stayed below.
+    #[test]
+    fn all_kept_timers_are_of_one_runtime() {
+        let (first, second) = (runtime(), runtime());
+        let (_pending, mut future) = call(CallOptions::new());
+        let mut waits = Box::pin(ended_by(&mut future, Instant::now() + SECOND));
+        first.block_on(async {
+            assert!((&mut waits).now_or_never().is_none());
+        });
+        second.block_on(async {
+            let waits_here = time_out_after(SECOND);
+            tokio::pin!(waits_here);
+            assert!(waits_here.as_mut().now_or_never().is_none());
+            drop(waits);
+            assert_eq!(waits_here.await, SECOND);
+        });
+        assert_eq!(kept(), 1);
     }
 }

@@ -180,7 +180,8 @@ impl Core {
         }
     }
 
-    /// Notes that a station has answered within this round trip. The caller sets its state in the statistics.
+    /// Notes that a station has answered within this round trip. The caller sets the
+    /// state of the station in the statistics.
     fn answered(&mut self, station: u8, round_trip: Duration, now: Instant) {
         if self.stations.answered(station, round_trip, now) {
             tracing::info!(station, "station is back");
