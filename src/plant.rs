@@ -183,7 +183,6 @@ impl PlantClass {
     }
 
     /// The class for a [`Poller`](crate::Poller).
-    #[must_use]
     pub fn scan_class(&self) -> ScanClass {
         let class = ScanClass::every(self.every);
         self.stale_after.map_or(class, |age| class.stale_after(age))

@@ -234,7 +234,7 @@ fn the_environment_sets_the_defaults() {
 fn an_error_of_the_plc_is_status_3() {
     for framing in FRAMINGS {
         let sim = Sim::start(&["--framing", framing, "--last", "R100"]);
-        let refused = sim.fatek(&["read", "R0", "R101"]);
+        let refused = sim.fatek(&["read", "R101"]);
         assert_eq!((refused.status, refused.stdout.as_str()), (3, ""));
         assert_eq!(refused.stderr, "error: R101: station 1 refused read registers (46h): illegal address (A)\n");
         assert_eq!(sim.fatek(&["write", "R100:f32=1"]).status, 3);
@@ -415,7 +415,7 @@ fn invalid_arguments_send_nothing() {
         (&["write", "R0-R1:text=a,b"], "a text with a comma, a quote, a backslash or a control character needs double"),
         (&["write", "R0-R1:text=hello"], "\"hello\" has 5 characters, and 4 fit"),
         (&["read", "R0:u16*0"], "`R0:u16*0` is not a tag: the gain is 0.0, and it must be from 1e-200 to 1e200"),
-        (&["set", "M0", "R0"], "`R0` is not an element: R0 is a 16-bit register, not a discrete"),
+        (&["set", "M0", "R0"], "R0 is a 16-bit register, and only discretes can be forced"),
         (&["read", "M9990-M10000"], "M10000 is past the last address of the ascii framing, M9999"),
         (&["set", "M10000"], "M10000 is past the last address of the ascii framing, M9999"),
         (&["read", "RC200"], "`RC200` is not a tag: RC200 does not exist: DRC200 to DRC255 are counters of 32 bits"),

@@ -107,7 +107,10 @@ fn forced_discretes_are_listed_with_their_states() {
     sim.fatek(&["set", "M2-M4", "X3"]).ok();
     let list = "discrete,state\nX3,1\nM0,0\nM1,0\nM2,1\nM3,1\nM4,1\nM5,0\nM6,0\nM7,0\n";
     assert_eq!(sim.fatek(&["forced", "--format", "csv"]).ok(), list);
-    assert_eq!(sim.fatek(&["forced", "M4-M99", "M5", "--format", "csv"]).ok(), "discrete,state\nM4,1\nM5,0\nM6,0\nM7,0\n");
+    assert_eq!(
+        sim.fatek(&["forced", "M4-M99", "M5", "--format", "csv"]).ok(),
+        "discrete,state\nM4,1\nM5,0\nM6,0\nM7,0\n"
+    );
     let register = sim.fatek(&["set", "M0", "R5"]).usage();
     assert!(register.contains("R5 is a 16-bit register, and only discretes can be forced"), "{register}");
 }

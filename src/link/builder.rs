@@ -180,8 +180,8 @@ impl LinkBuilder {
     /// Sets the idle timeout: the connection is closed after this time without a call, and opened
     /// again by the next one. At most a day; `None`: never. Default: never.
     ///
-    /// The link is [`LinkState::Idle`](super::LinkState::Idle) then. Stations that were offline are not probed meanwhile,
-    /// and the next call is sent to them again. A connection that cannot be opened again
+    /// The link is [`LinkState::Idle`](super::LinkState::Idle) then. Stations that were offline are not
+    /// probed meanwhile, and the next call is sent to them again. A connection that cannot be opened again
     /// ([`Link::from_stream`]) stays open.
     ///
     /// ```

@@ -25,7 +25,7 @@ struct Template {
     tags: Vec<PlantTag>,
 }
 
-/// What the sections of PLCs and buses have in common.
+/// The values that sections of PLCs and of buses have.
 struct LinkKeys {
     endpoint: Option<Endpoint>,
     hosts: Vec<String>,
@@ -83,8 +83,10 @@ fn named<'t>(section: &Section<'t>, faults: &mut Faults) -> Vec<(&'t str, Field<
 /// Adds a PLC unless its name, or its link and station, is taken.
 fn add(plant: &mut Plant, plc: PlantPlc, section: &str, faults: &mut Faults) {
     let same = plant.plcs.iter().find(|other| other.name == plc.name);
-    let same_station =
-        plant.plcs.iter().find(|other| other.station == plc.station && other.endpoint.transport() == plc.endpoint.transport());
+    let same_station = plant
+        .plcs
+        .iter()
+        .find(|other| other.station == plc.station && other.endpoint.transport() == plc.endpoint.transport());
     let fault = match (same, same_station) {
         (Some(first), _) => PlantFault::DoubleName { name: plc.name.to_string(), first_line: first.line },
         (None, Some(other)) => PlantFault::DoubleStation { other: other.name.to_string() },
@@ -157,7 +159,9 @@ fn link_keys(section: &mut Section<'_>, (_, templates): (&Plant, &[Template]), f
     if let Some(uses) = section.take("use", faults) {
         for name in uses.texts(faults).unwrap_or_default() {
             match templates.iter().find(|template| &*template.name == name) {
-                Some(template) => add_tags(&mut tags, template.tags.clone(), &format!("{}.use", section.path()), faults),
+                Some(template) => {
+                    add_tags(&mut tags, template.tags.clone(), &format!("{}.use", section.path()), faults)
+                }
                 None => uses.fault(PlantFault::NoSuch { kind: "template", name: name.to_owned() }, faults),
             }
         }
@@ -279,7 +283,8 @@ fn write_rule(field: &Field<'_>, tag: Option<Tag>, faults: &mut Faults) -> Optio
         field.fault(PlantFault::MinAboveMax, faults);
     }
     let is_one_discrete = |tag: Tag| matches!(tag.first(), Element::Discrete(_)) && tag.value_count() == 1;
-    let is_number = |tag: Tag| tag.first().width() != Width::Bit && tag.tag_type() != TagType::Bool && !tag.tag_type().is_text();
+    let is_number =
+        |tag: Tag| tag.first().width() != Width::Bit && tag.tag_type() != TagType::Bool && !tag.tag_type().is_text();
     let has_limits = min.is_some() || max.is_some();
     if tag.is_some_and(|tag| has_limits && !is_number(tag) || pulse.is_some() && !is_one_discrete(tag)) {
         field.fault(PlantFault::WrongRule, faults);

@@ -71,7 +71,8 @@ impl<'t> Section<'t> {
     pub(super) fn entries(&self, faults: &Faults) -> Vec<(&'t str, Field<'t>)> {
         let mut entries: Vec<_> = self.table.iter().collect();
         entries.sort_by_key(|(key, _)| key.span().start);
-        let field = |key: &'t Spanned<_>, value| self.field(AsRef::<str>::as_ref(key.get_ref()), &key.span(), value, faults);
+        let field =
+            |key: &'t Spanned<_>, value| self.field(AsRef::<str>::as_ref(key.get_ref()), &key.span(), value, faults);
         entries.into_iter().map(|(key, value)| (AsRef::<str>::as_ref(key.get_ref()), field(key, value))).collect()
     }
 
@@ -98,13 +99,7 @@ impl<'t> Section<'t> {
         }
     }
 
-    fn field(
-        &self,
-        key: &str,
-        span: &Range<usize>,
-        value: &'t Spanned<DeValue<'t>>,
-        faults: &Faults,
-    ) -> Field<'t> {
+    fn field(&self, key: &str, span: &Range<usize>, value: &'t Spanned<DeValue<'t>>, faults: &Faults) -> Field<'t> {
         let path = if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) };
         Field { path, line: faults.line(span), value: value.get_ref() }
     }

@@ -47,7 +47,10 @@ fn a_plant_has_the_plcs_classes_and_tags_of_its_file() {
     let tags: Vec<&str> = mixer.tags().map(PlantTag::name).collect();
     assert_eq!(tags, ["level", "alarm", "name", "total", "setpoint", "start", "mode"]);
     let level = mixer.tag("level").unwrap();
-    assert_eq!((level.tag().to_string().as_str(), level.class(), level.unit()), ("R5:i16*0.1-40", Some("fast"), Some("%")));
+    assert_eq!(
+        (level.tag().to_string().as_str(), level.class(), level.unit()),
+        ("R5:i16*0.1-40", Some("fast"), Some("%"))
+    );
     assert_eq!((level.deadband(), level.heartbeat(), level.line()), (Some(0.2), Some(Duration::from_secs(60)), 11));
     assert!(mixer.tag("alarm").unwrap().is_on_change() && !level.is_on_change() && level.write().is_none());
     let total = mixer.tag("total").unwrap();
@@ -142,7 +145,10 @@ fn a_file_may_name_tables_of_tags_beside_it() {
 
     write("boiler.csv", "name,at,class\nlevel,R100:f33,fast\n");
     let error = Plant::load(folder.join("plant.toml")).unwrap_err().to_string();
-    assert!(error.contains("plant.toml: line 6, plc.boiler.tags: ") && error.contains("boiler.csv: line 2, at: "), "{error}");
+    assert!(
+        error.contains("plant.toml: line 6, plc.boiler.tags: ") && error.contains("boiler.csv: line 2, at: "),
+        "{error}"
+    );
     write("boiler.csv", "name,at,class\nlevel,R100:f32,slow\n");
     let error = Plant::load(folder.join("plant.toml")).unwrap_err().to_string();
     assert!(error.ends_with("line 6, plc.boiler.tags: there is no class `slow`"), "{error}");

@@ -22,6 +22,7 @@ pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, Pro
 pub(crate) use self::sim::SimArgs;
 use crate::duration;
 use crate::output::FormatArg;
+use crate::targets::PlantArgs;
 
 /// Command line client for FATEK / FACON PLCs, with a simulator and a frame decoder
 ///
@@ -32,6 +33,8 @@ use crate::output::FormatArg;
 pub(crate) struct Cli {
     #[command(flatten)]
     pub(crate) plc: DefaultPlc,
+    #[command(flatten)]
+    pub(crate) plant: PlantArgs,
     #[command(flatten)]
     pub(crate) common: Common,
     #[command(subcommand)]
@@ -161,13 +164,13 @@ impl DefaultPlc {
 }
 
 /// Link and station of one PLC.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "PLC")]
 pub(crate) struct Plc {
     /// Link to the PLC, such as tcp://192.168.2.3:500 [env: FATEK_LINK=]
     #[arg(long, value_name = "URL")]
     pub(crate) link: Option<String>,
-    /// Station number, 1 to 254 [env: FATEK_STATION=]
+    /// Station number, 1 to 254; read and watch: also a list such as 1-4,9 [env: FATEK_STATION=]
     #[arg(long, value_name = "N")]
     pub(crate) station: Option<String>,
     /// Capabilities of the PLC: a file of `fatek probe --format json` [env: FATEK_CAPABILITIES=]

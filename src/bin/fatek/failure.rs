@@ -5,6 +5,7 @@ use std::{fmt, io};
 
 use fatek::backup::{RestoreError, RestoreFailure};
 use fatek::file::{FileError, PlcDifference};
+use fatek::plant::PlantFileError;
 use fatek::program::{PlcState, ProgramError, WriteProgramError, WriteState};
 use fatek::tag_table::TableFileError;
 
@@ -20,6 +21,9 @@ pub(crate) enum Failure {
     /// A table of tags cannot be loaded; one line for each fault.
     #[error(transparent)]
     Table(#[from] TableFileError),
+    /// A plant configuration cannot be loaded; one line for each fault.
+    #[error(transparent)]
+    Plant(#[from] PlantFileError),
     /// Failed call.
     #[error(transparent)]
     Call(#[from] fatek::Error),
@@ -121,7 +125,7 @@ impl Failure {
             Self::Output(_) | Self::Runtime(_) | Self::Declined => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
-            Self::Usage(_) | Self::Table(_) => 2,
+            Self::Usage(_) | Self::Table(_) | Self::Plant(_) => 2,
             Self::Missing { .. } | Self::RefusedTags { .. } => 3,
             Self::Call(error) | Self::CallOf { error, .. } => of_call(error),
             Self::Restore(RestoreError { source: RestoreFailure::NotThere { .. }, .. }) => 3,

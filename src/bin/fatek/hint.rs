@@ -1,9 +1,9 @@
-//! Hints behind an error: what to try next.
+//! Hints behind an error: things to try next.
 
 use fatek::tag::{Tag, TagType};
 use fatek::{Error, Seen};
 
-/// What to try after a call without a usable reply, by what came in place of the reply.
+/// Things to try after a call without a usable reply, by the traffic in place of the reply.
 pub(crate) fn unanswered(error: &Error) -> Vec<String> {
     let seen = if let Error::Timeout { seen, .. } | Error::BadReply { seen, .. } = error {
         *seen

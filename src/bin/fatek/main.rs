@@ -27,10 +27,12 @@ mod scan;
 mod signal;
 mod sim;
 mod status;
+mod targets;
 mod transfer;
 mod watch;
 mod write;
 
+use std::ffi::OsString;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
@@ -46,7 +48,7 @@ use self::printable::{excerpt, printable};
 use self::ranges::DiscreteRange;
 
 fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let cli = match Cli::try_parse_from(arguments()) {
         Ok(cli) => cli,
         Err(error) => return refuse(error),
     };
@@ -55,6 +57,17 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => report(&failure, &output),
     }
+}
+
+/// The arguments, with `@NAME` before the command as `--plc=NAME`.
+fn arguments() -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = std::env::args_os().collect();
+    let names = arguments.iter_mut().skip(1).map_while(|argument| {
+        let name = argument.to_str()?.strip_prefix('@')?.to_owned();
+        Some((argument, name))
+    });
+    names.for_each(|(argument, name)| *argument = format!("--plc={name}").into());
+    arguments
 }
 
 /// Prints an error of the arguments, which it quotes, or the help.
@@ -92,7 +105,7 @@ fn report(failure: &Failure, output: &Output) -> ExitCode {
     if failure.is_broken_pipe() {
         return ExitCode::SUCCESS;
     }
-    if let Failure::Table(_) = failure {
+    if let Failure::Table(_) | Failure::Plant(_) = failure {
         // One line for each fault; the texts of the file in it are escaped.
         format!("error: {failure}").lines().for_each(|line| complain(format_args!("{line}")));
     } else {
@@ -114,7 +127,10 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     // All requests go to one link, so one thread is enough, also for the simulator.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Failure::Runtime)?;
     let timeout = cli.common.timeout;
-    let station = |plc: &Plc| connect::station(&cli.plc.or(plc), timeout);
+    let chosen = cli.plant.load()?;
+    let plc = |own: &Plc| chosen.plc(cli.plc.or(own));
+    let station = |own: &Plc| connect::station(&plc(own)?, timeout);
+    let targets = |own: &Plc| chosen.targets(&cli.plc.or(own), timeout);
     let discretes = async |args: &DiscreteArgs, control| {
         let discretes: Vec<_> = args.discretes.iter().flat_map(DiscreteRange::iter).collect();
         write::refuse_special(args.special, discretes.iter().map(|&discrete| discrete.into()))?;
@@ -123,8 +139,8 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     runtime.block_on(async {
         match &cli.command {
             Command::Sim(args) => sim::sim(args).await,
-            Command::Read(args) => read::read(&station(&args.plc)?, args, output).await,
-            Command::Write(args) => write::write(&station(&args.plc)?, args, output).await,
+            Command::Read(args) => read::read(&targets(&args.plc)?, args, output).await,
+            Command::Write(args) => write::write(&station(&args.plc)?, args, chosen.one()?, output).await,
             Command::Status(args) => status::status(&station(&args.plc)?, output).await,
             Command::Run(args) => control::plc(&station(&args.plc)?, ControlPlc::Run, output).await,
             Command::Stop(args) => control::plc(&station(&args.plc)?, ControlPlc::Stop, output).await,
@@ -139,25 +155,28 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 ping::ping(&station, args, output).await
             }
             Command::Scan(args) => {
-                let endpoint = connect::endpoint(cli.plc.link(&args.link).as_deref())?;
+                let endpoint = match chosen.one()? {
+                    Some(plc) => plc.endpoint().clone(),
+                    None => connect::endpoint(cli.plc.link(&args.link).as_deref())?,
+                };
                 scan::scan(endpoint, args, timeout, output).await
             }
-            Command::Plan(args) => plan::plan(&cli.plc.of_plan(args), args, output),
-            Command::Watch(args) => watch::watch(&station(&args.plc)?, args, output).await,
+            Command::Plan(args) => plan::plan(&chosen.plc(cli.plc.of_plan(args))?, args, chosen.one()?, output),
+            Command::Watch(args) => watch::watch(&targets(&args.plc)?, args, output).await,
             Command::Program(ProgramCommand::Read(args)) => program::read(&station(&args.plc)?, args, output).await,
             Command::Program(ProgramCommand::Write(args)) => {
-                program::write(&cli.plc.or(&args.plc), timeout, args, output).await
+                program::write(&plc(&args.plc)?, timeout, args, output).await
             }
             Command::Program(ProgramCommand::Verify(args)) => {
-                program::verify(&cli.plc.or(&args.plc), timeout, args, output).await
+                program::verify(&plc(&args.plc)?, timeout, args, output).await
             }
             Command::Program(ProgramCommand::Info(file)) => program::info(file, output),
-            Command::Backup(args) => backup::backup(&cli.plc.or(&args.plc), timeout, args, output).await,
-            Command::Restore(args) => backup::restore(&cli.plc.or(&args.plc), timeout, args, output).await,
+            Command::Backup(args) => backup::backup(&plc(&args.plc)?, timeout, args, output).await,
+            Command::Restore(args) => backup::restore(&plc(&args.plc)?, timeout, args, output).await,
             Command::Clock(args) => clock::clock(&station(&args.plc)?, args, output).await,
             Command::Probe(args) => {
                 // It finds them anew.
-                let plc = Plc { capabilities: None, ..cli.plc.or(&args.plc) };
+                let plc = Plc { capabilities: None, ..plc(&args.plc)? };
                 probe::probe(&connect::station(&plc, timeout)?, output).await
             }
             Command::Decode(args) => decode::decode(args, output),

@@ -3,8 +3,9 @@
 use std::ffi::OsString;
 
 use clap::Args;
+use fatek::plant::PlantPlc;
 use fatek::tag::{Assignment, Tag, TagValue};
-use fatek::tag_table::TagTable;
+use fatek::tag_table::{TagEntry, TagTable};
 
 use crate::failure::Failure;
 use crate::hint;
@@ -19,9 +20,12 @@ pub(crate) struct TableArgs {
     path: Option<OsString>,
 }
 
-/// The table of tags, if there is one.
+/// The names that stand for tags: of the table of tags and of the PLC of a plant, if there are any.
 #[derive(Debug)]
-pub(crate) struct Table(Option<TagTable>);
+pub(crate) struct Table {
+    table: Option<TagTable>,
+    plc: Option<PlantPlc>,
+}
 
 /// A tag with the name to be printed, if it was given by name.
 #[derive(Clone, Debug)]
@@ -42,27 +46,27 @@ impl NamedTag {
 }
 
 impl TableArgs {
-    /// Loads the table, if there is one.
-    pub(crate) fn load(&self) -> Result<Table, Failure> {
+    /// Loads the table, if there is one. `plc`: a PLC of a plant, whose tags have names, too.
+    pub(crate) fn load(&self, plc: Option<&PlantPlc>) -> Result<Table, Failure> {
         // An empty variable counts as unset.
         let path = self.path.as_ref().filter(|path| !path.is_empty());
-        Ok(Table(path.map(TagTable::load).transpose()?))
+        Ok(Table { table: path.map(TagTable::load).transpose()?, plc: plc.cloned() })
     }
 }
 
 impl Table {
     /// The tags of these texts; without any, all tags of the table.
     pub(crate) fn tags(&self, texts: &[String]) -> Result<Vec<NamedTag>, Failure> {
-        if let (Some(table), true) = (&self.0, texts.is_empty()) {
-            let named =
-                |entry: &fatek::tag_table::TagEntry| NamedTag { tag: entry.tag(), name: Some(entry.name().to_owned()) };
-            let all: Vec<NamedTag> = table.iter().map(named).collect();
-            return if all.is_empty() { Err(Failure::Usage("the table has no tags".to_owned())) } else { Ok(all) };
+        if texts.is_empty() && (self.table.is_some() || self.plc.is_some()) {
+            let named = |(name, tag): (&str, Tag)| NamedTag { tag, name: Some(name.to_owned()) };
+            let of_table = self.table.iter().flat_map(TagTable::iter).map(|entry| (entry.name(), entry.tag()));
+            let of_plc = self.plc.iter().flat_map(PlantPlc::tags).map(|tag| (tag.name(), tag.tag()));
+            let all: Vec<NamedTag> = of_table.chain(of_plc).map(named).collect();
+            return if all.is_empty() { Err(Failure::Usage("there are no tags".to_owned())) } else { Ok(all) };
         }
         let named = |text: &String| {
             let tag = self.tag(text)?;
-            let is_name = self.0.as_ref().is_some_and(|table| table.get(text).is_some());
-            Ok(NamedTag { tag, name: is_name.then(|| text.clone()) })
+            Ok(NamedTag { tag, name: self.named(text).is_some().then(|| text.clone()) })
         };
         if texts.is_empty() {
             return Err(Failure::Usage("no tag is given, and no table of tags".to_owned()));
@@ -100,15 +104,25 @@ impl Table {
 
     /// Prints the tags of the table that have common elements.
     pub(crate) fn remark_overlaps(&self, output: &Output) {
-        for overlap in self.0.iter().flat_map(TagTable::overlaps) {
+        for overlap in self.table.iter().flat_map(TagTable::overlaps) {
             output.remark(format_args!("{overlap}"));
         }
     }
 
+    /// The tag of a name.
+    fn named(&self, name: &str) -> Option<Tag> {
+        let of_table = self.table.as_ref().and_then(|table| table.get(name)).map(TagEntry::tag);
+        of_table.or_else(|| Some(self.plc.as_ref()?.tag(name)?.tag()))
+    }
+
     fn tag(&self, text: &str) -> Result<Tag, Failure> {
-        match &self.0 {
-            Some(table) => table.tag(text).map_err(Failure::usage),
-            None => text.parse().map_err(Failure::usage),
+        match (self.named(text), &self.table, &self.plc) {
+            (Some(tag), _, _) => Ok(tag),
+            (None, Some(table), _) => table.tag(text).map_err(Failure::usage),
+            (None, None, Some(plc)) => text
+                .parse()
+                .map_err(|error| Failure::Usage(format!("{error}; nor is it a name of the tags of {}", plc.name()))),
+            (None, None, None) => text.parse().map_err(Failure::usage),
         }
     }
 }

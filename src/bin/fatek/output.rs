@@ -195,6 +195,11 @@ impl Rows {
         Self { columns: columns.into(), rows: Vec::new() }
     }
 
+    /// Number of columns.
+    pub(crate) fn columns(&self) -> usize {
+        self.columns.len()
+    }
+
     pub(crate) fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }

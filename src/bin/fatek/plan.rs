@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use fatek::endpoint::SerialSettings;
+use fatek::plant::PlantPlc;
 use fatek::wire::Framing;
 use fatek::{CostModel, Limits, MemoryMap, Plan};
 use serde_json::Value;
@@ -15,11 +16,11 @@ use crate::output::{Cell, Format, Output, Rows, print};
 /// Time per request besides its bytes, where it is not known.
 const DEFAULT_ROUND_TRIP: Duration = Duration::from_millis(5);
 
-pub(crate) fn plan(plc: &Plc, args: &PlanArgs, output: &Output) -> Result<(), Failure> {
+pub(crate) fn plan(plc: &Plc, args: &PlanArgs, chosen: Option<&PlantPlc>, output: &Output) -> Result<(), Failure> {
     let known = plc.capabilities.as_deref().map(connect::capabilities).transpose()?.unwrap_or_default();
     let cost = cost(plc.link.as_deref(), known.response_time(), args)?;
     let builder = Plan::builder(cost).limits(limits(args)?.within(&known));
-    let table = args.table.load()?;
+    let table = args.table.load(chosen)?;
     table.remark_overlaps(output);
     let tags = table.tags(&args.tags)?;
     let tags = tags.iter().map(|named| named.tag);

@@ -5,21 +5,30 @@ mod alone;
 use std::fmt;
 
 use fatek::tag::{Tag, TagValue};
-use fatek::{Element, Error, Limits, Plan, Station};
+use fatek::{Element, Error, Plan};
+use futures::future::join_all;
 
 use crate::args::ReadArgs;
 use crate::failure::Failure;
 use crate::names::NamedTag;
-use crate::output::{Output, Rows, complain};
+use crate::output::{Cell, Output, Rows, complain};
+use crate::targets::Target;
 
-pub(crate) async fn read(station: &Station, args: &ReadArgs, output: &Output) -> Result<(), Failure> {
-    let tags = args.table.load()?.tags(&args.tags)?;
-    let limits = args.model.check(station, tags.iter().map(|named| named.tag)).await?;
-    let results = read_all(station, &tags, limits).await?;
+pub(crate) async fn read(targets: &[Target], args: &ReadArgs, output: &Output) -> Result<(), Failure> {
+    // All tags are checked before the first request.
+    let mut tags = Vec::with_capacity(targets.len());
+    for target in targets {
+        tags.push(args.table.load(target.plc.as_ref())?.tags(&args.tags)?);
+    }
+    let reads = targets.iter().zip(&tags).map(|(target, tags)| read_all(target, tags, args));
+    let mut results = Vec::new();
+    for of_target in join_all(reads).await {
+        results.extend(of_target?);
+    }
     let failure = failure(&results);
-    let mut rows = Rows::new(["tag", "type", "value"]);
+    let mut rows = rows(targets.len() > 1);
     if failure.is_none() || !args.strict {
-        results.iter().for_each(|(named, result)| add_rows(&mut rows, named, &result.values));
+        results.iter().for_each(|result| result.add_to(&mut rows));
     }
     let Some(failure) = failure else { return output.rows(&rows) };
     if !rows.is_empty() {
@@ -27,17 +36,24 @@ pub(crate) async fn read(station: &Station, args: &ReadArgs, output: &Output) ->
     }
     // A single tag without values has its reason in the message of the failure.
     if results.len() > 1 || !rows.is_empty() {
-        for (named, result) in &results {
+        for result in &results {
             if let Some(missing) = &result.missing {
-                complain(format_args!("{}: {missing}", named.tag));
+                complain(format_args!("{}: {missing}", result.subject(targets.len() > 1)));
             }
         }
     }
     Err(failure)
 }
 
+/// The rows of one PLC, or of several.
+fn rows(several: bool) -> Rows {
+    if several { Rows::new(["plc", "tag", "type", "value"]) } else { Rows::new(["tag", "type", "value"]) }
+}
+
 /// Values of a tag from the first on, and why others are missing.
-struct TagResult {
+struct TagResult<'t> {
+    plc: &'t str,
+    named: &'t NamedTag,
     values: Vec<TagValue>,
     missing: Option<Missing>,
 }
@@ -58,46 +74,60 @@ impl fmt::Display for Missing {
     }
 }
 
+impl TagResult<'_> {
+    /// The tag in a message, with its PLC if there are several.
+    fn subject(&self, several: bool) -> String {
+        if several { format!("{}: {}", self.plc, self.named.tag) } else { self.named.tag.to_string() }
+    }
+
+    fn add_to(&self, rows: &mut Rows) {
+        for (number, (single, value)) in self.named.tag.singles().zip(&self.values).enumerate() {
+            let label: Cell = self.named.label(number, || elements(&single)).into();
+            let (type_name, value): (Cell, Cell) = (type_name(&single).into(), value.clone().into());
+            match rows.columns() {
+                4 => rows.push([self.plc.into(), label, type_name, value]),
+                _ => rows.push([label, type_name, value]),
+            }
+        }
+    }
+}
+
 /// Reads all tags with the requests of a plan. Tags of a refused request are read once more, each alone:
 /// another tag of the request may be the reason.
 async fn read_all<'t>(
-    station: &Station,
+    target: &'t Target,
     tags: &'t [NamedTag],
-    limits: Limits,
-) -> Result<Vec<(&'t NamedTag, TagResult)>, Failure> {
+    args: &ReadArgs,
+) -> Result<Vec<TagResult<'t>>, Failure> {
+    let station = &target.station;
+    let limits = args.model.check(station, tags.iter().map(|named| named.tag)).await?;
     let builder = Plan::builder_for(station).limits(limits.within(&station.capabilities()));
     let plan = builder.tags(tags.iter().map(|named| named.tag)).build().map_err(Failure::usage)?;
     let readings = plan.read(station).await;
     let mut results = Vec::with_capacity(tags.len());
     for (named, (tag, values)) in tags.iter().zip(readings.iter()) {
-        let result = match values {
-            Ok(values) => TagResult { values, missing: None },
+        let (values, missing) = match values {
+            Ok(values) => (values, None),
             Err(error) if error.error_code().is_some() => alone::read(station, &tag).await?,
-            Err(error) => TagResult { values: Vec::new(), missing: Some(Missing { error: error.clone(), end: None }) },
+            Err(error) => (Vec::new(), Some(Missing { error: error.clone(), end: None })),
         };
-        results.push((named, result));
+        results.push(TagResult { plc: &target.label, named, values, missing });
     }
     Ok(results)
 }
 
 /// The failure of the command, if values are missing: a call without a reply before refused tags.
-fn failure(results: &[(&NamedTag, TagResult)]) -> Option<Failure> {
-    let missing = || results.iter().filter_map(|(named, result)| Some((named, result, result.missing.as_ref()?)));
-    if let Some((named, _, missing)) = missing().find(|(_, _, missing)| missing.error.error_code().is_none()) {
-        return Some(Failure::of(named.tag)(missing.error.clone()));
+fn failure(results: &[TagResult<'_>]) -> Option<Failure> {
+    let missing = || results.iter().filter_map(|result| Some((result, result.missing.as_ref()?)));
+    let several = results.iter().any(|result| result.plc != results.first().map_or("", |first| first.plc));
+    if let Some((result, missing)) = missing().find(|(_, missing)| missing.error.error_code().is_none()) {
+        return Some(Failure::of(result.subject(several))(missing.error.clone()));
     }
-    let (named, result, first) = missing().next()?;
+    let (result, first) = missing().next()?;
     if results.len() == 1 && result.values.is_empty() {
-        return Some(Failure::of(named.tag)(first.error.clone()));
+        return Some(Failure::of(result.named.tag)(first.error.clone()));
     }
     Some(Failure::RefusedTags { refused: missing().count(), all: results.len() })
-}
-
-fn add_rows(rows: &mut Rows, named: &NamedTag, values: &[TagValue]) {
-    for (number, (single, value)) in named.tag.singles().zip(values).enumerate() {
-        let label = named.label(number, || elements(&single));
-        rows.push([label.into(), type_name(&single).into(), value.clone().into()]);
-    }
 }
 
 /// Elements of a tag, without its type.

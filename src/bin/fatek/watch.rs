@@ -3,7 +3,6 @@
 use std::pin::pin;
 use std::time::SystemTime;
 
-use fatek::Station;
 use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass, StationPolling};
 use fatek::tag::Tag;
 use futures::StreamExt;
@@ -14,24 +13,31 @@ use crate::failure::Failure;
 use crate::names::NamedTag;
 use crate::output::{Cell, Format, Output, complain, print, stdout_closed};
 use crate::signal::Stop;
+use crate::targets::Target;
 
-pub(crate) async fn watch(station: &Station, args: &WatchArgs, output: &Output) -> Result<(), Failure> {
+pub(crate) async fn watch(targets: &[Target], args: &WatchArgs, output: &Output) -> Result<(), Failure> {
     let mut stop = Stop::new()?;
     let mut closed = pin!(stdout_closed());
     let mut poller = Poller::new();
-    let named = args.table.load()?.tags(&args.tags)?;
-    let limits = args.model.check(station, named.iter().map(|named| named.tag)).await?;
-    let polled = poller.handle().station_with(station, StationPolling::new().limits(limits)).map_err(Failure::usage)?;
-    // One tag per value, so that each change is reported alone.
-    let labelled = |named: NamedTag| {
-        let singles = named.tag.singles().enumerate();
-        singles.map(move |(number, tag)| (named.label(number, || tag.to_string()), tag))
-    };
-    let tags: Vec<(String, Tag)> = named.into_iter().flat_map(labelled).collect();
-    let class = ScanClass::every(args.interval);
-    polled.add(class, tags.iter().map(|(label, tag)| poll_tag(label, *tag, args))).map_err(Failure::usage)?;
+    let mut labels = Vec::new();
+    for target in targets {
+        let named = args.table.load(target.plc.as_ref())?.tags(&args.tags)?;
+        let limits = args.model.check(&target.station, named.iter().map(|named| named.tag)).await?;
+        let polling = StationPolling::new().limits(limits);
+        let polled = poller.handle().station_with(&target.station, polling).map_err(Failure::usage)?;
+        // One tag per value, so that each change is reported alone. Of several PLCs, each has its name.
+        let plc = if targets.len() > 1 { format!("{}/", target.label) } else { String::new() };
+        let labelled = |named: NamedTag| {
+            let (singles, plc) = (named.tag.singles().enumerate(), plc.clone());
+            singles.map(move |(number, tag)| (format!("{plc}{}", named.label(number, || tag.to_string())), tag))
+        };
+        let tags: Vec<(String, Tag)> = named.into_iter().flat_map(labelled).collect();
+        let class = ScanClass::every(args.interval);
+        polled.add(class, tags.iter().map(|(label, tag)| poll_tag(label, *tag, args))).map_err(Failure::usage)?;
+        labels.extend(tags.into_iter().map(|(label, _)| label));
+    }
 
-    let printer = Printer::new(tags.iter().map(|(label, _)| label.as_str()), output);
+    let printer = Printer::new(labels.iter().map(String::as_str), output);
     printer.header()?;
     let mut lines = 0_u64;
     while args.count.is_none_or(|count| lines < count) {

@@ -5,6 +5,7 @@ use std::fmt;
 use std::time::Duration;
 
 use fatek::memory_map::special_range;
+use fatek::plant::PlantPlc;
 use fatek::tag::{Assignment, Tag, TagValue};
 use fatek::{Element, Error, Station};
 use tokio::time::MissedTickBehavior;
@@ -60,8 +61,13 @@ impl fmt::Display for Write {
     }
 }
 
-pub(crate) async fn write(station: &Station, args: &WriteArgs, output: &Output) -> Result<(), Failure> {
-    let writes = args.table.load()?.writes(&args.assignments, args.modify_bits)?;
+pub(crate) async fn write(
+    station: &Station,
+    args: &WriteArgs,
+    plc: Option<&PlantPlc>,
+    output: &Output,
+) -> Result<(), Failure> {
+    let writes = args.table.load(plc)?.writes(&args.assignments, args.modify_bits)?;
     let writes = writes.as_slice();
     let tags = || writes.iter().map(Write::tag);
     refuse_special(args.special, tags().flat_map(|tag| tag.elements()))?;

@@ -228,7 +228,6 @@ mod tests {
         assert_eq!(second.block_on(time_out_after(SECOND)), SECOND);
     }
 
-
     #[tokio::test(start_paused = true)]
     async fn a_kept_timer_holds_no_waker() {
         let task = Arc::<Task>::default();

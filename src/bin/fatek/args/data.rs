@@ -20,6 +20,8 @@ use crate::ranges::DiscreteRange;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   fatek read R0-R9 R100:f32 M0-M7 --link tcp://192.168.2.3 --station 1
+  fatek read R0 --link tcp://192.168.2.3 --station 1-4,9
+  fatek --config plant.toml @mixer read level
   fatek read WY8:hex DR2:i32 --format csv
   fatek read level alarm --tags mixer.csv
 
@@ -30,8 +32,8 @@ in double quotes, with backslash escapes for control characters.")]
 pub(crate) struct ReadArgs {
     /// Element or range, with an optional type: R5, R0-R9, R100:f32, R5:i16*0.1, WY8:hex, M0-M7
     ///
-    /// Also a name of the table of --tags; without any, all of its tags.
-    #[arg(required_unless_present = "table", value_name = "TAG")]
+    /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
+    #[arg(required_unless_present_any = ["table", "plcs"], value_name = "TAG")]
     pub(crate) tags: Vec<String>,
     /// Print nothing unless all tags were read
     #[arg(long)]
@@ -146,8 +148,8 @@ JSON: one object per line with time, tag, value and quality; no value is null.")
 pub(crate) struct WatchArgs {
     /// Element or range, with an optional type, as for read
     ///
-    /// Also a name of the table of --tags; without any, all of its tags.
-    #[arg(required_unless_present = "table", value_name = "TAG")]
+    /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
+    #[arg(required_unless_present_any = ["table", "plcs"], value_name = "TAG")]
     pub(crate) tags: Vec<String>,
     #[command(flatten)]
     pub(crate) table: TableArgs,
@@ -185,8 +187,8 @@ CSV: the requests alone.")]
 pub(crate) struct PlanArgs {
     /// Element or range, with an optional type, as for read
     ///
-    /// Also a name of the table of --tags; without any, all of its tags.
-    #[arg(required_unless_present = "table", value_name = "TAG")]
+    /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
+    #[arg(required_unless_present_any = ["table", "plcs"], value_name = "TAG")]
     pub(crate) tags: Vec<String>,
     #[command(flatten)]
     pub(crate) table: TableArgs,

@@ -1,16 +1,16 @@
 //! Reads a tag as far as the PLC has its elements.
 
-use fatek::tag::Tag;
+use fatek::tag::{Tag, TagValue};
 use fatek::{Element, Error, Station, Value};
 
-use super::{Missing, TagResult};
+use super::Missing;
 use crate::failure::Failure;
 
 /// Elements that are read at once: a multiple of the elements of any value, and one request mostly.
 const AT_ONCE: usize = 64;
 
 /// Reads the values of a tag up to the first element that the PLC refuses.
-pub(super) async fn read(station: &Station, tag: &Tag) -> Result<TagResult, Failure> {
+pub(super) async fn read(station: &Station, tag: &Tag) -> Result<(Vec<TagValue>, Option<Missing>), Failure> {
     let (first, count) = (tag.first(), tag.element_count());
     let mut raw = Vec::with_capacity(count);
     let mut refused = None;
@@ -34,7 +34,7 @@ pub(super) async fn read(station: &Station, tag: &Tag) -> Result<TagResult, Fail
         values.extend(single.decode(of_single).map_err(Failure::usage)?);
         rest = others;
     }
-    Ok(TagResult { values, missing })
+    Ok((values, missing))
 }
 
 /// Reads as many of these elements as the PLC has, and returns the error of the first one that it refuses.

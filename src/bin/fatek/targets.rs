@@ -1,0 +1,164 @@
+//! The PLCs of a command: of `--link` and `--station`, or of a plant configuration (`--config`, `@NAME`).
+
+use std::collections::HashMap;
+use std::ffi::OsString;
+use std::time::Duration;
+
+use clap::Args;
+use fatek::plant::{Plant, PlantPlc};
+use fatek::{Link, Station};
+
+use crate::args::Plc;
+use crate::connect;
+use crate::failure::Failure;
+use crate::printable::excerpt;
+
+/// Options that choose PLCs of a plant configuration.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Plant")]
+pub(crate) struct PlantArgs {
+    /// Plant configuration: PLCs with their links, stations and tags (TOML)
+    #[arg(long, global = true, env = "FATEK_CONFIG", hide_env_values = true, value_name = "FILE")]
+    config: Option<OsString>,
+    /// PLC of the plant configuration, also written @NAME before the command; all: each of them
+    ///
+    /// Its link and station take the place of --link and --station, and the names of its tags stand for
+    /// tags. `read` and `watch` take several.
+    #[arg(long = "plc", id = "plcs", global = true, value_name = "NAME")]
+    names: Vec<String>,
+}
+
+/// The PLCs that were chosen by name.
+#[derive(Debug)]
+pub(crate) struct Chosen(Vec<PlantPlc>);
+
+/// A station of a command.
+#[derive(Debug)]
+pub(crate) struct Target {
+    /// Its name, or its number.
+    pub(crate) label: String,
+    pub(crate) station: Station,
+    /// Its tags, if it is one of a plant.
+    pub(crate) plc: Option<PlantPlc>,
+}
+
+impl PlantArgs {
+    pub(crate) fn load(&self) -> Result<Chosen, Failure> {
+        if self.names.is_empty() {
+            return Ok(Chosen(Vec::new()));
+        }
+        // An empty variable counts as unset.
+        let Some(path) = self.config.as_ref().filter(|path| !path.is_empty()) else {
+            return Err(Failure::Usage("no plant configuration: give --config FILE, or set FATEK_CONFIG".to_owned()));
+        };
+        let plant = Plant::load(path)?;
+        let mut chosen = Vec::new();
+        for name in &self.names {
+            match plant.plc(name) {
+                Some(plc) => chosen.push(plc.clone()),
+                None if name == "all" => chosen.extend(plant.plcs().cloned()),
+                None => return Err(Failure::Usage(unknown(name, &plant))),
+            }
+        }
+        if chosen.is_empty() { Err(Failure::Usage("the plant has no PLCs".to_owned())) } else { Ok(Chosen(chosen)) }
+    }
+}
+
+fn unknown(name: &str, plant: &Plant) -> String {
+    let names: Vec<&str> = plant.plcs().map(PlantPlc::name).take(10).collect();
+    let others = plant.plcs().count().saturating_sub(names.len());
+    let more = if others > 0 { format!(" and {others} more") } else { String::new() };
+    format!("the plant has no PLC `{}` (it has: {}{more})", excerpt(name), names.join(" "))
+}
+
+impl Chosen {
+    /// The PLC for a command that takes one; `None` if none was chosen by name.
+    pub(crate) fn one(&self) -> Result<Option<&PlantPlc>, Failure> {
+        match &self.0[..] {
+            [] => Ok(None),
+            [plc] => Ok(Some(plc)),
+            several => Err(Failure::Usage(format!("this command takes one PLC, not {}", several.len()))),
+        }
+    }
+
+    /// Link and station of the PLC that was chosen, or those of the options.
+    pub(crate) fn plc(&self, options: Plc) -> Result<Plc, Failure> {
+        Ok(match self.one()? {
+            None => options,
+            Some(plc) => Plc {
+                link: Some(plc.endpoint().to_string()),
+                station: Some(plc.station().to_string()),
+                capabilities: options.capabilities,
+            },
+        })
+    }
+
+    /// The stations of a command that takes several. Stations of one endpoint share a link.
+    pub(crate) fn targets(&self, options: &Plc, timeout: Option<Duration>) -> Result<Vec<Target>, Failure> {
+        if self.0.is_empty() {
+            return of_options(options, timeout);
+        }
+        let mut links: HashMap<String, Link> = HashMap::new();
+        let mut targets = Vec::new();
+        for plc in &self.0 {
+            let open = || connect::link(plc.endpoint().clone(), connect::options(timeout), timeout);
+            let link = links.entry(plc.endpoint().to_string()).or_insert_with(open);
+            let station = link.station(plc.station()).map_err(Failure::usage)?;
+            if let Some(path) = &options.capabilities {
+                station.set_capabilities(connect::capabilities(path)?);
+            }
+            targets.push(Target { label: plc.name().to_owned(), station, plc: Some(plc.clone()) });
+        }
+        Ok(targets)
+    }
+}
+
+/// One station, or a list of stations of one link such as `1-4,9`.
+fn of_options(options: &Plc, timeout: Option<Duration>) -> Result<Vec<Target>, Failure> {
+    let is_list = |text: &&String| text.contains([',', '-']);
+    let Some(list) = options.station.as_ref().filter(is_list) else {
+        let station = connect::station(options, timeout)?;
+        return Ok(vec![Target { label: station.number().to_string(), station, plc: None }]);
+    };
+    let mut targets: Vec<Target> = Vec::new();
+    for number in numbers(list)? {
+        let station = match targets.first() {
+            Some(first) => first.station.link().station(number).map_err(Failure::usage)?,
+            None => connect::station(&Plc { station: Some(number.to_string()), ..options.clone() }, timeout)?,
+        };
+        if targets.iter().all(|target| target.station.number() != number) {
+            targets.push(Target { label: number.to_string(), station, plc: None });
+        }
+    }
+    Ok(targets)
+}
+
+/// The numbers of a list of stations and ranges.
+fn numbers(list: &str) -> Result<Vec<u8>, Failure> {
+    let fault = || {
+        let rule = "stations are numbers from 1 to 254 and ranges, such as 1-4,9";
+        Failure::Usage(format!("`{}` is not a list of stations: {rule}", excerpt(list)))
+    };
+    let number = |text: &str| text.trim().parse().ok().filter(|number| (1..=254_u8).contains(number));
+    let mut all = Vec::new();
+    for part in list.split(',') {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        let (first, last) = number(first).zip(number(last)).filter(|(first, last)| first <= last).ok_or_else(fault)?;
+        all.extend(first..=last);
+    }
+    Ok(all)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_of_stations_have_numbers_and_ranges() {
+        assert_eq!(numbers("1-4,9").unwrap(), [1, 2, 3, 4, 9]);
+        assert_eq!(numbers("7, 1-2").unwrap(), [7, 1, 2]);
+        for text in ["", "0-3", "4-1", "1,,2", "255", "1-", "a-b", "1-2-3"] {
+            assert!(numbers(text).is_err(), "{text}");
+        }
+    }
+}
