@@ -406,7 +406,7 @@ fn invalid_arguments_send_nothing() {
         (&["read", "R0-R8:f32"], "`R0-R8:f32` is not a tag: a value of f32 takes 2 elements, and the range has 9"),
         (&["read", "R0:bool"], "R is a 16-bit register, which has no type bool"),
         (&["read", "WM4"], "the address of WM must be a multiple of 8"),
-        (&["read"], "required arguments were not provided"),
+        (&["read"], "no tag is given"),
         (&["write", "R0=1", "R1=65536"], "`65536` is not a value for R1: out of range: u16 takes 0 to 65535"),
         (&["write", "R0=1", "R1"], "`R1` is not an assignment: it must be TAG=VALUE"),
         (&["write", "R0-R2=1,2"], "`1,2` is not a value for R0-R2: the number of values is 2, and R0-R2 takes 3"),

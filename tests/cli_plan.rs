@@ -84,7 +84,7 @@ fn an_impossible_plan_is_a_usage_error_and_sends_nothing() {
     let plc = ScriptedPlc::start(|_| ascii("01460ABCD"));
     for (args, error) in [
         (&["R0", "Q0"][..], "`Q0` is not a tag"),
-        (&[], "required arguments were not provided"),
+        (&[], "no tag is given"),
         (&["R0", "--max-registers", "65"], "max_registers is 65, and must be 2 to 64"),
         (&["R0", "--max-points", "0"], "max_points is 0, and must be 1 to 256"),
         (&["R0", "--baud", "0"], "--baud 0: "),

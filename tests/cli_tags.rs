@@ -58,7 +58,7 @@ fn faults_of_a_table_are_usage_errors_and_send_nothing() {
         usage(&["read", "levle", "--tags", &path]).contains("nor is it a name of the table (similar names: level)")
     );
     assert!(usage(&["write", "level=x", "--tags", &path]).contains("`x` is not a value for R100:f32"));
-    assert!(usage(&["read"]).contains("<TAG>"));
+    assert!(usage(&["read"]).contains("no tag is given"));
     let bad = folder.file("bad.csv");
     fs::write(&bad, "name,at\na,R5:f33\nb,Q5\n").unwrap();
     let error = usage(&["read", "--tags", &bad]);

@@ -105,7 +105,9 @@ pub(crate) async fn connect(way: Way, setting: Setting, servers: &Servers) -> Re
                 let framing = if bytes == Bytes::Ascii { "ascii" } else { "binary" };
                 let copies = if way == Way::Single { "&copies=0" } else { "" };
                 let endpoint: Endpoint = format!("tcp://{address}?framing={framing}{copies}").parse()?;
-                let station = Link::new(endpoint).station(1)?;
+                // Under a profiler with 1000 links a reply takes longer than the default allows.
+                let link = Link::builder(endpoint).response_timeout(TIMEOUT).call_timeout(6 * TIMEOUT).build();
+                let station = link.station(1)?;
                 clients.extend((0..setting.callers).map(|_| match way {
                     Way::Into(_) | Way::Single => Client::Into(station.clone(), [0; REGISTERS]),
                     _ => Client::Fatek(station.clone()),

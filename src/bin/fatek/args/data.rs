@@ -33,7 +33,7 @@ pub(crate) struct ReadArgs {
     /// Element or range, with an optional type: R5, R0-R9, R100:f32, R5:i16*0.1, WY8:hex, M0-M7
     ///
     /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
-    #[arg(required_unless_present_any = ["table", "plcs"], value_name = "TAG")]
+    #[arg(value_name = "TAG")]
     pub(crate) tags: Vec<String>,
     /// Print nothing unless all tags were read
     #[arg(long)]
@@ -149,7 +149,7 @@ pub(crate) struct WatchArgs {
     /// Element or range, with an optional type, as for read
     ///
     /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
-    #[arg(required_unless_present_any = ["table", "plcs"], value_name = "TAG")]
+    #[arg(value_name = "TAG")]
     pub(crate) tags: Vec<String>,
     #[command(flatten)]
     pub(crate) table: TableArgs,
@@ -188,7 +188,7 @@ pub(crate) struct PlanArgs {
     /// Element or range, with an optional type, as for read
     ///
     /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
-    #[arg(required_unless_present_any = ["table", "plcs"], value_name = "TAG")]
+    #[arg(value_name = "TAG")]
     pub(crate) tags: Vec<String>,
     #[command(flatten)]
     pub(crate) table: TableArgs,
