@@ -69,7 +69,9 @@ impl Table {
             Ok(NamedTag { tag, name: self.named(text).is_some().then(|| text.clone()) })
         };
         if texts.is_empty() {
-            return Err(Failure::Usage("no tag is given, and no table of tags (--tags) or PLC of a plant (@NAME)".to_owned()));
+            return Err(Failure::Usage(
+                "no tag is given, and no table of tags (--tags) or PLC of a plant (@NAME)".to_owned(),
+            ));
         }
         texts.iter().map(named).collect()
     }
