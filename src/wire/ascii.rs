@@ -254,19 +254,21 @@ impl FieldWriter for AsciiWriter<'_> {
     }
 
     fn element(&mut self, element: Element) {
-        let symbol = element.symbol();
-        let mut digits = [NO_DIGIT; LONGEST_ADDRESS];
+        let (letters, digits) = (element.symbol().as_str().as_bytes(), element.symbol().digits());
+        // Filled from the end, and appended at once: a mixed read has 64 elements.
+        let mut field = [NO_DIGIT; LONGEST_SYMBOL + LONGEST_ADDRESS];
+        let mut places = field.iter_mut().rev();
         // The low digits of an address with more than the field has would name another element.
-        if element.check_in(Framing::Ascii).is_ok() {
-            let mut address = element.address();
-            for digit in digits.iter_mut().rev() {
-                let [low, _] = (address % 10).to_le_bytes();
-                *digit = hex::digit(low);
-                address /= 10;
-            }
+        let is_short = element.check_in(Framing::Ascii).is_ok();
+        let mut address = element.address();
+        for place in places.by_ref().take(digits).filter(|_| is_short) {
+            let [low, _] = (address % 10).to_le_bytes();
+            *place = hex::digit(low);
+            address /= 10;
         }
-        self.dst.put_slice(symbol.as_str().as_bytes());
-        digits.iter().skip(LONGEST_ADDRESS.saturating_sub(symbol.digits())).for_each(|&digit| self.dst.put_u8(digit));
+        places.zip(letters.iter().rev()).for_each(|(place, &letter)| *place = letter);
+        let unused = field.len().saturating_sub(letters.len().saturating_add(digits));
+        self.dst.put_slice(field.get(unused..).unwrap_or_default());
     }
 
     fn bits(&mut self, bits: &[bool]) {
