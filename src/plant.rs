@@ -36,7 +36,7 @@
 //! - Names of PLCs, buses, tags, classes and templates have 1 to 64 of the characters `A-Z a-z 0-9 _ -`. Names of
 //!   PLCs are unique, those of a bus included; so are the tags of a PLC.
 //! - A tag is its text, or a table with `at` and any of `class`, `unit`, `comment`, `group`, `deadband`,
-//!   `heartbeat`, `on_change` and `write`. Nothing is writable without `write`.
+//!   `heartbeat`, `on_change` and `write`. Nothing is writable by its name without `write`.
 //! - Periods and times are texts such as `"500ms"`, `"1.5s"`, `"10m"`: more than 0, at most a day.
 //! - `host` and `only` name the hosts of a fleet that can reach the link.
 //! - All faults of a file are reported, each with line and key.
@@ -298,7 +298,7 @@ impl PlantTag {
         self.write
     }
 
-    /// The line of its file where it begins, from 1.
+    /// The line where it begins, from 1; of a tag of a table, the line that names the table.
     #[must_use]
     pub fn line(&self) -> usize {
         self.line

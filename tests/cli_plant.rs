@@ -9,7 +9,7 @@ fn plant(mixer: &Sim, boiler: &Sim) -> String {
     format!(
         "[bridge]\nid = 'other programs use it'\n\
          [class]\nfast = {{ every = '500ms' }}\n\
-         [template.tank]\nlevel = {{ at = 'R5:i16*0.1-40', class = 'fast', unit = '%' }}\nalarm = 'M7'\n\
+         [template.tank]\nlevel = {{ at = 'R5:i16*0.1-40', class = 'fast', unit = '%', write = {{ min = 0, max = 80 }} }}\nalarm = 'M7'\n\
          [plc.mixer]\nlink = '{}'\nstation = 1\nuse = ['tank']\ntag.total = 'DR100'\n\
          [plc.boiler]\nlink = '{}'\nstation = 1\nuse = ['tank']\n",
         mixer.url, boiler.url
@@ -27,7 +27,7 @@ fn plcs_of_a_plant_are_used_by_name() {
     assert_eq!(run(&["@mixer", "read", "level", "R5"]).ok(), "tag,type,value\nlevel,i16*0.1-40,10.0\nR5,u16,500\n");
     let all = "tag,type,value\nlevel,i16*0.1-40,10.0\nalarm,bool,0\ntotal,u32,7\n";
     assert_eq!(run(&["@mixer", "read"]).ok(), all);
-    assert_eq!(run(&["read", "--plc", "mixer"]).ok(), all);
+    assert_eq!(run(&["--plc", "mixer", "read"]).ok(), all);
     let both = "plc,tag,type,value\nmixer,level,i16*0.1-40,10.0\nmixer,alarm,bool,0\nboiler,level,i16*0.1-40,20.0\n\
                 boiler,alarm,bool,1\n";
     assert_eq!(run(&["@mixer", "@boiler", "read", "level", "alarm"]).ok(), both);
@@ -40,7 +40,24 @@ fn plcs_of_a_plant_are_used_by_name() {
     ]);
     assert_eq!(json, expected);
 
-    run(&["@boiler", "write", "level=12.5", "alarm=off", "--verify"]).ok();
+    run(&["@boiler", "write", "level=12.5", "M7=off", "--verify"]).ok();
+    for (write, reason) in [
+        ("level=80.5", "level is at most 80"),
+        ("level=-1", "level is at least 0"),
+        ("alarm=on", "alarm is not writable"),
+    ] {
+        let refused = run(&["@boiler", "write", write]).usage();
+        assert!(refused.contains(reason) && refused.contains("; to write it nevertheless, name "), "{refused}");
+    }
+    let options_first =
+        fatek(&["--config", &path, "-q", "--timeout", "1s", "@mixer", "--format", "csv", "read", "alarm"]);
+    assert_eq!(options_first.ok(), "tag,type,value\nalarm,bool,0\n");
+    // Another table of the environment does not replace the tags of the PLC.
+    let other = folder.file("other.csv");
+    std::fs::write(&other, "name,at\nalarm,M99\n").unwrap();
+    let tags = run(&["@boiler", "read", "alarm", "M7", "--tags", &other]).ok();
+    assert_eq!(tags, "tag,type,value\nalarm,bool,0\nM7,bool,0\n");
+    assert_eq!(run(&["@mixer", "@all", "@mixer", "read", "alarm"]).ok().lines().count(), 3, "each PLC once");
     assert_eq!(boiler.fatek(&["read", "R5", "M7", "--format", "csv"]).ok(), "tag,type,value\nR5,u16,525\nM7,bool,0\n");
     assert!(run(&["@mixer", "status"]).ok().contains("\nbrief,running,"));
     assert!(run(&["@mixer", "plan"]).ok().contains(",R5:i16*0.1-40"), "its tags");
@@ -85,6 +102,10 @@ fn several_stations_of_a_link_are_read() {
         two.stderr.contains("1: R9999: station 1 refused") && two.stderr.contains("2: R0: station 2 did not"),
         "{two:?}"
     );
+    // Dead stations before a live one cost no more than their checks.
+    let many = fatek(&["--link", &sim.url, "--station", "10-40,1", "--timeout", "50ms", "read", "R0-R300"]);
+    assert_eq!((many.status, many.stdout.lines().count()), (4, 302), "{}", many.stderr);
+    assert_eq!(many.stderr.lines().filter(|line| line.starts_with("10: ")).count(), 1, "{}", many.stderr);
     let one = read("1");
     assert_eq!((one.status, one.stdout.as_str()), (3, "TAG  TYPE  VALUE\nR0   u16   5\n"), "{one:?}");
     let bad = read("1-300").stderr;

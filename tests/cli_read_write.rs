@@ -54,9 +54,54 @@ fn a_range_is_read_up_to_the_end_of_the_memory() {
         let sim = Sim::start(&["--model", model]);
         let read = sim.fatek(&["read", tag, "--format", "csv"]);
         assert_eq!((read.status, read.stdout.lines().count()), (3, 1 + count), "{tag}: {}", read.stderr);
-        let reason = format!("{tag}: read up to {last}; {first_refused} is refused: station 1 refused read ");
+        let reason = format!(
+            "{tag}: read up to {last}; {first_refused} is refused, and those behind it were not tried: station 1 refused read "
+        );
         assert!(read.stderr.starts_with(&reason), "{}", read.stderr);
     }
+}
+
+/// Before: the first bit alone was printed, and a range was read twice.
+#[test]
+fn all_values_of_a_tag_beside_a_refused_one_are_printed() {
+    let sim = Sim::start(&["--set", "R5=0x00A5", "R100:f32=0.5", "R10-R13:text=abc", "RC0=3", "DRC200=7"]);
+    let tags = ["R9999", "R5.0-R5.3", "R100:f32", "R10-R13:text", "DRC200-DRC202", "R5:i16*0.1"];
+    let read = sim.fatek(&[&["read", "--format", "csv"][..], &tags].concat());
+    let rows = "tag,type,value\nR5.0,bool,1\nR5.1,bool,0\nR5.2,bool,1\nR5.3,bool,0\nR100,f32,0.5\nR10-R13,text,abc\n\
+                DRC200,u32,7\nDRC201,u32,0\nDRC202,u32,0\nR5,i16*0.1,16.5\n";
+    assert_eq!((read.status, read.stdout.as_str()), (3, rows), "{}", read.stderr);
+    let long = sim.fatek(&["read", "R0-R65535", "-vv", "--format", "csv"]);
+    let sent = long.stderr.lines().filter(|line| line.contains(" sending ")).count();
+    assert!(long.stdout.lines().count() == 4169 && sent < 160, "{sent} requests");
+}
+
+/// A device that takes fewer elements at once than the protocol has.
+#[test]
+fn a_limit_of_the_device_is_not_the_end_of_its_memory() {
+    let plc = ScriptedPlc::start(|request| {
+        let count = usize::from_str_radix(std::str::from_utf8(&request[5..7]).unwrap(), 16).unwrap();
+        ascii(&if request[3..5] == *b"46" && count <= 20 {
+            format!("01460{}", "0007".repeat(count))
+        } else {
+            "01462".to_owned()
+        })
+    });
+    let link = format!("{}?copies=0", plc.url);
+    let read = process::fatek(&["--link", &link, "--station", "1", "read", "R0-R99", "--format", "csv"]);
+    assert_eq!((read.status, read.stdout.lines().count()), (0, 101), "{}", read.stderr);
+}
+
+/// Before: 20 s, since each request waited for its replies.
+#[test]
+fn a_silent_plc_costs_one_request() {
+    let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let link = format!("tcp://{}", silent.local_addr().unwrap());
+    let began = Instant::now();
+    let read =
+        process::fatek(&["--link", &link, "--station", "1", "--timeout", "100ms", "read", "R0-R4000", "M0", "D5"]);
+    assert_eq!((read.status, read.stdout.as_str()), (4, ""), "{read:?}");
+    assert!(began.elapsed() < Duration::from_secs(5), "{:?}", began.elapsed());
+    assert!(read.stderr.contains("\n2 other tags without values for the same reason\n"), "{read:?}");
 }
 
 #[test]
@@ -64,6 +109,8 @@ fn written_values_are_verified() {
     let sim = Sim::start(&[]);
     let write = sim.fatek(&["write", "R5:i16=-7", "R10-R11=1,2", "R20-R23:text=abc", "M3=on", "--verify"]);
     assert_eq!(write.status, 0, "{write:?}");
+    let pulse = sim.fatek(&["write", "M5=1", "M5=0", "--verify"]);
+    assert_eq!(pulse.status, 0, "{pulse:?}");
     let bits = sim.fatek(&["write", "R5.3=0", "R5.0=1", "--modify-bits", "--verify"]);
     assert_eq!(bits.status, 0, "{bits:?}");
     let refused = sim.fatek(&["write", "R9999=1", "--verify"]);
@@ -119,7 +166,7 @@ fn forced_discretes_are_listed_with_their_states() {
 fn a_value_of_another_type_is_suggested() {
     for (assignment, other) in [("R0=-5", "R0:i16=-5"), ("DR0=-70000", "DR0:i32=-70000"), ("R0=21.5", "R0:f32=21.5")] {
         let write = process::fatek(&["--link", "tcp://127.0.0.1:1", "--station", "1", "write", assignment]).usage();
-        assert!(write.contains(&format!("; {other} is possible")), "{write}");
+        assert!(write.contains(&format!("; perhaps {other}")), "{write}");
     }
 }
 

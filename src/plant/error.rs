@@ -85,7 +85,7 @@ pub enum PlantFault {
         number: String,
     },
     /// The number is too small, or not finite.
-    #[error("{number} is not possible: the number is finite, and at least {min}")]
+    #[error("{number} is not possible: the number is finite{}", AtLeast(*min))]
     #[non_exhaustive]
     Number {
         /// The number, as in the file.
@@ -148,6 +148,15 @@ impl PlantError {
     #[must_use]
     pub fn fault(&self) -> &PlantFault {
         &self.fault
+    }
+}
+
+/// Displays the smallest number, if there is one.
+struct AtLeast(f64);
+
+impl fmt::Display for AtLeast {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0 > f64::MIN { write!(f, ", and at least {}", self.0) } else { Ok(()) }
     }
 }
 

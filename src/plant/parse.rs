@@ -203,7 +203,7 @@ fn table_tags(field: &Field<'_>, load: LoadTable<'_>, plant: &Plant, faults: &mu
         heartbeat: None,
         on_change: false,
         write: None,
-        line: entry.line(),
+        line: field.line(),
     };
     table.iter().map(&mut of_entry).collect()
 }
@@ -246,7 +246,7 @@ fn tag(name: &str, field: &Field<'_>, plant: &Plant, faults: &mut Faults) -> Opt
     if field.is_text() {
         return parsed(field, faults).map(blank);
     }
-    let mut section = field.table(faults)?;
+    let mut section = field.table_or("a text or a table", faults)?;
     let at = section.require("at", faults).and_then(|at| parsed(&at, faults));
     let class = section.take("class", faults).and_then(|class| known_class(class.text(faults)?, &class, plant, faults));
     let mut free = |key| section.take(key, faults).and_then(|text| text.text(faults)).map(Into::into);

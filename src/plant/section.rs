@@ -134,7 +134,12 @@ impl<'t> Field<'t> {
     }
 
     pub(super) fn table(&self, faults: &mut Faults) -> Option<Section<'t>> {
-        let table = self.expected(self.value.as_table(), "a table", faults)?;
+        self.table_or("a table", faults)
+    }
+
+    /// The table. `expected`: the kinds that are possible here.
+    pub(super) fn table_or(&self, expected: &'static str, faults: &mut Faults) -> Option<Section<'t>> {
+        let table = self.expected(self.value.as_table(), expected, faults)?;
         Some(Section::new(self.path.clone(), self.line, table))
     }
 
@@ -168,7 +173,7 @@ impl<'t> Field<'t> {
 
     pub(super) fn station(&self, faults: &mut Faults) -> Option<u8> {
         let digits = self.value.as_integer().filter(|number| number.radix() == 10).map(|number| number.as_str());
-        let digits = self.expected(digits, "a number", faults)?;
+        let digits = self.expected(digits, "a decimal integer", faults)?;
         match digits.parse() {
             Ok(station @ 1..=254) => Some(station),
             Ok(_) | Err(_) => {

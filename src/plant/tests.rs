@@ -116,10 +116,10 @@ stations = { a = 3, c = "4" }
         "line 14, plc.mixer.tag.start.write: min and max are of numbers, and pulse is of one discrete",
         "line 15, plc.mixer.tags: tables of tags are beside a file: load it, instead of its text",
         "line 16, plc.mixer.speed: the key is unknown (known: link station use tag tags host only)",
-        "line 21, plc.a.tag.y: a table is expected, and this is a number",
+        "line 21, plc.a.tag.y: a text or a table is expected, and this is a number",
         "line 22, plc.b: `a` has this link and station already",
         "line 27, bus.line: the name `a` stands in line 17 already",
-        "line 27, bus.line.stations.c: a number is expected, and this is a text",
+        "line 27, bus.line.stations.c: a decimal integer is expected, and this is a text",
     ];
     for expected in expected {
         assert!(all.iter().any(|error| error.starts_with(expected)), "{expected}\n{all:#?}");

@@ -11,21 +11,36 @@ use crate::printable::excerpt;
 /// Station of the command line. No connection is opened before its first call.
 pub(crate) fn station(plc: &Plc, timeout: Option<Duration>) -> Result<Station, Failure> {
     let endpoint = endpoint(plc.link.as_deref())?;
-    let Some(station) = &plc.station else {
-        return Err(Failure::Usage("no station: give --station N, or set FATEK_STATION".to_owned()));
-    };
-    let number = station.parse().ok().filter(|number| (1..=254).contains(number));
-    let Some(number) = number.filter(|_| station.bytes().all(|b| b.is_ascii_digit())) else {
-        return Err(Failure::Usage(format!(
-            "`{}` is not a station: it must be a number from 1 to 254",
-            excerpt(station)
-        )));
-    };
+    let number = number(plc)?;
     let station = link(endpoint, options(timeout), timeout).station(number).map_err(Failure::usage)?;
     if let Some(path) = &plc.capabilities {
         station.set_capabilities(capabilities(path)?);
     }
     Ok(station)
+}
+
+/// Number of the station.
+pub(crate) fn number(plc: &Plc) -> Result<u8, Failure> {
+    let Some(station) = &plc.station else {
+        return Err(Failure::Usage("no station: give --station N, or set FATEK_STATION".to_owned()));
+    };
+    let number = station.parse().ok().filter(|number| (1..=254).contains(number));
+    number.filter(|_| station.bytes().all(|b| b.is_ascii_digit())).ok_or_else(|| {
+        Failure::Usage(format!("`{}` is not a station: it must be a number from 1 to 254", excerpt(station)))
+    })
+}
+
+/// Link of a command that reads several stations, or much: a station that does not answer is offline
+/// then, and the calls of the others may wait for it.
+pub(crate) fn link_of_several(endpoint: Endpoint, timeout: Option<Duration>, stations: usize) -> Link {
+    let options = options(timeout);
+    let stations = u32::try_from(stations.max(1)).unwrap_or(u32::MAX);
+    let options = options.with_call_timeout(options.call_timeout().saturating_mul(stations));
+    let builder = Link::builder(endpoint).options(options).fail_fast(true);
+    match timeout {
+        Some(timeout) => builder.connect_timeout(timeout).build(),
+        None => builder.build(),
+    }
 }
 
 /// Capabilities of a file.

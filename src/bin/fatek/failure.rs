@@ -72,6 +72,9 @@ pub(crate) enum Failure {
     /// Tags that the PLC refused, or a part of which it refused.
     #[error("{refused} of {all} tags refused, whole or in part")]
     RefusedTags { refused: usize, all: usize },
+    /// Ranges that the PLC refused.
+    #[error("{refused} of {all} ranges refused")]
+    RefusedRanges { refused: usize, all: usize },
     /// Elements refused by the PLC. `file` has the others, if there are any.
     #[error(
         "{missing} of {all} elements are missing; {}",
@@ -108,6 +111,15 @@ impl Failure {
         move |error| Self::CallOf { subject: subject.to_string(), error }
     }
 
+    /// The failure with the name of its PLC, one of several.
+    pub(crate) fn in_target(self, plc: &str) -> Self {
+        match self {
+            Self::Usage(reason) => Self::Usage(format!("{plc}: {reason}")),
+            Self::Call(error) => Self::of(plc)(error),
+            other => other,
+        }
+    }
+
     /// Returns a constructor of [`Failure::Interrupted`]. `done`: how far the command came, empty
     /// or after a colon or a blank.
     pub(crate) fn interrupted(done: impl Into<String>) -> impl FnOnce(Signal) -> Self {
@@ -126,7 +138,7 @@ impl Failure {
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) | Self::Table(_) | Self::Plant(_) => 2,
-            Self::Missing { .. } | Self::RefusedTags { .. } => 3,
+            Self::Missing { .. } | Self::RefusedTags { .. } | Self::RefusedRanges { .. } => 3,
             Self::Call(error) | Self::CallOf { error, .. } => of_call(error),
             Self::Restore(RestoreError { source: RestoreFailure::NotThere { .. }, .. }) => 3,
             Self::WriteProgram(error) if is_run_refused(error) => 3,

@@ -5,15 +5,23 @@ use fatek::{Discrete, Element, MemoryMap, Plan, Station};
 
 use crate::args::ForcedArgs;
 use crate::failure::Failure;
-use crate::output::{Output, Rows};
+use crate::output::{Output, Rows, complain};
 use crate::ranges::DiscreteRange;
 
 /// Lists the disabled discretes with their states.
 pub(crate) async fn forced(station: &Station, args: &ForcedArgs, output: &Output) -> Result<(), Failure> {
     let ranges = if args.ranges.is_empty() { of_memory(station).await? } else { args.ranges.clone() };
-    let mut disabled = Vec::new();
+    let (mut disabled, mut refused) = (Vec::new(), 0);
     for range in &ranges {
-        let flags = station.read_disabled(range.first(), range.len()).await.map_err(Failure::of(range))?;
+        let flags = match station.read_disabled(range.first(), range.len()).await {
+            Ok(flags) => flags,
+            Err(error) if error.error_code().is_some() && ranges.len() > 1 => {
+                complain(format_args!("{range}: {error}"));
+                refused += 1;
+                continue;
+            }
+            Err(error) => return Err(Failure::of(range)(error)),
+        };
         disabled.extend(range.iter().zip(flags).filter(|(_, is_disabled)| *is_disabled).map(|(discrete, _)| discrete));
     }
     // A range may be given twice.
@@ -26,6 +34,9 @@ pub(crate) async fn forced(station: &Station, args: &ForcedArgs, output: &Output
     let examined: usize = ranges.iter().map(DiscreteRange::len).sum();
     if !rows.is_empty() || output.is_for_programs() {
         output.rows(&rows)?;
+    }
+    if refused > 0 {
+        return Err(Failure::RefusedRanges { refused, all: ranges.len() });
     }
     output.remark(format_args!("{} of {examined} discretes are disabled", disabled.len()));
     Ok(())

@@ -1,5 +1,6 @@
 //! Hints behind an error: things to try next.
 
+use fatek::element::Width;
 use fatek::tag::{Tag, TagType};
 use fatek::{Error, Seen};
 
@@ -36,15 +37,22 @@ pub(crate) fn unanswered(error: &Error) -> Vec<String> {
 
 /// The assignment with a type that takes these values, if the default type of the elements does not.
 pub(crate) fn with_other_type(tag: &Tag, elements: &str, values: &str) -> Option<String> {
-    let default = TagType::default_for(tag.first().width());
-    if tag.tag_type() != default || tag.scale().is_some() {
+    const MAX: usize = 60;
+    let width = tag.first().width();
+    if tag.tag_type() != TagType::default_for(width) || tag.scale().is_some() || values.len() > MAX {
         return None;
     }
-    [TagType::I16, TagType::I32, TagType::F32].into_iter().find_map(|tag_type| {
-        let other: Tag = format!("{elements}:{tag_type}").parse().ok()?;
-        other.parse_values(values).ok()?;
-        Some(format!("{other}={values}"))
-    })
+    // A number with a point is no mistyped integer.
+    let signed = if width == Width::DWord { TagType::I32 } else { TagType::I16 };
+    let tag_type = if values.contains('.') { TagType::F32 } else { signed };
+    let other: Tag = format!("{elements}:{tag_type}").parse().ok()?;
+    // Missing values are another mistake.
+    if other.value_count() != tag.value_count() {
+        return None;
+    }
+    other.parse_values(values).ok()?;
+    let more = if other.element_count() > tag.element_count() { " (it takes two registers)" } else { "" };
+    Some(format!("{other}={values}{more}"))
 }
 
 #[cfg(test)]
@@ -57,9 +65,18 @@ mod tests {
         assert_eq!(hint("R0", "-5").as_deref(), Some("R0:i16=-5"));
         assert_eq!(hint("R0-R1", "-5,6").as_deref(), Some("R0-R1:i16=-5,6"));
         assert_eq!(hint("DR0", "-70000").as_deref(), Some("DR0:i32=-70000"));
-        assert_eq!(hint("R0", "-70000").as_deref(), Some("R0:i32=-70000"));
-        assert_eq!(hint("R0", "21.5").as_deref(), Some("R0:f32=21.5"));
-        for (elements, values) in [("R0", "abc"), ("M0", "7"), ("R0:i16", "-40000"), ("R0:u16*0.1", "x")] {
+        assert_eq!(hint("R0", "21.5").as_deref(), Some("R0:f32=21.5 (it takes two registers)"));
+        assert_eq!(hint("DR0", "-1.5").as_deref(), Some("DR0:f32=-1.5"));
+        for (elements, values) in [
+            ("R0", "abc"),
+            ("M0", "7"),
+            ("R0", "-70000"),
+            ("R0-R1", "5"),
+            ("R0-R3", "1,2"),
+            ("R0", "3000000000"),
+            ("R0:i16", "-40000"),
+            ("R0:u16*0.1", "x"),
+        ] {
             assert_eq!(hint(elements, values), None, "{elements}={values}");
         }
     }

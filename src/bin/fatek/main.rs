@@ -36,8 +36,8 @@ use std::ffi::OsString;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
-use clap::Parser;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{CommandFactory, Parser};
 use fatek::command::{ControlPlc, DiscreteControl};
 use tracing_subscriber::EnvFilter;
 
@@ -59,14 +59,26 @@ fn main() -> ExitCode {
     }
 }
 
-/// The arguments, with `@NAME` before the command as `--plc=NAME`.
+/// The arguments, with each `@NAME` before the command as `--plc=NAME`.
 fn arguments() -> Vec<OsString> {
+    let command = Cli::command();
+    // Options whose value is the next argument.
+    let takes_value = |option: &str| {
+        let mut arguments = command.get_arguments().filter(|argument| argument.get_action().takes_values());
+        arguments.any(|argument| option.strip_prefix("--").is_some_and(|name| argument.get_long() == Some(name)))
+    };
     let mut arguments: Vec<OsString> = std::env::args_os().collect();
-    let names = arguments.iter_mut().skip(1).map_while(|argument| {
-        let name = argument.to_str()?.strip_prefix('@')?.to_owned();
-        Some((argument, name))
-    });
-    names.for_each(|(argument, name)| *argument = format!("--plc={name}").into());
+    let mut is_value = false;
+    for argument in arguments.iter_mut().skip(1) {
+        let Some(text) = argument.to_str() else { break };
+        if std::mem::replace(&mut is_value, takes_value(text)) || text.starts_with('-') {
+            continue;
+        }
+        match text.strip_prefix('@') {
+            Some(name) => *argument = format!("--plc={name}").into(),
+            None => break,
+        }
+    }
     arguments
 }
 

@@ -3,9 +3,9 @@
 use std::ffi::OsString;
 
 use clap::Args;
-use fatek::plant::PlantPlc;
+use fatek::plant::{PlantPlc, PlantTag};
 use fatek::tag::{Assignment, Tag, TagValue};
-use fatek::tag_table::{TagEntry, TagTable};
+use fatek::tag_table::TagTable;
 
 use crate::failure::Failure;
 use crate::hint;
@@ -35,6 +35,11 @@ pub(crate) struct NamedTag {
 }
 
 impl NamedTag {
+    /// The tag in a message, with its name if it was given by name.
+    pub(crate) fn subject(&self) -> String {
+        self.name.as_ref().map_or_else(|| self.tag.to_string(), |name| format!("{name} ({})", self.tag))
+    }
+
     /// The text of its value with this number, and of the only one.
     pub(crate) fn label(&self, number: usize, unnamed: impl FnOnce() -> String) -> String {
         match &self.name {
@@ -59,9 +64,13 @@ impl Table {
     pub(crate) fn tags(&self, texts: &[String]) -> Result<Vec<NamedTag>, Failure> {
         if texts.is_empty() && (self.table.is_some() || self.plc.is_some()) {
             let named = |(name, tag): (&str, Tag)| NamedTag { tag, name: Some(name.to_owned()) };
-            let of_table = self.table.iter().flat_map(TagTable::iter).map(|entry| (entry.name(), entry.tag()));
-            let of_plc = self.plc.iter().flat_map(PlantPlc::tags).map(|tag| (tag.name(), tag.tag()));
-            let all: Vec<NamedTag> = of_table.chain(of_plc).map(named).collect();
+            // The PLC was named on the command line, the table perhaps in the environment.
+            let all: Vec<NamedTag> = match (&self.plc, &self.table) {
+                (Some(plc), _) => plc.tags().map(|tag| named((tag.name(), tag.tag()))).collect(),
+                (None, table) => {
+                    table.iter().flat_map(TagTable::iter).map(|entry| named((entry.name(), entry.tag()))).collect()
+                }
+            };
             return if all.is_empty() { Err(Failure::Usage("there are no tags".to_owned())) } else { Ok(all) };
         }
         let named = |text: &String| {
@@ -85,9 +94,10 @@ impl Table {
             };
             let tag = self.tag(name)?;
             let values = tag.parse_values(values).map_err(|error| match hint::with_other_type(&tag, name, values) {
-                Some(other) => Failure::Usage(format!("{error}; {other} is possible")),
+                Some(other) => Failure::Usage(format!("{error}; perhaps {other}")),
                 None => Failure::usage(error),
             })?;
+            self.check_rule(name, &values)?;
             if !tag.is_bits_of_register() {
                 return Assignment::new(tag, values).map(Write::Values).map_err(Failure::usage);
             }
@@ -111,10 +121,29 @@ impl Table {
         }
     }
 
-    /// The tag of a name.
+    /// The tag of a name: of the PLC of a plant, else of the table.
     fn named(&self, name: &str) -> Option<Tag> {
-        let of_table = self.table.as_ref().and_then(|table| table.get(name)).map(TagEntry::tag);
-        of_table.or_else(|| Some(self.plc.as_ref()?.tag(name)?.tag()))
+        let of_plc = self.plc.as_ref().and_then(|plc| plc.tag(name)).map(PlantTag::tag);
+        of_plc.or_else(|| Some(self.table.as_ref()?.get(name)?.tag()))
+    }
+
+    /// Checks a write against the rule of a tag of a plant.
+    fn check_rule(&self, name: &str, values: &[TagValue]) -> Result<(), Failure> {
+        let Some(tag) = self.plc.as_ref().and_then(|plc| plc.tag(name)) else { return Ok(()) };
+        let refuse = |reason: String| {
+            let elements = tag.tag();
+            Err(Failure::Usage(format!("{name} {reason} in the plant; to write it nevertheless, name {elements}")))
+        };
+        let Some(rule) = tag.write() else { return refuse("is not writable: it has no `write`".to_owned()) };
+        for value in values {
+            let number = value.as_f64();
+            match (rule.min.zip(number), rule.max.zip(number)) {
+                (Some((min, number)), _) if number < min => return refuse(format!("is at least {min}")),
+                (_, Some((max, number))) if number > max => return refuse(format!("is at most {max}")),
+                (_, _) => {}
+            }
+        }
+        Ok(())
     }
 
     fn tag(&self, text: &str) -> Result<Tag, Failure> {

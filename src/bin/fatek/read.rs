@@ -2,10 +2,11 @@
 
 mod alone;
 
+use std::collections::HashMap;
 use std::fmt;
 
 use fatek::tag::{Tag, TagValue};
-use fatek::{Element, Error, Plan};
+use fatek::{Element, Error, Limits, Plan};
 use futures::future::join_all;
 
 use crate::args::ReadArgs;
@@ -15,18 +16,20 @@ use crate::output::{Cell, Output, Rows, complain};
 use crate::targets::Target;
 
 pub(crate) async fn read(targets: &[Target], args: &ReadArgs, output: &Output) -> Result<(), Failure> {
-    // All tags are checked before the first request.
+    let several = targets.len() > 1;
+    // All tags are checked, and all plans made, before the first value is read.
     let mut tags = Vec::with_capacity(targets.len());
     for target in targets {
         tags.push(args.table.load(target.plc.as_ref())?.tags(&args.tags)?);
     }
-    let reads = targets.iter().zip(&tags).map(|(target, tags)| read_all(target, tags, args));
-    let mut results = Vec::new();
-    for of_target in join_all(reads).await {
-        results.extend(of_target?);
+    let mut reads = Vec::with_capacity(targets.len());
+    for (target, tags) in targets.iter().zip(&tags) {
+        let in_target = |failure: Failure| if several { failure.in_target(&target.label) } else { failure };
+        reads.push(read_all(target, tags, limits(target, tags, args).await.map_err(in_target)?).map_err(in_target)?);
     }
-    let failure = failure(&results);
-    let mut rows = rows(targets.len() > 1);
+    let results: Vec<TagResult<'_>> = join_all(reads).await.into_iter().flatten().collect();
+    let failure = failure(&results, several);
+    let mut rows = rows(several);
     if failure.is_none() || !args.strict {
         results.iter().for_each(|result| result.add_to(&mut rows));
     }
@@ -35,14 +38,39 @@ pub(crate) async fn read(targets: &[Target], args: &ReadArgs, output: &Output) -
         output.rows(&rows)?;
     }
     // A single tag without values has its reason in the message of the failure.
-    if results.len() > 1 || !rows.is_empty() {
-        for result in &results {
-            if let Some(missing) = &result.missing {
-                complain(format_args!("{}: {missing}", result.subject(targets.len() > 1)));
-            }
-        }
+    if results.len() > 1 || !rows.is_empty() || results.iter().any(TagResult::has_end) {
+        complain_of(&results, several);
     }
     Err(failure)
+}
+
+/// Prints the reasons of all missing values: of a PLC without replies, the first.
+fn complain_of(results: &[TagResult<'_>], several: bool) {
+    let mut unanswered: HashMap<&str, usize> = HashMap::new();
+    for result in results {
+        let Some(missing) = &result.missing else { continue };
+        let others = unanswered.entry(result.plc).or_default();
+        if missing.error.error_code().is_none() {
+            *others += 1;
+            if *others > 1 {
+                continue;
+            }
+        }
+        complain(format_args!("{}: {missing}", result.subject(several)));
+    }
+    for (plc, count) in unanswered.into_iter().filter(|(_, count)| *count > 1) {
+        let of_plc = if several { format!("{plc}: ") } else { String::new() };
+        complain(format_args!("{of_plc}{} other tags without values for the same reason", count - 1));
+    }
+}
+
+/// The limits of `--model`. A PLC whose status cannot be read has those of the protocol.
+async fn limits(target: &Target, tags: &[NamedTag], args: &ReadArgs) -> Result<Limits, Failure> {
+    match args.model.check(&target.station, tags.iter().map(|named| named.tag)).await {
+        // Its tags have the reason.
+        Err(Failure::Call(_)) => Ok(Limits::new()),
+        checked => checked,
+    }
 }
 
 /// The rows of one PLC, or of several.
@@ -62,13 +90,16 @@ struct TagResult<'t> {
 struct Missing {
     error: Error,
     /// The first element that the PLC refuses, and the last one before it.
-    end: Option<(Element, Element)>,
+    end: Option<(Element, Option<Element>)>,
 }
 
 impl fmt::Display for Missing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.end {
-            Some((first, last)) => write!(f, "read up to {last}; {first} is refused: {}", self.error),
+            Some((first, Some(last))) => {
+                write!(f, "read up to {last}; {first} is refused, and those behind it were not tried: {}", self.error)
+            }
+            Some((first, None)) => write!(f, "{first} is refused: {}", self.error),
             None => write!(f, "{}", self.error),
         }
     }
@@ -77,7 +108,13 @@ impl fmt::Display for Missing {
 impl TagResult<'_> {
     /// The tag in a message, with its PLC if there are several.
     fn subject(&self, several: bool) -> String {
-        if several { format!("{}: {}", self.plc, self.named.tag) } else { self.named.tag.to_string() }
+        let tag = self.named.subject();
+        if several { format!("{}: {tag}", self.plc) } else { tag }
+    }
+
+    /// Returns whether the element is known from which on the PLC refuses.
+    fn has_end(&self) -> bool {
+        self.missing.as_ref().is_some_and(|missing| missing.end.is_some())
     }
 
     fn add_to(&self, rows: &mut Rows) {
@@ -92,40 +129,64 @@ impl TagResult<'_> {
     }
 }
 
-/// Reads all tags with the requests of a plan. Tags of a refused request are read once more, each alone:
-/// another tag of the request may be the reason.
-async fn read_all<'t>(
+/// Reads all tags with the requests of a plan, and ranges that need several requests one by one: up to the
+/// end of the memory. Tags of a refused request are read once more, each alone: another tag of the
+/// request may be the reason.
+fn read_all<'t>(
     target: &'t Target,
     tags: &'t [NamedTag],
-    args: &ReadArgs,
-) -> Result<Vec<TagResult<'t>>, Failure> {
+    limits: Limits,
+) -> Result<impl Future<Output = Vec<TagResult<'t>>>, Failure> {
     let station = &target.station;
-    let limits = args.model.check(station, tags.iter().map(|named| named.tag)).await?;
+    let is_planned = |named: &&NamedTag| named.tag.element_count() <= alone::at_once(&named.tag);
     let builder = Plan::builder_for(station).limits(limits.within(&station.capabilities()));
-    let plan = builder.tags(tags.iter().map(|named| named.tag)).build().map_err(Failure::usage)?;
-    let readings = plan.read(station).await;
-    let mut results = Vec::with_capacity(tags.len());
-    for (named, (tag, values)) in tags.iter().zip(readings.iter()) {
-        let (values, missing) = match values {
-            Ok(values) => (values, None),
-            Err(error) if error.error_code().is_some() => alone::read(station, &tag).await?,
-            Err(error) => (Vec::new(), Some(Missing { error: error.clone(), end: None })),
-        };
-        results.push(TagResult { plc: &target.label, named, values, missing });
+    let planned = tags.iter().filter(is_planned).map(|named| named.tag);
+    let plan = match planned.clone().next() {
+        Some(_) => Some(builder.tags(planned).build().map_err(Failure::usage)?),
+        None => None,
+    };
+    for named in tags.iter().filter(|named| !is_planned(named)) {
+        named.tag.check_in(station.link().framing()).map_err(Failure::usage)?;
     }
-    Ok(results)
+    Ok(async move {
+        let mut readings = Vec::new();
+        if let Some(plan) = &plan {
+            let values = |(_, values): (_, Result<Vec<TagValue>, &Error>)| values.map_err(Clone::clone);
+            readings = plan.read(station).await.iter().map(values).collect();
+        }
+        let mut readings = readings.into_iter();
+        let mut results: Vec<TagResult<'t>> = Vec::with_capacity(tags.len());
+        for named in tags {
+            let reading = if is_planned(&named) { readings.next() } else { None };
+            let (values, missing) = match reading {
+                Some(Ok(values)) => (values, None),
+                Some(Err(error)) if error.error_code().is_none() => (Vec::new(), Some(Missing { error, end: None })),
+                Some(Err(_)) | None => match unanswered(&results) {
+                    Some(error) => (Vec::new(), Some(Missing { error, end: None })),
+                    None => alone::read(station, &named.tag).await,
+                },
+            };
+            results.push(TagResult { plc: &target.label, named, values, missing });
+        }
+        results
+    })
+}
+
+/// The error of a tag without a reply: further tags would wait as long.
+fn unanswered(results: &[TagResult<'_>]) -> Option<Error> {
+    let errors = results.iter().filter_map(|result| Some(&result.missing.as_ref()?.error));
+    errors.into_iter().find(|error| error.error_code().is_none()).cloned()
 }
 
 /// The failure of the command, if values are missing: a call without a reply before refused tags.
-fn failure(results: &[TagResult<'_>]) -> Option<Failure> {
+fn failure(results: &[TagResult<'_>], several: bool) -> Option<Failure> {
     let missing = || results.iter().filter_map(|result| Some((result, result.missing.as_ref()?)));
-    let several = results.iter().any(|result| result.plc != results.first().map_or("", |first| first.plc));
     if let Some((result, missing)) = missing().find(|(_, missing)| missing.error.error_code().is_none()) {
         return Some(Failure::of(result.subject(several))(missing.error.clone()));
     }
     let (result, first) = missing().next()?;
-    if results.len() == 1 && result.values.is_empty() {
-        return Some(Failure::of(result.named.tag)(first.error.clone()));
+    if results.len() == 1 && result.values.is_empty() && first.end.is_none() {
+        return Some(Failure::of(result.subject(several))(first.error.clone()));
     }
     Some(Failure::RefusedTags { refused: missing().count(), all: results.len() })
 }

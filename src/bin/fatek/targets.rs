@@ -1,6 +1,6 @@
 //! The PLCs of a command: of `--link` and `--station`, or of a plant configuration (`--config`, `@NAME`).
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::ffi::OsString;
 use std::time::Duration;
 
@@ -20,11 +20,11 @@ pub(crate) struct PlantArgs {
     /// Plant configuration: PLCs with their links, stations and tags (TOML)
     #[arg(long, global = true, env = "FATEK_CONFIG", hide_env_values = true, value_name = "FILE")]
     config: Option<OsString>,
-    /// PLC of the plant configuration, also written @NAME before the command; all: each of them
+    /// PLC of the plant configuration, also written @NAME; all: each of them. Before the command
     ///
     /// Its link and station take the place of --link and --station, and the names of its tags stand for
     /// tags. `read` and `watch` take several.
-    #[arg(long = "plc", id = "plcs", global = true, value_name = "NAME")]
+    #[arg(long = "plc", id = "plcs", value_name = "NAME")]
     names: Vec<String>,
 }
 
@@ -54,12 +54,15 @@ impl PlantArgs {
         let plant = Plant::load(path)?;
         let mut chosen = Vec::new();
         for name in &self.names {
-            match plant.plc(name) {
-                Some(plc) => chosen.push(plc.clone()),
-                None if name == "all" => chosen.extend(plant.plcs().cloned()),
-                None => return Err(Failure::Usage(unknown(name, &plant))),
+            if name == "all" {
+                chosen.extend(plant.plcs().cloned());
+            } else {
+                chosen.push(plant.plc(name).ok_or_else(|| Failure::Usage(unknown(name, &plant)))?.clone());
             }
         }
+        // A PLC may be chosen twice.
+        let mut names = HashSet::new();
+        chosen.retain(|plc: &PlantPlc| names.insert(plc.name().to_owned()));
         if chosen.is_empty() { Err(Failure::Usage("the plant has no PLCs".to_owned())) } else { Ok(Chosen(chosen)) }
     }
 }
@@ -98,10 +101,14 @@ impl Chosen {
         if self.0.is_empty() {
             return of_options(options, timeout);
         }
+        if options.capabilities.is_some() && self.0.len() > 1 {
+            return Err(Failure::Usage("--capabilities are those of one PLC".to_owned()));
+        }
         let mut links: HashMap<String, Link> = HashMap::new();
         let mut targets = Vec::new();
         for plc in &self.0 {
-            let open = || connect::link(plc.endpoint().clone(), connect::options(timeout), timeout);
+            let of_link = self.0.iter().filter(|other| other.endpoint() == plc.endpoint()).count();
+            let open = || connect::link_of_several(plc.endpoint().clone(), timeout, of_link);
             let link = links.entry(plc.endpoint().to_string()).or_insert_with(open);
             let station = link.station(plc.station()).map_err(Failure::usage)?;
             if let Some(path) = &options.capabilities {
@@ -116,19 +123,21 @@ impl Chosen {
 /// One station, or a list of stations of one link such as `1-4,9`.
 fn of_options(options: &Plc, timeout: Option<Duration>) -> Result<Vec<Target>, Failure> {
     let is_list = |text: &&String| text.contains([',', '-']);
-    let Some(list) = options.station.as_ref().filter(is_list) else {
-        let station = connect::station(options, timeout)?;
-        return Ok(vec![Target { label: station.number().to_string(), station, plc: None }]);
+    let numbers = match options.station.as_ref().filter(is_list) {
+        Some(list) => numbers(list)?,
+        None => vec![connect::number(options)?],
     };
+    let link = connect::link_of_several(connect::endpoint(options.link.as_deref())?, timeout, numbers.len());
     let mut targets: Vec<Target> = Vec::new();
-    for number in numbers(list)? {
-        let station = match targets.first() {
-            Some(first) => first.station.link().station(number).map_err(Failure::usage)?,
-            None => connect::station(&Plc { station: Some(number.to_string()), ..options.clone() }, timeout)?,
-        };
-        if targets.iter().all(|target| target.station.number() != number) {
-            targets.push(Target { label: number.to_string(), station, plc: None });
+    for number in numbers {
+        if targets.iter().any(|target| target.station.number() == number) {
+            continue;
         }
+        let station = link.station(number).map_err(Failure::usage)?;
+        if let Some(path) = &options.capabilities {
+            station.set_capabilities(connect::capabilities(path)?);
+        }
+        targets.push(Target { label: number.to_string(), station, plc: None });
     }
     Ok(targets)
 }

@@ -72,30 +72,30 @@ pub(crate) async fn write(
     let tags = || writes.iter().map(Write::tag);
     refuse_special(args.special, tags().flat_map(|tag| tag.elements()))?;
     args.model.check(station, tags()).await?;
-    let done = Cell::new(0);
+    let (done, last) = (Cell::new(0), Cell::new(None));
     let rounds = async {
         match args.every {
             None => write_round(station, writes, args.verify, output, &done).await,
-            Some(interval) => write_every(station, writes, interval, args.verify, output, &done).await,
+            Some(interval) => write_every(station, writes, (interval, args.verify), output, (&done, &last)).await,
         }
     };
     let ended = unless_signalled(rounds).await?;
     match (ended, args.every) {
         (Ok(ended), _) => ended,
         // Between two rounds nothing is interrupted.
-        (Err(_), Some(_)) if done.get() == writes.len() => Ok(()),
+        (Err(_), Some(_)) if done.get() == writes.len() => last.take().map_or(Ok(()), Err),
         (Err(signal), _) => Err(Failure::interrupted(progress(writes, done.get()))(signal)),
     }
 }
 
-/// Writes all values again and again, until a refusal or an error of the command line.
+/// Writes all values again and again, until a refusal or an error of the command line. `last`: the failure of
+/// the last round.
 async fn write_every(
     station: &Station,
     writes: &[Write],
-    interval: Duration,
-    verify: bool,
+    (interval, verify): (Duration, bool),
     output: &Output,
-    done: &Cell<usize>,
+    (done, last): (&Cell<usize>, &Cell<Option<Failure>>),
 ) -> Result<(), Failure> {
     let mut rounds = tokio::time::interval(interval);
     rounds.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -104,14 +104,18 @@ async fn write_every(
         done.set(0);
         match write_round(station, writes, verify, output, done).await {
             Err(failure) if [2, 3].contains(&failure.exit_status()) => return Err(failure),
-            Err(failure) => complain(format_args!("{failure}")),
-            Ok(()) => {}
+            Err(failure) => {
+                complain(format_args!("{failure}"));
+                last.set(Some(failure));
+            }
+            Ok(()) => last.set(None),
         }
         done.set(writes.len());
     }
 }
 
-/// Writes the values in their order, and reads them back if they are to be verified.
+/// Writes the values in their order, and reads each back if it is to be verified. `done`: the number of
+/// assignments written.
 async fn write_round(
     station: &Station,
     writes: &[Write],
@@ -119,12 +123,14 @@ async fn write_round(
     output: &Output,
     done: &Cell<usize>,
 ) -> Result<(), Failure> {
-    write_all(station, writes, output, done).await?;
-    if !verify {
-        return Ok(());
-    }
     let (mut differing, mut all) = (0, 0);
     for write in writes {
+        send(station, write, output).await?;
+        done.set(done.get() + 1);
+        if !verify {
+            continue;
+        }
+        // At once: a later write may be of the same elements.
         let tag = write.tag();
         let read: Vec<TagValue> = station.read(tag).await.map_err(Failure::of(format_args!("{tag} (read back)")))?;
         let written = write.values();
@@ -158,19 +164,15 @@ fn is_stored_alike(tag: &Tag, one: &TagValue, other: &TagValue) -> bool {
     }
 }
 
-/// Writes the values in their order. `done`: the number of assignments written.
-async fn write_all(station: &Station, writes: &[Write], output: &Output, done: &Cell<usize>) -> Result<(), Failure> {
-    for write in writes {
-        write.send(station).await.map_err(|error| {
-            let tag = write.tag();
-            // The error of a partial write names the values that were written.
-            let in_doubt = !matches!(error, Error::PartlyWritten { .. }) && error.may_have_executed();
-            let doubt = if in_doubt { " (it may have been written)" } else { "" };
-            Failure::of(format_args!("{tag}{doubt}"))(error)
-        })?;
-        done.set(done.get() + 1);
-        output.remark(format_args!("wrote {write}"));
-    }
+async fn send(station: &Station, write: &Write, output: &Output) -> Result<(), Failure> {
+    write.send(station).await.map_err(|error| {
+        let tag = write.tag();
+        // The error of a partial write names the values that were written.
+        let in_doubt = !matches!(error, Error::PartlyWritten { .. }) && error.may_have_executed();
+        let doubt = if in_doubt { " (it may have been written)" } else { "" };
+        Failure::of(format_args!("{tag}{doubt}"))(error)
+    })?;
+    output.remark(format_args!("wrote {write}"));
     Ok(())
 }
 
