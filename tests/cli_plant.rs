@@ -9,7 +9,8 @@ fn plant(mixer: &Sim, boiler: &Sim) -> String {
     format!(
         "[bridge]\nid = 'other programs use it'\n\
          [class]\nfast = {{ every = '500ms' }}\n\
-         [template.tank]\nlevel = {{ at = 'R5:i16*0.1-40', class = 'fast', unit = '%', write = {{ min = 0, max = 80 }} }}\nalarm = 'M7'\n\
+         [template.tank]\nlevel = {{ at = 'R5:i16*0.1-40', class = 'fast', unit = '%', \
+         write = {{ min = 0, max = 80 }} }}\nalarm = 'M7'\n\
          [plc.mixer]\nlink = '{}'\nstation = 1\nuse = ['tank']\ntag.total = 'DR100'\n\
          [plc.boiler]\nlink = '{}'\nstation = 1\nuse = ['tank']\n",
         mixer.url, boiler.url

@@ -35,7 +35,8 @@ impl Plan {
     /// Sends the requests in turn and returns their replies.
     ///
     /// After a failed request the others are sent all the same: its tags have the error, the others
-    /// their values. Without a connection ([`Error::Connect`]) the others are not tried. If the PLC refuses a request with
+    /// their values. Without a connection ([`Error::Connect`]) the others are not tried. If the PLC refuses a
+    /// request with
     /// [words of discretes](super::PlannedRequest::has_words_of_discretes), or a mixed read that it does not
     /// know, the values are read by others in the same call; silence is not a refusal. The station's
     /// [capabilities](Station::capabilities) have the refusal then, for the plans made after that.
