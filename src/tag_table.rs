@@ -59,8 +59,11 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
+pub(crate) use self::draft::is_name;
+pub(crate) use self::error::fmt_first;
 pub use self::error::{Fault, TableError, TableErrors, TableFileError, UnknownTag};
 pub use self::overlap::Overlap;
+pub(crate) use self::toml::kind;
 use crate::poll::PollTag;
 use crate::tag::Tag;
 

@@ -5,7 +5,7 @@ use crate::endpoint::ParseEndpointError;
 use crate::file::FileError;
 use crate::printable::excerpt;
 use crate::tag::ParseTagError;
-use crate::tag_table::TableFileError;
+use crate::tag_table::{TableFileError, fmt_first};
 
 /// A fault of the configuration of a plant.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -193,14 +193,7 @@ impl PlantErrors {
 
 impl fmt::Display for PlantErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const SHOWN: usize = 20;
-        for (number, error) in self.0.iter().take(SHOWN).enumerate() {
-            write!(f, "{}{error}", if number > 0 { "\n" } else { "" })?;
-        }
-        match self.0.len().saturating_sub(SHOWN) {
-            0 => Ok(()),
-            others => write!(f, "\nand {others} more"),
-        }
+        fmt_first(&self.0, f)
     }
 }
 

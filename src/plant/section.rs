@@ -7,6 +7,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::{PlantError, PlantFault};
+use crate::tag_table::{is_name, kind};
 
 /// The faults up to now.
 pub(super) struct Faults {
@@ -203,21 +204,5 @@ impl<'t> Field<'t> {
             self.fault(PlantFault::Name { text: name.to_owned() }, faults);
         }
         is_name
-    }
-}
-
-fn is_name(text: &str) -> bool {
-    let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'_' | b'-');
-    (1..=64).contains(&text.len()) && text.bytes().all(is_allowed)
-}
-
-fn kind(value: &DeValue<'_>) -> &'static str {
-    match value {
-        DeValue::String(_) => "text",
-        DeValue::Integer(_) | DeValue::Float(_) => "number",
-        DeValue::Boolean(_) => "truth value",
-        DeValue::Datetime(_) => "date or time",
-        DeValue::Array(_) => "list",
-        DeValue::Table(_) => "table",
     }
 }

@@ -121,8 +121,7 @@ impl Draft {
 
     /// A name of a tag, a class or a group, or its fault.
     fn name<'t>(&mut self, line: usize, column: Column, text: &'t str) -> Option<&'t str> {
-        let is_allowed = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'_' | b'-');
-        let fault = if !(1..=64).contains(&text.len()) || !text.bytes().all(is_allowed) {
+        let fault = if !is_name(text) {
             Fault::Name { text: text.to_owned() }
         } else if column == Column::Name && text.parse::<Tag>().is_ok() {
             Fault::NameIsTag { name: text.to_owned() }
@@ -141,4 +140,10 @@ impl Draft {
         faults.sort_by_key(|fault| fault.line);
         Err(TableErrors::new(faults))
     }
+}
+
+/// Returns whether a text is a name: 1 to 64 of the characters `A-Z a-z 0-9 _ -`.
+pub(crate) fn is_name(text: &str) -> bool {
+    let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'_' | b'-');
+    (1..=64).contains(&text.len()) && text.bytes().all(is_allowed)
 }

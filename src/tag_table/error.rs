@@ -158,14 +158,19 @@ fn line_at(before: &[u8]) -> usize {
 
 impl fmt::Display for TableErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const SHOWN: usize = 20;
-        for (number, error) in self.0.iter().take(SHOWN).enumerate() {
-            write!(f, "{}{error}", if number > 0 { "\n" } else { "" })?;
-        }
-        match self.0.len().saturating_sub(SHOWN) {
-            0 => Ok(()),
-            others => write!(f, "\nand {others} more"),
-        }
+        fmt_first(&self.0, f)
+    }
+}
+
+/// Displays the first twenty faults of a file, each on a line, and the number of the others.
+pub(crate) fn fmt_first(faults: &[impl fmt::Display], f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    const SHOWN: usize = 20;
+    for (number, error) in faults.iter().take(SHOWN).enumerate() {
+        write!(f, "{}{error}", if number > 0 { "\n" } else { "" })?;
+    }
+    match faults.len().saturating_sub(SHOWN) {
+        0 => Ok(()),
+        others => write!(f, "\nand {others} more"),
     }
 }
 

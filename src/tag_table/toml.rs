@@ -77,11 +77,12 @@ fn set<'t>(
     true
 }
 
-fn kind(value: &DeValue<'_>) -> &'static str {
+/// The kind of a value, in messages.
+pub(crate) fn kind(value: &DeValue<'_>) -> &'static str {
     match value {
         DeValue::String(_) => "text",
         DeValue::Integer(_) | DeValue::Float(_) => "number",
-        DeValue::Boolean(_) => "true or false",
+        DeValue::Boolean(_) => "truth value",
         DeValue::Datetime(_) => "date or time",
         DeValue::Array(_) => "list",
         DeValue::Table(_) => "table",
