@@ -70,6 +70,13 @@ pub enum PlantFault {
         /// The first of them.
         other: String,
     },
+    /// One line, such as a serial port, has two settings.
+    #[error("`{other}` has this line with other settings")]
+    #[non_exhaustive]
+    OtherSettings {
+        /// The first PLC of the line.
+        other: String,
+    },
     /// The text is not a time.
     #[error("`{}` is not a time: more than 0 and at most 24h, such as 500ms, 1.5s or 10m", excerpt(text))]
     #[non_exhaustive]

@@ -1,5 +1,7 @@
 //! Parses the sections `class`, `template`, `plc` and `bus`.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 use toml::de::DeTable;
@@ -87,10 +89,14 @@ fn add(plant: &mut Plant, plc: PlantPlc, section: &str, faults: &mut Faults) {
         .plcs
         .iter()
         .find(|other| other.station == plc.station && other.endpoint.transport() == plc.endpoint.transport());
-    let fault = match (same, same_station) {
-        (Some(first), _) => PlantFault::DoubleName { name: plc.name.to_string(), first_line: first.line },
-        (None, Some(other)) => PlantFault::DoubleStation { other: other.name.to_string() },
-        (None, None) => return plant.plcs.push(plc),
+    let of_line = |other: &&PlantPlc| other.endpoint.transport().identity() == plc.endpoint.transport().identity();
+    let transport = plc.endpoint.transport();
+    let other_settings = plant.plcs.iter().filter(of_line).find(|other| other.endpoint != plc.endpoint);
+    let fault = match (same, same_station, other_settings.filter(|_| transport.is_one_line())) {
+        (Some(first), _, _) => PlantFault::DoubleName { name: plc.name.to_string(), first_line: first.line },
+        (None, Some(other), _) => PlantFault::DoubleStation { other: other.name.to_string() },
+        (None, None, Some(other)) => PlantFault::OtherSettings { other: other.name.to_string() },
+        (None, None, None) => return plant.plcs.push(plc),
     };
     faults.push(plc.line, &format!("{section}.{}", plc.bus.as_ref().unwrap_or(&plc.name)), fault);
 }
@@ -171,13 +177,17 @@ fn link_keys(section: &mut Section<'_>, (_, templates): (&Plant, &[Template]), f
 
 /// Adds tags unless their names are taken.
 fn add_tags(tags: &mut Vec<PlantTag>, others: Vec<PlantTag>, path: &str, faults: &mut Faults) {
+    let mut lines: HashMap<Arc<str>, usize> = tags.iter().map(|tag| (tag.name.clone(), tag.line)).collect();
     for tag in others {
-        match tags.iter().find(|first| first.name == tag.name) {
-            Some(first) => {
-                let fault = PlantFault::DoubleName { name: tag.name.to_string(), first_line: first.line };
+        match lines.entry(tag.name.clone()) {
+            Entry::Occupied(first) => {
+                let fault = PlantFault::DoubleName { name: tag.name.to_string(), first_line: *first.get() };
                 faults.push(tag.line, &format!("{path}.{}", tag.name), fault);
             }
-            None => tags.push(tag),
+            Entry::Vacant(place) => {
+                place.insert(tag.line);
+                tags.push(tag);
+            }
         }
     }
 }
@@ -250,7 +260,11 @@ fn tag(name: &str, field: &Field<'_>, plant: &Plant, faults: &mut Faults) -> Opt
     let at = section.require("at", faults).and_then(|at| parsed(&at, faults));
     let class = section.take("class", faults).and_then(|class| known_class(class.text(faults)?, &class, plant, faults));
     let mut free = |key| section.take(key, faults).and_then(|text| text.text(faults)).map(Into::into);
-    let (unit, comment, group) = (free("unit"), free("comment"), free("group"));
+    let (unit, comment) = (free("unit"), free("comment"));
+    let group = section.take("group", faults).and_then(|group| {
+        let name = group.text(faults)?;
+        group.is_named(name, faults).then(|| name.into())
+    });
     let deadband = section.take("deadband", faults).and_then(|deadband| deadband.number(0.0, faults));
     let heartbeat = section.take("heartbeat", faults).and_then(|heartbeat| heartbeat.time(faults));
     let on_change = section.take("on_change", faults).and_then(|on| on.flag(faults)).unwrap_or(false);

@@ -91,6 +91,7 @@ Examples:
   export FATEK_LINK=tcp://192.168.2.3 FATEK_STATION=1
   fatek status
   fatek read R0-R9 --format json
+  fatek --config plant.toml @mixer read level
   fatek program read pump.program
   fatek backup plant.backup R0-R3839 M0-M1911
   fatek scan 1-16

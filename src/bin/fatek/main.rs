@@ -140,6 +140,11 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Failure::Runtime)?;
     let timeout = cli.common.timeout;
     let chosen = cli.plant.load()?;
+    let is_alone =
+        matches!(cli.command, Command::Sim(_) | Command::Decode(_) | Command::Program(ProgramCommand::Info(_)));
+    if is_alone && !chosen.is_empty() {
+        return Err(Failure::Usage("this command takes no PLC".to_owned()));
+    }
     let plc = |own: &Plc| chosen.plc(cli.plc.or(own));
     let station = |own: &Plc| connect::station(&plc(own)?, timeout);
     let targets = |own: &Plc| chosen.targets(&cli.plc.or(own), timeout);

@@ -75,6 +75,10 @@ fn unknown(name: &str, plant: &Plant) -> String {
 }
 
 impl Chosen {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// The PLC for a command that takes one; `None` if none was chosen by name.
     pub(crate) fn one(&self) -> Result<Option<&PlantPlc>, Failure> {
         match &self.0[..] {

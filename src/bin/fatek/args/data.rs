@@ -25,7 +25,8 @@ use crate::ranges::DiscreteRange;
   fatek read WY8:hex DR2:i32 --format csv
   fatek read level alarm --tags mixer.csv
 
-JSON: array of objects with tag, type and value, one for each value of a range.
+JSON: array of objects with tag, type and value, one for each value of a range;
+with several PLCs also plc.
 The value is true or false for bool, a string for hex and text, else a number;
 floats without a JSON number are \"NaN\", \"inf\" and \"-inf\". The table shows texts
 in double quotes, with backslash escapes for control characters.")]
