@@ -126,8 +126,8 @@ stations = { a = 3, c = "4" }
     }
     assert_eq!(all.len(), expected.len(), "{all:#?}");
     assert!(errors.to_string().ends_with("\nand 1 more"), "{errors}");
-    let lines = "[plc.a]\nlink = 'serial:/dev/ttyS1'\nstation = 1\n[plc.b]\nlink = 'serial:/dev/ttyS1?baud=19200'\nstation = 2\n\
-                 tag.x = { at = 'R0', group = 'a b' }\n";
+    let lines = "[plc.a]\nlink = 'serial:/dev/ttyS1'\nstation = 1\n\
+                 [plc.b]\nlink = 'serial:/dev/ttyS1?baud=19200'\nstation = 2\ntag.x = { at = 'R0', group = 'a b' }\n";
     let error = Plant::from_toml(lines).unwrap_err().to_string();
     let expected =
         "line 4, plc.b: `a` has this line with other settings\nline 7, plc.b.tag.x.group: `a b` is not a name: ";
