@@ -113,10 +113,12 @@ impl Failure {
 
     /// The failure with the name of its PLC, one of several.
     pub(crate) fn in_target(self, plc: &str) -> Self {
-        match self {
-            Self::Usage(reason) => Self::Usage(format!("{plc}: {reason}")),
-            Self::Call(error) => Self::of(plc)(error),
-            other => other,
+        if let Self::Usage(reason) = self {
+            Self::Usage(format!("{plc}: {reason}"))
+        } else if let Self::Call(error) = self {
+            Self::of(plc)(error)
+        } else {
+            self
         }
     }
 
