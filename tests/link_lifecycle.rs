@@ -37,6 +37,25 @@ fn reconnecting(
     (builder, peers)
 }
 
+/// Before, with a channel made by its first watcher: the present state was no change, and a closed link
+/// never showed that it is.
+#[tokio::test(start_paused = true)]
+async fn a_new_watcher_has_not_seen_the_present_state() {
+    let (link, mut peer) = line();
+    let station = station(&link);
+    let call = tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await });
+    peer.request().await;
+    let mut watcher = link.watch_state();
+    watcher.changed().await.expect("it is up");
+    assert!(matches!(*watcher.borrow_and_update(), LinkState::Up), "{:?}", link.state());
+    call.abort();
+    link.close().await;
+    let mut late = link.watch_state();
+    late.changed().await.expect("it is closed");
+    assert!(matches!(*late.borrow_and_update(), LinkState::Closed));
+    assert!(late.changed().await.is_err(), "it does not change again");
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_lost_connection_fails_waiting_calls_at_once() {
     let (link, mut peer) = line();

@@ -2,6 +2,9 @@
 #![allow(clippy::wildcard_enum_match_arm, reason = "tests name the variants they expect")]
 #![cfg(feature = "sim")]
 
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use fatek::command::{Code, Request, Value};
@@ -169,4 +172,23 @@ async fn a_text_tag_comes_from_a_single_reply() {
         let [TagValue::Text(text)] = &text[..] else { panic!("{text:?}") };
         assert!(text.len() == 100 && text.chars().all(|c| text.starts_with(c)), "{text}");
     }
+}
+
+/// Before: an attempt to connect for each of the four requests.
+#[tokio::test(start_paused = true)]
+async fn a_plan_without_a_connection_tries_one_request() {
+    let attempts = Arc::new(AtomicU32::new(0));
+    let counted = attempts.clone();
+    let refused = move || {
+        counted.fetch_add(1, Ordering::Relaxed);
+        std::future::ready(Err::<tokio::io::Empty, _>(io::Error::from(io::ErrorKind::ConnectionRefused)))
+    };
+    let link = Link::connector_builder("nowhere", Framing::Ascii, refused).fail_fast(true).retries(0).build();
+    let tags = ["R0-R63", "R1000-R1063", "D0-D63", "M0-M255"].map(|text| text.parse::<Tag>().unwrap());
+    let plan = Plan::builder(model(Framing::Ascii)).tags(tags).build().unwrap();
+    assert_eq!(plan.requests().len(), 4);
+    let station = link.station(1).unwrap();
+    let readings = plan.read(&station).await;
+    assert!(readings.iter().all(|(_, values)| values.is_err_and(Error::is_connect)));
+    assert_eq!(attempts.load(Ordering::Relaxed), 1);
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fatek::{CallOptions, Capabilities, Endpoint, Link, Station};
+use fatek::{CallOptions, Capabilities, Endpoint, Link, LinkBuilder, Station};
 
 use crate::args::Plc;
 use crate::failure::Failure;
@@ -12,11 +12,7 @@ use crate::printable::excerpt;
 pub(crate) fn station(plc: &Plc, timeout: Option<Duration>) -> Result<Station, Failure> {
     let endpoint = endpoint(plc.link.as_deref())?;
     let number = number(plc)?;
-    let station = link(endpoint, options(timeout), timeout).station(number).map_err(Failure::usage)?;
-    if let Some(path) = &plc.capabilities {
-        station.set_capabilities(capabilities(path)?);
-    }
-    Ok(station)
+    with_capabilities(link(endpoint, options(timeout), timeout).station(number).map_err(Failure::usage)?, plc)
 }
 
 /// Number of the station.
@@ -30,17 +26,22 @@ pub(crate) fn number(plc: &Plc) -> Result<u8, Failure> {
     })
 }
 
-/// Link of a command that reads several stations, or much: a station that does not answer is offline
-/// then, and the calls of the others may wait for it.
+/// Link of a command that reads several stations, or reads much at once: a station that does not answer is
+/// offline then, and the calls of the others may wait for it.
 pub(crate) fn link_of_several(endpoint: Endpoint, timeout: Option<Duration>, stations: usize) -> Link {
     let options = options(timeout);
-    let stations = u32::try_from(stations.max(1)).unwrap_or(u32::MAX);
+    // No list has more than 254.
+    let stations = u32::try_from(stations).unwrap_or(u32::MAX);
     let options = options.with_call_timeout(options.call_timeout().saturating_mul(stations));
-    let builder = Link::builder(endpoint).options(options).fail_fast(true);
-    match timeout {
-        Some(timeout) => builder.connect_timeout(timeout).build(),
-        None => builder.build(),
+    builder(endpoint, options, timeout).build()
+}
+
+/// The same station, with the capabilities of `--capabilities`.
+pub(crate) fn with_capabilities(station: Station, plc: &Plc) -> Result<Station, Failure> {
+    if let Some(path) = &plc.capabilities {
+        station.set_capabilities(capabilities(path)?);
     }
+    Ok(station)
 }
 
 /// Capabilities of a file.
@@ -63,10 +64,14 @@ pub(crate) fn endpoint(link: Option<&str>) -> Result<Endpoint, Failure> {
 /// Link for interactive use: a refused connection fails at once, and no station is treated as
 /// offline.
 pub(crate) fn link(endpoint: Endpoint, options: CallOptions, connect_timeout: Option<Duration>) -> Link {
-    let builder = Link::builder(endpoint).options(options).fail_fast(true).offline_after(0);
+    builder(endpoint, options, connect_timeout).offline_after(0).build()
+}
+
+fn builder(endpoint: Endpoint, options: CallOptions, connect_timeout: Option<Duration>) -> LinkBuilder {
+    let builder = Link::builder(endpoint).options(options).fail_fast(true);
     match connect_timeout {
-        Some(timeout) => builder.connect_timeout(timeout).build(),
-        None => builder.build(),
+        Some(timeout) => builder.connect_timeout(timeout),
+        None => builder,
     }
 }
 

@@ -147,7 +147,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     }
     let plc = |own: &Plc| chosen.plc(cli.plc.or(own));
     let station = |own: &Plc| connect::station(&plc(own)?, timeout);
-    let targets = |own: &Plc| chosen.targets(&cli.plc.or(own), timeout);
+    let targets = |own: &Plc, once| chosen.targets(&cli.plc.or(own), timeout, once);
     let discretes = async |args: &DiscreteArgs, control| {
         let discretes: Vec<_> = args.discretes.iter().flat_map(DiscreteRange::iter).collect();
         write::refuse_special(args.special, discretes.iter().map(|&discrete| discrete.into()))?;
@@ -156,7 +156,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     runtime.block_on(async {
         match &cli.command {
             Command::Sim(args) => sim::sim(args).await,
-            Command::Read(args) => read::read(&targets(&args.plc)?, args, output).await,
+            Command::Read(args) => read::read(&targets(&args.plc, true)?, args, output).await,
             Command::Write(args) => write::write(&station(&args.plc)?, args, chosen.one()?, output).await,
             Command::Status(args) => status::status(&station(&args.plc)?, output).await,
             Command::Run(args) => control::plc(&station(&args.plc)?, ControlPlc::Run, output).await,
@@ -179,7 +179,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 scan::scan(endpoint, args, timeout, output).await
             }
             Command::Plan(args) => plan::plan(&chosen.plc(cli.plc.of_plan(args))?, args, chosen.one()?, output),
-            Command::Watch(args) => watch::watch(&targets(&args.plc)?, args, output).await,
+            Command::Watch(args) => watch::watch(&targets(&args.plc, false)?, args, output).await,
             Command::Program(ProgramCommand::Read(args)) => program::read(&station(&args.plc)?, args, output).await,
             Command::Program(ProgramCommand::Write(args)) => {
                 program::write(&plc(&args.plc)?, timeout, args, output).await

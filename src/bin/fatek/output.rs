@@ -195,11 +195,6 @@ impl Rows {
         Self { columns: columns.into(), rows: Vec::new() }
     }
 
-    /// Number of columns.
-    pub(crate) fn columns(&self) -> usize {
-        self.columns.len()
-    }
-
     pub(crate) fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }

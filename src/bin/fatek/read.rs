@@ -2,7 +2,6 @@
 
 mod alone;
 
-use std::collections::HashMap;
 use std::fmt;
 
 use fatek::tag::{Tag, TagValue};
@@ -25,13 +24,17 @@ pub(crate) async fn read(targets: &[Target], args: &ReadArgs, output: &Output) -
     let mut reads = Vec::with_capacity(targets.len());
     for (target, tags) in targets.iter().zip(&tags) {
         let in_target = |failure: Failure| if several { failure.in_target(&target.label) } else { failure };
-        reads.push(read_all(target, tags, limits(target, tags, args).await.map_err(in_target)?).map_err(in_target)?);
+        let limits = limits(target, tags, args, several).await.map_err(in_target)?;
+        reads.push(read_all(target, tags, limits).map_err(in_target)?);
     }
-    let results: Vec<TagResult<'_>> = join_all(reads).await.into_iter().flatten().collect();
+    let mut results: Vec<TagResult<'_>> = Vec::new();
+    for of_target in join_all(reads).await {
+        results.extend(of_target?);
+    }
     let failure = failure(&results, several);
     let mut rows = rows(several);
     if failure.is_none() || !args.strict {
-        results.iter().for_each(|result| result.add_to(&mut rows));
+        results.iter().for_each(|result| result.add_to(&mut rows, several));
     }
     let Some(failure) = failure else { return output.rows(&rows) };
     if !rows.is_empty() {
@@ -46,31 +49,36 @@ pub(crate) async fn read(targets: &[Target], args: &ReadArgs, output: &Output) -
 
 /// Prints the reasons of all missing values: of a PLC without replies, the first.
 fn complain_of(results: &[TagResult<'_>], several: bool) {
-    let mut unanswered: HashMap<&str, usize> = HashMap::new();
-    for result in results {
-        let Some(missing) = &result.missing else { continue };
-        let others = unanswered.entry(result.plc).or_default();
-        if missing.error.error_code().is_none() {
-            *others += 1;
-            if *others > 1 {
-                continue;
+    // The results of a PLC stand together.
+    for of_plc in results.chunk_by(|one, other| one.plc == other.plc) {
+        let mut unanswered = 0_usize;
+        for result in of_plc {
+            let Some(missing) = &result.missing else { continue };
+            let is_refused = missing.error.error_code().is_some();
+            unanswered += usize::from(!is_refused);
+            if is_refused || unanswered == 1 {
+                complain(format_args!("{}: {missing}", result.subject(several)));
             }
         }
-        complain(format_args!("{}: {missing}", result.subject(several)));
-    }
-    for (plc, count) in unanswered.into_iter().filter(|(_, count)| *count > 1) {
-        let of_plc = if several { format!("{plc}: ") } else { String::new() };
-        complain(format_args!("{of_plc}{} other tags without values for the same reason", count - 1));
+        if let (Some(first), 2..) = (of_plc.first(), unanswered) {
+            let plc = if several { format!("{}: ", first.plc) } else { String::new() };
+            complain(format_args!("{plc}{} other tags without values for the same reason", unanswered - 1));
+        }
     }
 }
 
-/// The limits of `--model`. A PLC whose status cannot be read has those of the protocol.
-async fn limits(target: &Target, tags: &[NamedTag], args: &ReadArgs) -> Result<Limits, Failure> {
-    match args.model.check(&target.station, tags.iter().map(|named| named.tag)).await {
-        // Its tags have the reason.
-        Err(Failure::Call(_)) => Ok(Limits::new()),
-        checked => checked,
+/// The limits of `--model`. If the status of one of several PLCs cannot be read, its tags have the reason.
+async fn limits(
+    target: &Target,
+    tags: &[NamedTag],
+    args: &ReadArgs,
+    several: bool,
+) -> Result<Result<Limits, Error>, Failure> {
+    let checked = args.model.check(&target.station, tags.iter().map(|named| named.tag)).await;
+    if let Err(Failure::Call(error)) = checked {
+        return if several { Ok(Err(error)) } else { Err(Failure::Call(error)) };
     }
+    checked.map(Ok)
 }
 
 /// The rows of one PLC, or of several.
@@ -117,13 +125,14 @@ impl TagResult<'_> {
         self.missing.as_ref().is_some_and(|missing| missing.end.is_some())
     }
 
-    fn add_to(&self, rows: &mut Rows) {
+    fn add_to(&self, rows: &mut Rows, several: bool) {
         for (number, (single, value)) in self.named.tag.singles().zip(&self.values).enumerate() {
             let label: Cell = self.named.label(number, || elements(&single)).into();
             let (type_name, value): (Cell, Cell) = (type_name(&single).into(), value.clone().into());
-            match rows.columns() {
-                4 => rows.push([self.plc.into(), label, type_name, value]),
-                _ => rows.push([label, type_name, value]),
+            if several {
+                rows.push([self.plc.into(), label, type_name, value]);
+            } else {
+                rows.push([label, type_name, value]);
             }
         }
     }
@@ -131,13 +140,17 @@ impl TagResult<'_> {
 
 /// Reads all tags with the requests of a plan, and ranges that need several requests one by one: up to the
 /// end of the memory. Tags of a refused request are read once more, each alone: another tag of the
-/// request may be the reason.
+/// request may be the reason. `limits`: those of the plan, or the reason why nothing is read.
 fn read_all<'t>(
     target: &'t Target,
     tags: &'t [NamedTag],
-    limits: Limits,
-) -> Result<impl Future<Output = Vec<TagResult<'t>>>, Failure> {
+    limits: Result<Limits, Error>,
+) -> Result<impl Future<Output = Result<Vec<TagResult<'t>>, Failure>>, Failure> {
     let station = &target.station;
+    let (limits, unread) = match limits {
+        Ok(limits) => (limits, None),
+        Err(error) => (Limits::new(), Some(error)),
+    };
     let is_planned = |named: &&NamedTag| named.tag.element_count() <= alone::at_once(&named.tag);
     let builder = Plan::builder_for(station).limits(limits.within(&station.capabilities()));
     let planned = tags.iter().filter(is_planned).map(|named| named.tag);
@@ -149,6 +162,11 @@ fn read_all<'t>(
         named.tag.check_in(station.link().framing()).map_err(Failure::usage)?;
     }
     Ok(async move {
+        if let Some(error) = unread {
+            let missing = || Some(Missing { error: error.clone(), end: None });
+            let unread = |named| TagResult { plc: &target.label, named, values: Vec::new(), missing: missing() };
+            return Ok(tags.iter().map(unread).collect());
+        }
         let mut readings = Vec::new();
         if let Some(plan) = &plan {
             let values = |(_, values): (_, Result<Vec<TagValue>, &Error>)| values.map_err(Clone::clone);
@@ -158,17 +176,18 @@ fn read_all<'t>(
         let mut results: Vec<TagResult<'t>> = Vec::with_capacity(tags.len());
         for named in tags {
             let reading = if is_planned(&named) { readings.next() } else { None };
-            let (values, missing) = match reading {
-                Some(Ok(values)) => (values, None),
-                Some(Err(error)) if error.error_code().is_none() => (Vec::new(), Some(Missing { error, end: None })),
-                Some(Err(_)) | None => match unanswered(&results) {
-                    Some(error) => (Vec::new(), Some(Missing { error, end: None })),
-                    None => alone::read(station, &named.tag).await,
-                },
+            let (values, missing) = match (reading, unanswered(&results)) {
+                (Some(Ok(values)), _) => (values, None),
+                // A refused tag keeps its own reason.
+                (Some(Err(error)), Some(_)) | (None, Some(error)) => (Vec::new(), Some(Missing { error, end: None })),
+                (Some(Err(error)), None) if error.error_code().is_none() => {
+                    (Vec::new(), Some(Missing { error, end: None }))
+                }
+                (Some(Err(_)) | None, None) => alone::read(station, &named.tag).await?,
             };
             results.push(TagResult { plc: &target.label, named, values, missing });
         }
-        results
+        Ok(results)
     })
 }
 

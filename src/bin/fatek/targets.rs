@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::Args;
 use fatek::plant::{Plant, PlantPlc};
-use fatek::{Link, Station};
+use fatek::{Endpoint, Link, Station};
 
 use crate::args::Plc;
 use crate::connect;
@@ -68,8 +68,9 @@ impl PlantArgs {
 }
 
 fn unknown(name: &str, plant: &Plant) -> String {
-    let names: Vec<&str> = plant.plcs().map(PlantPlc::name).take(10).collect();
-    let others = plant.plcs().count().saturating_sub(names.len());
+    const SHOWN: usize = 10;
+    let names: Vec<&str> = plant.plcs().map(PlantPlc::name).take(SHOWN).collect();
+    let others = plant.plcs().skip(SHOWN).count();
     let more = if others > 0 { format!(" and {others} more") } else { String::new() };
     format!("the plant has no PLC `{}` (it has: {}{more})", excerpt(name), names.join(" "))
 }
@@ -100,10 +101,11 @@ impl Chosen {
         })
     }
 
-    /// The stations of a command that takes several. Stations of one endpoint share a link.
-    pub(crate) fn targets(&self, options: &Plc, timeout: Option<Duration>) -> Result<Vec<Target>, Failure> {
+    /// The stations of a command that takes several. Stations of one endpoint share a link. `once`: the
+    /// command does not wait for a station that falls silent.
+    pub(crate) fn targets(&self, options: &Plc, timeout: Option<Duration>, once: bool) -> Result<Vec<Target>, Failure> {
         if self.0.is_empty() {
-            return of_options(options, timeout);
+            return of_options(options, timeout, once);
         }
         if options.capabilities.is_some() && self.0.len() > 1 {
             return Err(Failure::Usage("--capabilities are those of one PLC".to_owned()));
@@ -112,12 +114,9 @@ impl Chosen {
         let mut targets = Vec::new();
         for plc in &self.0 {
             let of_link = self.0.iter().filter(|other| other.endpoint() == plc.endpoint()).count();
-            let open = || connect::link_of_several(plc.endpoint().clone(), timeout, of_link);
+            let open = || link(plc.endpoint().clone(), timeout, of_link, once);
             let link = links.entry(plc.endpoint().to_string()).or_insert_with(open);
-            let station = link.station(plc.station()).map_err(Failure::usage)?;
-            if let Some(path) = &options.capabilities {
-                station.set_capabilities(connect::capabilities(path)?);
-            }
+            let station = connect::with_capabilities(link.station(plc.station()).map_err(Failure::usage)?, options)?;
             targets.push(Target { label: plc.name().to_owned(), station, plc: Some(plc.clone()) });
         }
         Ok(targets)
@@ -125,25 +124,31 @@ impl Chosen {
 }
 
 /// One station, or a list of stations of one link such as `1-4,9`.
-fn of_options(options: &Plc, timeout: Option<Duration>) -> Result<Vec<Target>, Failure> {
+fn of_options(options: &Plc, timeout: Option<Duration>, once: bool) -> Result<Vec<Target>, Failure> {
     let is_list = |text: &&String| text.contains([',', '-']);
     let numbers = match options.station.as_ref().filter(is_list) {
         Some(list) => numbers(list)?,
         None => vec![connect::number(options)?],
     };
-    let link = connect::link_of_several(connect::endpoint(options.link.as_deref())?, timeout, numbers.len());
+    let link = link(connect::endpoint(options.link.as_deref())?, timeout, numbers.len(), once);
     let mut targets: Vec<Target> = Vec::new();
     for number in numbers {
         if targets.iter().any(|target| target.station.number() == number) {
             continue;
         }
-        let station = link.station(number).map_err(Failure::usage)?;
-        if let Some(path) = &options.capabilities {
-            station.set_capabilities(connect::capabilities(path)?);
-        }
+        let station = connect::with_capabilities(link.station(number).map_err(Failure::usage)?, options)?;
         targets.push(Target { label: number.to_string(), station, plc: None });
     }
     Ok(targets)
+}
+
+/// Link of this number of stations. A single one that is watched is never offline: its return shows at once.
+fn link(endpoint: Endpoint, timeout: Option<Duration>, stations: usize, once: bool) -> Link {
+    if once || stations > 1 {
+        connect::link_of_several(endpoint, timeout, stations)
+    } else {
+        connect::link(endpoint, connect::options(timeout), timeout)
+    }
 }
 
 /// The numbers of a list of stations and ranges.

@@ -2,10 +2,11 @@
 
 use fatek::command::{MAX_POINTS, MAX_UNITS};
 use fatek::element::Width;
-use fatek::tag::{Tag, TagValue};
+use fatek::tag::{Tag, TagValue, ValueError};
 use fatek::{Element, Error, Station, Value};
 
 use super::Missing;
+use crate::failure::Failure;
 
 /// The elements of a tag that are read at once: those of one request.
 pub(super) fn at_once(tag: &Tag) -> usize {
@@ -16,7 +17,7 @@ pub(super) fn at_once(tag: &Tag) -> usize {
 }
 
 /// Reads the values of a tag up to the first element that the PLC refuses.
-pub(super) async fn read(station: &Station, tag: &Tag) -> (Vec<TagValue>, Option<Missing>) {
+pub(super) async fn read(station: &Station, tag: &Tag) -> Result<(Vec<TagValue>, Option<Missing>), Failure> {
     let elements: Vec<Element> = tag.elements().collect();
     let mut raw = Vec::with_capacity(elements.len());
     let mut failed = None;
@@ -32,23 +33,23 @@ pub(super) async fn read(station: &Station, tag: &Tag) -> (Vec<TagValue>, Option
         let end = elements.get(raw.len()).filter(|_| is_refusal && elements.len() > 1);
         Missing { error, end: end.map(|&first| (first, before.copied())) }
     });
-    (values(tag, &raw), missing)
+    Ok((values(tag, &raw).map_err(Failure::usage)?, missing))
 }
 
 /// The values of the first elements of a tag.
-fn values(tag: &Tag, raw: &[Value]) -> Vec<TagValue> {
+fn values(tag: &Tag, raw: &[Value]) -> Result<Vec<TagValue>, ValueError> {
     if raw.len() == tag.element_count() {
         // Also several bits of one register.
-        return tag.decode(raw).unwrap_or_default();
+        return tag.decode(raw);
     }
     let mut rest = raw;
     let mut values = Vec::new();
     for single in tag.singles() {
         let Some((of_single, others)) = rest.split_at_checked(single.element_count()) else { break };
-        values.extend(single.decode(of_single).unwrap_or_default());
+        values.extend(single.decode(of_single)?);
         rest = others;
     }
-    values
+    Ok(values)
 }
 
 /// Reads as many of these elements as the PLC has, and returns the error of the first one that it refuses.
