@@ -11,7 +11,7 @@ use futures::future::join3;
 use tokio::io::{AsyncReadExt, DuplexStream, duplex};
 use tokio::runtime::Builder;
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
-use tokio::time::{Instant, sleep};
+use tokio::time::{Instant, sleep, timeout};
 
 mod peer;
 
@@ -46,7 +46,7 @@ async fn a_new_watcher_has_not_seen_the_present_state() {
     let call = tokio::spawn(async move { station.write_registers(register!("R0"), &[1]).await });
     peer.request().await;
     let mut watcher = link.watch_state();
-    watcher.changed().await.expect("it is up");
+    timeout(Duration::from_secs(60), watcher.changed()).await.expect("at once").expect("it is up");
     assert!(matches!(*watcher.borrow_and_update(), LinkState::Up), "{:?}", link.state());
     call.abort();
     link.close().await;
