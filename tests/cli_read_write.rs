@@ -178,6 +178,16 @@ fn an_unanswered_command_says_what_to_try() {
     assert_eq!(silent.status, 4, "{silent:?}");
     assert!(silent.stderr.contains("\nhint: nothing came: `fatek scan` finds the stations of a link\n"), "{silent:?}");
     assert!(silent.stderr.ends_with("hint: docs/CONNECT.md has more causes\n"), "{silent:?}");
+    let hinted: [&[&str]; 4] =
+        [&["ping", "-c", "1"], &["program", "read", "never"], &["backup", "never", "R0"], &["clock"]];
+    for command in hinted {
+        let silent = process::fatek(&[&to_station_9[..6], command].concat());
+        assert_eq!(silent.status, 4, "{silent:?}");
+        assert!(silent.stderr.contains("\nhint: nothing came: `fatek scan`"), "{silent:?}");
+    }
+    let none = process::fatek(&["--link", &sim.url, "scan", "9", "--timeout", "50ms"]);
+    assert_eq!(none.status, 4, "{none:?}");
+    assert!(none.stderr.contains("\nhint: nothing came: try a longer --timeout"), "{none:?}");
     let quiet = process::fatek(&[&to_station_9[..], &["--quiet"]].concat());
     assert_eq!((quiet.status, quiet.stderr.lines().count()), (4, 1), "{quiet:?}");
 }

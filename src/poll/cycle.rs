@@ -456,7 +456,7 @@ impl Cycle {
             if let Some(state) = ctx.station.tag_map.get_mut(part.id) {
                 let (tag, was_refused) = (state.tag, state.is_refused());
                 tracing::debug!(%tag, %reason, "a tag was refused");
-                state.cycle = self.number;
+                state.settle_in(self.number);
                 state.set_refused(reason.clone(), now, probe_at, ctx.samples);
                 if !was_refused {
                     ctx.station.avoid_refused(tag);
@@ -480,7 +480,7 @@ impl Cycle {
 
 /// Returns whether a tag is polled and this cycle has reported neither values nor a refusal of it.
 fn is_wanted(part: TagPart, number: u64, tag_map: &TagMap) -> bool {
-    tag_map.get(part.id).is_some_and(|state| state.cycle != number)
+    tag_map.get(part.id).is_some_and(|state| !state.is_settled_in(number))
 }
 
 impl RefusedRequest {

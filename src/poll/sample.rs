@@ -30,6 +30,9 @@ pub struct Sample {
     pub quality: Quality,
     /// The time of the reply with the values; of a bad sample, when it became bad.
     pub at: Stamp,
+    /// The last cycle of the tag's scan class that has read the tag or failed to, counted from 1; 0 before
+    /// the first one. Samples of one station, class and cycle belong together.
+    pub cycle: u64,
     pub(crate) values: Option<Arc<[TagValue]>>,
 }
 

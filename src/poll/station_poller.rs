@@ -373,12 +373,17 @@ impl StationPoller {
         let Some(cycle) = class.cycle.take_if(|cycle| cycle.next_step().is_none()) else { return };
         let bad_age = class.scan.bad_age();
         for id in &class.members {
-            let Some(state) = self.context.tag_map.get_mut(*id).filter(|state| state.cycle != cycle.number) else {
+            let Some(state) = self.context.tag_map.get_mut(*id).filter(|state| !state.is_settled_in(cycle.number))
+            else {
                 continue;
             };
             match &cycle.abandoned {
-                _ if state.is_refused() => state.set_unchanged(now.instant, samples),
+                _ if state.is_refused() => {
+                    state.miss_in(cycle.number);
+                    state.set_unchanged(now.instant, samples);
+                }
                 Some((reason, _)) if !state.is_new_since(cycle.started) => {
+                    state.miss_in(cycle.number);
                     state.set_failed(reason.clone(), now, bad_age, samples);
                 }
                 // Added during the cycle, or read only in part: the next cycle reads it.
@@ -386,6 +391,7 @@ impl StationPoller {
             }
         }
         class.start = CycleStart::default();
+        class.stats.completed = class.stats.completed.saturating_add(1);
         if let Some((_, start)) = cycle.abandoned {
             class.start = start;
             class.stats.abandoned = class.stats.abandoned.saturating_add(1);

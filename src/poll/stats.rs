@@ -9,6 +9,8 @@ use super::ScanClass;
 pub struct Counters {
     /// Cycles started.
     pub cycles: u64,
+    /// Cycles that have ended, with those that were abandoned. Their samples are queued.
+    pub completed: u64,
     /// Cycles that were skipped: the previous one was running, or the task was not scheduled.
     pub overruns: u64,
     /// Cycles that were abandoned because a reply did not come.
@@ -64,6 +66,7 @@ impl Counters {
     pub(super) fn add(&mut self, other: &Self) {
         let sums = [
             (&mut self.cycles, other.cycles),
+            (&mut self.completed, other.completed),
             (&mut self.overruns, other.overruns),
             (&mut self.abandoned, other.abandoned),
             (&mut self.requests, other.requests),

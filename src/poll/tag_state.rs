@@ -34,7 +34,7 @@ pub(super) struct TagState {
     /// The time of the next probe of a refused tag.
     pub(super) probe_at: Option<Instant>,
     /// The last cycle with values or a refusal of the tag.
-    pub(super) cycle: u64,
+    cycle: u64,
 }
 
 #[derive(Debug)]
@@ -47,7 +47,7 @@ struct LastReport {
 impl TagState {
     pub(super) fn new(id: TagId, tag: PollTag, group: Option<u64>, now: Stamp) -> Self {
         let PollTag { name, tag, policy } = tag;
-        let sample = Sample { id, name, quality: Quality::Bad(Reason::NotYetRead), at: now, values: None };
+        let sample = Sample { id, name, quality: Quality::Bad(Reason::NotYetRead), at: now, cycle: 0, values: None };
         Self { sample, tag, group, policy, last_report: None, probe_at: None, cycle: 0 }
     }
 
@@ -58,6 +58,22 @@ impl TagState {
     /// Returns whether the tag was added after this time and has not been read or refused.
     pub(super) fn is_new_since(&self, time: Instant) -> bool {
         matches!(self.sample.quality, Quality::Bad(Reason::NotYetRead)) && self.sample.at.instant > time
+    }
+
+    /// Returns whether this cycle has reported values or a refusal of the tag.
+    pub(super) fn is_settled_in(&self, cycle: u64) -> bool {
+        self.cycle == cycle
+    }
+
+    /// Marks the tag as read or refused in this cycle.
+    pub(super) fn settle_in(&mut self, cycle: u64) {
+        self.cycle = cycle;
+        self.sample.cycle = cycle;
+    }
+
+    /// Marks the tag as not read in this cycle, which has ended.
+    pub(super) fn miss_in(&mut self, cycle: u64) {
+        self.sample.cycle = cycle;
     }
 
     /// Returns whether the PLC has refused the tag.

@@ -29,7 +29,7 @@ impl Serialize for Stamp {
 impl Serialize for Sample {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let reason = self.quality.reason();
-        let mut form = serializer.serialize_struct("Sample", if reason.is_some() { 6 } else { 5 })?;
+        let mut form = serializer.serialize_struct("Sample", if reason.is_some() { 7 } else { 6 })?;
         form.serialize_field("id", &self.id)?;
         form.serialize_field("name", &*self.name)?;
         form.serialize_field("value", &ValuesForm(self.values()))?;
@@ -39,6 +39,7 @@ impl Serialize for Sample {
             None => form.skip_field("reason")?,
         }
         form.serialize_field("at", &self.at)?;
+        form.serialize_field("cycle", &self.cycle)?;
         form.end()
     }
 }

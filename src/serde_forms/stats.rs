@@ -46,7 +46,7 @@ stats! {
     PoolEndpoint { endpoint, links, traffic, }
     PollerStats { stations, tags, refused_tags, samples, missed, counters, }
     ClassStats { class, tags, refused_tags, requests_per_cycle, counters, }
-    Counters { cycles, overruns, abandoned, requests, refusals, failures, last_cycle: seconds, }
+    Counters { cycles, completed, overruns, abandoned, requests, refusals, failures, last_cycle: seconds, }
 }
 
 fn seconds(duration: &Duration) -> Seconds {

@@ -7,6 +7,7 @@ mod line;
 mod model;
 mod program;
 mod sim;
+mod watch;
 
 use std::fmt;
 use std::time::Duration;
@@ -14,12 +15,13 @@ use std::time::Duration;
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 pub(crate) use self::backup::{BackupArgs, RestoreArgs, SpecialArg};
-pub(crate) use self::data::{DiscreteArgs, ForcedArgs, PlanArgs, ReadArgs, WatchArgs, WriteArgs};
+pub(crate) use self::data::{DiscreteArgs, ForcedArgs, PlanArgs, ReadArgs, WriteArgs};
 pub(crate) use self::decode::DecodeArgs;
 pub(crate) use self::line::{ClockArgs, PingArgs, ProbeArgs, ScanArgs};
 pub(crate) use self::model::ModelArgs;
 pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
 pub(crate) use self::sim::SimArgs;
+pub(crate) use self::watch::WatchArgs;
 use crate::duration;
 use crate::output::FormatArg;
 use crate::targets::PlantArgs;

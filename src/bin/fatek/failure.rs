@@ -32,10 +32,10 @@ pub(crate) enum Failure {
     CallOf { subject: String, error: fatek::Error },
     /// Pings without a reply.
     #[error("{lost} of {sent} requests had no reply")]
-    Lost { lost: u32, sent: u32 },
+    Lost { lost: u32, sent: u32, last: Option<fatek::Error> },
     /// Pings with a bad reply.
     #[error("{bad} of {sent} requests had a bad reply")]
-    BadReplies { bad: u32, sent: u32 },
+    BadReplies { bad: u32, sent: u32, last: Option<fatek::Error> },
     /// No station of the scanned range answered.
     #[error(
         "{}",
@@ -93,6 +93,9 @@ pub(crate) enum Failure {
     /// The simulator cannot listen.
     #[error("cannot listen on {}: {error}", excerpt(url))]
     Listen { url: String, error: io::Error },
+    /// The log file cannot be opened or written.
+    #[error("log file {}: {error}", shown(path))]
+    Log { path: PathBuf, error: io::Error },
     /// Stdout cannot be written.
     #[error("cannot write to stdout: {0}")]
     Output(io::Error),
@@ -128,6 +131,26 @@ impl Failure {
         move |signal| Self::Interrupted { signal, done: done.into() }
     }
 
+    /// The call that failed, or the last one of several.
+    pub(crate) fn call_error(&self) -> Option<&fatek::Error> {
+        match self {
+            Self::Call(error) | Self::CallOf { error, .. } => Some(error),
+            Self::Lost { last, .. } | Self::BadReplies { last, .. } => last.as_ref(),
+            Self::Program(error) => error.call_error(),
+            Self::WriteProgram(error) => error.source.call_error(),
+            Self::Restore(error) => error.source.call_error(),
+            Self::Usage(_) | Self::Table(_) | Self::Plant(_) | Self::NoStation { .. } | Self::BadStations { .. } => {
+                None
+            }
+            Self::BadFrames { .. } | Self::Declined | Self::File(_) | Self::NotRaw(_) | Self::OtherPlc(_) => None,
+            Self::RefusedTags { .. } | Self::RefusedRanges { .. } | Self::Missing { .. } | Self::Interrupted { .. } => {
+                None
+            }
+            Self::Differs { .. } | Self::NotAsWritten { .. } | Self::Listen { .. } | Self::Log { .. } => None,
+            Self::Output(_) | Self::Runtime(_) => None,
+        }
+    }
+
     /// Returns whether the reader of stdout has closed it.
     pub(crate) fn is_broken_pipe(&self) -> bool {
         matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::BrokenPipe)
@@ -136,7 +159,7 @@ impl Failure {
     /// Exit status, as listed in `fatek --help`.
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
-            Self::Output(_) | Self::Runtime(_) | Self::Declined => 1,
+            Self::Output(_) | Self::Log { .. } | Self::Runtime(_) | Self::Declined => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) | Self::Table(_) | Self::Plant(_) => 2,

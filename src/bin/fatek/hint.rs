@@ -4,8 +4,28 @@ use fatek::element::Width;
 use fatek::tag::{Tag, TagType};
 use fatek::{Error, Seen};
 
+use crate::failure::Failure;
+
+/// Things to try after a failure.
+pub(crate) fn of(failure: &Failure) -> Vec<String> {
+    if let Failure::NoStation { .. } = failure {
+        return vec![
+            "nothing came: try a longer --timeout, or the other framing (?framing=binary or ascii)".to_owned(),
+            "on a serial line, try another speed and frame (?baud=19200&frame=8N1)".to_owned(),
+            "docs/CONNECT.md has more causes".to_owned(),
+        ];
+    }
+    // The settings are good: the PLC has answered before.
+    let has_answered = if let Failure::WriteProgram(error) = failure {
+        !error.state.written.is_empty()
+    } else {
+        matches!(failure, Failure::Restore(error) if !error.report.written.is_empty())
+    };
+    failure.call_error().filter(|_| !has_answered).map(unanswered).unwrap_or_default()
+}
+
 /// Things to try after a call without a usable reply, by the traffic in place of the reply.
-pub(crate) fn unanswered(error: &Error) -> Vec<String> {
+fn unanswered(error: &Error) -> Vec<String> {
     let seen = if let Error::Timeout { seen, .. } | Error::BadReply { seen, .. } = error {
         *seen
     } else if let Error::Offline { .. } = error {

@@ -123,8 +123,7 @@ fn report(failure: &Failure, output: &Output) -> ExitCode {
     } else {
         complain(format_args!("error: {failure}"));
     }
-    let error = if let Failure::Call(error) | Failure::CallOf { error, .. } = failure { Some(error) } else { None };
-    for hint in error.map(hint::unanswered).unwrap_or_default() {
+    for hint in hint::of(failure) {
         output.remark(format_args!("hint: {hint}"));
     }
     if let Failure::Usage(_) = failure {

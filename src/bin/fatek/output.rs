@@ -74,22 +74,29 @@ impl Output {
     }
 
     /// Prints a line of comma-separated values on stdout.
-    pub(crate) fn csv_line<const N: usize>(&self, values: [&str; N]) -> Result<(), Failure> {
-        self.csv([&values[..]].into_iter()).map_err(Failure::Output)
+    pub(crate) fn csv_line(&self, values: &[&str]) -> Result<(), Failure> {
+        self.csv([values].into_iter()).map_err(Failure::Output)
     }
 
     fn csv<'a>(&self, records: impl Iterator<Item = &'a [&'a str]>) -> io::Result<()> {
         let mut stdout = io::stdout().lock();
-        // A file gets the characters themselves.
-        let is_terminal = stdout.is_terminal();
         // Written to memory first: `csv` would hide that an error is a broken pipe.
+        let text = self.csv_text(records, stdout.is_terminal())?;
+        stdout.write_all(&text)?;
+        stdout.flush()
+    }
+
+    /// Lines of comma-separated values. A file gets the characters themselves, a terminal escapes.
+    pub(crate) fn csv_text<'a>(
+        &self,
+        records: impl Iterator<Item = &'a [&'a str]>,
+        is_terminal: bool,
+    ) -> io::Result<Vec<u8>> {
         let mut writer = csv::Writer::from_writer(Vec::new());
         for record in records {
             writer.write_record(record.iter().map(|cell| self.csv_cell(cell, is_terminal)))?;
         }
-        let text = writer.into_inner().map_err(|error| error.into_error())?;
-        stdout.write_all(&text)?;
-        stdout.flush()
+        writer.into_inner().map_err(|error| error.into_error())
     }
 
     fn csv_cell(&self, cell: &str, is_terminal: bool) -> String {

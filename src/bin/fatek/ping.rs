@@ -49,8 +49,8 @@ pub(crate) async fn ping(station: &Station, args: &PingArgs, output: &Output) ->
     tally.summarize(output);
     result?;
     match tally {
-        Tally { sent, lost: lost @ 1.., .. } => Err(Failure::Lost { lost, sent }),
-        Tally { sent, bad: bad @ 1.., .. } => Err(Failure::BadReplies { bad, sent }),
+        Tally { sent, lost: lost @ 1.., last, .. } => Err(Failure::Lost { lost, sent, last }),
+        Tally { sent, bad: bad @ 1.., last, .. } => Err(Failure::BadReplies { bad, sent, last }),
         Tally { lost: 0, bad: 0, .. } => Ok(()),
     }
 }
@@ -60,6 +60,8 @@ struct Tally {
     sent: u32,
     lost: u32,
     bad: u32,
+    /// The error of the last request without a good reply.
+    last: Option<Error>,
     times: Vec<Duration>,
 }
 
@@ -73,6 +75,7 @@ impl Tally {
             Err(error) => return Err(error),
         }
         self.sent += 1;
+        self.last = echo.as_ref().err().cloned().or(self.last.take());
         Ok(echo.map(|()| time))
     }
 

@@ -30,7 +30,7 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
     let repeated = retry(&mut read, Direction::Read, &reporter, run, progress, note);
     let ended = reporter.until_end(unless_signalled(repeated)).await?;
     let interrupted = |signal| {
-        let done = format!(" after {} pages: nothing was saved", read.pages_done());
+        let done = format!(" after {} confirmed pages: nothing was saved", read.pages_done());
         Failure::interrupted(done)(signal)
     };
     let program = ended.map_err(interrupted)??;

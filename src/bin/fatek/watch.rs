@@ -1,17 +1,25 @@
 //! Subcommand `fatek watch TAG…`.
 
+mod lines;
+mod log;
+mod printer;
+mod time_format;
+mod wide;
+
+use std::collections::HashMap;
 use std::pin::pin;
-use std::time::SystemTime;
+use std::time::Duration;
 
-use fatek::poll::{Missed, PollTag, Poller, Sample, ScanClass, StationPolling};
+use fatek::poll::{Missed, PollTag, PolledStation, Poller, Sample, ScanClass, StationPolling, TagId};
 use fatek::tag::Tag;
-use futures::StreamExt;
-use humantime::format_rfc3339_millis;
+use futures::{FutureExt, StreamExt};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
+use self::printer::{Place, Printer};
 use crate::args::WatchArgs;
 use crate::failure::Failure;
 use crate::names::NamedTag;
-use crate::output::{Cell, Format, Output, complain, print, stdout_closed};
+use crate::output::{Output, complain, stdout_closed};
 use crate::signal::Stop;
 use crate::targets::Target;
 
@@ -19,50 +27,92 @@ pub(crate) async fn watch(targets: &[Target], args: &WatchArgs, output: &Output)
     let mut stop = Stop::new()?;
     let mut closed = pin!(stdout_closed());
     let mut poller = Poller::new();
-    let mut labels = Vec::new();
-    for target in targets {
-        let named = args.table.load(target.plc.as_ref())?.tags(&args.tags)?;
-        let limits = args.model.check(&target.station, named.iter().map(|named| named.tag)).await?;
-        let polling = StationPolling::new().limits(limits);
-        let polled = poller.handle().station_with(&target.station, polling).map_err(Failure::usage)?;
-        // One tag per value, so that each change is reported alone. Of several PLCs, each has its name.
-        let plc = if targets.len() > 1 { format!("{}/", target.label) } else { String::new() };
-        let labelled = |named: NamedTag| {
-            let (singles, plc) = (named.tag.singles().enumerate(), plc.clone());
-            singles.map(move |(number, tag)| (format!("{plc}{}", named.label(number, || tag.to_string())), tag))
-        };
-        let tags: Vec<(String, Tag)> = named.into_iter().flat_map(labelled).collect();
-        let class = ScanClass::every(args.interval);
-        polled.add(class, tags.iter().map(|(label, tag)| poll_tag(label, *tag, args))).map_err(Failure::usage)?;
-        labels.extend(tags.into_iter().map(|(label, _)| label));
-    }
-
-    let printer = Printer::new(labels.iter().map(String::as_str), output);
+    let polled = add(targets, args, &poller).await?;
+    let mut printer = Printer::new(&polled.places, targets, args, output)?;
     printer.header()?;
-    let mut lines = 0_u64;
-    while args.count.is_none_or(|count| lines < count) {
-        let sample = tokio::select! {
+    let ends_at = args.duration.and_then(|duration| Instant::now().checked_add(duration));
+    let mut ended = pin!(async {
+        match ends_at {
+            Some(at) => sleep_until(at).await,
+            None => std::future::pending().await,
+        }
+    });
+    // Readings without a line to print are noticed by time.
+    let mut check = interval(args.interval.clamp(MIN_CHECK, MAX_CHECK));
+    check.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    while !polled.is_done(args.count) {
+        tokio::select! {
             biased;
             _ = stop.signalled() => break,
             // Noticed without a line to print: there may be none for a long time.
             closed = &mut closed => return Err(Failure::Output(closed)),
-            sample = poller.next() => sample,
-        };
-        match sample {
-            Some(Ok(sample)) => {
-                printer.sample(&sample)?;
-                lines += 1;
-            }
-            Some(Err(missed @ Missed { .. })) => complain(format_args!("{missed}")),
-            None => break,
+            () = &mut ended => break,
+            sample = poller.next() => match sample {
+                Some(sample) => take(sample, args, &mut printer)?,
+                None => break,
+            },
+            _ = check.tick(), if args.count.is_some() => {}
         }
+    }
+    // The samples of the last readings.
+    while let Some(Some(sample)) = poller.next().now_or_never() {
+        take(sample, args, &mut printer)?;
     }
     let stats = poller.handle().stats();
     output.remark(format_args!(
-        "{} poll cycles, {} skipped, {} without a reply; {lines} lines",
-        stats.cycles, stats.overruns, stats.abandoned
+        "{} poll cycles, {} skipped, {} without a reply; {} lines",
+        stats.cycles,
+        stats.overruns,
+        stats.abandoned,
+        printer.count()
     ));
     Ok(())
+}
+
+const MIN_CHECK: Duration = Duration::from_millis(10);
+const MAX_CHECK: Duration = Duration::from_millis(100);
+
+/// The stations that are polled, and the place of each tag.
+#[derive(Debug, Default)]
+struct Polled {
+    stations: Vec<PolledStation>,
+    places: HashMap<TagId, Place>,
+}
+
+impl Polled {
+    /// Returns whether each PLC was read this often; the samples are in the queue then.
+    fn is_done(&self, count: Option<u64>) -> bool {
+        let is_done = |station: &PolledStation, count| station.classes().iter().all(|class| class.completed >= count);
+        count.is_some_and(|count| self.stations.iter().all(|station| is_done(station, count)))
+    }
+}
+
+/// Adds the tags of all targets to the poller.
+async fn add(targets: &[Target], args: &WatchArgs, poller: &Poller) -> Result<Polled, Failure> {
+    let mut polled = Polled::default();
+    for (plc, target) in targets.iter().enumerate() {
+        let named = args.table.load(target.plc.as_ref())?.tags(&args.tags)?;
+        let limits = args.model.check(&target.station, named.iter().map(|named| named.tag)).await?;
+        let polling = StationPolling::new().limits(limits);
+        let station = poller.handle().station_with(&target.station, polling).map_err(Failure::usage)?;
+        // One tag per value, so that each change is reported alone.
+        let labelled = |named: NamedTag| {
+            let singles = named.tag.singles().enumerate();
+            singles.map(move |(number, tag)| (named.label(number, || tag.to_string()), tag))
+        };
+        let tags: Vec<(String, Tag)> = named.into_iter().flat_map(labelled).collect();
+        // Of several PLCs, each has its name.
+        let full = |label: &str| match targets {
+            [_] => label.to_owned(),
+            _ => format!("{}/{label}", target.label),
+        };
+        let class = ScanClass::every(args.interval);
+        let ids = station.add(class, tags.iter().map(|(label, tag)| poll_tag(&full(label), *tag, args)));
+        let places = tags.iter().map(|(label, _)| Place { plc, label: label.clone() });
+        polled.places.extend(ids.map_err(Failure::usage)?.into_iter().zip(places));
+        polled.stations.push(station);
+    }
+    Ok(polled)
 }
 
 fn poll_tag(label: &str, tag: Tag, args: &WatchArgs) -> PollTag {
@@ -71,52 +121,19 @@ fn poll_tag(label: &str, tag: Tag, args: &WatchArgs) -> PollTag {
         // Only numbers have a deadband.
         Some(deadband) if tag.tag_type().is_number() => polled.deadband(deadband),
         Some(_) => polled.on_change(true),
-        None => polled.on_change(args.on_change),
+        // A line with all values needs all values: it is compared as a whole.
+        None => polled.on_change(args.on_change && !args.wide),
     }
 }
 
-/// Prints one line per sample.
-struct Printer<'o> {
-    output: &'o Output,
-    /// Width of the tag column in characters.
-    width: usize,
-}
-
-const COLUMNS: [&str; 4] = ["time", "tag", "value", "quality"];
-
-impl<'o> Printer<'o> {
-    fn new<'t>(labels: impl Iterator<Item = &'t str>, output: &'o Output) -> Self {
-        Self { output, width: labels.map(str::len).max().unwrap_or(0).max(3) }
-    }
-
-    fn header(&self) -> Result<(), Failure> {
-        let width = self.width;
-        match self.output.format {
-            Format::Table => print(format_args!("{:24}  {:width$}  VALUE", "TIME", "TAG")),
-            Format::Json => Ok(()),
-            Format::Csv => self.output.csv_line(COLUMNS),
-        }
-    }
-
-    fn sample(&self, sample: &Sample) -> Result<(), Failure> {
-        let width = self.width;
-        let time = format_rfc3339_millis(sample.at.time.max(SystemTime::UNIX_EPOCH)).to_string();
-        let value = Cell::from(sample.value().cloned());
-        match self.output.format {
-            Format::Table => {
-                let value = match (sample.is_good(), value.text.is_empty()) {
-                    (true, _) => value.text,
-                    (false, true) => format!("({})", sample.quality),
-                    (false, false) => format!("{} ({})", value.text, sample.quality),
-                };
-                print(format_args!("{time}  {:width$}  {value}", sample.name))
-            }
-            Format::Json => {
-                let cells =
-                    [time.into(), sample.name.to_string().into(), value.json, sample.quality.to_string().into()];
-                self.output.json_line(&COLUMNS.into_iter().zip(cells).collect())
-            }
-            Format::Csv => self.output.csv_line([&time, &*sample.name, value.csv(), &sample.quality.to_string()]),
+/// Prints a sample, unless it is of a reading behind the last one.
+fn take(sample: Result<Sample, Missed>, args: &WatchArgs, printer: &mut Printer<'_>) -> Result<(), Failure> {
+    match sample {
+        Ok(sample) if args.count.is_none_or(|count| sample.cycle <= count) => printer.sample(sample),
+        Ok(_) => Ok(()),
+        Err(missed @ Missed { .. }) => {
+            complain(format_args!("{missed}"));
+            Ok(())
         }
     }
 }

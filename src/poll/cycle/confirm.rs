@@ -172,11 +172,11 @@ impl Cycle {
         for (id, values, at) in self.held.values.drain(..count) {
             let Some(state) = ctx.station.tag_map.get_mut(id) else { continue };
             // Reported before, and read again together with other tags.
-            if state.cycle == self.number && !state.is_refused() {
+            if state.is_settled_in(self.number) && !state.is_refused() {
                 continue;
             }
             let was_refused = state.is_refused();
-            state.cycle = self.number;
+            state.settle_in(self.number);
             state.set_values(values, at, ctx.samples);
             ctx.oldest = Some(ctx.oldest.map_or(at.instant, |oldest| oldest.min(at.instant)));
             if was_refused {

@@ -187,3 +187,26 @@ fn a_longer_response_time_makes_fewer_requests() {
     rig.run(ms(100_000));
     assert_eq!(requests(&rig), 5);
 }
+
+#[test]
+fn samples_of_a_reading_name_its_cycle_also_if_it_fails() {
+    let mut rig = TestRig::new(1);
+    rig.plc.refused.insert((crate::element::Symbol::R, 900));
+    let ids = rig.add(every(1000), &["R0", "M5", "R900"]);
+    assert_eq!(rig.latest(ids[0]).cycle, 0, "before the first cycle");
+    rig.run(ms(1900));
+    rig.plc.silent = true;
+    rig.run(ms(1000));
+    rig.plc.silent = false;
+    rig.run(ms(1000));
+    let stats = rig.poller.classes().next().unwrap();
+    assert_eq!((stats.cycles, stats.completed, stats.abandoned), (4, 4, 1));
+    let samples = rig.new_samples();
+    for id in ids {
+        let mut cycles: Vec<u64> = samples.iter().filter(|sample| sample.id == id).map(|sample| sample.cycle).collect();
+        // Age may report a value again, as of the cycle that has read it.
+        cycles.dedup();
+        assert_eq!(cycles, [1, 2, 3, 4]);
+    }
+    assert!(samples.iter().filter(|sample| sample.cycle == 3).all(|sample| !sample.is_good()), "the silent one");
+}

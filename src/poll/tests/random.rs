@@ -65,6 +65,8 @@ struct RandomTest {
     groups: Vec<Vec<TagId>>,
     classes: Vec<ScanClass>,
     removed: BTreeSet<TagId>,
+    /// The cycle of the last sample of each tag.
+    cycles: BTreeMap<TagId, u64>,
 }
 
 impl RandomTest {
@@ -83,7 +85,8 @@ impl RandomTest {
             ScanClass::every(ms(random.one(&[200, 1000]))).probe_refused(ms(random.one(&[2000, 10_000])))
         };
         let classes = (0..1 + random.below(3)).map(|_| class(&mut random)).collect();
-        Self { rig, random, tags: BTreeMap::new(), groups: Vec::new(), classes, removed: BTreeSet::new() }
+        let (tags, removed, cycles) = Default::default();
+        Self { rig, random, tags, groups: Vec::new(), classes, removed, cycles }
     }
 
     fn add(&mut self, count: usize) {
@@ -145,6 +148,9 @@ impl RandomTest {
         for sample in self.rig.new_samples() {
             assert!(!self.removed.contains(&sample.id), "sample of a removed tag: {sample:?}");
             let tag = self.tags[&sample.id];
+            let cycle = self.cycles.entry(sample.id).or_default();
+            assert!(sample.cycle >= *cycle, "a sample of an earlier cycle than {cycle}: {sample:?}");
+            *cycle = sample.cycle;
             match sample.quality {
                 Quality::Good | Quality::Stale(_) => self.check_values(&sample, tag),
                 Quality::Bad(_) => assert!(sample.values().is_empty(), "{sample:?}"),

@@ -159,6 +159,7 @@ fn samples(examples: &mut Remaining) {
         name: name.into(),
         quality,
         at,
+        cycle: 12,
         values: (!values.is_empty()).then(|| values.into()),
     };
     examples.written("`TagId`", TagId(7));
@@ -234,8 +235,16 @@ fn stats(examples: &mut Remaining) {
     let endpoint = crate::Endpoint::tcp("192.168.2.3", 500);
     let endpoint = PoolEndpoint { endpoint, links: vec![LinkState::Up, down], traffic };
     examples.written("`PoolEndpoint`", shortened(&|| json!(endpoint)));
-    let counters =
-        Counters { cycles: 1, overruns: 2, abandoned: 3, requests: 4, refusals: 5, failures: 6, last_cycle: 250 * MS };
+    let counters = Counters {
+        cycles: 1,
+        completed: 1,
+        overruns: 2,
+        abandoned: 3,
+        requests: 4,
+        refusals: 5,
+        failures: 6,
+        last_cycle: 250 * MS,
+    };
     let poller = PollerStats { stations: 1, tags: 2, refused_tags: 3, samples: 4, missed: 5, counters };
     examples.written("`PollerStats`", poller);
     let class = ScanClass::every(1000 * MS);

@@ -133,45 +133,6 @@ pub(crate) struct ForcedArgs {
     pub(crate) plc: Plc,
 }
 
-/// Poll tags and print each value with its time
-///
-/// Prints one line per value until Ctrl-C. Values that cannot be read are printed with the reason,
-/// and polled again.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:
-  fatek watch R0-R9 R100:f32 --interval 500ms --on-change
-  fatek watch R5:i16*0.1-40 --deadband 0.5 --format csv --count 1000
-
-The time is that of the reply, in UTC. A value whose quality is not good is
-printed with the reason: (stale: ...) after the last good value, or (bad: ...)
-without a value.
-JSON: one object per line with time, tag, value and quality; no value is null.")]
-pub(crate) struct WatchArgs {
-    /// Element or range, with an optional type, as for read
-    ///
-    /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
-    #[arg(value_name = "TAG")]
-    pub(crate) tags: Vec<String>,
-    #[command(flatten)]
-    pub(crate) table: TableArgs,
-    /// Poll interval, more than 0s, up to 24h
-    #[arg(long, default_value = "1s", value_parser = duration::parse_positive, value_name = "TIME")]
-    pub(crate) interval: Duration,
-    /// Print a value only when its value or quality changes
-    #[arg(long)]
-    pub(crate) on_change: bool,
-    /// Deadband: as --on-change, for numbers only changes by more than this
-    #[arg(long, value_name = "NUMBER")]
-    pub(crate) deadband: Option<f64>,
-    /// Number of lines before exit, 1 or more [default: unlimited]
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), value_name = "N")]
-    pub(crate) count: Option<u64>,
-    #[command(flatten)]
-    pub(crate) model: ModelArgs,
-    #[command(flatten)]
-    pub(crate) plc: Plc,
-}
-
 /// Print the requests that would read a set of tags, with bytes and time
 ///
 /// Sends nothing. The time per byte follows from the settings of a serial link; a network has
