@@ -6,13 +6,16 @@ mod decode;
 mod line;
 mod model;
 mod program;
+mod sections;
+mod shell;
 mod sim;
 mod watch;
 
 use std::fmt;
 use std::time::Duration;
 
-use clap::{ArgAction, Args, Parser, Subcommand};
+use clap::{ArgAction, Args, Parser, Subcommand, ValueHint};
+use clap_complete::ArgValueCompleter;
 
 pub(crate) use self::backup::{BackupArgs, RestoreArgs, SpecialArg};
 pub(crate) use self::data::{DiscreteArgs, ForcedArgs, PlanArgs, ReadArgs, WriteArgs};
@@ -20,11 +23,13 @@ pub(crate) use self::decode::DecodeArgs;
 pub(crate) use self::line::{ClockArgs, PingArgs, ProbeArgs, ScanArgs};
 pub(crate) use self::model::ModelArgs;
 pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
+pub(crate) use self::sections::with_sections;
+pub(crate) use self::shell::{CompletionsArgs, ManArgs};
 pub(crate) use self::sim::SimArgs;
 pub(crate) use self::watch::WatchArgs;
-use crate::duration;
 use crate::output::FormatArg;
 use crate::targets::PlantArgs;
+use crate::{complete, duration};
 
 /// Command line client for FATEK / FACON PLCs, with a simulator and a frame decoder
 ///
@@ -131,6 +136,7 @@ pub(crate) struct Common {
 pub(crate) struct DefaultPlc {
     /// Link to the PLC, such as tcp://192.168.2.3:500
     #[arg(long, env = "FATEK_LINK", hide_env_values = true, value_name = "URL")]
+    #[arg(add = ArgValueCompleter::new(complete::links))]
     link: Option<String>,
     /// Station number, 1 to 254 (`sim` has an option of its own)
     #[arg(long, env = "FATEK_STATION", hide_env_values = true, value_name = "N")]
@@ -171,13 +177,13 @@ impl DefaultPlc {
 #[command(next_help_heading = "PLC")]
 pub(crate) struct Plc {
     /// Link to the PLC, such as tcp://192.168.2.3:500 [env: FATEK_LINK=]
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", add = ArgValueCompleter::new(complete::links))]
     pub(crate) link: Option<String>,
     /// Station number, 1 to 254; read and watch: also a list such as 1-4,9 [env: FATEK_STATION=]
     #[arg(long, value_name = "N")]
     pub(crate) station: Option<String>,
     /// Capabilities of the PLC: a file of `fatek probe --format json` [env: FATEK_CAPABILITIES=]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) capabilities: Option<String>,
 }
 
@@ -193,7 +199,7 @@ impl fmt::Display for Plc {
 #[command(next_help_heading = "PLC")]
 pub(crate) struct LinkArgs {
     /// Link to the stations, such as tcp://192.168.2.3:500 [env: FATEK_LINK=]
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", add = ArgValueCompleter::new(complete::links))]
     link: Option<String>,
 }
 
@@ -210,7 +216,9 @@ pub(crate) enum Command {
     Stop(PlcArgs),
     /// Enable discretes: the program or the input controls them again
     Enable(DiscreteArgs),
-    /// Disable discretes: they keep a forced state, independent of program and input
+    /// Disable discretes: they keep a forced state
+    ///
+    /// It is independent of the program and the input.
     Disable(DiscreteArgs),
     /// Set discretes on
     Set(DiscreteArgs),
@@ -229,6 +237,8 @@ pub(crate) enum Command {
     Clock(ClockArgs),
     Probe(ProbeArgs),
     Decode(DecodeArgs),
+    Completions(CompletionsArgs),
+    Man(ManArgs),
 }
 
 #[derive(Debug, Args)]

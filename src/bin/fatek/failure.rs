@@ -96,6 +96,9 @@ pub(crate) enum Failure {
     /// The log file cannot be opened or written.
     #[error("log file {}: {error}", shown(path))]
     Log { path: PathBuf, error: io::Error },
+    /// The man pages cannot be written.
+    #[error("man pages in {}: {error}", shown(folder))]
+    ManPages { folder: PathBuf, error: io::Error },
     /// Stdout cannot be written.
     #[error("cannot write to stdout: {0}")]
     Output(io::Error),
@@ -147,7 +150,7 @@ impl Failure {
                 None
             }
             Self::Differs { .. } | Self::NotAsWritten { .. } | Self::Listen { .. } | Self::Log { .. } => None,
-            Self::Output(_) | Self::Runtime(_) => None,
+            Self::ManPages { .. } | Self::Output(_) | Self::Runtime(_) => None,
         }
     }
 
@@ -159,7 +162,7 @@ impl Failure {
     /// Exit status, as listed in `fatek --help`.
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
-            Self::Output(_) | Self::Log { .. } | Self::Runtime(_) | Self::Declined => 1,
+            Self::Output(_) | Self::Log { .. } | Self::ManPages { .. } | Self::Runtime(_) | Self::Declined => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) | Self::Table(_) | Self::Plant(_) => 2,

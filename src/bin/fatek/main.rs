@@ -3,6 +3,7 @@
 mod args;
 mod backup;
 mod clock;
+mod complete;
 mod confirm;
 mod connect;
 mod control;
@@ -37,20 +38,25 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{CommandFactory, Parser};
+use clap::{CommandFactory, FromArgMatches};
 use fatek::command::{ControlPlc, DiscreteControl};
 use tracing_subscriber::EnvFilter;
 
 use self::args::{Cli, Command, DiscreteArgs, Plc, ProgramCommand};
 use self::failure::Failure;
-use self::output::{Output, complain, printable_lines};
+use self::output::{Output, coloured, complain, printable_lines};
 use self::printable::{excerpt, printable};
 use self::ranges::DiscreteRange;
 
 fn main() -> ExitCode {
-    let cli = match Cli::try_parse_from(arguments()) {
+    if complete::complete() {
+        return ExitCode::SUCCESS;
+    }
+    let mut command = args::with_sections(Cli::command());
+    let parsed = command.try_get_matches_from_mut(arguments()).and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed {
         Ok(cli) => cli,
-        Err(error) => return refuse(error),
+        Err(error) => return refuse(error.format(&mut command)),
     };
     let output = Output::new(cli.common.format.unwrap_or_default(), cli.common.quiet);
     match run(&cli, &output) {
@@ -107,7 +113,7 @@ fn refuse(mut error: clap::Error) -> ExitCode {
         error.insert(ContextKind::Suggested, ContextValue::None);
     }
     // A write error is ignored: there is no other place to report it.
-    let _ = write!(io::stderr().lock(), "{}", printable_lines(&error.to_string()));
+    let _ = write!(anstream::stderr().lock(), "{}", coloured(&printable_lines(&error.to_string())));
     ExitCode::from(2)
 }
 
@@ -139,8 +145,14 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Failure::Runtime)?;
     let timeout = cli.common.timeout;
     let chosen = cli.plant.load()?;
-    let is_alone =
-        matches!(cli.command, Command::Sim(_) | Command::Decode(_) | Command::Program(ProgramCommand::Info(_)));
+    let is_alone = matches!(
+        cli.command,
+        Command::Sim(_)
+            | Command::Decode(_)
+            | Command::Completions(_)
+            | Command::Man(_)
+            | Command::Program(ProgramCommand::Info(_))
+    );
     if is_alone && !chosen.is_empty() {
         return Err(Failure::Usage("this command takes no PLC".to_owned()));
     }
@@ -196,6 +208,8 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 probe::probe(&connect::station(&plc, timeout)?, output).await
             }
             Command::Decode(args) => decode::decode(args, output),
+            Command::Completions(args) => complete::script(&args.shell),
+            Command::Man(args) => complete::man_pages(&args.folder, output),
         }
     })
 }

@@ -2,7 +2,8 @@
 
 use std::ffi::OsString;
 
-use clap::Args;
+use clap::{Args, ValueHint};
+
 use fatek::plant::{PlantPlc, PlantTag};
 use fatek::tag::{Assignment, Tag, TagValue};
 use fatek::tag_table::TagTable;
@@ -17,6 +18,7 @@ use crate::write::Write;
 pub(crate) struct TableArgs {
     /// Table of tags (CSV, or TOML if the name ends in .toml), whose names stand for tags
     #[arg(long = "tags", id = "table", env = "FATEK_TAGS", hide_env_values = true, value_name = "FILE")]
+    #[arg(value_hint = ValueHint::FilePath)]
     path: Option<OsString>,
 }
 

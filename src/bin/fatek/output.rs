@@ -5,6 +5,7 @@ use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
 use clap::ValueEnum;
+use clap::builder::Styles;
 use comfy_table::presets::NOTHING;
 use fatek::tag::TagValue;
 use serde_json::Value;
@@ -149,7 +150,20 @@ pub(crate) async fn stdout_closed() -> io::Error {
 /// Prints a line on stderr; a line feed in it is escaped. A write error is ignored: there is no
 /// other place to report it.
 pub(crate) fn complain(line: fmt::Arguments<'_>) {
-    let _ = writeln!(io::stderr().lock(), "{}", printable(&line.to_string()));
+    let _ = writeln!(anstream::stderr().lock(), "{}", coloured(&printable(&line.to_string()).to_string()));
+}
+
+/// A printable text with the colour of its first word: `error:`, `warning:` or `hint:`. The stream
+/// of the caller removes it where colours are not wanted.
+pub(crate) fn coloured(text: &str) -> String {
+    let styles = Styles::styled();
+    let kinds = [("error:", *styles.get_error()), ("warning:", *styles.get_invalid()), ("hint:", *styles.get_valid())];
+    for (word, style) in kinds {
+        if let Some(rest) = text.strip_prefix(word) {
+            return format!("{style}{word}{style:#}{rest}");
+        }
+    }
+    text.to_owned()
 }
 
 /// Lines with all unprintable characters escaped but line feeds.

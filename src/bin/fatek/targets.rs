@@ -4,14 +4,15 @@ use std::collections::{HashMap, HashSet};
 use std::ffi::OsString;
 use std::time::Duration;
 
-use clap::Args;
+use clap::{Args, ValueHint};
+use clap_complete::ArgValueCompleter;
 use fatek::plant::{Plant, PlantPlc};
 use fatek::{Endpoint, Link, Station};
 
 use crate::args::Plc;
-use crate::connect;
 use crate::failure::Failure;
 use crate::printable::excerpt;
+use crate::{complete, connect};
 
 /// Options that choose PLCs of a plant configuration.
 #[derive(Debug, Args)]
@@ -19,12 +20,13 @@ use crate::printable::excerpt;
 pub(crate) struct PlantArgs {
     /// Plant configuration: PLCs with their links, stations and tags (TOML)
     #[arg(long, global = true, env = "FATEK_CONFIG", hide_env_values = true, value_name = "FILE")]
+    #[arg(value_hint = ValueHint::FilePath)]
     config: Option<OsString>,
     /// PLC of the plant configuration, also written @NAME; all: each of them. Before the command
     ///
     /// Its link and station take the place of --link and --station, and the names of its tags stand for
     /// tags. `read` and `watch` take several.
-    #[arg(long = "plc", id = "plcs", value_name = "NAME")]
+    #[arg(long = "plc", id = "plcs", value_name = "NAME", add = ArgValueCompleter::new(complete::plcs))]
     names: Vec<String>,
 }
 

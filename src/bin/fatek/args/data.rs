@@ -3,14 +3,15 @@
 use std::time::Duration;
 
 use clap::Args;
+use clap_complete::ArgValueCompleter;
 use fatek::memory_map::PlcModel;
 use fatek::tag::Tag;
 use fatek::wire::Framing;
 
 use super::{LinkArgs, ModelArgs, Plc};
-use crate::duration;
 use crate::names::TableArgs;
 use crate::ranges::DiscreteRange;
+use crate::{complete, duration};
 
 /// Read tags and print their values
 ///
@@ -34,7 +35,7 @@ pub(crate) struct ReadArgs {
     /// Element or range, with an optional type: R5, R0-R9, R100:f32, R5:i16*0.1, WY8:hex, M0-M7
     ///
     /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
-    #[arg(value_name = "TAG")]
+    #[arg(value_name = "TAG", add = ArgValueCompleter::new(complete::tags))]
     pub(crate) tags: Vec<String>,
     /// Print nothing unless all tags were read
     #[arg(long)]
@@ -69,7 +70,7 @@ A range takes one value per element, or per two elements for 32-bit values,
 separated by commas.")]
 pub(crate) struct WriteArgs {
     /// Tag with its value or values: R0=5, R100:f32=1.5, R0-R2=1,2,3
-    #[arg(required = true, value_name = "TAG=VALUE")]
+    #[arg(required = true, value_name = "TAG=VALUE", add = ArgValueCompleter::new(complete::tags))]
     pub(crate) assignments: Vec<String>,
     /// Take bits of registers, such as R5.3=1: read the register, change the bits, write it
     ///
@@ -133,7 +134,7 @@ pub(crate) struct ForcedArgs {
     pub(crate) plc: Plc,
 }
 
-/// Print the requests that would read a set of tags, with bytes and time
+/// Print the requests that would read tags, with bytes and time
 ///
 /// Sends nothing. The time per byte follows from the settings of a serial link; a network has
 /// 10 Mbit/s. Without a link the cost is that of a network.
@@ -150,7 +151,7 @@ pub(crate) struct PlanArgs {
     /// Element or range, with an optional type, as for read
     ///
     /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
-    #[arg(value_name = "TAG")]
+    #[arg(value_name = "TAG", add = ArgValueCompleter::new(complete::tags))]
     pub(crate) tags: Vec<String>,
     #[command(flatten)]
     pub(crate) table: TableArgs,

@@ -11,10 +11,10 @@ use fatek::wire::Framing;
 
 use crate::duration;
 
-/// Simulate one or more PLCs over TCP, UDP or a serial port until interrupted
+/// Simulate PLCs over TCP, UDP or a serial port
 ///
-/// Prints a line such as `listening tcp://HOST:PORT` for each --listen, as soon as clients can
-/// connect. At Ctrl-C, SIGTERM and SIGHUP requests that have arrived are answered, and the exit
+/// Runs until it is interrupted. Prints a line such as `listening tcp://HOST:PORT` for each --listen, as
+/// soon as clients can connect. At Ctrl-C, SIGTERM and SIGHUP requests that have arrived are answered, and the exit
 /// status is 0.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:

@@ -5,10 +5,11 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use clap::Args;
+use clap_complete::ArgValueCompleter;
 
 use super::{ModelArgs, Plc};
-use crate::duration;
 use crate::names::TableArgs;
+use crate::{complete, duration};
 
 /// Poll tags and print each value with its time
 ///
@@ -32,7 +33,7 @@ pub(crate) struct WatchArgs {
     /// Element or range, with an optional type, as for read
     ///
     /// Also a name of the table of --tags or of the PLC of --config; without any, all of these.
-    #[arg(value_name = "TAG")]
+    #[arg(value_name = "TAG", add = ArgValueCompleter::new(complete::tags))]
     pub(crate) tags: Vec<String>,
     #[command(flatten)]
     pub(crate) table: TableArgs,
