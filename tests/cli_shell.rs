@@ -91,3 +91,35 @@ fn man_pages_have_the_options_and_examples_of_each_command() {
     assert_eq!(refused.status, 1);
     assert!(refused.stderr.starts_with("error: man pages in /dev/null/man: "), "{refused:?}");
 }
+
+#[cfg(unix)]
+#[test]
+fn messages_have_colours_at_a_terminal_and_none_with_no_color() {
+    use std::fs::{File, OpenOptions};
+    use std::io::Read;
+    use std::process::Stdio;
+
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+    let shown = |no_color: &str| {
+        let terminal = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&terminal).unwrap();
+        unlockpt(&terminal).unwrap();
+        let path = ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
+        let side = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
+        let mut command = Command::new(FATEK);
+        command.args(["read", "Q0", "--link", "tcp://127.0.0.1:9", "--station", "1"]);
+        command.env("TERM", "xterm").env("NO_COLOR", no_color).env_remove("CLICOLOR_FORCE").env_remove("CLICOLOR");
+        let mut child = command.stdin(Stdio::null()).stdout(side()).stderr(side()).spawn().unwrap();
+        drop(command);
+        let mut text = String::new();
+        // Reading ends with an error when the other side is closed.
+        let _ = File::from(terminal).read_to_string(&mut text);
+        assert_eq!(child.wait().unwrap().code(), Some(2), "{text}");
+        text
+    };
+    let coloured = shown("");
+    assert!(coloured.starts_with('\u{1b}') && coloured.contains("error:\u{1b}[0m "), "{coloured:?}");
+    let plain = shown("1");
+    assert!(plain.starts_with("error: ") && !plain.contains('\u{1b}'), "{plain:?}");
+}

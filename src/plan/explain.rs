@@ -19,6 +19,10 @@ impl fmt::Display for Explanation<'_> {
             writeln!(f, "{:>7}  {values:>6}  {bytes:>6}  {time:>10}  {}", n + 1, planned.request)?;
         }
         let (values, bytes, time) = (plan.slots.len(), plan.bytes(), milliseconds(plan.time()));
-        write!(f, "{:>7}  {values:>6}  {bytes:>6}  {time:>10}  {} requests", "total", plan.requests.len())
+        let requests = match plan.requests.len() {
+            1 => "1 request".to_owned(),
+            count => format!("{count} requests"),
+        };
+        write!(f, "{:>7}  {values:>6}  {bytes:>6}  {time:>10}  {}", "total", requests)
     }
 }

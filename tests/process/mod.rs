@@ -208,7 +208,7 @@ pub(crate) fn run_at_terminal_on(url: &str, args: &[&str], answer: &str) -> (i32
     let side = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
     let mut command = Command::new(FATEK);
     command.args(["--link", url, "--station", "1"]).args(args);
-    command.env("TERM", "xterm");
+    command.env("TERM", "xterm").env("NO_COLOR", "1");
     let mut child = command.stdin(side()).stdout(side()).stderr(side()).spawn().unwrap();
     // Only the child holds the other side now, so reading ends with the child.
     drop(command);

@@ -198,6 +198,9 @@ fn not_restored(error: &RestoreError) -> String {
     if let RestoreFailure::OtherPlc = error.source {
         return Failure::OtherPlc(error.report.other_plc.clone()).to_string();
     }
+    if let RestoreFailure::Running = error.source {
+        return format!("the PLC runs: stop it first, or give --stop; {}", error.report);
+    }
     error.to_string()
 }
 

@@ -58,6 +58,8 @@ impl Output {
     /// Prints rows: JSON is an array of objects with the columns as keys.
     pub(crate) fn rows(&self, rows: &Rows) -> Result<(), Failure> {
         match self.format {
+            // A header alone says nothing; programs get an empty document.
+            Format::Table if rows.is_empty() => Ok(()),
             Format::Table => print(format_args!("{}", rows.table())),
             Format::Json => self.json(&rows.json()),
             Format::Csv => self.csv(rows.records().iter().map(Vec::as_slice)).map_err(Failure::Output),
@@ -192,6 +194,11 @@ fn ascii_controls(json: &str) -> String {
 fn is_formula(cell: &str) -> bool {
     let is_number = || cell.parse::<f64>().is_ok_and(f64::is_finite);
     cell.starts_with(['=', '+', '-', '@', '\t', '\r', '\n']) && !is_number()
+}
+
+/// A number with its noun: `1 line`, `2 lines`.
+pub(crate) fn counted(count: u64, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
 /// Bytes as hexadecimal digits.

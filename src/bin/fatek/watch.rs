@@ -19,7 +19,7 @@ use self::printer::{Place, Printer};
 use crate::args::WatchArgs;
 use crate::failure::Failure;
 use crate::names::NamedTag;
-use crate::output::{Output, complain, stdout_closed};
+use crate::output::{Output, complain, counted, stdout_closed};
 use crate::signal::Stop;
 use crate::targets::Target;
 
@@ -59,13 +59,8 @@ pub(crate) async fn watch(targets: &[Target], args: &WatchArgs, output: &Output)
         take(sample, args, &mut printer)?;
     }
     let stats = poller.handle().stats();
-    output.remark(format_args!(
-        "{} poll cycles, {} skipped, {} without a reply; {} lines",
-        stats.cycles,
-        stats.overruns,
-        stats.abandoned,
-        printer.count()
-    ));
+    let (cycles, lines) = (counted(stats.cycles, "poll cycle"), counted(printer.count(), "line"));
+    output.remark(format_args!("{cycles}, {} skipped, {} without a reply; {lines}", stats.overruns, stats.abandoned));
     Ok(())
 }
 
