@@ -9,6 +9,7 @@ mod program;
 mod sections;
 mod shell;
 mod sim;
+mod top;
 mod watch;
 
 use std::fmt;
@@ -26,6 +27,7 @@ pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, Pro
 pub(crate) use self::sections::with_sections;
 pub(crate) use self::shell::{CompletionsArgs, ManArgs};
 pub(crate) use self::sim::SimArgs;
+pub(crate) use self::top::TopArgs;
 pub(crate) use self::watch::WatchArgs;
 use crate::output::FormatArg;
 use crate::targets::PlantArgs;
@@ -33,8 +35,8 @@ use crate::{complete, duration};
 
 /// Command line client for FATEK / FACON PLCs, with a simulator and a frame decoder
 ///
-/// Data goes to stdout, messages to stderr. `program write` and `restore` ask for confirmation. All
-/// other commands that change a PLC act at once.
+/// Data goes to stdout, messages to stderr. `program write`, `restore` and `top` ask for
+/// confirmation. All other commands that change a PLC act at once.
 #[derive(Debug, Parser)]
 #[command(version, after_help = AFTER_HELP, after_long_help = AFTER_LONG_HELP)]
 pub(crate) struct Cli {
@@ -88,8 +90,8 @@ Exit status:
   5  no connection
   6  bad reply; scan: also from one station of several; decode: bad frame
   7  file damaged or of another PLC, or contents or values differ
-  129, 130, 143  ended by SIGHUP, by SIGINT (Ctrl-C), or by SIGTERM; watch
-     and sim end with 0
+  129, 130, 143  ended by SIGHUP, by SIGINT (Ctrl-C), or by SIGTERM; watch,
+     top and sim end with 0
 
 Examples:
   fatek sim --listen tcp://127.0.0.1:5000 --set R0=5
@@ -99,6 +101,7 @@ Examples:
   fatek status
   fatek read R0-R9 --format json
   fatek --config plant.toml @mixer read level
+  fatek --config plant.toml @all top
   fatek program read pump.program
   fatek backup plant.backup R0-R3839 M0-M1911
   fatek scan 1-16
@@ -179,7 +182,7 @@ pub(crate) struct Plc {
     /// Link to the PLC, such as tcp://192.168.2.3:500 [env: FATEK_LINK=]
     #[arg(long, value_name = "URL", add = ArgValueCompleter::new(complete::links))]
     pub(crate) link: Option<String>,
-    /// Station number, 1 to 254; read and watch: also a list such as 1-4,9 [env: FATEK_STATION=]
+    /// Station number, 1 to 254; read, watch and top: also a list such as 1-4,9 [env: FATEK_STATION=]
     #[arg(long, value_name = "N")]
     pub(crate) station: Option<String>,
     /// Capabilities of the PLC: a file of `fatek probe --format json` [env: FATEK_CAPABILITIES=]
@@ -227,6 +230,7 @@ pub(crate) enum Command {
     Forced(ForcedArgs),
     Ping(PingArgs),
     Watch(WatchArgs),
+    Top(TopArgs),
     Scan(ScanArgs),
     Plan(PlanArgs),
     /// Upload, download and verify the user program of a PLC

@@ -16,6 +16,7 @@ mod names;
 mod output;
 mod ping;
 mod plan;
+mod plot;
 #[path = "../../printable.rs"]
 mod printable;
 mod probe;
@@ -25,10 +26,12 @@ mod ranges;
 mod read;
 mod retry;
 mod scan;
+mod screen;
 mod signal;
 mod sim;
 mod status;
 mod targets;
+mod top;
 mod transfer;
 mod watch;
 mod write;
@@ -190,6 +193,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 scan::scan(endpoint, args, timeout, output).await
             }
             Command::Plan(args) => plan::plan(&chosen.plc(cli.plc.of_plan(args))?, args, chosen.one()?, output),
+            Command::Top(args) => top::top(&targets(&args.plc, false)?, args, output).await,
             Command::Watch(args) => watch::watch(&targets(&args.plc, false)?, args, output).await,
             Command::Program(ProgramCommand::Read(args)) => program::read(&station(&args.plc)?, args, output).await,
             Command::Program(ProgramCommand::Write(args)) => {

@@ -37,6 +37,17 @@ pub(crate) struct NamedTag {
 }
 
 impl NamedTag {
+    /// Its name, if it was given by name.
+    pub(crate) fn name(&self) -> Option<&str> {
+        self.name.as_deref()
+    }
+
+    /// Its values, each as a tag with its label.
+    pub(crate) fn singles(&self) -> impl Iterator<Item = (String, Self)> {
+        let singles = self.tag.singles().enumerate();
+        singles.map(|(number, tag)| (self.label(number, || tag.to_string()), Self { tag, name: self.name.clone() }))
+    }
+
     /// The tag in a message, with its name if it was given by name.
     pub(crate) fn subject(&self) -> String {
         self.name.as_ref().map_or_else(|| self.tag.to_string(), |name| format!("{name} ({})", self.tag))
@@ -62,17 +73,16 @@ impl TableArgs {
 }
 
 impl Table {
+    /// The names of a PLC of a plant.
+    #[cfg(test)]
+    pub(crate) fn of_plc(plc: &PlantPlc) -> Self {
+        Self { table: None, plc: Some(plc.clone()) }
+    }
+
     /// The tags of these texts; without any, all tags of the table.
     pub(crate) fn tags(&self, texts: &[String]) -> Result<Vec<NamedTag>, Failure> {
         if texts.is_empty() && (self.table.is_some() || self.plc.is_some()) {
-            let named = |(name, tag): (&str, Tag)| NamedTag { tag, name: Some(name.to_owned()) };
-            // The PLC was named on the command line, the table perhaps in the environment.
-            let all: Vec<NamedTag> = match (&self.plc, &self.table) {
-                (Some(plc), _) => plc.tags().map(|tag| named((tag.name(), tag.tag()))).collect(),
-                (None, table) => {
-                    table.iter().flat_map(TagTable::iter).map(|entry| named((entry.name(), entry.tag()))).collect()
-                }
-            };
+            let all = self.all();
             return if all.is_empty() { Err(Failure::Usage("there are no tags".to_owned())) } else { Ok(all) };
         }
         let named = |text: &String| {
@@ -87,6 +97,18 @@ impl Table {
         texts.iter().map(named).collect()
     }
 
+    /// All tags of the PLC of a plant, else of the table.
+    pub(crate) fn all(&self) -> Vec<NamedTag> {
+        let named = |(name, tag): (&str, Tag)| NamedTag { tag, name: Some(name.to_owned()) };
+        // The PLC was named on the command line, the table perhaps in the environment.
+        match (&self.plc, &self.table) {
+            (Some(plc), _) => plc.tags().map(|tag| named((tag.name(), tag.tag()))).collect(),
+            (None, table) => {
+                table.iter().flat_map(TagTable::iter).map(|entry| named((entry.name(), entry.tag()))).collect()
+            }
+        }
+    }
+
     /// The writes of these texts, each a tag or a name with its values. `modify_bits`: bits of registers
     /// are taken, too.
     pub(crate) fn writes(&self, texts: &[String], modify_bits: bool) -> Result<Vec<Write>, Failure> {
@@ -94,26 +116,38 @@ impl Table {
             let Some((name, values)) = text.split_once('=') else {
                 return text.parse().map(Write::Values).map_err(Failure::usage);
             };
-            let tag = self.tag(name)?;
-            let values = tag.parse_values(values).map_err(|error| match hint::with_other_type(&tag, name, values) {
-                Some(other) => Failure::Usage(format!("{error}; perhaps {other}")),
-                None => Failure::usage(error),
-            })?;
-            self.check_rule(name, &values)?;
-            if !tag.is_bits_of_register() {
-                return Assignment::new(tag, values).map(Write::Values).map_err(Failure::usage);
-            }
-            if !modify_bits {
-                return Err(Failure::Usage(format!(
-                    "{tag} is a part of {register}, and a write replaces all bits of {register}; \
-                     --modify-bits reads, changes and writes them",
-                    register = tag.first()
-                )));
-            }
-            let states = values.iter().map(|value| *value == TagValue::Bool(true)).collect();
-            Ok(Write::Bits { tag, states })
+            self.write(self.tag(name)?, name, values, modify_bits)
         };
         texts.iter().map(write).collect()
+    }
+
+    /// The write of the values of a text to a tag, which was given by this name or by its elements.
+    pub(crate) fn write(&self, tag: Tag, name: &str, values: &str, modify_bits: bool) -> Result<Write, Failure> {
+        let values = tag.parse_values(values).map_err(|error| match hint::with_other_type(&tag, name, values) {
+            Some(other) => Failure::Usage(format!("{error}; perhaps {other}")),
+            None => Failure::usage(error),
+        })?;
+        self.check_rule(name, &values)?;
+        if !tag.is_bits_of_register() {
+            return Assignment::new(tag, values).map(Write::Values).map_err(Failure::usage);
+        }
+        if !modify_bits {
+            return Err(Failure::Usage(format!(
+                "{tag} is a part of {register}, and a write replaces all bits of {register}; \
+                 --modify-bits reads, changes and writes them",
+                register = tag.first()
+            )));
+        }
+        let states = values.iter().map(|value| *value == TagValue::Bool(true)).collect();
+        Ok(Write::Bits { tag, states })
+    }
+
+    /// Unit and comment of the tag of a name; empty without them.
+    pub(crate) fn unit_and_comment(&self, name: &str) -> (&str, &str) {
+        let of_plc = self.plc.as_ref().and_then(|plc| plc.tag(name)).map(|tag| (tag.unit(), tag.comment()));
+        let of_table = || self.table.as_ref()?.get(name).map(|entry| (entry.unit(), entry.comment()));
+        let (unit, comment) = of_plc.or_else(of_table).unwrap_or_default();
+        (unit.unwrap_or_default(), comment.unwrap_or_default())
     }
 
     /// Prints the tags of the table that have common elements.
@@ -129,8 +163,8 @@ impl Table {
         of_plc.or_else(|| Some(self.table.as_ref()?.get(name)?.tag()))
     }
 
-    /// Checks a write against the rule of a tag of a plant.
-    fn check_rule(&self, name: &str, values: &[TagValue]) -> Result<(), Failure> {
+    /// Checks a write against the rule of a tag of a plant. Without values: that it has one.
+    pub(crate) fn check_rule(&self, name: &str, values: &[TagValue]) -> Result<(), Failure> {
         let Some(tag) = self.plc.as_ref().and_then(|plc| plc.tag(name)) else { return Ok(()) };
         let refuse = |reason: String| {
             let elements = tag.tag();

@@ -91,6 +91,13 @@ pub(crate) async fn unless_signalled<T>(command: impl Future<Output = T>) -> Res
     })
 }
 
+/// Sets the function that is called before a blocked command is ended. It must not wait; the first one stays.
+pub(crate) fn before_forced_exit(restore: fn()) {
+    let _ = BEFORE_FORCED_EXIT.set(restore);
+}
+
+static BEFORE_FORCED_EXIT: OnceLock<fn()> = OnceLock::new();
+
 /// Starts the thread that waits for signals.
 fn listen() -> io::Result<watch::Receiver<Option<Signal>>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -104,6 +111,9 @@ fn listen() -> io::Result<watch::Receiver<Option<Signal>>> {
         let first = signals.next().await;
         let _ = sender.send(Some(first));
         let signal = timeout(GRACE, signals.next()).await.unwrap_or(first);
+        if let Some(restore) = BEFORE_FORCED_EXIT.get() {
+            restore();
+        }
         process::exit(signal.exit_status().into());
     };
     thread::Builder::new().name("signals".to_owned()).spawn(move || runtime.block_on(wait))?;

@@ -25,7 +25,7 @@ pub(crate) struct PlantArgs {
     /// PLC of the plant configuration, also written @NAME; all: each of them. Before the command
     ///
     /// Its link and station take the place of --link and --station, and the names of its tags stand for
-    /// tags. `read` and `watch` take several.
+    /// tags. `read`, `watch` and `top` take several.
     #[arg(long = "plc", id = "plcs", value_name = "NAME", add = ArgValueCompleter::new(complete::plcs))]
     names: Vec<String>,
 }
@@ -40,6 +40,8 @@ pub(crate) struct Target {
     /// Its name, or its number.
     pub(crate) label: String,
     pub(crate) station: Station,
+    /// URL of its link.
+    pub(crate) url: String,
     /// Its tags, if it is one of a plant.
     pub(crate) plc: Option<PlantPlc>,
 }
@@ -119,7 +121,8 @@ impl Chosen {
             let open = || link(plc.endpoint().clone(), timeout, of_link, once);
             let link = links.entry(plc.endpoint().to_string()).or_insert_with(open);
             let station = connect::with_capabilities(link.station(plc.station()).map_err(Failure::usage)?, options)?;
-            targets.push(Target { label: plc.name().to_owned(), station, plc: Some(plc.clone()) });
+            let url = plc.endpoint().to_string();
+            targets.push(Target { label: plc.name().to_owned(), station, url, plc: Some(plc.clone()) });
         }
         Ok(targets)
     }
@@ -132,14 +135,16 @@ fn of_options(options: &Plc, timeout: Option<Duration>, once: bool) -> Result<Ve
         Some(list) => numbers(list)?,
         None => vec![connect::number(options)?],
     };
-    let link = link(connect::endpoint(options.link.as_deref())?, timeout, numbers.len(), once);
+    let endpoint = connect::endpoint(options.link.as_deref())?;
+    let url = endpoint.to_string();
+    let link = link(endpoint, timeout, numbers.len(), once);
     let mut targets: Vec<Target> = Vec::new();
     for number in numbers {
         if targets.iter().any(|target| target.station.number() == number) {
             continue;
         }
         let station = connect::with_capabilities(link.station(number).map_err(Failure::usage)?, options)?;
-        targets.push(Target { label: number.to_string(), station, plc: None });
+        targets.push(Target { label: number.to_string(), station, url: url.clone(), plc: None });
     }
     Ok(targets)
 }

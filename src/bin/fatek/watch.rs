@@ -20,10 +20,14 @@ use crate::args::WatchArgs;
 use crate::failure::Failure;
 use crate::names::NamedTag;
 use crate::output::{Output, complain, counted, stdout_closed};
+use crate::plot;
 use crate::signal::Stop;
 use crate::targets::Target;
 
 pub(crate) async fn watch(targets: &[Target], args: &WatchArgs, output: &Output) -> Result<(), Failure> {
+    if let Some(tag) = &args.plot {
+        return plot::plot(targets, tag, args, output).await;
+    }
     let mut stop = Stop::new()?;
     let mut closed = pin!(stdout_closed());
     let mut poller = Poller::new();
@@ -91,11 +95,8 @@ async fn add(targets: &[Target], args: &WatchArgs, poller: &Poller) -> Result<Po
         let polling = StationPolling::new().limits(limits);
         let station = poller.handle().station_with(&target.station, polling).map_err(Failure::usage)?;
         // One tag per value, so that each change is reported alone.
-        let labelled = |named: NamedTag| {
-            let singles = named.tag.singles().enumerate();
-            singles.map(move |(number, tag)| (named.label(number, || tag.to_string()), tag))
-        };
-        let tags: Vec<(String, Tag)> = named.into_iter().flat_map(labelled).collect();
+        let singles = named.iter().flat_map(NamedTag::singles);
+        let tags: Vec<(String, Tag)> = singles.map(|(label, single)| (label, single.tag)).collect();
         // Of several PLCs, each has its name.
         let full = |label: &str| match targets {
             [_] => label.to_owned(),

@@ -27,25 +27,32 @@ pub(crate) enum Write {
 }
 
 impl Write {
-    fn tag(&self) -> Tag {
+    pub(crate) fn tag(&self) -> Tag {
         match self {
             Self::Values(assignment) => assignment.tag(),
             Self::Bits { tag, .. } => *tag,
         }
     }
 
-    fn values(&self) -> Vec<TagValue> {
+    pub(crate) fn values(&self) -> Vec<TagValue> {
         match self {
             Self::Values(assignment) => assignment.values().to_vec(),
             Self::Bits { states, .. } => states.iter().map(|&state| state.into()).collect(),
         }
     }
 
-    async fn send(&self, station: &Station) -> Result<(), Error> {
-        match self {
+    /// Writes the values. The failure says if they may have been written.
+    pub(crate) async fn send(&self, station: &Station) -> Result<(), Failure> {
+        let sent = match self {
             Self::Values(assignment) => station.write_all([assignment.clone()]).await,
             Self::Bits { tag, states } => station.modify_bits(tag, states).await,
-        }
+        };
+        sent.map_err(|error| {
+            // The error of a partial write names the values that were written.
+            let in_doubt = !matches!(error, Error::PartlyWritten { .. }) && error.may_have_executed();
+            let doubt = if in_doubt { " (it may have been written)" } else { "" };
+            Failure::of(format_args!("{}{doubt}", self.tag()))(error)
+        })
     }
 }
 
@@ -165,13 +172,7 @@ fn is_stored_alike(tag: &Tag, one: &TagValue, other: &TagValue) -> bool {
 }
 
 async fn send(station: &Station, write: &Write, output: &Output) -> Result<(), Failure> {
-    write.send(station).await.map_err(|error| {
-        let tag = write.tag();
-        // The error of a partial write names the values that were written.
-        let in_doubt = !matches!(error, Error::PartlyWritten { .. }) && error.may_have_executed();
-        let doubt = if in_doubt { " (it may have been written)" } else { "" };
-        Failure::of(format_args!("{tag}{doubt}"))(error)
-    })?;
+    write.send(station).await?;
     output.remark(format_args!("wrote {write}"));
     Ok(())
 }

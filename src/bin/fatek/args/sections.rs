@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 /// The commands in the order of the help. Each is in one section.
 const SECTIONS: [(&str, &[&str]); 6] = [
-    ("Values", &["read", "write", "watch", "plan"]),
+    ("Values", &["read", "write", "watch", "top", "plan"]),
     ("Discretes", &["set", "reset", "enable", "disable", "forced"]),
     ("PLC", &["status", "run", "stop", "clock", "program", "backup", "restore"]),
     ("Lines", &["ping", "scan", "probe"]),

@@ -20,6 +20,7 @@ use crate::{complete, duration};
   fatek watch R0-R9 R100:f32 --interval 500ms --on-change
   fatek watch R5:i16*0.1-40 --deadband 0.5 --format csv --count 1000
   fatek watch R0-R9 M0 --wide --for 10m --log day.csv --log-size 10M
+  fatek --config plant.toml @all watch --plot level
 
 A reading reads all tags of a PLC once. The time is that of the reply, in UTC.
 A value whose quality is not good is printed with the reason: (stale: ...)
@@ -60,6 +61,12 @@ pub(crate) struct WatchArgs {
     /// Local time with its distance from UTC, in place of UTC
     #[arg(long)]
     pub(crate) local_time: bool,
+    /// Draw this tag on the whole terminal, in place of lines
+    ///
+    /// An element or a name, as for TAG. A range and several PLCs have a curve for each value, 6 at most.
+    #[arg(long, value_name = "TAG", add = ArgValueCompleter::new(complete::tags),
+        conflicts_with_all = ["tags", "on_change", "deadband", "count", "wide", "local_time", "log"])]
+    pub(crate) plot: Option<String>,
     #[command(flatten)]
     pub(crate) log: LogArgs,
     #[command(flatten)]

@@ -1,0 +1,170 @@
+//! Writes: what is asked, what is sent, and what is refused.
+
+use super::*;
+
+fn written(effects: &[Effect]) -> Vec<String> {
+    let text = |effect: &Effect| match effect {
+        Effect::Write { plc, write } => Some(format!("{plc}: {write}")),
+        Effect::Quit | Effect::Redraw => None,
+    };
+    effects.iter().filter_map(text).collect()
+}
+
+/// Opens the prompt for a value.
+fn prompt(bench: &mut Bench, subject: &str, value: &str) {
+    bench.select(subject);
+    bench.types("w");
+    bench.types(value);
+    bench.presses(Key::Enter);
+}
+
+/// Returns whether the prompt is shown.
+fn asks(bench: &mut Bench) -> bool {
+    bench.screen().contains("Write it? y: yes, any other key: no")
+}
+
+#[test]
+fn only_y_at_the_prompt_sends_the_value() {
+    for no in ["n", "q", " ", "w"] {
+        let mut bench = running();
+        prompt(&mut bench, "mixer/setpoint", "30");
+        assert!(asks(&mut bench));
+        assert_eq!(written(&bench.types(no)), [""; 0], "{no}");
+        assert!(!asks(&mut bench) && bench.message() == "nothing was written");
+        assert_eq!(written(&bench.types("y")), [""; 0]);
+    }
+    for code in [Key::Enter, Key::Escape, Key::Tab] {
+        let mut bench = running();
+        prompt(&mut bench, "mixer/setpoint", "30");
+        assert!(bench.presses(code).is_none() && bench.message() == "nothing was written");
+    }
+    let mut bench = running();
+    prompt(&mut bench, "mixer/setpoint", "30");
+    assert_eq!(written(&bench.types("y")), ["0: R200:f32=30.0"]);
+}
+
+#[test]
+fn the_prompt_states_plc_tag_present_and_new_value() {
+    let mut bench = running();
+    prompt(&mut bench, "mixer/setpoint", "30.25");
+    let shown = bench.screen();
+    for line in ["PLC  mixer (tcp://10.0.0.3:500 station 1)", "Tag  setpoint (R200:f32)", "Now  21.5 %", "New  30.25 %"]
+    {
+        assert!(shown.contains(&format!("│ {line} ")), "{line}: {shown}");
+    }
+    // The present value is that of now.
+    bench.good("mixer/setpoint", TagValue::F32(22.0));
+    assert!(bench.screen().contains("│ Now  22.0 % "), "{}", bench.screen());
+    bench.bad("mixer/setpoint", "no reply");
+    assert!(bench.screen().contains("│ Now  no value (bad: no reply) "), "{}", bench.screen());
+}
+
+#[test]
+fn the_result_of_a_write_is_shown_and_the_next_one_waits_for_it() {
+    let mut bench = running();
+    prompt(&mut bench, "mixer/limits[1]", "7");
+    assert_eq!(written(&bench.types("y")), ["0: R31=7"]);
+    assert_eq!(bench.message(), "writing mixer/limits[1]=7...");
+    bench.types("w");
+    assert_eq!(bench.message(), "the last write has no result yet");
+    bench.model.update(Event::Written(Ok(())));
+    assert_eq!(bench.message(), "wrote mixer/limits[1]=7");
+    prompt(&mut bench, "mixer/limits[1]", "8");
+    assert_eq!(written(&bench.types("y")), ["0: R31=8"]);
+    bench.model.update(Event::Written(Err("R31 (it may have been written): no reply\n".to_owned())));
+    assert_eq!(bench.message(), "not confirmed: mixer/limits[1]=8: R31 (it may have been written): no reply\\n");
+    assert!(bench.model.message.as_ref().unwrap().is_error);
+}
+
+#[test]
+fn values_and_tags_are_refused_by_the_rules_of_the_plant() {
+    let mut bench = running();
+    for (subject, value, fault) in [
+        ("mixer/setpoint", "81", "setpoint is at most 80 in the plant"),
+        ("mixer/setpoint", "-1", "setpoint is at least 0 in the plant"),
+        ("mixer/limits[0]", "10", "limits is at most 9 in the plant"),
+        ("mixer/setpoint", "abc", "abc"),
+        ("mixer/setpoint", "", "``"),
+        ("mixer/limits[0]", "1,2", "1,2"),
+    ] {
+        prompt(&mut bench, subject, value);
+        assert!(!asks(&mut bench));
+        let shown = bench.screen();
+        assert!(shown.contains("Not accepted") && shown.contains(fault), "{subject}={value}: {shown}");
+        assert_eq!(written(&bench.types("y")), [""; 0]);
+        bench.presses(Key::Escape);
+    }
+    for (subject, fault) in [
+        ("mixer/level", "level is not writable: it has no `write` in the plant"),
+        ("boiler/alarm", "alarm is not writable: it has no `write` in the plant"),
+        ("mixer/bit", "R40.3 is a part of R40; use `fatek write --modify-bits`"),
+        ("mixer/clock", "R4128 is special"),
+    ] {
+        bench.select(subject);
+        bench.types("w");
+        assert!(bench.message().starts_with(fault), "{}", bench.message());
+    }
+    let settings = Settings { special: true, ..bench.model.settings };
+    let mut bench = Bench::with(settings);
+    prompt(&mut bench, "mixer/clock", "5");
+    assert_eq!(written(&bench.types("y")), ["0: R4128=5"]);
+    let mut bench = Bench::with(Settings { read_only: true, ..settings });
+    bench.select("mixer/setpoint");
+    bench.types("w");
+    assert_eq!(bench.message(), "--read-only was given");
+}
+
+#[test]
+fn a_pasted_text_confirms_nothing() {
+    let mut bench = running();
+    bench.select("mixer/setpoint");
+    bench.model.update(Event::Paste("w30\ny".to_owned()));
+    assert!(bench.model.pending.is_none() && bench.message().is_empty());
+    bench.types("w");
+    bench.model.update(Event::Paste("30\r\ny".to_owned()));
+    bench.presses(Key::Enter);
+    assert!(bench.screen().contains("30y"), "{}", bench.screen());
+    prompt(&mut bench, "mixer/setpoint", "");
+    bench.presses(Key::Escape);
+    prompt(&mut bench, "mixer/setpoint", "30");
+    bench.model.update(Event::Paste("y".to_owned()));
+    assert!(bench.model.pending.is_none() && asks(&mut bench));
+}
+
+#[test]
+fn a_y_before_the_prompt_is_shown_confirms_nothing() {
+    let mut bench = running();
+    bench.select("mixer/setpoint");
+    // As pasted into a terminal that does not mark pasted texts: no frame between the keys.
+    for key in [Key::Char('w'), Key::Char('3'), Key::Char('0'), Key::Enter, Key::Char('y')] {
+        assert!(bench.model.update(Event::Key(key)).is_none());
+    }
+    assert!(bench.model.pending.is_none() && asks(&mut bench));
+    assert_eq!(written(&bench.types("y")), ["0: R200:f32=30.0"]);
+}
+
+#[test]
+fn a_prompt_that_does_not_fit_cannot_be_confirmed() {
+    for (width, height) in [(1, 1), (80, 6), (15, 24), (3, 2)] {
+        let mut bench = running();
+        prompt(&mut bench, "mixer/setpoint", "30");
+        bench.resize(width, height);
+        bench.screen();
+        assert_eq!(written(&bench.types("y")), [""; 0], "{width}x{height}");
+        assert_eq!(bench.message(), "nothing was written: the terminal is too small for the prompt");
+    }
+    let mut bench = running();
+    prompt(&mut bench, "mixer/setpoint", "30");
+    bench.resize(40, 10);
+    assert!(asks(&mut bench));
+    assert_eq!(written(&bench.types("y")), ["0: R200:f32=30.0"]);
+}
+
+#[test]
+fn texts_are_written_as_typed_and_shown_escaped() {
+    let mut bench = running();
+    prompt(&mut bench, "mixer/batch", r#""\x1B[2J""#);
+    let shown = bench.screen();
+    assert!(shown.contains(r#"New  "\u{1b}[2J""#) || shown.contains(r#"New  "\x1B[2J""#), "{shown}");
+    assert_eq!(bench.types("y").len(), 1);
+}
