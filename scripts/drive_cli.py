@@ -80,6 +80,12 @@ STEPS = [
     Step("watch R0 M0 --count 2 --interval 50ms", [r"Z +R0 +5", r"2 poll cycles"]),
     Step("watch R0 M0 --wide --interval 100ms",
          [r"TIME +R0 +M0 +QUALITY", r"Z +5 +1 +good"], keys=[("good", "C-c")]),
+    # Nothing of a display is left on the terminal: it is seen before each key.
+    Step("top R0 M0 --interval 100ms", keys=[("good", "q")]),
+    Step("top R60 --interval 100ms",
+         keys=[("good", "w"), ("new value", "9"), (None, "Enter"), ("Write it?", "y"), ("wrote R60=9", "q")]),
+    Step("read R60", [r"^R60 +u16 +9$"]),
+    Step("watch --plot R0 --interval 100ms", keys=[("min 5.0", "q")]),
     Step("scan 1-3 --timeout 150ms", [r"^STATION +ANSWER", r"^1 +ok"]),
     Step("scan 1-200 --timeout 300ms", [r"^1 +ok", r"interrupted by SIGINT"], status=130, keys=[("1 found", "C-c")]),
     Step("clock", [r"the PLC has no clock"], status=3),
