@@ -106,6 +106,8 @@ STEPS = [
     Step("read R0 --station 9 --timeout 100ms", [r"hint: "], status=4),
     Step("completions bash", [r"complete .*fatek"], fits=False, only=("tcp", "ascii")),
     Step("man {file}/man", [r"man pages"], only=("tcp", "ascii")),
+    Step("sim --listen tcp://127.0.0.1:0", [r"^listening tcp://127\.0\.0\.1:[0-9]+$"], keys=[("listening", "C-c")],
+         only=("tcp", "ascii")),
     Step("-h", [r"^Values:$", r"^Options:$"], only=("tcp", "ascii")),
     Step("help read", [r"^Usage: fatek read"], only=("tcp", "ascii")),
 ]
@@ -181,7 +183,7 @@ class Terminal:
 
 
 def check(step, status, text, joined, columns):
-    """Returns what is wrong."""
+    """Returns the faults."""
     faults = []
     if status != step.status:
         faults.append(f"status {status}, expected {step.status}")
@@ -253,14 +255,37 @@ def subcommands():
     """The names of the subcommands, from the sections of the help."""
     text = subprocess.run([FATEK, "-h"], check=True, capture_output=True, text=True).stdout
     sections = text.partition("\nValues:")[2].partition("\nOptions:")[0]
-    return set(re.findall(r"^  ([a-z]+) ", sections, re.MULTILINE))
+    names = set(re.findall(r"^  ([a-z]+) ", sections, re.MULTILINE))
+    if len(names) < 10:
+        sys.exit("the help has no sections of commands")
+    return names
 
 
 def compared():
-    """The commands of `fatek` in the table of docs/COMPARE.md that end by themselves."""
+    """The commands of `fatek` in docs/COMPARE.md, each with what it shows."""
     text = pathlib.Path("docs/COMPARE.md").read_text()
     table = text.partition("## A command for each row")[2].partition("\n## ")[0]
-    return [Step(command.replace("\\|", "|"), fits=False) for command in re.findall(r"\| `fatek ([^`]+)`", table)]
+    rows = re.findall(r"^\| [^|]+ \| `fatek ([^`]+)` \| `([^`]+)` \|$", table, re.MULTILINE)
+    if len(rows) < 10:
+        sys.exit("docs/COMPARE.md has no table of commands")
+    return [Step(command, [re.escape(shown)], fits=False) for command, shown in rows]
+
+
+def first_command(step, names):
+    """The subcommand of a step."""
+    return next((word for word in step.command.split() if word in names), None)
+
+
+def requests_are_planned(environment):
+    """Returns a fault unless ten scattered tags are read by the requests of their plan."""
+    tags = [f"R{100 * number}" for number in range(10)]
+    environment = {**os.environ, **environment}
+    planned = subprocess.run([FATEK, "plan", *tags], env=environment, capture_output=True, text=True).stdout
+    count = int(re.search(r"(\d+) requests?$", planned, re.MULTILINE).group(1))
+    log = subprocess.run([FATEK, "-vv", "read", *tags], env=environment, capture_output=True, text=True).stderr
+    # The check of a new connection (4E) is no request of the plan.
+    sent = len(re.findall(r"sending station=1 bytes=\\x0201(?!4E)", log))
+    return [] if sent == count else [f"{count} requests are planned, and {sent} are sent:\n{log}"]
 
 
 def main():
@@ -270,8 +295,8 @@ def main():
     shutil.rmtree(TRANSCRIPTS, ignore_errors=True)
     TRANSCRIPTS.mkdir(parents=True)
     failed, count = [], 0
-    driven = {word for step in STEPS for word in step.command.split()} | {"sim"}
-    if missing := subcommands() - driven:
+    names = subcommands()
+    if missing := names - {first_command(step, names) for step in STEPS}:
         failed.append(f"subcommands without a step: {', '.join(sorted(missing))}")
     for transport in TRANSPORTS:
         for framing in FRAMINGS:
@@ -289,6 +314,8 @@ def main():
                     if (transport, framing) == ("tcp", "ascii"):
                         steps = steps + compared()
                     transcript = []
+                    if (transport, framing) == ("tcp", "ascii"):
+                        failed += [f"{name}: {fault}" for fault in requests_are_planned(environment)]
                     with Terminal(columns, rows, environment) as terminal:
                         for step in steps:
                             arguments = step.command.format(link=link, file=folder, plant=plant)
@@ -304,6 +331,8 @@ def main():
                 print(f"{name}: {len(steps)} commands", flush=True)
     for fault in failed:
         print(fault, file=sys.stderr)
+    if count == 0:
+        failed.append("no command was run")
     print(f"{count} commands, {len(failed)} faults; transcripts in {TRANSCRIPTS}")
     sys.exit(1 if failed else 0)
 

@@ -49,10 +49,19 @@ fn commands_plcs_and_tags_are_completed() {
     assert_eq!(complete(&["@boiler", "write", "he"]), ["heat"]);
     assert_eq!(complete(&["read", "--tags", &tags, "l"]), ["lid"]);
     assert_eq!(complete(&["read", "--format", "j"]), ["json"]);
+    // Before: no file of the current folder was a candidate.
+    assert_eq!(complete(&["--config", "Cargo.to"]), ["Cargo.toml"]);
     // Without a plant, and with one that is damaged, there are no names and no errors.
     assert_eq!(candidates(&["@mixer", "read", "l"], ""), [""; 0]);
     std::fs::write(&plant, "[plc").unwrap();
     assert_eq!(complete(&["@mixer", "read", "l"]), [""; 0]);
+}
+
+// Before: the variable disabled each command, with status 0.
+#[test]
+fn the_variable_alone_does_not_disable_a_command() {
+    let output = Command::new(FATEK).args(["decode", "02"]).env("FATEK_COMPLETE", "bash").output().unwrap();
+    assert_eq!(output.status.code(), Some(6), "{output:?}");
 }
 
 #[test]

@@ -35,8 +35,8 @@ use crate::{complete, duration};
 
 /// Command line client for FATEK / FACON PLCs, with a simulator and a frame decoder
 ///
-/// Data goes to stdout, messages to stderr. `program write`, `restore` and `top` ask for
-/// confirmation. All other commands that change a PLC act at once.
+/// `fatek @NAME COMMAND` takes link and station of a PLC of --config. Data goes to stdout, messages to
+/// stderr. `program write`, `restore` and `top` ask for confirmation. All other commands that change a PLC act at once.
 #[derive(Debug, Parser)]
 #[command(version, after_help = AFTER_HELP, after_long_help = AFTER_LONG_HELP)]
 pub(crate) struct Cli {

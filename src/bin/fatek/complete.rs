@@ -1,7 +1,7 @@
 //! Completion of the command line in a shell, and its man pages.
 //!
-//! `fatek completions SHELL` prints a script for the shell. At the tab key the script runs `fatek` with the
-//! words of the command line and the variable [`VARIABLE`], and `fatek` prints the candidates.
+//! `fatek completions SHELL` prints a script for the shell. At the tab key the script runs `fatek -- WORD…`
+//! with the variable [`VARIABLE`] set, and `fatek` prints the candidates for the current word.
 
 use std::ffi::{OsStr, OsString};
 use std::io::{self, Write};
@@ -19,29 +19,33 @@ use crate::failure::Failure;
 use crate::output::Output;
 use crate::transfer::shown;
 
-/// Variable with the name of the shell that asks for candidates.
+/// Variable with the name of the shell.
 const VARIABLE: &str = "FATEK_COMPLETE";
 
-/// Answers a shell that asks for candidates. Returns whether this process was started for that.
+/// Prints the candidates for a completion script. Returns `false` for any other command line.
 pub(crate) fn complete() -> bool {
-    let arguments: Vec<OsString> = std::env::args_os().collect();
-    let begin = arguments.iter().position(|argument| argument == "--").map_or(arguments.len(), |at| at + 1);
-    // Of the shells without this variable, the last word is the current one.
+    const WORDS: usize = 2;
+    let mut words: Vec<OsString> = std::env::args_os().collect();
+    // The variable alone must not disable a command.
+    if words.get(1).is_none_or(|first| first != "--") || words.len() == WORDS {
+        return false;
+    }
+    // Shells without this variable complete the last word.
     let index = std::env::var("_CLAP_COMPLETE_INDEX").ok().and_then(|index| index.parse().ok());
-    let current = index.unwrap_or(arguments.len().saturating_sub(begin + 1));
-    let mut words = arguments;
-    name_plcs(&mut words[begin..], current);
+    let current = index.unwrap_or(words.len().saturating_sub(WORDS + 1));
+    name_plcs(&mut words[WORDS..], current);
     // For `@NAME` in the place of a command.
     let command = || {
         let names = SubcommandCandidates::new(|| named("@"));
         Cli::command().allow_external_subcommands(true).add(names)
     };
-    let completed = CompleteEnv::with_factory(command).var(VARIABLE).try_complete(words, None);
+    let completed =
+        CompleteEnv::with_factory(command).var(VARIABLE).try_complete(words, std::env::current_dir().ok().as_deref());
     // An error must not be printed into the command line that is being typed.
     completed.unwrap_or(true)
 }
 
-/// Replaces each `@NAME` before the word at `current` by an option. Bash takes `@` for a word of its own.
+/// Replaces each `@NAME` before the word at `current` by an option. Bash splits words at `@`.
 fn name_plcs(words: &mut [OsString], current: usize) {
     for word in words.iter_mut().take(current).skip(1) {
         match word.to_str().and_then(|word| word.strip_prefix('@')) {
@@ -149,7 +153,7 @@ fn value(words: &[OsString], option: &str, variable: &str) -> Option<OsString> {
     values(words, option).last().or_else(|| std::env::var_os(variable)).filter(|value| !value.is_empty())
 }
 
-/// The values of an option, as the next word or behind `=`. Bash takes `=` for a word of its own.
+/// The values of an option, as the next word or after `=`. Bash splits words at `=`.
 fn values<'w>(words: &'w [OsString], option: &'w str) -> impl Iterator<Item = OsString> + 'w {
     words.iter().enumerate().filter_map(move |(at, word)| {
         if word == option {

@@ -60,6 +60,9 @@ pub(crate) enum Failure {
     /// A program could not be read.
     #[error(transparent)]
     Program(#[from] ProgramError),
+    /// A program could not be read, but some of its pages.
+    #[error("{error}")]
+    ProgramPart { error: ProgramError },
     /// A program could not be written.
     #[error("{}", not_written(.0))]
     WriteProgram(#[from] WriteProgramError),
@@ -139,7 +142,7 @@ impl Failure {
         match self {
             Self::Call(error) | Self::CallOf { error, .. } => Some(error),
             Self::Lost { last, .. } | Self::BadReplies { last, .. } => last.as_ref(),
-            Self::Program(error) => error.call_error(),
+            Self::Program(error) | Self::ProgramPart { error } => error.call_error(),
             Self::WriteProgram(error) => error.source.call_error(),
             Self::Restore(error) => error.source.call_error(),
             Self::Usage(_) | Self::Table(_) | Self::Plant(_) | Self::NoStation { .. } | Self::BadStations { .. } => {
@@ -170,7 +173,7 @@ impl Failure {
             Self::Call(error) | Self::CallOf { error, .. } => of_call(error),
             Self::Restore(RestoreError { source: RestoreFailure::NotThere { .. }, .. }) => 3,
             Self::WriteProgram(error) if is_run_refused(error) => 3,
-            Self::Program(error) => error.call_error().map_or(7, of_call),
+            Self::Program(error) | Self::ProgramPart { error } => error.call_error().map_or(7, of_call),
             Self::WriteProgram(error) => error.source.call_error().map_or(7, of_call),
             Self::Restore(error) => error.source.call_error().map_or(7, of_call),
             Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } | Self::OtherPlc(_) => 7,

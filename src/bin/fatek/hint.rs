@@ -15,13 +15,27 @@ pub(crate) fn of(failure: &Failure) -> Vec<String> {
             "docs/CONNECT.md has more causes".to_owned(),
         ];
     }
-    // The settings are good: the PLC has answered before.
-    let has_answered = if let Failure::WriteProgram(error) = failure {
-        !error.state.written.is_empty()
-    } else {
-        matches!(failure, Failure::Restore(error) if !error.report.written.is_empty())
-    };
-    failure.call_error().filter(|_| !has_answered).map(unanswered).unwrap_or_default()
+    let Some(error) = failure.call_error() else { return Vec::new() };
+    if !has_answered(failure) {
+        return unanswered(error);
+    }
+    let is_lost = matches!(error, Error::Timeout { .. });
+    let hint = "the PLC has answered before: try a longer --timeout, and check the line".to_owned();
+    is_lost.then_some(hint).into_iter().collect()
+}
+
+/// Returns whether the PLC has answered before it failed: then the settings are good.
+fn has_answered(failure: &Failure) -> bool {
+    if let Failure::WriteProgram(error) = failure {
+        return !error.state.written.is_empty();
+    }
+    if let Failure::Restore(error) = failure {
+        return !error.report.written.is_empty() || error.report.compared > 0;
+    }
+    if let Failure::Lost { lost: failed, sent, .. } | Failure::BadReplies { bad: failed, sent, .. } = failure {
+        return failed < sent;
+    }
+    matches!(failure, Failure::ProgramPart { .. })
 }
 
 /// Things to try after a call without a usable reply, by the traffic in place of the reply.

@@ -33,7 +33,10 @@ pub(crate) async fn read(station: &Station, args: &ProgramReadArgs, output: &Out
         let done = format!(" after {} confirmed pages: nothing was saved", read.pages_done());
         Failure::interrupted(done)(signal)
     };
-    let program = ended.map_err(interrupted)??;
+    let program = ended.map_err(interrupted)?.map_err(|error| match read.pages_done() {
+        0 => Failure::Program(error),
+        1.. => Failure::ProgramPart { error },
+    })?;
     if args.file.raw { program.save_raw(path) } else { program.save(path) }?;
     output.remark(format_args!("{}: {}, {} pages", shown(path), program.header(), program.pages().len()));
     if let Some(page) = program.refused_page() {

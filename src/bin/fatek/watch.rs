@@ -10,6 +10,7 @@ use std::collections::HashMap;
 use std::pin::pin;
 use std::time::Duration;
 
+use fatek::element::{Element, Width};
 use fatek::poll::{Missed, PollTag, PolledStation, Poller, Sample, ScanClass, StationPolling, TagId};
 use fatek::tag::Tag;
 use futures::{FutureExt, StreamExt};
@@ -62,12 +63,16 @@ pub(crate) async fn watch(targets: &[Target], args: &WatchArgs, output: &Output)
     while let Some(Some(sample)) = poller.next().now_or_never() {
         take(sample, args, &mut printer)?;
     }
+    printer.finish(&polled.ended())?;
     let stats = poller.handle().stats();
     let (cycles, lines) = (counted(stats.cycles, "poll cycle"), counted(printer.count(), "line"));
     output.remark(format_args!("{cycles}, {} skipped, {} without a reply; {lines}", stats.overruns, stats.abandoned));
     Ok(())
 }
 
+/// Age of a value without a reply and without a failure.
+const STALE_AFTER: Duration = Duration::from_secs(30);
+const BAD_AFTER: Duration = Duration::from_secs(120);
 const MIN_CHECK: Duration = Duration::from_millis(10);
 const MAX_CHECK: Duration = Duration::from_millis(100);
 
@@ -83,6 +88,12 @@ impl Polled {
     fn is_done(&self, count: Option<u64>) -> bool {
         let is_done = |station: &PolledStation, count| station.classes().iter().all(|class| class.completed >= count);
         count.is_some_and(|count| self.stations.iter().all(|station| is_done(station, count)))
+    }
+
+    /// The readings of each PLC that have ended.
+    fn ended(&self) -> Vec<u64> {
+        let ended = |station: &PolledStation| station.classes().iter().map(|class| class.completed).min().unwrap_or(0);
+        self.stations.iter().map(ended).collect()
     }
 }
 
@@ -102,13 +113,26 @@ async fn add(targets: &[Target], args: &WatchArgs, poller: &Poller) -> Result<Po
             [_] => label.to_owned(),
             _ => format!("{}/{label}", target.label),
         };
-        let class = ScanClass::every(args.interval);
+        // A reading that takes longer than its interval must not make the values stale.
+        let class = ScanClass::every(args.interval)
+            .stale_after(STALE_AFTER.max(args.interval * 3))
+            .bad_after(BAD_AFTER.max(args.interval * 10));
         let ids = station.add(class, tags.iter().map(|(label, tag)| poll_tag(&full(label), *tag, args)));
-        let places = tags.iter().map(|(label, _)| Place { plc, label: label.clone() });
+        let places = tags.iter().map(|(label, tag)| Place { plc, label: label.clone(), bits: bits(*tag) });
         polled.places.extend(ids.map_err(Failure::usage)?.into_iter().zip(places));
         polled.stations.push(station);
     }
     Ok(polled)
+}
+
+/// Bits of the elements of a tag.
+fn bits(tag: Tag) -> usize {
+    let of_element = |element: Element| match element.width() {
+        Width::Bit => 1,
+        Width::Word => 16,
+        Width::DWord => 32,
+    };
+    tag.elements().map(of_element).sum()
 }
 
 fn poll_tag(label: &str, tag: Tag, args: &WatchArgs) -> PollTag {
@@ -122,7 +146,7 @@ fn poll_tag(label: &str, tag: Tag, args: &WatchArgs) -> PollTag {
     }
 }
 
-/// Prints a sample, unless it is of a reading behind the last one.
+/// Prints a sample, unless it is of a reading after the last one.
 fn take(sample: Result<Sample, Missed>, args: &WatchArgs, printer: &mut Printer<'_>) -> Result<(), Failure> {
     match sample {
         Ok(sample) if args.count.is_none_or(|count| sample.cycle <= count) => printer.sample(sample),

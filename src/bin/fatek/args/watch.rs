@@ -22,7 +22,7 @@ use crate::{complete, duration};
   fatek watch R0-R9 M0 --wide --for 10m --log day.csv --log-size 10M
   fatek --config plant.toml @all watch --plot level
 
-A reading reads all tags of a PLC once. The time is that of the reply, in UTC.
+A reading reads all tags of a PLC once. The time is that of the reply.
 A value whose quality is not good is printed with the reason: (stale: ...)
 after the last good value, or (bad: ...) without a value.
 JSON: one object per line with time, tag, value and quality; no value is null.
@@ -49,7 +49,7 @@ pub(crate) struct WatchArgs {
     pub(crate) deadband: Option<f64>,
     /// Number of readings of each PLC before exit, 1 or more [default: unlimited]
     ///
-    /// Readings count that fail, and with --on-change also those without a change.
+    /// Failed readings count, and with --on-change also those without a change.
     #[arg(short, long, value_parser = clap::value_parser!(u64).range(1..), value_name = "N")]
     pub(crate) count: Option<u64>,
     /// Time before exit, more than 0s, up to 24h [default: unlimited]
@@ -58,7 +58,7 @@ pub(crate) struct WatchArgs {
     /// One line per reading with a column for each tag, in place of a line per value
     #[arg(long, conflicts_with = "deadband")]
     pub(crate) wide: bool,
-    /// Local time with its distance from UTC, in place of UTC
+    /// Local time with its UTC offset, in place of UTC
     #[arg(long)]
     pub(crate) local_time: bool,
     /// Draw this tag on the whole terminal, in place of lines

@@ -4,7 +4,7 @@
 //! the header. A line is in one file as a whole.
 
 use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -32,9 +32,10 @@ impl LogFile {
         if fs::metadata(path).is_ok_and(|metadata| !metadata.is_file()) {
             return Err(failure(io::Error::other("it is not a regular file")));
         }
-        let mut file = OpenOptions::new().create(true).read(true).append(true).open(path).map_err(failure)?;
-        let size = continue_file(&mut file, &header).map_err(failure)?;
-        Ok(Self { path: path.to_owned(), file, header, size, max_size, keep })
+        let (file, size) = open(path, &header).map_err(failure)?;
+        // The files that are renamed are those that a symbolic link names.
+        let path = fs::canonicalize(path).map_err(failure)?;
+        Ok(Self { path, file, header, size, max_size, keep })
     }
 
     /// Appends a line, which ends with a line feed.
@@ -44,7 +45,10 @@ impl LogFile {
     }
 
     fn append(&mut self, line: &[u8]) -> io::Result<()> {
-        let length = |bytes: &[u8]| u64::try_from(bytes.len()).unwrap_or(u64::MAX);
+        if !is_at(&self.file, &self.path)? {
+            // It was removed or renamed since: a new file is begun, as after a rotation by another program.
+            (self.file, self.size) = open(&self.path, &self.header)?;
+        }
         // A file has at least one line.
         if self.size > length(&self.header) && self.size.saturating_add(length(line)) > self.max_size {
             self.rotate()?;
@@ -65,6 +69,7 @@ impl LogFile {
                 name.into()
             }
         };
+        let permissions = self.file.metadata()?.permissions();
         if self.keep == 0 {
             fs::remove_file(&self.path)?;
         }
@@ -74,36 +79,92 @@ impl LogFile {
                 Ok(()) | Err(_) => {}
             }
         }
-        // Not created by another program in between.
-        self.file = OpenOptions::new().create_new(true).append(true).open(&self.path)?;
-        self.file.write_all(&self.header)?;
-        self.size = u64::try_from(self.header.len()).unwrap_or(u64::MAX);
+        // Not one that another program has created in between.
+        let mut file = OpenOptions::new().create_new(true).read(true).append(true).open(&self.path)?;
+        file.set_permissions(permissions)?;
+        lock(&file)?;
+        file.write_all(&self.header)?;
+        (self.file, self.size) = (file, length(&self.header));
         Ok(())
     }
 }
 
+fn length(bytes: &[u8]) -> u64 {
+    u64::try_from(bytes.len()).unwrap_or(u64::MAX)
+}
+
+/// Opens or creates a file with this header. Returns its size, too.
+fn open(path: &Path, header: &[u8]) -> io::Result<(File, u64)> {
+    let mut file = OpenOptions::new().create(true).read(true).append(true).open(path)?;
+    lock(&file)?;
+    let size = continue_file(&mut file, header)?;
+    Ok((file, size))
+}
+
+/// Locks a file for this process: two writers would rename it under each other.
+fn lock(file: &File) -> io::Result<()> {
+    match file.try_lock() {
+        Ok(()) => Ok(()),
+        Err(TryLockError::WouldBlock) => Err(io::Error::other("another command writes to it")),
+        // Some file systems have no locks.
+        Err(TryLockError::Error(_)) => Ok(()),
+    }
+}
+
+/// Returns whether the path still names the open file.
+#[cfg(unix)]
+fn is_at(file: &File, path: &Path) -> io::Result<bool> {
+    use std::os::unix::fs::MetadataExt as _;
+
+    let open = file.metadata()?;
+    match fs::metadata(path) {
+        Ok(named) => Ok((named.dev(), named.ino()) == (open.dev(), open.ino())),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// An open file can be neither removed nor renamed on other systems.
+#[cfg(not(unix))]
+fn is_at(_: &File, _: &Path) -> io::Result<bool> {
+    Ok(true)
+}
+
 /// Writes the header if the file is empty, and checks it otherwise. Returns the size of the file.
+///
+/// A line that was cut when the system or the disk failed is removed.
 fn continue_file(file: &mut File, header: &[u8]) -> io::Result<u64> {
-    let size = file.metadata()?.len();
-    if size == 0 {
-        file.write_all(header)?;
-        return file.metadata().map(|metadata| metadata.len());
-    }
     let mut first = Vec::new();
-    let longest = u64::try_from(header.len()).unwrap_or(u64::MAX).saturating_add(1);
-    BufReader::new(&*file).take(longest).read_until(b'\n', &mut first)?;
+    BufReader::new(&*file).take(length(header).saturating_add(1)).read_until(b'\n', &mut first)?;
     if first != header {
-        let other = "it has other columns or is another kind of file; choose another name";
-        return Err(io::Error::other(other));
+        let is_cut_header = file.metadata()?.len() == length(&first) && header.starts_with(&first);
+        if !is_cut_header {
+            return Err(io::Error::other("it has other columns or is another kind of file; choose another name"));
+        }
+        file.set_len(0)?;
+        file.write_all(header)?;
+        return Ok(length(header));
     }
-    // The last line may be cut: the system failed while it was written.
-    let mut last = [0];
-    file.seek(SeekFrom::End(-1))?;
-    file.read_exact(&mut last)?;
-    if last != *b"\n" {
-        file.write_all(b"\n")?;
+    let whole = end_of_last_line(file)?;
+    file.set_len(whole)?;
+    Ok(whole)
+}
+
+/// The position after the last line feed.
+fn end_of_last_line(file: &mut File) -> io::Result<u64> {
+    const BLOCK: u64 = 4096;
+    let mut end = file.metadata()?.len();
+    while end > 0 {
+        let start = end.saturating_sub(BLOCK);
+        let mut block = Vec::new();
+        file.seek(SeekFrom::Start(start))?;
+        (&*file).take(end - start).read_to_end(&mut block)?;
+        if let Some(at) = block.iter().rposition(|byte| *byte == b'\n') {
+            return Ok(start + length(&block[..=at]));
+        }
+        end = start;
     }
-    file.metadata().map(|metadata| metadata.len())
+    Ok(0)
 }
 
 #[cfg(test)]
@@ -162,16 +223,34 @@ mod tests {
         assert_eq!(fs::read_dir(&folder.0).unwrap().count(), 1);
     }
 
+    fn append(folder: &Folder, text: &str) {
+        let mut file = OpenOptions::new().append(true).open(folder.0.join("log.csv")).unwrap();
+        file.write_all(text.as_bytes()).unwrap();
+    }
+
+    // Before: a line feed was added, and a cut quote took the lines after it into one cell.
     #[test]
-    fn a_log_is_continued_also_behind_a_cut_line_and_no_other_file_is() {
+    fn a_cut_line_is_removed_when_a_log_is_continued() {
         let folder = Folder::new("continue");
         open(&folder, 1).unwrap().line(b"1,0\n").unwrap();
-        fs::OpenOptions::new().append(true).open(folder.0.join("log.csv")).unwrap().write_all(b"2,").unwrap();
+        append(&folder, "2,\"a, b");
         open(&folder, 1).unwrap().line(b"3,0\n").unwrap();
-        // The cut line has filled the file.
-        assert_eq!(folder.read("log.csv.1").unwrap(), "a,b\n1,0\n2,\n");
-        assert_eq!(folder.read("log.csv").unwrap(), "a,b\n3,0\n");
-        for other in ["a,c\n1,0\n", "a,b,c\n", "a", "\n", "x\u{0}"] {
+        assert_eq!(folder.read("log.csv").unwrap(), "a,b\n1,0\n3,0\n");
+        append(&folder, &"x".repeat(10_000));
+        open(&folder, 1).unwrap().line(b"4,0\n").unwrap();
+        assert_eq!(folder.read("log.csv.1").unwrap(), "a,b\n1,0\n3,0\n");
+        // Before: a cut header was another kind of file for ever.
+        for cut in ["", "a", "a,b"] {
+            fs::write(folder.0.join("log.csv"), cut).unwrap();
+            open(&folder, 1).unwrap().line(b"5,0\n").unwrap();
+            assert_eq!(folder.read("log.csv").unwrap(), "a,b\n5,0\n");
+        }
+    }
+
+    #[test]
+    fn files_of_another_kind_are_refused() {
+        let folder = Folder::new("other");
+        for other in ["a,c\n1,0\n", "a,b,c\n", "a\n", "\n", "x\u{0}"] {
             fs::write(folder.0.join("log.csv"), other).unwrap();
             let failure = open(&folder, 1).unwrap_err().to_string();
             assert!(failure.contains("log.csv") && failure.contains("other columns"), "{failure}");
@@ -179,5 +258,30 @@ mod tests {
         }
         let folder_as_file = LogFile::open(&folder.0, b"a\n".to_vec(), 12, 1).unwrap_err().to_string();
         assert!(folder_as_file.contains("not a regular file"), "{folder_as_file}");
+        fs::remove_file(folder.0.join("log.csv")).unwrap();
+        let _first = open(&folder, 1).unwrap();
+        assert!(open(&folder, 1).unwrap_err().to_string().contains("another command writes to it"));
+    }
+
+    // Before: lines went to the removed file, the link was renamed, and new files could be read by all.
+    #[cfg(unix)]
+    #[test]
+    fn a_log_keeps_its_place_and_permissions() {
+        use std::os::unix::fs::{PermissionsExt as _, symlink};
+
+        let folder = Folder::new("place");
+        fs::create_dir(folder.0.join("real")).unwrap();
+        let real = folder.0.join("real/log.csv");
+        fs::write(&real, "").unwrap();
+        fs::set_permissions(&real, fs::Permissions::from_mode(0o600)).unwrap();
+        symlink(&real, folder.0.join("log.csv")).unwrap();
+        let mut log = open(&folder, 2).unwrap();
+        (1..=3).for_each(|number| log.line(format!("{number},0\n").as_bytes()).unwrap());
+        assert_eq!(folder.read("log.csv").unwrap(), "a,b\n3,0\n");
+        assert_eq!(folder.read("real/log.csv.1").unwrap(), "a,b\n1,0\n2,0\n");
+        assert_eq!(fs::metadata(&real).unwrap().permissions().mode() & 0o777, 0o600);
+        fs::remove_file(&real).unwrap();
+        log.line(b"4,0\n").unwrap();
+        assert_eq!(folder.read("log.csv").unwrap(), "a,b\n4,0\n");
     }
 }

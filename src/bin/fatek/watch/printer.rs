@@ -21,6 +21,8 @@ pub(super) struct Place {
     pub(super) plc: usize,
     /// Name of the tag, without that of its PLC.
     pub(super) label: String,
+    /// Bits of its elements.
+    pub(super) bits: usize,
 }
 
 /// A line: the same cells for each format, and their text in a table.
@@ -104,6 +106,15 @@ impl<'o> Printer<'o> {
         let lines = match &mut self.layout {
             Layout::Lines(lines) => vec![lines.line(&sample)],
             Layout::Wide(wide) => wide.take(sample, SystemTime::now()),
+        };
+        lines.into_iter().try_for_each(|line| self.line(line))
+    }
+
+    /// Prints the last readings, if samples of them were missed. `ended`: the readings of each PLC.
+    pub(super) fn finish(&mut self, ended: &[u64]) -> Result<(), Failure> {
+        let lines = match &mut self.layout {
+            Layout::Lines(_) => Vec::new(),
+            Layout::Wide(wide) => wide.finish_missed(ended, SystemTime::now()),
         };
         lines.into_iter().try_for_each(|line| self.line(line))
     }

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_have_milliseconds_and_local_ones_the_distance_from_utc() {
+    fn times_have_milliseconds_and_local_ones_the_utc_offset() {
         let time = SystemTime::UNIX_EPOCH + Duration::from_millis(1_795_331_353_250);
         let berlin = TimeFormat::Local(TimeZone::posix("CET-1CEST,M3.5.0,M10.5.0/3").unwrap());
         assert_eq!(TimeFormat::Utc.format(time), "2026-11-22T07:09:13.250Z");
@@ -61,7 +61,7 @@ mod tests {
         assert_eq!(utc.format(time), "2026-11-22T07:09:13.250+00:00");
     }
 
-    // Before: a time behind the year 9999 ended the command with a panic.
+    // Before: a time after the year 9999 ended the command with a panic.
     #[test]
     fn all_times_have_a_text_of_the_same_width() {
         let start = SystemTime::UNIX_EPOCH;

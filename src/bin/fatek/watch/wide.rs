@@ -28,6 +28,8 @@ pub(super) struct Wide {
     plc_width: usize,
     /// The names of the tags. PLCs that have a tag of the same name share its column.
     tags: Vec<String>,
+    /// The width of each column in characters. A longer text moves those after it.
+    widths: Vec<usize>,
     /// PLC and column of each tag.
     places: HashMap<TagId, (usize, usize)>,
     readings: Vec<Reading>,
@@ -59,8 +61,9 @@ impl Wide {
         let (mut tags, mut columns, mut at) = (Vec::new(), HashMap::new(), HashMap::new());
         let mut readings: Vec<Reading> = plcs.iter().map(|_| Reading::default()).collect();
         let mut used: Vec<Vec<bool>> = vec![Vec::new(); plcs.len()];
+        let mut widths: Vec<usize> = Vec::new();
         for id in ids {
-            let Some(Place { plc, label }) = places.get(&id) else { continue };
+            let Some(Place { plc, label, bits }) = places.get(&id) else { continue };
             let (Some(reading), Some(used)) = (readings.get_mut(*plc), used.get_mut(*plc)) else { continue };
             let mut column = *columns.entry(label.clone()).or_insert_with(|| {
                 tags.push(label.clone());
@@ -76,13 +79,17 @@ impl Wide {
             if let Some(used) = used.get_mut(column) {
                 *used = true;
             }
+            widths.resize(tags.len(), MIN_WIDTH);
+            if let Some(width) = widths.get_mut(column) {
+                *width = label.chars().count().max(width_of(*bits)).max(*width);
+            }
             reading.tags += 1;
             at.insert(id, (*plc, column));
         }
         readings.iter_mut().for_each(|reading| reading.samples.resize(tags.len(), None));
         let plc_width = plcs.iter().map(|plc| plc.chars().count()).max().unwrap_or(0).max(3);
         let plcs = (plcs.len() > 1).then(|| plcs.to_vec());
-        Self { plcs, plc_width, tags, places: at, readings, on_change }
+        Self { plcs, plc_width, tags, widths, places: at, readings, on_change }
     }
 
     pub(super) fn columns(&self) -> Vec<String> {
@@ -91,7 +98,7 @@ impl Wide {
     }
 
     pub(super) fn header(&self) -> String {
-        let tags = self.tags.iter().map(|tag| format!("{tag:>0$}", width(tag)));
+        let tags = self.tags.iter().zip(&self.widths).map(|(tag, width)| format!("{tag:>width$}"));
         let plc = self.plcs.iter().map(|_| format!("{:1$}", "PLC", self.plc_width));
         plc.chain(tags).chain(["QUALITY".to_owned()]).collect::<Vec<_>>().join("  ")
     }
@@ -125,6 +132,17 @@ impl Wide {
         lines
     }
 
+    /// The lines of the last readings, if samples of them were missed. `ended`: the number of readings of
+    /// each PLC that have ended; one under way has no line.
+    pub(super) fn finish_missed(&mut self, ended: &[u64], now: SystemTime) -> Vec<Line> {
+        let is_missed = |(reading, ended): (&Reading, &u64)| {
+            !reading.is_printed && reading.samples.iter().any(Option::is_some) && reading.cycle <= *ended
+        };
+        let missed: Vec<bool> = self.readings.iter().zip(ended).map(is_missed).collect();
+        let missed = missed.into_iter().enumerate().filter(|(_, is_missed)| *is_missed);
+        missed.filter_map(|(plc, _)| self.finish(plc, now)).collect()
+    }
+
     /// The line of the reading of a PLC; `None` if it is not to be printed.
     fn finish(&mut self, plc: usize, now: SystemTime) -> Option<Line> {
         let name = self.plcs.as_ref().and_then(|plcs| plcs.get(plc));
@@ -139,8 +157,8 @@ impl Wide {
         reading.last = Some(cells.clone());
         let good = reading.samples.iter().flatten().filter(|sample| sample.is_good());
         let time = good.map(|sample| sample.at.time).min().unwrap_or(now);
-        let shown = |(tag, sample): (&String, &Option<Sample>)| format!("{:>1$}", shown(sample), width(tag));
-        let shown = self.tags.iter().zip(&reading.samples).map(shown);
+        let shown = |(width, sample): (&usize, &Option<Sample>)| format!("{:>1$}", shown(sample), width);
+        let shown = self.widths.iter().zip(&reading.samples).map(shown);
         let plc_cell = name.map(|name| format!("{name:0$}", self.plc_width));
         let table = plc_cell.into_iter().chain(shown).chain([quality.clone()]).collect::<Vec<_>>().join("  ");
         let mut json = Map::new();
@@ -155,9 +173,13 @@ impl Wide {
     }
 }
 
-/// Width of the column of a tag in characters.
-fn width(tag: &str) -> usize {
-    tag.chars().count().max(MIN_WIDTH)
+/// The characters of most values with this many bits.
+fn width_of(bits: usize) -> usize {
+    match bits {
+        0..=16 => MIN_WIDTH,
+        17..=32 => 11,
+        33.. => 20,
+    }
 }
 
 /// The value of a good sample; empty and `null` otherwise.
@@ -221,7 +243,7 @@ mod tests {
             let polled = tags.iter().map(|_| fatek::poll::PollTag::from("R0".parse::<fatek::tag::Tag>().unwrap()));
             let class = fatek::poll::ScanClass::every(std::time::Duration::from_secs(1));
             self.ids = station.add(class, polled).unwrap();
-            let places = tags.iter().map(|&(plc, label)| Place { plc, label: label.to_owned() });
+            let places = tags.iter().map(|&(plc, label)| Place { plc, label: label.to_owned(), bits: 16 });
             self.ids.iter().copied().zip(places).collect()
         }
     }
