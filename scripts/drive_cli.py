@@ -101,6 +101,8 @@ STEPS = [
     Step("restore {file}/p.backup", [r"not confirmed"], status=1, keys=[("[y/N]", "n"), (None, "Enter")]),
     Step("restore {file}/p.backup --yes", [r"1 differed, 1 written"]),
     Step("decode 02 30 31 34 36 30 33 52 30 30 30 31 32 37 35 03", [r"46"], only=("tcp", "ascii")),
+    Step("-vv read R0 M0 2>{file}/a.log", [r"^R0 +u16 +5$"]),
+    Step("decode --file {file}/a.log", [r"^ +TIME s", r"^connection 1: ", r" mixed read \(48h\) |read registers"]),
     Step("@mixer read level", [r"^level +u16 +5$"]),
     Step("--config {plant} --plc mixer watch --count 1 --interval 50ms", [r"level +5"]),
     Step("read R0 --station 9 --timeout 100ms", [r"hint: "], status=4),
