@@ -13,6 +13,7 @@ mod duration;
 mod failure;
 mod forced;
 mod hint;
+mod listen;
 mod names;
 mod output;
 mod ping;
@@ -25,6 +26,8 @@ mod program;
 mod progress;
 mod ranges;
 mod read;
+mod record;
+mod replay;
 mod retry;
 mod scan;
 mod screen;
@@ -47,7 +50,7 @@ use clap::{CommandFactory, FromArgMatches};
 use fatek::command::{ControlPlc, DiscreteControl};
 use tracing_subscriber::EnvFilter;
 
-use self::args::{Cli, Command, DiscreteArgs, LinkArgs, Plc, ProgramCommand};
+use self::args::{Cli, Command, DiscreteArgs, LinkArgs, Plc, ProgramCommand, ReplayArgs};
 use self::failure::Failure;
 use self::output::{Output, coloured, complain, printable_lines};
 use self::printable::{excerpt, printable};
@@ -157,6 +160,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             | Command::Completions(_)
             | Command::Man(_)
             | Command::Program(ProgramCommand::Info(_))
+            | Command::Replay(ReplayArgs { listen: Some(_), .. })
     );
     if is_alone && !chosen.is_empty() {
         return Err(Failure::Usage("this command takes no PLC".to_owned()));
@@ -214,6 +218,11 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             Command::Decode(args) => decode::decode(args, output),
             Command::Completions(args) => complete::script(&args.shell),
             Command::Man(args) => complete::man_pages(&args.folder, output),
+            Command::Record(args) => record::record(endpoint(&args.link)?, args, timeout, output).await,
+            Command::Replay(args) => match &args.listen {
+                Some(url) => replay::serve(url, args, output).await,
+                None => replay::send(endpoint(&args.link)?, args, timeout, output).await,
+            },
         }
     })
 }
