@@ -1,12 +1,16 @@
 //! Endpoints: the address of a PLC as a URL.
 
+mod stream;
+
 use std::fmt;
+use std::io;
 use std::str::FromStr;
 
 use crate::printable::excerpt;
 use crate::settings::{URL_OPTIONS, UrlOptions, one_of};
 use crate::wire::Framing;
 
+pub use self::stream::EndpointStream;
 pub use crate::settings::{
     DEFAULT_COPIES, DEFAULT_COPY_WINDOW, DEFAULT_QUIET, DataBits, InStepSettings, InvalidSettings, MAX_BAUD,
     MAX_COPIES, MIN_BAUD, Parity, Rts, SerialSettings, StopBits,
@@ -132,6 +136,21 @@ impl Endpoint {
     pub fn with_in_step(mut self, in_step: InStepSettings) -> Self {
         self.in_step = in_step;
         self
+    }
+
+    /// Opens a stream of bytes to the endpoint, without a [`Link`](crate::Link): for programs that pass
+    /// bytes on, such as proxies.
+    ///
+    /// Over UDP a frame that is written is a datagram, and so is a reply that is read; datagrams that
+    /// cannot be replies are dropped.
+    ///
+    /// Requires the I/O and the timer of the Tokio runtime.
+    ///
+    /// # Errors
+    /// The connection or the port cannot be opened; `Unsupported` for a serial port without the feature
+    /// `serial`.
+    pub async fn open(&self) -> io::Result<EndpointStream> {
+        self.transport.open(self.framing, true, 0).await.map(EndpointStream::new)
     }
 
     /// The transport, with its address.

@@ -45,6 +45,13 @@ fn a_reply_frame_has_the_bytes_of_encode_reply() {
             } else {
                 prop_assert_eq!(exchange.decode_reply_frame(framing, &frame), Ok(true));
             }
+            // As any request, it decodes to a reply with the same frame, and to the same refusal.
+            match (exchange.request().decode_reply(&frame, framing), refusal) {
+                (Ok(reply), None) => prop_assert_eq!(&reply.to_frame(framing, 254), &frame),
+                // The ASCII framing has one digit of the code.
+                (Err(ReplyError::Plc(_)), Some(_)) => {}
+                (reply, refusal) => prop_assert!(false, "{:?} of {:?}", reply, refusal),
+            }
             let code = u8::from(exchange.code()) ^ 1;
             let other = exchange.decode_reply_frame(framing, &Frame { command: code, ..frame });
             prop_assert_eq!(other, Err(ReplyError::Mismatch(FieldError::OtherCommand(code))));

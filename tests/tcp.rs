@@ -109,3 +109,20 @@ async fn dropping_the_last_handle_closes_the_connection() {
     assert!(call.await.unwrap().is_err());
     assert_eq!(received, b"\x02014ExyCD\x03");
 }
+
+#[tokio::test]
+async fn an_endpoint_opens_as_a_stream_of_bytes() {
+    let server = serve("127.0.0.1:0", &Plc::new(), Framing::Ascii).await;
+    let mut stream = server.endpoint().open().await.unwrap();
+    // Half of a request, and the rest.
+    for part in [&b"\x02014"[..], b"601R0001273\x03"] {
+        stream.write_all(part).await.unwrap();
+    }
+    let mut reply = [0; 13];
+    stream.read_exact(&mut reply).await.unwrap();
+    assert_eq!(&reply, b"\x02014600000BD\x03");
+    server.shutdown().await;
+    assert_eq!(stream.read(&mut reply).await.unwrap(), 0, "the end of the connection is the end of the stream");
+    let refused = Endpoint::tcp("127.0.0.1", 1).open().await.unwrap_err();
+    assert_eq!(refused.kind(), std::io::ErrorKind::ConnectionRefused);
+}

@@ -5,7 +5,8 @@ use bytes::BytesMut;
 use super::{Command, encode_reply};
 use crate::wire::{Frame, Framing};
 
-/// The reply to a request of any command, from [`Station::forward`](crate::Station::forward).
+/// The reply to a request of any command, from [`Station::forward`](crate::Station::forward) or
+/// [`Request::decode_reply`](super::Request::decode_reply).
 ///
 /// It can be encoded in every framing that its request [can be sent in](super::Request::encode).
 /// `Debug` and `Display` show the request as well: `read registers (46h) R12 to R13: 7, 8`, or

@@ -2,7 +2,7 @@ use std::fmt;
 
 use bytes::BytesMut;
 
-use super::{Code, Command, InvalidRequest, Request, encode_request, limits, with_command};
+use super::{Code, Command, ForwardedReply, InvalidRequest, ReplyError, Request, encode_request, limits, with_command};
 use crate::ErrorCode;
 use crate::element::{ElementError, Width};
 use crate::wire::{AsciiReader, BinaryReader, FieldError, FieldReader, Frame, Framing};
@@ -44,6 +44,27 @@ impl Request {
     /// Those of [`encode_request`]: some requests cannot be sent in both framings.
     pub fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) -> Result<(), InvalidRequest> {
         with_command!(self, command => encode_request(command, framing, station, dst))
+    }
+
+    /// Decodes the reply to this request, as [`Frame::decode_reply`] does for a single command.
+    ///
+    /// The caller compares the station.
+    ///
+    /// ```
+    /// use fatek::command::Request;
+    /// use fatek::wire::{Frame, Framing};
+    ///
+    /// let request = Request::decode(&Frame { station: 1, command: 0x46, data: "01R00012".into() }, Framing::Ascii)?;
+    /// let reply = Frame { station: 1, command: 0x46, data: "010A5".into() };
+    /// let reply = request.decode_reply(&reply, Framing::Ascii)?;
+    /// assert_eq!(reply.to_string(), "read registers (46h) R12: 4261");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`Frame::decode_reply`].
+    pub fn decode_reply(&self, reply: &Frame, framing: Framing) -> Result<ForwardedReply, ReplyError> {
+        with_command!(self, command => forwarded(command, reply, framing))
     }
 
     /// Checks the rules that depend on the framing, as [`Command::check`] does.
@@ -148,6 +169,10 @@ impl From<ElementError> for RequestError {
     fn from(error: ElementError) -> Self {
         Self::Field(error.into())
     }
+}
+
+fn forwarded<C: Command>(command: &C, reply: &Frame, framing: Framing) -> Result<ForwardedReply, ReplyError> {
+    reply.decode_reply(command, framing).map(|values| ForwardedReply::new(command.clone(), values))
 }
 
 fn code_of<C: Command>(_: &C) -> Code {

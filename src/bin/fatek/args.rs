@@ -6,6 +6,7 @@ mod decode;
 mod line;
 mod model;
 mod program;
+mod record;
 mod sections;
 mod shell;
 mod sim;
@@ -24,6 +25,7 @@ pub(crate) use self::decode::DecodeArgs;
 pub(crate) use self::line::{ClockArgs, PingArgs, ProbeArgs, ScanArgs};
 pub(crate) use self::model::ModelArgs;
 pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
+pub(crate) use self::record::{RecordArgs, ReplayArgs, TimingArg, WritesArg};
 pub(crate) use self::sections::with_sections;
 pub(crate) use self::shell::{CompletionsArgs, ManArgs};
 pub(crate) use self::sim::SimArgs;
@@ -89,9 +91,9 @@ Exit status:
   4  timeout: no reply; scan: from no station
   5  no connection
   6  bad reply; scan: also from one station of several; decode: bad frame
-  7  file damaged or of another PLC, or contents or values differ
+  7  file damaged or of another PLC, or contents, values or replies differ
   129, 130, 143  ended by SIGHUP, by SIGINT (Ctrl-C), or by SIGTERM; watch,
-     top and sim end with 0
+     top, sim, record and replay --listen end with 0
 
 Examples:
   fatek sim --listen tcp://127.0.0.1:5000 --set R0=5
@@ -106,7 +108,9 @@ Examples:
   fatek backup plant.backup R0-R3839 M0-M1911
   fatek scan 1-16
   fatek plan R0-R9 R900 --baud 9600
-  fatek decode 02 30 31 34 36 30 33 52 30 30 30 31 32 37 35 03";
+  fatek decode 02 30 31 34 36 30 33 52 30 30 30 31 32 37 35 03
+  fatek record --listen tcp://127.0.0.1:5000 mixer.recording
+  fatek replay mixer.recording --listen tcp://127.0.0.1:5000";
 
 /// Options of every subcommand, accepted before and after its name.
 #[derive(Debug, Args)]
@@ -241,6 +245,8 @@ pub(crate) enum Command {
     Clock(ClockArgs),
     Probe(ProbeArgs),
     Decode(DecodeArgs),
+    Record(RecordArgs),
+    Replay(ReplayArgs),
     Completions(CompletionsArgs),
     Man(ManArgs),
 }

@@ -1,8 +1,12 @@
 //! Endpoint, link and station of `--link` and `--station`.
 
+use std::io;
 use std::time::Duration;
 
+use fatek::endpoint::EndpointStream;
+use fatek::link::defaults;
 use fatek::{CallOptions, Capabilities, Endpoint, Link, LinkBuilder, Station};
+use tokio::time;
 
 use crate::args::Plc;
 use crate::failure::Failure;
@@ -59,6 +63,12 @@ pub(crate) fn endpoint(link: Option<&str>) -> Result<Endpoint, Failure> {
         return Err(Failure::Usage("no link: give --link URL, or set FATEK_LINK".to_owned()));
     };
     link.parse().map_err(Failure::usage)
+}
+
+/// Opens a stream of bytes to an endpoint, without a link.
+pub(crate) async fn open(endpoint: &Endpoint, timeout: Option<Duration>) -> io::Result<EndpointStream> {
+    let opened = time::timeout(timeout.unwrap_or(defaults::CONNECT_TIMEOUT), endpoint.open());
+    opened.await.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
 }
 
 /// Link for interactive use: a refused connection fails at once, and no station is treated as

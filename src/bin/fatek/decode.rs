@@ -1,25 +1,105 @@
-//! Subcommand `fatek decode HEX`.
+//! Subcommand `fatek decode`: frames of a text or of bytes field by field, conversations exchange by
+//! exchange.
 
+mod conversation;
+mod dump;
 mod explain;
 mod field;
 mod hex;
 mod recorder;
 mod reply;
+mod row;
+mod shapes;
 mod split;
 mod text;
 
 use serde_json::{Value, json};
 
+use self::conversation::Printer;
 use self::explain::Explanation;
 use self::field::Field;
+use self::split::Piece;
 use crate::args::DecodeArgs;
+use crate::conversation::Analysis;
 use crate::failure::Failure;
 use crate::output::{Cell, Format, Output, Rows, complain, print};
+use crate::printable::excerpt;
+use crate::signal::Stop;
+use crate::traffic::{Source, SourceKind, is_log, is_text, payload, stdin_is_piped};
 
 pub(crate) fn decode(args: &DecodeArgs, output: &Output) -> Result<(), Failure> {
-    let bytes = hex::parse(&args.hex.join(" ")).map_err(Failure::usage)?;
+    if args.fields && output.is_for_programs() {
+        return Err(Failure::Usage(
+            "--fields is for tables: the other formats have the bytes of each frame".to_owned(),
+        ));
+    }
+    let mut source = match (&args.file, &args.hex[..]) {
+        (Some(file), _) => Source::open(file)?,
+        (None, [dash]) if dash == "-" => Source::stdin(),
+        (None, []) if stdin_is_piped() => Source::stdin(),
+        (None, []) => {
+            return Err(Failure::Usage("no bytes: give HEX, --file FILE, or - for the standard input".to_owned()));
+        }
+        (None, hex) => return text(&hex.join(" "), args, output),
+    };
+    let kind = source.kind()?;
+    if kind != SourceKind::Other {
+        return conversation(&mut source, kind, args, output);
+    }
+    let content = source.read_all()?;
+    if !is_text(&content) {
+        return frames(&content, args, output);
+    }
+    text(&String::from_utf8_lossy(&content), args, output)
+}
+
+fn text(text: &str, args: &DecodeArgs, output: &Output) -> Result<(), Failure> {
+    if is_log(text) {
+        let mut source = Source::of_bytes("the log", text.as_bytes().to_vec());
+        return conversation(&mut source, SourceKind::Log, args, output);
+    }
+    frames(&shapes::parse(text).map_err(Failure::usage)?, args, output)
+}
+
+/// Prints the entries of a conversation as soon as they are complete. After a damaged part of the
+/// source, those before it are printed, too.
+fn conversation(source: &mut Source, kind: SourceKind, args: &DecodeArgs, output: &Output) -> Result<(), Failure> {
+    // At Ctrl-C the program that writes to the standard input ends, too, and the rest is printed.
+    if source.is_stdin() {
+        Stop::new()?;
+    }
+    let mut analysis = Analysis::new(args.framing);
+    let mut printer = Printer::new(output, args.fields);
+    let mut entries = Vec::new();
+    let read = source.read(kind, &args.ports, &mut |event| {
+        printer.event(&event);
+        analysis.push(event, &mut entries);
+        entries.drain(..).try_for_each(|entry| printer.entry(&entry))
+    });
+    let read = match read {
+        Err(failure @ Failure::Output(_)) => return Err(failure),
+        read => read,
+    };
+    analysis.finish(&mut entries);
+    entries.iter().try_for_each(|entry| printer.entry(entry))?;
+    for remark in read.iter().flatten() {
+        complain(format_args!("warning: {}: {}", source.name, excerpt(remark)));
+    }
+    let decoded = printer.finish();
+    read.and(decoded)
+}
+
+/// Explains frames field by field. Of a whole packet, which begins with no frame, it takes the payload.
+fn frames(bytes: &[u8], args: &DecodeArgs, output: &Output) -> Result<(), Failure> {
+    let begins_with_frame = |bytes: &[u8]| !matches!(split::pieces(bytes, args.framing)[..], [Piece::Noise(_), ..]);
+    let payload = payload(bytes).filter(|payload| !begins_with_frame(bytes) && begins_with_frame(payload));
+    if let Some(payload) = payload {
+        let headers = bytes.len() - payload.len();
+        output.remark(format_args!("{headers} bytes of a packet around its payload are left out"));
+    }
+    let bytes = payload.unwrap_or(bytes);
     let explanations: Vec<Explanation> =
-        split::pieces(&bytes, args.framing).into_iter().map(|piece| explain::explain(&piece)).collect();
+        split::pieces(bytes, args.framing).into_iter().map(|piece| explain::explain(&piece)).collect();
     match output.format {
         Format::Table => print_tables(&explanations)?,
         Format::Json => output.json(&explanations.iter().map(json).collect())?,

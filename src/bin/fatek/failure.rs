@@ -11,6 +11,7 @@ use fatek::tag_table::TableFileError;
 
 use crate::printable::excerpt;
 use crate::signal::Signal;
+use crate::traffic::TrafficFailure;
 use crate::transfer::{listed, shown};
 
 #[derive(Debug, thiserror::Error)]
@@ -102,6 +103,9 @@ pub(crate) enum Failure {
     /// The man pages cannot be written.
     #[error("man pages in {}: {error}", shown(folder))]
     ManPages { folder: PathBuf, error: io::Error },
+    /// Traffic cannot be read, recorded or replayed.
+    #[error(transparent)]
+    Traffic(#[from] TrafficFailure),
     /// Stdout cannot be written.
     #[error("cannot write to stdout: {0}")]
     Output(io::Error),
@@ -153,7 +157,7 @@ impl Failure {
                 None
             }
             Self::Differs { .. } | Self::NotAsWritten { .. } | Self::Listen { .. } | Self::Log { .. } => None,
-            Self::ManPages { .. } | Self::Output(_) | Self::Runtime(_) => None,
+            Self::ManPages { .. } | Self::Traffic(_) | Self::Output(_) | Self::Runtime(_) => None,
         }
     }
 
@@ -166,6 +170,7 @@ impl Failure {
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
             Self::Output(_) | Self::Log { .. } | Self::ManPages { .. } | Self::Runtime(_) | Self::Declined => 1,
+            Self::Traffic(failure) => failure.exit_status(),
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) | Self::Table(_) | Self::Plant(_) => 2,

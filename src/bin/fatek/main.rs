@@ -7,11 +7,13 @@ mod complete;
 mod confirm;
 mod connect;
 mod control;
+mod conversation;
 mod decode;
 mod duration;
 mod failure;
 mod forced;
 mod hint;
+mod listen;
 mod names;
 mod output;
 mod ping;
@@ -24,6 +26,8 @@ mod program;
 mod progress;
 mod ranges;
 mod read;
+mod record;
+mod replay;
 mod retry;
 mod scan;
 mod screen;
@@ -32,6 +36,7 @@ mod sim;
 mod status;
 mod targets;
 mod top;
+mod traffic;
 mod transfer;
 mod watch;
 mod write;
@@ -45,7 +50,7 @@ use clap::{CommandFactory, FromArgMatches};
 use fatek::command::{ControlPlc, DiscreteControl};
 use tracing_subscriber::EnvFilter;
 
-use self::args::{Cli, Command, DiscreteArgs, Plc, ProgramCommand};
+use self::args::{Cli, Command, DiscreteArgs, LinkArgs, Plc, ProgramCommand, ReplayArgs};
 use self::failure::Failure;
 use self::output::{Output, coloured, complain, printable_lines};
 use self::printable::{excerpt, printable};
@@ -149,18 +154,23 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let timeout = cli.common.timeout;
     let chosen = cli.plant.load()?;
     let is_alone = matches!(
-        cli.command,
+        &cli.command,
         Command::Sim(_)
             | Command::Decode(_)
             | Command::Completions(_)
             | Command::Man(_)
             | Command::Program(ProgramCommand::Info(_))
+            | Command::Replay(ReplayArgs { listen: Some(_), .. })
     );
     if is_alone && !chosen.is_empty() {
         return Err(Failure::Usage("this command takes no PLC".to_owned()));
     }
     let plc = |own: &Plc| chosen.plc(cli.plc.or(own));
     let station = |own: &Plc| connect::station(&plc(own)?, timeout);
+    let endpoint = |own: &LinkArgs| match chosen.one()? {
+        Some(plc) => Ok(plc.endpoint().clone()),
+        None => connect::endpoint(cli.plc.link(own).as_deref()),
+    };
     let targets = |own: &Plc, once| chosen.targets(&cli.plc.or(own), timeout, once);
     let discretes = async |args: &DiscreteArgs, control| {
         let discretes: Vec<_> = args.discretes.iter().flat_map(DiscreteRange::iter).collect();
@@ -185,13 +195,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 let station = station(&args.plc)?.with_options(connect::options(timeout).with_retries(0));
                 ping::ping(&station, args, output).await
             }
-            Command::Scan(args) => {
-                let endpoint = match chosen.one()? {
-                    Some(plc) => plc.endpoint().clone(),
-                    None => connect::endpoint(cli.plc.link(&args.link).as_deref())?,
-                };
-                scan::scan(endpoint, args, timeout, output).await
-            }
+            Command::Scan(args) => scan::scan(endpoint(&args.link)?, args, timeout, output).await,
             Command::Plan(args) => plan::plan(&chosen.plc(cli.plc.of_plan(args))?, args, chosen.one()?, output),
             Command::Top(args) => top::top(&targets(&args.plc, false)?, args, output).await,
             Command::Watch(args) => watch::watch(&targets(&args.plc, false)?, args, output).await,
@@ -214,6 +218,11 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
             Command::Decode(args) => decode::decode(args, output),
             Command::Completions(args) => complete::script(&args.shell),
             Command::Man(args) => complete::man_pages(&args.folder, output),
+            Command::Record(args) => record::record(endpoint(&args.link)?, args, timeout, output).await,
+            Command::Replay(args) => match &args.listen {
+                Some(url) => replay::serve(url, args, output).await,
+                None => replay::send(endpoint(&args.link)?, args, timeout, output).await,
+            },
         }
     })
 }

@@ -36,8 +36,8 @@ pub(crate) async fn sim(args: &SimArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Place to listen, of `--listen`.
-enum Place<'a> {
+/// Place to listen, of `--listen`. Also of `record` and `replay`.
+pub(crate) enum Place<'a> {
     Tcp { address: &'a str },
     Udp { address: &'a str },
     Serial { path: String, settings: SerialSettings },
@@ -51,7 +51,7 @@ enum Listening {
 }
 
 impl<'a> Place<'a> {
-    fn parse(url: &'a str, framing: Framing) -> Result<Self, Failure> {
+    pub(crate) fn parse(url: &'a str, framing: Framing) -> Result<Self, Failure> {
         let parsed = if let Some(address) = url.strip_prefix("tcp://") {
             address_of(address, "tcp").map(|address| Self::Tcp { address })
         } else if let Some(address) = url.strip_prefix("udp://") {

@@ -9,7 +9,7 @@ const SECTIONS: [(&str, &[&str]); 6] = [
     ("Discretes", &["set", "reset", "enable", "disable", "forced"]),
     ("PLC", &["status", "run", "stop", "clock", "program", "backup", "restore"]),
     ("Lines", &["ping", "scan", "probe"]),
-    ("Tests", &["sim", "decode"]),
+    ("Tests", &["sim", "decode", "record", "replay"]),
     ("Shell", &["completions", "man", "help"]),
 ];
 
