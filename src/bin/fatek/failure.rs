@@ -42,6 +42,34 @@ pub(crate) enum Failure {
         if *scanned == 1 { "the station did not answer".into() } else { format!("none of {scanned} stations answered") }
     )]
     NoStation { scanned: usize },
+    /// No station of the scanned networks answered. `failure`: what kept this computer from trying some.
+    #[error(
+        "no station answered on {hosts} host{}{}",
+        if *hosts == 1 { "" } else { "s" },
+        failure.as_ref().map_or(String::new(), |failure| format!("; not all could be tried: {failure}"))
+    )]
+    NoPlc { hosts: u128, failure: Option<String> },
+    /// The address of a host name is not known.
+    #[error("the address of {} is not known: {error}", excerpt(host))]
+    Host { host: String, error: io::Error },
+    /// The broadcast for modules cannot be sent, or its replies cannot be received.
+    #[error("cannot discover modules: {subject}: {error}")]
+    Discover { subject: String, error: io::Error },
+    /// No module answered the broadcast.
+    #[error("no module answered")]
+    NoModule,
+    /// Replies to the broadcast in an unknown form only.
+    #[error("replies of unknown form: {unknown}")]
+    UnknownReplies { unknown: usize },
+    /// A port or host cannot be opened.
+    #[error("cannot open {}: {error}{hint}", excerpt(link))]
+    Open { link: String, error: io::Error, hint: String },
+    /// The serial ports of this computer cannot be listed.
+    #[error("cannot list the serial ports: {0}")]
+    Ports(io::Error),
+    /// No settings were found for a line.
+    #[error("no answer to {}", crate::detect::requests_text(*tried))]
+    NotDetected { tried: usize },
     /// Stations with bad or late replies.
     #[error("stations with bad replies: {bad}")]
     BadStations { bad: usize },
@@ -163,6 +191,7 @@ impl Failure {
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
             Self::Output(_) | Self::Log { .. } | Self::ManPages { .. } | Self::Runtime(_) | Self::Declined => 1,
+            Self::Ports(_) => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) | Self::Table(_) | Self::Plant(_) => 2,
@@ -175,9 +204,17 @@ impl Failure {
             Self::Restore(error) => error.source.call_error().map_or(7, of_call),
             Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } | Self::OtherPlc(_) => 7,
             Self::NotAsWritten { .. } => 7,
-            Self::Lost { .. } | Self::NoStation { .. } => 4,
-            Self::Listen { .. } => 5,
+            Self::Lost { .. } | Self::NoStation { .. } | Self::NoModule | Self::NotDetected { .. } => 4,
+            Self::NoPlc { failure, .. } => {
+                if failure.is_some() {
+                    5
+                } else {
+                    4
+                }
+            }
+            Self::Listen { .. } | Self::Host { .. } | Self::Discover { .. } | Self::Open { .. } => 5,
             Self::BadReplies { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,
+            Self::UnknownReplies { .. } => 6,
         }
     }
 }

@@ -8,7 +8,9 @@ mod confirm;
 mod connect;
 mod control;
 mod decode;
+mod detect;
 mod duration;
+mod enquiry;
 mod failure;
 mod forced;
 mod hint;
@@ -17,6 +19,7 @@ mod output;
 mod ping;
 mod plan;
 mod plot;
+mod ports;
 #[path = "../../printable.rs"]
 mod printable;
 mod probe;
@@ -148,14 +151,19 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Failure::Runtime)?;
     let timeout = cli.common.timeout;
     let chosen = cli.plant.load()?;
-    let is_alone = matches!(
-        cli.command,
-        Command::Sim(_)
-            | Command::Decode(_)
-            | Command::Completions(_)
-            | Command::Man(_)
-            | Command::Program(ProgramCommand::Info(_))
-    );
+    let is_alone = match &cli.command {
+        Command::Scan(args) => args.discovery.discover || !args.network.hosts.is_empty(),
+        command => matches!(
+            command,
+            Command::Sim(_)
+                | Command::Decode(_)
+                | Command::Completions(_)
+                | Command::Man(_)
+                | Command::Program(ProgramCommand::Info(_))
+                | Command::Ports(_)
+                | Command::Detect(_)
+        ),
+    };
     if is_alone && !chosen.is_empty() {
         return Err(Failure::Usage("this command takes no PLC".to_owned()));
     }
@@ -185,6 +193,10 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 let station = station(&args.plc)?.with_options(connect::options(timeout).with_retries(0));
                 ping::ping(&station, args, output).await
             }
+            Command::Scan(args) if args.discovery.discover => {
+                scan::discover::discover(&args.discovery, timeout, output).await
+            }
+            Command::Scan(args) if !args.network.hosts.is_empty() => scan::network::scan(args, timeout, output).await,
             Command::Scan(args) => {
                 let endpoint = match chosen.one()? {
                     Some(plc) => plc.endpoint().clone(),
@@ -192,6 +204,8 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 };
                 scan::scan(endpoint, args, timeout, output).await
             }
+            Command::Ports(args) => ports::ports(args, output),
+            Command::Detect(args) => detect::detect(args, timeout, output).await,
             Command::Plan(args) => plan::plan(&chosen.plc(cli.plc.of_plan(args))?, args, chosen.one()?, output),
             Command::Top(args) => top::top(&targets(&args.plc, false)?, args, output).await,
             Command::Watch(args) => watch::watch(&targets(&args.plc, false)?, args, output).await,

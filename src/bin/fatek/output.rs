@@ -66,6 +66,11 @@ impl Output {
         }
     }
 
+    /// Prints rows, and nothing in place of an empty table.
+    pub(crate) fn some_rows(&self, rows: &Rows) -> Result<(), Failure> {
+        if rows.is_empty() && !self.is_for_programs() { Ok(()) } else { self.rows(rows) }
+    }
+
     /// Prints one JSON document.
     pub(crate) fn json(&self, document: &Value) -> Result<(), Failure> {
         print(format_args!("{}", ascii_controls(&format!("{document:#}"))))
