@@ -179,6 +179,8 @@ impl Failure {
             }
             Self::Differs { .. } | Self::NotAsWritten { .. } | Self::Listen { .. } | Self::Log { .. } => None,
             Self::ManPages { .. } | Self::Output(_) | Self::Runtime(_) => None,
+            Self::NoPlc { .. } | Self::Host { .. } | Self::Discover { .. } | Self::NoModule => None,
+            Self::UnknownReplies { .. } | Self::Open { .. } | Self::Ports(_) | Self::NotDetected { .. } => None,
         }
     }
 
@@ -205,13 +207,8 @@ impl Failure {
             Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } | Self::OtherPlc(_) => 7,
             Self::NotAsWritten { .. } => 7,
             Self::Lost { .. } | Self::NoStation { .. } | Self::NoModule | Self::NotDetected { .. } => 4,
-            Self::NoPlc { failure, .. } => {
-                if failure.is_some() {
-                    5
-                } else {
-                    4
-                }
-            }
+            Self::NoPlc { failure: None, .. } => 4,
+            Self::NoPlc { failure: Some(_), .. } => 5,
             Self::Listen { .. } | Self::Host { .. } | Self::Discover { .. } | Self::Open { .. } => 5,
             Self::BadReplies { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,
             Self::UnknownReplies { .. } => 6,

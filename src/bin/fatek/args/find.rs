@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueHint};
 use fatek::wire::Framing;
 
 use crate::detect::trials::{Baud, Character};
@@ -26,7 +26,7 @@ pub(crate) struct PortsArgs {
     pub(crate) root: PathBuf,
 }
 
-/// Find the settings of a serial line: speed, frame, framing and station
+/// Find speed, frame, framing and station of a serial line
 ///
 /// Reads the status of a station with one setting after the other, the likely ones first, until a
 /// station answers, and then asks the others. It never writes. The port is opened for itself alone:
@@ -54,7 +54,7 @@ Exit status 0 if a station answers, 4 if none does, 5 if the port cannot be
 opened.")]
 pub(crate) struct DetectArgs {
     /// Port such as /dev/ttyUSB0 or COM3, or a URL: serial:PATH, tcp://HOST:PORT, udp://HOST:PORT
-    #[arg(value_name = "SERIAL")]
+    #[arg(value_name = "SERIAL", value_hint = ValueHint::AnyPath)]
     pub(crate) line: String,
     /// Speeds to try, in this order [default: 9600,19200,38400,115200,57600]
     ///
