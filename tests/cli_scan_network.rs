@@ -312,18 +312,17 @@ async fn a_signal_ends_the_scan_with_the_results_so_far() {
     server.shutdown().await;
 }
 
-/// A module that answers the second packet of a discovery with these bytes, and then as often again.
+/// A module that answers both packets of a discovery with these bytes, and returns the packets.
 fn module(address: &str, reply: Vec<u8>) -> (String, thread::JoinHandle<[Vec<u8>; 2]>) {
     let socket = UdpSocket::bind((address, 0)).unwrap();
     let url = socket.local_addr().unwrap().to_string();
     let thread = thread::spawn(move || {
         let mut buffer = [0; 64];
-        let packets = [(); 2].map(|()| {
+        [(); 2].map(|()| {
             let (len, sender) = socket.recv_from(&mut buffer).unwrap();
             socket.send_to(&reply, sender).unwrap();
             buffer[..len].to_vec()
-        });
-        packets
+        })
     });
     (url, thread)
 }

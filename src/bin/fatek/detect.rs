@@ -289,10 +289,7 @@ async fn open(setting: &Setting, within: Duration) -> io::Result<impl AsyncRead 
 }
 
 fn cannot_open(line: &Endpoint, error: io::Error) -> Failure {
-    let path = match line.transport() {
-        Transport::Serial { path, .. } => Some(path),
-        _ => None,
-    };
+    let path = if let Transport::Serial { path, .. } = line.transport() { Some(path) } else { None };
     let hint = match (error.kind() == io::ErrorKind::PermissionDenied, path) {
         (true, Some(path)) => Access::of(Path::new(path), Path::new("/")).remedy(),
         (_, Some(_)) => Some("`fatek ports` lists the ports".to_owned()),

@@ -151,10 +151,11 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Failure::Runtime)?;
     let timeout = cli.common.timeout;
     let chosen = cli.plant.load()?;
-    let is_alone = match &cli.command {
-        Command::Scan(args) => args.discovery.discover || !args.network.hosts.is_empty(),
-        command => matches!(
-            command,
+    let is_alone = if let Command::Scan(args) = &cli.command {
+        args.discovery.discover || !args.network.hosts.is_empty()
+    } else {
+        matches!(
+            cli.command,
             Command::Sim(_)
                 | Command::Decode(_)
                 | Command::Completions(_)
@@ -162,7 +163,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 | Command::Program(ProgramCommand::Info(_))
                 | Command::Ports(_)
                 | Command::Detect(_)
-        ),
+        )
     };
     if is_alone && !chosen.is_empty() {
         return Err(Failure::Usage("this command takes no PLC".to_owned()));

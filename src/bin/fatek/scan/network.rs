@@ -244,7 +244,7 @@ impl Scan<'_> {
     async fn port(&self, kind: Kind, address: SocketAddr, framing: &mut Option<Framing>) -> Opened {
         let mut line = match self.open(kind, address).await {
             Opened::Line(line) => line,
-            other => return other,
+            other @ (Opened::Refused | Opened::Unanswered | Opened::Unreachable | Opened::Failed(_)) => return other,
         };
         let within = self.plan.timeout;
         let mut trial = Trial::new(self.plan.questions(kind), *framing);
