@@ -143,7 +143,7 @@ fn speed_frame_framing_and_station_are_found() {
         let [row] = &rows(&found)[..] else { panic!("{found:?}") };
         assert_eq!(row["link"], format!("serial:{}{link}", wire.path), "{found:?}");
         assert_eq!((&row["baud"], &row["framing"]), (&settings.baud.into(), &framing.to_string().into()));
-        assert_eq!((&row["station"], &row["confidence"], &row["running"]), (&1.into(), &"sure".into(), &true.into()));
+        assert_eq!((&row["station"], &row["answer"], &row["running"]), (&1.into(), &"sure".into(), &true.into()));
         assert_eq!((&row["main_unit"], &row["os_version"]), (&"MC".into(), &"4.0".into()));
         assert_eq!((&row["requests"], &row["replies"], &row["note"]), (&4.into(), &4.into(), &Value::Null));
         // The next command can be pasted.
@@ -163,7 +163,7 @@ fn other_stations_of_the_line_are_found_with_the_same_setting() {
     let table = found.ok();
     let lines: Vec<&str> = table.lines().collect();
     assert!(lines[0].starts_with("LINK "), "{table}");
-    assert!(lines[1].contains(" 2        sure        true     MC OS 4.0"), "{table}");
+    assert!(lines[1].contains(" 2        sure    true     MC 4.0"), "{table}");
     assert!(lines[2].contains(" 4        sure "), "{table}");
     assert_eq!(lines.len(), 3, "{table}");
     // Nothing but the two statuses is read.
@@ -184,7 +184,7 @@ fn missing_replies_and_noise_lower_the_confidence() {
     });
     let found = wire.detect(&["--baud", "9600", "--frame", "7E1", "--stations", "1", "--format", "json"]);
     let [row] = &rows(&found)[..] else { panic!("{found:?}") };
-    assert_eq!(row["confidence"], "likely");
+    assert_eq!(row["answer"], "likely");
     assert_eq!(row["note"], "3 of 4 requests answered; 6 bytes that are no frame");
 }
 

@@ -42,12 +42,13 @@ The time that it can take is printed first. `fatek ports` lists the ports. Of
 tcp:// and udp:// only framing and station are found: speed and frame are set in
 the module or device server.
 
-Column confidence:
+Column answer:
   sure    each of several requests was answered, and nothing else came
   likely  some were not answered, or other bytes came besides
   heard   good frames of another master or station came, and no answer
 
-JSON: array of objects with link, baud, frame, framing, station, confidence,
+The column model has the main unit and the version of its OS.
+JSON: array of objects with link, baud, frame, framing, station, answer,
 requests, replies, running, main_unit, os_version, time_ms and note; unknown
 values are null.
 Exit status 0 if a station answers, 4 if none does, 5 if the port cannot be

@@ -41,6 +41,7 @@ Column answer:
   silent   the port accepts connections, and no station answers
   other    bytes that are no frame: another protocol?
 
+The column model has the main unit and the version of its OS.
 JSON: array of objects with station, answer, running, main_unit, os_version,
 time_ms and note; of networks also link, host, transport, port and framing;
 unknown values are null.

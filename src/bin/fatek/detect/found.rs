@@ -27,8 +27,8 @@ pub(super) struct Found {
 }
 
 impl Found {
-    /// Column `confidence`. Echoes do not lower it: they are no sign of other settings.
-    fn confidence(&self) -> &'static str {
+    /// Column `answer`. Echoes do not lower it: they are no sign of other settings.
+    fn answer(&self) -> &'static str {
         let is_sure = self.replies == self.requests && self.heard.garbage == 0 && self.heard.frames.is_empty();
         if is_sure { "sure" } else { "likely" }
     }
@@ -67,14 +67,14 @@ pub(super) fn print<'f>(
     frames: impl Iterator<Item = (Endpoint, &'f Frame)>,
     output: &Output,
 ) -> Result<(), Failure> {
-    let mut table = Rows::new(["link", "station", "confidence", "running", "model", "note"]);
+    let mut table = Rows::new(["link", "station", "answer", "running", "model", "note"]);
     let mut rows = Rows::new([
         "link",
         "baud",
         "frame",
         "framing",
         "station",
-        "confidence",
+        "answer",
         "requests",
         "replies",
         "running",
@@ -83,15 +83,15 @@ pub(super) fn print<'f>(
         "time_ms",
         "note",
     ]);
-    let mut push = |endpoint: &Endpoint, station: u8, confidence: &str, found: Option<&Found>, note: Option<String>| {
+    let mut push = |endpoint: &Endpoint, station: u8, answer: &str, found: Option<&Found>, note: Option<String>| {
         let running = found.and_then(|found| found.brief).map(|status| status.flags().running());
         let detailed = found.and_then(|found| found.detailed.as_ref());
         let main_unit = detailed.map(|status| status.main_unit().to_string());
         let os_version = detailed.map(|status| version(status.os_version()));
         let link = endpoint.to_string();
         if output.format == Format::Table {
-            let model = main_unit.zip(os_version).map(|(unit, version)| format!("{unit} OS {version}"));
-            table.push([link.into(), station.into(), confidence.into(), running.into(), model.into(), note.into()]);
+            let model = main_unit.zip(os_version).map(|(unit, version)| format!("{unit} {version}"));
+            table.push([link.into(), station.into(), answer.into(), running.into(), model.into(), note.into()]);
             return;
         }
         let serial = endpoint.transport().serial_settings();
@@ -101,7 +101,7 @@ pub(super) fn print<'f>(
             serial.map(|serial| format!("{}{}{}", serial.data_bits(), serial.parity(), serial.stop_bits())).into(),
             endpoint.framing().to_string().into(),
             station.into(),
-            confidence.into(),
+            answer.into(),
             found.map(|found| found.requests).into(),
             found.map(|found| found.replies).into(),
             running.into(),
@@ -112,14 +112,14 @@ pub(super) fn print<'f>(
         ]);
     };
     for found in all {
-        push(&found.endpoint, found.station, found.confidence(), Some(found), found.note());
+        push(&found.endpoint, found.station, found.answer(), Some(found), found.note());
     }
     if all.is_empty() {
         for (endpoint, frame) in frames {
             push(&endpoint, frame.station, "heard", None, Some(other_frame(frame)));
         }
     }
-    output.some_rows(if output.format == Format::Table { &table } else { &rows })
+    output.some_rows(&if output.format == Format::Table { table.without_empty("note") } else { rows })
 }
 
 #[cfg(test)]
@@ -144,14 +144,14 @@ mod tests {
     fn missing_replies_garbage_and_other_frames_lower_the_confidence() {
         let frame = Frame { station: 9, command: 0x99, data: Default::default() };
         let other = Heard { frames: vec![frame], ..Heard::default() };
-        for (found, confidence, note) in [
+        for (found, answer, note) in [
             (found(4, 4, Heard::default()), "sure", None),
             (found(4, 4, Heard { echoes: 4, ..Heard::default() }), "sure", Some("requests are echoed")),
             (found(4, 3, Heard::default()), "likely", Some("3 of 4 requests answered")),
             (found(4, 4, Heard { garbage: 2, ..Heard::default() }), "likely", Some("2 bytes that are no frame")),
             (found(4, 4, other), "likely", Some("a frame of station 9: command 99h")),
         ] {
-            assert_eq!((found.confidence(), found.note().as_deref()), (confidence, note));
+            assert_eq!((found.answer(), found.note().as_deref()), (answer, note));
         }
     }
 }

@@ -147,7 +147,7 @@ fn print(all: &Replies, output: &Output) -> Result<(), Failure> {
             ]);
         }
     }
-    output.some_rows(if output.format == Format::Table { &table } else { &rows })
+    output.some_rows(&if output.format == Format::Table { table.without_empty("note") } else { rows })
 }
 
 fn note(sender: SocketAddr, reply: &[u8], module: Option<&Module>) -> Option<String> {

@@ -131,7 +131,7 @@ pub(super) fn print(all: &BTreeMap<(SocketAddr, Kind), Vec<Found>>, output: &Out
         let os_version = detailed.map(|status| version(status.os_version()));
         let note = (!found.notes.is_empty()).then(|| found.notes.join("; "));
         if output.format == Format::Table {
-            let model = main_unit.zip(os_version).map(|(unit, version)| format!("{unit} OS {version}"));
+            let model = main_unit.zip(os_version).map(|(unit, version)| format!("{unit} {version}"));
             let answer = found.answer.as_str().into();
             table.push([
                 link.into(),
@@ -159,5 +159,5 @@ pub(super) fn print(all: &BTreeMap<(SocketAddr, Kind), Vec<Found>>, output: &Out
             ]);
         }
     }
-    output.some_rows(if output.format == Format::Table { &table } else { &rows })
+    output.some_rows(&if output.format == Format::Table { table.without_empty("note") } else { rows })
 }
