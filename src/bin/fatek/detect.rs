@@ -57,7 +57,7 @@ pub(crate) async fn detect(args: &DetectArgs, given: Option<Duration>, output: &
         several => format!("{several} settings"),
     };
     output.remark(format_args!(
-        "trying {settings} with stations {}: {}, up to {}",
+        "trying {settings} with {}: {}, up to {}",
         targets::numbers_text(&trials.stations),
         requests_text(trials.count()),
         seconds(trials.longest(timeout))

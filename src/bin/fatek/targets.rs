@@ -175,14 +175,15 @@ pub(crate) fn numbers(list: &str) -> Result<Vec<u8>, Failure> {
     Ok(all)
 }
 
-/// A list of stations as a text, with ranges: `1-4,9`.
+/// A list of stations as a text, with ranges: `stations 1-4,9`.
 pub(crate) fn numbers_text(numbers: &[u8]) -> String {
+    let noun = if numbers.len() == 1 { "station" } else { "stations" };
     let runs = numbers.chunk_by(|one, next| one.checked_add(1) == Some(*next));
     let run = |run: &[u8]| match run {
         [first, .., last] => format!("{first}-{last}"),
         others => others.iter().map(u8::to_string).collect(),
     };
-    runs.map(run).collect::<Vec<_>>().join(",")
+    format!("{noun} {}", runs.map(run).collect::<Vec<_>>().join(","))
 }
 
 #[cfg(test)]
@@ -194,8 +195,9 @@ mod tests {
         assert_eq!(numbers("1-4,9").unwrap(), [1, 2, 3, 4, 9]);
         assert_eq!(numbers("7, 1-2").unwrap(), [7, 1, 2]);
         assert_eq!(numbers("1-3,2-4,1").unwrap(), [1, 2, 3, 4], "each once");
-        for list in ["1-4,9", "7,1-2", "254", "1"] {
-            assert_eq!(numbers_text(&numbers(list).unwrap()), list);
+        for text in ["stations 1-4,9", "stations 7,1-2", "station 254"] {
+            let (_, list) = text.split_once(' ').unwrap();
+            assert_eq!(numbers_text(&numbers(list).unwrap()), text);
         }
         for text in ["", "0-3", "4-1", "1,,2", "255", "1-", "a-b", "1-2-3"] {
             assert!(numbers(text).is_err(), "{text}");

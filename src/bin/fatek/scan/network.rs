@@ -124,7 +124,7 @@ impl Plan {
         let ports: Vec<String> = self.ports.iter().map(|(kind, port)| format!("{} {port}", kind.as_str())).collect();
         let stations = crate::targets::numbers_text(&self.tcp.stations);
         let time = seconds(self.if_silent);
-        format!("{hosts}, {}, stations {stations}: up to {time} if none answers", ports.join(", "))
+        format!("{hosts}, {}, {stations}: up to {time} if none answers", ports.join(", "))
     }
 }
 
