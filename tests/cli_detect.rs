@@ -11,6 +11,7 @@ use std::io::{Read, Write};
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
+use std::time::Duration;
 
 use bytes::BytesMut;
 use fatek::command::{BriefStatus, DetailedStatus, ReadDetailedStatus, ReadStatus, encode_reply};
@@ -89,7 +90,7 @@ impl Wire {
         fatek(&[&["detect", &self.path, "--timeout", "1s"], args].concat())
     }
 
-    /// Command codes of the ASCII requests that were received.
+    /// All bytes that were received.
     fn received(&self) -> Vec<u8> {
         self.received.lock().unwrap().clone()
     }
@@ -266,19 +267,19 @@ fn invalid_arguments_send_nothing() {
 }
 
 #[test]
-fn a_signal_ends_it_with_what_was_heard() {
-    let wire = Wire::new(|_, _| b"\x55\xaa".to_vec());
+fn a_signal_ends_it_with_the_stations_so_far() {
+    let wire = Wire::with_plc(seen(9600, 'E'), Framing::Ascii, &[1]);
     let mut command = Command::new(FATEK);
-    command.args(["detect", &wire.path, "--timeout", "60s"]);
+    command.args(["detect", &wire.path, "--timeout", "60s", "--format", "csv"]);
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    while wire.received().is_empty() {
-        thread::yield_now();
+    // Station 2 is asked when station 1 has answered, and does not answer.
+    while !wire.received().windows(5).any(|bytes| bytes == b"\x020240") {
+        thread::sleep(Duration::from_millis(5));
     }
-    // The answer is on its way, or has come.
-    thread::sleep(std::time::Duration::from_millis(200));
     Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     let ended = child.wait_with_output().unwrap();
-    let stderr = String::from_utf8(ended.stderr).unwrap();
+    let (stdout, stderr) = (String::from_utf8(ended.stdout).unwrap(), String::from_utf8(ended.stderr).unwrap());
     assert_eq!(ended.status.code(), Some(130), "{stderr}");
+    assert!(stdout.contains(",9600,7E1,ascii,1,sure,4,4,true,MC,4.0,"), "{stdout}");
     assert!(stderr.ends_with("error: interrupted by SIGINT\n"), "{stderr}");
 }

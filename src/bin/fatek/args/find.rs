@@ -21,7 +21,8 @@ JSON: array of objects with port, driver, usb (numbers of vendor and product),
 manufacturer, product, serial, by_id (a name that stays the same), access and
 note; unknown values are null.")]
 pub(crate) struct PortsArgs {
-    /// Folder with the sys, dev and etc of the system to list
+    /// Folder with the sys, dev and etc of the system to list (Linux)
+    #[cfg_attr(not(target_os = "linux"), allow(dead_code, reason = "other systems have a library for it"))]
     #[arg(long, hide = true, default_value = "/", value_name = "FOLDER")]
     pub(crate) root: PathBuf,
 }
