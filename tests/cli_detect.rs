@@ -8,6 +8,7 @@ mod process;
 
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Write};
+use std::net::TcpListener;
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -240,12 +241,29 @@ fn framing_and_station_are_found_over_tcp() {
     assert!(refused.contains("no --baud or --frame"), "{refused}");
 }
 
+/// Also after a frame that it does not understand.
+#[test]
+fn a_device_that_closes_after_each_reply_is_detected() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("tcp://{}", listener.local_addr().unwrap());
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            let (mut stream, mut request) = (stream.unwrap(), [0; 64]);
+            let Ok(len @ 1..) = stream.read(&mut request) else { continue };
+            stream.write_all(&plc(&request[..len], Framing::Binary, &[1])).unwrap();
+        }
+    });
+    let found = fatek(&["detect", &url, "--timeout", "1s", "--stations", "1", "--format", "json"]);
+    let [row] = &rows(&found)[..] else { panic!("{found:?}") };
+    assert_eq!((&row["framing"], &row["answer"], &row["main_unit"]), (&"binary".into(), &"sure".into(), &"MC".into()));
+}
+
 #[test]
 fn a_port_that_cannot_be_opened_is_status_5() {
     let missing = fatek(&["detect", "/dev/fatek-missing"]);
     assert_eq!(missing.status, 5, "{missing:?}");
     assert!(missing.stderr.ends_with("; `fatek ports` lists the ports\n"), "{missing:?}");
-    let closed = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     assert_eq!(fatek(&["detect", &format!("tcp://{closed}")]).status, 5);
 }
 

@@ -1,10 +1,10 @@
 //! Subcommand `fatek detect SERIAL`: the settings of a line, by trying.
 //!
-//! [`trials`] has the settings and their order, [`hearing`] the conclusions from other traffic, [`found`]
-//! the results. Only the
-//! status (40) and the detailed status (53) are read. The port is opened anew for each setting, as the
-//! link does, so that drivers of RS-485 are switched as usual.
+//! [`trials`] has the settings and their order, [`connection`] the line, [`hearing`] the conclusions from
+//! other traffic, [`found`] the results. Only the status (40) and the detailed status (53) are read. The
+//! port is opened anew for each setting, as a link does, so that drivers of RS-485 are switched as usual.
 
+mod connection;
 mod found;
 mod hearing;
 pub(crate) mod trials;
@@ -18,13 +18,12 @@ use fatek::command::{ReadDetailedStatus, ReadStatus};
 use fatek::endpoint::Transport;
 use fatek::link::defaults;
 use fatek::wire::{Frame, Framing};
-use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::time::{sleep, timeout};
+use tokio::time::sleep;
 
+use self::connection::Connection;
 use self::found::Found;
-use self::trials::{SETTLE, Setting, Trials};
+use self::trials::{Setting, Trials};
 use crate::args::DetectArgs;
-use crate::enquiry::exchange::{Line, Stream, ask, listen};
 use crate::enquiry::{Heard, Reply};
 use crate::failure::Failure;
 use crate::hint;
@@ -115,8 +114,8 @@ impl Detection {
     async fn run(&mut self, trials: &Trials, progress: &StatusLine) {
         let (count, mut is_first) = (trials.count(), true);
         for (station, setting, left) in trials.iter(self.timeout) {
-            let mut line = match open(setting, self.timeout).await {
-                Ok(line) => Stream(line),
+            let mut line = match Connection::open(setting, self.timeout).await {
+                Ok(line) => line,
                 Err(error) => {
                     self.unopened.push((setting.clone(), error));
                     continue;
@@ -126,7 +125,7 @@ impl Detection {
             if std::mem::take(&mut is_first) && setting.serial().is_some() {
                 progress.show(format_args!("listening for another master"));
                 let framing = setting.framings.first().copied().unwrap_or(Framing::Ascii);
-                let heard = listen(&mut line, framing, LISTEN).await;
+                let heard = line.listen(framing, LISTEN).await;
                 self.keep(setting, framing, heard);
             }
             for &framing in &setting.framings {
@@ -151,14 +150,14 @@ impl Detection {
     /// Asks a station with a setting, several times if it answers. Returns whether it does.
     async fn station(
         &mut self,
-        line: &mut impl Line,
+        line: &mut Connection<'_>,
         setting: &Setting,
         framing: Framing,
         station: u8,
         progress: &StatusLine,
     ) -> bool {
         let wait = setting.wait(self.timeout);
-        let first = ask(line, ReadStatus, framing, station, wait).await;
+        let first = line.ask(ReadStatus, framing, station, wait).await;
         let Some((reply, time)) = first.reply else {
             self.keep(setting, framing, first.heard);
             return false;
@@ -171,7 +170,6 @@ impl Detection {
             Reply::Refused(code) => refused = Some(code),
         }
         let position = self.found.len();
-        let heard = first.heard;
         self.found.push(Found {
             endpoint,
             station,
@@ -181,17 +179,17 @@ impl Detection {
             detailed: None,
             refused,
             time,
-            heard,
+            heard: first.heard,
         });
         while let Some(found) = self.found.get_mut(position).filter(|found| found.requests < CONFIRMATIONS) {
             sleep(PAUSE).await;
             found.requests += 1;
-            let again = ask(line, ReadStatus, framing, station, wait).await;
+            let again = line.ask(ReadStatus, framing, station, wait).await;
             found.replies += u32::from(again.reply.is_some());
             found.heard.add(again.heard);
         }
         sleep(PAUSE).await;
-        let details = ask(line, ReadDetailedStatus, framing, station, setting.wait_for_details(self.timeout)).await;
+        let details = line.ask(ReadDetailedStatus, framing, station, setting.wait_for_details(self.timeout)).await;
         if let (Some(found), Some((Reply::Good(detailed), _))) = (self.found.get_mut(position), details.reply) {
             found.detailed = Some(detailed);
         }
@@ -266,26 +264,13 @@ impl Detection {
                 "nothing came: check power and cable, A and B, and that the port has the FATEK protocol".to_owned(),
             );
         }
-        hints.push("other stations (--stations 5-16) may answer".to_owned());
+        hints.push("other stations may answer, such as --stations 5-16".to_owned());
         if is_serial {
             hints.push("other speeds may, too: --baud 4800,76800,153600,230400,307200,614400,921600".to_owned());
         }
         hints.push("docs/CONNECT.md has more causes".to_owned());
         hints
     }
-}
-
-/// Opens the line with a setting.
-async fn open(setting: &Setting, within: Duration) -> io::Result<impl AsyncRead + AsyncWrite + Unpin + use<>> {
-    // The framing matters for UDP only, whose endpoint has no other settings.
-    let framing = setting.framings.first().copied().unwrap_or(Framing::Ascii);
-    let endpoint = setting.endpoint(framing);
-    let within = within.max(defaults::CONNECT_TIMEOUT);
-    let line = timeout(within, endpoint.open())
-        .await
-        .map_err(|_| io::Error::new(io::ErrorKind::TimedOut, format!("no connection within {}", seconds(within))))??;
-    sleep(SETTLE.max(endpoint.in_step().settle())).await;
-    Ok(line)
 }
 
 fn cannot_open(line: &Endpoint, error: io::Error) -> Failure {
