@@ -56,7 +56,8 @@ class Step:
     only: tuple = ()
 
 
-# {link}: the link; {file}: a folder for files; {plant}: a plant configuration with the PLC `mixer`.
+# {link}: the link; {line}: without framing, speed and frame; {port}: of TCP or UDP; {file}: a folder for files;
+# {plant}: a plant configuration with the PLC `mixer`.
 STEPS = [
     Step("status", [r"running +false", r"main_unit +MC"]),
     Step("write R0=5 R100:f32=21.5 M0-M2=1,0,1 R10-R12:text=hello", [r"^wrote R100:f32=21.5$"]),
@@ -88,6 +89,21 @@ STEPS = [
     Step("watch --plot R0 --interval 100ms", keys=[("min 5.0", "q")]),
     Step("scan 1-3 --timeout 150ms", [r"^STATION +ANSWER", r"^1 +ok"]),
     Step("scan 1-200 --timeout 300ms", [r"^1 +ok", r"interrupted by SIGINT"], status=130, keys=[("1 found", "C-c")]),
+    Step("scan --network 127.0.0.1 --{transport} {port} --stations 1-2 --timeout 300ms",
+         [r"^LINK +STATION +ANSWER", r"^(tcp|udp)://127\.0\.0\.1:\S+ +1 +ok", r"hint: to read more: fatek "],
+         only=("tcp",)),
+    Step("scan --network 127.0.0.1 --{transport} {port} --stations 1-2 --timeout 300ms",
+         [r"^LINK +STATION +ANSWER", r"^udp://127\.0\.0\.1:\S+ +1 +ok"], only=("udp",)),
+    Step("scan --network 127.0.1.0/24 --{transport} {port} --rate 20", [r"interrupted by SIGINT"], status=130,
+         keys=[(" of 254 hosts", "C-c")], only=("tcp",)),
+    Step("scan --discover --broadcast 127.0.0.1 --source-port 0 --timeout 300ms",
+         [r"unverified on hardware", r"^error: no module answered$"], status=4, only=("tcp", "ascii")),
+    Step("ports", [r"^(PORT +DRIVER|no serial ports)"], only=("tcp", "ascii")),
+    Step("detect {line} --stations 1-2 --timeout 300ms", [r"^LINK +STATION +ANSWER", r"^tcp:\S+ +1 +sure"],
+         only=("tcp",)),
+    Step("detect {line} --baud 9600,115200 --frame 7E1,8N1 --stations 1 --timeout 300ms",
+         # A pseudo-terminal has no speed: the first one with this framing is found.
+         [r"^trying 4 settings with station 1: 6 requests", r"^serial:\S+ +1 +sure"], only=("serial",)),
     Step("clock", [r"the PLC has no clock"], status=3),
     Step("probe", [r"^48 mixed read +supported"]),
     Step("program read {file}/p.program", [r"^error: .*binary"], status=2, only=("binary",)),
@@ -327,7 +343,9 @@ def main():
                         failed += [f"{name}: {fault}" for fault in requests_are_planned(environment)]
                     with Terminal(columns, rows, environment) as terminal:
                         for step in steps:
-                            arguments = step.command.format(link=link, file=folder, plant=plant)
+                            line = link.partition("?")[0]
+                            arguments = step.command.format(link=link, line=line, transport=transport,
+                                                            port=line.rpartition(":")[2], file=folder, plant=plant)
                             try:
                                 status, text, joined = terminal.run(step, f"{FATEK} {arguments}")
                                 faults = check(step, status, text, joined, columns)

@@ -138,21 +138,6 @@ impl Endpoint {
         self
     }
 
-    /// Opens a stream of bytes to the endpoint, without a [`Link`](crate::Link): for programs that pass
-    /// bytes on, such as proxies.
-    ///
-    /// Over UDP a frame that is written is a datagram, and so is a reply that is read; datagrams that
-    /// cannot be replies are dropped.
-    ///
-    /// Requires the I/O and the timer of the Tokio runtime.
-    ///
-    /// # Errors
-    /// The connection or the port cannot be opened; `Unsupported` for a serial port without the feature
-    /// `serial`.
-    pub async fn open(&self) -> io::Result<EndpointStream> {
-        self.transport.open(self.framing, true, 0).await.map(EndpointStream::new)
-    }
-
     /// The transport, with its address.
     #[must_use]
     pub fn transport(&self) -> &Transport {
@@ -169,6 +154,41 @@ impl Endpoint {
     #[must_use]
     pub fn in_step(&self) -> InStepSettings {
         self.in_step
+    }
+
+    /// Opens a connection as a plain stream, for the codecs of [`wire`](crate::wire) without a
+    /// [`Link`](crate::Link).
+    ///
+    /// Opens the host or the port as a link does, with the settings of this endpoint, but checks
+    /// nothing: frames can be late, doubled, or echoes. Over UDP each write is one datagram, and the
+    /// reads after it return only datagrams that answer it.
+    ///
+    /// ```
+    /// use fatek::command::ReadStatus;
+    /// use fatek::sim::Plc;
+    /// use fatek::wire::{Codec, Frame, Framing, Received, Side};
+    /// use futures::{SinkExt, StreamExt};
+    /// use tokio_util::codec::Framed;
+    ///
+    /// # #[tokio::main(flavor = "current_thread")]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// let plc = Plc::new().serve("127.0.0.1:0").await?;
+    /// let codec = Codec::new(Framing::Ascii, Side::Client);
+    /// let mut line = Framed::new(plc.endpoint().open().await?, codec);
+    /// line.send(Frame::request(1, &ReadStatus, Framing::Ascii)?).await?;
+    /// let Some(Received::Frame(reply)) = line.next().await.transpose()? else { panic!("no frame") };
+    /// assert!(!reply.decode_reply(&ReadStatus, Framing::Ascii)?.flags().running());
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// Cancel-safe: a connection that is open by then is closed.
+    ///
+    /// # Errors
+    /// Those of the operating system; of a serial port also without the feature `serial`. There is no
+    /// timeout: one of TCP takes minutes, so set your own.
+    pub async fn open(&self) -> io::Result<EndpointStream> {
+        self.transport.open(self.framing, true, 0).await.map(EndpointStream::new)
     }
 }
 

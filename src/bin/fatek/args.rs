@@ -3,10 +3,12 @@
 mod backup;
 mod data;
 mod decode;
+mod find;
 mod line;
 mod model;
 mod program;
 mod record;
+mod scan;
 mod sections;
 mod shell;
 mod sim;
@@ -22,10 +24,12 @@ use clap_complete::ArgValueCompleter;
 pub(crate) use self::backup::{BackupArgs, RestoreArgs, SpecialArg};
 pub(crate) use self::data::{DiscreteArgs, ForcedArgs, PlanArgs, ReadArgs, WriteArgs};
 pub(crate) use self::decode::DecodeArgs;
-pub(crate) use self::line::{ClockArgs, PingArgs, ProbeArgs, ScanArgs};
+pub(crate) use self::find::{DetectArgs, PortsArgs};
+pub(crate) use self::line::{ClockArgs, PingArgs, ProbeArgs};
 pub(crate) use self::model::ModelArgs;
 pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
 pub(crate) use self::record::{RecordArgs, ReplayArgs, TimingArg, WritesArg};
+pub(crate) use self::scan::{DiscoverArgs, ScanArgs};
 pub(crate) use self::sections::with_sections;
 pub(crate) use self::shell::{CompletionsArgs, ManArgs};
 pub(crate) use self::sim::SimArgs;
@@ -88,7 +92,7 @@ Exit status:
   1  file or output error, or no confirmation
   2  usage error: nothing was sent
   3  error code from the PLC; read and backup: also for a part
-  4  timeout: no reply; scan: from no station
+  4  timeout: no reply; scan and detect: from no station
   5  no connection
   6  bad reply; scan: also from one station of several; decode: bad frame
   7  file damaged or of another PLC, or contents, values or replies differ
@@ -107,6 +111,8 @@ Examples:
   fatek program read pump.program
   fatek backup plant.backup R0-R3839 M0-M1911
   fatek scan 1-16
+  fatek scan --network 192.168.1.0/24
+  fatek detect /dev/ttyUSB0
   fatek plan R0-R9 R900 --baud 9600
   fatek decode 02 30 31 34 36 30 33 52 30 30 30 31 32 37 35 03
   fatek record --listen tcp://127.0.0.1:5000 mixer.recording
@@ -236,6 +242,8 @@ pub(crate) enum Command {
     Watch(WatchArgs),
     Top(TopArgs),
     Scan(ScanArgs),
+    Ports(PortsArgs),
+    Detect(DetectArgs),
     Plan(PlanArgs),
     /// Upload, download and verify the user program of a PLC
     #[command(subcommand)]
@@ -316,10 +324,18 @@ mod tests {
         let scan = command.find_subcommand("scan").expect("the subcommand");
         let seconds = (scan::DEFAULT_TIMEOUT * 254).as_secs_f64().ceil();
         let expected = format!(
-            "The default of --timeout is {}: all 254 stations take up to {seconds} s.",
+            "A line: the default of --timeout is {}: all 254 stations take up to {seconds} s.",
             humantime::format_duration(scan::DEFAULT_TIMEOUT)
         );
         let text = scan.get_after_help().expect("examples").to_string();
+        assert!(text.contains(&expected), "{text} should say: {expected}");
+        let expected = format!(
+            "Networks: the default of --timeout is {}, of a connection {}s, and stations\n{} to {} are asked.",
+            humantime::format_duration(scan::network::DEFAULT_TIMEOUT),
+            scan::network::MIN_CONNECT_TIMEOUT.as_secs_f64(),
+            scan::network::DEFAULT_STATIONS.start(),
+            scan::network::DEFAULT_STATIONS.end(),
+        );
         assert!(text.contains(&expected), "{text} should say: {expected}");
     }
 

@@ -43,6 +43,34 @@ pub(crate) enum Failure {
         if *scanned == 1 { "the station did not answer".into() } else { format!("none of {scanned} stations answered") }
     )]
     NoStation { scanned: usize },
+    /// No station of the scanned networks answered. `failure`: what kept this computer from trying some.
+    #[error(
+        "no station answered on {hosts} host{}{}",
+        if *hosts == 1 { "" } else { "s" },
+        failure.as_ref().map_or(String::new(), |failure| format!("; not all could be tried: {failure}"))
+    )]
+    NoPlc { hosts: u128, failure: Option<String> },
+    /// The address of a host name is not known.
+    #[error("the address of {} is not known: {error}", excerpt(host))]
+    Host { host: String, error: io::Error },
+    /// The broadcast for modules cannot be sent, or its replies cannot be received.
+    #[error("cannot discover modules: {subject}: {error}")]
+    Discover { subject: String, error: io::Error },
+    /// No module answered the broadcast.
+    #[error("no module answered")]
+    NoModule,
+    /// Replies to the broadcast in an unknown form only.
+    #[error("replies of unknown form: {unknown}")]
+    UnknownReplies { unknown: usize },
+    /// A port or host cannot be opened.
+    #[error("cannot open {}: {error}{hint}", excerpt(link))]
+    Open { link: String, error: io::Error, hint: String },
+    /// The serial ports of this computer cannot be listed.
+    #[error("cannot list the serial ports: {0}")]
+    Ports(io::Error),
+    /// No settings were found for a line.
+    #[error("no answer to {}", crate::detect::requests_text(*tried))]
+    NotDetected { tried: usize },
     /// Stations with bad or late replies.
     #[error("stations with bad replies: {bad}")]
     BadStations { bad: usize },
@@ -158,6 +186,8 @@ impl Failure {
             }
             Self::Differs { .. } | Self::NotAsWritten { .. } | Self::Listen { .. } | Self::Log { .. } => None,
             Self::ManPages { .. } | Self::Traffic(_) | Self::Output(_) | Self::Runtime(_) => None,
+            Self::NoPlc { .. } | Self::Host { .. } | Self::Discover { .. } | Self::NoModule => None,
+            Self::UnknownReplies { .. } | Self::Open { .. } | Self::Ports(_) | Self::NotDetected { .. } => None,
         }
     }
 
@@ -171,6 +201,7 @@ impl Failure {
         match self {
             Self::Output(_) | Self::Log { .. } | Self::ManPages { .. } | Self::Runtime(_) | Self::Declined => 1,
             Self::Traffic(failure) => failure.exit_status(),
+            Self::Ports(_) => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) | Self::Table(_) | Self::Plant(_) => 2,
@@ -183,9 +214,12 @@ impl Failure {
             Self::Restore(error) => error.source.call_error().map_or(7, of_call),
             Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } | Self::OtherPlc(_) => 7,
             Self::NotAsWritten { .. } => 7,
-            Self::Lost { .. } | Self::NoStation { .. } => 4,
-            Self::Listen { .. } => 5,
+            Self::Lost { .. } | Self::NoStation { .. } | Self::NoModule | Self::NotDetected { .. } => 4,
+            Self::NoPlc { failure: None, .. } => 4,
+            Self::NoPlc { failure: Some(_), .. } => 5,
+            Self::Listen { .. } | Self::Host { .. } | Self::Discover { .. } | Self::Open { .. } => 5,
             Self::BadReplies { .. } | Self::BadStations { .. } | Self::BadFrames { .. } => 6,
+            Self::UnknownReplies { .. } => 6,
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use fatek::element::Width;
 use fatek::tag::{Tag, TagType};
-use fatek::{Error, Seen};
+use fatek::{Endpoint, Error, Seen};
 
 use crate::failure::Failure;
 
@@ -44,6 +44,8 @@ fn unanswered(error: &Error) -> Vec<String> {
         *seen
     } else if let Error::Offline { .. } = error {
         Seen::default()
+    } else if let Error::Connect { endpoint, .. } = error {
+        return vec![unconnected(endpoint).to_owned()];
     } else {
         return Vec::new();
     };
@@ -59,14 +61,33 @@ fn unanswered(error: &Error) -> Vec<String> {
     }
     if seen.garbage > 0 || seen.half_frame {
         hints.push("bytes came that are no frame: try the other framing (?framing=binary or ascii)".to_owned());
-        hints.push("on a serial line, try another speed and frame (?baud=19200&frame=8N1)".to_owned());
+        hints.push("on a serial line, `fatek detect PORT` tries speeds and frames".to_owned());
     }
     if seen.is_nothing() {
         hints.push("nothing came: `fatek scan` finds the stations of a link".to_owned());
-        hints.push("try the other framing (?framing=binary or ascii); on a serial line, ?baud= and ?frame=".to_owned());
+        hints
+            .push("try the other framing (?framing=binary or ascii); on a serial line, `fatek detect PORT`".to_owned());
     }
     hints.push("docs/CONNECT.md has more causes".to_owned());
     hints
+}
+
+/// The next thing to try for an endpoint without a connection.
+fn unconnected(endpoint: &str) -> &'static str {
+    if endpoint.starts_with("serial:") {
+        "`fatek ports` lists the serial ports"
+    } else {
+        "`fatek scan --network 192.168.2.0/24` finds the PLCs of a network"
+    }
+}
+
+/// A command for a station of a link, to be pasted into a shell.
+pub(crate) fn command(endpoint: &Endpoint, station: u8, command: &str) -> String {
+    let link = endpoint.to_string();
+    // Of the characters that the URL of an endpoint can have, a shell takes some for its own.
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "/:._-".contains(c);
+    let link = if link.chars().all(is_plain) { link } else { format!("'{}'", link.replace('\'', r"'\''")) };
+    format!("fatek --link {link} --station {station} {command}")
 }
 
 /// The assignment with a type that takes these values, if the default type of the elements does not.
@@ -92,6 +113,26 @@ pub(crate) fn with_other_type(tag: &Tag, elements: &str, values: &str) -> Option
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_command_can_be_pasted_into_a_shell() {
+        for (link, shown) in [
+            ("tcp://10.0.0.1", "tcp://10.0.0.1:500"),
+            ("tcp://[::1]:500", "'tcp://[::1]:500'"),
+            ("tcp://10.0.0.1:5000?framing=binary", "'tcp://10.0.0.1:5000?framing=binary'"),
+            ("serial:/dev/a b;$x", "'serial:/dev/a b;$x'"),
+            ("serial:/dev/it's", r"'serial:/dev/it'\''s'"),
+        ] {
+            let endpoint: Endpoint = link.parse().unwrap();
+            assert_eq!(command(&endpoint, 7, "status"), format!("fatek --link {shown} --station 7 status"));
+        }
+    }
+
+    #[test]
+    fn an_endpoint_without_a_connection_has_a_hint_of_its_own() {
+        assert!(unconnected("serial:/dev/ttyUSB0").contains("fatek ports"));
+        assert!(unconnected("tcp://10.0.0.1:500").contains("fatek scan --network"));
+    }
 
     #[test]
     fn another_type_is_suggested_if_it_takes_the_values() {

@@ -9,7 +9,9 @@ mod connect;
 mod control;
 mod conversation;
 mod decode;
+mod detect;
 mod duration;
+mod enquiry;
 mod failure;
 mod forced;
 mod hint;
@@ -19,6 +21,7 @@ mod output;
 mod ping;
 mod plan;
 mod plot;
+mod ports;
 #[path = "../../printable.rs"]
 mod printable;
 mod probe;
@@ -153,15 +156,21 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Failure::Runtime)?;
     let timeout = cli.common.timeout;
     let chosen = cli.plant.load()?;
-    let is_alone = matches!(
-        &cli.command,
-        Command::Sim(_)
-            | Command::Decode(_)
-            | Command::Completions(_)
-            | Command::Man(_)
-            | Command::Program(ProgramCommand::Info(_))
-            | Command::Replay(ReplayArgs { listen: Some(_), .. })
-    );
+    let is_alone = if let Command::Scan(args) = &cli.command {
+        args.discovery.discover || !args.network.hosts.is_empty()
+    } else {
+        matches!(
+            &cli.command,
+            Command::Sim(_)
+                | Command::Decode(_)
+                | Command::Completions(_)
+                | Command::Man(_)
+                | Command::Program(ProgramCommand::Info(_))
+                | Command::Ports(_)
+                | Command::Detect(_)
+                | Command::Replay(ReplayArgs { listen: Some(_), .. })
+        )
+    };
     if is_alone && !chosen.is_empty() {
         return Err(Failure::Usage("this command takes no PLC".to_owned()));
     }
@@ -195,7 +204,13 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 let station = station(&args.plc)?.with_options(connect::options(timeout).with_retries(0));
                 ping::ping(&station, args, output).await
             }
+            Command::Scan(args) if args.discovery.discover => {
+                scan::discover::discover(&args.discovery, timeout, output).await
+            }
+            Command::Scan(args) if !args.network.hosts.is_empty() => scan::network::scan(args, timeout, output).await,
             Command::Scan(args) => scan::scan(endpoint(&args.link)?, args, timeout, output).await,
+            Command::Ports(args) => ports::ports(args, output),
+            Command::Detect(args) => detect::detect(args, timeout, output).await,
             Command::Plan(args) => plan::plan(&chosen.plc(cli.plc.of_plan(args))?, args, chosen.one()?, output),
             Command::Top(args) => top::top(&targets(&args.plc, false)?, args, output).await,
             Command::Watch(args) => watch::watch(&targets(&args.plc, false)?, args, output).await,

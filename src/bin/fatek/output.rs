@@ -66,6 +66,11 @@ impl Output {
         }
     }
 
+    /// Prints rows, and nothing in place of an empty table.
+    pub(crate) fn some_rows(&self, rows: &Rows) -> Result<(), Failure> {
+        if rows.is_empty() && !self.is_for_programs() { Ok(()) } else { self.rows(rows) }
+    }
+
     /// Prints one JSON document.
     pub(crate) fn json(&self, document: &Value) -> Result<(), Failure> {
         print(format_args!("{}", ascii_controls(&format!("{document:#}"))))
@@ -227,6 +232,18 @@ impl Rows {
         self.rows.is_empty()
     }
 
+    /// Leaves out a column that is empty in all rows.
+    pub(crate) fn without_empty(mut self, column: &str) -> Self {
+        let position = self.columns.iter().position(|name| *name == column);
+        let is_empty =
+            |position: usize| self.rows.iter().all(|row| row.get(position).is_none_or(|cell| cell.text.is_empty()));
+        if let Some(position) = position.filter(|position| is_empty(*position)) {
+            self.columns.remove(position);
+            self.rows.iter_mut().for_each(|row| drop(row.remove(position)));
+        }
+        self
+    }
+
     pub(crate) fn push<const N: usize>(&mut self, row: [Cell; N]) {
         debug_assert_eq!(N, self.columns.len());
         self.rows.push(row.into());
@@ -355,6 +372,16 @@ mod tests {
         rows.push(["R10".into(), "long text".into()]);
         assert_eq!(rows.table(), "TAG  VALUE\nR0   5\nR10  long text");
         assert_eq!(rows.json().to_string(), r#"[{"tag":"R0","value":5},{"tag":"R10","value":"long text"}]"#);
+    }
+
+    #[test]
+    fn a_column_without_texts_is_left_out() {
+        let mut rows = Rows::new(["tag", "value", "note"]);
+        rows.push(["R0".into(), 5_u32.into(), None::<String>.into()]);
+        assert_eq!(rows.without_empty("note").table(), "TAG  VALUE\nR0   5");
+        let mut rows = Rows::new(["tag", "value", "note"]);
+        rows.push(["R0".into(), 5_u32.into(), "stale".into()]);
+        assert_eq!(rows.without_empty("note").without_empty("other").table(), "TAG  VALUE  NOTE\nR0   5      stale");
     }
 
     #[test]

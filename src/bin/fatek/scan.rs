@@ -1,7 +1,14 @@
-//! Subcommand `fatek scan [FROM-TO]`.
+//! Subcommand `fatek scan [FROM-TO]`: the stations of one line. Of networks: [`network`]; by a
+//! broadcast: [`discover`].
 //!
 //! Reads the status (40) of each station. A loop-back would not do: on a line with echo, the echo
 //! looks like its reply.
+
+pub(crate) mod discover;
+pub(crate) mod hosts;
+pub(crate) mod network;
+mod pace;
+mod trial;
 
 use std::time::Duration;
 
@@ -30,20 +37,21 @@ pub(crate) async fn scan(
 ) -> Result<(), Failure> {
     let response = timeout.unwrap_or(DEFAULT_TIMEOUT);
     // 5 s for the connection on the slowest line; each attempt may have a loop-back before it.
-    let call_timeout = Duration::from_secs(5).saturating_add(response.saturating_mul(2 * (args.retries + 1)));
+    let (numbers, retries) = (args.numbers(1..=254)?, args.retries.unwrap_or(0));
+    let call_timeout = Duration::from_secs(5).saturating_add(response.saturating_mul(2 * (retries + 1)));
     let options =
-        CallOptions::new().with_response_timeout(response).with_retries(args.retries).with_call_timeout(call_timeout);
+        CallOptions::new().with_response_timeout(response).with_retries(retries).with_call_timeout(call_timeout);
     // A short response timeout must not shorten the connection timeout.
     let link = connect::link(endpoint, options, timeout.filter(|timeout| *timeout > MIN_CONNECT_TIMEOUT));
     let mut found: Vec<Found> = Vec::new();
-    let scanned = unless_signalled(scan_all(&link, args, output, &mut found)).await?;
+    let scanned = unless_signalled(scan_all(&link, &numbers, output, &mut found)).await?;
     let scanned = scanned.unwrap_or_else(|signal| Err(Failure::interrupted("")(signal)));
     if scanned.is_ok() {
         // For late and duplicate replies of the last stations.
         tokio::time::sleep(response).await;
     }
-    for number in args.stations.first..=args.stations.last {
-        note_strays(&link.station(number).map_err(Failure::usage)?, &mut found);
+    for number in &numbers {
+        note_strays(&link.station(*number).map_err(Failure::usage)?, &mut found);
     }
     print(&found, output)?;
     let scanned = scanned?;
@@ -57,17 +65,17 @@ pub(crate) async fn scan(
 }
 
 /// Scans all stations in turn and returns their number. An error of the link ends the scan.
-async fn scan_all(link: &Link, args: &ScanArgs, output: &Output, found: &mut Vec<Found>) -> Result<usize, Failure> {
-    let (first, last) = (args.stations.first, args.stations.last);
+async fn scan_all(link: &Link, numbers: &[u8], output: &Output, found: &mut Vec<Found>) -> Result<usize, Failure> {
     let progress = StatusLine::new(output);
-    for number in first..=last {
-        progress.show(format_args!("station {number} of {first} to {last}, {} found", found.len()));
+    let last = numbers.last().copied().unwrap_or_default();
+    for &number in numbers {
+        progress.show(format_args!("station {number} of {} to {last}, {} found", numbers[0], found.len()));
         if let Some(one) = scan_station(link, &link.station(number).map_err(Failure::usage)?).await? {
             progress.event(format_args!("station {number}: {}", one.verdict.as_str()));
             found.push(one);
         }
     }
-    Ok(usize::from(last - first) + 1)
+    Ok(numbers.len())
 }
 
 /// Station that has sent at least one frame.

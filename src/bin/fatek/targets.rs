@@ -140,9 +140,6 @@ fn of_options(options: &Plc, timeout: Option<Duration>, once: bool) -> Result<Ve
     let link = link(endpoint, timeout, numbers.len(), once);
     let mut targets: Vec<Target> = Vec::new();
     for number in numbers {
-        if targets.iter().any(|target| target.station.number() == number) {
-            continue;
-        }
         let station = connect::with_capabilities(link.station(number).map_err(Failure::usage)?, options)?;
         targets.push(Target { label: number.to_string(), station, url: url.clone(), plc: None });
     }
@@ -158,8 +155,8 @@ fn link(endpoint: Endpoint, timeout: Option<Duration>, stations: usize, once: bo
     }
 }
 
-/// The numbers of a list of stations and ranges.
-fn numbers(list: &str) -> Result<Vec<u8>, Failure> {
+/// The numbers of a list of stations and ranges, each once.
+pub(crate) fn numbers(list: &str) -> Result<Vec<u8>, Failure> {
     let fault = || {
         let rule = "stations are numbers from 1 to 254 and ranges, such as 1-4,9";
         Failure::Usage(format!("`{}` is not a list of stations: {rule}", excerpt(list)))
@@ -169,9 +166,24 @@ fn numbers(list: &str) -> Result<Vec<u8>, Failure> {
     for part in list.split(',') {
         let (first, last) = part.split_once('-').unwrap_or((part, part));
         let (first, last) = number(first).zip(number(last)).filter(|(first, last)| first <= last).ok_or_else(fault)?;
-        all.extend(first..=last);
+        for number in first..=last {
+            if !all.contains(&number) {
+                all.push(number);
+            }
+        }
     }
     Ok(all)
+}
+
+/// A list of stations as a text, with ranges: `stations 1-4,9`.
+pub(crate) fn numbers_text(numbers: &[u8]) -> String {
+    let noun = if numbers.len() == 1 { "station" } else { "stations" };
+    let runs = numbers.chunk_by(|one, next| one.checked_add(1) == Some(*next));
+    let run = |run: &[u8]| match run {
+        [first, .., last] => format!("{first}-{last}"),
+        others => others.iter().map(u8::to_string).collect(),
+    };
+    format!("{noun} {}", runs.map(run).collect::<Vec<_>>().join(","))
 }
 
 #[cfg(test)]
@@ -182,6 +194,11 @@ mod tests {
     fn lists_of_stations_have_numbers_and_ranges() {
         assert_eq!(numbers("1-4,9").unwrap(), [1, 2, 3, 4, 9]);
         assert_eq!(numbers("7, 1-2").unwrap(), [7, 1, 2]);
+        assert_eq!(numbers("1-3,2-4,1").unwrap(), [1, 2, 3, 4], "each once");
+        for text in ["stations 1-4,9", "stations 7,1-2", "station 254"] {
+            let (_, list) = text.split_once(' ').unwrap();
+            assert_eq!(numbers_text(&numbers(list).unwrap()), text);
+        }
         for text in ["", "0-3", "4-1", "1,,2", "255", "1-", "a-b", "1-2-3"] {
             assert!(numbers(text).is_err(), "{text}");
         }

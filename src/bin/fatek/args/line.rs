@@ -1,11 +1,10 @@
-//! Arguments of `fatek ping` and `fatek scan`.
+//! Arguments of `fatek ping`, `fatek clock` and `fatek probe`.
 
-use std::str::FromStr;
 use std::time::Duration;
 
 use clap::Args;
 
-use super::{LinkArgs, Plc};
+use super::Plc;
 use crate::duration;
 
 /// Measure the round trip with loop-back requests
@@ -25,62 +24,6 @@ pub(crate) struct PingArgs {
     pub(crate) size: u16,
     #[command(flatten)]
     pub(crate) plc: Plc,
-}
-
-/// Scan a line for stations
-///
-/// Reads the status of each station in turn, and the detailed status of each station that answers.
-/// All unexpected traffic is reported: bad replies, garbage, late and duplicate frames. Exit status
-/// 0 if stations answer and all replies are good, 4 if no station answers, 6 if a reply is bad, as
-/// with two stations of one number.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:
-  fatek scan --link tcp://192.168.2.3
-  fatek scan 1-16 --timeout 1s --retries 2
-  fatek scan --link 'serial:/dev/ttyUSB0?baud=19200'
-
-The default of --timeout is 200ms: all 254 stations take up to 51 s.
-
-Column answer:
-  ok       good replies
-  refused  error code, such as for a command unknown to the station
-  bad      no good reply, or other frames or garbage besides
-  late     reply after the timeout: increase --timeout
-
-JSON: array of objects with station, answer, running, main_unit, os_version,
-time_ms and note; unknown values are null.")]
-pub(crate) struct ScanArgs {
-    /// Station range, both ends included, or one station; 1 to 254
-    #[arg(default_value = "1-254", value_name = "FROM-TO")]
-    pub(crate) stations: Stations,
-    /// Retries after no reply or a bad reply, 0 to 10
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=10), value_name = "N")]
-    pub(crate) retries: u32,
-    #[command(flatten)]
-    pub(crate) link: LinkArgs,
-}
-
-/// Range of station numbers, both ends included.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Stations {
-    pub(crate) first: u8,
-    pub(crate) last: u8,
-}
-
-impl FromStr for Stations {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let number = |text: &str| {
-            let digits = !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
-            text.parse().ok().filter(|number| digits && (1..=254).contains(number))
-        };
-        let (first, last) = text.split_once('-').unwrap_or((text, text));
-        match (number(first), number(last)) {
-            (Some(first), Some(last)) if first <= last => Ok(Self { first, last }),
-            _ => Err("expected a station or a range of stations from 1 to 254, such as 5 or 1-16".to_owned()),
-        }
-    }
 }
 
 /// Print or set the clock of the PLC

@@ -1,0 +1,100 @@
+//! A line that is opened with a setting, and again if the other end has closed it: some devices close a
+//! connection after each reply, or after a frame of the other framing.
+
+use std::io;
+use std::time::Duration;
+
+use fatek::command::Command;
+use fatek::link::defaults;
+use fatek::wire::Framing;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::time::{sleep, timeout};
+
+use super::seconds;
+use super::trials::{SETTLE, Setting};
+use crate::enquiry::Heard;
+use crate::enquiry::exchange::{Outcome, Stream, ask, listen};
+
+trait Io: AsyncRead + AsyncWrite + Unpin {}
+impl<T: AsyncRead + AsyncWrite + Unpin> Io for T {}
+
+pub(super) struct Connection<'s> {
+    setting: &'s Setting,
+    timeout: Duration,
+    /// `None` after the other end has closed it.
+    line: Option<Stream<Box<dyn Io>>>,
+    /// A reply has come since it was opened.
+    has_answered: bool,
+}
+
+impl<'s> Connection<'s> {
+    pub(super) async fn open(setting: &'s Setting, timeout: Duration) -> io::Result<Self> {
+        let line = Some(Stream(open(setting, timeout).await?));
+        Ok(Self { setting, timeout, line, has_answered: false })
+    }
+
+    /// Listens to traffic without a request.
+    pub(super) async fn listen(&mut self, framing: Framing, time: Duration) -> Heard {
+        match &mut self.line {
+            Some(line) => listen(line, framing, time).await,
+            None => Heard::default(),
+        }
+    }
+
+    /// Sends a request and waits for its reply. A request on a connection that ends after a reply is sent
+    /// once more on a new one.
+    pub(super) async fn ask<C: Command + Copy>(
+        &mut self,
+        command: C,
+        framing: Framing,
+        station: u8,
+        within: Duration,
+    ) -> Outcome<C::Reply> {
+        let had_answered = self.has_answered;
+        let mut outcome = self.ask_once(command, framing, station, within).await;
+        if had_answered && outcome.reply.is_none() && outcome.lost.is_some() {
+            let again = self.ask_once(command, framing, station, within).await;
+            outcome.heard.add(again.heard);
+            (outcome.reply, outcome.lost) = (again.reply, again.lost);
+        }
+        outcome
+    }
+
+    async fn ask_once<C: Command>(
+        &mut self,
+        command: C,
+        framing: Framing,
+        station: u8,
+        within: Duration,
+    ) -> Outcome<C::Reply> {
+        if self.line.is_none() {
+            self.has_answered = false;
+            match open(self.setting, self.timeout).await {
+                Ok(line) => self.line = Some(Stream(line)),
+                Err(error) => return Outcome { reply: None, heard: Heard::default(), lost: Some(error) },
+            }
+        }
+        let Some(line) = &mut self.line else {
+            return Outcome { reply: None, heard: Heard::default(), lost: None };
+        };
+        let outcome = ask(line, command, framing, station, within).await;
+        self.has_answered |= outcome.reply.is_some();
+        if outcome.lost.is_some() {
+            self.line = None;
+        }
+        outcome
+    }
+}
+
+/// Opens the line with a setting.
+async fn open(setting: &Setting, within: Duration) -> io::Result<Box<dyn Io>> {
+    // The framing matters for UDP only, whose endpoint has no other settings.
+    let framing = setting.framings.first().copied().unwrap_or(Framing::Ascii);
+    let endpoint = setting.endpoint(framing);
+    let within = within.max(defaults::CONNECT_TIMEOUT);
+    let line = timeout(within, endpoint.open())
+        .await
+        .map_err(|_| io::Error::new(io::ErrorKind::TimedOut, format!("no connection within {}", seconds(within))))??;
+    sleep(SETTLE.max(endpoint.in_step().settle())).await;
+    Ok(Box::new(line))
+}
