@@ -99,6 +99,9 @@ pub(crate) enum Failure {
     /// The man pages cannot be written.
     #[error("man pages in {}: {error}", shown(folder))]
     ManPages { folder: PathBuf, error: io::Error },
+    /// The plant configuration of a simulator cannot be read, or its copy cannot be written.
+    #[error("{}: {error}", shown(path))]
+    ClientConfig { path: PathBuf, error: io::Error },
     /// Stdout cannot be written.
     #[error("cannot write to stdout: {0}")]
     Output(io::Error),
@@ -150,7 +153,7 @@ impl Failure {
                 None
             }
             Self::Differs { .. } | Self::NotAsWritten { .. } | Self::Listen { .. } | Self::Log { .. } => None,
-            Self::ManPages { .. } | Self::Output(_) | Self::Runtime(_) => None,
+            Self::ManPages { .. } | Self::ClientConfig { .. } | Self::Output(_) | Self::Runtime(_) => None,
         }
     }
 
@@ -163,6 +166,7 @@ impl Failure {
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
             Self::Output(_) | Self::Log { .. } | Self::ManPages { .. } | Self::Runtime(_) | Self::Declined => 1,
+            Self::ClientConfig { .. } => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) | Self::Table(_) | Self::Plant(_) => 2,
