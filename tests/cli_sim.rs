@@ -312,6 +312,26 @@ fn a_plant_is_simulated_and_watched_with_two_commands() {
 }
 
 #[test]
+fn a_plant_has_memory_and_ports_of_options() {
+    let (folder, path, copy) = plant("sim-memory");
+    let backup = folder.file("plc.backup");
+    Sim::start(&["--set", "R5=407", "R9=3"]).fatek(&["backup", &backup, "R0-R9"]).ok();
+    // The memory of one PLC, also if it shares its line with another; settings come behind it.
+    let args = ["sim", "--config", &path, "--client-config", &copy, "--memory", &format!("pump2={backup}")];
+    let _sim = Running::start(&args, 3);
+    let read = |plc: &str, tag: &str| {
+        let csv = fatek(&["--config", &copy, plc, "read", tag, "--format", "csv"]).ok();
+        csv.trim_end().rsplit(',').next().unwrap().to_owned()
+    };
+    assert_eq!((read("@pump2", "level"), read("@pump2", "R9")), ("0.7".to_owned(), "3".to_owned()));
+    assert_eq!((read("@pump1", "level"), read("@mixer", "level")), ("-40.0".to_owned(), "-40.0".to_owned()));
+    assert_eq!((read("@pump2", "alarm"), read("@boiler", "alarm")), ("1".to_owned(), "1".to_owned()));
+    // A copy can be replaced, and be simulated itself.
+    let again = Running::start(&["sim", "--config", &copy, "--client-config", &copy], 3);
+    assert!(again.lines[0].contains(" for tcp://127.0.0.1:"), "{:?}", again.lines);
+}
+
+#[test]
 fn a_part_of_a_plant_is_simulated_on_given_ports() {
     let (_folder, path, copy) = plant("sim-part");
     let sim = Running::start(&["--config", &path, "@pump2", "sim"], 1);

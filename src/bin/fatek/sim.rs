@@ -13,7 +13,7 @@ use fatek::sim::{Bus, FaultRate, Faults, Line};
 use futures::future::join_all;
 
 use self::place::{Listening, Place, host_and_port};
-use self::setup::{SimPlc, faults_of};
+use self::setup::{Setup, SimPlc};
 use crate::args::SimArgs;
 use crate::failure::Failure;
 use crate::output::{Output, print};
@@ -80,8 +80,8 @@ fn bus_of_options(args: &SimArgs) -> Result<SimBus, Failure> {
     if plcs.is_empty() {
         plcs.push(SimPlc::of_station(setup::station_of_memory(args)?.unwrap_or(1)));
     }
-    setup::check(args, &plcs, &[])?;
-    Ok(SimBus { of_plant: None, places, ..assemble(args, &plcs, &[], 0, None)? })
+    let setup = Setup::new(args, &plcs, Vec::new())?;
+    Ok(SimBus { places, ..assemble(args, &setup, &plcs, 0, None)? })
 }
 
 /// A bus for each link of the PLCs that were chosen.
@@ -93,7 +93,7 @@ fn buses_of_plant(args: &SimArgs, plant: &SimulatedPlant) -> Result<Vec<SimBus>,
     }
     let sections = section::sections(&plant.path, &plant.text, |name| plant.names.iter().any(|known| known == name))?;
     let plcs: Vec<SimPlc<'_>> = plant.plcs.iter().map(SimPlc::of_plant).collect();
-    setup::check(args, &plcs, &sections)?;
+    let setup = Setup::new(args, &plcs, sections)?;
     let (host, first_port) = host_and_port(&args.listen)?;
     let mut buses: Vec<SimBus> = Vec::new();
     let mut rest = plcs;
@@ -109,7 +109,7 @@ fn buses_of_plant(args: &SimArgs, plant: &SimulatedPlant) -> Result<Vec<SimBus>,
         let places = vec![Place::for_link(&link, &host, port)];
         let nth = u64::try_from(buses.len()).unwrap_or(u64::MAX);
         let baud = link.transport().serial_settings().map(|settings| settings.baud());
-        buses.push(SimBus { of_plant, places, ..assemble(args, &of_link, &sections, nth, baud)? });
+        buses.push(SimBus { of_plant, places, ..assemble(args, &setup, &of_link, nth, baud)? });
     }
     Ok(buses)
 }
@@ -117,8 +117,8 @@ fn buses_of_plant(args: &SimArgs, plant: &SimulatedPlant) -> Result<Vec<SimBus>,
 /// The bus of these PLCs, with its faults and its speed. `nth`: the number of the bus.
 fn assemble(
     args: &SimArgs,
+    setup: &Setup<'_>,
     plcs: &[SimPlc<'_>],
-    sections: &[section::Section],
     nth: u64,
     baud: Option<u32>,
 ) -> Result<SimBus, Failure> {
@@ -126,9 +126,9 @@ fn assemble(
     let mut bus = Bus::new();
     for plc in plcs {
         let seed = seed.wrapping_add(plc.station.into());
-        bus = bus.with_station(plc.station, setup::plc(args, plc, plcs, sections, seed)?).map_err(Failure::usage)?;
+        bus = bus.with_station(plc.station, setup.plc(plc, seed)?).map_err(Failure::usage)?;
     }
-    let faults = faults_of(args, plcs, sections)?;
+    let faults = setup.faults(plcs)?;
     let baud = args.baud.or(baud);
     if !faults.is_empty() || baud.is_some() || args.response_time.is_some() {
         let mut line = Line::new(baud.unwrap_or(0)).half_duplex(true);

@@ -55,7 +55,7 @@ fn parse(text: &str) -> Result<Movement, String> {
         return Err(format!("it must end with `)`, as in `{}`", example(shape)));
     };
     let mut parts = arguments.split(',').map(str::trim).filter(|part| !part.is_empty()).peekable();
-    let range = parts.next_if(|part| part.contains("..")).map(|part| range(part)).transpose()?;
+    let range = parts.next_if(|part| part.contains("..")).map(range).transpose()?;
     let period = match (parts.next(), shape) {
         (Some(period), _) => period_of(period, shape)?,
         (None, Shape::Random | Shape::Counter) => DEFAULT_PERIOD,

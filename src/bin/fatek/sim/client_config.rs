@@ -14,6 +14,8 @@ const HEADER: &str = "# Copy of a plant configuration by `fatek sim`: its links 
 /// The text of the copy. `link`: the endpoint in place of another; tables of tags are those beside the
 /// original, in `folder`.
 pub(super) fn copy(text: &str, folder: &Path, link: impl Fn(&Endpoint) -> Option<Endpoint>) -> String {
+    // The original can be a copy.
+    let text = text.strip_prefix(HEADER).unwrap_or(text);
     let mut replacements: Vec<(Range<usize>, String)> = Vec::new();
     // The syntax has been checked: the plant was loaded.
     if let Ok(table) = DeTable::parse(text) {
@@ -105,6 +107,7 @@ mod tests {
             .replace("\"\"\"udp://10.0.0.4\"\"\"", "\"udp://127.0.0.1:7?framing=binary\"");
         let copied = copy(text, Path::new("/plants"), new);
         assert_eq!(copied, format!("{HEADER}{expected}"));
+        assert_eq!(copy(&copied, Path::new("/plants"), |_| None), copied, "a copy of a copy");
         assert_eq!(Plant::from_toml(&copied).unwrap().plcs().count(), 3);
         let tables =
             copy("[plc.a]\nlink = 'tcp://h'\nstation = 1\ntags = 'a\"\\b.csv'\n", Path::new("/plants"), |_| None);

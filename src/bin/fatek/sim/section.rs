@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use fatek::sim::{FaultRate, Model};
+use fatek::sim::{Fault, FaultRate, Model};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -78,6 +78,9 @@ impl File<'_> {
                 "program" => section.program = Some(beside(self.text(&full, key, value)?)),
                 "fault" => {
                     section.faults = FaultRate::parse_list(&self.text(&full, key, value)?).map_err(|e| fault(&e))?;
+                    if plc != ALL && section.faults.iter().any(|rate| *rate.fault() == Fault::Refuse) {
+                        return Err(fault(&"`refuse` is of connections: it takes no PLC"));
+                    }
                 }
                 "set" => {
                     for (tag, value) in self.entries(&full, key, value)? {
@@ -163,6 +166,7 @@ mod tests {
             ("[sim.mixer]\nmodle = 'x'", "line 2, sim.mixer.modle: the key is unknown (known: model memory"),
             ("[sim.mixer]\nmodel = 'x'", "line 2, sim.mixer.model: `x` is not a known model"),
             ("[sim.mixer]\nfault = 'drop'", "line 2, sim.mixer.fault: `drop` is not a fault: "),
+            ("[sim.mixer]\nfault = 'refuse=1%'", "line 2, sim.mixer.fault: `refuse` is of connections: "),
             ("[sim.mixer]\nset.R0 = []", "line 2, sim.mixer.set.R0: a text, a decimal number, or true or false"),
             ("[sim.mixer]\nset.R0 = 0x10", "line 2, sim.mixer.set.R0: a text, a decimal number, or true or false"),
         ] {
