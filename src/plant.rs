@@ -31,8 +31,8 @@
 //!
 //! # Rules
 //!
-//! - Other sections are ignored: they belong to other programs. Within `class`, `template`, `plc` and `bus`
-//!   unknown keys are faults.
+//! - Other sections are ignored: `sim` belongs to `fatek sim`, the others to other programs. Within `class`,
+//!   `template`, `plc` and `bus` unknown keys are faults.
 //! - Names of PLCs, buses, tags, classes and templates have 1 to 64 of the characters `A-Z a-z 0-9 _ -`. Names of
 //!   PLCs are unique, those of a bus included; so are the tags of a PLC.
 //! - A tag is its text, or a table with `at` and any of `class`, `unit`, `comment`, `group`, `deadband`,

@@ -183,10 +183,11 @@ fn places_to_listen_are_checked() {
     for (url, rule) in [
         ("http://127.0.0.1:1", "it must begin with `tcp://`, `udp://` or `serial:`"),
         ("udp://127.0.0.1", "as in `udp://127.0.0.1:0`"),
-        ("udp://127.0.0.1:0?framing=binary", "for the framing give --framing"),
+        ("udp://127.0.0.1:0?baud=9600", "it takes the option `framing` only"),
+        ("tcp://127.0.0.1:0?framing=x", "`x` is not a framing: it must be `ascii` or `binary`"),
         ("serial:", "the path of the port is missing"),
-        ("serial:/dev/ttyS0?framing=binary", "it takes no framing: give --framing"),
-        ("serial:/dev/ttyS0?copies=2", "it takes the options `baud` and `frame` only"),
+        ("serial:/dev/ttyS0?framing=binary&frame=7E1", "8 data bits"),
+        ("serial:/dev/ttyS0?copies=2", "it takes the options `baud`, `frame` and `framing` only"),
         ("serial:/dev/ttyS0?frame=9X1", "frame"),
     ] {
         let stderr = fatek(&["sim", "--listen", url]).usage();

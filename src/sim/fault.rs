@@ -1,7 +1,7 @@
 //! Faults of a simulated PLC, of its line and of connections to it.
 //!
 //! - [`Fault`]: one deviation from a healthy PLC or line. [`Rule`]: the requests it applies to,
-//!   by station, command, elements, count and chance.
+//!   by station, command, elements, count and chance. [`FaultRate`]: a fault with its chance as text.
 //! - [`Faults`]: the rules of one [`Bus`](super::Bus). A handle: a test can change the rules while
 //!   a client uses the bus, for instance to take a station offline and back.
 //! - [`Line`]: transmission and response times.
@@ -93,7 +93,8 @@
 //!
 //! On a [`Line`] with a speed, a request has arrived after the transmission time of its bytes, one
 //! request at a time. A reply is delivered after its own, one reply at a time. The two directions
-//! are independent, an echo takes no time, and all connections of a bus share the line.
+//! are independent unless the line is [half-duplex](Line::half_duplex), an echo takes no time, and
+//! all connections of a bus share the line.
 //!
 //! Times are computed exactly. Delivery uses Tokio's timer, which has whole milliseconds, so it can
 //! be up to 1 ms late. Without delays and line speed no timer is used. A delay is at most a day.
@@ -138,6 +139,7 @@ mod kinds;
 mod left_over;
 mod line;
 mod log;
+mod rate;
 mod rng;
 mod rule;
 mod session;
@@ -150,6 +152,7 @@ pub use self::kinds::{DisconnectAt, Fault};
 pub use self::left_over::LeftOver;
 pub use self::line::Line;
 pub use self::log::{Applied, Arrival, Log, LogEntry};
+pub use self::rate::{FaultRate, ParseFaultError};
 pub use self::rule::Rule;
 pub(crate) use self::session::{Conditions, Output, Session};
 pub use self::timing::Timing;

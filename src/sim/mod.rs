@@ -2,6 +2,7 @@
 //!
 //! - [`Plc`]: one PLC of a given [`Model`], with memory, program and RUN/STOP. A cheap handle: a
 //!   test can keep one to read the PLC, or to act as the process, while a client is connected.
+//! - [`Movement`]: a value that changes with time: a ramp, a sine, random numbers, a counter.
 //! - [`station`]: a connected [`Station`](crate::Station) with its PLC, in memory, for tests.
 //! - [`Plc::serve`]: one PLC over TCP.
 //! - [`Bus`]: a line with PLCs at their station numbers. Frames in, replies out, no I/O.
@@ -45,8 +46,11 @@ mod execute;
 pub mod fault;
 mod memory;
 mod model;
+mod movement;
 mod plc;
+mod saved;
 mod server;
+mod span;
 
 pub use bench::{Bench, station};
 pub use bus::Bus;
@@ -54,9 +58,12 @@ pub use bus::Bus;
 pub use doctest::doctest;
 pub use error::Error;
 pub use execute::Execute;
-pub use fault::{Change, DisconnectAt, Fault, Faults, LeftOver, Line, Log, LogEntry, Rule, Timing};
+pub use fault::{
+    Change, DisconnectAt, Fault, FaultRate, Faults, LeftOver, Line, Log, LogEntry, ParseFaultError, Rule, Timing,
+};
 #[cfg(test)]
 pub(crate) use fault::{Output, Session};
 pub use model::{Model, PageReply};
+pub use movement::{Movement, MovementError, ParseMovementError, Shape};
 pub use plc::Plc;
 pub use server::{MAX_CONNECTIONS, SerialServer, Server, UdpServer, connector, serve};

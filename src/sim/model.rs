@@ -101,6 +101,21 @@ impl Model {
         self
     }
 
+    /// Sets the statuses to those that a PLC has reported: the capacity of 40, and all of 53 but the flags.
+    /// `None` leaves one as it is.
+    #[must_use]
+    pub fn statuses(mut self, brief: Option<&BriefStatus>, detailed: Option<&DetailedStatus>) -> Self {
+        if let Some(brief) = brief {
+            let [_, program_capacity, _] = brief.raw();
+            self.program_capacity = program_capacity;
+        }
+        if let Some(detailed) = detailed {
+            // 53 has 28 bytes or more; those that it lacks stay.
+            self.detailed.iter_mut().zip(detailed.raw()).for_each(|(own, &byte)| *own = byte);
+        }
+        self
+    }
+
     /// Sets the last element of a memory area. Beyond it the PLC answers error A.
     ///
     /// It applies to all symbols of the area. With `M2001`, `WM1984` exists and `WM1992` does not;
@@ -148,6 +163,24 @@ impl Model {
     #[must_use]
     pub fn pages_while_running(mut self, accepted: bool) -> Self {
         self.pages_while_running = accepted;
+        self
+    }
+
+    /// The same model with this element; gaps beside it stay.
+    pub(super) fn including(mut self, element: Element) -> Self {
+        if self.has(element) {
+            return self;
+        }
+        let ((first, last), area) = (element.covered(), element.symbol().area());
+        self.extents.push(Extent { area, first, last });
+        self.extents.sort_by_key(|extent| (extent.area, extent.first));
+        self.extents.dedup_by(|next, before| {
+            let joins = next.area == before.area && next.first <= before.last.saturating_add(1);
+            if joins {
+                before.last = before.last.max(next.last);
+            }
+            joins
+        });
         self
     }
 

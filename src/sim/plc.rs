@@ -1,9 +1,12 @@
 mod clock;
+mod movements;
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use self::movements::Movements;
 use super::memory::Memory;
+use super::span::Span;
 use super::{Error, Execute, Model, PageReply};
 use crate::ErrorCode;
 use crate::clock::Clock;
@@ -69,6 +72,7 @@ impl Plc {
     /// - for 41, the error set with [`refuse_run`](Self::refuse_run).
     pub fn execute<C: Execute>(&self, request: &C) -> Result<C::Reply, ErrorCode> {
         let mut inner = self.lock();
+        inner.move_accessed(request);
         let reply = request.execute(&mut inner);
         inner.settle_clock();
         reply
@@ -77,16 +81,22 @@ impl Plc {
     /// The value of an element: 0 if it was never written, or is beyond the model.
     #[must_use]
     pub fn read(&self, element: impl Into<Element>) -> Value {
-        self.lock().memory.read(element.into())
+        let (element, mut inner) = (element.into(), self.lock());
+        inner.move_element(element);
+        inner.memory.read(element)
     }
 
-    /// Writes an element as the process. Disabled discretes keep their state until enabled.
+    /// Writes an element as the process. Disabled discretes keep their state until enabled. Ends the
+    /// [movement](Self::set_movement) of the element.
     ///
     /// # Errors
     /// [`Error::Element`] for a value of another width than the element, and
     /// [`Error::BeyondModel`]. Nothing is written then.
     pub fn write(&self, element: impl Into<Element>, value: impl Into<Value>) -> Result<(), Error> {
-        self.lock().write_as_process(element.into(), value.into())
+        let (element, mut inner) = (element.into(), self.lock());
+        inner.write_as_process(element, value.into())?;
+        inner.movements.end(Span::new(element, 1));
+        Ok(())
     }
 
     /// Returns whether a discrete is disabled (42), so that writes of the process have no effect.
@@ -177,6 +187,11 @@ impl Plc {
         self.lock().set_page(page, content)
     }
 
+    /// Returns whether the model has the element.
+    pub(super) fn has(&self, element: Element) -> bool {
+        self.lock().model.has(element)
+    }
+
     pub(super) fn form_of_page_reply(&self) -> PageReply {
         self.lock().model.form_of_page_reply()
     }
@@ -201,6 +216,7 @@ pub struct PlcInner {
     clock: Option<Clock>,
     /// M1952 after the last request or write.
     clock_settable: bool,
+    movements: Movements,
 }
 
 impl PlcInner {

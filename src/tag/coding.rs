@@ -174,6 +174,20 @@ impl Tag {
         Ok(())
     }
 
+    /// Appends the elements of the value nearest to a number. Returns `false`, and appends nothing, if the
+    /// tag has no such value, or is a text or bits of a register.
+    #[cfg(feature = "sim")]
+    pub(crate) fn encode_nearest(&self, number: f64, raw: &mut Vec<Value>) -> bool {
+        let Storage::Bits(format, order) = self.storage else { return false };
+        let bits = match self.scale {
+            Some(scale) => scale.bits(format, number),
+            None => format.nearest(number).or_else(|| format.nearest_integer(number)),
+        };
+        let Some(bits) = bits else { return false };
+        raw.extend(split(bits, order, self.first.width(), self.elements_per_value()));
+        true
+    }
+
     /// The type of its values, for errors: `u16 of 16 bits`, `scaled`, `text`.
     pub(super) fn description(&self) -> String {
         match (self.storage, self.scale) {

@@ -452,6 +452,19 @@ macro_rules! formats {
                 }
             }
 
+            /// The bits of the integer nearest to a number, for formats without fractions; `None` if it is
+            /// out of range. A state is 0 or 1.
+            #[cfg(feature = "sim")]
+            pub(super) fn nearest_integer(self, number: f64) -> Option<u64> {
+                let rounded = number.round();
+                if self == Self::Bool {
+                    return [0.0, 1.0].contains(&rounded).then(|| u64::from(rounded == 1.0));
+                }
+                #[allow(clippy::cast_possible_truncation, reason = "the cast saturates, out of all ranges")]
+                let integer = Number::Integer(rounded as i128);
+                self.take(integer).and_then(|value| value.bits()).map(|(_, bits)| bits)
+            }
+
             pub(super) fn parse(self, text: &str) -> Result<TagValue, ValueError> {
                 Ok(match self {
                     $(

@@ -32,9 +32,10 @@ pub(crate) use self::record::{RecordArgs, ReplayArgs, TimingArg, WritesArg};
 pub(crate) use self::scan::{DiscoverArgs, ScanArgs};
 pub(crate) use self::sections::with_sections;
 pub(crate) use self::shell::{CompletionsArgs, ManArgs};
-pub(crate) use self::sim::SimArgs;
+pub(crate) use self::sim::{SimArgs, model as sim_model};
 pub(crate) use self::top::TopArgs;
 pub(crate) use self::watch::WatchArgs;
+use crate::failure::Failure;
 use crate::output::FormatArg;
 use crate::targets::PlantArgs;
 use crate::{complete, duration};
@@ -147,10 +148,10 @@ pub(crate) struct Common {
 /// The texts are parsed on use: `fatek decode` works with a bad `FATEK_STATION`.
 #[derive(Debug, Args)]
 pub(crate) struct DefaultPlc {
-    /// Link to the PLC, such as tcp://192.168.2.3:500
-    #[arg(long, env = "FATEK_LINK", hide_env_values = true, value_name = "URL")]
+    /// Link to the PLC, such as tcp://192.168.2.3:500; read, watch and top: repeat for several PLCs
+    #[arg(long = "link", env = "FATEK_LINK", hide_env_values = true, value_name = "URL")]
     #[arg(add = ArgValueCompleter::new(complete::links))]
-    link: Option<String>,
+    links: Vec<String>,
     /// Station number, 1 to 254 (`sim` has an option of its own)
     #[arg(long, env = "FATEK_STATION", hide_env_values = true, value_name = "N")]
     station: Option<String>,
@@ -166,8 +167,9 @@ impl DefaultPlc {
         let first = |plc: &Option<String>, default: &Option<String>| {
             plc.clone().or_else(|| default.clone()).filter(|text| !text.is_empty())
         };
+        let links = if plc.links.is_empty() { &self.links } else { &plc.links };
         Plc {
-            link: first(&plc.link, &self.link),
+            links: links.iter().filter(|link| !link.is_empty()).cloned().collect(),
             station: first(&plc.station, &self.station),
             capabilities: first(&plc.capabilities, &self.capabilities),
         }
@@ -175,23 +177,25 @@ impl DefaultPlc {
 
     /// Link and capabilities of a plan.
     pub(crate) fn of_plan(&self, plan: &PlanArgs) -> Plc {
-        let (link, capabilities) = (plan.link.link.clone(), plan.capabilities.clone());
-        self.or(&Plc { link, station: None, capabilities })
+        let (links, capabilities) = (plan.link.links.clone(), plan.capabilities.clone());
+        self.or(&Plc { links, station: None, capabilities })
     }
 
     /// Link alone, for commands without a single station.
-    pub(crate) fn link(&self, own: &LinkArgs) -> Option<String> {
-        self.or(&Plc { link: own.link.clone(), station: None, capabilities: None }).link
+    pub(crate) fn link(&self, own: &LinkArgs) -> Result<Option<String>, Failure> {
+        let plc = self.or(&Plc { links: own.links.clone(), station: None, capabilities: None });
+        plc.link().map(|link| link.map(str::to_owned))
     }
 }
 
-/// Link and station of one PLC.
+/// Link and station of one PLC; of several for commands that take them.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "PLC")]
 pub(crate) struct Plc {
-    /// Link to the PLC, such as tcp://192.168.2.3:500 [env: FATEK_LINK=]
-    #[arg(long, value_name = "URL", add = ArgValueCompleter::new(complete::links))]
-    pub(crate) link: Option<String>,
+    /// Link to the PLC, such as tcp://192.168.2.3:500; read, watch and top: repeat for several PLCs
+    /// [env: FATEK_LINK=]
+    #[arg(long = "link", value_name = "URL", add = ArgValueCompleter::new(complete::links))]
+    pub(crate) links: Vec<String>,
     /// Station number, 1 to 254; read, watch and top: also a list such as 1-4,9 [env: FATEK_STATION=]
     #[arg(long, value_name = "N")]
     pub(crate) station: Option<String>,
@@ -200,10 +204,21 @@ pub(crate) struct Plc {
     pub(crate) capabilities: Option<String>,
 }
 
+impl Plc {
+    /// Its link, for a command that takes one PLC.
+    pub(crate) fn link(&self) -> Result<Option<&str>, Failure> {
+        match &self.links[..] {
+            [] => Ok(None),
+            [link] => Ok(Some(link)),
+            several => Err(Failure::Usage(format!("this command takes one PLC, not {} links", several.len()))),
+        }
+    }
+}
+
 impl fmt::Display for Plc {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let text = |text: &Option<String>| text.clone().unwrap_or_default();
-        write!(f, "station {} on {}", text(&self.station), text(&self.link))
+        write!(f, "station {} on {}", text(&self.station), self.links.join(", "))
     }
 }
 
@@ -212,8 +227,8 @@ impl fmt::Display for Plc {
 #[command(next_help_heading = "PLC")]
 pub(crate) struct LinkArgs {
     /// Link to the stations, such as tcp://192.168.2.3:500 [env: FATEK_LINK=]
-    #[arg(long, value_name = "URL", add = ArgValueCompleter::new(complete::links))]
-    link: Option<String>,
+    #[arg(long = "link", value_name = "URL", add = ArgValueCompleter::new(complete::links))]
+    links: Vec<String>,
 }
 
 #[derive(Debug, Subcommand)]

@@ -14,7 +14,7 @@ use crate::printable::excerpt;
 
 /// Station of the command line. No connection is opened before its first call.
 pub(crate) fn station(plc: &Plc, timeout: Option<Duration>) -> Result<Station, Failure> {
-    let endpoint = endpoint(plc.link.as_deref())?;
+    let endpoint = endpoint(plc.link()?)?;
     let number = number(plc)?;
     with_capabilities(link(endpoint, options(timeout), timeout).station(number).map_err(Failure::usage)?, plc)
 }

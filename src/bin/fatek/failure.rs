@@ -134,6 +134,9 @@ pub(crate) enum Failure {
     /// Traffic cannot be read, recorded or replayed.
     #[error(transparent)]
     Traffic(#[from] TrafficFailure),
+    /// The plant configuration of a simulator cannot be read, or its copy cannot be written.
+    #[error("{}: {error}", shown(path))]
+    ClientConfig { path: PathBuf, error: io::Error },
     /// Stdout cannot be written.
     #[error("cannot write to stdout: {0}")]
     Output(io::Error),
@@ -185,7 +188,11 @@ impl Failure {
                 None
             }
             Self::Differs { .. } | Self::NotAsWritten { .. } | Self::Listen { .. } | Self::Log { .. } => None,
-            Self::ManPages { .. } | Self::Traffic(_) | Self::Output(_) | Self::Runtime(_) => None,
+            Self::ManPages { .. }
+            | Self::ClientConfig { .. }
+            | Self::Traffic(_)
+            | Self::Output(_)
+            | Self::Runtime(_) => None,
             Self::NoPlc { .. } | Self::Host { .. } | Self::Discover { .. } | Self::NoModule => None,
             Self::UnknownReplies { .. } | Self::Open { .. } | Self::Ports(_) | Self::NotDetected { .. } => None,
         }
@@ -202,6 +209,7 @@ impl Failure {
             Self::Output(_) | Self::Log { .. } | Self::ManPages { .. } | Self::Runtime(_) | Self::Declined => 1,
             Self::Traffic(failure) => failure.exit_status(),
             Self::Ports(_) => 1,
+            Self::ClientConfig { .. } => 1,
             Self::File(FileError::Io { .. } | FileError::NotAFile { .. }) => 1,
             Self::Interrupted { signal, .. } => signal.exit_status(),
             Self::Usage(_) | Self::Table(_) | Self::Plant(_) => 2,

@@ -10,7 +10,8 @@ use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::time;
 
 use crate::failure::Failure;
-use crate::sim::Place;
+use crate::printable::excerpt;
+use crate::sim::{Place, PlaceKind};
 
 /// Pause after a connection that could not be accepted, for instance for want of descriptors.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
@@ -28,11 +29,15 @@ pub(crate) enum Listener {
 impl Listener {
     /// Listens on the URL of `--listen`. Returns also the URL with the port in use.
     pub(crate) async fn bind(url: &str, framing: Framing) -> Result<(Self, String), Failure> {
-        let place = Place::parse(url, framing)?;
-        let listener = match place {
-            Place::Tcp { address } => TcpListener::bind(address).await.map(Self::Tcp),
-            Place::Udp { address } => UdpSocket::bind(address).await.map(Self::Udp),
-            Place::Serial { path, settings } => {
+        let (kind, own_framing) = Place::parse(url, framing)?.into_parts();
+        if own_framing != framing {
+            let rule = format!("the framing of the conversation is {framing}");
+            return Err(Failure::Usage(format!("cannot listen on `{}`: {rule}", excerpt(url))));
+        }
+        let listener = match kind {
+            PlaceKind::Tcp(address) => TcpListener::bind(address).await.map(Self::Tcp),
+            PlaceKind::Udp(address) => UdpSocket::bind(address).await.map(Self::Udp),
+            PlaceKind::Serial(path, settings) => {
                 let endpoint = Endpoint::serial(path).with_framing(framing).with_serial(settings);
                 endpoint.map_err(Failure::usage)?.open().await.map(Self::Serial)
             }

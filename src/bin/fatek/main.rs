@@ -49,6 +49,7 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::parser::ValueSource;
 use clap::{CommandFactory, FromArgMatches};
 use fatek::command::{ControlPlc, DiscreteControl};
 use tracing_subscriber::EnvFilter;
@@ -58,13 +59,18 @@ use self::failure::Failure;
 use self::output::{Output, coloured, complain, printable_lines};
 use self::printable::{excerpt, printable};
 use self::ranges::DiscreteRange;
+use self::targets::Chosen;
 
 fn main() -> ExitCode {
     if complete::complete() {
         return ExitCode::SUCCESS;
     }
     let mut command = args::with_sections(Cli::command());
-    let parsed = command.try_get_matches_from_mut(arguments()).and_then(|matches| Cli::from_arg_matches(&matches));
+    let parsed = command.try_get_matches_from_mut(arguments()).and_then(|matches| {
+        let mut cli = Cli::from_arg_matches(&matches)?;
+        cli.plant.is_given = matches.value_source("config") == Some(ValueSource::CommandLine);
+        Ok(cli)
+    });
     let cli = match parsed {
         Ok(cli) => cli,
         Err(error) => return refuse(error.format(&mut command)),
@@ -155,14 +161,14 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     // All requests go to one link, so one thread is enough, also for the simulator.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(Failure::Runtime)?;
     let timeout = cli.common.timeout;
-    let chosen = cli.plant.load()?;
+    // Those of `sim` are no targets of calls.
+    let chosen = if let Command::Sim(_) = cli.command { Chosen::default() } else { cli.plant.load()? };
     let is_alone = if let Command::Scan(args) = &cli.command {
         args.discovery.discover || !args.network.hosts.is_empty()
     } else {
         matches!(
             &cli.command,
-            Command::Sim(_)
-                | Command::Decode(_)
+            Command::Decode(_)
                 | Command::Completions(_)
                 | Command::Man(_)
                 | Command::Program(ProgramCommand::Info(_))
@@ -178,7 +184,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let station = |own: &Plc| connect::station(&plc(own)?, timeout);
     let endpoint = |own: &LinkArgs| match chosen.one()? {
         Some(plc) => Ok(plc.endpoint().clone()),
-        None => connect::endpoint(cli.plc.link(own).as_deref()),
+        None => connect::endpoint(cli.plc.link(own)?.as_deref()),
     };
     let targets = |own: &Plc, once| chosen.targets(&cli.plc.or(own), timeout, once);
     let discretes = async |args: &DiscreteArgs, control| {
@@ -188,7 +194,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     };
     runtime.block_on(async {
         match &cli.command {
-            Command::Sim(args) => sim::sim(args).await,
+            Command::Sim(args) => sim::sim(args, cli.plant.simulated()?.as_ref(), output).await,
             Command::Read(args) => read::read(&targets(&args.plc, true)?, args, output).await,
             Command::Write(args) => write::write(&station(&args.plc)?, args, chosen.one()?, output).await,
             Command::Status(args) => status::status(&station(&args.plc)?, output).await,

@@ -18,7 +18,7 @@ const DEFAULT_ROUND_TRIP: Duration = Duration::from_millis(5);
 
 pub(crate) fn plan(plc: &Plc, args: &PlanArgs, chosen: Option<&PlantPlc>, output: &Output) -> Result<(), Failure> {
     let known = plc.capabilities.as_deref().map(connect::capabilities).transpose()?.unwrap_or_default();
-    let cost = cost(plc.link.as_deref(), known.response_time(), args)?;
+    let cost = cost(plc.link()?, known.response_time(), args)?;
     let builder = Plan::builder(cost).limits(limits(args)?.within(&known));
     let table = args.table.load(chosen)?;
     table.remark_overlaps(output);

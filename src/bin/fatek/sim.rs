@@ -1,150 +1,191 @@
-//! Subcommand `fatek sim`.
+//! Subcommand `fatek sim`: simulated PLCs of the options, or of a plant configuration.
 
-use std::io;
+mod client_config;
+mod place;
+mod section;
+mod setting;
+mod setup;
+
+use std::path::Path;
 
 use fatek::Endpoint;
-use fatek::endpoint::{InStepSettings, SerialSettings, Transport};
-use fatek::sim::{Bus, Model, Plc, SerialServer, Server, UdpServer};
-use fatek::wire::Framing;
+use fatek::sim::{Bus, FaultRate, Faults, Line};
 use futures::future::join_all;
 
+use self::place::{Listening, host_and_port};
+pub(crate) use self::place::{Place, PlaceKind};
+use self::setup::{Setup, SimPlc};
 use crate::args::SimArgs;
 use crate::failure::Failure;
-use crate::output::print;
-use crate::printable::excerpt;
+use crate::output::{Output, print};
 use crate::signal::Stop;
+use crate::targets::SimulatedPlant;
 
-pub(crate) async fn sim(args: &SimArgs) -> Result<(), Failure> {
-    let bus = bus(args)?;
-    let places: Vec<Place<'_>> =
-        args.listen.iter().map(|url| Place::parse(url, args.framing)).collect::<Result<_, _>>()?;
+/// PLCs on one line, with the places where clients reach them.
+struct SimBus {
+    /// The names of the PLCs of a plant, and their link.
+    of_plant: Option<(String, Endpoint)>,
+    bus: Bus,
+    /// The faults in the order of the rules of the bus, each with the PLC that it is limited to.
+    faults: Vec<(Option<String>, FaultRate)>,
+    places: Vec<Place>,
+}
+
+pub(crate) async fn sim(args: &SimArgs, plant: Option<&SimulatedPlant>, output: &Output) -> Result<(), Failure> {
+    let buses = match plant {
+        None => vec![bus_of_options(args)?],
+        Some(plant) => buses_of_plant(args, plant)?,
+    };
+    let copied = client_config(args, plant)?;
     let mut stop = Stop::new()?;
-    let mut servers = Vec::new();
-    for (place, url) in places.into_iter().zip(&args.listen) {
-        let server = place.listen(&bus, args).await;
-        servers.push(server.map_err(|error| Failure::Listen { url: url.clone(), error })?);
+    let (mut listening, mut links, mut summaries) = (Vec::new(), Vec::new(), Vec::new());
+    for SimBus { of_plant, bus, faults, places } in buses {
+        for place in places {
+            let server = place.listen(&bus, args.make_room_after).await?;
+            links.extend(of_plant.clone().map(|(names, link)| (names, client_link(&link, &server), link)));
+            listening.push(server);
+        }
+        summaries.push((of_plant, bus, faults));
     }
-    for (server, url) in servers.iter().zip(&args.listen) {
-        match server {
-            Listening::Tcp(server) => print(format_args!("listening tcp://{}", server.local_addr())),
-            Listening::Udp(server) => print(format_args!("listening udp://{}", server.local_addr())),
-            Listening::Serial(_) => print(format_args!("listening {url}")),
-        }?;
+    if let Some((path, text, folder)) = copied {
+        let new = |old: &Endpoint| links.iter().find(|(_, _, link)| link == old).map(|(_, new, _)| new.clone());
+        let copy = client_config::copy(text, folder, new);
+        client_config::save(path, &copy).map_err(|error| Failure::ClientConfig { path: path.to_owned(), error })?;
+    }
+    if links.is_empty() {
+        listening.iter().try_for_each(|server| print(format_args!("listening {}", server.url())))?;
+    } else {
+        for (names, new, old) in &links {
+            print(format_args!("listening {new} for {old}: {names}"))?;
+        }
     }
     stop.signalled().await;
-    join_all(servers.into_iter().map(Listening::shutdown)).await;
+    join_all(listening.into_iter().map(Listening::shutdown)).await;
+    for (of_plant, bus, faults) in &summaries {
+        if let Some(counts) = bus.faults().filter(|_| !faults.is_empty()) {
+            summarize(of_plant.as_ref().map(|(names, _)| names.as_str()), counts, faults, output);
+        }
+    }
     Ok(())
 }
 
-/// Place to listen, of `--listen`. Also of `record` and `replay`.
-pub(crate) enum Place<'a> {
-    Tcp { address: &'a str },
-    Udp { address: &'a str },
-    Serial { path: String, settings: SerialSettings },
-}
-
-/// Running server.
-enum Listening {
-    Tcp(Server),
-    Udp(UdpServer),
-    Serial(SerialServer),
-}
-
-impl<'a> Place<'a> {
-    pub(crate) fn parse(url: &'a str, framing: Framing) -> Result<Self, Failure> {
-        let parsed = if let Some(address) = url.strip_prefix("tcp://") {
-            address_of(address, "tcp").map(|address| Self::Tcp { address })
-        } else if let Some(address) = url.strip_prefix("udp://") {
-            address_of(address, "udp").map(|address| Self::Udp { address })
-        } else if url.starts_with("serial:") {
-            serial_port(url, framing).map(|(path, settings)| Self::Serial { path, settings })
-        } else {
-            Err("it must begin with `tcp://`, `udp://` or `serial:`".to_owned())
-        };
-        parsed.map_err(|rule| Failure::Usage(format!("cannot listen on `{}`: {rule}", excerpt(url))))
+/// One bus with one PLC per `--station`.
+fn bus_of_options(args: &SimArgs) -> Result<SimBus, Failure> {
+    if args.client_config.is_some() {
+        return Err(Failure::Usage("--client-config is a copy of a plant: give --config FILE".to_owned()));
     }
-
-    async fn listen(self, bus: &Bus, args: &SimArgs) -> io::Result<Listening> {
-        let (bus, framing) = (bus.clone(), args.framing);
-        Ok(match self {
-            Self::Tcp { address } => {
-                let server = Server::bind(address, bus, framing).await?;
-                server.make_room_after(args.make_room_after);
-                Listening::Tcp(server)
-            }
-            Self::Udp { address } => Listening::Udp(UdpServer::bind(address, bus, framing).await?),
-            Self::Serial { path, settings } => {
-                Listening::Serial(SerialServer::open(path, settings, bus, framing).await?)
-            }
-        })
+    let framing = args.framing.unwrap_or_default();
+    let listen = if args.listen.is_empty() { &["tcp://127.0.0.1:0".to_owned()][..] } else { &args.listen };
+    let places = listen.iter().map(|url| Place::parse(url, framing)).collect::<Result<_, _>>()?;
+    let mut plcs: Vec<SimPlc<'_>> = args.stations.iter().map(|&station| SimPlc::of_station(station)).collect();
+    if plcs.is_empty() {
+        plcs.push(SimPlc::of_station(setup::station_of_memory(args)?.unwrap_or(1)));
     }
+    let setup = Setup::new(args, &plcs, Vec::new())?;
+    Ok(SimBus { places, ..assemble(args, &setup, &plcs, 0, None)? })
 }
 
-impl Listening {
-    async fn shutdown(self) {
-        match self {
-            Self::Tcp(server) => server.shutdown().await,
-            Self::Udp(server) => server.shutdown().await,
-            Self::Serial(server) => server.shutdown().await,
-        }
+/// A bus for each link of the PLCs that were chosen.
+fn buses_of_plant(args: &SimArgs, plant: &SimulatedPlant) -> Result<Vec<SimBus>, Failure> {
+    if !args.stations.is_empty() || args.framing.is_some() {
+        return Err(Failure::Usage(
+            "stations and framings are those of the plant: leave out --station and --framing".to_owned(),
+        ));
     }
+    let sections = section::sections(&plant.path, &plant.text, |name| plant.names.iter().any(|known| known == name))?;
+    let plcs: Vec<SimPlc<'_>> = plant.plcs.iter().map(SimPlc::of_plant).collect();
+    let setup = Setup::new(args, &plcs, sections)?;
+    let (host, first_port) = host_and_port(&args.listen)?;
+    let mut buses: Vec<SimBus> = Vec::new();
+    let mut rest = plcs;
+    while let Some(link) = rest.first().and_then(|plc| plc.tags).map(|plc| plc.endpoint().clone()) {
+        let is_of_link = |plc: &SimPlc<'_>| plc.tags.is_some_and(|plc| *plc.endpoint() == link);
+        let (of_link, others): (Vec<_>, Vec<_>) = rest.into_iter().partition(is_of_link);
+        rest = others;
+        let nth = u16::try_from(buses.len()).ok().filter(|_| first_port > 0);
+        let port = if first_port == 0 { Some(0) } else { nth.and_then(|nth| first_port.checked_add(nth)) };
+        let port = port.ok_or_else(|| Failure::Usage(format!("from port {first_port} on there are too few ports")))?;
+        let names: Vec<&str> = of_link.iter().map(|plc| plc.label.as_str()).collect();
+        let of_plant = Some((names.join(", "), link.clone()));
+        let places = vec![Place::for_link(&link, &host, port)];
+        let nth = u64::try_from(buses.len()).unwrap_or(u64::MAX);
+        let baud = link.transport().serial_settings().map(|settings| settings.baud());
+        buses.push(SimBus { of_plant, places, ..assemble(args, &setup, &of_link, nth, baud)? });
+    }
+    Ok(buses)
 }
 
-/// Bus with one PLC per `--station`, each with the values of `--set`.
-fn bus(args: &SimArgs) -> Result<Bus, Failure> {
+/// The bus of these PLCs, with its faults and its speed. `nth`: the number of the bus.
+fn assemble(
+    args: &SimArgs,
+    setup: &Setup<'_>,
+    plcs: &[SimPlc<'_>],
+    nth: u64,
+    baud: Option<u32>,
+) -> Result<SimBus, Failure> {
+    let seed = args.seed.wrapping_add(nth << 32);
     let mut bus = Bus::new();
-    for &station in &args.stations {
-        let plc = Plc::with_model(model(args));
-        for assignment in &args.assignments {
-            for (element, value) in assignment.tag().elements().zip(assignment.encode()) {
-                plc.write(element, value)
-                    .map_err(|error| Failure::Usage(format!("--set {}: {error}", excerpt(&assignment.to_string()))))?;
-            }
+    for plc in plcs {
+        let seed = seed.wrapping_add(plc.station.into());
+        bus = bus.with_station(plc.station, setup.plc(plc, seed)?).map_err(Failure::usage)?;
+    }
+    let faults = setup.faults(plcs)?;
+    let baud = args.baud.or(baud);
+    if !faults.is_empty() || baud.is_some() || args.response_time.is_some() {
+        let mut line = Line::new(baud.unwrap_or(0)).half_duplex(true);
+        if let Some(time) = args.response_time {
+            line = line.response_time(time.min, time.max);
         }
-        bus = bus.with_station(station, plc).map_err(Failure::usage)?;
+        // Only the counts are printed.
+        let rules = Faults::new(seed).log_capacity(0).journal_capacity(0).line(line);
+        for (station, _, rate) in &faults {
+            let rule = rate.rule();
+            rules.add_rule(station.map_or(rule.clone(), |station| rule.station(station)));
+        }
+        bus = bus.with_faults(rules);
     }
-    Ok(bus)
+    let faults = faults.into_iter().map(|(_, plc, rate)| (plc, rate)).collect();
+    Ok(SimBus { of_plant: None, bus, faults, places: Vec::new() })
 }
 
-fn model(args: &SimArgs) -> Model {
-    let model = args.last.iter().fold(args.model.clone(), |model, &element| model.last(element));
-    match args.ladder_words {
-        Some(words) => model.ladder_words(words),
-        None => model,
-    }
+/// The endpoint of clients on this machine, in place of a link of a plant.
+fn client_link(link: &Endpoint, server: &Listening) -> Endpoint {
+    let url = server.url();
+    // Always an address in a network: that is all a place for a link can be.
+    let Some(address) = server.local_addr() else { return link.clone() };
+    let ip = match address.ip() {
+        ip if !ip.is_unspecified() => ip,
+        std::net::IpAddr::V4(_) => std::net::Ipv4Addr::LOCALHOST.into(),
+        std::net::IpAddr::V6(_) => std::net::Ipv6Addr::LOCALHOST.into(),
+    };
+    let (host, port) = (ip.to_string(), address.port());
+    let endpoint = if url.starts_with("udp://") { Endpoint::udp(host, port) } else { Endpoint::tcp(host, port) };
+    endpoint.with_framing(link.framing()).with_in_step(link.in_step())
 }
 
-/// Returns `HOST:PORT` after the scheme. The error is the rule that it breaks.
-fn address_of<'a>(address: &'a str, scheme: &str) -> Result<&'a str, String> {
-    if address.contains('?') {
-        return Err("it takes no options; for the framing give --framing".to_owned());
+/// Path of `--client-config`, with the text of the original and the folder of its tables.
+type Copied<'a> = (&'a Path, &'a str, &'a Path);
+
+/// Checks `--client-config`, before anything listens.
+fn client_config<'a>(args: &'a SimArgs, plant: Option<&'a SimulatedPlant>) -> Result<Option<Copied<'a>>, Failure> {
+    let (Some(path), Some(plant)) = (&args.client_config, plant) else { return Ok(None) };
+    if plant.plcs.len() < plant.names.len() {
+        return Err(Failure::Usage(
+            "--client-config takes all PLCs of the plant: clients would reach the others themselves".to_owned(),
+        ));
     }
-    let address = address.strip_suffix('/').unwrap_or(address);
-    match address.rsplit_once(':') {
-        Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => Ok(address),
-        _ => Err(format!("it must have a host and a port from 0 to 65535, as in `{scheme}://127.0.0.1:0`")),
-    }
+    client_config::check(path).map_err(|error| Failure::ClientConfig { path: path.clone(), error })?;
+    Ok(Some((path, &plant.text, &plant.folder)))
 }
 
-/// Returns path and settings of a serial port. The error is the rule that it breaks.
-fn serial_port(url: &str, framing: Framing) -> Result<(String, SerialSettings), String> {
-    let options = url.split_once('?').map_or("", |(_, options)| options);
-    if options.split('&').any(|option| option.starts_with("framing")) {
-        return Err("it takes no framing: give --framing".to_owned());
-    }
-    // The defaults of a port depend on the framing.
-    let separator = if options.is_empty() { '?' } else { '&' };
-    let parsed: Result<Endpoint, _> = format!("{}{separator}framing={framing}", url.trim_end_matches('?')).parse();
-    let endpoint = parsed.map_err(|error| {
-        // The rule alone: the message has the URL already.
-        let text = error.to_string();
-        text.split_once(" is not an endpoint: ").map_or(text.clone(), |(_, rule)| rule.to_owned())
-    })?;
-    if endpoint.in_step() != InStepSettings::new() {
-        return Err("it takes the options `baud` and `frame` only".to_owned());
-    }
-    match (endpoint.transport(), endpoint.transport().serial_settings()) {
-        (Transport::Serial { path, .. }, Some(settings)) => Ok((path.clone(), settings)),
-        _ => Err("it must be a serial port".to_owned()),
-    }
+/// Prints how often each fault applied. `plcs`: the names of the PLCs of the bus, if they are of a plant.
+fn summarize(plcs: Option<&str>, counts: &Faults, faults: &[(Option<String>, FaultRate)], output: &Output) {
+    let of_rule = |((plc, rate), applied): (&(Option<String>, FaultRate), u64)| match plc {
+        Some(plc) => format!("{plc}/{rate} {applied}"),
+        None => format!("{rate} {applied}"),
+    };
+    let applied = counts.rules().into_iter().map(|rule| rule.times_applied());
+    let applied: Vec<String> = faults.iter().zip(applied).map(of_rule).collect();
+    let plcs = plcs.map_or_else(String::new, |plcs| format!("{plcs}: "));
+    output.remark(format_args!("{plcs}{} requests; faults applied: {}", counts.log().arrivals(), applied.join(", ")));
 }

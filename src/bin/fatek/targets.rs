@@ -2,6 +2,8 @@
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Args, ValueHint};
@@ -28,10 +30,26 @@ pub(crate) struct PlantArgs {
     /// tags. `read`, `watch` and `top` take several.
     #[arg(long = "plc", id = "plcs", value_name = "NAME", add = ArgValueCompleter::new(complete::plcs))]
     names: Vec<String>,
+    /// `true` if --config is on the command line, and not in the environment alone.
+    #[arg(skip)]
+    pub(crate) is_given: bool,
+}
+
+/// The PLCs of a plant configuration to be simulated.
+#[derive(Debug)]
+pub(crate) struct SimulatedPlant {
+    pub(crate) path: PathBuf,
+    pub(crate) text: String,
+    /// The folder of the file.
+    pub(crate) folder: PathBuf,
+    /// Those that were chosen.
+    pub(crate) plcs: Vec<PlantPlc>,
+    /// The names of all.
+    pub(crate) names: Vec<String>,
 }
 
 /// The PLCs that were chosen by name.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Chosen(Vec<PlantPlc>);
 
 /// A station of a command.
@@ -51,24 +69,47 @@ impl PlantArgs {
         if self.names.is_empty() {
             return Ok(Chosen(Vec::new()));
         }
-        // An empty variable counts as unset.
-        let Some(path) = self.config.as_ref().filter(|path| !path.is_empty()) else {
-            return Err(Failure::Usage("no plant configuration: give --config FILE, or set FATEK_CONFIG".to_owned()));
-        };
-        let plant = Plant::load(path)?;
-        let mut chosen = Vec::new();
-        for name in &self.names {
-            if name == "all" {
-                chosen.extend(plant.plcs().cloned());
-            } else {
-                chosen.push(plant.plc(name).ok_or_else(|| Failure::Usage(unknown(name, &plant)))?.clone());
-            }
-        }
-        // A PLC may be chosen twice.
-        let mut names = HashSet::new();
-        chosen.retain(|plc: &PlantPlc| names.insert(plc.name().to_owned()));
-        if chosen.is_empty() { Err(Failure::Usage("the plant has no PLCs".to_owned())) } else { Ok(Chosen(chosen)) }
+        Ok(Chosen(choose(&Plant::load(self.path()?)?, self.names.iter().map(String::as_str))?))
     }
+
+    /// The plant that `sim` simulates: the PLCs that were chosen by name, or all of a --config on the
+    /// command line. `None`: the simulated PLCs are those of the options.
+    pub(crate) fn simulated(&self) -> Result<Option<SimulatedPlant>, Failure> {
+        if self.names.is_empty() && !self.is_given {
+            return Ok(None);
+        }
+        let path = PathBuf::from(self.path()?);
+        let plant = Plant::load(&path)?;
+        let names = if self.names.is_empty() { vec!["all"] } else { self.names.iter().map(String::as_str).collect() };
+        let plcs = choose(&plant, names.into_iter())?;
+        let file_failure = |error| Failure::ClientConfig { path: path.clone(), error };
+        let text = fs::read_to_string(&path).map_err(file_failure)?;
+        let folder = fs::canonicalize(&path).map_err(file_failure)?.parent().unwrap_or(Path::new("/")).to_owned();
+        let names = plant.plcs().map(|plc| plc.name().to_owned()).collect();
+        Ok(Some(SimulatedPlant { path, text, folder, plcs, names }))
+    }
+
+    fn path(&self) -> Result<&OsString, Failure> {
+        // An empty variable counts as unset.
+        let path = self.config.as_ref().filter(|path| !path.is_empty());
+        path.ok_or_else(|| Failure::Usage("no plant configuration: give --config FILE, or set FATEK_CONFIG".to_owned()))
+    }
+}
+
+/// The PLCs of these names, each once.
+fn choose<'n>(plant: &Plant, names: impl Iterator<Item = &'n str>) -> Result<Vec<PlantPlc>, Failure> {
+    let mut chosen = Vec::new();
+    for name in names {
+        if name == "all" {
+            chosen.extend(plant.plcs().cloned());
+        } else {
+            chosen.push(plant.plc(name).ok_or_else(|| Failure::Usage(unknown(name, plant)))?.clone());
+        }
+    }
+    // A PLC may be chosen twice.
+    let mut names = HashSet::new();
+    chosen.retain(|plc: &PlantPlc| names.insert(plc.name().to_owned()));
+    if chosen.is_empty() { Err(Failure::Usage("the plant has no PLCs".to_owned())) } else { Ok(chosen) }
 }
 
 fn unknown(name: &str, plant: &Plant) -> String {
@@ -98,7 +139,7 @@ impl Chosen {
         Ok(match self.one()? {
             None => options,
             Some(plc) => Plc {
-                link: Some(plc.endpoint().to_string()),
+                links: vec![plc.endpoint().to_string()],
                 station: Some(plc.station().to_string()),
                 capabilities: options.capabilities,
             },
@@ -128,20 +169,40 @@ impl Chosen {
     }
 }
 
-/// One station, or a list of stations of one link such as `1-4,9`.
+/// One station, or a list of stations such as `1-4,9`, of each link.
 fn of_options(options: &Plc, timeout: Option<Duration>, once: bool) -> Result<Vec<Target>, Failure> {
     let is_list = |text: &&String| text.contains([',', '-']);
     let numbers = match options.station.as_ref().filter(is_list) {
         Some(list) => numbers(list)?,
         None => vec![connect::number(options)?],
     };
-    let endpoint = connect::endpoint(options.link.as_deref())?;
-    let url = endpoint.to_string();
-    let link = link(endpoint, timeout, numbers.len(), once);
-    let mut targets: Vec<Target> = Vec::new();
-    for number in numbers {
-        let station = connect::with_capabilities(link.station(number).map_err(Failure::usage)?, options)?;
-        targets.push(Target { label: number.to_string(), station, url: url.clone(), plc: None });
+    let mut endpoints: Vec<(&str, Endpoint)> = Vec::new();
+    for url in &options.links {
+        let endpoint = connect::endpoint(Some(url))?;
+        if !endpoints.iter().any(|(_, other)| *other == endpoint) {
+            endpoints.push((url, endpoint));
+        }
+    }
+    if endpoints.is_empty() {
+        // The usage error of a missing link.
+        connect::endpoint(None)?;
+    }
+    let label = |url: &str, number: u8| match (endpoints.len(), numbers.len()) {
+        (0 | 1, _) => number.to_string(),
+        (_, 1) => url.to_owned(),
+        (_, _) => format!("{number}@{url}"),
+    };
+    if options.capabilities.is_some() && endpoints.len() > 1 {
+        return Err(Failure::Usage("--capabilities are those of one PLC".to_owned()));
+    }
+    let mut targets = Vec::new();
+    for (url, endpoint) in &endpoints {
+        let link = link(endpoint.clone(), timeout, numbers.len(), once);
+        for &number in &numbers {
+            let station = connect::with_capabilities(link.station(number).map_err(Failure::usage)?, options)?;
+            let (label, url) = (label(url, number), endpoint.to_string());
+            targets.push(Target { label, station, url, plc: None });
+        }
     }
     Ok(targets)
 }

@@ -23,6 +23,7 @@ pub struct Line {
     response_time: (Duration, Duration),
     byte_by_byte: bool,
     turnaround: Duration,
+    half_duplex: bool,
 }
 
 impl Line {
@@ -37,6 +38,7 @@ impl Line {
             response_time: (Duration::ZERO, Duration::ZERO),
             byte_by_byte: false,
             turnaround: Duration::ZERO,
+            half_duplex: false,
         }
     }
 
@@ -77,6 +79,17 @@ impl Line {
         self
     }
 
+    /// Sets whether requests and replies share one pair of wires, as on RS-485: the transmission of one
+    /// begins after those of all others. Default: `false`, the two directions are independent.
+    ///
+    /// It makes a difference with several clients, or with requests that are sent before the reply to an
+    /// earlier one.
+    #[must_use]
+    pub fn half_duplex(mut self, half_duplex: bool) -> Self {
+        self.half_duplex = half_duplex;
+        self
+    }
+
     /// Transmission time of this many bytes.
     #[must_use]
     pub fn transmission(&self, bytes: usize) -> Duration {
@@ -92,6 +105,10 @@ impl Line {
 
     pub(super) fn turnaround_time(&self) -> Duration {
         self.turnaround
+    }
+
+    pub(super) fn is_half_duplex(&self) -> bool {
+        self.half_duplex
     }
 
     pub(super) fn is_byte_by_byte(&self) -> bool {

@@ -1,8 +1,9 @@
 use super::rng::FaultRng;
 use super::{Fault, FaultTarget};
 use crate::command::{Code, Command, Request, Run, with_command};
-use crate::element::{Element, MemoryArea, Width};
+use crate::element::{Element, Width};
 use crate::sim::bus::BROADCAST;
+use crate::sim::span::Span;
 
 /// A [`Fault`] with the requests it applies to. Default: all requests.
 ///
@@ -128,6 +129,13 @@ impl Rule {
         self
     }
 
+    /// Sets the chance of each request, in millionths: 10,000 is one percent. Default: 1,000,000.
+    #[must_use]
+    pub fn per_million(mut self, per_million: u32) -> Self {
+        self.odds = Odds { hits: per_million.into(), of: 1_000_000 };
+        self
+    }
+
     /// Sets the chance of each request to one in `requests`. 0 is never.
     #[must_use]
     pub fn one_in(mut self, requests: u32) -> Self {
@@ -179,8 +187,15 @@ impl Rule {
             && self.command.is_none_or(|code| subject.command == Some(code))
             && (!self.words_of_discretes || subject.request.is_some_and(has_words_of_discretes))
             && self.longer_than.is_none_or(|most| subject.request.is_some_and(|request| element_count(request) > most))
-            && self.elements.is_none_or(|span| subject.request.is_some_and(|request| span.is_accessed_by(request)))
+            && self.elements.is_none_or(|span| subject.request.is_some_and(|request| is_accessed(span, request)))
     }
+}
+
+fn is_accessed(span: Span, request: &Request) -> bool {
+    let mut is_accessed = false;
+    let mut check = |run: Run| is_accessed |= span.overlaps(Span::new(run.first, run.count));
+    with_command!(request, command => command.for_each_run(&mut check));
+    is_accessed
 }
 
 fn element_count(request: &Request) -> usize {
@@ -228,36 +243,6 @@ impl Odds {
             0 => false,
             hits => hits >= self.of || rng.below(self.of) < hits,
         }
-    }
-}
-
-/// Addresses of one memory area, both ends included. Empty if `last` is below `first`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Span {
-    area: MemoryArea,
-    first: u16,
-    last: u16,
-}
-
-impl Span {
-    fn new(first: Element, count: usize) -> Self {
-        let area = first.symbol().area();
-        let Some(others) = count.checked_sub(1) else { return Self { area, first: 1, last: 0 } };
-        // Elements past the last address do not exist, so the span ends there.
-        let behind = u16::try_from(others.saturating_mul(first.step().into())).unwrap_or(u16::MAX);
-        Self { area, first: first.address(), last: first.covered().1.saturating_add(behind) }
-    }
-
-    fn is_accessed_by(self, request: &Request) -> bool {
-        let mut is_accessed = false;
-        let mut check = |run: Run| is_accessed |= self.overlaps(Self::new(run.first, run.count));
-        with_command!(request, command => command.for_each_run(&mut check));
-        is_accessed
-    }
-
-    fn overlaps(self, other: Self) -> bool {
-        let empty = self.first > self.last || other.first > other.last;
-        !empty && self.area == other.area && self.first <= other.last && other.first <= self.last
     }
 }
 

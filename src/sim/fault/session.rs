@@ -102,8 +102,8 @@ impl Session {
         match item {
             Received::Frame(frame) => self.receive_frame(frame, bytes, from, now),
             Received::Discarded { reason, .. } => {
-                let transmission = self.conditions.faults.line_now().transmission(bytes.len());
-                let arrived = self.conditions.occupancy().receive(now, transmission);
+                let line = self.conditions.faults.line_now();
+                let arrived = self.conditions.occupancy().receive(now, &line, bytes.len());
                 self.conditions.faults.log().arrived(arrived, &[], || Arrival::Noise { reason, bytes });
             }
         }
@@ -199,9 +199,8 @@ impl Session {
             _ => FaultTarget::AbsentStation,
         };
         let mut decision = faults.decide(&frame, request.as_ref().ok(), target);
-        let transmission = decision.line.transmission(bytes.len());
         let is_line_held = self.conditions.occupancy().is_held(now, decision.line.turnaround_time());
-        let arrived = self.conditions.occupancy().receive(now, transmission);
+        let arrived = self.conditions.occupancy().receive(now, &decision.line, bytes.len());
         let log_number = faults.log().arrived(arrived, &decision.faults, || arrival(&frame, &request));
         if decision.has(&Fault::Echo) {
             self.schedule(arrived, SessionEvent::Echo(bytes, from));

@@ -9,9 +9,9 @@ use tokio::time::Instant;
 use tracing::debug;
 
 use super::replies::{FollowUp, OutgoingReply, ReplyPiece};
-use crate::sim::fault::Faults;
 use crate::sim::fault::left_over::MAX_LEFT_OVER;
 use crate::sim::fault::timing::later;
+use crate::sim::fault::{Faults, Line};
 
 /// Conditions of a bus with faults. A handle: clones share the same state.
 #[derive(Clone, Debug)]
@@ -49,9 +49,10 @@ pub(super) struct Occupancy {
 }
 
 impl Occupancy {
-    /// Occupies the line for a request, and returns its time of arrival.
-    pub(super) fn receive(&mut self, now: Instant, transmission: Duration) -> Instant {
-        let end = later(free_at(self.incoming, now), transmission);
+    /// Occupies the line for a request of these bytes, and returns its time of arrival.
+    pub(super) fn receive(&mut self, now: Instant, line: &Line, bytes: usize) -> Instant {
+        let outgoing = self.outgoing.filter(|_| line.is_half_duplex());
+        let end = later(free_at(self.incoming.max(outgoing), now), line.transmission(bytes));
         self.incoming = Some(end);
         end
     }
@@ -76,9 +77,10 @@ impl Occupancy {
         (execute_at, ready_at)
     }
 
-    /// Occupies the line for a reply, and returns the beginning of its transmission.
-    pub(super) fn send(&mut self, ready_at: Instant, transmission: Duration) -> Instant {
-        let start = free_at(self.outgoing, ready_at);
+    /// Occupies the line for a reply that takes this time, and returns the beginning of its transmission.
+    pub(super) fn send(&mut self, ready_at: Instant, line: &Line, transmission: Duration) -> Instant {
+        let incoming = self.incoming.filter(|_| line.is_half_duplex());
+        let start = free_at(self.outgoing.max(incoming), ready_at);
         self.outgoing = Some(later(start, transmission));
         start
     }

@@ -143,12 +143,12 @@ impl Session {
     /// Appends the pieces of a reply. On a stream, pieces that are due at the same time are joined.
     fn transmit(&mut self, reply: &OutgoingReply, at: Instant, burst: &mut VecDeque<ReplyPiece>) {
         let mut pieces = reply.pieces();
-        let Delivery { log_number, to, outlives, .. } = reply.delivery;
+        let Delivery { log_number, line, to, outlives, .. } = reply.delivery;
         if let Some(number) = log_number.filter(|_| !reply.bytes.is_empty()) {
             self.conditions.faults.log().answered(number, &reply.bytes);
         }
         let transmission = pieces.last().map_or(Duration::ZERO, |&(after, _)| after);
-        let start = self.conditions.occupancy().send(at, transmission);
+        let start = self.conditions.occupancy().send(at, &line, transmission);
         let mut is_first = true;
         for (after, bytes) in pieces.drain(..) {
             let piece = ReplyPiece { at: later(start, after), bytes, to, outlives };

@@ -205,3 +205,31 @@ fn equal_seeds_and_requests_give_equal_faults() {
     interleaved.retain(|(us, _)| us % 1_000_000 < 500_000);
     assert_eq!(interleaved, sent(3, false));
 }
+
+#[test]
+fn a_half_duplex_line_carries_one_frame_at_a_time() {
+    // A request takes 16 ms, and a reply 13 ms.
+    for (half_duplex, second) in [(false, 20_000 + 16_000 + 13_000), (true, 2 * (16_000 + 13_000))] {
+        let mut bench = Bench::over(Line::new(10_000).half_duplex(half_duplex));
+        let mut other = bench.connect();
+        bench.receive(0, READ);
+        bench.wait(20);
+        other.receive(20, READ_2);
+        assert_eq!(bench.all(), [at(29_000, IS_0)], "half-duplex: {half_duplex}");
+        assert_eq!(other.all(), [at(second, IS_0_OF_2)], "half-duplex: {half_duplex}");
+    }
+}
+
+#[test]
+fn a_reply_waits_for_a_request_on_a_half_duplex_line() {
+    let line = Line::new(10_000).response_time(Duration::from_millis(5), Duration::from_millis(5));
+    for (half_duplex, first, second) in [(false, 34_000, 50_000), (true, 45_000, 58_000)] {
+        let mut bench = Bench::over(line.half_duplex(half_duplex));
+        let mut other = bench.connect();
+        bench.receive(0, READ);
+        other.receive(0, READ_2);
+        // The second request is on the line from 16 to 32 ms, and the first reply is ready at 21 ms.
+        assert_eq!(bench.all(), [at(first, IS_0)], "half-duplex: {half_duplex}");
+        assert_eq!(other.all(), [at(second, IS_0_OF_2)], "half-duplex: {half_duplex}");
+    }
+}
