@@ -1,7 +1,10 @@
 //! Endpoints: the address of a PLC as a URL.
 
 use std::fmt;
+use std::io;
 use std::str::FromStr;
+
+use tokio::io::{AsyncRead, AsyncWrite};
 
 use crate::printable::excerpt;
 use crate::settings::{URL_OPTIONS, UrlOptions, one_of};
@@ -144,6 +147,22 @@ impl Endpoint {
     #[must_use]
     pub fn framing(&self) -> Framing {
         self.framing
+    }
+
+    /// Opens a stream to the endpoint, for codecs that are used without a [`Link`](crate::Link).
+    ///
+    /// A TCP connection, or the serial port with its settings, opened exclusively. Over UDP each write is a
+    /// datagram from the next of four sockets, and only datagrams to the socket of the last write are read.
+    ///
+    /// Requires the runtime of Tokio, with I/O and timer. Cancel-safe: a dropped call closes what it has opened.
+    /// It has no timeout of its own.
+    ///
+    /// # Errors
+    /// Those of the operating system. Without the feature `serial`, that of every serial port.
+    pub fn connect(
+        &self,
+    ) -> impl Future<Output = io::Result<impl AsyncRead + AsyncWrite + Send + Unpin + use<>>> + Send + '_ {
+        self.transport.open(self.framing, true, 0)
     }
 
     /// The assumptions about late and duplicate replies.

@@ -10,6 +10,7 @@
 //!   [`connector`] connects a [`Link`](crate::Link) to it in memory.
 //! - [`Faults`]: silence, delays, garbage, lost connections and line speed, with a log of the
 //!   requests that arrived. See [`fault`].
+//! - [`Quirk`]: lasting differences of a PLC from the protocol documents.
 //!
 //! The simulator shares commands and framings with the client, and nothing else. Where the manuals
 //! do not specify a PLC's behaviour, the documentation here specifies that of the simulated one.
@@ -46,6 +47,7 @@ pub mod fault;
 mod memory;
 mod model;
 mod plc;
+mod quirk;
 mod server;
 
 pub use bench::{Bench, station};
@@ -59,4 +61,5 @@ pub use fault::{Change, DisconnectAt, Fault, Faults, LeftOver, Line, Log, LogEnt
 pub(crate) use fault::{Output, Session};
 pub use model::{Model, PageReply};
 pub use plc::Plc;
+pub use quirk::Quirk;
 pub use server::{MAX_CONNECTIONS, SerialServer, Server, UdpServer, connector, serve};

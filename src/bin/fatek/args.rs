@@ -3,6 +3,7 @@
 mod backup;
 mod data;
 mod decode;
+mod doctor;
 mod line;
 mod model;
 mod program;
@@ -21,6 +22,7 @@ use clap_complete::ArgValueCompleter;
 pub(crate) use self::backup::{BackupArgs, RestoreArgs, SpecialArg};
 pub(crate) use self::data::{DiscreteArgs, ForcedArgs, PlanArgs, ReadArgs, WriteArgs};
 pub(crate) use self::decode::DecodeArgs;
+pub(crate) use self::doctor::DoctorArgs;
 pub(crate) use self::line::{ClockArgs, PingArgs, ProbeArgs, ScanArgs};
 pub(crate) use self::model::ModelArgs;
 pub(crate) use self::program::{ProgramCommand, ProgramFile, ProgramReadArgs, ProgramVerifyArgs, ProgramWriteArgs};
@@ -89,7 +91,8 @@ Exit status:
   4  timeout: no reply; scan: from no station
   5  no connection
   6  bad reply; scan: also from one station of several; decode: bad frame
-  7  file damaged or of another PLC, or contents or values differ
+  7  file damaged or of another PLC, or contents or values differ; doctor: an
+     assumption is contradicted
   129, 130, 143  ended by SIGHUP, by SIGINT (Ctrl-C), or by SIGTERM; watch,
      top and sim end with 0
 
@@ -240,6 +243,7 @@ pub(crate) enum Command {
     Restore(RestoreArgs),
     Clock(ClockArgs),
     Probe(ProbeArgs),
+    Doctor(DoctorArgs),
     Decode(DecodeArgs),
     Completions(CompletionsArgs),
     Man(ManArgs),

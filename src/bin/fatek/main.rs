@@ -8,6 +8,7 @@ mod confirm;
 mod connect;
 mod control;
 mod decode;
+mod doctor;
 mod duration;
 mod failure;
 mod forced;
@@ -211,6 +212,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 let plc = Plc { capabilities: None, ..plc(&args.plc)? };
                 probe::probe(&connect::station(&plc, timeout)?, output).await
             }
+            Command::Doctor(args) => doctor::doctor(&plc(&args.plc)?, timeout, args, output).await,
             Command::Decode(args) => decode::decode(args, output),
             Command::Completions(args) => complete::script(&args.shell),
             Command::Man(args) => complete::man_pages(&args.folder, output),
