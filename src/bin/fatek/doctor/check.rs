@@ -109,12 +109,12 @@ impl Finding {
         Self { verdict: Verdict::Open, text: reason.into() }
     }
 
-    /// Holds if there is no fault.
-    pub(crate) fn unless(faults: usize, of: usize, what: &str) -> Self {
+    /// Holds if none of these things, such as `replies`, has the fault.
+    pub(crate) fn unless(faults: usize, of: usize, things: &str, fault: &str) -> Self {
         match (faults, of) {
-            (_, 0) => Self::open("nothing was asked"),
-            (0, _) => Self::holds(format!("none of {of}")),
-            (faults, _) => Self::contradicts(format!("{faults} of {of} {what}")),
+            (_, 0) => Self::open(format!("no {things} to judge by")),
+            (0, _) => Self::holds(format!("{of} {things}")),
+            (faults, _) => Self::contradicts(format!("{faults} of {of} {things} {fault}")),
         }
     }
 }
@@ -184,8 +184,7 @@ impl Check {
     /// The reason why a choice leaves it out.
     pub(crate) fn left_out(&self, choice: Choice) -> Option<&'static str> {
         match self.kind {
-            Kind::Full if choice.quick => Some("not examined: --quick"),
-            Kind::Load if choice.quick => Some("not examined: --quick"),
+            Kind::Full | Kind::Load if choice.quick => Some("not examined: --quick"),
             Kind::Load if !choice.load => Some("not examined: --no-load"),
             Kind::Idle if choice.idle.is_none() => Some("not examined: give --idle TIME"),
             Kind::UnknownCommands if !choice.unknown_commands => Some("not examined: give --unknown-commands"),

@@ -117,10 +117,13 @@ impl Exchange {
         frames.filter(move |frame| Some(frame.command) == command)
     }
 
-    /// The response time: of the only attempt, if it was answered.
+    /// The time to the last byte of a short reply to the only attempt.
+    ///
+    /// A long reply takes its time on a serial line, also on the one behind an Ethernet module.
     pub(crate) fn response_time(&self, framing: Framing) -> Option<Duration> {
         let ([attempt], Ask::Reply(request)) = (&self.attempts[..], &self.ask) else { return None };
-        attempt.reply(request, framing).map(|arrival| arrival.after)
+        let is_short = |arrival: &&Arrival| matches!(&arrival.item, Item::Frame(_, bytes) if bytes.len() <= SHORT);
+        attempt.reply(request, framing).filter(is_short).map(|arrival| arrival.after)
     }
 }
 
@@ -185,6 +188,8 @@ pub(crate) fn fit<'a>(request: &Request, frame: &'a Frame, framing: Framing) -> 
     }
 }
 
+/// Bytes of a short frame.
+const SHORT: usize = 24;
 /// Characters of a program page.
 const PAGE: usize = 256;
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 
-use super::check::{Check, Choice, Finding, Kind, Verdict};
+use super::check::{Check, Choice, Finding, Kind};
 use super::exchange::{Answer, Arrival, Ask, Attempt, Exchange, Item, fit};
 use super::facts::Facts;
 use super::line::{Connect, Medium, Receiver};
@@ -19,6 +19,8 @@ const ATTEMPTS: usize = 3;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// Silence behind several requests, in which late replies and duplicates are expected.
 const SETTLE: Duration = Duration::from_millis(100);
+/// Time for which one of two sockets is read.
+const TURN: Duration = Duration::from_millis(20);
 /// Connections that are opened one after the other without an answer before the PLC counts as lost.
 const RECONNECTS: usize = 3;
 
@@ -152,11 +154,6 @@ impl<'c, C: Connect> Runner<'c, C> {
             }
         }
         false
-    }
-
-    /// Returns the verdict of a check that has been made.
-    pub(crate) fn verdict(&self, place: usize) -> Option<Verdict> {
-        self.examined.get(place)?.as_ref().map(|examined| examined.finding.verdict)
     }
 
     /// The open connection; opens one if there is none.
@@ -399,15 +396,20 @@ impl<'c, C: Connect> Runner<'c, C> {
             attempts.push((attempt, sent_at));
             std::mem::swap(&mut self.line, &mut other);
         }
-        let mut ended = Vec::new();
-        for (mut attempt, sent_at) in attempts {
-            if let Some((sent_at, deadline)) = sent_at {
-                self.receive(&mut attempt, sent_at, deadline, |attempt| attempt.frames().count() > 1).await;
+        let deadline = Instant::now() + self.pace.timeout;
+        let frames =
+            |attempts: &[(Attempt, _)]| attempts.iter().map(|(attempt, _)| attempt.frames().count()).sum::<usize>();
+        while frames(&attempts) < 2 && Instant::now() < deadline {
+            for (attempt, sent_at) in &mut attempts {
+                if let Some((sent_at, _)) = *sent_at {
+                    let had = attempt.arrivals.len();
+                    let until = Instant::now() + TURN;
+                    self.receive(attempt, sent_at, until, |attempt| attempt.arrivals.len() > had).await;
+                }
+                std::mem::swap(&mut self.line, &mut other);
             }
-            ended.push(attempt);
-            std::mem::swap(&mut self.line, &mut other);
         }
-        Ok(ended)
+        Ok(attempts.into_iter().map(|(attempt, _)| attempt).collect())
     }
 }
 

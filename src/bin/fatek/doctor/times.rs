@@ -45,7 +45,7 @@ impl Times {
     /// One line of figures, and a line for each bar from the first to the last that is not empty.
     pub(crate) fn lines(&self) -> Vec<String> {
         let figures = self.figures().map(|(name, time)| format!("{name} {:.1}", millis(time)));
-        let mut lines = vec![format!("{} replies, in ms: {}", self.0.len(), figures.join(", "))];
+        let mut lines = vec![format!("{} short replies, in ms: {}", self.0.len(), figures.join(", "))];
         let bars = self.bars();
         let most = bars.iter().map(|(_, count)| *count).max().unwrap_or(1).max(1);
         let first = bars.iter().position(|(_, count)| *count > 0).unwrap_or(0);
@@ -82,7 +82,7 @@ mod tests {
         assert_eq!(Times::new(Vec::new()), None);
         let times = Times::new((1..=200).rev().map(Duration::from_millis).collect()).unwrap();
         let lines = times.lines();
-        assert_eq!(lines[0], "200 replies, in ms: min 1.0, median 100.0, p95 190.0, p99 198.0, max 200.0");
+        assert_eq!(lines[0], "200 short replies, in ms: min 1.0, median 100.0, p95 190.0, p99 198.0, max 200.0");
         assert_eq!(lines[1], "     to 1 ms     1 #");
         assert_eq!(lines[8], format!("   to 200 ms   100 {}", "#".repeat(40)));
         assert_eq!(lines.len(), 9);

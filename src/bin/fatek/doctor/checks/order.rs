@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use fatek::command::Code;
 
-use crate::doctor::check::{Check, Finding, Group, Kind, only_over};
+use crate::doctor::check::{Check, Finding, Group, Kind};
 use crate::doctor::exchange::{Ask, Attempt, Exchange};
 use crate::doctor::facts::Facts;
 use crate::doctor::line::Medium;
@@ -20,12 +20,11 @@ pub(super) fn checks(requests: Requests, load: usize) -> Vec<Check> {
     let rounds = load.div_ceil(usize::from(TOGETHER));
     let in_order = move |facts: &Facts, done: &[Exchange]| {
         // A line for one direction at a time takes no second request.
-        let next = u16::try_from(done.len()).ok().filter(|_| done.len() < rounds && facts.medium != Medium::Serial)?;
+        let next = u16::try_from(done.len()).ok().filter(|_| done.len() < rounds && takes_several(facts))?;
         Some(Ask::Burst(burst(next)))
     };
     let judge_order = |facts: &Facts, done: &[Exchange]| {
-        let excuse = only_over(facts.medium, &[Medium::Tcp, Medium::Udp], "TCP and UDP");
-        excuse.unwrap_or_else(|| order_of_bursts(done))
+        if takes_several(facts) { order_of_bursts(done) } else { Finding::open(ONE_DIRECTION) }
     };
     let text = "requests that are sent together are answered in their order";
     let id = (Group::Order, "in-order", "protocol 7; rule of order in docs/DESIGN.md");
@@ -33,18 +32,25 @@ pub(super) fn checks(requests: Requests, load: usize) -> Vec<Check> {
 
     let nonces = ["AAAA1111", "BBBB2222", "CCCC3333", "DDDD4444"];
     let abandoned = move |facts: &Facts, done: &[Exchange]| {
-        let nonce = nonces.get(done.len()).filter(|_| facts.medium != Medium::Serial)?;
+        let nonce = nonces.get(done.len()).filter(|_| takes_several(facts))?;
         let read = requests.read(Code::ReadRegisters, 7, "R16");
         Some(Ask::Burst(vec![read, requests.loop_back(*nonce)]))
     };
     let judge_abandoned = |facts: &Facts, done: &[Exchange]| {
-        let excuse = only_over(facts.medium, &[Medium::Tcp, Medium::Udp], "TCP and UDP");
-        excuse.unwrap_or_else(|| echo_is_last(done))
+        if takes_several(facts) { echo_is_last(done) } else { Finding::open(ONE_DIRECTION) }
     };
     let text = "behind the echo of a loop-back comes no reply to a request before it";
     let id = (Group::Order, "echo-is-last", "protocol 7; rule of order in docs/DESIGN.md");
     let in_step = Check::adaptive(id, text, 2 * nonces.len(), abandoned, judge_abandoned);
     vec![order.kind(Kind::Load).needs(&[0x46]), in_step.kind(Kind::Load).needs(&[0x46, 0x4E])]
+}
+
+/// The reason why a line is not examined.
+const ONE_DIRECTION: &str = "not examined: a line for one direction at a time";
+
+/// Returns whether the line takes a request while the PLC works on another one.
+fn takes_several(facts: &Facts) -> bool {
+    facts.medium != Medium::Serial && !facts.echoes
 }
 
 /// The places of the requests that the replies belong to, in the order of the replies. Each reply has a length of its own.

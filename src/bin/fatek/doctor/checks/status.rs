@@ -69,7 +69,8 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
 fn statuses_agree(requests: Requests) -> Check {
     let agree = |facts: &Facts, done: &[Exchange]| {
         let flags = |n: usize| match answer(facts, done, n) {
-            Answer::Data(data) => facts.requests.bytes(data).first().copied(),
+            // The reserved bit is a matter of its own.
+            Answer::Data(data) => facts.requests.bytes(data).first().map(|flags| flags & 0x7F),
             Answer::Refused(_) | Answer::None => None,
         };
         let last = done.len().checked_sub(2)?;

@@ -25,17 +25,22 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
             |facts| {
                 let is_bad = |arrival: &&Arrival| matches!(&arrival.item, Item::Noise(reason, _) if !matches!(reason, Discard::Garbage | Discard::WrongSide));
                 let bad = arrivals(facts).filter(is_bad).count();
-                Finding::unless(bad, arrivals(facts).count(), "are no good frames")
+                Finding::unless(bad, arrivals(facts).count(), "replies", "are no good frames")
             },
         ),
         passive(Group::Framing, "no-noise", "protocol 7", "no bytes come outside of frames", |facts| {
             let is_noise = |arrival: &&Arrival| matches!(&arrival.item, Item::Noise(Discard::Garbage, _));
-            Finding::unless(arrivals(facts).filter(is_noise).count(), arrivals(facts).count(), "are stray bytes")
+            Finding::unless(
+                arrivals(facts).filter(is_noise).count(),
+                arrivals(facts).count(),
+                "items",
+                "are stray bytes",
+            )
         }),
         passive(Group::Framing, "no-echo", "protocol 7", "the line does not send back requests", |facts| {
             let is_echo =
                 |arrival: &&Arrival| matches!(&arrival.item, Item::Echo(_) | Item::Noise(Discard::WrongSide, _));
-            Finding::unless(arrivals(facts).filter(is_echo).count(), arrivals(facts).count(), "are requests")
+            Finding::unless(arrivals(facts).filter(is_echo).count(), arrivals(facts).count(), "items", "are requests")
         }),
         passive(
             Group::Framing,
@@ -46,7 +51,7 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
                 let frames: Vec<u8> =
                     asked(facts).flat_map(|(_, a)| a.frames()).map(|(_, frame, _)| frame.station).collect();
                 let others = frames.iter().filter(|station| **station != facts.requests.station).count();
-                Finding::unless(others, frames.len(), "have another station")
+                Finding::unless(others, frames.len(), "replies", "have another station")
             },
         ),
         passive(Group::Framing, "own-command", "protocol 1", "replies have the command of their request", |facts| {
@@ -58,7 +63,7 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
                         .map(move |(_, frame, _)| frame.command == request.frame.command)
                 })
             };
-            Finding::unless(awaited().filter(|own| !own).count(), awaited().count(), "have another command")
+            Finding::unless(awaited().filter(|own| !own).count(), awaited().count(), "replies", "have another command")
         }),
         passive(
             Group::Framing,
@@ -75,7 +80,12 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
                             .map(move |(_, frame, _)| fit(request, frame, facts.framing()) != Answer::None)
                     })
                 };
-                Finding::unless(frames().filter(|fits| !fits).count(), frames().count(), "have another length")
+                Finding::unless(
+                    frames().filter(|fits| !fits).count(),
+                    frames().count(),
+                    "replies",
+                    "have another length",
+                )
             },
         ),
         passive(Group::Framing, "error-alone", "protocol 1 and 2", "an error code is followed by no data", |facts| {
@@ -87,7 +97,7 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
                 })
             };
             let with_data = refusals().filter(|(_, frame, _)| frame.data.len() > 1).count();
-            Finding::unless(with_data, refusals().count(), "have data")
+            Finding::unless(with_data, refusals().count(), "refusals", "have data")
         }),
         passive(Group::Order, "once", "protocol 7", "each reply comes once", once),
         passive(Group::Order, "answered", "protocol 7", "each request is answered at the first attempt", |facts| {
@@ -96,7 +106,7 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
             let exchanges =
                 || facts.log.iter().filter(|exchange| matches!(exchange.ask, Ask::Reply(_))).filter(repeated);
             let lost = exchanges().flat_map(|e| &e.attempts).filter(|a| a.arrivals.is_empty() && !a.closed).count();
-            Finding::unless(lost, exchanges().count(), "were repeated")
+            Finding::unless(lost, exchanges().count(), "requests", "were sent again")
         }),
         passive(Group::Order, "in-time", "protocol 7", "no reply comes after the response timeout", |facts| {
             let late = |(request, attempt): &(&Request, &Attempt)| {
@@ -105,12 +115,12 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
                 };
                 attempt.reply(request, facts.framing()).is_none() && attempt.frames().any(|frame| fits(&frame))
             };
-            Finding::unless(asked(facts).filter(late).count(), asked(facts).count(), "were late")
+            Finding::unless(asked(facts).filter(late).count(), asked(facts).count(), "requests", "were answered late")
         }),
         passive(Group::Timing, "module-timeout", "protocol 7", "the PLC answers within 300 ms", |facts| {
             let times: Vec<Duration> = facts.log.iter().filter_map(|e| e.response_time(facts.framing())).collect();
             let slow = times.iter().filter(|time| **time > MODULE_TIMEOUT).count();
-            Finding::unless(slow, times.len(), "took longer")
+            Finding::unless(slow, times.len(), "short replies", "took longer")
         }),
         passive(
             Group::Timing,
@@ -133,12 +143,16 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
                     .flat_map(|exchange| &exchange.attempts)
             };
             let closed = || attempts().filter(|attempt| attempt.closed).count();
-            excuse.unwrap_or_else(|| Finding::unless(closed(), attempts().count(), "requests closed it"))
+            excuse.unwrap_or_else(|| {
+                Finding::unless(closed(), attempts().count(), "requests", "ended with a closed connection")
+            })
         }),
         passive(Group::Connections, "one-datagram", "protocol 7", "a datagram has one frame", |facts| {
             let excuse = only_over(facts.medium, &[Medium::Udp], "UDP");
             let split = || arrivals(facts).filter(|arrival| arrival.pieces > 1).count();
-            excuse.unwrap_or_else(|| Finding::unless(split(), arrivals(facts).count(), "are in several datagrams"))
+            excuse.unwrap_or_else(|| {
+                Finding::unless(split(), arrivals(facts).count(), "replies", "are in several datagrams")
+            })
         }),
         passive(
             Group::Connections,
@@ -148,7 +162,9 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
             |facts| {
                 let excuse = only_over(facts.medium, &[Medium::Udp], "UDP");
                 let others = || arrivals(facts).filter(|arrival| arrival.other_port).count();
-                excuse.unwrap_or_else(|| Finding::unless(others(), arrivals(facts).count(), "come from another port"))
+                excuse.unwrap_or_else(|| {
+                    Finding::unless(others(), arrivals(facts).count(), "replies", "come from another port")
+                })
             },
         ),
     ];
@@ -158,7 +174,7 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
             let frames =
                 || asked(facts).filter(|(request, _)| request.shape != Shape::Echo).flat_map(|(_, a)| a.frames());
             let lower = frames().filter(|(_, _, bytes)| bytes.iter().any(u8::is_ascii_lowercase)).count();
-            Finding::unless(lower, frames().count(), "have lower-case digits")
+            Finding::unless(lower, frames().count(), "replies", "have lower-case digits")
         }));
     }
     checks
@@ -196,5 +212,5 @@ fn once(facts: &Facts) -> Finding {
         replies += 1;
         twice += usize::from(frames.any(|frame| frame == reply));
     }
-    Finding::unless(twice, replies, "came twice")
+    Finding::unless(twice, replies, "replies", "came twice")
 }

@@ -8,7 +8,7 @@ use fatek::command::Code;
 use fatek::memory_map::PlcModel;
 use fatek::sim::{DisconnectAt, Fault, Model, Plc, Quirk, Rule, Timing};
 use fatek::wire::Framing;
-use fatek::{ErrorCode, discrete, element, register};
+use fatek::{ErrorCode, discrete, register};
 
 use super::rig::{Rig, contradicted, data_of};
 use crate::doctor::request::Requests;
@@ -58,7 +58,7 @@ fn write(change: impl Fn(&mut Rig) + 'static) -> Contradiction {
 
 fn once(fault: Fault) -> Rule {
     // Behind the first requests, which find the commands.
-    Rule::new(fault).command(Code::ReadRegisters).skip(5).times(1)
+    Rule::new(fault).command(Code::ReadRegisters).skip(1).times(1)
 }
 
 fn refused(code: Code) -> Contradiction {
@@ -80,6 +80,7 @@ fn contradictions() -> Vec<(&'static str, Contradiction)> {
     };
     let last = |element: &'static str| model(move |model| model.last(element.parse::<fatek::Element>().unwrap()));
     let mixed = |elements: &[&str]| ASCII.mixed(elements).frame.data;
+    let slow = Fault::Delay { min: ms(400), max: ms(400) };
     let at_once = Timing::After { min: ms(5), max: ms(5) };
     vec![
         // Framing.
@@ -105,12 +106,12 @@ fn contradictions() -> Vec<(&'static str, Contradiction)> {
         ("longest-44", fault(Rule::new(Fault::Ignore).command(Code::ReadDiscretes).longer_than(128))),
         ("longest-46", reply(Code::ReadRegisters, read(64, "R0"), "2")),
         ("longest-46-dw", reply(Code::ReadRegisters, read(32, "DR0"), "2")),
-        ("longest-48", fault(longer(Code::ReadMixed, 40, ErrorCode::IllegalFormat).element(register!("R63")))),
-        ("longest-48-dw", fault(longer(Code::ReadMixed, 16, ErrorCode::IllegalFormat).element(element!("DR100")))),
-        ("longest-48-m", fault(longer(Code::ReadMixed, 32, ErrorCode::IllegalFormat).element(discrete!("M63")))),
+        ("longest-48", reply(Code::ReadMixed, mixed_run("R", 64, 1), "4")),
+        ("longest-48-dw", reply(Code::ReadMixed, mixed_run("DR", 32, 2), "4")),
+        ("longest-48-m", reply(Code::ReadMixed, mixed_run("M", 64, 1), "4")),
         ("beyond-46", reply(Code::ReadRegisters, read(65, "R0"), &registers(65))),
         ("beyond-46-dw", reply(Code::ReadRegisters, read(33, "DR0"), "9")),
-        ("beyond-48", quirk(Quirk::reply(0x48, mixed_of_65(), None))),
+        ("beyond-48", quirk(Quirk::reply(0x48, mixed_run("R", 65, 1), None))),
         ("count-0", reply(Code::ReadRegisters, read(0, "R0"), "0")),
         ("loop-back-sizes", quirk(Quirk::reply(0x4E, loop_back_of(256), None))),
         // Wrong requests.
@@ -147,7 +148,7 @@ fn contradictions() -> Vec<(&'static str, Contradiction)> {
         // Memory.
         ("end-x", last("X127")),
         ("end-y", last("Y271")),
-        ("end-m", last("M2017")),
+        ("end-m", last("M1999")),
         ("end-s", last("S1023")),
         ("end-t", last("T199")),
         ("end-c", last("C127")),
@@ -170,7 +171,7 @@ fn contradictions() -> Vec<(&'static str, Contradiction)> {
         ("in-time", fault(once(Fault::Delay { min: ms(1500), max: ms(1500) }))),
         ("in-order", without_queue(Quirk::ReadsReversed)),
         ("echo-is-last", without_queue(Quirk::LoopBackFirst)),
-        ("module-timeout", fault(once(Fault::Delay { min: ms(400), max: ms(400) }))),
+        ("module-timeout", fault(Rule::new(slow).command(Code::ReadStatus).skip(2).times(1))),
         ("pause-in-frame", fault(once(Fault::Split { pieces: 2, pause: ms(150) }))),
         // Connections.
         ("stays-open", fault(once(Fault::Disconnect(DisconnectAt::AfterReply)))),
@@ -209,8 +210,9 @@ fn quirk_of_noise() -> Contradiction {
     fault(once(Fault::GarbageBefore { max_len: 3 }))
 }
 
-fn mixed_of_65() -> Bytes {
-    ASCII.mixed(&(0..65).map(|n| format!("R{n}")).collect::<Vec<_>>()).frame.data
+/// A mixed read of elements in a row.
+fn mixed_run(symbol: &str, n: usize, step: usize) -> Bytes {
+    ASCII.mixed(&(0..n).map(|n| format!("{symbol}{}", n * step)).collect::<Vec<_>>()).frame.data
 }
 
 fn loop_back_of(len: usize) -> Bytes {

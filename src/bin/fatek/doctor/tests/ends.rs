@@ -1,7 +1,7 @@
 //! PLCs that fall silent, and writes that are interrupted.
 
 use std::future::Future as _;
-use std::task::Context;
+use std::task::{Context, Poll};
 
 use fatek::command::Code;
 use fatek::sim::{Fault, Rule};
@@ -9,7 +9,7 @@ use fatek::wire::Framing;
 use fatek::{Value, register};
 
 use super::rig::{Rig, contradicted};
-use crate::doctor::check::Verdict;
+use crate::doctor::check::{Choice, Verdict};
 use crate::doctor::run::End;
 
 #[tokio::test(start_paused = true)]
@@ -45,18 +45,23 @@ async fn a_plc_that_refuses_connections_later_is_lost() {
 
 #[tokio::test(start_paused = true)]
 async fn a_value_that_was_written_is_restored_at_any_interruption() {
-    let mut interrupted_after_write = 0;
-    for polls in (0..4000).step_by(7) {
+    let rig = || {
         let mut rig = Rig::new(Framing::Ascii);
+        rig.choice = Choice { write: true, ..Choice::default() };
         rig.choice.quick = true;
-        rig.choice.idle = None;
-        rig.choice.write = true;
         rig.plc.write(register!("R3000"), 77_u16).unwrap();
-        let was_written = rig.interrupt(polls).await;
-        assert_eq!(rig.plc.read(register!("R3000")), Value::Word(77), "after {polls} polls");
+        rig
+    };
+    // The writes are the last requests of an examination.
+    let (all, _) = rig().interrupt(usize::MAX).await;
+    let mut interrupted_after_write = 0;
+    for polls in all.saturating_sub(120)..all {
+        let rig = rig();
+        let (_, was_written) = rig.interrupt(polls).await;
+        assert_eq!(rig.plc.read(register!("R3000")), Value::Word(77), "after {polls} of {all} polls");
         interrupted_after_write += usize::from(was_written);
     }
-    assert!(interrupted_after_write > 3, "{interrupted_after_write}");
+    assert!(interrupted_after_write > 5, "{interrupted_after_write} of {all}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -72,17 +77,17 @@ async fn a_lost_connection_after_the_write_does_not_leave_the_value() {
 }
 
 impl Rig {
-    /// Drops the examination after this number of polls, and undoes. Returns whether the value differed then.
-    async fn interrupt(&self, polls: usize) -> bool {
-        let mut differed = false;
+    /// Drops the examination after this number of polls, and undoes. Returns the number of polls, and whether the
+    /// value differed then.
+    async fn interrupt(&self, most: usize) -> (usize, bool) {
+        let (mut polls, mut differed) = (0, false);
         self.with_runner(async |runner, plc| {
-            let mut left = polls;
             let mut running = Box::pin(runner.run(|_, _| {}));
             let done = std::future::poll_fn(|cx: &mut Context<'_>| {
-                if left == 0 {
-                    return std::task::Poll::Ready(());
+                if polls == most {
+                    return Poll::Ready(());
                 }
-                left -= 1;
+                polls += 1;
                 running.as_mut().poll(cx).map(drop)
             });
             done.await;
@@ -91,6 +96,6 @@ impl Rig {
             assert!(runner.undo().await);
         })
         .await;
-        differed
+        (polls, differed)
     }
 }
