@@ -151,7 +151,7 @@ fn lower(frame: &mut BytesMut) {
 }
 
 impl Bus {
-    /// What the PLCs of the line take a received item for.
+    /// Returns a received item as the PLCs of the line take it.
     pub(super) fn taken_for(&self, item: Received, framing: Framing) -> Received {
         let has = |quirk: &Quirk| self.plcs().find(|(_, plc)| plc.quirks().has(quirk)).map(|(station, _)| station);
         match item {

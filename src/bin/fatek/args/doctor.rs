@@ -22,7 +22,8 @@ use crate::duration;
   fatek doctor --idle 2m --connections 8
   fatek doctor --write R3000 --yes
 
-Load: up to 3 requests are sent together, 8 times; --no-load leaves that out.
+Load: 48 requests without a pause, and up to 3 requests together, 12 times;
+--no-load leaves that out.
 A running PLC executes all requests of this command as reads. --write writes the
 named element, reads it back and restores it. Codes that no source documents are
 sent with --unknown-commands only: a PLC may have commands that no source has.
@@ -37,7 +38,7 @@ pub(crate) struct DoctorArgs {
     /// Requests in a second, 1 to 1000
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=1000), value_name = "N")]
     pub(crate) rate: u16,
-    /// No requests that are sent together
+    /// No requests without a pause or together
     #[arg(long)]
     pub(crate) no_load: bool,
     /// TCP connections at once, 2 to 16

@@ -92,7 +92,7 @@ pub(crate) enum Verdict {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Finding {
     pub(crate) verdict: Verdict,
-    /// What was found. Without values, addresses and names.
+    /// The observation, without values, addresses and names.
     pub(crate) text: String,
 }
 

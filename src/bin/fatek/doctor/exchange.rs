@@ -18,6 +18,8 @@ pub(crate) enum Ask {
     Silence(Request, Bytes),
     /// Requests that are sent together.
     Burst(Vec<Request>),
+    /// Requests one at a time, without a pause behind each reply.
+    Load(Vec<Request>),
     /// A status request on each of this number of connections, which are open together.
     Connections(usize),
     /// A status request after this time without any.
@@ -32,7 +34,7 @@ pub(crate) enum Ask {
 #[derive(Clone, Debug)]
 pub(crate) struct Exchange {
     pub(crate) ask: Ask,
-    /// The attempts; of several connections or ports one for each.
+    /// The attempts; of load, several connections or ports one for each.
     pub(crate) attempts: Vec<Attempt>,
 }
 
@@ -87,7 +89,7 @@ impl Ask {
             Self::Reply(request) | Self::Once(request) | Self::Silence(request, _) | Self::Sync(request) => {
                 Some(request)
             }
-            Self::Burst(_) | Self::Connections(_) | Self::Idle(_) | Self::TwoPorts(..) => None,
+            Self::Burst(_) | Self::Load(_) | Self::Connections(_) | Self::Idle(_) | Self::TwoPorts(..) => None,
         }
     }
 
@@ -95,7 +97,7 @@ impl Ask {
     pub(crate) fn requests(&self) -> usize {
         match self {
             Self::Reply(_) | Self::Once(_) | Self::Silence(..) | Self::Sync(_) | Self::Idle(_) => 1,
-            Self::Burst(requests) => requests.len(),
+            Self::Burst(requests) | Self::Load(requests) => requests.len(),
             Self::Connections(connections) => *connections,
             Self::TwoPorts(..) => 2,
         }

@@ -11,7 +11,7 @@ use super::exchange::{Answer, Ask, Exchange};
 use super::line::Medium;
 use super::request::Requests;
 
-/// What is known of the PLC and its line.
+/// Properties of the PLC and its line that have shown so far.
 #[derive(Debug)]
 pub(crate) struct Facts {
     pub(crate) requests: Requests,

@@ -96,7 +96,7 @@ impl<'c, C: Connect> Runner<'c, C> {
         self.line().await?;
         self.is_alive().await?.then_some(()).ok_or(End::Silent)?;
         for phase in [false, true] {
-            // What all traffic shows is judged last.
+            // Checks of all traffic are judged last.
             for (place, check) in self.checks.iter().enumerate().filter(|(_, c)| (c.kind == Kind::Passive) == phase) {
                 show(place, check);
                 let reason = check.left_out(self.choice).map(str::to_owned).or_else(|| check.lacking(&self.facts));
@@ -204,6 +204,12 @@ impl<'c, C: Connect> Runner<'c, C> {
                 self.separate(&mut attempt).await?;
                 attempts.push(attempt);
             }
+            Ask::Load(requests) => {
+                attempts = self.load(requests).await?;
+                if let Some(last) = attempts.last_mut() {
+                    self.separate(last).await?;
+                }
+            }
             Ask::Connections(connections) => attempts = self.connections(*connections).await?,
             Ask::Idle(time) => {
                 let mut idle = Attempt::default();
@@ -238,6 +244,24 @@ impl<'c, C: Connect> Runner<'c, C> {
         // A late reply or a duplicate may follow.
         self.listen(&mut attempt, Instant::now() + SETTLE, sent_at).await;
         Ok(attempt)
+    }
+
+    /// Sends requests one at a time, each as soon as the reply to the one before it has come.
+    async fn load(&mut self, requests: &[Request]) -> Result<Vec<Attempt>, End> {
+        let mut attempts = Vec::new();
+        for request in requests {
+            let bytes = self.facts.requests.encode(&request.frame);
+            // No pause, and nothing is received between a reply and the next request.
+            let interval = std::mem::take(&mut self.pace.interval);
+            let attempt = self.attempt(request, bytes).await;
+            self.pace.interval = interval;
+            attempts.push(attempt?);
+        }
+        self.next_at = Some(Instant::now() + self.pace.interval);
+        if let Some(last) = attempts.last_mut() {
+            self.listen(last, Instant::now() + SETTLE, Instant::now()).await;
+        }
+        Ok(attempts)
     }
 
     /// Sends at the time of the next request. Returns `None` if the connection was closed before.

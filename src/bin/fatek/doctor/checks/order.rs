@@ -42,7 +42,13 @@ pub(super) fn checks(requests: Requests, load: usize) -> Vec<Check> {
     let text = "behind the echo of a loop-back comes no reply to a request before it";
     let id = (Group::Order, "echo-is-last", "protocol 7; rule of order in docs/DESIGN.md");
     let in_step = Check::adaptive(id, text, 2 * nonces.len(), abandoned, judge_abandoned);
-    vec![order.kind(Kind::Load).needs(&[0x46]), in_step.kind(Kind::Load).needs(&[0x46, 0x4E])]
+    // Each reply has another length than those before it, so that a late one shows.
+    let sizes = (0..2 * load).map(|n| u16::try_from(n % 5 + 1).unwrap_or(1));
+    let reads = sizes.map(|n| requests.read(Code::ReadRegisters, n, "R24")).collect();
+    let text = "requests without a pause between them are each answered once";
+    let id = (Group::Order, "without-pause", "protocol 7; rule of order in docs/DESIGN.md");
+    let without_pause = Check::fixed(id, text, vec![Ask::Load(reads)], answered_once).kind(Kind::Load).needs(&[0x46]);
+    vec![without_pause, order.kind(Kind::Load).needs(&[0x46]), in_step.kind(Kind::Load).needs(&[0x46, 0x4E])]
 }
 
 /// The reason why a line is not examined.
@@ -53,7 +59,9 @@ fn takes_several(facts: &Facts) -> bool {
     facts.medium != Medium::Serial && !facts.echoes
 }
 
-/// The places of the requests that the replies belong to, in the order of the replies. Each reply has a length of its own.
+/// The places of the requests that the replies belong to, in the order of the replies.
+///
+/// Each request of a burst asks for a length of its own.
 fn places(requests: &[Request], attempt: &Attempt) -> Vec<usize> {
     let fits = |data: &Bytes, command: u8, request: &Request| {
         request.frame.command == command
@@ -75,7 +83,8 @@ const ERROR_CODE: usize = 1;
 fn bursts(done: &[Exchange]) -> impl Iterator<Item = (&[Request], &Attempt)> {
     done.iter().filter_map(|exchange| match &exchange.ask {
         Ask::Burst(requests) => Some((&requests[..], exchange.attempts.first()?)),
-        Ask::Reply(_)
+        Ask::Load(_)
+        | Ask::Reply(_)
         | Ask::Once(_)
         | Ask::Silence(..)
         | Ask::Connections(_)
@@ -83,6 +92,22 @@ fn bursts(done: &[Exchange]) -> impl Iterator<Item = (&[Request], &Attempt)> {
         | Ask::TwoPorts(..)
         | Ask::Sync(_) => None,
     })
+}
+
+fn answered_once(facts: &Facts, done: &[Exchange]) -> Finding {
+    let Some((Ask::Load(requests), attempts)) = done.first().map(|exchange| (&exchange.ask, &exchange.attempts)) else {
+        return Finding::open("nothing was asked");
+    };
+    let answered =
+        requests.iter().zip(attempts).filter(|(request, a)| a.reply(request, facts.framing()).is_some()).count();
+    let frames: usize = attempts.iter().map(|attempt| attempt.frames().count()).sum();
+    match (requests.len() - answered, frames.saturating_sub(answered)) {
+        (0, 0) => Finding::holds(format!("{answered} requests")),
+        (lost, others) => Finding::contradicts(format!(
+            "of {} requests {lost} without a reply; {others} other frames",
+            requests.len()
+        )),
+    }
 }
 
 fn order_of_bursts(done: &[Exchange]) -> Finding {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fatek::wire::{Discard, Framing};
+use fatek::wire::{Discard, Frame, Framing};
 
 use crate::doctor::check::{Check, Finding, Group, only_over};
 use crate::doctor::exchange::{Answer, Arrival, Ask, Attempt, Exchange, Item, fit};
@@ -16,54 +16,63 @@ const MODULE_TIMEOUT: Duration = Duration::from_millis(300);
 const LONGEST_PAUSE: Duration = Duration::from_millis(100);
 
 pub(super) fn checks(requests: Requests) -> Vec<Check> {
-    let mut checks = vec![
-        passive(
-            Group::Framing,
-            "frames",
-            "protocol 1 and 2",
-            "each reply is a whole frame with a good checksum",
-            |facts| {
-                let is_bad = |arrival: &&Arrival| matches!(&arrival.item, Item::Noise(reason, _) if !matches!(reason, Discard::Garbage | Discard::WrongSide));
-                let bad = arrivals(facts).filter(is_bad).count();
-                Finding::unless(bad, arrivals(facts).count(), "replies", "are no good frames")
-            },
-        ),
-        passive(Group::Framing, "no-noise", "protocol 7", "no bytes come outside of frames", |facts| {
-            let is_noise = |arrival: &&Arrival| matches!(&arrival.item, Item::Noise(Discard::Garbage, _));
-            Finding::unless(
-                arrivals(facts).filter(is_noise).count(),
-                arrivals(facts).count(),
-                "items",
-                "are stray bytes",
-            )
-        }),
-        passive(Group::Framing, "no-echo", "protocol 7", "the line does not send back requests", |facts| {
-            let is_echo =
-                |arrival: &&Arrival| matches!(&arrival.item, Item::Echo(_) | Item::Noise(Discard::WrongSide, _));
-            Finding::unless(arrivals(facts).filter(is_echo).count(), arrivals(facts).count(), "items", "are requests")
-        }),
+    let mut checks = framing();
+    checks.extend(replies());
+    checks.extend(times_and_connections());
+    if requests.framing == Framing::Ascii {
+        let text = "replies have upper-case hexadecimal digits";
+        checks.push(passive(Group::Framing, "upper-case", "protocol 1", text, |facts| {
+            let asked = asked(facts).filter(|(request, _)| request.shape != Shape::Echo);
+            let is_lower: Vec<bool> = asked
+                .flat_map(|(_, attempt)| attempt.frames())
+                .map(|(_, _, bytes)| bytes.iter().any(u8::is_ascii_lowercase))
+                .collect();
+            finding(&is_lower, "replies", "have lower-case digits")
+        }));
+    }
+    checks
+}
+
+/// Checks of everything that came.
+fn framing() -> Vec<Check> {
+    let is_bad = |arrival: &Arrival| match arrival.item {
+        Item::Noise(Discard::Garbage | Discard::WrongSide, _) => false,
+        Item::Noise(..) => true,
+        Item::Frame(..) | Item::Echo(_) => false,
+    };
+    let is_garbage = |arrival: &Arrival| matches!(arrival.item, Item::Noise(Discard::Garbage, _));
+    let is_echo = |arrival: &Arrival| matches!(arrival.item, Item::Echo(_) | Item::Noise(Discard::WrongSide, _));
+    let check = |name, source, text, fault: fn(&Arrival) -> bool, effect: &'static str| {
+        passive(Group::Framing, name, source, text, move |facts| {
+            let faults: Vec<bool> = arrivals(facts).map(fault).collect();
+            finding(&faults, "items", effect)
+        })
+    };
+    let good = "each reply is a whole frame with a good checksum";
+    vec![
+        check("frames", "protocol 1 and 2", good, is_bad, "are no good frames"),
+        check("no-noise", "protocol 7", "no bytes come outside of frames", is_garbage, "are stray bytes"),
+        check("no-echo", "protocol 7", "the line does not send back requests", is_echo, "are requests"),
+    ]
+}
+
+/// Checks of replies, each with its request.
+fn replies() -> Vec<Check> {
+    vec![
         passive(
             Group::Framing,
             "own-station",
             "protocol 1 and 7",
             "replies have the station of their request",
             |facts| {
-                let frames: Vec<u8> =
-                    asked(facts).flat_map(|(_, a)| a.frames()).map(|(_, frame, _)| frame.station).collect();
-                let others = frames.iter().filter(|station| **station != facts.requests.station).count();
-                Finding::unless(others, frames.len(), "replies", "have another station")
+                let frames = asked(facts).flat_map(|(_, attempt)| attempt.frames());
+                let others: Vec<bool> = frames.map(|(_, frame, _)| frame.station != facts.requests.station).collect();
+                finding(&others, "replies", "have another station")
             },
         ),
         passive(Group::Framing, "own-command", "protocol 1", "replies have the command of their request", |facts| {
-            let awaited = || {
-                asked(facts).flat_map(|(request, attempt)| {
-                    attempt
-                        .frames()
-                        .filter(|(a, ..)| !a.unawaited)
-                        .map(move |(_, frame, _)| frame.command == request.frame.command)
-                })
-            };
-            Finding::unless(awaited().filter(|own| !own).count(), awaited().count(), "replies", "have another command")
+            let is_other = |(request, frame): (&Request, &Frame)| frame.command != request.frame.command;
+            finding(&awaited(facts).map(is_other).collect::<Vec<_>>(), "replies", "have another command")
         }),
         passive(
             Group::Framing,
@@ -71,56 +80,57 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
             "protocol 5",
             "replies have the length that their request asks for",
             |facts| {
-                let known = |request: &Request| matches!(request.shape, Shape::Len(_));
-                let frames = || {
-                    asked(facts).filter(|(request, _)| known(request)).flat_map(|(request, attempt)| {
-                        attempt
-                            .frames()
-                            .filter(|(a, f, _)| !a.unawaited && f.command == request.frame.command)
-                            .map(move |(_, frame, _)| fit(request, frame, facts.framing()) != Answer::None)
-                    })
+                let has_length = |(request, frame): &(&Request, &Frame)| {
+                    matches!(request.shape, Shape::Len(_)) && frame.command == request.frame.command
                 };
-                Finding::unless(
-                    frames().filter(|fits| !fits).count(),
-                    frames().count(),
-                    "replies",
-                    "have another length",
-                )
+                let is_other = |(request, frame)| fit(request, frame, facts.framing()) == Answer::None;
+                let others: Vec<bool> = awaited(facts).filter(has_length).map(is_other).collect();
+                finding(&others, "replies", "have another length")
             },
         ),
         passive(Group::Framing, "error-alone", "protocol 1 and 2", "an error code is followed by no data", |facts| {
-            let refusals = || {
-                asked(facts).flat_map(|(request, attempt)| {
-                    attempt
-                        .frames()
-                        .filter(move |(_, frame, _)| matches!(fit(request, frame, facts.framing()), Answer::Refused(_)))
-                })
+            let is_refusal = |(request, frame): &(&Request, &Frame)| {
+                matches!(fit(request, frame, facts.framing()), Answer::Refused(_))
             };
-            let with_data = refusals().filter(|(_, frame, _)| frame.data.len() > 1).count();
-            Finding::unless(with_data, refusals().count(), "refusals", "have data")
+            let has_data = |(_, frame): (&Request, &Frame)| frame.data.len() > 1;
+            let with_data: Vec<bool> = awaited(facts).filter(is_refusal).map(has_data).collect();
+            finding(&with_data, "refusals", "have data")
         }),
         passive(Group::Order, "once", "protocol 7", "each reply comes once", once),
         passive(Group::Order, "answered", "protocol 7", "each request is answered at the first attempt", |facts| {
             // A request that is never answered is a matter of its own check.
-            let repeated = |exchange: &&Exchange| exchange.answer(facts.framing()) != Answer::None;
-            let exchanges =
-                || facts.log.iter().filter(|exchange| matches!(exchange.ask, Ask::Reply(_))).filter(repeated);
-            let lost = exchanges().flat_map(|e| &e.attempts).filter(|a| a.arrivals.is_empty() && !a.closed).count();
-            Finding::unless(lost, exchanges().count(), "requests", "were sent again")
+            let is_read = |exchange: &&Exchange| matches!(exchange.ask, Ask::Reply(_));
+            let exchanges = facts.log.iter().filter(is_read).filter(|e| e.answer(facts.framing()) != Answer::None);
+            let is_lost = |attempt: &Attempt| attempt.arrivals.is_empty() && !attempt.closed;
+            let lost: Vec<bool> = exchanges.map(|exchange| exchange.attempts.iter().any(is_lost)).collect();
+            finding(&lost, "requests", "were sent again")
         }),
         passive(Group::Order, "in-time", "protocol 7", "no reply comes after the response timeout", |facts| {
-            let late = |(request, attempt): &(&Request, &Attempt)| {
-                let fits = |(arrival, frame, _): &(&Arrival, &_, _)| {
-                    arrival.unawaited && fit(request, frame, facts.framing()) != Answer::None
-                };
-                attempt.reply(request, facts.framing()).is_none() && attempt.frames().any(|frame| fits(&frame))
+            let is_late = |(request, attempt): (&Request, &Attempt)| {
+                let fits = |frame: &Frame| fit(request, frame, facts.framing()) != Answer::None;
+                let came = attempt.frames().any(|(arrival, frame, _)| arrival.unawaited && fits(frame));
+                came && attempt.reply(request, facts.framing()).is_none()
             };
-            Finding::unless(asked(facts).filter(late).count(), asked(facts).count(), "requests", "were answered late")
+            finding(&asked(facts).map(is_late).collect::<Vec<_>>(), "requests", "were answered late")
         }),
+    ]
+}
+
+fn times_and_connections() -> Vec<Check> {
+    let over_udp = |name, source, text, fault: fn(&Arrival) -> bool, effect: &'static str| {
+        passive(Group::Connections, name, source, text, move |facts| {
+            let faults: Vec<bool> = arrivals(facts).map(fault).collect();
+            let excuse = only_over(facts.medium, &[Medium::Udp], "UDP");
+            excuse.unwrap_or_else(|| finding(&faults, "replies", effect))
+        })
+    };
+    let is_split = |arrival: &Arrival| arrival.pieces > 1;
+    let is_from_other = |arrival: &Arrival| arrival.other_port;
+    let own_port = "replies come from the port that was asked";
+    vec![
         passive(Group::Timing, "module-timeout", "protocol 7", "the PLC answers within 300 ms", |facts| {
-            let times: Vec<Duration> = facts.log.iter().filter_map(|e| e.response_time(facts.framing())).collect();
-            let slow = times.iter().filter(|time| **time > MODULE_TIMEOUT).count();
-            Finding::unless(slow, times.len(), "short replies", "took longer")
+            let times = facts.log.iter().filter_map(|exchange| exchange.response_time(facts.framing()));
+            finding(&times.map(|time| time > MODULE_TIMEOUT).collect::<Vec<_>>(), "short replies", "took longer")
         }),
         passive(
             Group::Timing,
@@ -134,50 +144,27 @@ pub(super) fn checks(requests: Requests) -> Vec<Check> {
             },
         ),
         passive(Group::Connections, "stays-open", "protocol 7", "a connection stays open after a reply", |facts| {
+            let exchanges = facts.log.iter().filter(|e| !matches!(e.ask, Ask::Connections(_) | Ask::Idle(_)));
+            let closed: Vec<bool> = exchanges.flat_map(|e| &e.attempts).map(|attempt| attempt.closed).collect();
             let excuse = only_over(facts.medium, &[Medium::Tcp], "TCP");
-            let attempts = || {
-                facts
-                    .log
-                    .iter()
-                    .filter(|e| !matches!(e.ask, Ask::Connections(_) | Ask::Idle(_)))
-                    .flat_map(|exchange| &exchange.attempts)
-            };
-            let closed = || attempts().filter(|attempt| attempt.closed).count();
-            excuse.unwrap_or_else(|| {
-                Finding::unless(closed(), attempts().count(), "requests", "ended with a closed connection")
-            })
+            excuse.unwrap_or_else(|| finding(&closed, "requests", "ended with a closed connection"))
         }),
-        passive(Group::Connections, "one-datagram", "protocol 7", "a datagram has one frame", |facts| {
-            let excuse = only_over(facts.medium, &[Medium::Udp], "UDP");
-            let split = || arrivals(facts).filter(|arrival| arrival.pieces > 1).count();
-            excuse.unwrap_or_else(|| {
-                Finding::unless(split(), arrivals(facts).count(), "replies", "are in several datagrams")
-            })
-        }),
-        passive(
-            Group::Connections,
-            "own-port",
-            "facts, question 6",
-            "replies come from the port that was asked",
-            |facts| {
-                let excuse = only_over(facts.medium, &[Medium::Udp], "UDP");
-                let others = || arrivals(facts).filter(|arrival| arrival.other_port).count();
-                excuse.unwrap_or_else(|| {
-                    Finding::unless(others(), arrivals(facts).count(), "replies", "come from another port")
-                })
-            },
-        ),
-    ];
-    if requests.framing == Framing::Ascii {
-        let text = "replies have upper-case hexadecimal digits";
-        checks.push(passive(Group::Framing, "upper-case", "protocol 1", text, |facts| {
-            let frames =
-                || asked(facts).filter(|(request, _)| request.shape != Shape::Echo).flat_map(|(_, a)| a.frames());
-            let lower = frames().filter(|(_, _, bytes)| bytes.iter().any(u8::is_ascii_lowercase)).count();
-            Finding::unless(lower, frames().count(), "replies", "have lower-case digits")
-        }));
-    }
-    checks
+        over_udp("one-datagram", "protocol 7", "a datagram has one frame", is_split, "are in several datagrams"),
+        over_udp("own-port", "facts, question 6", own_port, is_from_other, "come from another port"),
+    ]
+}
+
+/// The finding by the faults of these things.
+fn finding(faults: &[bool], things: &str, effect: &str) -> Finding {
+    Finding::unless(faults.iter().filter(|fault| **fault).count(), faults.len(), things, effect)
+}
+
+/// The awaited frames, each with the request that it came to.
+fn awaited(facts: &Facts) -> impl Iterator<Item = (&Request, &Frame)> {
+    asked(facts).flat_map(|(request, attempt)| {
+        let awaited = attempt.frames().filter(|(arrival, ..)| !arrival.unawaited);
+        awaited.map(move |(_, frame, _)| (request, frame))
+    })
 }
 
 fn passive(

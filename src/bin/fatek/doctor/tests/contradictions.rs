@@ -169,6 +169,16 @@ fn contradictions() -> Vec<(&'static str, Contradiction)> {
         ("once", fault(once(Fault::Duplicate(at_once)))),
         ("answered", fault(once(Fault::DropReply))),
         ("in-time", fault(once(Fault::Delay { min: ms(1500), max: ms(1500) }))),
+        (
+            "without-pause",
+            fault(
+                Rule::new(Fault::Duplicate(at_once))
+                    .command(Code::ReadRegisters)
+                    .element(register!("R24"))
+                    .skip(8)
+                    .times(1),
+            ),
+        ),
         ("in-order", without_queue(Quirk::ReadsReversed)),
         ("echo-is-last", without_queue(Quirk::LoopBackFirst)),
         ("module-timeout", fault(Rule::new(slow).command(Code::ReadStatus).skip(2).times(1))),
