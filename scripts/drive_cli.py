@@ -90,6 +90,9 @@ STEPS = [
     Step("scan 1-200 --timeout 300ms", [r"^1 +ok", r"interrupted by SIGINT"], status=130, keys=[("1 found", "C-c")]),
     Step("clock", [r"the PLC has no clock"], status=3),
     Step("probe", [r"^48 mixed read +supported"]),
+    # The simulated PLC has R65535 there.
+    Step("doctor --quick --rate 500", [r"^  holds +registers-46 +answered$", r"^  contradicts +bad-address "],
+         status=7),
     Step("program read {file}/p.program", [r"^error: .*binary"], status=2, only=("binary",)),
     Step("program read {file}/p.program", [r"p\.program: .* pages$"], only=("ascii",)),
     Step("program info {file}/p.program", [r"^pages +[0-9]+$"], only=("ascii",)),

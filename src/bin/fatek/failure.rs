@@ -157,6 +157,7 @@ impl Failure {
             }
             Self::Differs { .. } | Self::NotAsWritten { .. } | Self::Listen { .. } | Self::Log { .. } => None,
             Self::ManPages { .. } | Self::Output(_) | Self::Runtime(_) => None,
+            Self::Contradicted { .. } | Self::EndedEarly { .. } => None,
         }
     }
 

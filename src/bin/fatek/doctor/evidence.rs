@@ -38,7 +38,7 @@ fn line(arrival: &Arrival, framing: Framing, with_values: bool) -> String {
     format!("< {} [{time}{late}]{note}", masked(bytes, has_values && !with_values, framing))
 }
 
-/// The bytes, with those behind the error code as `..`. An error code alone is shown.
+/// The bytes; in place of those behind the error code their number. An error code alone is shown.
 fn masked(bytes: &[u8], hides_values: bool, framing: Framing) -> String {
     // STX, station, command, error code; of binary header, length, station, command, error code.
     let (begin, frame) = match framing {
@@ -49,7 +49,7 @@ fn masked(bytes: &[u8], hides_values: bool, framing: Framing) -> String {
         return hex(bytes);
     }
     let (shown, hidden) = bytes.split_at(begin);
-    format!("{}{}", hex(shown), "..".repeat(hidden.len()))
+    format!("{}.. ({} bytes not shown)", hex(shown), hidden.len())
 }
 
 #[cfg(test)]
@@ -59,7 +59,7 @@ mod tests {
     #[test]
     fn values_are_hidden_with_the_checksum_that_tells_them() {
         let reply = b"\x02014601234C9\x03";
-        assert_eq!(masked(reply, true, Framing::Ascii), "023031343630..............");
+        assert_eq!(masked(reply, true, Framing::Ascii), "023031343630.. (7 bytes not shown)");
         assert_eq!(masked(reply, false, Framing::Ascii), hex(reply));
         let refusal = b"\x020146A0C\x03";
         assert_eq!(masked(refusal, true, Framing::Ascii), hex(refusal));
