@@ -154,6 +154,22 @@ impl Endpoint {
     /// A TCP connection, or the serial port with its settings, opened exclusively. Over UDP each write is a
     /// datagram from the next of four sockets, and only datagrams to the socket of the last write are read.
     ///
+    /// ```
+    /// use fatek::sim::Plc;
+    /// use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    ///
+    /// # #[tokio::main(flavor = "current_thread")]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// let server = Plc::new().serve("127.0.0.1:0").await?;
+    /// let mut stream = server.endpoint().connect().await?;
+    /// stream.write_all(b"\x020140C7\x03").await?; // status
+    /// let mut reply = [0; 15];
+    /// stream.read_exact(&mut reply).await?;
+    /// assert_eq!(&reply, b"\x020140000540020\x03");
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
     /// Requires the runtime of Tokio, with I/O and timer. Cancel-safe: a dropped call closes what it has opened.
     /// It has no timeout of its own.
     ///

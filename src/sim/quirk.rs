@@ -23,10 +23,10 @@ use crate::wire::{AsciiCodec, BinaryCodec, Codec, Discard, Frame, Framing, Recei
 /// // A PLC that reads 65 registers: the documents have 64.
 /// let plc = Plc::new();
 /// let registers = format!("0{}", "0000".repeat(65));
-/// plc.add_quirk(Quirk::Reply { command: 0x46, data: "41R00000".into(), reply: Some(registers.into()) });
+/// plc.add_quirk(Quirk::reply(0x46, "41R00000", Some(&registers)));
 ///
 /// let bus = Bus::new().with_station(1, plc)?;
-/// let mut line = BytesMut::from(&b"\x02014641R0000078\x03"[..]);
+/// let mut line = BytesMut::from(&b"\x02014641R0000074\x03"[..]);
 /// let mut reply = BytesMut::new();
 /// bus.answer(&AsciiCodec::new().decode(&mut line)?.unwrap(), Framing::Ascii, &mut reply);
 /// assert_eq!(reply.len(), 9 + 4 * 65);

@@ -92,9 +92,10 @@ pub(crate) async fn doctor(
         |place: usize, check: &Check| progress.show(format_args!("check {} of {all}: {}", place + 1, check.name));
     let ended = unless_signalled(runner.run(show)).await;
     drop(progress);
-    if !matches!(ended, Ok(Ok(Ok(())))) && !runner.undo().await {
-        let element = element.as_deref().unwrap_or_default();
-        complain(format_args!("{element} was not restored: it may have another value than before"));
+    if !matches!(ended, Ok(Ok(Ok(()))))
+        && let Err(undo) = runner.undo().await
+    {
+        complain(format_args!("restoring was not confirmed: check it with `fatek write {} --verify`", undo.assignment));
     }
     let ended = ended?;
     if let Ok(Err(_)) = &ended

@@ -6,6 +6,7 @@ use std::time::Duration;
 use super::exchange::{Answer, Ask, Exchange};
 use super::facts::Facts;
 use super::line::Medium;
+use super::request::Request;
 
 /// The examination of one assumption.
 pub(crate) struct Check {
@@ -24,8 +25,16 @@ pub(crate) struct Check {
     /// The next action after the exchanges so far; `None` if there is enough to judge.
     pub(crate) next: Next,
     pub(crate) judge: Judge,
-    /// The action that restores what the exchanges so far have changed.
-    pub(crate) undo: Next,
+    /// Restores what the exchanges so far have changed.
+    pub(crate) undo: Box<dyn Fn(&Facts, &[Exchange]) -> Option<Undo>>,
+}
+
+/// A write that restores an element.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Undo {
+    pub(crate) request: Request,
+    /// The same as an argument of `fatek write`.
+    pub(crate) assignment: String,
 }
 
 type Next = Box<dyn Fn(&Facts, &[Exchange]) -> Option<Ask>>;
@@ -177,7 +186,7 @@ impl Check {
         Self { silences, ..self }
     }
 
-    pub(crate) fn undo(self, undo: impl Fn(&Facts, &[Exchange]) -> Option<Ask> + 'static) -> Self {
+    pub(crate) fn undo(self, undo: impl Fn(&Facts, &[Exchange]) -> Option<Undo> + 'static) -> Self {
         Self { undo: Box::new(undo), ..self }
     }
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 
-use super::check::{Check, Choice, Finding, Kind};
+use super::check::{Check, Choice, Finding, Kind, Undo};
 use super::exchange::{Answer, Arrival, Ask, Attempt, Exchange, Item, fit};
 use super::facts::Facts;
 use super::line::{Connect, Medium, Receiver};
@@ -19,6 +19,8 @@ const ATTEMPTS: usize = 3;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// Silence behind several requests, in which late replies and duplicates are expected.
 const SETTLE: Duration = Duration::from_millis(100);
+/// Longest time of restoring an element.
+const UNDO_TIMEOUT: Duration = Duration::from_millis(1500);
 /// Time for which one of two sockets is read.
 const TURN: Duration = Duration::from_millis(20);
 /// Connections that are opened one after the other without an answer before the PLC counts as lost.
@@ -136,24 +138,26 @@ impl<'c, C: Connect> Runner<'c, C> {
         (check.next)(&self.facts, done)
     }
 
-    /// Restores what the check in progress has written. Returns `false` if that was not confirmed.
-    pub(crate) async fn undo(&mut self) -> bool {
-        let Some((place, done)) = self.current.take() else { return true };
-        let Some(Ask::Once(request)) = self.checks.get(place).and_then(|check| (check.undo)(&self.facts, &done)) else {
-            return true;
+    /// Restores what the check in progress has written. The error is a write that was not confirmed.
+    pub(crate) async fn undo(&mut self) -> Result<(), Undo> {
+        let Some((place, done)) = self.current.take() else { return Ok(()) };
+        let Some(undo) = self.checks.get(place).and_then(|check| (check.undo)(&self.facts, &done)) else {
+            return Ok(());
         };
-        let framing = self.facts.framing();
-        // The connection may have a reply in progress, or be lost.
-        for _ in 0..2 {
-            let Ok(attempt) = self.attempt(&request, self.facts.requests.encode(&request.frame)).await else {
-                continue;
-            };
-            let exchange = Exchange { ask: Ask::Once(request.clone()), attempts: vec![attempt] };
-            if let Answer::Data(_) = exchange.answer(framing) {
-                return true;
+        let restored = async {
+            // The connection may have a reply in progress, or be lost.
+            for _ in 0..2 {
+                let bytes = self.facts.requests.encode(&undo.request.frame);
+                let Ok(attempt) = self.attempt(&undo.request, bytes).await else { continue };
+                let exchange = Exchange { ask: Ask::Once(undo.request.clone()), attempts: vec![attempt] };
+                if let Answer::Data(_) = exchange.answer(self.facts.framing()) {
+                    return true;
+                }
             }
-        }
-        false
+            false
+        };
+        // A process that a signal has ended has two seconds.
+        if timeout(UNDO_TIMEOUT, restored).await.unwrap_or(false) { Ok(()) } else { Err(undo) }
     }
 
     /// The open connection; opens one if there is none.

@@ -2,7 +2,7 @@
 
 use fatek::command::Code;
 
-use crate::doctor::check::{Check, Finding, Group, Kind};
+use crate::doctor::check::{Check, Finding, Group, Kind, Undo};
 use crate::doctor::exchange::{Answer, Ask, Exchange};
 use crate::doctor::facts::Facts;
 use crate::doctor::request::{Request, Requests, Unit, unit_of};
@@ -46,7 +46,7 @@ fn check(
     let code = if is_discrete { Code::ReadDiscretes } else { Code::ReadRegisters };
     let read = requests.read(code, 1, element);
     let other = move |value: u16| if is_discrete { 1 - value.min(1) } else { value ^ PATTERN };
-    let (restore, undo) = (write.clone(), write.clone());
+    let (restore, undo, written) = (write.clone(), write.clone(), element.to_owned());
     let next = move |facts: &Facts, done: &[Exchange]| match done.len() {
         0 | 2 | 4 => Some(Ask::Reply(read.clone())).filter(|_| done.is_empty() || value(facts, done, 0).is_some()),
         1 => Some(Ask::Once(write(other(value(facts, done, 0)?)))),
@@ -56,7 +56,8 @@ fn check(
     };
     let undo = move |facts: &Facts, done: &[Exchange]| {
         let is_pending = (1..=3).contains(&done.len());
-        value(facts, done, 0).filter(|_| is_pending).map(|before| Ask::Once(undo(before)))
+        let before = value(facts, done, 0).filter(|_| is_pending)?;
+        Some(Undo { request: undo(before), assignment: format!("{written}={before}") })
     };
     let judge = move |facts: &Facts, done: &[Exchange]| {
         let values = [0, 2, 4].map(|n| value(facts, done, n));
@@ -65,7 +66,7 @@ fn check(
         };
         let write = done[1].answer(facts.framing());
         match write {
-            _ if before != after => Finding::contradicts("THE VALUE WAS NOT RESTORED, or the program changes it"),
+            _ if before != after => Finding::contradicts("the value was not restored, or the program changes it"),
             Answer::Refused(_) | Answer::None => Finding::contradicts(format!("the write is {write}")),
             Answer::Data(_) if written == other(before) => Finding::holds("written, read back, restored"),
             Answer::Data(_) if written == before => Finding::contradicts("the write had no effect"),

@@ -93,7 +93,7 @@ impl Rig {
             done.await;
             drop(running);
             differed = plc.read(register!("R3000")) != Value::Word(77);
-            assert!(runner.undo().await);
+            assert_eq!(runner.undo().await, Ok(()));
         })
         .await;
         (polls, differed)

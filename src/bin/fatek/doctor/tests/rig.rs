@@ -86,7 +86,7 @@ impl Rig {
         self.with_runner(async |runner, _| {
             let ended = runner.run(|_, _| {}).await;
             if ended.is_err() {
-                runner.undo().await;
+                let _ = runner.undo().await;
             }
             let open = || Finding::open("not examined");
             let findings = runner.examined.iter().map(|e| e.as_ref().map_or_else(open, |e| e.finding.clone()));
