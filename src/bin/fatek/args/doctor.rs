@@ -28,9 +28,9 @@ A running PLC executes all requests of this command as reads. --write writes the
 named element, reads it back and restores it. Codes that no source documents are
 sent with --unknown-commands only: a PLC may have commands that no source has.
 
-A report has no address, no values and no program. docs/HARDWARE.md says where to
-send it. Exit status 7 if an assumption is contradicted; 4 or 5 if the PLC does
-not answer any more: the result so far is printed.")]
+A report has no address, no values and no program. docs/HARDWARE.md says where
+to send it. Exit status 7 if an assumption is contradicted; 4 or 5 if the PLC
+does not answer any more: the result so far is printed.")]
 pub(crate) struct DoctorArgs {
     /// Fewer requests: no memory map, no load, no connections
     #[arg(long)]
