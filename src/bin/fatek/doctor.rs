@@ -118,7 +118,7 @@ pub(crate) async fn doctor(
     let contents = Contents { evidence: args.evidence, values: args.values };
     let report = Report::new(&checks, &runner.examined, &runner.facts, contents, (runner.sent, began.elapsed()))
         .with_address(args.with_address.then(|| plc.to_string()))
-        .with_ended(failure.as_ref().map(|failure| public(failure)));
+        .with_ended(failure.as_ref().map(public));
     if let Some(path) = &args.report {
         save(&report, path)?;
     }

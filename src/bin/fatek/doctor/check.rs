@@ -23,10 +23,10 @@ pub(crate) struct Check {
     /// The number of them that a PLC as documented does not answer.
     pub(crate) silences: usize,
     /// The next action after the exchanges so far; `None` if there is enough to judge.
-    pub(crate) next: Next,
-    pub(crate) judge: Judge,
+    pub(crate) next: By<Option<Ask>>,
+    pub(crate) judge: By<Finding>,
     /// Restores what the exchanges so far have changed.
-    pub(crate) undo: Box<dyn Fn(&Facts, &[Exchange]) -> Option<Undo>>,
+    pub(crate) undo: By<Option<Undo>>,
 }
 
 /// A write that restores an element.
@@ -37,8 +37,8 @@ pub(crate) struct Undo {
     pub(crate) assignment: String,
 }
 
-type Next = Box<dyn Fn(&Facts, &[Exchange]) -> Option<Ask>>;
-type Judge = Box<dyn Fn(&Facts, &[Exchange]) -> Finding>;
+/// A function of what is known, and of the exchanges of the check.
+type By<T> = Box<dyn Fn(&Facts, &[Exchange]) -> T>;
 
 /// The part of the report that a check belongs to, in its order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -77,8 +77,9 @@ fn statuses_agree(requests: Requests) -> Check {
         Some(flags(last)? == flags(last + 1)?)
     };
     let next = move |facts: &Facts, done: &[Exchange]| {
-        let ask = if done.len() % 2 == 0 { requests.status() } else { requests.detailed() };
-        let is_enough = done.len() >= 6 || done.len() % 2 == 0 && !done.is_empty() && agree(facts, done) != Some(false);
+        let ask = if done.len().is_multiple_of(2) { requests.status() } else { requests.detailed() };
+        let is_enough =
+            done.len() >= 6 || done.len().is_multiple_of(2) && !done.is_empty() && agree(facts, done) != Some(false);
         (!is_enough).then_some(Ask::Reply(ask))
     };
     let judge = move |facts: &Facts, done: &[Exchange]| match agree(facts, done) {

@@ -47,7 +47,7 @@ fn bits_of_words(requests: Requests) -> Check {
     let next = move |facts: &Facts, done: &[Exchange]| {
         let shows = |area: usize| judge_words(facts, &done[3 * area..]).is_some();
         let complete = done.len() / 3;
-        if done.len() % 3 == 0 && complete > 0 && shows(complete - 1) {
+        if done.len().is_multiple_of(3) && complete > 0 && shows(complete - 1) {
             return None;
         }
         let area = WORDS.get(complete)?;
