@@ -175,9 +175,10 @@ fn estimate(checks: &[Check], choice: Choice, pace: Pace, numbers: &Numbers) -> 
     let per_second = (1.0 / pace.interval.as_secs_f64()).round();
     let idle = choice.idle.map_or(Duration::ZERO, |_| numbers.idle);
     let time = pace.interval.mul_f64(requests as f64) + pace.timeout.mul_f64(silences as f64) + idle;
-    let effect = if choice.write { "one element is written and restored" } else { "reading only" };
+    let written = numbers.element.as_ref().map(|element| format!("writes and restores {element}"));
+    let effect = written.unwrap_or_else(|| "reading only".to_owned());
     format!(
-        "{} checks: at most {requests} requests if all are answered, {per_second} in a second; about {:.0} s; {effect}",
+        "{} checks, at most {requests} requests at {per_second}/s, about {:.0} s; {effect}",
         chosen().count(),
         time.as_secs_f64().ceil()
     )
