@@ -106,6 +106,9 @@ STEPS = [
          [r"^trying 4 settings with station 1: 6 requests", r"^serial:\S+ +1 +sure"], only=("serial",)),
     Step("clock", [r"the PLC has no clock"], status=3),
     Step("probe", [r"^48 mixed read +supported"]),
+    # The simulated PLC has R65535 there.
+    Step("doctor --quick --rate 500", [r"^  holds +registers-46 +answered$", r"^  contradicts +bad-address "],
+         status=7),
     Step("program read {file}/p.program", [r"^error: .*binary"], status=2, only=("binary",)),
     Step("program read {file}/p.program", [r"p\.program: .* pages$"], only=("ascii",)),
     Step("program info {file}/p.program", [r"^pages +[0-9]+$"], only=("ascii",)),

@@ -49,10 +49,10 @@ pub(crate) use self::difference::{listed, model_differences};
 pub use self::error::{FileError, FormatError};
 pub(crate) use self::frame::{Content, Kind, frame, unframe};
 pub(crate) use self::lines::{Lines, UNKNOWN};
-pub use self::save::can_save;
 #[cfg(feature = "config")]
 pub(crate) use self::save::load;
-pub(crate) use self::save::{load_as, save};
+pub(crate) use self::save::load_as;
+pub use self::save::{can_save, save};
 pub(crate) use self::saved::{Origin, file_methods, optional_field};
 pub use self::utc::utc;
 #[cfg(feature = "serde")]

@@ -15,8 +15,11 @@ const MAX_LEN: u64 = 16 * 1024 * 1024;
 /// The bytes are written to a new file in the same folder, which is renamed when all of them are on
 /// the disk. So the file has the old or the new content at any time, and never a part. The file
 /// keeps its permissions; a symbolic link to it stays.
-pub(crate) fn save(path: &Path, content: &[u8]) -> Result<(), FileError> {
-    save_with(path, |file| file.write_all(content))
+///
+/// # Errors
+/// [`FileError`]; the file has its old content then.
+pub fn save(path: impl AsRef<Path>, content: &[u8]) -> Result<(), FileError> {
+    save_with(path.as_ref(), |file| file.write_all(content))
 }
 
 /// Reads the bytes of a regular file.

@@ -4,6 +4,7 @@ use bytes::BytesMut;
 use tracing::debug;
 
 use super::fault::{Conditions, Faults};
+use super::quirk::emit;
 use super::{Error, Execute, PageReply, Plc};
 use crate::ErrorCode;
 use crate::command::{
@@ -94,7 +95,7 @@ impl Bus {
     /// executed by all stations and not answered. The reply to an unreadable request is the error
     /// code of [`RequestError::error_code`].
     pub fn answer(&self, received: &Received, framing: Framing, replies: &mut BytesMut) {
-        let Received::Frame(frame) = received else {
+        let Received::Frame(frame) = &self.taken_for(received.clone(), framing) else {
             return;
         };
         if frame.station == BROADCAST {
@@ -107,6 +108,10 @@ impl Bus {
         } else if let Some(plc) = self.plc(frame.station) {
             respond(plc, frame, &Request::decode(frame, framing), framing, replies);
         }
+    }
+
+    pub(super) fn plcs(&self) -> impl Iterator<Item = (u8, &Plc)> {
+        self.stations.iter().map(|(&station, plc)| (station, plc))
     }
 
     /// The station numbers of the PLCs on the line.
@@ -131,12 +136,21 @@ pub(super) fn respond(
     replies: &mut BytesMut,
 ) -> bool {
     debug!(station = frame.station, ?request, "received");
+    let quirks = plc.quirks();
+    if let Some(reply) = quirks.own_reply(frame) {
+        let reply = reply.map(|data| Frame { data, ..frame.clone() });
+        reply.iter().for_each(|reply| emit(reply, framing, replies));
+        return reply.is_some();
+    }
+    let start = replies.len();
     let mut responder = Responder { plc, station: frame.station, framing, replies };
-    match request {
+    let executed = match request {
         Err(error) => responder.refuse(frame.command, error),
         Ok(Request::ReadProgramPage(request)) => responder.reply_page(request),
         Ok(request) => with_command!(request, request => responder.reply(request)),
-    }
+    };
+    quirks.change_reply(replies, start, frame, framing);
+    executed
 }
 
 /// Executes requests on one PLC, and encodes the replies.

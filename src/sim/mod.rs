@@ -11,6 +11,7 @@
 //!   [`connector`] connects a [`Link`](crate::Link) to it in memory.
 //! - [`Faults`]: silence, delays, garbage, lost connections and line speed, with a log of the
 //!   requests that arrived. See [`fault`].
+//! - [`Quirk`]: lasting differences of a PLC from the protocol documents.
 //!
 //! The simulator shares commands and framings with the client, and nothing else. Where the manuals
 //! do not specify a PLC's behaviour, the documentation here specifies that of the simulated one.
@@ -48,6 +49,7 @@ mod memory;
 mod model;
 mod movement;
 mod plc;
+mod quirk;
 mod saved;
 mod server;
 mod span;
@@ -66,4 +68,5 @@ pub(crate) use fault::{Output, Session};
 pub use model::{Model, PageReply};
 pub use movement::{Movement, MovementError, ParseMovementError, Shape};
 pub use plc::Plc;
+pub use quirk::Quirk;
 pub use server::{MAX_CONNECTIONS, SerialServer, Server, UdpServer, connector, serve};

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use self::movements::Movements;
 use super::memory::Memory;
+use super::quirk::Quirks;
 use super::span::Span;
 use super::{Error, Execute, Model, PageReply};
 use crate::ErrorCode;
@@ -196,6 +197,14 @@ impl Plc {
         self.lock().model.form_of_page_reply()
     }
 
+    pub(super) fn quirks(&self) -> Quirks {
+        self.lock().quirks.clone()
+    }
+
+    pub(super) fn change_quirks(&self, change: impl FnOnce(&mut Quirks)) {
+        change(&mut self.lock().quirks);
+    }
+
     fn lock(&self) -> MutexGuard<'_, PlcInner> {
         // Nothing panics under the lock.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
@@ -213,6 +222,7 @@ pub struct PlcInner {
     program: BTreeMap<u16, ProgramPage>,
     pub(super) flags: StatusFlags,
     pub(super) refuse_run: Option<ErrorCode>,
+    quirks: Quirks,
     clock: Option<Clock>,
     /// M1952 after the last request or write.
     clock_settable: bool,

@@ -72,14 +72,25 @@ where
     let mut received = BytesMut::with_capacity(MAX_FRAME_LEN);
     let mut reply = BytesMut::with_capacity(MAX_FRAME_LEN);
     loop {
-        let event = read_event(&mut stream, &mut received).await?;
-        loop {
-            let item = match event {
-                ReadEvent::Bytes => codec.decode(&mut received)?,
-                ReadEvent::Silence => codec.decode_eof(&mut received)?,
-                ReadEvent::End => return Ok(()),
-            };
-            let Some(item) = item else { break };
+        let event = read_event(&mut stream, &mut received, bus.idle_limit()).await?;
+        let mut next = || match event {
+            ReadEvent::Bytes => codec.decode(&mut received),
+            ReadEvent::Silence => codec.decode_eof(&mut received),
+            ReadEvent::End => Ok(None),
+        };
+        if let ReadEvent::End = event {
+            return Ok(());
+        }
+        let mut reordered = Vec::new().into_iter();
+        if bus.reorders() {
+            let mut items = Vec::new();
+            while let Some(item) = next()? {
+                items.push(item);
+            }
+            bus.reorder(&mut items);
+            reordered = items.into_iter();
+        }
+        while let Some(item) = reordered.next().map_or_else(&mut next, |item| Ok(Some(item)))? {
             bus.answer(&item, framing, &mut reply);
             stream.write_all(&reply).await?;
             reply.clear();
@@ -97,13 +108,22 @@ enum ReadEvent {
     End,
 }
 
-async fn read_event(stream: &mut (impl AsyncRead + Unpin), received: &mut BytesMut) -> io::Result<ReadEvent> {
+async fn read_event(
+    stream: &mut (impl AsyncRead + Unpin),
+    received: &mut BytesMut,
+    idle_limit: Option<Duration>,
+) -> io::Result<ReadEvent> {
     let begun = !received.is_empty();
     let read = stream.read_buf(received);
     let len = if begun {
         match time::timeout(FRAME_TIMEOUT, read).await {
             Ok(len) => len?,
             Err(_) => return Ok(ReadEvent::Silence),
+        }
+    } else if let Some(limit) = idle_limit {
+        match time::timeout(limit, read).await {
+            Ok(len) => len?,
+            Err(_) => return Ok(ReadEvent::End),
         }
     } else {
         read.await?

@@ -3,6 +3,7 @@
 mod backup;
 mod data;
 mod decode;
+mod doctor;
 mod find;
 mod line;
 mod model;
@@ -24,6 +25,7 @@ use clap_complete::ArgValueCompleter;
 pub(crate) use self::backup::{BackupArgs, RestoreArgs, SpecialArg};
 pub(crate) use self::data::{DiscreteArgs, ForcedArgs, PlanArgs, ReadArgs, WriteArgs};
 pub(crate) use self::decode::DecodeArgs;
+pub(crate) use self::doctor::DoctorArgs;
 pub(crate) use self::find::{DetectArgs, PortsArgs};
 pub(crate) use self::line::{ClockArgs, PingArgs, ProbeArgs};
 pub(crate) use self::model::ModelArgs;
@@ -96,7 +98,8 @@ Exit status:
   4  timeout: no reply; scan and detect: from no station
   5  no connection
   6  bad reply; scan: also from one station of several; decode: bad frame
-  7  file damaged or of another PLC, or contents, values or replies differ
+  7  file damaged or of another PLC, or contents, values or replies differ;
+     doctor: an assumption is contradicted
   129, 130, 143  ended by SIGHUP, by SIGINT (Ctrl-C), or by SIGTERM; watch,
      top, sim, record and replay --listen end with 0
 
@@ -267,6 +270,7 @@ pub(crate) enum Command {
     Restore(RestoreArgs),
     Clock(ClockArgs),
     Probe(ProbeArgs),
+    Doctor(DoctorArgs),
     Decode(DecodeArgs),
     Record(RecordArgs),
     Replay(ReplayArgs),

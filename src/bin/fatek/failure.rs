@@ -122,6 +122,12 @@ pub(crate) enum Failure {
     /// Values that were read back differ from those written.
     #[error("{differing} of {all} values read back differ from those written")]
     NotAsWritten { differing: usize, all: usize },
+    /// An examination has found contradictions.
+    #[error("{contradictions} of {all} assumptions are contradicted")]
+    Contradicted { contradictions: usize, all: usize },
+    /// An examination could not be completed.
+    #[error("ended early: {reason}")]
+    EndedEarly { reason: String, status: u8 },
     /// The simulator cannot listen.
     #[error("cannot listen on {}: {error}", excerpt(url))]
     Listen { url: String, error: io::Error },
@@ -195,6 +201,7 @@ impl Failure {
             | Self::Runtime(_) => None,
             Self::NoPlc { .. } | Self::Host { .. } | Self::Discover { .. } | Self::NoModule => None,
             Self::UnknownReplies { .. } | Self::Open { .. } | Self::Ports(_) | Self::NotDetected { .. } => None,
+            Self::Contradicted { .. } | Self::EndedEarly { .. } => None,
         }
     }
 
@@ -221,7 +228,8 @@ impl Failure {
             Self::WriteProgram(error) => error.source.call_error().map_or(7, of_call),
             Self::Restore(error) => error.source.call_error().map_or(7, of_call),
             Self::File(_) | Self::NotRaw(_) | Self::Differs { .. } | Self::OtherPlc(_) => 7,
-            Self::NotAsWritten { .. } => 7,
+            Self::NotAsWritten { .. } | Self::Contradicted { .. } => 7,
+            Self::EndedEarly { status, .. } => *status,
             Self::Lost { .. } | Self::NoStation { .. } | Self::NoModule | Self::NotDetected { .. } => 4,
             Self::NoPlc { failure: None, .. } => 4,
             Self::NoPlc { failure: Some(_), .. } => 5,

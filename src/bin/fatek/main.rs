@@ -10,6 +10,7 @@ mod control;
 mod conversation;
 mod decode;
 mod detect;
+mod doctor;
 mod duration;
 mod enquiry;
 mod failure;
@@ -236,6 +237,7 @@ fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
                 let plc = Plc { capabilities: None, ..plc(&args.plc)? };
                 probe::probe(&connect::station(&plc, timeout)?, output).await
             }
+            Command::Doctor(args) => doctor::doctor(&plc(&args.plc)?, timeout, args, output).await,
             Command::Decode(args) => decode::decode(args, output),
             Command::Completions(args) => complete::script(&args.shell),
             Command::Man(args) => complete::man_pages(&args.folder, output),

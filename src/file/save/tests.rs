@@ -61,7 +61,7 @@ fn folders_are_not_replaced() {
     let folder = Folder::new("folder");
     let error = save(&folder.0, b"x").unwrap_err();
     assert!(matches!(error, FileError::NotAFile { .. }), "{error}");
-    let error = save(&folder.0.join("none").join("a"), b"x").unwrap_err().to_string();
+    let error = save(folder.0.join("none").join("a"), b"x").unwrap_err().to_string();
     assert!(error.contains("cannot make a new file in its folder"), "{error}");
     assert!(load(&folder.0.join("none")).unwrap_err().to_string().contains("cannot read it"));
 }

@@ -99,7 +99,7 @@ impl Session {
 
     /// Takes what was decoded from these bytes, with the address for its reply.
     pub(crate) fn receive_from(&mut self, item: Received, bytes: Bytes, from: Option<SocketAddr>, now: Instant) {
-        match item {
+        match self.bus.taken_for(item, self.framing) {
             Received::Frame(frame) => self.receive_frame(frame, bytes, from, now),
             Received::Discarded { reason, .. } => {
                 let line = self.conditions.faults.line_now();

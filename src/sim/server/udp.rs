@@ -57,6 +57,7 @@ use crate::wire::{Codec, Framing, Side};
 pub struct UdpServer {
     local_addr: SocketAddr,
     to_last_sender: Arc<AtomicBool>,
+    from_other_port: Arc<AtomicBool>,
     /// Stops the task when dropped.
     stop: oneshot::Sender<()>,
     task: JoinHandle<()>,
@@ -72,8 +73,10 @@ impl UdpServer {
         let local_addr = socket.local_addr()?;
         let to_last_sender = Arc::new(AtomicBool::new(false));
         let (stop, stopped) = oneshot::channel();
-        let task = tokio::spawn(serve_datagrams(socket, bus, framing, to_last_sender.clone(), stopped));
-        Ok(Self { local_addr, to_last_sender, stop, task })
+        let from_other_port = Arc::new(AtomicBool::new(false));
+        let flags = (to_last_sender.clone(), from_other_port.clone());
+        let task = tokio::spawn(serve_datagrams(socket, bus, framing, flags, stopped));
+        Ok(Self { local_addr, to_last_sender, from_other_port, stop, task })
     }
 
     /// The address it listens on.
@@ -89,6 +92,13 @@ impl UdpServer {
         self.to_last_sender.store(answer, Ordering::Relaxed);
     }
 
+    /// Sets whether replies come from another port than the one that was asked, a new one each.
+    ///
+    /// Default: `false`.
+    pub fn answer_from_other_port(&self, answer: bool) {
+        self.from_other_port.store(answer, Ordering::Relaxed);
+    }
+
     /// Closes the socket, and returns when that is done.
     ///
     /// Requests that have arrived are answered first, within one second.
@@ -100,12 +110,18 @@ impl UdpServer {
     }
 }
 
+/// Sends from a new port of the same address.
+async fn send_from_other_port(socket: &UdpSocket, bytes: &[u8], to: SocketAddr) -> io::Result<usize> {
+    let other = UdpSocket::bind((socket.local_addr()?.ip(), 0)).await?;
+    other.send_to(bytes, to).await
+}
+
 /// Serves datagrams until it is stopped.
 async fn serve_datagrams(
     socket: UdpSocket,
     bus: Bus,
     framing: Framing,
-    to_last_sender: Arc<AtomicBool>,
+    (to_last_sender, from_other_port): (Arc<AtomicBool>, Arc<AtomicBool>),
     mut stopped: oneshot::Receiver<()>,
 ) {
     let conditions = bus.conditions().cloned();
@@ -120,7 +136,10 @@ async fn serve_datagrams(
             Some((to, Output::Bytes(bytes))) => {
                 let to = to.filter(|_| !to_last_sender.load(Ordering::Relaxed)).or(last_sender);
                 if let Some(to) = to {
-                    let result = socket.send_to(&bytes, to).await;
+                    let result = match from_other_port.load(Ordering::Relaxed) {
+                        true => send_from_other_port(&socket, &bytes, to).await,
+                        false => socket.send_to(&bytes, to).await,
+                    };
                     debug!(%to, ?result, "sent");
                 }
                 continue;

@@ -8,7 +8,7 @@ const SECTIONS: [(&str, &[&str]); 6] = [
     ("Values", &["read", "write", "watch", "top", "plan"]),
     ("Discretes", &["set", "reset", "enable", "disable", "forced"]),
     ("PLC", &["status", "run", "stop", "clock", "program", "backup", "restore"]),
-    ("Lines", &["ping", "scan", "detect", "ports", "probe"]),
+    ("Lines", &["ping", "scan", "detect", "ports", "probe", "doctor"]),
     ("Tests", &["sim", "decode", "record", "replay"]),
     ("Shell", &["completions", "man", "help"]),
 ];
