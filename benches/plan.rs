@@ -1,4 +1,4 @@
-//! Time to build plans, for the second table of docs/PLAN.md.
+//! Time to build plans, for docs/PLAN.md.
 //!
 //! ```text
 //! cargo bench -p fatek-benches --bench plan
@@ -6,6 +6,8 @@
 
 #[path = "../examples/plan_table/tags.rs"]
 mod tags;
+
+use std::time::Duration;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use fatek::endpoint::SerialSettings;
@@ -36,6 +38,23 @@ fn planning(c: &mut Criterion) {
     }
 }
 
+/// Plans of thousands of one-scan groups: three random tags in each.
+fn planning_groups(c: &mut Criterion) {
+    let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
+    let mut group = c.benchmark_group("one-scan groups");
+    for n in [1000_usize, 4000, 16_000] {
+        let groups = tags::random(3 * n, 65_535, 65_535, 10_000).expect("good tags");
+        let builder =
+            groups.chunks(3).fold(Plan::builder(network), |builder, tags| builder.one_scan(tags.iter().copied()));
+        group.throughput(Throughput::Elements(n as u64));
+        group.sample_size(20);
+        group.bench_function(BenchmarkId::from_parameter(n), |b| {
+            b.iter_batched(|| builder.clone(), |builder| builder.build().expect("a plan"), BatchSize::LargeInput);
+        });
+    }
+    group.finish();
+}
+
 /// Returns this number of tags.
 type Tags = fn(usize) -> Vec<Tag>;
 
@@ -56,5 +75,5 @@ fn texts(n: usize) -> Vec<Tag> {
     random(n).into_iter().enumerate().map(text).collect()
 }
 
-criterion_group!(benches, planning);
+criterion_group!(benches, planning, planning_groups);
 criterion_main!(benches);

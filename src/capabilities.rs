@@ -32,6 +32,7 @@ use std::time::Duration;
 pub(crate) use self::known::{KnownCapabilities, LEARNED_LIFETIME, Refused};
 use crate::command::{Code, CommandSet};
 use crate::element::Symbol;
+use crate::link::{Declared, LongestReads};
 use crate::plan::{Limits, PlanError, WordAreas, check_range};
 
 /// The capabilities of a station: commands, lengths and timing. By default, none is known, and the limits of
@@ -236,9 +237,15 @@ impl Capabilities {
         self.refused.and(self.unanswered).contains(code)
     }
 
-    /// The commands that are refused, and those that are not answered.
-    pub(crate) fn lacking(&self) -> (CommandSet, CommandSet) {
-        (self.refused, self.unanswered)
+    /// The part of them that a link keeps to.
+    pub(crate) fn declared(&self) -> Declared {
+        let most = |units: Option<usize>| units.and_then(|units| u16::try_from(units).ok()).unwrap_or(u16::MAX);
+        let longest = LongestReads {
+            registers: most(self.max_registers),
+            points: most(self.max_points),
+            mixed: most(self.max_mixed),
+        };
+        Declared { refused: self.refused, unanswered: self.unanswered, longest }
     }
 
     /// The areas whose discretes are not read as words.

@@ -6,9 +6,10 @@ use std::time::Duration;
 use bytes::BytesMut;
 use fatek::capabilities::{Support, WordSupport};
 use fatek::command::{Code, Request, Value, encode_refusal, encode_reply};
+use fatek::poll::{PollTag, Poller, ScanClass, StationPolling};
 use fatek::sim::{self, Bus, Fault, Faults, Plc, Rule};
 use fatek::wire::{Codec, Framing, Received, Side};
-use fatek::{Capabilities, Error, ErrorCode, Limits, Link, Plan, Station, Symbol, Tag, element, register};
+use fatek::{Capabilities, Error, ErrorCode, Limits, Link, Plan, Station, Symbol, Tag, discrete, element, register};
 use futures::StreamExt as _;
 use tokio::io::{AsyncWriteExt as _, DuplexStream};
 use tokio_util::codec::Framed;
@@ -321,6 +322,76 @@ async fn refusals_are_learned_by_use_for_ten_minutes() {
         tokio::time::sleep(Duration::from_secs(600)).await;
         assert_eq!(bench.station.capabilities().command(Code::ReadMixed), Support::Unknown);
         assert!(read().await > refusals, "tried again");
+    }
+}
+
+/// Before, a spelling that was longer than the PLC accepts was refused, and cost a check.
+#[tokio::test(start_paused = true)]
+async fn no_spelling_is_longer_than_declared() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        for (code, most) in [(Code::ReadRegisters, 8), (Code::ReadDiscretes, 20), (Code::ReadMixed, 4)] {
+            bench.faults.add_rule(Rule::new(Fault::Error(ErrorCode::IllegalValue)).command(code).longer_than(most));
+        }
+        let declared = Capabilities::new().with_max_registers(8).unwrap().with_max_points(20).unwrap();
+        bench.station.set_capabilities(declared.with_max_mixed(4).unwrap());
+        for _ in 0..3 {
+            // Each element behind and before has been answered.
+            for first in [register!("R0"), register!("R8"), register!("R16"), register!("R8")] {
+                bench.station.read_registers(first, 8).await.unwrap();
+                bench.station.read_registers(first, 3).await.unwrap();
+            }
+            for first in [discrete!("M0"), discrete!("M20"), discrete!("M40"), discrete!("M20")] {
+                bench.station.read_discretes(first, 20).await.unwrap();
+            }
+            bench.station.read_registers(register!("R0"), 3).await.unwrap();
+            bench.station.read_registers(register!("R500"), 3).await.unwrap();
+        }
+        assert!(bench.faults.rules().iter().all(|rule| rule.times_applied() == 0), "{framing}");
+        let spellings = bench.station.stats().spellings;
+        assert!(spellings.mixed + spellings.one_more > 0, "{framing}: {spellings:?}");
+    }
+}
+
+/// Before, only the poller itself knew the lengths that it had learned.
+#[tokio::test(start_paused = true)]
+async fn what_a_poller_learns_is_known_of_the_station() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        let refusal = || Rule::new(Fault::Error(ErrorCode::IllegalValue));
+        bench.faults.add_rule(refusal().command(Code::ReadRegisters).longer_than(21));
+        bench.faults.add_rule(refusal().command(Code::ReadDiscretes).longer_than(100));
+        bench.faults.add_rule(refusal().command(Code::ReadMixed));
+        let mut poller = Poller::builder().build();
+        let polling = StationPolling::new().limits(Limits::new().words_of_discretes(false));
+        let polled = poller.handle().station_with(&bench.station, polling).unwrap();
+        let tag = |text: &str| PollTag::from(text.parse::<Tag>().unwrap());
+        // Of different classes, so that each is planned alone.
+        polled.add(ScanClass::every(Duration::from_secs(1)), [tag("R0-R199")]).unwrap();
+        polled.add(ScanClass::every(Duration::from_secs(2)), [tag("M0-M255")]).unwrap();
+        let scattered = (0..40).map(|n| tag(&format!("D{}", n * 90)));
+        polled.add(ScanClass::every(Duration::from_secs(3)), scattered).unwrap();
+        let learned = async {
+            tokio::time::sleep(Duration::from_secs(60)).await;
+        };
+        tokio::select! {
+            () = learned => {}
+            () = async { while poller.next().await.is_some() {} } => panic!("the poller ended"),
+        }
+        let known = bench.station.capabilities();
+        assert!(known.max_registers().is_some_and(|max| (11..=21).contains(&max)), "{framing}: {known:?}");
+        assert!(known.max_points().is_some_and(|max| (50..=100).contains(&max)), "{framing}: {known:?}");
+        assert_eq!(known.command(Code::ReadMixed), Support::Refused, "{framing}");
+        // A plan for the station keeps to them from its first request on.
+        poller.close().await;
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        let refusals = bench.station.stats().refusals;
+        let tags = ["R500-R599", "M500-M755"].map(|tag| tag.parse::<Tag>().unwrap());
+        let plan = Plan::builder_for(&bench.station).tags(tags).build().unwrap();
+        assert_eq!(plan.read(&bench.station).await.errors().count(), 0);
+        assert_eq!(bench.station.stats().refusals, refusals, "{framing}");
+        tokio::time::sleep(Duration::from_secs(600)).await;
+        assert_eq!(bench.station.capabilities().max_registers(), None, "tried again after ten minutes");
     }
 }
 

@@ -7,14 +7,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
+use fatek::capabilities::Support;
 use fatek::command::{Code, Request, Value};
-use fatek::endpoint::InStepSettings;
+use fatek::endpoint::{InStepSettings, SerialSettings};
 use fatek::plan::{PlanReadings, ReadRequest, Reply};
 use fatek::sim::fault::{Arrival, LogEntry};
-use fatek::sim::{self, Bus, Fault, Faults, Model, Plc, Rule};
+use fatek::sim::{self, Bus, Fault, Faults, Line, Model, Plc, Rule};
 use fatek::tag::{Assignment, Tag, TagValue};
 use fatek::wire::Framing;
-use fatek::{CostModel, Element, Error, ErrorCode, Limits, Link, Plan, Station, element};
+use fatek::{Capabilities, CostModel, Element, Error, ErrorCode, Limits, Link, Plan, Station, element};
 
 const FRAMINGS: [Framing; 2] = [Framing::Ascii, Framing::Binary];
 
@@ -191,4 +192,49 @@ async fn a_plan_without_a_connection_tries_one_request() {
     let readings = plan.read(&station).await;
     assert!(readings.iter().all(|(_, values)| values.is_err_and(Error::is_connect)));
     assert_eq!(attempts.load(Ordering::Relaxed), 1);
+}
+
+/// Replies of one shape in a row: the link sends checks and other spellings, which the plan has counted.
+#[tokio::test(start_paused = true)]
+async fn the_time_of_a_plan_has_the_checks_of_the_link() {
+    let sets: [(&[&str], Limits); 6] = [
+        (&["R0", "R500", "R1000"], Limits::new().mixed_reads(false)),
+        (&["R0-R1", "R500-R501", "R1000-R1001", "D0-D1"], Limits::new().max_mixed(2).unwrap()),
+        (&["X0-X255", "Y0-Y255", "M0-M255", "S0-S255"], Limits::new().words_of_discretes(false)),
+        (&["R0-R299"], Limits::new()),
+        (&["R0-R299", "D0-D199"], Limits::new().mixed_reads(false)),
+        (&["R0-R63", "D0-D63", "R500-R563", "D500-D563"], Limits::new()),
+    ];
+    let mut with_proofs = 0;
+    for (baud, framing) in [(9600, Framing::Ascii), (19_200, Framing::Binary)] {
+        let settings = SerialSettings::new(framing).with_baud(baud).unwrap();
+        for (texts, limits) in &sets {
+            let tags = texts.iter().map(|text| text.parse().unwrap());
+            let plan = Plan::builder(CostModel::serial(settings, framing)).limits(limits.clone()).tags(tags).build();
+            let plan = plan.unwrap();
+            let response = Duration::from_millis(5);
+            let faults = Faults::new(1).line(Line::new(baud).response_time(response, response));
+            let bus = Bus::new().with_station(1, Plc::new()).unwrap().with_faults(faults);
+            let builder = Link::connector_builder("in memory", framing, sim::connector(bus, framing));
+            let link = builder.serial_line(settings).response_timeout(Duration::from_secs(2)).build();
+            let station = link.station(1).unwrap();
+            if limits.clone().mixed_reads(false) == *limits {
+                station.set_capabilities(Capabilities::new().with_command(Code::ReadMixed, Support::Refused));
+            } else if limits.clone().max_mixed(2).unwrap() == *limits {
+                station.set_capabilities(Capabilities::new().with_max_mixed(2).unwrap());
+            }
+            // The first one opens the connection. The copy window passes before the second one.
+            assert_eq!(plan.read(&station).await.errors().count(), 0);
+            tokio::time::sleep(Duration::from_secs(1)).await;
+            let start = tokio::time::Instant::now();
+            assert_eq!(plan.read(&station).await.errors().count(), 0);
+            let took = start.elapsed();
+            // Timers have whole milliseconds, and nothing waits for the last frame gap.
+            let exchanges = u64::try_from(2 * plan.requests().len()).unwrap();
+            let allowed = plan.time() / 200 + Duration::from_millis(4 + exchanges);
+            assert!(took.abs_diff(plan.time()) <= allowed, "{took:?}: {}", plan.explain());
+            with_proofs += usize::from(!plan.proof_time().is_zero());
+        }
+    }
+    assert_eq!(with_proofs, 6, "half of the plans have requests of one shape");
 }

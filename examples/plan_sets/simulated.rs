@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use fatek::endpoint::SerialSettings;
 use fatek::plan::{Limits, Plan};
 use fatek::sim::{self, Bus, Faults, Line, Plc};
 use fatek::tag::Tag;
@@ -41,7 +42,11 @@ async fn read(plan: &Plan, line: &str, tags: &[Tag]) -> Result<Duration> {
     };
     let faults = Faults::new(1).line(Line::new(baud).response_time(latency, latency));
     let bus = Bus::new().with_station(1, Plc::new())?.with_faults(faults);
-    let builder = Link::connector_builder("a simulated line", Framing::Ascii, sim::connector(bus, Framing::Ascii));
+    let mut builder = Link::connector_builder("a simulated line", Framing::Ascii, sim::connector(bus, Framing::Ascii));
+    // The prices of checks and of other spellings depend on the line.
+    if baud < u32::MAX {
+        builder = builder.serial_line(SerialSettings::new(Framing::Ascii).with_baud(baud)?);
+    }
     let station = builder.seed(1).response_timeout(Duration::from_secs(2)).build().station(1)?;
     read_once(plan, &station, tags).await?;
     // Longer than the copy window.

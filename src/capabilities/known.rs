@@ -12,7 +12,8 @@ use crate::plan::WordAreas;
 /// The lifetime of what is learned from a refusal. Then it is tried again: the cause may have passed.
 pub(crate) const LEARNED_LIFETIME: Duration = Duration::from_secs(600);
 
-/// A conclusion from a refused request whose values were read by others.
+/// A conclusion from a refused request whose values were read by others. Lengths are the longest ones that
+/// are not refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Refused {
     /// Words of the discretes of these areas are refused.
@@ -21,6 +22,12 @@ pub(crate) enum Refused {
     MixedReads,
     /// Mixed writes are refused.
     MixedWrites,
+    /// Longer runs of registers are refused.
+    Registers(usize),
+    /// Longer runs of discretes are refused.
+    Points(usize),
+    /// Mixed reads of more units are refused.
+    Mixed(usize),
 }
 
 /// The capabilities of a station, declared and learned.
@@ -49,7 +56,14 @@ impl KnownCapabilities {
     /// The capabilities as of now.
     pub(crate) fn get(&self, now: Instant) -> Capabilities {
         let recent = self.learned.iter().filter(|(_, at)| now.saturating_duration_since(*at) < LEARNED_LIFETIME);
+        let lower = |known: Option<usize>, learned: usize| known.map_or(learned, |known| known.min(learned));
         recent.fold(self.declared.clone(), |known, (learned, _)| match *learned {
+            // Of several lengths, the shortest counts. A length out of range has no effect.
+            Refused::Registers(max) => {
+                known.clone().with_max_registers(lower(known.max_registers(), max)).unwrap_or(known)
+            }
+            Refused::Points(max) => known.clone().with_max_points(lower(known.max_points(), max)).unwrap_or(known),
+            Refused::Mixed(max) => known.clone().with_max_mixed(lower(known.max_mixed(), max)).unwrap_or(known),
             Refused::MixedReads => known.with_command(Code::ReadMixed, Support::Refused),
             Refused::MixedWrites => known.with_command(Code::WriteMixed, Support::Refused),
             Refused::Words(areas) => {

@@ -62,6 +62,8 @@ pub struct Candidate {
     pub(crate) more_bytes: usize,
     /// The number of elements left to the next request.
     pub(crate) left: u16,
+    /// The units of the elements in it, as [`Capabilities`](crate::Capabilities) count them.
+    pub(crate) units: u16,
 }
 
 /// The other spellings of a request.
@@ -147,12 +149,18 @@ impl Run {
         framing == Framing::Ascii || symbol.len() == 1 && apart
     }
 
+    /// The units of this many of its elements.
+    fn units(self, count: usize) -> u16 {
+        u16::try_from(count * self.first.width().units()).unwrap_or(u16::MAX)
+    }
+
     fn mixed(self, code: Code, count: usize, framing: Framing) -> Candidate {
         Candidate {
             spelling: Spelling::new(code, count),
             extra: None,
             more_bytes: count.saturating_sub(1) * framing.element_len(self.first.symbol()),
             left: u16::try_from(self.count - count).unwrap_or(u16::MAX),
+            units: self.units(count),
         }
     }
 
@@ -164,12 +172,13 @@ impl Run {
         extra.check_in(framing).ok()?;
         let more_bytes = framing.value_len(self.first.width());
         let spelling = Spelling { before, ..Spelling::new(code, self.count + 1) };
-        Some(Candidate { spelling, extra: Some(extra), more_bytes, left: 0 })
+        Some(Candidate { spelling, extra: Some(extra), more_bytes, left: 0, units: self.units(self.count + 1) })
     }
 
     fn one_less(self, code: Code) -> Option<Candidate> {
         let count = self.count.checked_sub(1).filter(|&count| count > 0)?;
-        Some(Candidate { spelling: Spelling::new(code, count), extra: None, more_bytes: 0, left: 1 })
+        let spelling = Spelling::new(code, count);
+        Some(Candidate { spelling, extra: None, more_bytes: 0, left: 1, units: self.units(count) })
     }
 }
 
@@ -178,12 +187,14 @@ pub(super) fn mixed_read_candidates(elements: &[Element], framing: Framing) -> C
     let candidate = || {
         let &first = elements.first()?;
         let repeated: Vec<_> = elements.iter().copied().chain([first]).collect();
+        let units: usize = repeated.iter().map(|element| element.width().units()).sum();
         ReadMixed::new(repeated).ok()?.check(framing).ok()?;
         Some(Candidate {
             spelling: Spelling::new(Code::ReadMixed, elements.len() + 1),
             extra: Some(first),
             more_bytes: framing.element_len(first.symbol()) + framing.value_len(first.width()),
             left: 0,
+            units: u16::try_from(units).unwrap_or(u16::MAX),
         })
     };
     [candidate(), None, None, None]

@@ -57,6 +57,11 @@ impl Config {
         let proof_gap = if self.in_step.one_request() { self.in_step.quiet() } else { Duration::ZERO };
         [self.frame_gap.short, proof_gap]
     }
+
+    /// Returns whether checks and other spellings separate requests whose replies have one shape.
+    pub(crate) fn sends_checks(&self) -> bool {
+        self.in_step.copies() > 0 && !self.in_step.one_request()
+    }
 }
 
 /// The settings in use in a pool. Its links have few different ones, and thousands of copies would take

@@ -34,13 +34,12 @@ use super::config::Config;
 use super::connection::{Connection, ConnectionState};
 use super::exchange::{Exchange, Outgoing};
 use super::frame_gap::FrameGap;
-use super::in_step::{InStep, Prices, Proof};
+use super::in_step::{Declared, InStep, Prices, Proof};
 use super::later;
 use super::mute::MuteDetector;
 use super::scheduler::Scheduler;
 use super::stations::Stations;
 use super::stats::{SharedStats, StationState, add};
-use crate::command::CommandSet;
 use crate::error::{Error, Seen};
 use crate::random::Random;
 use crate::transport::LateDatagrams;
@@ -135,10 +134,9 @@ impl Core {
         }
     }
 
-    /// Declares the commands that a station refuses and those that it does not answer, in place of those
-    /// declared or found before.
-    pub(crate) fn declare_commands(&mut self, station: u8, refused: CommandSet, unanswered: CommandSet) {
-        self.stations.with_in_step(station, |in_step| in_step.declare(refused, unanswered));
+    /// Declares capabilities of a station, in place of those declared or found before.
+    pub(crate) fn declare(&mut self, station: u8, declared: Declared) {
+        self.stations.with_in_step(station, |in_step| in_step.declare(declared));
     }
 
     pub(crate) fn config(&self) -> &Config {

@@ -38,10 +38,10 @@ use super::call::PendingCall;
 use super::connect_limiter::{ConnectLimiter, ConnectPermit, ConnectSlot};
 use super::connector::Connector;
 use super::core::{Action, Core};
+use super::in_step::Declared;
 use super::io_waker::IoWaker;
 use super::later;
 use super::state::{LinkState, SharedLinkState};
-use crate::command::CommandSet;
 use crate::error::Rounded;
 use crate::transport::{BoxIo, Io};
 
@@ -155,9 +155,9 @@ impl Driver {
         }
     }
 
-    /// Declares the commands that a station refuses and those that it does not answer.
-    pub(crate) fn declare_commands(&mut self, station: u8, refused: CommandSet, unanswered: CommandSet) {
-        self.core.declare_commands(station, refused, unanswered);
+    /// Declares capabilities of a station.
+    pub(crate) fn declare(&mut self, station: u8, declared: Declared) {
+        self.core.declare(station, declared);
     }
 
     /// Takes a call.

@@ -41,7 +41,9 @@ use tokio::time::Instant;
 
 use self::answered::AnsweredElements;
 use self::terms::ANY_SIZE;
-pub(crate) use self::terms::{Check, Choice, Kind, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why};
+pub(crate) use self::terms::{
+    Check, Choice, Declared, Kind, LongestReads, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why,
+};
 use super::later;
 use crate::command::{Candidate, Code, CommandSet, NO_CANDIDATES, Run, Spelling};
 
@@ -78,6 +80,8 @@ pub(crate) struct InStep {
     lacks: CommandSet,
     /// Commands that are declared as unanswered: no check uses them.
     unanswered: CommandSet,
+    /// Longer spellings would be refused.
+    longest: LongestReads,
     answered: AnsweredElements,
     /// The silence before the reply, in the slowest of recent exchanges.
     slowest: Duration,
@@ -126,6 +130,7 @@ impl InStep {
             careful: false,
             lacks: CommandSet::NONE,
             unanswered: CommandSet::NONE,
+            longest: LongestReads::ANY,
             answered: AnsweredElements::new(),
             slowest: Duration::ZERO,
             proof: Proof::default(),
@@ -168,7 +173,9 @@ impl InStep {
         let possible = |candidate: &Candidate| {
             let known = candidate.extra.is_none_or(|extra| self.answered.contains(extra));
             let lacking = self.lacks.contains(candidate.spelling.code) && candidate.spelling.code != spelling.code;
-            known && !lacking && self.allows(request, candidate.spelling) && price(candidate) < rule.prices.exchange
+            let is_cheaper = rule.prices.is_below_an_exchange(candidate, spelling);
+            let fits = self.longest.allows(candidate);
+            known && fits && !lacking && self.allows(request, candidate.spelling) && is_cheaper
         };
         let best = candidates.iter().flatten().filter(|candidate| possible(candidate)).min_by_key(|&c| price(c));
         match best {
@@ -224,10 +231,11 @@ impl InStep {
         answered.map_or(Check::Nonce, |(check, _)| check)
     }
 
-    /// Declares the commands that the station refuses or does not answer, in place of those declared or
-    /// found before.
-    pub(crate) fn declare(&mut self, refused: CommandSet, unanswered: CommandSet) {
-        (self.lacks, self.unanswered) = (refused.and(unanswered), unanswered);
+    /// Declares the commands that the station refuses or does not answer and its longest reads, in place of
+    /// those declared or found before.
+    pub(crate) fn declare(&mut self, declared: Declared) {
+        let Declared { refused, unanswered, longest } = declared;
+        (self.lacks, self.unanswered, self.longest) = (refused.and(unanswered), unanswered, longest);
     }
 
     /// Chooses what goes between two requests: `check`, if nothing owed could answer it.

@@ -69,7 +69,7 @@ use self::config::Config;
 pub(crate) use self::config::SharedConfigs;
 pub(crate) use self::connect_limiter::ConnectLimiter;
 pub(crate) use self::connector::Connector;
-pub(crate) use self::in_step::{Proof, Shape};
+pub(crate) use self::in_step::{Declared, LongestReads, Prices, Proof, Shape};
 use self::shared::Shared;
 use self::shared_capabilities::SharedCapabilities;
 use self::state::SharedLinkState;
@@ -252,10 +252,10 @@ impl Link {
 
     /// Declares the capabilities of a station, for its calls and for the requests of the link itself.
     pub(crate) fn declare_capabilities(&self, station: u8, capabilities: Capabilities) {
-        let (refused, unanswered) = capabilities.lacking();
+        let declared = capabilities.declared();
         // Under the lock of the capabilities, so that both are of one declaration.
         self.inner.capabilities.with(station, |known| {
-            self.inner.shared.declare_commands(station, refused, unanswered);
+            self.inner.shared.declare(station, declared);
             known.declare(capabilities);
         });
         // Calls that were posted meanwhile found the driver's lock taken. Without the lock of the
@@ -291,6 +291,11 @@ impl Link {
     /// See [`Config::request_gaps`].
     pub(crate) fn request_gaps(&self) -> [Duration; 2] {
         self.inner.config.request_gaps()
+    }
+
+    /// See [`Config::sends_checks`].
+    pub(crate) fn sends_checks(&self) -> bool {
+        self.inner.config.sends_checks()
     }
 
     pub(crate) fn shared_stats(&self) -> &SharedStats {

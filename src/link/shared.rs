@@ -43,8 +43,8 @@ use tokio::time::{Instant, Sleep, sleep_until};
 
 use super::call::PendingCall;
 use super::driver::{AdvancedBy, Driver, DriverStatus};
+use super::in_step::Declared;
 use super::io_waker::IoWaker;
-use crate::command::CommandSet;
 
 /// The state of a link that its handles and its task share.
 pub(crate) struct Shared {
@@ -117,10 +117,10 @@ impl Shared {
         self.io_waker.wake_task();
     }
 
-    /// Declares the commands that a station refuses and those that it does not answer.
-    pub(crate) fn declare_commands(&self, station: u8, refused: CommandSet, unanswered: CommandSet) {
+    /// Declares capabilities of a station.
+    pub(crate) fn declare(&self, station: u8, declared: Declared) {
         if let Some(slot) = lock(&self.slot).as_mut() {
-            slot.driver.declare_commands(station, refused, unanswered);
+            slot.driver.declare(station, declared);
         }
     }
 

@@ -5,8 +5,7 @@ use std::time::Duration;
 
 use super::fallback::PlanInputs;
 use super::layout::{Cells, Draft};
-use super::order;
-use super::solve::{self, Part};
+use super::solve::{self, Part, Solution};
 use super::words::{self, WordAreas};
 use super::{CostModel, Limits, MAX_VALUES, Plan, PlanError, PlannedRequest, ValueSlot};
 use crate::command::InvalidRequest;
@@ -88,7 +87,7 @@ impl PlanBuilder {
     /// framing of the costs does not have the address of an element.
     pub fn build(self) -> Result<Plan, PlanError> {
         let values = Values::of(&self.tags, &self.limits, self.cost.framing())?;
-        let (parts, shares) = self.solve(&values)?;
+        let (parts, Solution { shares, proofs, .. }) = self.solve(&values)?;
 
         let mut request_of = vec![0_u32; parts.groups.len() + parts.single.len()];
         for (request, (_, parts)) in (0..).zip(&shares) {
@@ -119,13 +118,6 @@ impl PlanBuilder {
         };
         let mut requests =
             shares.iter().zip(counts).zip(word_areas).map(planned).collect::<Result<Vec<_>, InvalidRequest>>()?;
-        let order = order::distinct_order(&requests);
-        let mut place = vec![0; requests.len()];
-        for (at, request) in (0..).zip(&order) {
-            place[*request] = at;
-        }
-        slots.iter_mut().for_each(|slot: &mut ValueSlot| slot.request = place[slot.request as usize]);
-        requests = order.into_iter().map(|request| requests[request].clone()).collect();
         let inputs = (self.fallbacks && requests.iter().any(PlannedRequest::may_have_fallback))
             .then(|| Arc::new(PlanInputs { cost: self.cost, limits: self.limits, groups: self.groups }));
         let (mut tags, mut first_slot) = (self.tags, values.first_slot);
@@ -133,37 +125,37 @@ impl PlanBuilder {
         requests.shrink_to_fit();
         tags.shrink_to_fit();
         first_slot.shrink_to_fit();
-        Ok(Plan { tags, first_slot, slots, requests, inputs })
+        let proof_time = Duration::from_nanos(proofs);
+        Ok(Plan { tags, first_slot, slots, requests, proof_time, inputs })
     }
 
     /// Distributes the values among requests: with words of discretes if that is cheaper.
-    fn solve(&self, values: &Values) -> Result<(Parts, Vec<solve::Share>), PlanError> {
+    fn solve(&self, values: &Values) -> Result<(Parts, Solution), PlanError> {
         let solved = |builder: &Self| {
             let parts = builder.parts(values)?;
-            let shares = solve::solve(&parts.groups, &parts.single, &builder.limits, &self.cost);
-            Ok::<_, PlanError>((parts, shares))
+            let solution = solve::solve(&parts.groups, &parts.single, &builder.limits, &self.cost);
+            Ok::<_, PlanError>((parts, solution))
         };
         let with_words = solved(self)?;
-        let (parts, shares) = &with_words;
+        let (parts, solution) = &with_words;
         // For few parts, the solver compares all plans; in the binary framing some are ambiguous.
         let is_exact = parts.groups.len() + parts.single.len() <= solve::MAX_EXACT_PARTS;
-        let is_best = shares.len() == 1 || is_exact && self.cost.framing() == Framing::Ascii;
+        let is_best = solution.shares.len() == 1 || is_exact && self.cost.framing() == Framing::Ascii;
         if is_best || !values.cells.iter().any(|cells| words::has_words(cells, &self.limits)) {
             return Ok(with_words);
         }
         let limits = self.limits.clone().words_of_discretes(false);
-        let price = |shares: &[solve::Share]| shares.iter().map(|(draft, _)| draft.cost(&self.cost)).sum::<u64>();
         let builder = Self { limits, ..self.clone() };
         // Mostly the bound shows that no plan without words is cheaper, at a fraction of the time.
         let is_dearer = |parts: &Parts| {
-            parts.groups.is_empty() && solve::least_cost(&parts.single, &builder.limits, &self.cost) >= price(shares)
+            parts.groups.is_empty() && solve::least_cost(&parts.single, &builder.limits, &self.cost) >= solution.price()
         };
         if builder.parts(values).is_ok_and(|parts| is_dearer(&parts)) {
             return Ok(with_words);
         }
         // A group may fit in a request by words only.
         let Ok(without_words) = solved(&builder) else { return Ok(with_words) };
-        Ok(if price(&without_words.1) < price(shares) { without_words } else { with_words })
+        Ok(if without_words.1.price() < solution.price() { without_words } else { with_words })
     }
 
     /// Divides the values into parts, each of which must come from one request.

@@ -15,9 +15,11 @@ use crate::wire::Framing;
 /// frame gap + response time + overhead + (bytes of the request + bytes of the reply) × byte time
 /// ```
 ///
-/// A plan takes the sum over its requests, because a link has one request in flight at a time. The
-/// sum is without the check of the link that ends a job of several requests, one short exchange; it
-/// is not sent if no other reply of the plan has the shape of the last one.
+/// A plan takes the sum over its requests, because a link has one request in flight at a time, and
+/// their *proofs*: a request whose reply has the command and the length of the reply before it is
+/// sent as a mixed read (48) where that is cheaper than a loop-back without data, which is sent
+/// before it otherwise; and a check ends a plan of several requests, unless the last reply differs
+/// from all others.
 ///
 /// ```
 /// use std::time::Duration;
@@ -38,6 +40,8 @@ pub struct CostModel {
     frame_gap: Duration,
     response_time: Duration,
     overhead: Duration,
+    /// The link separates requests whose replies have one shape.
+    proofs: bool,
 }
 
 impl CostModel {
@@ -57,14 +61,15 @@ impl CostModel {
             frame_gap: line.frame_gap().short,
             response_time: DEFAULT_RESPONSE_TIME,
             overhead: Duration::ZERO,
+            proofs: true,
         }
     }
 
     /// Costs of a link: of its serial line if known, else of a network with a 5 ms round trip.
     ///
     /// The frame gap is that of the link. If its connections carry one request only, the quiet time
-    /// that proves each request counts as overhead. Otherwise the proof of a request costs nothing
-    /// if its neighbours have replies of other shapes, which is the order of a plan.
+    /// that proves each request counts as overhead. Proofs count unless the link [has no
+    /// duplicates](crate::endpoint::InStepSettings::with_copies).
     #[must_use]
     pub fn of_link(link: &Link) -> Self {
         let model = match link.line() {
@@ -72,7 +77,7 @@ impl CostModel {
             None => Self::network(link.framing(), DEFAULT_RESPONSE_TIME),
         };
         let [frame_gap, proof_gap] = link.request_gaps();
-        model.with_frame_gap(frame_gap).with_overhead(proof_gap)
+        model.with_frame_gap(frame_gap).with_overhead(proof_gap).with_proofs(link.sends_checks())
     }
 
     /// Costs of a station: those of its link, with its [response
@@ -100,6 +105,7 @@ impl CostModel {
             frame_gap: Duration::ZERO,
             response_time: round_trip,
             overhead: Duration::ZERO,
+            proofs: true,
         }
     }
 
@@ -127,6 +133,36 @@ impl CostModel {
     #[must_use]
     pub fn with_overhead(self, overhead: Duration) -> Self {
         Self { overhead: bounded(overhead), ..self }
+    }
+
+    /// Sets whether proofs are counted: `false` is for links without them, such as those that were
+    /// told that [the line has no duplicates](crate::endpoint::InStepSettings::with_copies). Default:
+    /// `true`.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::plan::{CostModel, Limits, Plan};
+    /// use fatek::wire::Framing;
+    ///
+    /// let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
+    /// let plan = |cost| {
+    ///     let tags = ["R0", "R500", "R1000"].map(|tag| tag.parse().unwrap());
+    ///     Plan::builder(cost).limits(Limits::new().mixed_reads(false)).tags(tags).build()
+    /// };
+    /// // A loop-back after the first request and after the second one, and one at the end.
+    /// assert!(plan(network)?.proof_time() > Duration::from_millis(15));
+    /// assert_eq!(plan(network.with_proofs(false))?.proof_time(), Duration::ZERO);
+    /// # Ok::<(), fatek::plan::PlanError>(())
+    /// ```
+    #[must_use]
+    pub fn with_proofs(self, proofs: bool) -> Self {
+        Self { proofs, ..self }
+    }
+
+    /// Returns whether [proofs](Self::with_proofs) are counted.
+    #[must_use]
+    pub fn proofs(&self) -> bool {
+        self.proofs
     }
 
     /// Returns the framing whose bytes are counted.

@@ -18,6 +18,10 @@ impl fmt::Display for Explanation<'_> {
             let (values, bytes, time) = (planned.values, planned.bytes(), milliseconds(planned.time));
             writeln!(f, "{:>7}  {values:>6}  {bytes:>6}  {time:>10}  {}", n + 1, planned.request)?;
         }
+        if !plan.proof_time.is_zero() {
+            let (empty, time) = ("", milliseconds(plan.proof_time));
+            writeln!(f, "{:>7}  {empty:>6}  {empty:>6}  {time:>10}  checks by the link", "proofs")?;
+        }
         let (values, bytes, time) = (plan.slots.len(), plan.bytes(), milliseconds(plan.time()));
         let requests = match plan.requests.len() {
             1 => "1 request".to_owned(),

@@ -6,7 +6,7 @@ use super::ReadRequest;
 use super::cost::CostModel;
 use super::limits::{Limits, WORD_BITS};
 use super::words;
-use crate::command::{InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
+use crate::command::{Code, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
 use crate::element::{Discrete, Element, Register, Register32, Symbol, Width};
 
 /// The cells that a run can contain: one symbol, one readable range, addresses one step apart.
@@ -176,6 +176,19 @@ impl Cells {
         (cell < self.end()).then_some((cell, bit))
     }
 
+    /// Returns whether a high byte of its addresses is a letter, which the binary framing may take for a
+    /// part of the symbol.
+    pub(super) fn may_be_read_otherwise(self) -> bool {
+        self.addresses().any(|address| address.to_be_bytes()[0].is_ascii_uppercase())
+    }
+
+    /// Divides it into elements of two cells, and one of one cell at the end.
+    fn pairs(self) -> impl Iterator<Item = Self> {
+        let pair = if self.area.dword().is_some() { 2 } else { 1 };
+        let starts = (self.first..self.end()).step_by(pair as usize);
+        starts.map(move |first| Self { first, len: pair.min(self.end() - first), ..self })
+    }
+
     /// Returns whether it contains all cells of `other`.
     pub(super) fn contains(self, other: Self) -> bool {
         self.area == other.area && self.first <= other.first && other.end() <= self.end()
@@ -237,7 +250,8 @@ pub(super) fn least_value_bytes(cells: &[Cells], limits: &Limits, cost: &CostMod
 pub(super) enum Draft {
     /// A run, 44 or 46.
     Run(Cells),
-    /// A mixed read, 48: elements of one or two cells, sorted.
+    /// A mixed read, 48: elements of one or two cells. Stretches of neighbours are sorted, the first or
+    /// the last one first.
     Mixed(Vec<Cells>),
 }
 
@@ -262,25 +276,37 @@ impl Draft {
 
     /// Returns the mixed read of exactly these cells, if there is one. They are sorted.
     ///
-    /// Neighbours are read in pairs: `DR0` is shorter than `R0 R1`.
+    /// Neighbours are read in pairs: `DR0` is shorter than `R0 R1`. If the list is ambiguous in the
+    /// binary framing, the last stretch of neighbours comes first.
     pub(super) fn mixed_of(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Self> {
         if mixed_units(cells) > limits.mixed_units() {
             return None;
         }
-        let mut items = Vec::with_capacity(cells.len());
-        for stretch in stretches(cells) {
-            let pair = if stretch.area.dword().is_some() { 2 } else { 1 };
-            let mut first = stretch.first;
-            while first < stretch.end() {
-                let len = pair.min(stretch.end() - first);
-                items.push(Cells { first, len, ..stretch });
-                first += len;
+        let in_order = |stretches: &mut dyn Iterator<Item = Cells>| {
+            let draft = Self::Mixed(stretches.flat_map(Cells::pairs).collect());
+            draft.request().is_ok_and(|request| request.check(cost.framing()).is_ok()).then_some(draft)
+        };
+        let stretches = stretches(cells);
+        in_order(&mut stretches.iter().copied()).or_else(|| in_order(&mut stretches.iter().rev().copied()))
+    }
+
+    /// Returns a request of each kind for all of these cells, which are sorted: the runs, and for each
+    /// length of the reply the cheapest mixed read.
+    pub(super) fn options(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Self> {
+        let run = Self::run(cells, limits);
+        let words = words::runs(cells, limits, cost.framing());
+        let mut options: Vec<Self> = [run].into_iter().chain(words).flatten().collect();
+        let mut lengths = Vec::new();
+        for choice in words::choices(cells, limits, cost) {
+            if let Some(draft) = Self::mixed_of(&choice, limits, cost) {
+                let (_, reply) = draft.bytes(cost);
+                if !lengths.contains(&reply) {
+                    lengths.push(reply);
+                    options.push(draft);
+                }
             }
         }
-        let draft = Self::Mixed(items);
-        // Some lists are ambiguous in the binary framing.
-        draft.request().ok()?.check(cost.framing()).ok()?;
-        Some(draft)
+        options
     }
 
     /// Returns the cheapest request for all of these cells, which are sorted.
@@ -289,6 +315,23 @@ impl Draft {
         let words = words::runs(cells, limits, cost.framing());
         let mixed = Self::mixed(cells, limits, cost);
         [run].into_iter().chain(words).chain([mixed]).flatten().min_by_key(|draft| draft.cost(cost))
+    }
+
+    /// Returns the command.
+    pub(super) fn code(&self) -> Code {
+        match self {
+            Self::Run(run) if run.area.width() == Width::Bit => Code::ReadDiscretes,
+            Self::Run(_) => Code::ReadRegisters,
+            Self::Mixed(_) => Code::ReadMixed,
+        }
+    }
+
+    /// Returns the units of a run; `None` for a mixed read.
+    pub(super) fn run_units(&self) -> Option<u32> {
+        match self {
+            Self::Run(run) => Some(run.len * run.area.units()),
+            Self::Mixed(_) => None,
+        }
     }
 
     /// Returns the cost of request and reply in nanoseconds.
@@ -343,8 +386,13 @@ impl Draft {
             Self::Run(run) if run.contains(cells) => Some(((cells.first - run.first) * run.area.words(), None)),
             Self::Run(run) => run.find_bit(cells).map(|(cell, bit)| (cell - run.first, Some(bit))),
             Self::Mixed(items) => {
-                let after = items.partition_point(|item| (item.area, item.first) <= (cells.area, cells.first));
-                let held = after.checked_sub(1).and_then(|n| Some((items.get(n)?, words_before.get(n)?)));
+                let key = |item: &Cells| (item.area, item.first);
+                let is_reversed = matches!(items.as_slice(), [first, .., last] if key(last) < key(first));
+                let at = match is_reversed {
+                    false => items.partition_point(|item| key(item) <= key(&cells)).checked_sub(1),
+                    true => items.iter().position(|item| item.contains(Cells { len: 1, ..cells })),
+                };
+                let held = at.and_then(|n| Some((items.get(n)?, words_before.get(n)?)));
                 let held = held.filter(|(item, _)| item.area == cells.area && cells.first < item.end());
                 if let Some((item, before)) = held {
                     return Some((before + (cells.first - item.first) * item.area.words(), None));

@@ -3,7 +3,7 @@ use std::time::Duration;
 
 use super::Reply;
 use super::words::WordAreas;
-use crate::command::{Code, Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters};
+use crate::command::{Candidate, Code, Command, InvalidRequest, ReadDiscretes, ReadMixed, ReadRegisters, Spelling};
 use crate::element::{Element, Register, Register32};
 use crate::error::Error;
 use crate::link::{CallOutcome, Purpose};
@@ -122,6 +122,27 @@ impl ReadRequest {
             Self::Registers32(request) => job.call(mark, *request, false).await?.map(Reply::DWords),
             Self::Mixed(request) => job.call(mark, request.clone(), false).await?.map(Reply::Mixed),
         })
+    }
+
+    /// Returns the mixed read of the elements of a run, as a spelling of it.
+    pub(super) fn as_mixed_read(&self, framing: Framing) -> Option<Candidate> {
+        let candidates = match self {
+            Self::Discretes(request) => request.candidates(false, framing),
+            Self::Registers(request) => request.candidates(false, framing),
+            Self::Registers32(request) => request.candidates(false, framing),
+            Self::Mixed(_) => return None,
+        };
+        candidates.into_iter().flatten().find(|candidate| candidate.spelling.code == Code::ReadMixed)
+    }
+
+    /// Returns the spelling that the request has without a reason for another one.
+    pub(super) fn plain(&self) -> Spelling {
+        match self {
+            Self::Discretes(request) => request.plain(),
+            Self::Registers(request) => request.plain(),
+            Self::Registers32(request) => request.plain(),
+            Self::Mixed(request) => request.plain(),
+        }
     }
 
     /// Returns the command.

@@ -146,19 +146,45 @@ fn run_at(cells: &[Cells], symbol: Symbol, residue: u16, limits: &Limits, framin
 ///
 /// Exact: of all choices of words, the result has the fewest bytes.
 pub(super) fn cover(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Option<Vec<Cells>> {
-    let covers = covers(cells, limits, cost, limits.mixed_units())?;
+    let covers = covers(cells, limits, cost, limits.mixed_units(), Kept::Cheapest)?;
     let cheapest = covers.into_iter().min_by_key(|cover| (cover.bytes, cover.units))?;
     apply(cells, cheapest, limits, cost)
 }
 
+/// Returns the cells of mixed reads of these cells, with and without discretes in words, the one with
+/// the fewest bytes first. The cells are sorted.
+///
+/// Up to [`MAX_EACH`] discretes, there is a choice for each length of the reply, and no choice of words
+/// with that length has fewer bytes.
+pub(super) fn choices(cells: &[Cells], limits: &Limits, cost: &CostModel) -> Vec<Vec<Cells>> {
+    let discretes: u32 = cells.iter().filter(|cells| has_words(cells, limits)).map(|cells| cells.len).sum();
+    let kept = if discretes <= MAX_EACH { Kept::EachLength } else { Kept::Cheapest };
+    let mut covers = covers(cells, limits, cost, limits.mixed_units(), kept).unwrap_or_default();
+    covers.sort_by_key(|cover| (cover.bytes, cover.units));
+    let with_words = covers.into_iter().filter_map(|cover| apply(cells, cover, limits, cost));
+    with_words.chain([cells.to_vec()]).collect()
+}
+
+/// The maximum number of discretes for which a choice of words is kept for each length of a reply.
+const MAX_EACH: u32 = 16;
+
+/// The choices of words that are kept.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kept {
+    /// The cheapest for each number of units.
+    Cheapest,
+    /// The cheapest for each number of units and each length of the reply.
+    EachLength,
+}
+
 /// Returns the fewest units of a mixed read of these cells. They are sorted.
 pub(super) fn fewest_units(cells: &[Cells], limits: &Limits, cost: &CostModel) -> u32 {
-    let covers = covers(cells, limits, cost, u32::MAX).unwrap_or_default();
+    let covers = covers(cells, limits, cost, u32::MAX, Kept::Cheapest).unwrap_or_default();
     covers.iter().map(|cover| cover.units).min().unwrap_or(layout::mixed_units(cells))
 }
 
 /// Returns the choices of words for a mixed read of at most `max` units.
-fn covers(cells: &[Cells], limits: &Limits, cost: &CostModel, max: u32) -> Option<Vec<Cover>> {
+fn covers(cells: &[Cells], limits: &Limits, cost: &CostModel, max: u32, kept: Kept) -> Option<Vec<Cover>> {
     if !cells.iter().any(|cells| has_words(cells, limits)) {
         return None;
     }
@@ -180,7 +206,7 @@ fn covers(cells: &[Cells], limits: &Limits, cost: &CostModel, max: u32) -> Optio
         return None;
     }
     let prices = Prices::new(cost);
-    let mut covers = vec![Cover { units, bytes: 0, words: Vec::new() }];
+    let mut covers = vec![Cover { units, alone: 0, bytes: 0, words: Vec::new() }];
     for (symbol, area) in &areas {
         units = covers.iter().map(|cover| cover.units).min().unwrap_or(units);
         let allows = |octet: u16| {
@@ -189,14 +215,19 @@ fn covers(cells: &[Cells], limits: &Limits, cost: &CostModel, max: u32) -> Optio
         // A mixed read has no double word over the edge of a readable range.
         let segment = |octet: u16| limits.segment(symbol.area().word(), octet * OCTET);
         let is_joined = |octet: u16| octet.checked_sub(2).is_some_and(|before| segment(before) == segment(octet));
-        let here = area.covers(*symbol, (allows, is_joined), prices, max.saturating_sub(units));
+        let here = area.covers(*symbol, (allows, is_joined), prices, max.saturating_sub(units), kept);
         let both = |a: &Cover, b: &Cover| Cover {
             units: a.units + b.units,
+            alone: a.alone + b.alone,
             bytes: a.bytes + b.bytes,
             words: [a.words.as_slice(), &b.words].concat(),
         };
         covers = covers.iter().flat_map(|a| here.iter().map(|b| both(a, b))).collect();
         covers.retain(|cover| cover.units <= max);
+        if kept == Kept::EachLength {
+            covers.sort_by_key(|cover| (cover.units, cover.alone, cover.bytes));
+            covers.dedup_by_key(|cover| (cover.units, cover.alone));
+        }
     }
     Some(covers)
 }
@@ -265,6 +296,8 @@ impl Prices {
 /// A choice of words, and its units and bytes with the discretes that are in none of them.
 struct Cover {
     units: u32,
+    /// As in [`Choice`].
+    alone: u32,
     bytes: usize,
     /// Area and first octet of each word that no tag has.
     words: Vec<(Symbol, u16)>,
@@ -289,6 +322,8 @@ enum Stretch {
 #[derive(Clone, Copy)]
 struct Choice {
     units: u32,
+    /// The discretes that are in no word. They and the units determine the length of the reply.
+    alone: u32,
     bytes: usize,
     /// The last octet in which a chosen word begins.
     reach: u16,
@@ -324,6 +359,7 @@ impl OctetMap {
         (allows, is_joined): (impl Fn(u16) -> bool, impl Fn(u16) -> bool),
         prices: Prices,
         max_units: u32,
+        kept: Kept,
     ) -> Vec<Cover> {
         const STATES: [Stretch; 3] = [Stretch::None, Stretch::Odd, Stretch::Even];
         let mut octets: Vec<u16> = Vec::with_capacity(2 * self.octets.len());
@@ -336,7 +372,7 @@ impl OctetMap {
 
         // Indexed by the stretch of the last octet and of the one before.
         let mut choices: [Vec<Choice>; 9] = Default::default();
-        choices[0].push(Choice { units: 0, bytes: 0, reach: 0, last: None });
+        choices[0].push(Choice { units: 0, alone: 0, bytes: 0, reach: 0, last: None });
         let mut chosen: Vec<(u16, Option<usize>)> = Vec::new();
         let mut before: Option<u16> = None;
         for octet in octets {
@@ -364,19 +400,20 @@ impl OctetMap {
                         with.last = Some(chosen.len());
                         chosen.push((octet, choice.last));
                     }
-                    add_choice(&mut next[now as usize * 3 + last as usize], with, max_units);
+                    add_choice(&mut next[now as usize * 3 + last as usize], with, max_units, kept);
                 }
                 if !is_read {
                     let alone = if last == Stretch::None { discretes.count_ones() } else { 0 };
                     let bytes = choice.bytes + prices.discrete * alone as usize;
-                    let without = Choice { units: choice.units + alone, bytes, ..choice };
-                    add_choice(&mut next[last as usize], without, max_units);
+                    let (units, alone) = (choice.units + alone, choice.alone + alone);
+                    let without = Choice { units, alone, bytes, ..choice };
+                    add_choice(&mut next[last as usize], without, max_units, kept);
                 }
             }
             choices = next;
         }
         let mut best = Vec::new();
-        choices.into_iter().flatten().for_each(|choice| add_choice(&mut best, choice, max_units));
+        choices.into_iter().flatten().for_each(|choice| add_choice(&mut best, choice, max_units, kept));
         let words = |mut at: Option<usize>| {
             std::iter::from_fn(|| {
                 let (octet, before) = chosen.get(at?)?;
@@ -385,20 +422,25 @@ impl OctetMap {
             })
             .collect()
         };
-        best.into_iter().map(|c| Cover { units: c.units, bytes: c.bytes, words: words(c.last) }).collect()
+        best.into_iter()
+            .map(|c| Cover { units: c.units, alone: c.alone, bytes: c.bytes, words: words(c.last) })
+            .collect()
     }
 }
 
 /// Adds a choice unless another one has no more units and bytes.
-fn add_choice(choices: &mut Vec<Choice>, new: Choice, max_units: u32) {
+fn add_choice(choices: &mut Vec<Choice>, new: Choice, max_units: u32, kept: Kept) {
+    let length = |choice: &Choice| (choice.units, choice.alone);
+    let is_comparable = |old: &Choice| kept == Kept::Cheapest || length(old) == length(&new);
     let is_worse = |old: &Choice| {
-        old.units <= new.units
+        is_comparable(old)
+            && old.units <= new.units
             && old.bytes <= new.bytes
             && (old.units < new.units || old.bytes < new.bytes || old.reach <= new.reach)
     };
     if new.units > max_units || choices.iter().any(is_worse) {
         return;
     }
-    choices.retain(|old| old.units < new.units || old.bytes < new.bytes);
+    choices.retain(|old| !is_comparable(old) || old.units < new.units || old.bytes < new.bytes);
     choices.push(new);
 }

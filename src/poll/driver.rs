@@ -60,6 +60,9 @@ async fn poll_until_stopped(shared: &PollerShared, station: &StationShared) {
                 advance(shared, station, |poller, now, samples| poller.handle_check(result, now, samples))
             }
         };
+        for learned in station.with(StationPoller::take_learned).into_iter().flatten() {
+            station.handle.link().learn_capability(station.handle.number(), learned);
+        }
         if repeated == Some(true) {
             let number = station.handle.number();
             tracing::debug!(station = number, "unexpected frame within a poll cycle: its values are dropped");

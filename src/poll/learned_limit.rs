@@ -2,7 +2,7 @@
 
 use tokio::time::Instant;
 
-use crate::capabilities::LEARNED_LIFETIME;
+use crate::capabilities::{LEARNED_LIFETIME, Refused};
 use crate::element::{Element, Width};
 use crate::plan::{Limits, ReadRequest, WordAreas};
 
@@ -41,6 +41,9 @@ pub(super) struct LearnedLimits {
     /// Each limit once, with the time when it was learned last.
     limits: Vec<(LearnedLimit, Instant)>,
     accepted: LongestAccepted,
+    /// Learned since the last [`take_new`](Self::take_new), as far as other users of the station may
+    /// keep to it: not the places that no run reads through.
+    new: Vec<Refused>,
 }
 
 /// The longest accepted request of each kind. No limit below it is learned.
@@ -51,6 +54,20 @@ struct LongestAccepted {
     mixed: usize,
     /// The areas of discretes of which a word was accepted.
     words: WordAreas,
+}
+
+impl LearnedLimit {
+    /// The capability that the station lacks; `None` for a place.
+    fn as_refused(self) -> Option<Refused> {
+        match self {
+            Self::Registers(max) => Some(Refused::Registers(max)),
+            Self::Points(max) => Some(Refused::Points(max)),
+            Self::Mixed(0) => Some(Refused::MixedReads),
+            Self::Mixed(max) => Some(Refused::Mixed(max)),
+            Self::NoWords(areas) => Some(Refused::Words(areas)),
+            Self::Avoid { .. } | Self::Split { .. } => None,
+        }
+    }
 }
 
 impl LearnedLimits {
@@ -153,8 +170,14 @@ impl LearnedLimits {
         if let LearnedLimit::NoWords(areas) = limit {
             self.accepted.words = self.accepted.words.without(areas);
         }
+        self.new.extend(limit.as_refused());
         self.limits.retain(|(known, _)| *known != limit);
         self.limits.push((limit, now));
+    }
+
+    /// Returns what was learned since the last time.
+    pub(super) fn take_new(&mut self) -> Vec<Refused> {
+        std::mem::take(&mut self.new)
     }
 
     /// Drops limits that have reached [`LEARNED_LIFETIME`]. Returns whether there were any.

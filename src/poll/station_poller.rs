@@ -30,6 +30,7 @@ use super::plan_cache::PlanCache;
 use super::stats::{ClassStats, Counters};
 use super::tag_state::TagState;
 use super::{PollError, Reason, Sample, Stamp, TagId};
+use crate::capabilities::Refused;
 use crate::error::{Error, ErrorCode};
 use crate::link::{Proof, Shape};
 use crate::plan::{CostModel, Limits, MAX_VALUES, Plan, PlanError, ReadRequest, Reply, ReplyWords};
@@ -197,6 +198,11 @@ impl StationPoller {
         let mut counters = self.retired.as_deref().copied().unwrap_or_default();
         self.classes.iter().for_each(|class| counters.add(&class.stats));
         counters
+    }
+
+    /// Returns what refusals have shown since the last time, for other users of the station.
+    pub(super) fn take_learned(&mut self) -> Vec<Refused> {
+        self.context.learned_limits.take_new()
     }
 
     /// Returns the next step. Call it when nothing is in flight.

@@ -28,6 +28,8 @@ struct CostModelForm {
     frame_gap: Option<DurationText>,
     #[serde(default)]
     overhead: Option<DurationText>,
+    #[serde(default)]
+    proofs: Option<bool>,
 }
 
 impl CostModelForm {
@@ -38,6 +40,7 @@ impl CostModelForm {
             byte_time: Some(DurationText(cost.byte_time())),
             frame_gap: Some(DurationText(cost.frame_gap())),
             overhead: Some(DurationText(cost.overhead())),
+            proofs: Some(cost.proofs()),
         })
     }
 
@@ -56,6 +59,9 @@ impl CostModelForm {
         if let Some(time) = self.overhead {
             cost = cost.with_overhead(time.0);
             check_kept("overhead", time, DurationText(cost.overhead()))?;
+        }
+        if let Some(proofs) = self.proofs {
+            cost = cost.with_proofs(proofs);
         }
         Ok(cost)
     }

@@ -8,9 +8,10 @@ impl Station {
     /// Returns what is known of the capabilities of the station, over all handles of the link.
     ///
     /// They are those of [`set_capabilities`](Self::set_capabilities) and [`probe`](Self::probe), and what
-    /// calls and plans have learned since: a refusal of mixed reads or writes, or of words of discretes, for
-    /// ten minutes; an answer to a broadcast; and, except on a serial line, the smoothed round trip as the
-    /// response time. A poller learns for itself.
+    /// calls, plans and pollers have learned since: a refusal of mixed reads or writes, or of words of
+    /// discretes, for ten minutes, and of longer requests, which only pollers learn; an answer to a
+    /// broadcast; and, except on a serial line, the smoothed round trip as the response time. A poller
+    /// does not keep to what others have learned: it learns for itself.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {

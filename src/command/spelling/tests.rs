@@ -48,7 +48,7 @@ fn check_read<V: PartialEq + std::fmt::Debug, C: Command<Reply = Vec<V>>>(
     // The link distinguishes replies by their size.
     let size = |spelling| usize::try_from(read.reply_size(spelling, framing)).unwrap();
     assert_eq!(size(read.plain()), received - framing.reply_overhead(), "{read:?} in {framing:?}");
-    for Candidate { spelling, extra, more_bytes, left } in candidates.into_iter().flatten() {
+    for Candidate { spelling, extra, more_bytes, left, units } in candidates.into_iter().flatten() {
         let (sent_now, received_now, some) = exchange(plc, read, spelling, framing);
         let context = format!("{read:?} as {spelling:?} in {framing:?}");
         assert_eq!(some, values[..values.len() - usize::from(left)], "{context}");
@@ -56,6 +56,10 @@ fn check_read<V: PartialEq + std::fmt::Debug, C: Command<Reply = Vec<V>>>(
         assert_eq!((sent_now + received_now).saturating_sub(sent + received), more_bytes, "{context}");
         assert!(left == 0 || longer, "{context}");
         assert_eq!(extra.is_some(), usize::from(spelling.count) > values.len(), "{context}");
+        let (data, unit) =
+            (received_now - framing.reply_overhead(), |width| usize::from(units) * framing.value_len(width));
+        // Discretes have a byte a unit, others as many as a word.
+        assert!((unit(Width::Bit)..=unit(Width::Word)).contains(&data), "{context}: {units} units");
     }
     candidates.iter().flatten().count()
 }

@@ -14,9 +14,6 @@ use crate::link::in_step::{self, Choice, InStep, Prices, Rule, Why};
 use crate::link::later;
 use crate::link::stats::add;
 
-/// The part of an exchange that is not transmission, for comparing prices: half a scan of a PLC.
-const ASSUMED_RESPONSE_TIME: Duration = Duration::from_millis(5);
-
 /// A call that has waited for less than this is sent, however little time is left.
 const SHORT_WAIT: Duration = Duration::from_millis(1);
 
@@ -196,8 +193,5 @@ impl Core {
 
 /// The prices of separating two requests on the line of these settings.
 pub(super) fn prices(config: &Config) -> Prices {
-    let byte = config.byte_time;
-    let frames =
-        byte.saturating_mul(2).saturating_mul(u32::try_from(config.framing.frame_overhead()).unwrap_or(u32::MAX));
-    Prices { byte, exchange: frames.saturating_add(ASSUMED_RESPONSE_TIME).saturating_add(config.frame_gap.short) }
+    Prices::new(config.framing, config.byte_time, config.frame_gap.short)
 }

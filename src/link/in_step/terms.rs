@@ -4,8 +4,9 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use crate::command::{Candidate, Candidates, Code, Spelling};
+use crate::command::{Candidate, Candidates, Code, CommandSet, Spelling};
 use crate::endpoint::InStepSettings;
+use crate::wire::Framing;
 
 /// The shape of a positive reply. A refusal fits every size of its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -17,6 +18,49 @@ pub(crate) struct Shape {
 
 /// The size of a stray, which may fit any size.
 pub(super) const ANY_SIZE: u32 = u32::MAX;
+
+/// The declared capabilities of a station, as far as the rule needs them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Declared {
+    /// The commands that are refused.
+    pub(crate) refused: CommandSet,
+    /// The commands that are not answered.
+    pub(crate) unanswered: CommandSet,
+    pub(crate) longest: LongestReads,
+}
+
+/// The longest reads that a station accepts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct LongestReads {
+    pub(crate) registers: u16,
+    pub(crate) points: u16,
+    pub(crate) mixed: u16,
+}
+
+impl LongestReads {
+    /// No limits below those of the protocol.
+    pub(crate) const ANY: Self = Self { registers: u16::MAX, points: u16::MAX, mixed: u16::MAX };
+
+    /// Returns whether a spelling is as short as the station needs it.
+    pub(super) fn allows(self, candidate: &Candidate) -> bool {
+        let most = match candidate.spelling.code {
+            Code::ReadRegisters => self.registers,
+            Code::ReadDisabled | Code::ReadDiscretes => self.points,
+            Code::ReadMixed => self.mixed,
+            Code::ReadStatus
+            | Code::ControlPlc
+            | Code::ControlDiscrete
+            | Code::WriteDiscretes
+            | Code::WriteRegisters
+            | Code::WriteMixed
+            | Code::LoopBack
+            | Code::ReadProgramPage
+            | Code::WriteProgramPage
+            | Code::ReadDetailedStatus => u16::MAX,
+        };
+        candidate.units <= most
+    }
+}
 
 /// How the rule treats a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -125,6 +169,9 @@ pub(crate) struct Rule {
     pub(crate) busy: Duration,
 }
 
+/// The part of an exchange that is not transmission, for comparing prices: half a scan of a PLC.
+const ASSUMED_RESPONSE_TIME: Duration = Duration::from_millis(5);
+
 /// Prices of what separates two requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Prices {
@@ -144,6 +191,18 @@ impl Check {
 }
 
 impl Prices {
+    /// The prices on a line with this time per byte and this silence between a reply and a request.
+    pub(crate) fn new(framing: Framing, byte: Duration, frame_gap: Duration) -> Self {
+        let bytes = u32::try_from(framing.frame_overhead()).unwrap_or(u32::MAX);
+        let frames = byte.saturating_mul(2).saturating_mul(bytes);
+        Self { byte, exchange: frames.saturating_add(ASSUMED_RESPONSE_TIME).saturating_add(frame_gap) }
+    }
+
+    /// Returns whether a spelling takes less time in addition than a loop-back before the plain one.
+    pub(crate) fn is_below_an_exchange(&self, candidate: &Candidate, plain: Spelling) -> bool {
+        self.of(candidate, plain) < self.exchange
+    }
+
     /// Transmission time of this many bytes. A count of 32 bits would be full within days.
     pub(crate) fn line_time(&self, bytes: u64) -> Duration {
         let byte = u64::try_from(self.byte.as_nanos()).unwrap_or(u64::MAX);

@@ -1,4 +1,4 @@
-//! The cheapest plan by plain enumeration, independent of the planner's code for requests.
+//! All requests and plans by plain enumeration, independent of the planner's code for requests.
 
 use std::collections::BTreeSet;
 
@@ -33,15 +33,18 @@ pub(super) fn smallest_of(element: Element) -> Vec<(Symbol, u16)> {
     }
 }
 
+/// The elements of each set of parts; set `n` has the parts of the bits of `n`.
+pub(super) fn blocks(parts: &[Smallest]) -> impl Iterator<Item = Smallest> {
+    (0..1_usize << parts.len()).map(|set| {
+        let members = parts.iter().enumerate().filter(move |(n, _)| set >> n & 1 == 1);
+        members.flat_map(|(_, part)| part.iter().copied()).collect()
+    })
+}
+
 impl Enumeration<'_> {
-    /// Returns the cost of the cheapest partition of the parts.
+    /// Returns the cost of the cheapest partition of the parts, without proofs.
     pub(super) fn cheapest(&mut self, parts: &[Smallest]) -> u64 {
-        let prices: Vec<Option<u64>> = (0..1_usize << parts.len())
-            .map(|set| {
-                let members = parts.iter().enumerate().filter(|(n, _)| set >> n & 1 == 1);
-                self.price(&members.flat_map(|(_, part)| part.iter().copied()).collect())
-            })
-            .collect();
+        let prices: Vec<Option<u64>> = blocks(parts).map(|block| self.price(&block)).collect();
         partition(parts.len(), 0, &mut Vec::new(), &prices)
     }
 
@@ -50,14 +53,19 @@ impl Enumeration<'_> {
         if block.is_empty() {
             return Some(0);
         }
+        self.requests(block).iter().map(|request| self.model.cost(frames(request, self.model.framing()))).min()
+    }
+
+    /// Returns all requests for all of these elements.
+    pub(super) fn requests(&mut self, block: &Smallest) -> Vec<ReadRequest> {
         let mut requests: Vec<ReadRequest> = Vec::new();
         requests.extend(self.run(block));
         for residue in [0, 8] {
             let words: Option<Smallest> = block.iter().map(|cell| self.in_words(block, *cell, residue)).collect();
             requests.extend(words.and_then(|words| self.run(&words)));
         }
-        let mut best = requests.iter().map(|request| self.model.cost(frames(request, self.model.framing()))).min();
-        let discretes: Vec<(Symbol, u16)> = block.iter().copied().filter(|cell| has_words(cell.0)).collect();
+        let is_read_by_words = |cell: &(Symbol, u16)| has_words(cell.0) && self.limits.has_words_of(cell.0);
+        let discretes: Vec<(Symbol, u16)> = block.iter().copied().filter(is_read_by_words).collect();
         let mut seen = BTreeSet::new();
         for choice in 0..3_usize.pow(u32::try_from(discretes.len()).unwrap()) {
             let mut items = block.clone();
@@ -76,16 +84,19 @@ impl Enumeration<'_> {
                 }
             }
             if valid && seen.insert(items.clone()) {
-                best = self.mixed(items, best).or(best);
+                requests.extend(self.mixed(items));
             }
         }
-        best
+        requests
     }
 
     /// Returns the word that a discrete may be read by; other cells are their own.
     fn in_words(&self, block: &Smallest, (symbol, address): (Symbol, u16), residue: u16) -> Option<(Symbol, u16)> {
         if !has_words(symbol) {
             return Some((symbol, address));
+        }
+        if !self.limits.has_words_of(symbol) {
+            return None;
         }
         let first = address.checked_sub(residue)? / BITS * BITS + residue;
         let word = symbol.area().word();
@@ -161,9 +172,9 @@ impl Enumeration<'_> {
         })
     }
 
-    /// Returns the cost of the mixed read of these cells if it is lower than `best`. Discretes in one
-    /// of the words are left out.
-    fn mixed(&mut self, mut cells: Smallest, best: Option<u64>) -> Option<u64> {
+    /// Returns the mixed read of these cells, the first or the last stretch of neighbours first.
+    /// Discretes in one of the words are left out.
+    fn mixed(&mut self, mut cells: Smallest) -> Option<ReadRequest> {
         let words: Vec<(Symbol, u16)> = cells.iter().copied().filter(|(s, _)| s.width() == Width::Word).collect();
         cells.retain(|(symbol, address)| {
             let word = |(other, first): &(Symbol, u16)| {
@@ -175,7 +186,8 @@ impl Enumeration<'_> {
         if units > self.limits.mixed_units() as usize {
             return None;
         }
-        let mut elements: Vec<Element> = Vec::new();
+        let mut stretches: Vec<Vec<Element>> = Vec::new();
+        let mut end = None;
         let key = |cell: &(Symbol, u16)| (cell.0, cell.1 % cell.0.step(), is_past_counters(cell), cell.1);
         let mut sorted: Vec<(Symbol, u16)> = cells.into_iter().collect();
         sorted.sort_by_key(key);
@@ -188,23 +200,22 @@ impl Enumeration<'_> {
                     && symbol.width() == Width::Word
                     && self.limits.segment(*symbol, next.1) == self.limits.segment(*symbol, *address)
             });
+            let segment = self.limits.segment(*symbol, *address);
+            let begin = (*symbol, Some(*address), segment, is_past_counters(&(*symbol, *address)));
+            if end != Some(begin) {
+                stretches.push(Vec::new());
+            }
+            let last = if pair { others[0].1 } else { *address };
+            end = Some((*symbol, last.checked_add(symbol.step()), segment, begin.3));
             let (symbol, others) = if pair { (symbol.area().dword(), &others[1..]) } else { (*symbol, others) };
-            elements.push(Element::new(symbol, *address).unwrap());
+            stretches.last_mut().unwrap().push(Element::new(symbol, *address).unwrap());
             rest = others;
         }
-        let framing = self.model.framing();
-        let item = |element: &Element| framing.element_len(element.symbol()) + framing.value_len(element.width());
-        let items: usize = elements.iter().map(item).sum();
-        let price = self.model.cost(framing.request_overhead() + framing.reply_overhead() + items);
-        if best.is_some_and(|best| best <= price) {
-            return None;
-        }
-        let request = ReadRequest::Mixed(ReadMixed::new(elements).unwrap());
-        if request.check(self.model.framing()).is_err() {
-            self.ambiguous += 1;
-            return None;
-        }
-        Some(price)
+        let reversed = stretches.iter().rev().cloned().collect::<Vec<_>>();
+        let requests = [stretches, reversed].map(|list| ReadRequest::Mixed(ReadMixed::new(list.concat()).unwrap()));
+        let request = requests.into_iter().find(|request| request.check(self.model.framing()).is_ok());
+        self.ambiguous += usize::from(request.is_none());
+        request
     }
 }
 

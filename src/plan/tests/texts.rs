@@ -19,7 +19,7 @@ fn a_text_is_read_by_one_request_with_all_tags_in_it() {
 fn no_partition_is_cheaper_where_texts_are_too_long_for_runs() {
     for seed in 0..200 {
         let mut random = Choices(Random::new(seed));
-        let model = random.one(&models());
+        let model = random.one(&models()).with_proofs(false);
         let limits = Limits::new().max_registers(4).unwrap().max_mixed(12 + random.below(53)).unwrap();
         let n = 1 + random.below(6);
         let of = |random: &mut Choices| match random.below(2) {

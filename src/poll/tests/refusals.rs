@@ -1,6 +1,7 @@
 use std::time::Duration;
 
 use super::rig::{TestRig, ms, tags};
+use crate::capabilities::Refused;
 use crate::element::Symbol;
 use crate::error::ErrorCode;
 use crate::plan::{Limits, ReadRequest};
@@ -75,13 +76,19 @@ fn a_lower_length_limit_of_the_plc_is_learned() {
     rig.run(ms(5500));
     rig.take_requests();
     rig.run(ms(1000));
+    let (mut registers, mut points) = (0, 0);
     for request in rig.take_requests() {
         match request {
-            ReadRequest::Registers(r) => assert!((15..=20).contains(&r.count()), "{}", r.count()),
-            ReadRequest::Discretes(r) => assert!((50..=100).contains(&r.count()), "{}", r.count()),
+            ReadRequest::Registers(r) => registers = r.count().max(registers),
+            ReadRequest::Discretes(r) => points = r.count().max(points),
             other => panic!("{other}"),
         }
     }
+    assert!((15..=20).contains(&registers) && (50..=100).contains(&points), "{registers}, {points}");
+    let learned = rig.poller.take_learned();
+    assert!(learned.contains(&Refused::Registers(registers)), "{learned:?}");
+    assert!(learned.contains(&Refused::Points(points)), "{learned:?}");
+    assert_eq!(rig.poller.take_learned(), []);
     assert!(ids.iter().all(|id| rig.latest(*id).is_good()));
 }
 
@@ -107,6 +114,7 @@ fn missing_mixed_reads_are_learned() {
     rig.run(ms(1000));
     assert!(rig.take_requests().iter().all(|request| !matches!(request, ReadRequest::Mixed(_))));
     assert!(ids.iter().all(|id| rig.latest(*id).is_good()));
+    assert_eq!(rig.poller.take_learned(), [Refused::MixedReads]);
     assert_eq!(rig.poller.classes().next().unwrap().refused_tags, 0);
 }
 

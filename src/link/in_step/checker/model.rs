@@ -8,7 +8,7 @@ use super::jobs::ModelJob;
 use super::requests::Name;
 use super::state::{Asked, BROADCASTS, COPIES, LATE, LOSS, ModelState, Out, RECONNECTS};
 use crate::command::{Code, CommandSet, Spelling};
-use crate::link::in_step::{Check, Choice, InStep, Shape, Spelled};
+use crate::link::in_step::{Check, Choice, Declared, InStep, LongestReads, Shape, Spelled};
 
 /// The faults of a line and a PLC, and the calls of the client.
 #[derive(Clone, Copy, Debug)]
@@ -78,7 +78,7 @@ pub(super) fn starts(faults: &Faults, client: &Client) -> Vec<ModelState> {
     if faults.loopback == LoopBack::Unanswered {
         let mut unanswered = CommandSet::NONE;
         unanswered.insert(Code::LoopBack);
-        in_step.declare(CommandSet::NONE, unanswered);
+        in_step.declare(Declared { refused: CommandSet::NONE, unanswered, longest: LongestReads::ANY });
     }
     let budget = [faults.copies, faults.loss, faults.late, faults.broadcasts, faults.reconnects];
     let start = |channel| ModelState {
