@@ -6,7 +6,6 @@ use std::fmt;
 use std::io;
 use std::str::FromStr;
 
-
 use crate::printable::excerpt;
 use crate::settings::{URL_OPTIONS, UrlOptions, one_of};
 use crate::wire::Framing;
