@@ -59,7 +59,7 @@ pub(crate) struct ReplayArgs {
     #[arg(value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) file: PathBuf,
     /// Answer as recorded: tcp://HOST:PORT, udp://HOST:PORT or serial:PATH?baud=9600&frame=7E1
-    #[arg(long, value_name = "URL", conflicts_with_all = ["writes", "yes", "dry_run", "link"])]
+    #[arg(long, value_name = "URL", conflicts_with_all = ["writes", "yes", "dry_run", "links"])]
     pub(crate) listen: Option<String>,
     /// Pauses between requests, or before replies
     #[arg(long, value_enum, value_name = "TIMING", default_value = "fast")]

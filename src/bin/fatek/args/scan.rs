@@ -90,7 +90,7 @@ pub(crate) struct NetworkArgs {
     ///
     /// Without the addresses of the network and of its broadcast. IPv6: hosts, and networks of /112 and
     /// longer prefixes.
-    #[arg(long = "network", value_name = "HOSTS", value_delimiter = ',', conflicts_with = "link")]
+    #[arg(long = "network", value_name = "HOSTS", value_delimiter = ',', conflicts_with = "links")]
     pub(crate) hosts: Vec<Hosts>,
     /// TCP ports, such as 500,5000 [default: 500, unless --udp is given alone]
     #[arg(
@@ -141,7 +141,7 @@ pub(crate) struct NetworkArgs {
 #[command(next_help_heading = "Discovery of Ethernet modules (unverified on hardware)")]
 pub(crate) struct DiscoverArgs {
     /// Find Ethernet modules by a broadcast to UDP port 111
-    #[arg(long, conflicts_with_all = ["link", "hosts", "range", "stations", "retries"])]
+    #[arg(long, conflicts_with_all = ["links", "hosts", "range", "stations", "retries"])]
     pub(crate) discover: bool,
     /// Address for --discover: of a broadcast or of one module, with a port if it is not 111; repeat
     #[arg(
