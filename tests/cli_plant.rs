@@ -79,6 +79,11 @@ fn faults_of_the_choice_are_named() {
     assert!(several.starts_with("error: this command takes one PLC, not 2\n"), "{several}");
     let tag = run(&["@mixer", "read", "lvel"]);
     assert!(tag.contains("; nor is it a name of the tags of mixer\n"), "{tag}");
+    // Before: the other PLC was ignored without a word.
+    for other in [&["--station", "2", "@mixer", "read", "R0"][..], &["@mixer", "read", "R0", "--link", "tcp://h"]] {
+        let other = run(other);
+        assert!(other.contains("a PLC of the plant has its own link and station: leave out --link"), "{other}");
+    }
     let none = fatek(&["@mixer", "read", "R0"]).usage();
     assert!(none.starts_with("error: no plant configuration: give --config FILE, or set FATEK_CONFIG\n"), "{none}");
     std::fs::write(&path, "[plc.mixer]\nlink = 'tcp://h'\nstation = 0\ntag.x = 'R'\n").unwrap();

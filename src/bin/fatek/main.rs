@@ -51,7 +51,7 @@ use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::parser::ValueSource;
-use clap::{CommandFactory, FromArgMatches};
+use clap::{ArgMatches, CommandFactory, FromArgMatches};
 use fatek::command::{ControlPlc, DiscreteControl};
 use tracing_subscriber::EnvFilter;
 
@@ -69,7 +69,8 @@ fn main() -> ExitCode {
     let mut command = args::with_sections(Cli::command());
     let parsed = command.try_get_matches_from_mut(arguments()).and_then(|matches| {
         let mut cli = Cli::from_arg_matches(&matches)?;
-        cli.plant.is_given = matches.value_source("config") == Some(ValueSource::CommandLine);
+        cli.plant.is_given = is_given(&matches, "config");
+        cli.plant.has_other_plc = is_given(&matches, "links") || is_given(&matches, "station");
         Ok(cli)
     });
     let cli = match parsed {
@@ -81,6 +82,16 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => report(&failure, &output),
     }
+}
+
+/// Returns whether an option is on the command line, before or after the command, and not in the environment
+/// alone.
+fn is_given(matches: &ArgMatches, id: &str) -> bool {
+    // An unknown id is that of another command.
+    let has = |matches: &ArgMatches| {
+        matches.try_contains_id(id).is_ok() && matches.value_source(id) == Some(ValueSource::CommandLine)
+    };
+    has(matches) || matches.subcommand().is_some_and(|(_, matches)| is_given(matches, id))
 }
 
 /// The arguments, with each `@NAME` before the command as `--plc=NAME`.

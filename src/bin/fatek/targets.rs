@@ -26,13 +26,16 @@ pub(crate) struct PlantArgs {
     config: Option<OsString>,
     /// PLC of the plant configuration, also written @NAME; all: each of them. Before the command
     ///
-    /// Its link and station take the place of --link and --station, and the names of its tags stand for
+    /// It has its own link and station, and the names of its tags stand for
     /// tags. `read`, `watch` and `top` take several.
     #[arg(long = "plc", id = "plcs", value_name = "NAME", add = ArgValueCompleter::new(complete::plcs))]
     names: Vec<String>,
     /// `true` if --config is on the command line, and not in the environment alone.
     #[arg(skip)]
     pub(crate) is_given: bool,
+    /// `true` if --link or --station are on the command line.
+    #[arg(skip)]
+    pub(crate) has_other_plc: bool,
 }
 
 /// The PLCs of a plant configuration to be simulated.
@@ -68,6 +71,11 @@ impl PlantArgs {
     pub(crate) fn load(&self) -> Result<Chosen, Failure> {
         if self.names.is_empty() {
             return Ok(Chosen(Vec::new()));
+        }
+        if self.has_other_plc {
+            return Err(Failure::Usage(
+                "a PLC of the plant has its own link and station: leave out --link and --station".to_owned(),
+            ));
         }
         Ok(Chosen(choose(&Plant::load(self.path()?)?, self.names.iter().map(String::as_str))?))
     }
