@@ -33,6 +33,9 @@ fn values_appear_and_a_confirmed_write_reaches_the_plc() {
 
     top.types("w-5\r");
     top.wait_for("the prompt", |screen| screen.contains("Write it?"));
+    // A later frame: the first one is known to be on the terminal, and a `y` is of the time after.
+    sim.fatek(&["write", "R1=3"]).ok();
+    top.wait_for("the present value", |screen| screen.contains("Now  3 "));
     top.types("y");
     top.wait_for("the result", |screen| screen.contains("wrote R1:i16=-5"));
     assert_eq!(sim.fatek(&["read", "R1:i16", "--format", "csv"]).ok(), "tag,type,value\nR1,i16,-5\n");
@@ -74,7 +77,9 @@ fn a_lost_plc_and_a_new_size_are_shown() {
         screen.lines().count() == 12 && screen.contains("4711") && screen.contains("TAG")
     });
     drop(sim);
-    top.wait_for("the failure", |screen| screen.contains("no link") && screen.contains("stale"));
+    top.wait_for("the failure", |screen| {
+        screen.contains("stale") && ["no link", "offline"].iter().any(|word| screen.contains(word))
+    });
     top.resize((1, 1));
     top.resize((120, 40));
     top.wait_for("the counters", |screen| screen.lines().count() == 40 && screen.contains("ADDRESS"));
