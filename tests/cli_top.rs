@@ -33,6 +33,9 @@ fn values_appear_and_a_confirmed_write_reaches_the_plc() {
 
     top.types("w-5\r");
     top.wait_for("the prompt", |screen| screen.contains("Write it?"));
+    // A later frame: the first one is known to be on the terminal, and a `y` is of the time after.
+    sim.fatek(&["write", "R1=3"]).ok();
+    top.wait_for("the present value", |screen| screen.contains("Now  3 "));
     top.types("y");
     top.wait_for("the result", |screen| screen.contains("wrote R1:i16=-5"));
     assert_eq!(sim.fatek(&["read", "R1:i16", "--format", "csv"]).ok(), "tag,type,value\nR1,i16,-5\n");
@@ -74,7 +77,9 @@ fn a_lost_plc_and_a_new_size_are_shown() {
         screen.lines().count() == 12 && screen.contains("4711") && screen.contains("TAG")
     });
     drop(sim);
-    top.wait_for("the failure", |screen| screen.contains("no link") && screen.contains("stale"));
+    top.wait_for("the failure", |screen| {
+        screen.contains("stale") && ["no link", "offline"].iter().any(|word| screen.contains(word))
+    });
     top.resize((1, 1));
     top.resize((120, 40));
     top.wait_for("the counters", |screen| screen.lines().count() == 40 && screen.contains("ADDRESS"));
@@ -83,7 +88,7 @@ fn a_lost_plc_and_a_new_size_are_shown() {
 }
 
 #[test]
-fn no_colours_are_sent_under_no_color_and_no_utf_8_in_other_locales() {
+fn no_color_and_locales_without_utf_8_are_respected() {
     let sim = Sim::start(&["--set", "R0=4711"]);
     let args = ["--link", &sim.url, "--station", "1", "top", "R0", "--interval", "20ms"];
     let bytes = |variables: &[(&str, &str)]| {
@@ -122,4 +127,66 @@ fn without_a_terminal_there_is_a_usage_error() {
     assert!(status == 2 && screen.contains("R0:text has no numbers to plot"), "{status}: {screen}");
     let no_tag = run(Command::new(FATEK).args(plc).args(["watch", "--plot", "R0", "R1"]));
     assert_eq!(no_tag.status, 2, "{no_tag:?}");
+}
+
+#[test]
+fn ctrl_l_redraws_the_screen() {
+    let sim = Sim::start(&["--set", "R0=4711"]);
+    for command in [&["top", "R0"][..], &["watch", "--plot", "R0"]] {
+        let mut program = start(&sim, &[command, &["--interval", "20ms"]].concat());
+        program.wait_for("the value", |screen| screen.contains("4711"));
+        // It waited for the place of the cursor, which came with the next key, and ended after 2 s
+        // with status 1.
+        program.types("\x0c");
+        program.wait_for_bytes("the clearing", b"\x1b[2J");
+        program.wait_for("the value", |screen| screen.contains("4711"));
+        sim.fatek(&["write", "R0=815"]).ok();
+        program.wait_for("the next value", |screen| screen.contains("815"));
+        program.types("q");
+        assert_eq!(program.end(), (0, String::new()), "{command:?}");
+        sim.fatek(&["write", "R0=4711"]).ok();
+    }
+}
+
+#[test]
+fn keys_typed_before_the_prompt_do_not_confirm() {
+    let sim = Sim::start(&[]);
+    let value = || sim.fatek(&["read", "R0", "--format", "csv"]).ok();
+    let mut top = start(&sim, &["top", "R0"]);
+    top.wait_for("the value", |screen| screen.contains("good"));
+    for _ in 0..5 {
+        top.types("w7");
+        top.wait_for("the value", |screen| screen.contains("new value of R0: 7"));
+        // That takes longer than the time between two frames for keys, so that the next frame is
+        // due: it was drawn between the two keys.
+        assert_eq!(value(), "tag,type,value\nR0,u16,0\n");
+        // `wrote R0=7`, when the `y` was taken after the first frame of the prompt.
+        top.types("\ry");
+        top.wait_for("the prompt", |screen| screen.contains("Write it?"));
+        top.types("n");
+        top.wait_for("the refusal", |screen| screen.contains("nothing was written"));
+    }
+    assert_eq!(value(), "tag,type,value\nR0,u16,0\n");
+    top.types("q");
+    assert_eq!(top.end(), (0, String::new()));
+}
+
+#[test]
+fn escape_and_other_keys_close_the_prompt() {
+    let sim = Sim::start(&[]);
+    let mut top = start(&sim, &["top", "R0", "--interval", "20ms"]);
+    top.wait_for("the value", |screen| screen.contains("good"));
+    // Esc with `y`, or Alt-y, gave `wrote R0=7`. The left key and F5 left the prompt open.
+    for keys in ["\x1by", "\x1b", "\x1b[D", "\x1b[15~"] {
+        top.types("w7\r");
+        top.wait_for("the prompt", |screen| screen.contains("Write it?"));
+        top.types(keys);
+        top.wait_for("the refusal", |screen| screen.contains("nothing was written"));
+        // Clears the message.
+        top.types("j");
+        top.wait_for("the keys", |screen| screen.contains("q quit"));
+    }
+    assert_eq!(sim.fatek(&["read", "R0", "--format", "csv"]).ok(), "tag,type,value\nR0,u16,0\n");
+    top.types("q");
+    assert_eq!(top.end(), (0, String::new()));
 }

@@ -74,6 +74,19 @@ impl Program {
         }
     }
 
+    /// Waits until the terminal has received these bytes.
+    #[track_caller]
+    pub(crate) fn wait_for_bytes(&mut self, name: &str, wanted: &[u8]) {
+        let begun = Instant::now();
+        while !self.received.windows(wanted.len()).any(|window| window == wanted) {
+            assert!(begun.elapsed() < PATIENCE, "{name} did not come:\n{}", self.screen());
+            if let Some(status) = self.child.try_wait().unwrap() {
+                panic!("{name} did not come, {status}:\n{}", self.screen());
+            }
+            self.receive(Duration::from_millis(50));
+        }
+    }
+
     /// Takes output that comes within this time. Returns whether there was any.
     fn receive(&mut self, within: Duration) -> bool {
         match self.output.recv_timeout(within) {

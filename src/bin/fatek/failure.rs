@@ -146,6 +146,9 @@ pub(crate) enum Failure {
     /// Stdout cannot be written.
     #[error("cannot write to stdout: {0}")]
     Output(io::Error),
+    /// The terminal cannot be read.
+    #[error("cannot read the terminal: {0}")]
+    Input(io::Error),
     /// The runtime, a signal handler or the terminal failed.
     #[error("cannot start: {0}")]
     Runtime(io::Error),
@@ -198,6 +201,7 @@ impl Failure {
             | Self::ClientConfig { .. }
             | Self::Traffic(_)
             | Self::Output(_)
+            | Self::Input(_)
             | Self::Runtime(_) => None,
             Self::NoPlc { .. } | Self::Host { .. } | Self::Discover { .. } | Self::NoModule => None,
             Self::UnknownReplies { .. } | Self::Open { .. } | Self::Ports(_) | Self::NotDetected { .. } => None,
@@ -213,7 +217,8 @@ impl Failure {
     /// Exit status, as listed in `fatek --help`.
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
-            Self::Output(_) | Self::Log { .. } | Self::ManPages { .. } | Self::Runtime(_) | Self::Declined => 1,
+            Self::Output(_) | Self::Input(_) | Self::Runtime(_) | Self::Declined => 1,
+            Self::Log { .. } | Self::ManPages { .. } => 1,
             Self::Traffic(failure) => failure.exit_status(),
             Self::Ports(_) => 1,
             Self::ClientConfig { .. } => 1,

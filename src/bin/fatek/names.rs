@@ -172,11 +172,13 @@ impl Table {
         };
         let Some(rule) = tag.write() else { return refuse("is not writable: it has no `write`".to_owned()) };
         for value in values {
-            let number = value.as_f64();
-            match (rule.min.zip(number), rule.max.zip(number)) {
-                (Some((min, number)), _) if number < min => return refuse(format!("is at least {min}")),
-                (_, Some((max, number))) if number > max => return refuse(format!("is at most {max}")),
-                (_, _) => {}
+            let Some(number) = value.as_f64() else { continue };
+            // NaN is outside of any limits.
+            if let Some(min) = rule.min.filter(|min| number < *min || number.is_nan()) {
+                return refuse(format!("is at least {min}"));
+            }
+            if let Some(max) = rule.max.filter(|max| number > *max || number.is_nan()) {
+                return refuse(format!("is at most {max}"));
             }
         }
         Ok(())

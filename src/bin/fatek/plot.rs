@@ -74,28 +74,27 @@ pub(crate) async fn plot(targets: &[Target], text: &str, args: &WatchArgs, outpu
                 screen.draw(|frame| view::draw(&plot, theme, is_ascii, frame))?;
                 continue;
             }
-            input = screen.input() => match input {
-                Some(Input::Key(key)) => match key {
+            input = screen.input() => match input?.0 {
+                Input::Key(key) => match key {
                     Key::Char('q') | Key::Escape | Key::Control('c') => return Ok(()),
                     Key::Control('l') => screen.clear()?,
                     Key::Char('+' | '=') => plot.zoom(0.5),
                     Key::Char('-') => plot.zoom(2.0),
                     Key::Char(' ' | 'p') => plot.pause(),
                     Key::Char(_) | Key::Control(_) | Key::Enter | Key::Backspace | Key::Tab => {}
-                    Key::Up | Key::Down | Key::PageUp | Key::PageDown | Key::Home | Key::End => {}
+                    Key::Up | Key::Down | Key::PageUp | Key::PageDown | Key::Home | Key::End | Key::Other => {}
                 },
-                Some(Input::Paste(_) | Input::Other) => {}
-                // The terminal was closed.
-                None => return Ok(()),
+                Input::Paste(_) | Input::Other => {}
             },
-            Some(sample) = poller.next() => {
-                if let Ok(sample) = sample
-                    && let Some(number) = ids.iter().position(|id| *id == sample.id)
-                {
-                    let reason = sample.quality.reason().map(ToString::to_string);
-                    plot.take(number, sample.at.instant, sample.value(), reason.as_deref());
+            Some(sample) = poller.next() => match sample {
+                Ok(sample) => {
+                    if let Some(number) = ids.iter().position(|id| *id == sample.id) {
+                        let reason = sample.quality.reason().map(ToString::to_string);
+                        plot.take(number, sample.at.instant, sample.value(), reason.as_deref());
+                    }
                 }
-            }
+                Err(missed) => plot.miss(missed.count),
+            },
             _ = seconds.tick() => {}
         }
         due = due.or(Some(last_frame + FRAME));

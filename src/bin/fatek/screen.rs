@@ -5,16 +5,18 @@
 
 mod input;
 
+use std::ffi::OsStr;
 use std::io::{self, IsTerminal, Write};
 use std::panic;
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
+use std::time::Duration;
 
 use ratatui::backend::CrosstermBackend;
 use ratatui::buffer::Buffer;
 use ratatui::crossterm::cursor::Show;
-use ratatui::crossterm::event::{self, DisableBracketedPaste, EnableBracketedPaste, Event};
+use ratatui::crossterm::event::{self, DisableBracketedPaste, EnableBracketedPaste};
 use ratatui::crossterm::terminal::{
     EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode, size,
 };
@@ -22,8 +24,10 @@ use ratatui::crossterm::{execute, queue};
 use ratatui::layout::{Rect, Size};
 use ratatui::{Frame, Terminal, TerminalOptions, Viewport};
 use tokio::sync::mpsc;
+use tokio::time::Instant;
 use tracing::level_filters::LevelFilter;
 
+use self::input::InputTimes;
 pub(crate) use self::input::{Input, Key};
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -32,13 +36,13 @@ use crate::signal;
 /// Set while the terminal shows the display.
 static IS_OPEN: AtomicBool = AtomicBool::new(false);
 
-/// Size for a terminal that does not know its own, such as a serial console.
+/// Size of a terminal without one, such as a serial console.
 const DEFAULT_SIZE: (u16, u16) = (80, 24);
 
 /// The display.
 pub(crate) struct Screen {
     terminal: Terminal<CrosstermBackend<io::Stdout>>,
-    inputs: mpsc::Receiver<io::Result<Event>>,
+    inputs: mpsc::Receiver<io::Result<(Input, Instant)>>,
     is_ascii: bool,
 }
 
@@ -62,7 +66,11 @@ pub(crate) fn can_be_drawn(command: &str, instead: &str, output: &Output) -> Res
 
 /// Returns whether colours are wanted: `NO_COLOR` is not set, or is empty.
 pub(crate) fn has_colours() -> bool {
-    std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+    are_colours_wanted(std::env::var_os("NO_COLOR").as_deref())
+}
+
+fn are_colours_wanted(no_color: Option<&OsStr>) -> bool {
+    no_color.is_none_or(OsStr::is_empty)
 }
 
 impl Screen {
@@ -104,12 +112,17 @@ impl Screen {
 
     /// Draws all cells with the next frame, also those that have not changed.
     pub(crate) fn clear(&mut self) -> Result<(), Failure> {
-        self.terminal.clear().map_err(Failure::Output)
+        // `Terminal::clear` asks the terminal for the place of the cursor. The answer comes with
+        // the keys, which another thread reads.
+        let area = self.terminal.get_frame().area();
+        self.terminal.resize(area).map_err(Failure::Output)
     }
 
-    /// Waits for the next key or change of size; `None` after the terminal was closed.
-    pub(crate) async fn input(&mut self) -> Option<Input> {
-        self.inputs.recv().await?.ok().map(Input::from)
+    /// Waits for the next key or change of size. Its time is not later than any frame that was
+    /// drawn after it came.
+    pub(crate) async fn input(&mut self) -> Result<(Input, Instant), Failure> {
+        let closed = || Err(io::ErrorKind::UnexpectedEof.into());
+        self.inputs.recv().await.unwrap_or_else(closed).map_err(Failure::Input)
     }
 
     /// Draws a frame: the cells that differ from the last one are sent.
@@ -139,7 +152,7 @@ impl Drop for Screen {
     }
 }
 
-/// Gives the terminal back, once. A write error is ignored: there is no terminal any more.
+/// Restores the terminal, once. A write error is ignored: there is no terminal any more.
 fn restore() {
     if IS_OPEN.swap(false, Ordering::Relaxed) {
         // First: it does not wait for a terminal that takes no output.
@@ -150,13 +163,17 @@ fn restore() {
 }
 
 /// Starts the thread that reads the terminal. It ends with the process.
-fn read_inputs() -> mpsc::Receiver<io::Result<Event>> {
+fn read_inputs() -> mpsc::Receiver<io::Result<(Input, Instant)>> {
     let (sender, inputs) = mpsc::channel(64);
     thread::spawn(move || {
+        let mut times = InputTimes::default();
         loop {
-            let input = event::read();
-            let is_last = input.is_err();
-            if sender.blocking_send(input).is_err() || is_last {
+            let event = event::read();
+            let (now, is_last) = (Instant::now(), event.is_err());
+            // Before this input is sent: an input that is there already is no reaction to it.
+            let has_more = !is_last && event::poll(Duration::ZERO).unwrap_or(false);
+            let at = times.next(now, has_more);
+            if sender.blocking_send(event.map(|event| (Input::from(event), at))).is_err() || is_last {
                 break;
             }
         }
@@ -213,6 +230,12 @@ fn replace_non_ascii(buffer: &mut Buffer) {
 mod tests {
     use super::*;
     use ratatui::style::Style;
+
+    #[test]
+    fn no_color_leaves_no_colours_unless_it_is_empty() {
+        assert!(are_colours_wanted(None) && are_colours_wanted(Some(OsStr::new(""))));
+        assert!(!are_colours_wanted(Some(OsStr::new("1"))) && !are_colours_wanted(Some(OsStr::new("0"))));
+    }
 
     #[test]
     fn the_first_variable_of_the_locale_decides() {

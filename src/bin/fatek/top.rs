@@ -49,10 +49,10 @@ const MAX_SAMPLES: usize = 1024;
 
 pub(crate) async fn top(targets: &[Target], args: &TopArgs, output: &Output) -> Result<(), Failure> {
     screen::can_be_drawn("top", "`read` and `watch` print values", output)?;
-    let mut stop = Stop::new()?;
-    let mut poller = Poller::new();
+    let stop = Stop::new()?;
+    let poller = Poller::new();
     let (plcs, tags, tags_by_id) = polled(targets, args, &poller).await?;
-    let (sender, mut events) = mpsc::channel(QUEUED_EVENTS);
+    let (sender, events) = mpsc::channel(QUEUED_EVENTS);
     for (plc, target) in targets.iter().enumerate() {
         let every = if tags.is_empty() { args.interval } else { args.interval.max(STATUS_INTERVAL) };
         tokio::spawn(feed::poll_status(plc, target.station.clone(), every, sender.clone()));
@@ -60,8 +60,35 @@ pub(crate) async fn top(targets: &[Target], args: &TopArgs, output: &Output) -> 
     let settings = Settings { interval: args.interval, special: args.special, read_only: args.read_only };
     let mut model = Model::new(settings, plcs, tags, Instant::now());
     let theme = Theme::new(screen::has_colours());
+    let mut sources = Sources { stop, poller, tags_by_id, sender, events };
 
     let mut screen = Screen::open()?;
+    let ended = run(&mut model, targets, &mut sources, theme, &mut screen).await;
+    drop(screen);
+    // Also after an error.
+    model.unseen().for_each(|text| complain(format_args!("{text}")));
+    ended
+}
+
+/// Sources of events, other than the terminal.
+struct Sources {
+    stop: Stop,
+    poller: Poller,
+    tags_by_id: HashMap<TagId, usize>,
+    /// Senders and receiver of status and results of writes.
+    sender: mpsc::Sender<Event>,
+    events: mpsc::Receiver<Event>,
+}
+
+/// Takes events and draws frames until `q`, a signal or an error.
+async fn run(
+    model: &mut Model,
+    targets: &[Target],
+    sources: &mut Sources,
+    theme: Theme,
+    screen: &mut Screen,
+) -> Result<(), Failure> {
+    let Sources { stop, poller, tags_by_id, sender, events } = sources;
     // Ages grow while no value comes.
     let mut seconds = interval(Duration::from_secs(1));
     seconds.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -71,22 +98,20 @@ pub(crate) async fn top(targets: &[Target], args: &TopArgs, output: &Output) -> 
     loop {
         let effect = tokio::select! {
             biased;
-            _ = stop.signalled() => break,
+            _ = stop.signalled() => return Ok(()),
             () = sleep_until(due.unwrap_or(last_frame)), if due.is_some() => {
                 last_frame = Instant::now();
                 due = None;
-                draw(&mut model, targets, theme, &mut screen)?;
+                draw(model, targets, theme, screen)?;
                 None
             }
             input = screen.input() => {
                 due = Some(last_frame + KEY_FRAME);
-                match input {
-                    Some(Input::Key(key)) => model.update(Event::Key(key)),
-                    Some(Input::Paste(text)) => model.update(Event::Paste(text)),
+                match input? {
+                    (Input::Key(key), at) => model.update(Event::Key(key, at)),
+                    (Input::Paste(text), _) => model.update(Event::Paste(text)),
                     // The next frame has the size.
-                    Some(Input::Other) => None,
-                    // The terminal was closed.
-                    None => break,
+                    (Input::Other, _) => None,
                 }
             }
             Some(event) = events.recv() => {
@@ -97,7 +122,7 @@ pub(crate) async fn top(targets: &[Target], args: &TopArgs, output: &Output) -> 
                 due = due.or(Some(last_frame + FRAME));
                 let more = std::iter::from_fn(|| poller.next().now_or_never().flatten());
                 for sample in std::iter::once(sample).chain(more.take(MAX_SAMPLES)) {
-                    take_sample(&mut model, &tags_by_id, sample);
+                    take_sample(model, tags_by_id, sample);
                 }
                 None
             }
@@ -108,23 +133,18 @@ pub(crate) async fn top(targets: &[Target], args: &TopArgs, output: &Output) -> 
         };
         match effect {
             None => {}
-            Some(Effect::Quit) => break,
+            Some(Effect::Quit) => return Ok(()),
             Some(Effect::Redraw) => screen.clear()?,
             Some(Effect::Write { plc, write }) => {
                 let (station, sender) = (targets[plc].station.clone(), sender.clone());
                 tokio::spawn(async move {
                     let written = write.send(&station).await.map_err(|failure| failure.to_string());
-                    // An error: the display has gone.
+                    // An error: the receiver is closed.
                     let _ = sender.send(Event::Written(written)).await;
                 });
             }
         }
     }
-    drop(screen);
-    if let Some(subject) = model.pending {
-        complain(format_args!("the write {subject} had no reply yet: it may have been executed"));
-    }
-    Ok(())
 }
 
 /// The PLCs and tags, which the poller polls from now on. Several values of a tag are a row each.
@@ -171,5 +191,7 @@ fn draw(model: &mut Model, targets: &[Target], theme: Theme, screen: &mut Screen
     }
     model.update(Event::Resize(screen.resized()?));
     model.frame(Instant::now());
-    screen.draw(|frame| view::draw(model, theme, frame))
+    screen.draw(|frame| view::draw(model, theme, frame))?;
+    model.drawn(Instant::now());
+    Ok(())
 }

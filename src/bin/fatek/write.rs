@@ -41,6 +41,18 @@ impl Write {
         }
     }
 
+    /// The values as they are read back: a scaled one is rounded to a raw number.
+    pub(crate) fn stored_values(&self) -> Vec<TagValue> {
+        match self {
+            Self::Values(assignment) => {
+                let stored = assignment.tag().decode(&assignment.encode());
+                // An assignment has values for all of its elements.
+                stored.unwrap_or_else(|_| self.values())
+            }
+            Self::Bits { .. } => self.values(),
+        }
+    }
+
     /// Writes the values. The failure says if they may have been written.
     pub(crate) async fn send(&self, station: &Station) -> Result<(), Failure> {
         let sent = match self {

@@ -15,6 +15,8 @@ const MAX_POINTS: usize = 20_000;
 const READINGS: u32 = 120;
 /// Largest number that is drawn: differences of two are finite.
 const LARGEST: f64 = 1e300;
+/// Numbers that differ by less are drawn as one: a step between them has no logarithm.
+const SMALLEST_SPAN: f64 = 1e-300;
 const SHORTEST: Duration = Duration::from_secs(2);
 const LONGEST: Duration = Duration::from_secs(86_400);
 
@@ -44,6 +46,8 @@ pub(super) struct Plot {
     /// Time at the right end.
     now: Instant,
     pub(super) is_paused: bool,
+    /// Readings that were dropped, because the display was too slow.
+    pub(super) missed: u64,
 }
 
 impl Series {
@@ -56,7 +60,7 @@ impl Series {
 impl Plot {
     pub(super) fn new(title: &str, series: Vec<Series>, interval: Duration, now: Instant) -> Self {
         let window = interval.saturating_mul(READINGS).clamp(SHORTEST, LONGEST);
-        Self { title: printable(title).to_string(), series, interval, window, now, is_paused: false }
+        Self { title: printable(title).to_string(), series, interval, window, now, is_paused: false, missed: 0 }
     }
 
     /// Takes a value; `reason`: why it is not good.
@@ -69,6 +73,10 @@ impl Plot {
         series.points.push_back((at, good.and_then(number).filter(|number| number.abs() <= LARGEST)));
         series.value = value.cloned();
         series.reason = reason.map(|reason| printable(reason).to_string());
+    }
+
+    pub(super) fn miss(&mut self, readings: u64) {
+        self.missed = self.missed.saturating_add(readings);
     }
 
     /// Moves the right end to this time, unless the chart is paused.
@@ -132,7 +140,8 @@ impl NumberAxis {
         let (low, high) = extremes.unwrap_or((0.0, 1.0));
         let largest = low.abs().max(high.abs());
         // A constant, or nearly one: numbers on both sides of it.
-        let margin = if high - low > largest * 1e-9 { 0.0 } else { (largest / 10.0).max(1.0) };
+        let is_constant = high - low <= (largest * 1e-9).max(SMALLEST_SPAN);
+        let margin = if is_constant { (largest / 10.0).max(1.0) } else { 0.0 };
         let (low, high) = (low - margin, high + margin);
         let step = round_step((high - low) / 4.0);
         let (first, last) = ((low / step).floor(), (high / step).ceil());
@@ -181,7 +190,7 @@ mod tests {
         }
         plot.advance(start + SECOND * 6);
         assert_eq!(plot.parts(&plot.series[0]), [vec![(-5.0, 1.0), (-4.0, 2.0)], vec![(-1.0, 5.0)]]);
-        // A stale value is none of this time.
+        // A stale value is not drawn.
         plot.take(0, start + SECOND * 6, Some(&TagValue::U16(9)), Some("stale\n"));
         assert_eq!(plot.parts(&plot.series[0]).len(), 2);
         assert_eq!(plot.series[0].reason.as_deref(), Some("stale\\n"));
@@ -224,9 +233,16 @@ mod tests {
         assert_eq!(labels(0.0, 4_294_967_295.0), "0.0e0 2.0e9 4.0e9 6.0e9");
         assert_eq!(NumberAxis::new(Some((0.0, 39.0))).labels(false), ["0", "40"]);
         assert_eq!(NumberAxis::new(None), NumberAxis::new(Some((0.0, 1.0))));
-        for (low, high) in
-            [(-LARGEST, LARGEST), (LARGEST, LARGEST), (1.0, 1.001), (5e-324, 5e-324), (1e12, 1.001e12), (0.0, 1e-9)]
-        {
+        for (low, high) in [
+            (-LARGEST, LARGEST),
+            (LARGEST, LARGEST),
+            (1.0, 1.001),
+            (5e-324, 5e-324),
+            (0.0, 5e-324),
+            (-5e-324, 1e-299),
+            (1e12, 1.001e12),
+            (0.0, 1e-9),
+        ] {
             let axis = NumberAxis::new(Some((low, high)));
             assert!(axis.low <= low && high <= axis.high && axis.low < axis.high, "{axis:?}");
             assert!(axis.low.is_finite() && axis.high.is_finite() && (2..=8).contains(&axis.steps), "{axis:?}");

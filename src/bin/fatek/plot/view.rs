@@ -32,8 +32,9 @@ pub(super) fn draw(plot: &Plot, theme: Theme, is_ascii: bool, frame: &mut Frame<
         format_duration(plot.interval),
         format_duration(rounded(plot.window))
     );
+    let dropped = if plot.missed > 0 { format!(" · {} readings dropped", plot.missed) } else { String::new() };
     frame.buffer_mut().set_style(title, theme.title());
-    frame.render_widget(Paragraph::new(text).style(theme.title()), title);
+    frame.render_widget(Paragraph::new(text + &dropped).style(theme.title()), title);
     frame.render_widget(Paragraph::new(KEYS), foot);
     let parts: Vec<_> = plot.series.iter().map(|series| plot.parts(series)).collect();
     let shown: Vec<Line<'_>> = plot
@@ -41,18 +42,34 @@ pub(super) fn draw(plot: &Plot, theme: Theme, is_ascii: bool, frame: &mut Frame<
         .iter()
         .zip(&parts)
         .enumerate()
-        .map(|(number, (series, parts))| values_line(series, parts, theme.line(number), theme))
+        .map(|(number, (series, parts))| {
+            let mark = mark(plot, theme, number);
+            values_line(series, mark, parts, theme.line(number), theme)
+        })
         .collect();
     frame.render_widget(Paragraph::new(shown), values);
     draw_chart(plot, &parts, theme, is_ascii, chart, frame);
 }
 
+/// The character that a curve is drawn with, and that its label has: its number, if there are
+/// several without colours.
+fn mark(plot: &Plot, theme: Theme, number: usize) -> Option<char> {
+    let is_marked = plot.series.len() > 1 && !theme.has_colours();
+    u32::try_from(number + 1).ok().and_then(|number| char::from_digit(number, 10)).filter(|_| is_marked)
+}
+
 /// The last value of a line, and its extremes.
-fn values_line<'p>(series: &Series, parts: &[Vec<(f64, f64)>], style: Style, theme: Theme) -> Line<'p> {
+fn values_line<'p>(
+    series: &Series,
+    mark: Option<char>,
+    parts: &[Vec<(f64, f64)>],
+    style: Style,
+    theme: Theme,
+) -> Line<'p> {
     let value = series.value.as_ref().map_or("-".to_owned(), |value| printable(&value.to_string()).to_string());
     let unit = if series.unit.is_empty() { String::new() } else { format!(" {}", series.unit) };
-    let mut spans =
-        vec![Span::styled(series.label.clone(), style), Span::styled(format!("  {value}{unit}"), theme.header())];
+    let label = mark.map_or_else(|| series.label.clone(), |mark| format!("{mark}  {}", series.label));
+    let mut spans = vec![Span::styled(label, style), Span::styled(format!("  {value}{unit}"), theme.header())];
     if let Some((low, high)) = extremes(parts.iter().flatten()) {
         spans.push(Span::raw(format!("  min {}  max {}", shortened(low), shortened(high))));
     }
@@ -71,12 +88,10 @@ fn draw_chart(
     frame: &mut Frame<'_>,
 ) {
     let datasets = parts.iter().enumerate().flat_map(|(number, parts)| {
+        let fallback = if is_ascii { Marker::Dot } else { Marker::Braille };
+        let marker = mark(plot, theme, number).map_or(fallback, Marker::Custom);
         parts.iter().map(move |part| {
-            Dataset::default()
-                .marker(if is_ascii { Marker::Dot } else { Marker::Braille })
-                .graph_type(GraphType::Line)
-                .style(theme.line(number))
-                .data(part)
+            Dataset::default().marker(marker).graph_type(GraphType::Line).style(theme.line(number)).data(part)
         })
     });
     let numbers = NumberAxis::new(extremes(parts.iter().flatten().flatten()));
@@ -90,7 +105,7 @@ fn draw_chart(
     frame.render_widget(chart, area);
 }
 
-/// A time for people: in seconds, if it has any.
+/// Rounds a time to seconds from 10 s on.
 fn rounded(time: std::time::Duration) -> std::time::Duration {
     if time.as_secs() >= 10 { std::time::Duration::from_secs(time.as_secs()) } else { time }
 }
@@ -138,9 +153,30 @@ mod tests {
     }
 
     #[test]
-    fn every_size_can_be_drawn() {
-        for values in [0, 1, 200] {
-            let plot = plot((0..values).map(f64::from));
+    fn several_curves_without_colours_are_drawn_as_their_numbers() {
+        let start = Instant::now();
+        let curves = ["low", "high"].map(|label| Series::new(label, "")).into();
+        let mut plot = Plot::new("level", curves, Duration::from_secs(1), start);
+        for second in 0..10 {
+            let at = start + Duration::from_secs(second);
+            plot.take(0, at, Some(&TagValue::U16(3)), None);
+            plot.take(1, at, Some(&TagValue::U16(9)), None);
+            plot.advance(at);
+        }
+        plot.miss(7);
+        let shown = screen(&plot, true, 60, 16);
+        let curve = |text: &str| shown.lines().position(|line| line.contains(text)).expect(&shown);
+        assert!(curve("222") < curve("111"), "{shown}");
+        assert!(shown.contains("\n1  low  3 ") && shown.contains("\n2  high  9 "), "{shown}");
+        assert!(shown.contains(" · 7 readings dropped"), "{shown}");
+    }
+
+    #[test]
+    fn every_size_and_number_can_be_drawn() {
+        let numbers = |count| (0..count).map(f64::from).collect::<Vec<_>>();
+        let odd = vec![f64::NAN, f64::INFINITY, f64::MIN, f64::MAX, f64::NEG_INFINITY];
+        for values in [numbers(0), numbers(1), numbers(200), odd, vec![0.0, 5e-324]] {
+            let plot = plot(values.into_iter());
             for width in (0..30).step_by(4).chain([1, 2, 80, 200]) {
                 for height in (0..13).chain([16, 24, 60]) {
                     screen(&plot, height % 2 == 0, width, height);

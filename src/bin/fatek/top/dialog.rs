@@ -1,6 +1,7 @@
 //! The prompt before a write.
 
 use ratatui::layout::{Rect, Size};
+use tokio::time::Instant;
 
 use super::model::{Level, Model};
 use super::view::width;
@@ -12,8 +13,17 @@ use crate::write::Write;
 pub(super) struct Draft {
     pub(super) tag: usize,
     pub(super) write: Write,
-    /// Set with the first frame: a key that was typed before is no answer.
-    pub(super) is_shown: bool,
+    /// The values that are stored by it, printable.
+    pub(super) values: String,
+    /// Time of the first frame: a key that was typed before is no answer.
+    pub(super) shown_at: Option<Instant>,
+}
+
+impl Draft {
+    pub(super) fn new(tag: usize, write: Write) -> Self {
+        let values: Vec<String> = write.stored_values().iter().map(ToString::to_string).collect();
+        Self { tag, write, values: printable(&values.join(",")).to_string(), shown_at: None }
+    }
 }
 
 /// Widest prompt.
@@ -67,14 +77,13 @@ fn fields(model: &Model, draft: &Draft) -> [(&'static str, String); 4] {
         Level::Unread => format!("{present} (not read yet)"),
         Level::Bad | Level::Stale => format!("{present} ({}: {})", state.level.word(), state.reason),
     };
-    let values: Vec<String> = draft.write.values().iter().map(ToString::to_string).collect();
     let elements = draft.write.tag().to_string();
     let tag = if info.label == elements { elements } else { format!("{} ({elements})", info.label) };
     [
         ("PLC", format!("{} ({})", plc.label, plc.address)),
         ("Tag", tag),
         ("Now", present),
-        ("New", with_unit(printable(&values.join(",")).to_string())),
+        ("New", with_unit(draft.values.clone())),
     ]
 }
 

@@ -58,7 +58,7 @@ pub(super) fn health(station: &Station) -> Health {
     }
 }
 
-/// Reads the status of a PLC (40) periodically. Ends when the display has gone.
+/// Reads the status of a PLC (40) periodically. Ends when the receiver is closed.
 pub(super) async fn poll_status(plc: usize, station: Station, interval: Duration, events: Sender<Event>) {
     let station = station.with_options(station.options().with_background(true));
     let mut rounds = tokio::time::interval(interval);

@@ -5,9 +5,10 @@
 //! be done.
 //!
 //! Invariants:
-//! - A value is sent only after a `y` at a prompt that was shown whole, with PLC, tag, present and
-//!   new value.
-//! - One write at a time waits for its result, which is shown.
+//! - A value is sent only after a `y` that was typed at a prompt, which was shown whole, with PLC,
+//!   tag, present and new value.
+//! - One write at a time waits for its result. A failure is shown before the next write begins.
+//! - The lists are in order after each key: the next one is for what the display will show.
 //! - While the display is paused, `live` goes on, and `frozen` is shown. Prompts have the live
 //!   value.
 
@@ -15,7 +16,7 @@ use std::time::Duration;
 
 use fatek::command::StatusFlags;
 use fatek::tag::TagValue;
-use ratatui::layout::Size;
+use ratatui::layout::{Rect, Size};
 use tokio::time::Instant;
 
 use super::dialog::Draft;
@@ -159,7 +160,8 @@ pub(super) struct Reading {
 /// An event for the dashboard.
 #[derive(Clone, Debug)]
 pub(super) enum Event {
-    Key(Key),
+    /// A key, and the time when it was typed.
+    Key(Key, Instant),
     /// Text pasted into the terminal.
     Paste(String),
     Resize(Size),
@@ -183,7 +185,7 @@ pub(super) enum Event {
 #[derive(Clone, Debug)]
 pub(super) enum Effect {
     Quit,
-    /// Draw all cells anew.
+    /// Draw all cells again.
     Redraw,
     Write {
         plc: usize,
@@ -224,6 +226,15 @@ pub(super) struct Message {
     pub(super) is_error: bool,
 }
 
+/// Failure of a write. It stays until Esc, or until a key that is typed after it was shown.
+#[derive(Clone, Debug)]
+pub(super) struct WriteFailure {
+    /// Subject and reason, printable.
+    pub(super) text: String,
+    /// Time of the first frame.
+    pub(super) shown_at: Option<Instant>,
+}
+
 /// The dashboard.
 #[derive(Debug)]
 pub(super) struct Model {
@@ -242,6 +253,7 @@ pub(super) struct Model {
     pub(super) message: Option<Message>,
     /// Subject of the write whose result is awaited.
     pub(super) pending: Option<String>,
+    pub(super) write_failure: Option<WriteFailure>,
 }
 
 impl PlcInfo {
@@ -320,6 +332,7 @@ impl Model {
             mode: Mode::Normal,
             message: None,
             pending: None,
+            write_failure: None,
         };
         model.arrange();
         model
@@ -333,10 +346,44 @@ impl Model {
     /// Prepares the next frame: sets the time, and brings the tables into order.
     pub(super) fn frame(&mut self, now: Instant) {
         self.live.now = now;
-        if let Mode::Confirm(draft) = &mut self.mode {
-            draft.is_shown = true;
-        }
         self.arrange();
+    }
+
+    /// Notes that the frame is on the terminal since this time.
+    pub(super) fn drawn(&mut self, at: Instant) {
+        if let Mode::Confirm(draft) = &mut self.mode {
+            draft.shown_at.get_or_insert(at);
+        }
+        let is_shown = self.shown_failure().is_some();
+        if let Some(failure) = self.write_failure.as_mut().filter(|_| is_shown) {
+            failure.shown_at.get_or_insert(at);
+        }
+    }
+
+    /// The failure of a write, if the display has a place for it: a window above the foot, or on a
+    /// small terminal the foot.
+    pub(super) fn shown_failure(&self) -> Option<&WriteFailure> {
+        let foot = self.areas().foot;
+        let has_place = match &self.mode {
+            Mode::Normal => foot.height > 0,
+            Mode::Filter { .. } | Mode::Value { error: None, .. } => Self::has_notices(foot),
+            Mode::Value { error: Some(_), .. } | Mode::Help | Mode::Confirm(_) => false,
+        };
+        self.write_failure.as_ref().filter(|_| has_place)
+    }
+
+    /// Returns whether a window with a line of text fits above the foot.
+    pub(super) fn has_notices(foot: Rect) -> bool {
+        foot.y >= 3
+    }
+
+    /// Texts about writes that the user has not seen, at the end of the command.
+    pub(super) fn unseen(&self) -> impl Iterator<Item = String> {
+        let failure = self.write_failure.as_ref().filter(|failure| failure.shown_at.is_none());
+        let failure = failure.map(|failure| format!("not confirmed: {}", failure.text));
+        let pending = self.pending.as_ref();
+        let pending = pending.map(|subject| format!("the write {subject} had no reply yet: it may have been executed"));
+        failure.into_iter().chain(pending)
     }
 
     /// The areas of the display.

@@ -14,6 +14,10 @@ impl Theme {
         Self { has_colours }
     }
 
+    pub(crate) fn has_colours(self) -> bool {
+        self.has_colours
+    }
+
     /// Title line.
     pub(crate) fn title(self) -> Style {
         Style::new().add_modifier(Modifier::REVERSED)

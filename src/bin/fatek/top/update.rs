@@ -1,9 +1,11 @@
 //! Events of the dashboard: keys, readings, results.
 
+use tokio::time::Instant;
+
 use super::dialog::{Draft, Prompt};
 use super::layout::Areas;
 use super::list::List;
-use super::model::{Effect, Event, Focus, Level, Mode, Model, Reading, Trouble};
+use super::model::{Effect, Event, Focus, Level, Mode, Model, Reading, Trouble, WriteFailure};
 use crate::failure::Failure;
 use crate::printable::{is_unprintable, printable};
 use crate::screen::Key;
@@ -16,9 +18,15 @@ impl Model {
     /// Takes an event. Returns the work for the driver.
     pub(super) fn update(&mut self, event: Event) -> Option<Effect> {
         match event {
-            Event::Key(key) => self.key(key),
+            Event::Key(key, at) => {
+                let effect = self.key(key, at);
+                // Keys may come without a frame in between.
+                self.arrange();
+                effect
+            }
             Event::Paste(text) => {
                 self.paste(&text);
+                self.arrange();
                 None
             }
             Event::Resize(size) => {
@@ -50,7 +58,11 @@ impl Model {
                 let subject = self.pending.take().unwrap_or_default();
                 match result {
                     Ok(()) => self.say(format!("wrote {subject}")),
-                    Err(error) => self.complain(format!("not confirmed: {subject}: {error}")),
+                    Err(error) => {
+                        self.message = None;
+                        let text = printable(&format!("{subject}: {error}")).to_string();
+                        self.write_failure = Some(WriteFailure { text, shown_at: None });
+                    }
                 }
                 None
             }
@@ -71,7 +83,7 @@ impl Model {
         }
     }
 
-    fn key(&mut self, key: Key) -> Option<Effect> {
+    fn key(&mut self, key: Key, at: Instant) -> Option<Effect> {
         if key == Key::Control('c') {
             return Some(Effect::Quit);
         }
@@ -79,17 +91,23 @@ impl Model {
             return Some(Effect::Redraw);
         }
         match std::mem::replace(&mut self.mode, Mode::Normal) {
-            Mode::Normal => return self.normal_key(key),
+            Mode::Normal => return self.normal_key(key, at),
             // Any key closes it.
             Mode::Help => {}
             Mode::Filter { before } => self.filter_key(before, key),
             Mode::Value { tag, text, .. } => self.value_key(tag, text, key),
-            Mode::Confirm(draft) => return self.confirm_key(draft, key),
+            Mode::Confirm(draft) => return self.confirm_key(draft, key, at),
         }
         None
     }
 
-    fn normal_key(&mut self, key: Key) -> Option<Effect> {
+    fn normal_key(&mut self, key: Key, at: Instant) -> Option<Effect> {
+        let was_shown = |failure: &WriteFailure| failure.shown_at.is_some_and(|shown_at| shown_at <= at);
+        match self.write_failure.take() {
+            // Esc closes it, and leaves the filter.
+            Some(_) if key == Key::Escape => return None,
+            failure => self.write_failure = failure.filter(|failure| !was_shown(failure)),
+        }
         self.message = None;
         let page = isize::try_from(self.page()).unwrap_or(isize::MAX);
         match key {
@@ -115,7 +133,7 @@ impl Model {
             Key::PageDown => self.list().move_by(page),
             Key::Home | Key::Char('g') => self.list().select_place(0),
             Key::End | Key::Char('G') => self.list().select_place(usize::MAX),
-            Key::Char(_) | Key::Control(_) | Key::Backspace | Key::Tab => {}
+            Key::Char(_) | Key::Control(_) | Key::Backspace | Key::Tab | Key::Other => {}
         }
         None
     }
@@ -150,6 +168,9 @@ impl Model {
         let Some(tag) = self.tag_list.selected().filter(|_| self.focus == Focus::Tags) else {
             return self.complain("no tag is selected");
         };
+        if self.write_failure.is_some() {
+            return self.complain("the failure of the last write was not shown yet");
+        }
         if self.pending.is_some() {
             return self.complain("the last write has no result yet");
         }
@@ -188,17 +209,17 @@ impl Model {
         let names = &self.plcs[info.plc].names;
         let name = info.named.name().unwrap_or_default();
         self.mode = match names.write(info.named.tag, name, &text, false) {
-            Ok(write) => Mode::Confirm(Draft { tag, write, is_shown: false }),
+            Ok(write) => Mode::Confirm(Draft::new(tag, write)),
             Err(failure) => Mode::Value { tag, text, error: Some(failure.to_string()) },
         };
     }
 
-    fn confirm_key(&mut self, draft: Draft, key: Key) -> Option<Effect> {
+    fn confirm_key(&mut self, draft: Draft, key: Key, at: Instant) -> Option<Effect> {
         if !matches!(key, Key::Char('y' | 'Y')) {
             self.say("nothing was written");
             return None;
         }
-        if !draft.is_shown {
+        if draft.shown_at.is_none_or(|shown_at| at < shown_at) {
             self.mode = Mode::Confirm(draft);
             return None;
         }
@@ -206,9 +227,8 @@ impl Model {
             self.complain("nothing was written: the terminal is too small for the prompt");
             return None;
         }
-        let Draft { tag, write, .. } = draft;
-        let values: Vec<String> = write.values().iter().map(ToString::to_string).collect();
-        let subject = format!("{}={}", self.subject(tag), printable(&values.join(",")));
+        let Draft { tag, write, values, .. } = draft;
+        let subject = format!("{}={values}", self.subject(tag));
         self.say(format!("writing {subject}..."));
         self.pending = Some(subject);
         Some(Effect::Write { plc: self.tags[tag].plc, write })
@@ -240,7 +260,7 @@ fn edit(text: &mut String, key: Key) {
             }
         }
         Key::Control(_) | Key::Enter | Key::Escape | Key::Tab => {}
-        Key::Up | Key::Down | Key::PageUp | Key::PageDown | Key::Home | Key::End => {}
+        Key::Up | Key::Down | Key::PageUp | Key::PageDown | Key::Home | Key::End | Key::Other => {}
     }
 }
 

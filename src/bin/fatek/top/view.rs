@@ -30,7 +30,7 @@ const HELP: [&str; 13] = [
     "/                  filter by PLC, name and element; Esc clears it",
     "space, p           pause the display; polling goes on",
     "w, Enter           write a value to the selected tag, after a prompt",
-    "Ctrl-L             draw all anew",
+    "Ctrl-L             redraw the screen",
     "?, h               this help",
     "q, Ctrl-C          quit",
     "",
@@ -133,12 +133,17 @@ fn foot(model: &Model, theme: Theme, area: Rect, frame: &mut Frame<'_>) {
         }
         Mode::Normal | Mode::Help | Mode::Confirm(_) => None,
     };
+    let failure = model.shown_failure();
+    if let Some(failure) = failure.filter(|_| Model::has_notices(area)) {
+        notice("Write not confirmed; Esc closes", &failure.text, area, frame.buffer_mut());
+    }
     let Some((text, error)) = input else {
-        let (text, style) = match &model.message {
-            Some(message) if message.is_error => (message.text.as_str(), theme.trouble()),
-            Some(message) => (message.text.as_str(), theme.header()),
-            None if model.tags.is_empty() => (PLC_KEYS, Style::new()),
-            None => (KEYS, Style::new()),
+        let (text, style) = match (&model.message, failure) {
+            (_, Some(failure)) if !Model::has_notices(area) => (failure.text.as_str(), theme.trouble()),
+            (Some(message), _) if message.is_error => (message.text.as_str(), theme.trouble()),
+            (Some(message), _) => (message.text.as_str(), theme.header()),
+            (None, _) if model.tags.is_empty() => (PLC_KEYS, Style::new()),
+            (None, _) => (KEYS, Style::new()),
         };
         return put(frame.buffer_mut(), area, 0, text, style);
     };
@@ -149,12 +154,16 @@ fn foot(model: &Model, theme: Theme, area: Rect, frame: &mut Frame<'_>) {
     let width = u16::try_from(width(&line)).unwrap_or(u16::MAX);
     frame.set_cursor_position(Position::new(area.x.saturating_add(width).min(area.right() - 1), area.y));
     if let Some(error) = error {
-        let lines: Vec<String> = wrapped(error, usize::from(area.width.clamp(5, 76) - 4));
-        let lines: Vec<&str> = lines.iter().map(String::as_str).collect();
-        let height = (lines.len() as u16).saturating_add(2).min(area.y);
-        let window_area = Rect::new(0, area.y - height, area.width.min(76), height);
-        window("Not accepted", &lines, window_area, frame.buffer_mut());
+        notice("Not accepted", error, area, frame.buffer_mut());
     }
+}
+
+/// Draws a text in a window above the foot.
+fn notice(title: &str, text: &str, foot: Rect, buffer: &mut Buffer) {
+    let lines: Vec<String> = wrapped(text, usize::from(foot.width.clamp(5, 76) - 4));
+    let lines: Vec<&str> = lines.iter().map(String::as_str).collect();
+    let height = (lines.len() as u16).saturating_add(2).min(foot.y);
+    window(title, &lines, Rect::new(0, foot.y - height, foot.width.min(76), height), buffer);
 }
 
 /// Draws lines in a frame, over the tables.

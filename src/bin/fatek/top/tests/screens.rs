@@ -48,14 +48,9 @@ fn every_size_and_mode_can_be_drawn() {
     for keys in ["", "?", "/le", "w5", "w99\n", "w5\n", "\t"] {
         let mut bench = running();
         bench.select("mixer/setpoint");
-        for key in keys.chars() {
-            let code = match key {
-                '\n' => Key::Enter,
-                '\t' => Key::Tab,
-                character => Key::Char(character),
-            };
-            bench.presses(code);
-        }
+        bench.types(keys);
+        // With a window where there is a place for it.
+        bench.model.update(Event::Written(Err("R200 (it may have been written): no reply ".repeat(9))));
         for width in (0..90).step_by(7).chain([1, 2, 4, 120, 300]) {
             for height in (0..13).chain([16, 20, 24, 40, 100]) {
                 bench.resize(width, height);

@@ -33,7 +33,7 @@ fn only_y_at_the_prompt_sends_the_value() {
         assert!(!asks(&mut bench) && bench.message() == "nothing was written");
         assert_eq!(written(&bench.types("y")), [""; 0]);
     }
-    for code in [Key::Enter, Key::Escape, Key::Tab] {
+    for code in [Key::Enter, Key::Escape, Key::Tab, Key::Other] {
         let mut bench = running();
         prompt(&mut bench, "mixer/setpoint", "30");
         assert!(bench.presses(code).is_none() && bench.message() == "nothing was written");
@@ -72,8 +72,106 @@ fn the_result_of_a_write_is_shown_and_the_next_one_waits_for_it() {
     prompt(&mut bench, "mixer/limits[1]", "8");
     assert_eq!(written(&bench.types("y")), ["0: R31=8"]);
     bench.model.update(Event::Written(Err("R31 (it may have been written): no reply\n".to_owned())));
-    assert_eq!(bench.message(), "not confirmed: mixer/limits[1]=8: R31 (it may have been written): no reply\\n");
-    assert!(bench.model.message.as_ref().unwrap().is_error);
+    let shown = bench.screen();
+    let window = "┌ Write not confirmed; Esc closes ";
+    assert!(shown.contains(window), "{shown}");
+    assert!(shown.contains("│ mixer/limits[1]=8: R31 (it may have been written): no reply\\n "), "{shown}");
+}
+
+/// A dashboard with a write that has failed, and no frame since then.
+fn failed() -> Bench {
+    failed_with("R31 (it may have been written): no reply")
+}
+
+fn failed_with(reason: &str) -> Bench {
+    let mut bench = running();
+    prompt(&mut bench, "mixer/limits[1]", "8");
+    bench.types("y");
+    bench.model.update(Event::Written(Err(reason.to_owned())));
+    bench
+}
+
+fn shows_failure(bench: &mut Bench) -> bool {
+    bench.screen().contains("│ mixer/limits[1]=8: R31 (it may have been written): no reply ")
+}
+
+#[test]
+fn a_failed_write_is_shown_until_a_key_follows_it() {
+    let mut bench = failed();
+    // These hid it before the first frame.
+    bench.bursts("jkss");
+    bench.model.update(Event::Missed(12));
+    assert!(shows_failure(&mut bench), "{}", bench.screen());
+    // Of the time before the frame.
+    let before = bench.now - Duration::from_millis(1);
+    bench.model.update(Event::Key(Key::Char('j'), before));
+    assert!(shows_failure(&mut bench));
+    bench.types("j");
+    assert!(!shows_failure(&mut bench));
+
+    let mut bench = failed();
+    bench.types("/mixer\n");
+    bench.presses(Key::Escape);
+    assert!(!shows_failure(&mut bench) && bench.model.filter == "mixer", "Esc closes the window alone");
+}
+
+#[test]
+fn no_write_begins_before_the_failure_of_the_last_one_is_shown() {
+    let mut bench = failed();
+    bench.bursts("w");
+    assert_eq!(bench.message(), "the failure of the last write was not shown yet");
+    // The help hides it.
+    let mut bench = failed();
+    bench.bursts("?");
+    assert!(!shows_failure(&mut bench));
+    assert_eq!(bench.model.unseen().count(), 1);
+    bench.types("x");
+    assert!(shows_failure(&mut bench));
+    assert_eq!(bench.model.unseen().count(), 0);
+    bench.types("w");
+    assert!(bench.screen().contains("new value of mixer/limits[1]:"), "{}", bench.screen());
+}
+
+#[test]
+fn a_long_reason_of_a_failed_write_is_shown_whole() {
+    let reason = "R31 (it may have been written): station 1 did not answer within 1s, at tcp://10.0.0.3:500, the end";
+    let mut bench = failed_with(reason);
+    assert!(bench.screen().contains("the end"), "{}", bench.screen());
+    // A small terminal has it at the foot.
+    let mut bench = failed_with(reason);
+    bench.resize(80, 3);
+    let shown = bench.screen();
+    assert!(shown.contains("\nmixer/limits[1]=8: R31 (it may have been written): station 1 "), "{shown}");
+}
+
+#[test]
+fn writes_without_a_result_are_reported_at_the_end() {
+    let unseen = |bench: &Bench| bench.model.unseen().collect::<Vec<_>>();
+    let mut bench = running();
+    assert!(unseen(&bench).is_empty());
+    prompt(&mut bench, "mixer/limits[1]", "8");
+    bench.types("yq");
+    assert_eq!(unseen(&bench), ["the write mixer/limits[1]=8 had no reply yet: it may have been executed"]);
+    let bench = failed();
+    assert_eq!(unseen(&bench), ["not confirmed: mixer/limits[1]=8: R31 (it may have been written): no reply"]);
+}
+
+#[test]
+fn prompt_and_result_have_the_value_that_is_stored() {
+    let plant = "
+[plc.mixer]
+link = 'tcp://10.0.0.3:500'
+station = 1
+tag.sc = { at = 'R12:i16*0.1', unit = '%', write = {} }
+";
+    let mut bench =
+        Bench::of_plant(plant, Settings { interval: Duration::from_secs(1), special: false, read_only: false });
+    prompt(&mut bench, "sc", "1.23");
+    // It was `1.23`.
+    assert!(bench.screen().contains("│ New  1.2 % "), "{}", bench.screen());
+    assert_eq!(bench.types("y").len(), 1);
+    bench.model.update(Event::Written(Ok(())));
+    assert_eq!(bench.message(), "wrote sc=1.2");
 }
 
 #[test]
@@ -83,6 +181,9 @@ fn values_and_tags_are_refused_by_the_rules_of_the_plant() {
         ("mixer/setpoint", "81", "setpoint is at most 80 in the plant"),
         ("mixer/setpoint", "-1", "setpoint is at least 0 in the plant"),
         ("mixer/limits[0]", "10", "limits is at most 9 in the plant"),
+        // It passed both limits.
+        ("mixer/setpoint", "nan", "setpoint is at least 0 in the plant"),
+        ("mixer/setpoint", "inf", "setpoint is at most 80 in the plant"),
         ("mixer/setpoint", "abc", "abc"),
         ("mixer/setpoint", "", "``"),
         ("mixer/limits[0]", "1,2", "1,2"),
@@ -136,10 +237,12 @@ fn a_y_before_the_prompt_is_shown_confirms_nothing() {
     let mut bench = running();
     bench.select("mixer/setpoint");
     // As pasted into a terminal that does not mark pasted texts: no frame between the keys.
-    for key in [Key::Char('w'), Key::Char('3'), Key::Char('0'), Key::Enter, Key::Char('y')] {
-        assert!(bench.model.update(Event::Key(key)).is_none());
-    }
+    assert_eq!(written(&bench.bursts("w30\ny")), [""; 0]);
     assert!(bench.model.pending.is_none() && asks(&mut bench));
+    // Typed before the frame, and taken after it: this sent the value.
+    let before = bench.now - Duration::from_millis(1);
+    assert!(bench.model.update(Event::Key(Key::Char('y'), before)).is_none());
+    assert!(asks(&mut bench));
     assert_eq!(written(&bench.types("y")), ["0: R200:f32=30.0"]);
 }
 
