@@ -75,5 +75,24 @@ fn texts(n: usize) -> Vec<Tag> {
     random(n).into_iter().enumerate().map(text).collect()
 }
 
-criterion_group!(benches, planning, planning_groups);
+/// A plan of eight longest requests of one length: the comparison of all ways to join them for fewer proofs.
+fn planning_longest_requests(c: &mut Criterion) {
+    let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
+    let cases = [
+        ("registers", "R0-R511", Limits::new().mixed_reads(false)),
+        ("discretes", "M0-M2047", Limits::new().mixed_reads(false).words_of_discretes(false)),
+        ("words of discretes", "M0-M8191", Limits::new()),
+    ];
+    let mut group = c.benchmark_group("eight longest requests");
+    for (name, tag, limits) in cases {
+        let builder = Plan::builder(network).limits(limits).tag(tag.parse::<Tag>().expect("a tag"));
+        group.sample_size(20);
+        group.bench_function(name, |b| {
+            b.iter_batched(|| builder.clone(), |builder| builder.build().expect("a plan"), BatchSize::LargeInput);
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, planning, planning_groups, planning_longest_requests);
 criterion_main!(benches);

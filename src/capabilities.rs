@@ -237,7 +237,7 @@ impl Capabilities {
         self.refused.and(self.unanswered).contains(code)
     }
 
-    /// The part of them that a link keeps to.
+    /// The part of them that a link applies to its own requests.
     pub(crate) fn declared(&self) -> Declared {
         let most = |units: Option<usize>| units.and_then(|units| u16::try_from(units).ok()).unwrap_or(u16::MAX);
         let longest = LongestReads {

@@ -54,8 +54,9 @@
 //! requests with more than 16 discretes, only the cheapest choice for each number of units. Above
 //! eight parts:
 //!
-//! - Without mixed reads, groups and words of discretes, no requests are cheaper without their
-//!   proofs: a dynamic program over the sorted values finds the runs.
+//! - Without mixed reads, groups and words of discretes, and without
+//!   [proofs](CostModel::with_proofs), no requests are cheaper: a dynamic program over the sorted values
+//!   finds the runs.
 //! - With mixed reads, the same program chooses run or mixed read for each value, for several
 //!   prices of a unit in a mixed read. If the values left for mixed reads at price 0 fit in one,
 //!   the same is true. Otherwise the loss is about the unused part of the last mixed read.
@@ -63,8 +64,8 @@
 //!   ones before, so that neighbours differ, and the cheaper one is taken. Then the requests are
 //!   ordered. Up to eight of them are joined, or sent in another form, if that saves more.
 //! - Words of discretes are chosen by another such program for each area, before the values are
-//!   distributed. A plan without words is made as well, unless a lower bound shows that it is
-//!   dearer, and the cheaper one is taken.
+//!   distributed. A plan without words is made as well, unless a lower bound shows that it costs
+//!   more, and the cheaper one is taken.
 //! - Groups are placed first, each as its own cheapest request, and values fill the remaining room.
 //!   This is a heuristic. A text that is longer than the PLC's longest run is planned as a group.
 //!
@@ -146,6 +147,8 @@ impl Plan {
 
     /// Starts a plan for a station: with its costs, within its [capabilities](Station::capabilities).
     ///
+    /// If no plan is within those that refusals have shown, it is one within those that were declared.
+    ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
     /// use fatek::{Plan, Tag};
@@ -157,7 +160,10 @@ impl Plan {
     #[must_use]
     pub fn builder_for(station: &Station) -> PlanBuilder {
         let known = station.capabilities();
-        Self::builder(CostModel::of_link(station.link()).with_known(&known)).limits(Limits::new().within(&known))
+        let builder = Self::builder(CostModel::of_link(station.link()).with_known(&known));
+        let limits = |known| Limits::new().within(known);
+        let (all, declared) = (limits(&known), limits(&station.declared_capabilities()));
+        if all == declared { builder.limits(all) } else { builder.limits(all).wider_limits(declared) }
     }
 
     /// Returns the tags in the order in which they were added.

@@ -353,38 +353,43 @@ async fn no_spelling_is_longer_than_declared() {
     }
 }
 
+/// Polls until the poller has learned the lengths of a PLC that has no mixed reads.
+async fn learn_by_polling(bench: &Bench) {
+    let refusal = || Rule::new(Fault::Error(ErrorCode::IllegalValue));
+    bench.faults.add_rule(refusal().command(Code::ReadRegisters).longer_than(21));
+    bench.faults.add_rule(refusal().command(Code::ReadDiscretes).longer_than(100));
+    bench.faults.add_rule(refusal().command(Code::ReadMixed));
+    let mut poller = Poller::builder().build();
+    let polling = StationPolling::new().limits(Limits::new().words_of_discretes(false));
+    let polled = poller.handle().station_with(&bench.station, polling).unwrap();
+    let tag = |text: &str| PollTag::from(text.parse::<Tag>().unwrap());
+    // Of different classes, so that each is planned alone.
+    polled.add(ScanClass::every(Duration::from_secs(1)), [tag("R0-R199")]).unwrap();
+    polled.add(ScanClass::every(Duration::from_secs(2)), [tag("M0-M255")]).unwrap();
+    let scattered = (0..40).map(|n| tag(&format!("D{}", n * 90)));
+    polled.add(ScanClass::every(Duration::from_secs(3)), scattered).unwrap();
+    let learned = async {
+        tokio::time::sleep(Duration::from_secs(60)).await;
+    };
+    tokio::select! {
+        () = learned => {}
+        () = async { while poller.next().await.is_some() {} } => panic!("the poller ended"),
+    }
+    poller.close().await;
+    tokio::time::sleep(Duration::from_secs(1)).await;
+}
+
 /// Before, only the poller itself knew the lengths that it had learned.
 #[tokio::test(start_paused = true)]
 async fn what_a_poller_learns_is_known_of_the_station() {
     for framing in FRAMINGS {
         let bench = bench(framing);
-        let refusal = || Rule::new(Fault::Error(ErrorCode::IllegalValue));
-        bench.faults.add_rule(refusal().command(Code::ReadRegisters).longer_than(21));
-        bench.faults.add_rule(refusal().command(Code::ReadDiscretes).longer_than(100));
-        bench.faults.add_rule(refusal().command(Code::ReadMixed));
-        let mut poller = Poller::builder().build();
-        let polling = StationPolling::new().limits(Limits::new().words_of_discretes(false));
-        let polled = poller.handle().station_with(&bench.station, polling).unwrap();
-        let tag = |text: &str| PollTag::from(text.parse::<Tag>().unwrap());
-        // Of different classes, so that each is planned alone.
-        polled.add(ScanClass::every(Duration::from_secs(1)), [tag("R0-R199")]).unwrap();
-        polled.add(ScanClass::every(Duration::from_secs(2)), [tag("M0-M255")]).unwrap();
-        let scattered = (0..40).map(|n| tag(&format!("D{}", n * 90)));
-        polled.add(ScanClass::every(Duration::from_secs(3)), scattered).unwrap();
-        let learned = async {
-            tokio::time::sleep(Duration::from_secs(60)).await;
-        };
-        tokio::select! {
-            () = learned => {}
-            () = async { while poller.next().await.is_some() {} } => panic!("the poller ended"),
-        }
+        learn_by_polling(&bench).await;
         let known = bench.station.capabilities();
         assert!(known.max_registers().is_some_and(|max| (11..=21).contains(&max)), "{framing}: {known:?}");
         assert!(known.max_points().is_some_and(|max| (50..=100).contains(&max)), "{framing}: {known:?}");
         assert_eq!(known.command(Code::ReadMixed), Support::Refused, "{framing}");
         // A plan for the station keeps to them from its first request on.
-        poller.close().await;
-        tokio::time::sleep(Duration::from_secs(1)).await;
         let refusals = bench.station.stats().refusals;
         let tags = ["R500-R599", "M500-M755"].map(|tag| tag.parse::<Tag>().unwrap());
         let plan = Plan::builder_for(&bench.station).tags(tags).build().unwrap();
@@ -392,6 +397,54 @@ async fn what_a_poller_learns_is_known_of_the_station() {
         assert_eq!(bench.station.stats().refusals, refusals, "{framing}");
         tokio::time::sleep(Duration::from_secs(600)).await;
         assert_eq!(bench.station.capabilities().max_registers(), None, "tried again after ten minutes");
+    }
+}
+
+/// A refused read may be one of its place, and says nothing of writes. Before, the length that a poller had
+/// learned divided the writes and long reads of all users: a write of 64 registers was sent as requests of 16,
+/// and so was a read, and a write of 256 discretes as four requests.
+#[tokio::test(start_paused = true)]
+async fn a_learned_length_divides_no_write_and_no_read_of_one_request() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        learn_by_polling(&bench).await;
+        bench.faults.set_rules([]);
+        bench.faults.log().clear();
+        bench.station.write_registers(register!("R100"), &[3; 64]).await.unwrap();
+        bench.station.write_discretes(discrete!("M100"), &[true; 256]).await.unwrap();
+        assert_eq!(bench.station.read_registers(register!("R300"), 64).await.unwrap(), [0; 64]);
+        let entries = bench.faults.log().entries();
+        let lengths: Vec<usize> = entries
+            .iter()
+            .filter_map(|entry| match entry.request()? {
+                Request::WriteRegisters(write) => Some(write.values().len()),
+                Request::WriteDiscretes(write) => Some(write.states().len()),
+                Request::ReadRegisters(read) => Some(read.count()),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(lengths, [64, 256, 64], "{framing}");
+    }
+}
+
+/// Before, `Station::read` of a text failed for ten minutes after a poller had met refusals, and so did a
+/// plan of tags of one scan: "no single request can read that".
+#[tokio::test(start_paused = true)]
+async fn no_read_fails_for_what_a_poller_has_learned() {
+    for framing in FRAMINGS {
+        let bench = bench(framing);
+        learn_by_polling(&bench).await;
+        bench.faults.set_rules([]);
+        bench.station.write("R100-R129:text", "a text of thirty registers").await.unwrap();
+        let text: String = bench.station.read("R100-R129:text").await.unwrap();
+        assert_eq!(text, "a text of thirty registers", "{framing}");
+        let tags = ["R100", "D700", "M3"].map(|tag| tag.parse::<Tag>().unwrap());
+        let plan = Plan::builder_for(&bench.station).one_scan(tags).build().unwrap();
+        assert_eq!(plan.requests().len(), 1);
+        assert_eq!(plan.read(&bench.station).await.errors().count(), 0, "{framing}");
+        // The caller's own limits stay.
+        let plan = Plan::builder_for(&bench.station).limits(Limits::new().mixed_reads(false)).one_scan(tags).build();
+        assert!(plan.is_err());
     }
 }
 

@@ -44,6 +44,22 @@ fn the_plan_equals_that_of_the_library() {
             CostModel::serial(slow, ascii).with_response_time(ms(30)),
             limits(),
         ),
+        // The second and the third were priced as the default before.
+        (
+            &["--link", "tcp://192.0.2.1?copies=2", "--no-mixed"],
+            CostModel::network(ascii, ms(5)),
+            limits().mixed_reads(false),
+        ),
+        (
+            &["--link", "tcp://192.0.2.1?copies=0", "--no-mixed"],
+            CostModel::network(ascii, ms(5)).with_proofs(false),
+            limits().mixed_reads(false),
+        ),
+        (
+            &["--link", "tcp://192.0.2.1?one_request=true&quiet=700ms", "--no-mixed"],
+            CostModel::network(ascii, ms(5)).with_overhead(ms(700)).with_proofs(false),
+            limits().mixed_reads(false),
+        ),
         (&["--no-mixed"], CostModel::network(ascii, ms(5)), limits().mixed_reads(false)),
         (&["--max-registers", "10"], CostModel::network(ascii, ms(5)), limits().max_registers(10).unwrap()),
         (&["--max-points", "8"], CostModel::network(ascii, ms(5)), limits().max_points(8).unwrap()),
@@ -74,6 +90,13 @@ fn json_and_csv_list_the_tags_of_each_request() {
     let sum = |key: &str| requests.iter().map(|request| request[key].as_f64().unwrap()).sum::<f64>();
     assert_eq!(json["bytes"].as_f64(), Some(sum("bytes")));
     assert!((json["time_ms"].as_f64().unwrap() - sum("time_ms")).abs() < 0.01);
+    assert_eq!(json["proofs_ms"], 0.0);
+    let proven: serde_json::Value =
+        fatek(&["plan", "R0", "R500", "R1000", "--no-mixed", "--format", "json"]).ok().parse().unwrap();
+    let requests = proven["requests"].as_array().unwrap();
+    let time: f64 = requests.iter().map(|request| request["time_ms"].as_f64().unwrap()).sum();
+    let proofs = proven["proofs_ms"].as_f64().unwrap();
+    assert!(proofs > 15.0 && (proven["time_ms"].as_f64().unwrap() - time - proofs).abs() < 0.01, "{proven}");
     let csv = plan(&["--no-mixed", "--format", "csv"]).ok();
     assert!(csv.starts_with("request,values,bytes,time_ms,reads,tags\n1,"), "{csv}");
     assert!(csv.contains("46 R0-R29,R0-R9 R12:f32 R20-R29:text\n"), "{csv}");

@@ -49,13 +49,14 @@ impl KnownCapabilities {
     }
 
     pub(crate) fn learn(&mut self, learned: Refused, now: Instant) {
-        self.learned.retain(|(known, _)| *known != learned);
+        // Lengths differ, and a station may be in use for years.
+        self.learned.retain(|(known, at)| *known != learned && is_recent(*at, now));
         self.learned.push((learned, now));
     }
 
     /// The capabilities as of now.
     pub(crate) fn get(&self, now: Instant) -> Capabilities {
-        let recent = self.learned.iter().filter(|(_, at)| now.saturating_duration_since(*at) < LEARNED_LIFETIME);
+        let recent = self.learned.iter().filter(|(_, at)| is_recent(*at, now));
         let lower = |known: Option<usize>, learned: usize| known.map_or(learned, |known| known.min(learned));
         recent.fold(self.declared.clone(), |known, (learned, _)| match *learned {
             // Of several lengths, the shortest counts. A length out of range has no effect.
@@ -73,5 +74,29 @@ impl KnownCapabilities {
                 WordAreas::SYMBOLS.iter().filter(|symbol| areas.contains(**symbol)).fold(known, refused)
             }
         })
+    }
+}
+
+/// Returns whether what was learned at this time still holds.
+fn is_recent(learned: Instant, now: Instant) -> bool {
+    now.saturating_duration_since(learned) < LEARNED_LIFETIME
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn expired_refusals_are_dropped() {
+        let (start, mut known) = (Instant::now(), KnownCapabilities::default());
+        for n in 0..100 {
+            let now = start + LEARNED_LIFETIME / 4 * n;
+            known.learn(Refused::Registers(2 + n as usize % 60), now);
+            known.learn(Refused::MixedReads, now);
+            assert!(known.learned.len() <= 5, "{}", known.learned.len());
+        }
+        let now = start + LEARNED_LIFETIME / 4 * 99;
+        assert_eq!(known.get(now).max_registers(), Some(2 + 36));
+        assert_eq!(known.get(now + LEARNED_LIFETIME), Capabilities::new());
     }
 }

@@ -51,16 +51,9 @@ pub(crate) struct Config {
 }
 
 impl Config {
-    /// The silence between a reply and the next request, and the one that the proof of each request
-    /// needs: the quiet time if a connection carries one request only, else zero.
-    pub(crate) fn request_gaps(&self) -> [Duration; 2] {
-        let proof_gap = if self.in_step.one_request() { self.in_step.quiet() } else { Duration::ZERO };
-        [self.frame_gap.short, proof_gap]
-    }
-
-    /// Returns whether checks and other spellings separate requests whose replies have one shape.
-    pub(crate) fn sends_checks(&self) -> bool {
-        self.in_step.copies() > 0 && !self.in_step.one_request()
+    /// The silence between a reply and the next request, and the settings by which proofs are sent.
+    pub(crate) fn request_times(&self) -> (Duration, InStepSettings) {
+        (self.frame_gap.short, self.in_step)
     }
 }
 

@@ -76,7 +76,7 @@ use self::state::SharedLinkState;
 use self::stats::SharedStats;
 use crate::capabilities::{Capabilities, Refused};
 use crate::command::{Command, InvalidRequest, Spelling};
-use crate::endpoint::Endpoint;
+use crate::endpoint::{Endpoint, InStepSettings};
 use crate::error::{Error, Rounded};
 use crate::station::{Broadcast, Station};
 use crate::wire::Framing;
@@ -288,14 +288,9 @@ impl Link {
         self.inner.config.line
     }
 
-    /// See [`Config::request_gaps`].
-    pub(crate) fn request_gaps(&self) -> [Duration; 2] {
-        self.inner.config.request_gaps()
-    }
-
-    /// See [`Config::sends_checks`].
-    pub(crate) fn sends_checks(&self) -> bool {
-        self.inner.config.sends_checks()
+    /// See [`Config::request_times`].
+    pub(crate) fn request_times(&self) -> (Duration, InStepSettings) {
+        self.inner.config.request_times()
     }
 
     pub(crate) fn shared_stats(&self) -> &SharedStats {

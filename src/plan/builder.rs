@@ -18,6 +18,8 @@ use crate::wire::Framing;
 pub struct PlanBuilder {
     cost: CostModel,
     limits: Limits,
+    /// Limits for tags that no request reads within `limits`.
+    wider_limits: Option<Limits>,
     tags: Vec<Tag>,
     /// The indices of the tags of each one-scan group.
     groups: Vec<Range<usize>>,
@@ -27,13 +29,21 @@ pub struct PlanBuilder {
 
 impl PlanBuilder {
     pub(super) fn new(cost: CostModel) -> Self {
-        Self { cost, limits: Limits::new(), tags: Vec::new(), groups: Vec::new(), fallbacks: true }
+        let (tags, groups) = (Vec::new(), Vec::new());
+        Self { cost, limits: Limits::new(), wider_limits: None, tags, groups, fallbacks: true }
     }
 
     /// Sets the limits of the PLC. Default: the limits of the protocol.
     #[must_use]
     pub fn limits(self, limits: Limits) -> Self {
-        Self { limits, ..self }
+        Self { limits, wider_limits: None, ..self }
+    }
+
+    /// Sets limits that apply in place of the others if no plan is within these: refusals, which pass, make
+    /// no plan impossible.
+    #[must_use]
+    pub(super) fn wider_limits(self, limits: Limits) -> Self {
+        Self { wider_limits: Some(limits), ..self }
     }
 
     /// Makes a plan without fallbacks, for a caller that has its own. It takes less memory.
@@ -84,32 +94,40 @@ impl PlanBuilder {
     /// # Errors
     /// [`PlanError::NotReadable`] and [`PlanError::OneScan`] if the limits exclude a tag or a
     /// group; [`PlanError::TooManyValues`] above [`MAX_VALUES`]; [`PlanError::Request`] if the
-    /// framing of the costs does not have the address of an element.
-    pub fn build(self) -> Result<Plan, PlanError> {
-        let values = Values::of(&self.tags, &self.limits, self.cost.framing())?;
-        let (parts, Solution { shares, proofs, .. }) = self.solve(&values)?;
+    /// framing of the costs does not have the address of an element. [`PlanError::Unassigned`] would be a
+    /// defect of the planner.
+    pub fn build(mut self) -> Result<Plan, PlanError> {
+        let mut solved = self.solve();
+        if let (Err(_), Some(wider)) = (&solved, self.wider_limits.take()) {
+            self.limits = wider;
+            solved = self.solve();
+        }
+        let (values, parts, Solution { shares, proofs, .. }) = solved?;
 
-        let mut request_of = vec![0_u32; parts.groups.len() + parts.single.len()];
+        let mut request_of: Vec<Option<u32>> = vec![None; parts.groups.len() + parts.single.len()];
         for (request, (_, parts)) in (0..).zip(&shares) {
             for part in parts {
-                request_of[*part] = request;
+                request_of[*part] = Some(request);
             }
         }
         let words_before: Vec<Vec<u32>> = shares.iter().map(|(draft, _)| draft.words_before()).collect();
         let mut counts = vec![0; shares.len()];
         let mut word_areas = vec![WordAreas::default(); shares.len()];
         let mut slots = Vec::with_capacity(values.cells.len());
-        for (cells, part) in values.cells.iter().zip(&parts.part_of) {
-            let request = request_of[*part];
-            let at = request as usize;
+        for (n, (cells, part)) in values.cells.iter().zip(&parts.part_of).enumerate() {
+            let found = request_of[*part].and_then(|request| {
+                let at = request as usize;
+                let (word, bit) = shares[at].0.find(*cells, &words_before[at])?;
+                Some(ValueSlot { request, word: u16::try_from(word).ok()?, bit })
+            });
+            debug_assert!(found.is_some(), "the solver assigned {cells:?} to a request that reads it");
+            let slot = found.ok_or_else(|| PlanError::Unassigned { tag: self.tags[values.tag_of(n)] })?;
+            let at = slot.request as usize;
             counts[at] += 1;
-            let found = shares[at].0.find(*cells, &words_before[at]);
-            debug_assert!(found.is_some(), "the solver assigned this value to this request");
-            let (word, bit) = found.unwrap_or((u32::MAX, None));
-            if bit.is_some() {
+            if slot.bit.is_some() {
                 word_areas[at].insert(cells.area.symbol());
             }
-            slots.push(ValueSlot { request, word: u16::try_from(word).unwrap_or(u16::MAX), bit });
+            slots.push(slot);
         }
         let planned = |(((draft, _), values), word_areas): ((&solve::Share, usize), WordAreas)| {
             let (request_bytes, reply_bytes) = draft.bytes(&self.cost);
@@ -130,7 +148,13 @@ impl PlanBuilder {
     }
 
     /// Distributes the values among requests: with words of discretes if that is cheaper.
-    fn solve(&self, values: &Values) -> Result<(Parts, Solution), PlanError> {
+    fn solve(&self) -> Result<(Values, Parts, Solution), PlanError> {
+        let values = Values::of(&self.tags, &self.limits, self.cost.framing())?;
+        let (parts, solution) = self.solve_values(&values)?;
+        Ok((values, parts, solution))
+    }
+
+    fn solve_values(&self, values: &Values) -> Result<(Parts, Solution), PlanError> {
         let solved = |builder: &Self| {
             let parts = builder.parts(values)?;
             let solution = solve::solve(&parts.groups, &parts.single, &builder.limits, &self.cost);
@@ -147,10 +171,10 @@ impl PlanBuilder {
         let limits = self.limits.clone().words_of_discretes(false);
         let builder = Self { limits, ..self.clone() };
         // Mostly the bound shows that no plan without words is cheaper, at a fraction of the time.
-        let is_dearer = |parts: &Parts| {
+        let costs_more = |parts: &Parts| {
             parts.groups.is_empty() && solve::least_cost(&parts.single, &builder.limits, &self.cost) >= solution.price()
         };
-        if builder.parts(values).is_ok_and(|parts| is_dearer(&parts)) {
+        if builder.parts(values).is_ok_and(|parts| costs_more(&parts)) {
             return Ok(with_words);
         }
         // A group may fit in a request by words only.
@@ -296,6 +320,11 @@ impl Values {
             }
         }
         Ok(values)
+    }
+
+    /// Returns the index of the tag of a value.
+    fn tag_of(&self, value: usize) -> usize {
+        self.first_slot.partition_point(|first| *first <= value).saturating_sub(1)
     }
 
     fn slots(&self, tags: &Range<usize>) -> Range<usize> {

@@ -2,7 +2,7 @@ use std::time::Duration;
 
 use crate::capabilities::Capabilities;
 use crate::element::{Symbol, Width};
-use crate::endpoint::SerialSettings;
+use crate::endpoint::{InStepSettings, SerialSettings};
 use crate::link::{Line, Link};
 use crate::station::Station;
 use crate::wire::Framing;
@@ -67,17 +67,15 @@ impl CostModel {
 
     /// Costs of a link: of its serial line if known, else of a network with a 5 ms round trip.
     ///
-    /// The frame gap is that of the link. If its connections carry one request only, the quiet time
-    /// that proves each request counts as overhead. Proofs count unless the link [has no
-    /// duplicates](crate::endpoint::InStepSettings::with_copies).
+    /// The frame gap and the [proofs](Self::with_in_step) are those of the link.
     #[must_use]
     pub fn of_link(link: &Link) -> Self {
         let model = match link.line() {
             Some(line) => Self::line(line, link.framing()),
             None => Self::network(link.framing(), DEFAULT_RESPONSE_TIME),
         };
-        let [frame_gap, proof_gap] = link.request_gaps();
-        model.with_frame_gap(frame_gap).with_overhead(proof_gap).with_proofs(link.sends_checks())
+        let (frame_gap, in_step) = link.request_times();
+        model.with_frame_gap(frame_gap).with_in_step(in_step)
     }
 
     /// Costs of a station: those of its link, with its [response
@@ -135,9 +133,38 @@ impl CostModel {
         Self { overhead: bounded(overhead), ..self }
     }
 
+    /// Counts the proofs of a link with these settings: none if [the line has no
+    /// duplicates](InStepSettings::with_copies). If a connection carries [one
+    /// request](InStepSettings::with_one_request) only, the quiet time that proves it counts as the
+    /// [overhead](Self::with_overhead), in place of any other.
+    ///
+    /// Of two copies or more, only the first is counted: see [`with_proofs`](Self::with_proofs).
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use fatek::endpoint::InStepSettings;
+    /// use fatek::plan::CostModel;
+    /// use fatek::wire::Framing;
+    ///
+    /// let network = CostModel::network(Framing::Ascii, Duration::from_millis(5));
+    /// assert!(!network.with_in_step(InStepSettings::new().with_copies(0)?).proofs());
+    /// let one_request = network.with_in_step(InStepSettings::new().with_one_request(true));
+    /// assert_eq!(one_request.request_time(), Duration::from_millis(1005));
+    /// # Ok::<(), fatek::endpoint::InvalidSettings>(())
+    /// ```
+    #[must_use]
+    pub fn with_in_step(self, settings: InStepSettings) -> Self {
+        let one_request = settings.one_request();
+        let quiet = if one_request { settings.quiet() } else { Duration::ZERO };
+        self.with_overhead(quiet).with_proofs(settings.copies() > 0 && !one_request)
+    }
+
     /// Sets whether proofs are counted: `false` is for links without them, such as those that were
-    /// told that [the line has no duplicates](crate::endpoint::InStepSettings::with_copies). Default:
-    /// `true`.
+    /// told that [the line has no duplicates](InStepSettings::with_copies). Default: `true`.
+    ///
+    /// A proof is counted where a reply has the shape of the one before it. A link that expects [two
+    /// copies](InStepSettings::with_copies) of a reply or more also compares the replies before that,
+    /// so a plan may take longer over it than its [time](super::Plan::time).
     ///
     /// ```
     /// use std::time::Duration;

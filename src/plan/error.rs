@@ -67,6 +67,14 @@ pub enum PlanError {
         /// The maximum of a mixed read; 0 without mixed reads.
         max: usize,
     },
+    /// The planner has assigned a tag to no request that reads it. This is a defect of this crate, please
+    /// report it with the tags of the plan.
+    #[error("the plan has no request for a value of {tag}: please report this defect of the planner")]
+    #[non_exhaustive]
+    Unassigned {
+        /// The tag.
+        tag: Tag,
+    },
     /// The tags have too many values for a plan.
     #[error("the tags have more than {max} values")]
     #[non_exhaustive]
@@ -96,6 +104,7 @@ impl PlanError {
             | Self::NoWords { .. }
             | Self::NotReadable { .. }
             | Self::OneScan { .. }
+            | Self::Unassigned { .. }
             | Self::TooManyValues { .. }
             | Self::Reply { .. } => TagAccessError::NoPlan { reason: self.to_string() }.into(),
         }

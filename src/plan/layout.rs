@@ -378,7 +378,7 @@ impl Draft {
     }
 
     /// Returns the first word of these cells in the reply, and the bit of a discrete that is read
-    /// as part of a word; `None` if they are not in it.
+    /// as part of a word; `None` if the reply does not have all of them, one behind the other.
     ///
     /// `words_before` is that of [`words_before`](Self::words_before).
     pub(super) fn find(&self, cells: Cells, words_before: &[u32]) -> Option<(u32, Option<u8>)> {
@@ -395,7 +395,16 @@ impl Draft {
                 let held = at.and_then(|n| Some((items.get(n)?, words_before.get(n)?)));
                 let held = held.filter(|(item, _)| item.area == cells.area && cells.first < item.end());
                 if let Some((item, before)) = held {
-                    return Some((before + (cells.first - item.first) * item.area.words(), None));
+                    // Neighbours of one stretch follow in the list.
+                    let mut end = item.first;
+                    for next in items.get(at?..)?.iter().take_while(|next| next.area == cells.area) {
+                        if next.first != end || end >= cells.end() {
+                            break;
+                        }
+                        end = next.end();
+                    }
+                    let is_whole = end >= cells.end();
+                    return is_whole.then(|| (before + (cells.first - item.first) * item.area.words(), None));
                 }
                 items.iter().zip(words_before).find_map(|(item, before)| {
                     let (cell, bit) = item.find_bit(cells)?;

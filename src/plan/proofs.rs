@@ -13,7 +13,7 @@ use super::limits::Limits;
 use crate::command::{Code, LoopBack};
 use crate::link::Prices;
 
-/// The shape of a reply, as far as it tells replies apart: the command, and the length.
+/// The shape of a reply, by which a link tells it from others: the command, and the length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct ReplyShape {
     code: Code,

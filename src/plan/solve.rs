@@ -14,9 +14,11 @@ use self::sequence::Candidate;
 use self::varied::Lengths;
 use super::cost::CostModel;
 use super::layout::{self, Cells, Draft};
-use super::limits::Limits;
+use super::limits::{Limits, WORD_BITS};
 use super::order;
 use super::proofs::{Exchange, ProofPrices};
+use super::words;
+use crate::element::Width;
 use crate::wire::Framing;
 
 /// The maximum number of parts for which all partitions are compared.
@@ -90,14 +92,16 @@ pub(super) fn single_request(groups: &[Part], values: &[Cells], limits: &Limits,
 ///
 /// First, the cheapest partition without proofs: for each set of parts, the best request with the first
 /// part and any others, and the best plan for the rest, in 3^n steps. If its requests can be sent
-/// without proofs, it is the best one. Otherwise a dearer request with a reply of another shape may be
+/// without proofs, it is the best one. Otherwise a longer request with a reply of another shape may be
 /// part of the best sequence: see [`sequence`].
 pub(super) fn solve_exact(groups: &[Part], values: &[Cells], limits: &Limits, cost: &CostModel) -> Solution {
     let parts: Vec<Part> = groups.iter().cloned().chain(values.iter().map(|&value| vec![value])).collect();
     let all = (1_usize << parts.len()) - 1;
     let members = |set: usize| (0..parts.len()).filter(move |n| set >> n & 1 == 1);
-    let drafts: Vec<Option<Draft>> =
-        (0..=all).map(|set| Draft::cheapest(&sorted(members(set).flat_map(|n| &parts[n])), limits, cost)).collect();
+    let is_too_large = sets_too_large(&parts, limits);
+    let cells = |set: usize| sorted(members(set).flat_map(|n| &parts[n]));
+    let draft = |set: usize| if is_too_large[set] { None } else { Draft::cheapest(&cells(set), limits, cost) };
+    let drafts: Vec<Option<Draft>> = (0..=all).map(draft).collect();
     let costs: Vec<Option<u64>> = drafts.iter().map(|draft| draft.as_ref().map(|draft| draft.cost(cost))).collect();
     let mut best = vec![(0_u64, 0_usize)];
     for set in 1..=all {
@@ -134,13 +138,15 @@ pub(super) fn solve_exact(groups: &[Part], values: &[Cells], limits: &Limits, co
     }
     let options: Vec<Vec<Draft>> = (0..=all)
         .map(|set| match costs[set] {
-            _ if set == 0 => Vec::new(),
+            _ if set == 0 || is_too_large[set] => Vec::new(),
+            // Without lists that are ambiguous, there is a cheapest request if there is any.
+            None if cost.framing() == Framing::Ascii => Vec::new(),
             Some(price)
                 if cost.framing() == Framing::Ascii && price.saturating_add(best[all ^ set].0) >= solution.price() =>
             {
                 Vec::new()
             }
-            Some(_) | None => Draft::options(&sorted(members(set).flat_map(|n| &parts[n])), limits, cost),
+            Some(_) | None => Draft::options(&cells(set), limits, cost),
         })
         .collect();
     let candidate = |draft: &Draft| Candidate { cost: draft.cost(cost), exchange: Exchange::of(draft, limits, cost) };
@@ -151,6 +157,31 @@ pub(super) fn solve_exact(groups: &[Part], values: &[Cells], limits: &Limits, co
     };
     let share = |(set, n): (usize, usize)| Some((options.get(set)?.get(n)?.clone(), members(set).collect()));
     Solution::new(cheapest.steps.into_iter().filter_map(share).collect(), limits, cost)
+}
+
+/// Returns, for each set of parts, whether its cells are too many for any request.
+///
+/// Sets with such a set in them are too large as well, so that few sets of large parts are sorted.
+fn sets_too_large(parts: &[Part], limits: &Limits) -> Vec<bool> {
+    let registers = limits.units(Width::Word).max(limits.mixed_units());
+    let has_words = parts.iter().flatten().any(|cells| words::has_words(cells, limits));
+    let discretes = if has_words { registers * u32::from(WORD_BITS) } else { limits.mixed_units() };
+    let discretes = discretes.max(limits.units(Width::Bit));
+    let mut is_too_large: Vec<bool> = Vec::with_capacity(1 << parts.len());
+    for set in 0..1_usize << parts.len() {
+        let members = || parts.iter().enumerate().filter(move |(n, _)| set >> n & 1 == 1).map(|(_, part)| part);
+        let has_large_subset = || (0..parts.len()).any(|n| set >> n & 1 == 1 && is_too_large[set ^ 1 << n]);
+        // Cells that several parts have count once.
+        let exceeds = || members().map(|part| units(part)).fold(0, u32::saturating_add) > registers.min(discretes);
+        let is_large = || {
+            let cells = sorted(members().flatten());
+            let (bits, others): (Vec<Cells>, Vec<Cells>) =
+                cells.into_iter().partition(|cells| cells.area.width() == Width::Bit);
+            layout::mixed_units(&bits) > discretes || layout::mixed_units(&others) > registers
+        };
+        is_too_large.push(has_large_subset() || exceeds() && is_large());
+    }
+    is_too_large
 }
 
 /// Places each group as its own cheapest request, and then the values by a dynamic program.

@@ -3,8 +3,7 @@
 use std::fmt;
 use std::marker::PhantomData;
 
-use super::{CostModel, Limits, Plan, PlanError};
-use crate::capabilities::Capabilities;
+use super::{CostModel, Limits, Plan, PlanBuilder, PlanError};
 use crate::error::Error;
 use crate::station::Station;
 use crate::tag::{Field, TagAccessError, TagValue, Tags};
@@ -48,17 +47,13 @@ impl<T: Tags> StructPlan<T> {
         Self::with_limits(cost, Limits::new())
     }
 
-    /// Makes a plan for a station: with its costs, within its
-    /// [capabilities](Station::capabilities).
+    /// Makes a plan for a station: with its costs, within its [capabilities](Station::capabilities), as
+    /// [`Plan::builder_for`] does.
     ///
     /// # Errors
     /// Those of [`with_limits`](Self::with_limits).
     pub fn for_station(station: &Station) -> Result<Self, Error> {
-        let known = station.capabilities();
-        let cost = CostModel::of_link(station.link()).with_known(&known);
-        let plan = |known: &Capabilities| Self::with_limits(cost, Limits::new().within(known));
-        // A group may need a command whose refusal has passed.
-        plan(&known).or_else(|_| plan(&station.declared_capabilities()))
+        Self::of(Plan::builder_for(station))
     }
 
     /// Makes a plan with these costs, within these limits.
@@ -68,8 +63,11 @@ impl<T: Tags> StructPlan<T> {
     /// those of a one-scan group that do not fit in one request, or that the limits exclude.
     /// [`Error::Invalid`] for an address that the framing does not have.
     pub fn with_limits(cost: CostModel, limits: Limits) -> Result<Self, Error> {
+        Self::of(Plan::builder(cost).limits(limits))
+    }
+
+    fn of(mut builder: PlanBuilder) -> Result<Self, Error> {
         T::check()?;
-        let mut builder = Plan::builder(cost).limits(limits);
         let mut tags = vec![0; T::FIELDS.len()];
         let mut count = 0;
         for (group, fields) in Field::by_group(T::FIELDS) {

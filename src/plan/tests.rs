@@ -13,6 +13,7 @@ use crate::tag::TagType;
 use crate::wire::Framing;
 
 mod addresses;
+mod decoded;
 mod enumerate;
 mod proofs;
 mod texts;

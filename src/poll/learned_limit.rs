@@ -41,8 +41,8 @@ pub(super) struct LearnedLimits {
     /// Each limit once, with the time when it was learned last.
     limits: Vec<(LearnedLimit, Instant)>,
     accepted: LongestAccepted,
-    /// Learned since the last [`take_new`](Self::take_new), as far as other users of the station may
-    /// keep to it: not the places that no run reads through.
+    /// Learned since the last [`take_new`](Self::take_new), without limits that apply to a place, or to the
+    /// tags of this poller: what other users of the station may take from it.
     new: Vec<Refused>,
 }
 
@@ -58,11 +58,12 @@ struct LongestAccepted {
 
 impl LearnedLimit {
     /// The capability that the station lacks; `None` for a place.
-    fn as_refused(self) -> Option<Refused> {
+    fn as_refused(self, accepted: LongestAccepted) -> Option<Refused> {
         match self {
             Self::Registers(max) => Some(Refused::Registers(max)),
             Self::Points(max) => Some(Refused::Points(max)),
-            Self::Mixed(0) => Some(Refused::MixedReads),
+            // The command is known if one of these was accepted: the refusal is one of the elements.
+            Self::Mixed(0) => (accepted.mixed == 0).then_some(Refused::MixedReads),
             Self::Mixed(max) => Some(Refused::Mixed(max)),
             Self::NoWords(areas) => Some(Refused::Words(areas)),
             Self::Avoid { .. } | Self::Split { .. } => None,
@@ -170,7 +171,7 @@ impl LearnedLimits {
         if let LearnedLimit::NoWords(areas) = limit {
             self.accepted.words = self.accepted.words.without(areas);
         }
-        self.new.extend(limit.as_refused());
+        self.new.extend(limit.as_refused(self.accepted));
         self.limits.retain(|(known, _)| *known != limit);
         self.limits.push((limit, now));
     }

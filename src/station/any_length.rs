@@ -4,7 +4,7 @@
 //! Invariants:
 //! - Nothing is sent unless all the elements exist, in the framing of the link.
 //! - A request begins where the one before it has ended, so no value of 32 bits is split. It is as
-//!   long as the protocol and the station's capabilities allow, or one element shorter: the link
+//!   long as the protocol and the declared capabilities of the station allow, or one element shorter: the link
 //!   chooses, to tell its reply from the one before. Counters of 32 bits are read and written one by
 //!   one.
 //! - The first failure ends the call. A write reports how many elements are confirmed as written.
@@ -134,13 +134,17 @@ where
     }
 }
 
-/// The most consecutive elements from this one on in one request, within the capabilities of the station.
+/// The most consecutive elements from this one on in one request, within the declared capabilities of the
+/// station.
+///
+/// Those that a poller has learned do not count: a refused read may be one of its place, it says nothing of
+/// writes, and callers rely on the scan of one request.
 fn most_in_one_request(station: &Station, first: Element) -> usize {
     let most = command::most_in_one_request(first);
     if !station.link.knows_capabilities() {
         return most;
     }
-    let known = station.link.known_capabilities(station.number);
+    let known = station.declared_capabilities();
     let lowered = match first.width() {
         Width::Bit => known.max_points(),
         Width::Word => known.max_registers(),

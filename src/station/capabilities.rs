@@ -11,7 +11,8 @@ impl Station {
     /// calls, plans and pollers have learned since: a refusal of mixed reads or writes, or of words of
     /// discretes, for ten minutes, and of longer requests, which only pollers learn; an answer to a
     /// broadcast; and, except on a serial line, the smoothed round trip as the response time. A poller
-    /// does not keep to what others have learned: it learns for itself.
+    /// ignores refusals of others: it learns for itself. Learned lengths apply to plans and
+    /// [`read`](Self::read), but not to reads and writes of [any length](Self#any-length).
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -44,7 +45,7 @@ impl Station {
     /// declared or learned before.
     ///
     /// Reads and writes of any length, [`read`](Self::read) and its like, and plans and pollers that are made
-    /// from now on keep to them; backups and restores do not. The link sends nothing by itself that is
+    /// from now on follow them; backups and restores do not. The link sends nothing by itself that is
     /// refused or unanswered, but for a refused loop-back (4E). If that is unanswered, the status (40 or 53) and
     /// the [quiet time](crate::endpoint::InStepSettings::with_quiet) behind it take its place.
     ///

@@ -45,7 +45,7 @@ use crate::link::{CallOptions, CallOutcome, Link, Purpose, StationState, Station
 /// after the other. So:
 ///
 /// - Up to the limit of one request, all values are of one scan. The limit is lower if the
-///   [capabilities](Self::capabilities) say so. Beyond it, **they are not**:
+///   [declared capabilities](Self::set_capabilities) say so. Beyond it, **they are not**:
 ///   values that belong together may change between two requests. A value of 32 bits is never
 ///   split.
 /// - The requests have full length and one element less in turn, so that two replies in a row

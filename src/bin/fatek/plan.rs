@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fatek::endpoint::SerialSettings;
+use fatek::endpoint::{InStepSettings, SerialSettings};
 use fatek::plant::PlantPlc;
 use fatek::wire::Framing;
 use fatek::{CostModel, Limits, MemoryMap, Plan};
@@ -38,6 +38,7 @@ fn cost(link: Option<&str>, response_time: Option<Duration>, args: &PlanArgs) ->
     let endpoint = link.map(|link| connect::endpoint(Some(link))).transpose()?;
     let link_framing = endpoint.as_ref().map_or(Framing::Ascii, |endpoint| endpoint.framing());
     let framing = args.framing.unwrap_or(link_framing);
+    let in_step = endpoint.as_ref().map_or_else(InStepSettings::new, |endpoint| endpoint.in_step());
     let settings = endpoint.and_then(|endpoint| endpoint.transport().serial_settings());
     let settings = match args.baud {
         Some(baud) => {
@@ -47,10 +48,11 @@ fn cost(link: Option<&str>, response_time: Option<Duration>, args: &PlanArgs) ->
         None => settings,
     };
     let round_trip = args.round_trip.or(response_time).unwrap_or(DEFAULT_ROUND_TRIP);
-    Ok(match settings {
+    let cost = match settings {
         Some(settings) => CostModel::serial(settings, framing).with_response_time(round_trip),
         None => CostModel::network(framing, round_trip),
-    })
+    };
+    Ok(cost.with_in_step(in_step))
 }
 
 fn limits(args: &PlanArgs) -> Result<Limits, Failure> {
@@ -102,6 +104,7 @@ fn json(plan: &Plan) -> Value {
         ("requests", rows(plan).json()),
         ("values", values.into()),
         ("bytes", plan.bytes().into()),
+        ("proofs_ms", Cell::from(plan.proof_time()).json),
         ("time_ms", Cell::from(plan.time()).json),
     ];
     sums.into_iter().collect()

@@ -37,7 +37,8 @@ pub(super) fn value_bytes(values: &[(usize, Cells)], cost: &CostModel) -> usize 
 
 /// Divides runs that adjoin, so that no two neighbours have one length.
 ///
-/// The values are those of the area; those of a run are consecutive.
+/// The values are those of the area. Values that lie across the joint of two runs may be left to a mixed
+/// read.
 pub(super) fn varied_runs(mut runs: Outcome, values: &[(usize, Cells)], limits: &Limits) -> Outcome {
     let span = |(draft, _): &Share| match draft {
         Draft::Run(run) => Some((run.first, run.end())),
@@ -54,10 +55,13 @@ pub(super) fn varied_runs(mut runs: Outcome, values: &[(usize, Cells)], limits: 
         }
         let first = chain.first().and_then(span).map_or(0, |(first, _)| first);
         let start = values.partition_point(|(_, value)| value.first < first);
-        let count: usize = chain.iter().map(|(_, parts)| parts.len()).sum();
-        let chosen = values.get(start..start + count).unwrap_or_default();
-        debug_assert!(chosen.iter().all(|(n, _)| chain.iter().any(|(_, parts)| parts.contains(n))), "consecutive");
-        varied.extend(varied_chain(chosen, limits));
+        let mut rest = values.get(start..).unwrap_or_default().iter();
+        let parts = || chain.iter().flat_map(|(_, parts)| parts);
+        // Both are in the order of their cells.
+        let chosen: Vec<(usize, Cells)> = parts().map_while(|part| rest.find(|(n, _)| n == part).copied()).collect();
+        let has_all = chosen.len() == parts().count();
+        debug_assert!(has_all, "the runs have the order of the values");
+        varied.extend(if has_all { varied_chain(&chosen, limits) } else { chain.to_vec() });
     }
     varied
 }

@@ -205,7 +205,7 @@ impl Loss {
 }
 
 /// The number of random sets, by default `usual`.
-fn seeds(usual: u64) -> u64 {
+pub(super) fn seeds(usual: u64) -> u64 {
     std::env::var("FATEK_PLAN_SEEDS").map_or(usual, |n| n.parse().unwrap())
 }
 
@@ -238,11 +238,26 @@ fn no_sequence_of_requests_is_cheaper_for_up_to_8_values() {
     for seed in 0..seeds {
         // Eight values are slow in a debug build.
         let (least, most) = if seed % 100 == 99 { (8, 8) } else { (2, 6) };
-        let Some((model, limits, tags)) = set_of(seed, least, most) else { continue };
-        let plan = Plan::builder(model).limits(limits.clone()).tags(tags.clone()).build();
-        let Ok(plan) = plan else { continue };
+        let Some((model, limits, mut tags)) = set_of(seed, least, most) else { continue };
+        let (mut random, mut in_group) = (Choices(Random::new(seed)), 0);
+        match seed % 6 {
+            0 => in_group = 2,
+            1 => {
+                *tags.last_mut().unwrap() =
+                    text(Register::r(u16::try_from(random.below(80)).unwrap()).into(), 1 + random.below(10))
+            }
+            _ => {}
+        }
+        let builder = |model| {
+            let (group, others) = tags.split_at(in_group);
+            let others = others.iter().copied();
+            Plan::builder(model).limits(limits.clone()).one_scan(group.iter().copied()).tags(others)
+        };
+        let Ok(plan) = builder(model).build() else { continue };
         let line = Line { limits: &limits, model: &model };
-        let parts: Vec<_> = tags.iter().map(|tag| smallest(&[*tag])).collect();
+        let (group, others) = tags.split_at(in_group);
+        let group = (!group.is_empty()).then(|| smallest(group));
+        let parts: Vec<_> = group.into_iter().chain(others.iter().map(|tag| smallest(&[*tag]))).collect();
         let paid = line.plan(&plan);
         let context = format!("seed {seed}, {model:?}, {limits:?}, {tags:?}");
         check(&plan, &model, &limits, &context);
@@ -256,7 +271,7 @@ fn no_sequence_of_requests_is_cheaper_for_up_to_8_values() {
         loss.add(paid, optimum);
         assert_eq!(paid, optimum, "{context}\n{}", plan.explain());
         let model = model.with_proofs(false);
-        let chosen_without = Plan::builder(model).limits(limits.clone()).tags(tags.clone()).build().unwrap();
+        let chosen_without = builder(model).build().unwrap();
         without.add(in_best_order(&chosen_without, &line), optimum);
     }
     loss.print("up to 8 values");

@@ -133,7 +133,7 @@ fn the_plan_of_many_discretes_is_close_to_the_optimum() {
 }
 
 #[test]
-fn words_are_never_dearer_than_discretes() {
+fn words_never_cost_more_than_discretes() {
     let (mut cheaper, mut saved, mut all) = (0, 0.0, 0.0);
     for seed in 0..200 {
         let mut random = Choices(Random::new(seed));
@@ -297,7 +297,7 @@ fn costs_of_a_link_have_its_gaps() {
     assert_eq!(CostModel::of_link(&link), CostModel::serial(settings, Framing::Ascii));
 }
 
-/// No double word crosses the edge of a range. Before, the cost of one was counted, and a dearer request
+/// No double word crosses the edge of a range. Before, the cost of one was counted, and a longer request
 /// chosen.
 #[test]
 fn words_at_the_edge_of_a_range_are_not_priced_as_a_pair() {

@@ -2,9 +2,11 @@ use std::time::Duration;
 
 use super::rig::{TestRig, ms, tags};
 use crate::capabilities::Refused;
+use crate::command::ReadMixed;
 use crate::element::Symbol;
 use crate::error::ErrorCode;
 use crate::plan::{Limits, ReadRequest};
+use crate::poll::learned_limit::{LearnedLimit, LearnedLimits, SplitPoint};
 use crate::poll::{Quality, Reason, ScanClass, TagId};
 
 fn every(milliseconds: u64) -> ScanClass {
@@ -116,6 +118,28 @@ fn missing_mixed_reads_are_learned() {
     assert!(ids.iter().all(|id| rig.latest(*id).is_good()));
     assert_eq!(rig.poller.take_learned(), [Refused::MixedReads]);
     assert_eq!(rig.poller.classes().next().unwrap().refused_tags, 0);
+}
+
+/// The poller does without mixed reads, although one was accepted before: other users of the station do not.
+/// Before, the station was said to refuse the command.
+#[test]
+fn a_refusal_behind_an_accepted_mixed_read_is_not_one_of_the_command() {
+    let mixed = |count: u16| {
+        let elements = (0..count).map(|n| crate::element::Register::r(n * 10).into()).collect::<Vec<_>>();
+        ReadRequest::Mixed(ReadMixed::new(elements).unwrap())
+    };
+    let split_point = SplitPoint { left_end: 1, right_start: 1, right_len: 1 };
+    for (accepted, learned) in [(None, vec![Refused::MixedReads]), (Some(mixed(20)), vec![])] {
+        let mut limits = LearnedLimits::default();
+        if let Some(request) = &accepted {
+            limits.record_accepted(request, crate::plan::WordAreas::default());
+        }
+        let limit = limits.explanation(&mixed(2), split_point).unwrap();
+        assert_eq!(limit, LearnedLimit::Mixed(0));
+        limits.learn(limit, tokio::time::Instant::now());
+        assert_eq!(limits.take_new(), learned, "{accepted:?}");
+        assert_eq!(limits.apply(&Limits::new()), Limits::new().mixed_reads(false));
+    }
 }
 
 #[test]

@@ -137,7 +137,8 @@ pub(crate) struct ForcedArgs {
 /// Print the requests that would read tags, with bytes and time
 ///
 /// Sends nothing. The time per byte follows from the settings of a serial link; a network has
-/// 10 Mbit/s. Without a link the cost is that of a network.
+/// 10 Mbit/s. Without a link the cost is that of a network. Checks between requests count as
+/// `copies` and `one_request` of the link say.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   fatek plan R0-R9 R12:f32 R900 D7 M3 --baud 9600
@@ -145,7 +146,8 @@ pub(crate) struct ForcedArgs {
   fatek plan R0-R9 R900 --link 'serial:/dev/ttyUSB0?baud=19200' --format json
 
 JSON: object with requests, an array of objects with request, values, bytes,
-time_ms, reads and tags, and the sums values, bytes and time_ms.
+time_ms, reads and tags; the sums values and bytes; proofs_ms, the time of the
+checks between requests; and time_ms, the time of the requests with proofs_ms.
 CSV: the requests alone.")]
 pub(crate) struct PlanArgs {
     /// Element or range, with an optional type, as for read
