@@ -35,7 +35,7 @@ use self::checks::Numbers;
 use self::line::{Connect, Medium};
 use self::report::{Contents, Report};
 use self::request::{Requests, Unit, unit_of};
-use self::run::{End, Pace, Runner};
+use self::run::{DUPLICATE, End, Pace, Runner};
 use crate::args::{DoctorArgs, Plc};
 use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
@@ -189,9 +189,10 @@ fn estimate(checks: &[Check], choice: Choice, pace: Pace, numbers: &Numbers) -> 
     // Each request that is not answered is followed by a loop-back.
     let silences: usize = chosen().map(|check| check.silences).sum();
     let requests: usize = chosen().map(|check| check.usual).sum::<usize>() + silences;
-    let per_second = (1.0 / pace.interval.as_secs_f64()).round();
+    let interval = pace.interval.max(DUPLICATE);
+    let per_second = (1.0 / interval.as_secs_f64()).round();
     let idle = choice.idle.map_or(Duration::ZERO, |_| numbers.idle);
-    let time = pace.interval.mul_f64(requests as f64) + pace.timeout.mul_f64(silences as f64) + idle;
+    let time = interval.mul_f64(requests as f64) + pace.timeout.mul_f64(silences as f64) + idle;
     let written = numbers.element.as_ref().map(|element| format!("writes and restores {element}"));
     let effect = written.unwrap_or_else(|| "reading only".to_owned());
     format!(

@@ -11,7 +11,7 @@ use crate::duration;
 
 /// Examine a PLC for the assumptions of this program
 ///
-/// Sends some 250 requests that only read, one at a time, at most 20 in a second, and prints for each
+/// Sends some 200 requests that only read, one at a time, at most 20 in a second, and prints for each
 /// assumption whether it holds, is contradicted, or stayed open. Duration and number of requests are
 /// stated before it starts. Ctrl-C prints the result so far.
 #[derive(Debug, Args)]
@@ -37,7 +37,7 @@ pub(crate) struct DoctorArgs {
     /// Fewer requests: no memory map, no load, no connections
     #[arg(long)]
     pub(crate) quick: bool,
-    /// Requests in a second, 1 to 1000
+    /// Requests in a second at most, 1 to 1000; 25 ms follow each reply
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=1000), value_name = "N")]
     pub(crate) rate: u16,
     /// No requests without a pause, together, or to station 0

@@ -23,7 +23,7 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// Silence behind several requests, in which late replies and duplicates are expected.
 const SETTLE: Duration = Duration::from_millis(100);
 /// Silence behind each reply, in which a duplicate of it comes (protocol 7: after 0 to 20 ms).
-const DUPLICATE: Duration = Duration::from_millis(25);
+pub(crate) const DUPLICATE: Duration = Duration::from_millis(25);
 /// Connections that are opened one after the other without an answer before the PLC counts as lost.
 const RECONNECTS: usize = 3;
 
