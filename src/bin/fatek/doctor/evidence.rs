@@ -62,9 +62,13 @@ fn line(arrival: &Arrival, ask: &Ask, requests: Requests, contents: Contents) ->
 /// Returns whether a reply is a status, a loop-back of the examination, or a refusal.
 fn is_without_values(frame: &Frame, ask: &Ask, requests: Requests) -> bool {
     let framing = requests.framing;
-    let is_status = |status: Request| matches!(fit(&status, frame, framing), Answer::Data(_));
-    // A command can be a wrong one: a detailed status is as long as other replies.
-    let is_detailed = || ask.request().is_some_and(|request| *request == requests.detailed());
+    // A reply can have the command of another one: it must be a status, and have been asked for.
+    let is_asked = |status: &Request| match ask {
+        Ask::Connections(_) | Ask::Idle(_) => *status == requests.status(),
+        Ask::Reply(request) | Ask::Once(request) | Ask::Silence(request, _) | Ask::Sync(request) => request == status,
+        Ask::Burst(_) | Ask::Load(_) | Ask::TwoPorts(..) => false,
+    };
+    let is_status = |status: Request| is_asked(&status) && matches!(fit(&status, frame, framing), Answer::Data(_));
     let is_own_loop_back = || {
         let is_it = |request: &Request| request.frame.command == 0x4E && request.frame.data == frame.data;
         frame.command == 0x4E
@@ -76,10 +80,7 @@ fn is_without_values(frame: &Frame, ask: &Ask, requests: Requests) -> bool {
                 }
             }
     };
-    frame.data.len() <= 1
-        || is_status(requests.status())
-        || (is_detailed() && is_status(requests.detailed()))
-        || is_own_loop_back()
+    frame.data.len() <= 1 || is_status(requests.status()) || is_status(requests.detailed()) || is_own_loop_back()
 }
 
 /// The bytes of a frame, and how many of them are not shown.
@@ -165,7 +166,8 @@ mod tests {
         let noise = Item::Noise(Discard::Garbage, Bytes::from_static(b"D431C9\x03"));
         assert_eq!(shown(&read, noise.clone()), "< (7 bytes not shown) [5.0 ms] (garbage between frames)");
         assert!(line_of(&read, noise, OPEN).starts_with("< 44343331433903 "));
-        let status = shown(&read, reply(0x40, "0014000"));
+        assert!(shown(&read, reply(0x40, "0014000")).contains("not shown"));
+        let status = shown(&Ask::Idle(Duration::ZERO), reply(0x40, "0014000"));
         assert_eq!(status, "< 02....343030303134303030....03 [5.0 ms]");
         let (own, other) = (Ask::Reply(ASCII.loop_back("AB")), reply(0x4E, "D431"));
         assert_eq!(shown(&own, reply(0x4E, "AB")), "< 02....34454142....03 [5.0 ms]");
