@@ -1,14 +1,15 @@
-//! Subcommand `fatek doctor`: examines one PLC for everything that this crate assumes of it.
+//! Subcommand `fatek doctor`: examines one PLC for the assumptions of this crate.
 //!
 //! - `check.rs` a check as data, `checks/` the list of them: assumption, source, requests, judgement. No I/O.
-//! - `request.rs` requests, also wrong ones; `exchange.rs` what was sent and came; `facts.rs` what that shows.
+//! - `request.rs` requests, also wrong ones; `exchange.rs` bytes sent and received; `facts.rs` facts by them.
 //! - `run.rs` sends the requests, over `line.rs`: at a bounded rate, in step by loop-backs.
 //! - `report.rs`, `evidence.rs`, `times.rs` the report.
 //!
 //! Invariants:
 //! - Without `--write` no request writes or controls.
 //! - One request at a time, but for the checks of order and of connections.
-//! - A value that a check has written is restored also if the examination is interrupted.
+//! - A value that a check has written is restored also if the examination is interrupted. It counts as restored when
+//!   it is read back; until then no other check writes.
 
 mod check;
 mod checks;
@@ -21,19 +22,20 @@ mod request;
 mod run;
 mod times;
 
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use fatek::link::defaults;
 use fatek::memory_map::special_range;
-use fatek::{Element, Endpoint, Station};
+use fatek::{Element, Endpoint, Station, Symbol};
 
 use self::check::{Check, Choice, Verdict};
 use self::checks::Numbers;
 use self::line::{Connect, Medium};
 use self::report::{Contents, Report};
 use self::request::{Requests, Unit, unit_of};
-use self::run::{End, Pace, Runner};
+use self::run::{DUPLICATE, End, Pace, Runner};
 use crate::args::{DoctorArgs, Plc};
 use crate::confirm::{can_be_confirmed, confirm};
 use crate::connect;
@@ -80,7 +82,8 @@ pub(crate) async fn doctor(
     if let Some(element) = &element {
         can_be_confirmed(args.yes)?;
         output.remark(format_args!("{estimate}"));
-        confirm(&format!("Write {element} of {plc}, and restore it?"), args.yes).await?;
+        let output = if is_output(element) { " (a physical output)" } else { "" };
+        confirm(&format!("Write {element}{output} of {plc}, and restore it?"), args.yes).await?;
     } else {
         output.remark(format_args!("{estimate}"));
     }
@@ -92,9 +95,7 @@ pub(crate) async fn doctor(
         |place: usize, check: &Check| progress.show(format_args!("check {} of {all}: {}", place + 1, check.name));
     let ended = unless_signalled(runner.run(show)).await;
     drop(progress);
-    if !matches!(ended, Ok(Ok(Ok(()))))
-        && let Err(undo) = runner.undo().await
-    {
+    if let Err(undo) = runner.undo().await {
         complain(format_args!("restoring was not confirmed: check it with `fatek write {} --verify`", undo.assignment));
     }
     let ended = ended?;
@@ -115,7 +116,7 @@ pub(crate) async fn doctor(
         }
         Err(signal) => Some(Failure::interrupted("")(*signal)),
     };
-    let contents = Contents { evidence: args.evidence, values: args.values };
+    let contents = Contents { evidence: args.evidence, values: args.values, address: args.with_address };
     let report = Report::new(&checks, &runner.examined, &runner.facts, contents, (runner.sent, began.elapsed()))
         .with_address(args.with_address.then(|| plc.to_string()))
         .with_ended(failure.as_ref().map(public));
@@ -153,10 +154,26 @@ fn writable(element: Element) -> Result<String, Failure> {
     if let Some(range) = special_range(element) {
         return refuse(&format!("it is special ({range})"));
     }
-    match (element.width().bits(), unit_of(element.symbol().as_str())) {
-        (32, _) | (_, Unit::DWord) => refuse("give a discrete or a 16-bit register"),
-        (_, Unit::Bit | Unit::Word) => Ok(element.to_string()),
+    let symbol = element.symbol();
+    if symbol == Symbol::D && SYSTEM_D.contains(&element.address()) {
+        return refuse(&format!("the system uses some of D{}-D{}", SYSTEM_D.start(), SYSTEM_D.end()));
     }
+    match (unit_of(symbol.as_str()), symbol) {
+        (Unit::DWord, _) => refuse("give a discrete or a 16-bit register"),
+        (Unit::Word, Symbol::WX | Symbol::WY | Symbol::WM | Symbol::WS | Symbol::WT | Symbol::WC) => {
+            refuse("a word of discretes has 16 elements: give one of them")
+        }
+        (Unit::Bit, Symbol::X | Symbol::T | Symbol::C) => refuse("the PLC sets it"),
+        (Unit::Bit | Unit::Word, _) => Ok(element.to_string()),
+    }
+}
+
+/// Registers D that the system uses in part (facts 1).
+const SYSTEM_D: RangeInclusive<u16> = 4000..=4095;
+
+/// Returns whether an element, as text, is a physical output.
+fn is_output(element: &str) -> bool {
+    element.starts_with('Y')
 }
 
 fn default_timeout(endpoint: &Endpoint) -> Duration {
@@ -171,14 +188,15 @@ fn estimate(checks: &[Check], choice: Choice, pace: Pace, numbers: &Numbers) -> 
     let chosen = || checks.iter().filter(|check| check.left_out(choice).is_none());
     // Each request that is not answered is followed by a loop-back.
     let silences: usize = chosen().map(|check| check.silences).sum();
-    let requests: usize = chosen().map(|check| check.requests).sum::<usize>() + silences;
-    let per_second = (1.0 / pace.interval.as_secs_f64()).round();
+    let requests: usize = chosen().map(|check| check.usual).sum::<usize>() + silences;
+    let interval = pace.interval.max(DUPLICATE);
+    let per_second = (1.0 / interval.as_secs_f64()).round();
     let idle = choice.idle.map_or(Duration::ZERO, |_| numbers.idle);
-    let time = pace.interval.mul_f64(requests as f64) + pace.timeout.mul_f64(silences as f64) + idle;
+    let time = interval.mul_f64(requests as f64) + pace.timeout.mul_f64(silences as f64) + idle;
     let written = numbers.element.as_ref().map(|element| format!("writes and restores {element}"));
     let effect = written.unwrap_or_else(|| "reading only".to_owned());
     format!(
-        "{} checks, at most {requests} requests at {per_second}/s, about {:.0} s; {effect}",
+        "{} checks, about {requests} requests if each is answered, {per_second}/s, {:.0} s; {effect}",
         chosen().count(),
         time.as_secs_f64().ceil()
     )

@@ -9,9 +9,9 @@ use fatek::Element;
 use super::Plc;
 use crate::duration;
 
-/// Examine a PLC: what this program assumes of it, and what it does
+/// Examine a PLC for the assumptions of this program
 ///
-/// Sends some 250 requests that only read, one at a time, at most 20 in a second, and prints for each
+/// Sends some 200 requests that only read, one at a time, at most 20 in a second, and prints for each
 /// assumption whether it holds, is contradicted, or stayed open. Duration and number of requests are
 /// stated before it starts. Ctrl-C prints the result so far.
 #[derive(Debug, Args)]
@@ -22,11 +22,13 @@ use crate::duration;
   fatek doctor --idle 2m --connections 8
   fatek doctor --write R3000 --yes
 
-Load: 48 requests without a pause, and up to 3 requests together, 12 times;
---no-load leaves that out.
+Load: 48 requests without a pause, and up to 3 requests together, 12 times (UDP:
+15 times). Two status requests go to station 0, which all stations of a line
+receive. --no-load leaves that out.
 A running PLC executes all requests of this command as reads. --write writes the
-named element, reads it back and restores it. Codes that no source documents are
-sent with --unknown-commands only: a PLC may have commands that no source has.
+named element, reads it back and restores it; a Y is a physical output. Codes
+that no source documents are sent with --unknown-commands only: a PLC may have
+commands that no source has.
 
 A report has no address, no values and no program. docs/HARDWARE.md says where
 to send it. Exit status 7 if an assumption is contradicted; 4 or 5 if the PLC
@@ -35,10 +37,10 @@ pub(crate) struct DoctorArgs {
     /// Fewer requests: no memory map, no load, no connections
     #[arg(long)]
     pub(crate) quick: bool,
-    /// Requests in a second, 1 to 1000
+    /// Requests in a second at most, 1 to 1000; 25 ms follow each reply
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=1000), value_name = "N")]
     pub(crate) rate: u16,
-    /// No requests without a pause or together
+    /// No requests without a pause, together, or to station 0
     #[arg(long)]
     pub(crate) no_load: bool,
     /// TCP connections at once, 2 to 16

@@ -20,6 +20,8 @@ pub(crate) struct Check {
     pub(crate) needs: &'static [u8],
     /// The largest number of requests, repetitions not counted.
     pub(crate) requests: usize,
+    /// The number of requests to a PLC as documented.
+    pub(crate) usual: usize,
     /// The number of them that a PLC as documented does not answer.
     pub(crate) silences: usize,
     /// The next action after the exchanges so far; `None` if there is enough to judge.
@@ -33,11 +35,15 @@ pub(crate) struct Check {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Undo {
     pub(crate) request: Request,
+    /// A read of the element.
+    pub(crate) read: Request,
+    /// The value to restore.
+    pub(crate) value: u16,
     /// The same as an argument of `fatek write`.
     pub(crate) assignment: String,
 }
 
-/// A function of what is known, and of the exchanges of the check.
+/// A function of the facts and of the exchanges of the check.
 type By<T> = Box<dyn Fn(&Facts, &[Exchange]) -> T>;
 
 /// The part of the report that a check belongs to, in its order.
@@ -157,11 +163,35 @@ impl Check {
             kind: Kind::Full,
             needs: &[],
             requests,
+            usual: requests,
             silences: 0,
             next: Box::new(next),
             judge: Box::new(judge),
             undo: Box::new(|_, _| None),
         }
+    }
+
+    /// A check of values that can change meanwhile: the requests are repeated while they contradict.
+    ///
+    /// A contradiction counts if it shows in [`ROUNDS`] rounds in succession.
+    pub(crate) fn rounds<const N: usize>(
+        id: (Group, &str, &'static str),
+        assumes: impl Into<String>,
+        requests: [Request; N],
+        judge: impl Fn(&Facts, &[Exchange]) -> Finding + Clone + 'static,
+    ) -> Self {
+        let judge_rounds = move |facts: &Facts, done: &[Exchange]| {
+            let findings = done.chunks_exact(N).map(|round| judge(facts, round)).collect::<Vec<_>>();
+            by_rounds(findings)
+        };
+        let next_by = judge_rounds.clone();
+        let next = move |facts: &Facts, done: &[Exchange]| {
+            let complete = done.len() / N;
+            let is_repeated = complete < ROUNDS && next_by(facts, done).verdict == Verdict::Contradicts;
+            let is_next = complete == 0 || !done.len().is_multiple_of(N) || is_repeated;
+            requests.get(done.len() % N).filter(|_| is_next).cloned().map(Ask::Reply)
+        };
+        Self::adaptive(id, assumes, ROUNDS * N, next, judge_rounds).usually(N)
     }
 
     /// A check of the traffic of all others.
@@ -172,6 +202,11 @@ impl Check {
     ) -> Self {
         let check = Self::adaptive((group, name, source), assumes, 0, |_, _| None, move |facts, _| judge(facts));
         Self { kind: Kind::Passive, ..check }
+    }
+
+    /// The number of requests to a PLC as documented, if it is not the largest one.
+    pub(crate) fn usually(self, usual: usize) -> Self {
+        Self { usual, ..self }
     }
 
     pub(crate) fn kind(self, kind: Kind) -> Self {
@@ -212,6 +247,21 @@ impl Check {
     pub(crate) fn lacking(&self, facts: &Facts) -> Option<String> {
         let lacks = |code: &&u8| facts.has_command(**code) == Some(false);
         self.needs.iter().find(lacks).map(|code| format!("not examined: the PLC does not execute {code:02X}"))
+    }
+}
+
+/// Rounds in which a contradiction of values must show: they can change between two requests.
+pub(crate) const ROUNDS: usize = 3;
+
+/// The finding by those of the rounds, of which all but the last contradict.
+pub(crate) fn by_rounds(mut findings: Vec<Finding>) -> Finding {
+    let rounds = findings.len();
+    match findings.pop() {
+        None => Finding::open("nothing was asked"),
+        Some(last) if last.verdict != Verdict::Contradicts && rounds > 1 => {
+            Finding::open("a difference was not repeated: the values change")
+        }
+        Some(last) => last,
     }
 }
 

@@ -1,4 +1,4 @@
-//! Exchanges of an examination: what was asked, and everything that came.
+//! Exchanges of an examination: requests, with everything that came.
 
 use std::time::Duration;
 
@@ -26,7 +26,7 @@ pub(crate) enum Ask {
     Idle(Duration),
     /// Two requests right behind each other, the second from another port. UDP only.
     TwoPorts(Request, Request),
-    /// A loop-back that separates what comes from what came.
+    /// A loop-back that separates earlier replies from later ones.
     Sync(Request),
 }
 
@@ -38,7 +38,7 @@ pub(crate) struct Exchange {
     pub(crate) attempts: Vec<Attempt>,
 }
 
-/// A request that was sent once, and what came.
+/// A request that was sent once, with everything that came.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Attempt {
     pub(crate) sent: Bytes,

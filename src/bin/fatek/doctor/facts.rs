@@ -1,4 +1,4 @@
-//! Facts of an examination: what the exchanges so far have shown.
+//! Facts of an examination, by the exchanges so far.
 
 use std::collections::BTreeMap;
 

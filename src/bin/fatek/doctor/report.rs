@@ -24,6 +24,8 @@ pub(crate) struct Contents {
     pub(crate) evidence: bool,
     /// Values in them.
     pub(crate) values: bool,
+    /// The station in them.
+    pub(crate) address: bool,
 }
 
 #[derive(Debug)]
@@ -239,7 +241,7 @@ impl Report {
 fn row(check: &Check, examined: Option<&Examined>, facts: &Facts, contents: Contents) -> Row {
     let lines = |examined: &Examined| {
         let exchanges = examined.exchanges.iter().filter(|_| contents.evidence);
-        exchanges.flat_map(|exchange| evidence::lines(exchange, facts.framing(), contents.values)).collect()
+        exchanges.flat_map(|exchange| evidence::lines(exchange, facts.requests, contents)).collect()
     };
     Row {
         group: check.group,

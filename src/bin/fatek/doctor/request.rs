@@ -6,6 +6,8 @@ use fatek::command::Code;
 use fatek::wire::{Codec, Frame, Framing, Side};
 use tokio_util::codec::Encoder;
 
+use super::exchange::Answer;
+
 /// A request to the PLC, and the shape of its reply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Request {
@@ -181,6 +183,16 @@ impl Requests {
 
     pub(crate) fn bits(self, data: &[u8]) -> Vec<bool> {
         data.iter().map(|&state| state == b'1' || state == 1).collect()
+    }
+
+    /// The value of one discrete or of one word that was read.
+    pub(crate) fn value(self, read: &Request, answer: Answer<'_>) -> Option<u16> {
+        let Answer::Data(data) = answer else { return None };
+        if read.frame.command == u8::from(Code::ReadDiscretes) {
+            self.bits(data).first().map(|&state| state.into())
+        } else {
+            self.words(data).first().copied()
+        }
     }
 
     /// The numbers of this many bytes each. Digits that are none count as 0.

@@ -1,6 +1,9 @@
 //! Runs the checks of an examination: sends their requests one at a time at a bounded rate, and keeps the line in
 //! step by loop-backs.
 
+mod connections;
+mod restore;
+
 use std::io;
 use std::time::Duration;
 
@@ -19,10 +22,8 @@ const ATTEMPTS: usize = 3;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// Silence behind several requests, in which late replies and duplicates are expected.
 const SETTLE: Duration = Duration::from_millis(100);
-/// Longest time of restoring an element.
-const UNDO_TIMEOUT: Duration = Duration::from_millis(1500);
-/// Time for which one of two sockets is read.
-const TURN: Duration = Duration::from_millis(20);
+/// Silence behind each reply, in which a duplicate of it comes (protocol 7: after 0 to 20 ms).
+pub(crate) const DUPLICATE: Duration = Duration::from_millis(25);
 /// Connections that are opened one after the other without an answer before the PLC counts as lost.
 const RECONNECTS: usize = 3;
 
@@ -63,6 +64,8 @@ pub(crate) struct Runner<'c, C> {
     pub(crate) examined: Vec<Option<Examined>>,
     /// The check in progress, with its exchanges so far.
     current: Option<(usize, Vec<Exchange>)>,
+    /// The element that a check has written and could not restore.
+    unrestored: Option<Undo>,
     /// When the next request may be sent.
     next_at: Option<Instant>,
     /// The number of requests so far.
@@ -85,6 +88,7 @@ impl<'c, C: Connect> Runner<'c, C> {
             pace,
             examined,
             current: None,
+            unrestored: None,
             next_at: None,
             sent: 0,
             nonce,
@@ -93,7 +97,7 @@ impl<'c, C: Connect> Runner<'c, C> {
 
     /// Runs all checks. `show` is called before each, with its place.
     ///
-    /// Cancel-safe: the results so far are kept; [`undo`](Self::undo) restores what was written.
+    /// Cancel-safe: the results so far are kept; [`undo`](Self::undo) restores the element that was written.
     pub(crate) async fn run(&mut self, show: impl Fn(usize, &Check)) -> Result<(), End> {
         self.line().await?;
         self.is_alive().await?.then_some(()).ok_or(End::Silent)?;
@@ -101,7 +105,12 @@ impl<'c, C: Connect> Runner<'c, C> {
             // Checks of all traffic are judged last.
             for (place, check) in self.checks.iter().enumerate().filter(|(_, c)| (c.kind == Kind::Passive) == phase) {
                 show(place, check);
-                let reason = check.left_out(self.choice).map(str::to_owned).or_else(|| check.lacking(&self.facts));
+                let unrestored = self.unrestored.as_ref().filter(|_| check.kind == Kind::Write);
+                let reason = check
+                    .left_out(self.choice)
+                    .map(str::to_owned)
+                    .or_else(|| check.lacking(&self.facts))
+                    .or_else(|| unrestored.map(|_| "not examined: the element was not restored".to_owned()));
                 if let Some(reason) = reason {
                     self.examined[place] = Some(Examined { finding: Finding::open(reason), exchanges: Vec::new() });
                     continue;
@@ -128,6 +137,7 @@ impl<'c, C: Connect> Runner<'c, C> {
             }
         }
         let Some((_, exchanges)) = self.current.take() else { return Ok(()) };
+        self.unrestored = self.unrestored.take().or_else(|| (check.undo)(&self.facts, &exchanges));
         let finding = (check.judge)(&self.facts, &exchanges);
         self.examined[place] = Some(Examined { finding, exchanges });
         Ok(())
@@ -136,28 +146,6 @@ impl<'c, C: Connect> Runner<'c, C> {
     fn next(&self, check: &Check) -> Option<Ask> {
         let (_, done) = self.current.as_ref()?;
         (check.next)(&self.facts, done)
-    }
-
-    /// Restores what the check in progress has written. The error is a write that was not confirmed.
-    pub(crate) async fn undo(&mut self) -> Result<(), Undo> {
-        let Some((place, done)) = self.current.take() else { return Ok(()) };
-        let Some(undo) = self.checks.get(place).and_then(|check| (check.undo)(&self.facts, &done)) else {
-            return Ok(());
-        };
-        let restored = async {
-            // The connection may have a reply in progress, or be lost.
-            for _ in 0..2 {
-                let bytes = self.facts.requests.encode(&undo.request.frame);
-                let Ok(attempt) = self.attempt(&undo.request, bytes).await else { continue };
-                let exchange = Exchange { ask: Ask::Once(undo.request.clone()), attempts: vec![attempt] };
-                if let Answer::Data(_) = exchange.answer(self.facts.framing()) {
-                    return true;
-                }
-            }
-            false
-        };
-        // A process that a signal has ended has two seconds.
-        if timeout(UNDO_TIMEOUT, restored).await.unwrap_or(false) { Ok(()) } else { Err(undo) }
     }
 
     /// The open connection; opens one if there is none.
@@ -215,27 +203,31 @@ impl<'c, C: Connect> Runner<'c, C> {
                 }
             }
             Ask::Connections(connections) => attempts = self.connections(*connections).await?,
-            Ask::Idle(time) => {
-                let mut idle = Attempt::default();
-                self.listen(&mut idle, Instant::now() + *time, Instant::now()).await;
-                let request = self.facts.requests.status();
-                let attempt = self.attempt(&request, self.facts.requests.encode(&request.frame)).await?;
-                attempts.extend([idle, attempt]);
-            }
+            Ask::Idle(time) => attempts = self.idle(*time).await?,
             Ask::TwoPorts(first, second) => attempts = self.two_ports(first, second).await?,
         }
         Ok(Exchange { ask, attempts })
     }
 
-    /// Sends a request, and waits for a frame that fits it. Then listens until the next request may be sent.
+    /// Sends a request, and waits for a frame that fits it. Then listens until the next request may be sent, and at
+    /// least for a duplicate of the reply.
     async fn attempt(&mut self, request: &Request, bytes: Bytes) -> Result<Attempt, End> {
+        let (mut attempt, sent_at) = self.ask(request, bytes).await?;
+        let duplicate = Instant::now() + DUPLICATE;
+        let until = self.next_at.map_or(duplicate, |next_at| next_at.max(duplicate));
+        self.listen(&mut attempt, until, sent_at).await;
+        Ok(attempt)
+    }
+
+    /// Sends a request, and waits for a frame that fits it. Returns also when it was sent.
+    async fn ask(&mut self, request: &Request, bytes: Bytes) -> Result<(Attempt, Instant), End> {
         let framing = self.facts.framing();
         let mut attempt = Attempt { sent: bytes.clone(), ..Attempt::default() };
-        let Some((sent_at, deadline)) = self.send(&[bytes], &mut attempt).await? else { return Ok(attempt) };
+        let Some((sent_at, deadline)) = self.send(&[bytes], &mut attempt).await? else {
+            return Ok((attempt, Instant::now()));
+        };
         self.receive(&mut attempt, sent_at, deadline, |attempt| attempt.reply(request, framing).is_some()).await;
-        let next_at = self.next_at.unwrap_or(sent_at);
-        self.listen(&mut attempt, next_at, sent_at).await;
-        Ok(attempt)
+        Ok((attempt, sent_at))
     }
 
     /// Sends requests together, and waits for as many frames.
@@ -256,10 +248,8 @@ impl<'c, C: Connect> Runner<'c, C> {
         for request in requests {
             let bytes = self.facts.requests.encode(&request.frame);
             // No pause, and nothing is received between a reply and the next request.
-            let interval = std::mem::take(&mut self.pace.interval);
-            let attempt = self.attempt(request, bytes).await;
-            self.pace.interval = interval;
-            attempts.push(attempt?);
+            self.next_at = self.next_at.filter(|_| attempts.is_empty());
+            attempts.push(self.ask(request, bytes).await?.0);
         }
         self.next_at = Some(Instant::now() + self.pace.interval);
         if let Some(last) = attempts.last_mut() {
@@ -340,7 +330,7 @@ impl<'c, C: Connect> Runner<'c, C> {
         attempt.arrivals.extend(unawaited(behind.arrivals));
     }
 
-    /// Separates what belongs to an attempt from the next one, by the echo of a loop-back, or by silence.
+    /// Separates the replies to an attempt from those to the next one, by the echo of a loop-back, or by silence.
     async fn separate(&mut self, attempt: &mut Attempt) -> Result<(), End> {
         let framing = self.facts.framing();
         if self.facts.has_command(0x4E) != Some(false) {
@@ -383,61 +373,6 @@ impl<'c, C: Connect> Runner<'c, C> {
             }
         }
         Ok(false)
-    }
-
-    /// A status request on each of several connections, the open one included.
-    async fn connections(&mut self, connections: usize) -> Result<Vec<Attempt>, End> {
-        let request = self.facts.requests.status();
-        let bytes = self.facts.requests.encode(&request.frame);
-        let mut attempts = vec![self.attempt(&request, bytes.clone()).await?];
-        let first = self.line.take();
-        let mut others = Vec::new();
-        for _ in 1..connections {
-            let opened = timeout(CONNECT_TIMEOUT, self.connector.open()).await;
-            let Ok(Ok(wire)) = opened else {
-                attempts.push(Attempt { closed: true, ..Attempt::default() });
-                continue;
-            };
-            self.line = Some(Receiver::new(wire, self.facts.framing()));
-            attempts.push(self.attempt(&request, bytes.clone()).await?);
-            others.extend(self.line.take());
-        }
-        self.line = first;
-        drop(others);
-        // The first one must still be answered.
-        if let Some(attempt) = attempts.first_mut() {
-            self.separate(attempt).await?;
-        }
-        Ok(attempts)
-    }
-
-    /// Sends two requests from two ports. Returns what came to each.
-    async fn two_ports(&mut self, first: &Request, second: &Request) -> Result<Vec<Attempt>, End> {
-        let Ok(wire) = self.connector.open().await else { return Ok(Vec::new()) };
-        let mut other = Some(Receiver::new(wire, self.facts.framing()));
-        let mut attempts = Vec::new();
-        for request in [first, second] {
-            let bytes = self.facts.requests.encode(&request.frame);
-            let mut attempt = Attempt { sent: bytes.clone(), ..Attempt::default() };
-            self.next_at = None;
-            let sent_at = self.send(&[bytes], &mut attempt).await?;
-            attempts.push((attempt, sent_at));
-            std::mem::swap(&mut self.line, &mut other);
-        }
-        let deadline = Instant::now() + self.pace.timeout;
-        let frames =
-            |attempts: &[(Attempt, _)]| attempts.iter().map(|(attempt, _)| attempt.frames().count()).sum::<usize>();
-        while frames(&attempts) < 2 && Instant::now() < deadline {
-            for (attempt, sent_at) in &mut attempts {
-                if let Some((sent_at, _)) = *sent_at {
-                    let had = attempt.arrivals.len();
-                    let until = Instant::now() + TURN;
-                    self.receive(attempt, sent_at, until, |attempt| attempt.arrivals.len() > had).await;
-                }
-                std::mem::swap(&mut self.line, &mut other);
-            }
-        }
-        Ok(attempts.into_iter().map(|(attempt, _)| attempt).collect())
     }
 }
 

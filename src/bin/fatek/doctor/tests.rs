@@ -4,6 +4,7 @@
 
 mod contradictions;
 mod ends;
+mod lines;
 mod rig;
 mod udp;
 
@@ -25,7 +26,13 @@ async fn a_simulated_plc_contradicts_nothing() {
 #[tokio::test(start_paused = true)]
 async fn a_plc_whose_memory_is_all_zeros_contradicts_nothing() {
     let rig = Rig::with_plc(Framing::Ascii, fatek::sim::Plc::new());
-    assert_eq!(contradicted(&rig.examine().await), [""; 0]);
+    let examined = rig.examine().await;
+    assert_eq!(contradicted(&examined), [""; 0]);
+    // Equal values show no order.
+    for name in ["bits-of-words", "mixed-order", "dword-order", "drc-run", "drc-mixed"] {
+        let (_, finding) = examined.iter().find(|(check, _)| check == name).unwrap();
+        assert_eq!(finding.verdict, Verdict::Open, "{name}: {finding:?}");
+    }
 }
 
 #[tokio::test(start_paused = true)]
@@ -37,6 +44,6 @@ async fn no_check_asks_more_than_it_states_nor_anything_that_writes() {
     assert_eq!(log.writes(), 0);
     assert!(log.changes(1).is_empty(), "{:?}", log.changes(1));
     // The requests that the estimate has, the loop-backs behind silences, and the first status.
-    let stated: usize = rig.checks().iter().map(|check| check.requests + 2 * check.silences).sum();
+    let stated: usize = rig.checks().iter().map(|check| check.usual + 2 * check.silences).sum();
     assert!(log.entries().len() <= stated + 40, "{} of {stated}", log.entries().len());
 }

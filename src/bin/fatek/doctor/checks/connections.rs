@@ -5,21 +5,27 @@ use fatek::wire::Frame;
 
 use super::Numbers;
 use crate::doctor::check::{Check, Finding, Group, Kind, only_over};
-use crate::doctor::exchange::{Answer, Ask, Exchange, fit};
+use crate::doctor::exchange::{Answer, Ask, Attempt, Exchange, fit};
 use crate::doctor::facts::Facts;
 use crate::doctor::line::Medium;
 use crate::doctor::request::Requests;
+
+/// Connections that a module has at most.
+const MODULE_CONNECTIONS: usize = 8;
 
 pub(super) fn checks(requests: Requests, numbers: &Numbers) -> Vec<Check> {
     let (several, idle) = (numbers.connections, numbers.idle);
     let connections = move |facts: &Facts, done: &[Exchange]| {
         (facts.medium == Medium::Tcp && done.is_empty()).then_some(Ask::Connections(several))
     };
-    let text = format!("{several} connections are served at once");
+    let text = match several {
+        0..=MODULE_CONNECTIONS => format!("{several} connections are served at once"),
+        _ => format!("{MODULE_CONNECTIONS} of {several} connections are served at once"),
+    };
     let id = (Group::Connections, "several", "protocol 7; facts 4, question 6");
     let several = Check::adaptive(id, text, several, connections, |facts, done| {
         let excuse = only_over(facts.medium, &[Medium::Tcp], "TCP");
-        excuse.unwrap_or_else(|| several_answered(done))
+        excuse.unwrap_or_else(|| several_answered(facts, done))
     });
     let idle_for = move |facts: &Facts, done: &[Exchange]| {
         (facts.medium == Medium::Tcp && done.is_empty()).then_some(Ask::Idle(idle))
@@ -28,7 +34,7 @@ pub(super) fn checks(requests: Requests, numbers: &Numbers) -> Vec<Check> {
     let id = (Group::Connections, "idle", "facts 4, question 6");
     let idle = Check::adaptive(id, text, 1, idle_for, |facts, done| {
         let excuse = only_over(facts.medium, &[Medium::Tcp], "TCP");
-        excuse.unwrap_or_else(|| stays_open(done))
+        excuse.unwrap_or_else(|| stays_open(facts, done))
     });
     let [first, second] = [3, 4].map(|n| requests.read(Code::ReadRegisters, n, "R0"));
     let ports = move |facts: &Facts, done: &[Exchange]| {
@@ -43,27 +49,36 @@ pub(super) fn checks(requests: Requests, numbers: &Numbers) -> Vec<Check> {
     vec![several.needs(&[0x40]), idle.kind(Kind::Idle).needs(&[0x40]), asking.kind(Kind::Load).needs(&[0x46])]
 }
 
-fn several_answered(done: &[Exchange]) -> Finding {
+fn several_answered(facts: &Facts, done: &[Exchange]) -> Finding {
     let attempts: Vec<_> = done.iter().flat_map(|exchange| &exchange.attempts).collect();
-    let answered = attempts.iter().filter(|attempt| attempt.frames().next().is_some()).count();
-    let refused = attempts.iter().filter(|attempt| attempt.closed).count();
-    match (answered, attempts.len()) {
+    let answered = attempts.iter().filter(|attempt| is_status(facts, attempt)).count();
+    let refused = attempts.iter().filter(|attempt| attempt.closed && !is_status(facts, attempt)).count();
+    let all = attempts.len();
+    let text = format!("{answered} of {all} are answered");
+    let with_refused = || format!("{text}, {refused} refused or closed");
+    match (answered, all) {
         (_, 0) => Finding::open("nothing was asked"),
-        (answered, all) if answered == all => Finding::holds(format!("{answered} of {all} are answered")),
-        (answered, all) => {
-            Finding::contradicts(format!("{answered} of {all} are answered, {refused} refused or closed"))
-        }
+        (_, ..=MODULE_CONNECTIONS) if answered == all => Finding::holds(text),
+        (_, ..=MODULE_CONNECTIONS) => Finding::contradicts(with_refused()),
+        (MODULE_CONNECTIONS, _) => Finding::holds(with_refused()),
+        // No source has another number than 8.
+        _ => Finding::open(with_refused()),
     }
 }
 
-fn stays_open(done: &[Exchange]) -> Finding {
+fn stays_open(facts: &Facts, done: &[Exchange]) -> Finding {
     let attempts: Vec<_> = done.iter().flat_map(|exchange| &exchange.attempts).collect();
-    match attempts[..] {
-        [idle, _] if idle.closed => Finding::contradicts("it was closed"),
-        [_, attempt] if attempt.frames().next().is_some() => Finding::holds("the next request was answered"),
-        [_, _] => Finding::contradicts("the next request was not answered"),
-        _ => Finding::open("nothing was asked"),
+    match &attempts[..] {
+        [] => Finding::open("nothing was asked"),
+        [.., last] if is_status(facts, last) => Finding::holds("the next request was answered"),
+        all if all.iter().any(|attempt| attempt.closed) => Finding::contradicts("it was closed"),
+        [_, requests @ ..] => Finding::contradicts(format!("{} requests were not answered", requests.len())),
     }
+}
+
+/// Returns whether a status was answered.
+fn is_status(facts: &Facts, attempt: &Attempt) -> bool {
+    attempt.reply(&facts.requests.status(), facts.framing()).is_some()
 }
 
 fn to_asking_port(facts: &Facts, done: &[Exchange]) -> Finding {
@@ -80,7 +95,9 @@ fn to_asking_port(facts: &Facts, done: &[Exchange]) -> Finding {
     }
     match (own, others) {
         (_, 1..) => Finding::contradicts(format!("{others} of {asked} went to the other port")),
-        (0, 0) => Finding::open("none of them was answered"),
+        // The missing ones may have gone to either port.
+        (_, 0) if own < asked => Finding::open(format!("{own} of {asked} are answered")),
+        (_, 0) if asked == 0 => Finding::open("nothing was asked"),
         (_, 0) => Finding::holds(format!("{own} of {asked} replies, all to the asking port")),
     }
 }

@@ -53,7 +53,8 @@ fn largest(
         }
     };
     let halvings = most.ilog2() as usize + 1;
-    Check::adaptive((Group::Limits, name, "protocol 5"), text, 1 + halvings, next, judge).kind(Kind::Basic).needs(needs)
+    let check = Check::adaptive((Group::Limits, name, "protocol 5"), text, 1 + halvings, next, judge).usually(1);
+    check.kind(Kind::Basic).needs(needs)
 }
 
 /// The largest number that is known to be answered, and the smallest that is known not to be.

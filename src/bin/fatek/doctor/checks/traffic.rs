@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use fatek::command::Code;
 use fatek::wire::{Discard, Frame, Framing};
 
 use crate::doctor::check::{Check, Finding, Group, only_over};
@@ -50,7 +51,7 @@ fn framing() -> Vec<Check> {
     };
     let good = "each reply is a whole frame with a good checksum";
     vec![
-        check("frames", "protocol 1 and 2", good, is_bad, "are no good frames"),
+        check("frames", "protocol 1 and 2", good, is_bad, "are bad frames"),
         check("no-noise", "protocol 7", "no bytes come outside of frames", is_garbage, "are stray bytes"),
         check("no-echo", "protocol 7", "the line does not send back requests", is_echo, "are requests"),
     ]
@@ -96,6 +97,7 @@ fn replies() -> Vec<Check> {
             let with_data: Vec<bool> = awaited(facts).filter(is_refusal).map(has_data).collect();
             finding(&with_data, "refusals", "have data")
         }),
+        passive(Group::Framing, "digits", "protocol 1 and 2", "values have digits, and states are 0 or 1", digits),
         passive(Group::Order, "once", "protocol 7", "each reply comes once", once),
         passive(Group::Order, "answered", "protocol 7", "each request is answered at the first attempt", |facts| {
             // A request that is never answered is a matter of its own check.
@@ -188,6 +190,24 @@ fn asked(facts: &Facts) -> impl Iterator<Item = (&Request, &Attempt)> {
     asked
         .filter_map(|exchange| Some((exchange.ask.request()?, &exchange.attempts)))
         .flat_map(|(request, attempts)| attempts.iter().map(move |attempt| (request, attempt)))
+}
+
+/// Values of digits that are none, and states that are neither 0 nor 1.
+fn digits(facts: &Facts) -> Finding {
+    let is_ascii = facts.framing() == Framing::Ascii;
+    let is_bad = |(request, frame): (&Request, &Frame)| {
+        let Shape::Len(_) = request.shape else { return None };
+        let Answer::Data(data) = fit(request, frame, facts.framing()) else { return None };
+        let states = [Code::ReadDiscretes, Code::ReadDisabled].map(u8::from);
+        let is_good = |byte: &u8| match (states.contains(&request.frame.command), is_ascii) {
+            (true, true) => matches!(byte, b'0' | b'1'),
+            (true, false) => *byte <= 1,
+            (false, true) => byte.is_ascii_hexdigit(),
+            (false, false) => true,
+        };
+        Some(!data.iter().all(is_good))
+    };
+    finding(&awaited(facts).filter_map(is_bad).collect::<Vec<_>>(), "replies", "have other characters")
 }
 
 /// Frames that are equal to the one before them, which the request does not ask for twice.

@@ -9,6 +9,10 @@ use crate::doctor::request::{Request, Requests, Unit, unit_of};
 
 /// Differs from each value in half of its bits.
 const PATTERN: u16 = 0x5AA5;
+/// Writes that restore the element, at most: each may be lost.
+const RESTORES: usize = 3;
+/// Requests of a check that is restored at the first attempt.
+const USUAL: usize = 5;
 
 pub(super) fn checks(requests: Requests, element: Option<&str>) -> Vec<Check> {
     // Without an element, the checks are listed as not examined.
@@ -35,6 +39,9 @@ pub(super) fn checks(requests: Requests, element: Option<&str>) -> Vec<Check> {
 }
 
 /// Reads, writes another value, reads it back, restores, reads again.
+///
+/// The value counts as restored when it is read back, not when the write is answered. Until then it is written
+/// again, and behind [`RESTORES`] attempts it is left to the undo.
 fn check(
     requests: Requests,
     name: &str,
@@ -46,21 +53,28 @@ fn check(
     let code = if is_discrete { Code::ReadDiscretes } else { Code::ReadRegisters };
     let read = requests.read(code, 1, element);
     let other = move |value: u16| if is_discrete { 1 - value.min(1) } else { value ^ PATTERN };
-    let (restore, undo, written) = (write.clone(), write.clone(), element.to_owned());
-    let next = move |facts: &Facts, done: &[Exchange]| match done.len() {
-        0 | 2 | 4 => Some(Ask::Reply(read.clone())).filter(|_| done.is_empty() || value(facts, done, 0).is_some()),
-        1 => Some(Ask::Once(write(other(value(facts, done, 0)?)))),
-        // A write without a reply may have been executed.
-        3 => Some(Ask::Once(restore(value(facts, done, 0)?))),
-        _ => None,
+    let (undo, written, read_back) = (write.clone(), element.to_owned(), read.clone());
+    let next = move |facts: &Facts, done: &[Exchange]| {
+        if done.is_empty() {
+            return Some(Ask::Reply(read.clone()));
+        }
+        let before = value(facts, done, 0).filter(|_| done.len() < MOST)?;
+        match done.len() {
+            1 => Some(Ask::Once(write(other(before)))),
+            n if n.is_multiple_of(2) => Some(Ask::Reply(read.clone())),
+            // A write without a reply may have been executed.
+            _ if !is_restored(facts, done) => Some(Ask::Once(write(before))),
+            _ => None,
+        }
     };
     let undo = move |facts: &Facts, done: &[Exchange]| {
-        let is_pending = (1..=3).contains(&done.len());
-        let before = value(facts, done, 0).filter(|_| is_pending)?;
-        Some(Undo { request: undo(before), assignment: format!("{written}={before}") })
+        // The value that a check has read before it writes; the write may be in progress.
+        let value = value(facts, done, 0).filter(|_| !is_restored(facts, done))?;
+        let assignment = format!("{written}={value}");
+        Some(Undo { request: undo(value), read: read_back.clone(), value, assignment })
     };
     let judge = move |facts: &Facts, done: &[Exchange]| {
-        let values = [0, 2, 4].map(|n| value(facts, done, n));
+        let values = [0, 2, done.len().saturating_sub(1)].map(|n| value(facts, done, n));
         let [Some(before), Some(written), Some(after)] = values else {
             return Finding::open("the element is not readable");
         };
@@ -74,18 +88,21 @@ fn check(
         }
     };
     let id = (Group::Writing, name, "protocol 5");
-    Check::adaptive(id, text, 5, next, judge).kind(Kind::Write).undo(undo)
+    Check::adaptive(id, text, MOST, next, judge).usually(USUAL).kind(Kind::Write).undo(undo)
+}
+
+/// Requests of a check, at most.
+const MOST: usize = USUAL + 2 * (RESTORES - 1);
+
+/// Returns whether the element had its first value when it was read after a restore.
+fn is_restored(facts: &Facts, done: &[Exchange]) -> bool {
+    let last = done.len().saturating_sub(1);
+    let is_read_back = done.len() >= USUAL && last.is_multiple_of(2);
+    is_read_back && value(facts, done, last).is_some_and(|last| Some(last) == value(facts, done, 0))
 }
 
 /// The value that was read by the n-th request.
 fn value(facts: &Facts, done: &[Exchange], n: usize) -> Option<u16> {
     let exchange = done.get(n)?;
-    let Answer::Data(data) = exchange.answer(facts.framing()) else { return None };
-    let is_discrete =
-        exchange.ask.request().is_some_and(|request| request.frame.command == u8::from(Code::ReadDiscretes));
-    if is_discrete {
-        facts.requests.bits(data).first().map(|&state| state.into())
-    } else {
-        facts.requests.words(data).first().copied()
-    }
+    facts.requests.value(exchange.ask.request()?, exchange.answer(facts.framing()))
 }

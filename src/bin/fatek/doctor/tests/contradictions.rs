@@ -90,6 +90,7 @@ fn contradictions() -> Vec<(&'static str, Contradiction)> {
         ("own-station", fault(once(Fault::WrongStation))),
         ("own-command", fault(once(Fault::WrongCommand))),
         ("own-length", fault(once(Fault::Extended { by: 4 }))),
+        ("digits", reply(Code::ReadRegisters, read(1, "R4167"), "0XYZ0")),
         ("error-alone", quirk(Quirk::DataWithErrors)),
         ("upper-case", quirk(Quirk::LowerCase)),
         // Commands.
@@ -133,6 +134,9 @@ fn contradictions() -> Vec<(&'static str, Contradiction)> {
         // Y9 is on: as the highest bit but one instead of the second one.
         ("bits-of-words", reply(Code::ReadRegisters, read(2, "WY8"), "040000000")),
         ("mixed-order", reply(Code::ReadMixed, mixed(&["M0", "R0", "DR2", "WM0"]), &format!("0{}", "1".repeat(17)))),
+        // The words of DR0 = 24681234h exchanged.
+        ("dword-order", reply(Code::ReadRegisters, read(1, "DR0"), "012342468")),
+        ("rc-single", reply(Code::ReadRegisters, read(1, "RC199"), "A")),
         ("drc-single", reply(Code::ReadRegisters, read(1, "DRC255"), "A")),
         // As DRC200 and DRC202.
         ("drc-run", reply(Code::ReadRegisters, read(2, "DRC200"), "00001117000011172")),
@@ -242,6 +246,28 @@ async fn each_contradiction_is_found_by_its_check_alone() {
         }
     }
     assert!(wrong.is_empty(), "{}:\n{}", wrong.len(), wrong.join("\n"));
+}
+
+/// The same checks find contradictions of the binary framing.
+#[tokio::test(start_paused = true)]
+async fn contradictions_are_found_in_the_binary_framing() {
+    let no_register = data_of(Framing::Binary, Code::ReadRegisters, 1, "R65535");
+    let beyond = Quirk::reply(Code::ReadRegisters.into(), no_register, Some("\u{2}"));
+    let cases: Vec<(&str, Contradiction)> = vec![
+        ("frames", fault(once(Fault::BadChecksum))),
+        ("own-command", fault(once(Fault::WrongCommand))),
+        ("longest-43", fault(longer(Code::ReadDisabled, 255, ErrorCode::IllegalValue))),
+        ("bad-address", quirk(beyond)),
+        ("bad-checksum", quirk(Quirk::AnswersBadChecksum)),
+        ("capacity-code", model(|model| model.program_capacity(0x77))),
+        ("write-47", write(|rig| rig.faults.add_rule(protected(Code::WriteRegisters)))),
+    ];
+    for (name, contradict) in cases {
+        let mut rig = Rig::new(Framing::Binary);
+        contradict(&mut rig);
+        let findings = rig.examine().await;
+        assert_eq!(contradicted(&findings), [name], "{findings:#?}");
+    }
 }
 
 /// A check that nothing can contradict would examine nothing.

@@ -8,7 +8,8 @@ use fatek::command::Code;
 use fatek::sim::{self, Bus, Faults, Line, Plc};
 use fatek::wire::Framing;
 use fatek::{discrete, element, register};
-use tokio::io::DuplexStream;
+use tokio::io::{DuplexStream, copy_bidirectional, duplex};
+use tokio::task::AbortHandle;
 
 use crate::doctor::check::{Check, Choice, Finding, Verdict};
 use crate::doctor::checks::{Numbers, all};
@@ -26,6 +27,10 @@ pub(super) struct Rig {
     pub(super) choice: Choice,
     /// A bus without faults is served without a queue.
     pub(super) has_faults: bool,
+    /// Connections of the check of several.
+    pub(super) connections: usize,
+    /// Each new connection closes the one before.
+    pub(super) has_one_connection: bool,
 }
 
 /// Connections in memory.
@@ -39,6 +44,25 @@ impl Connect for InMemory {
     async fn open(&mut self) -> io::Result<Wire> {
         Ok(Wire::Stream(Box::new((self.0)().await?)))
     }
+}
+
+/// Connections of which each closes the one before, as of a serial server for one client.
+fn one_at_a_time(
+    mut connect: impl FnMut() -> std::future::Ready<io::Result<DuplexStream>> + 'static,
+) -> Box<dyn FnMut() -> std::future::Ready<io::Result<DuplexStream>>> {
+    let mut last: Option<AbortHandle> = None;
+    Box::new(move || {
+        if let Some(last) = last.take() {
+            last.abort();
+        }
+        let opened = connect().into_inner().map(|mut plc| {
+            let (client, mut server) = duplex(4096);
+            let forward = async move { copy_bidirectional(&mut server, &mut plc).await };
+            last = Some(tokio::spawn(forward).abort_handle());
+            client
+        });
+        std::future::ready(opened)
+    })
 }
 
 impl Rig {
@@ -68,7 +92,16 @@ impl Rig {
             unknown_commands: true,
             write: false,
         };
-        Self { plc, faults: Faults::new(5).line(line), framing, element: "R3000", choice, has_faults: true }
+        Self {
+            plc,
+            faults: Faults::new(5).line(line),
+            framing,
+            element: "R3000",
+            choice,
+            has_faults: true,
+            connections: 3,
+            has_one_connection: false,
+        }
     }
 
     fn requests(&self) -> Requests {
@@ -77,7 +110,10 @@ impl Rig {
 
     pub(super) fn checks(&self) -> Vec<Check> {
         let element = Some(self.element.to_owned());
-        all(self.requests(), &Numbers { connections: 3, idle: Duration::from_secs(60), load: 12, element })
+        all(
+            self.requests(),
+            &Numbers { connections: self.connections, idle: Duration::from_secs(60), load: 12, element },
+        )
     }
 
     /// Examines the PLC; returns the findings by name, and the reason if it ended early.
@@ -101,7 +137,8 @@ impl Rig {
     pub(super) async fn with_runner(&self, examine: impl AsyncFnOnce(&mut Runner<'_, InMemory>, &Plc)) {
         let bus = Bus::new().with_station(1, self.plc.clone()).unwrap();
         let bus = if self.has_faults { bus.with_faults(self.faults.clone()) } else { bus };
-        let connector = InMemory(Box::new(sim::connector(bus, self.framing)));
+        let connect = sim::connector(bus, self.framing);
+        let connector = InMemory(if self.has_one_connection { one_at_a_time(connect) } else { Box::new(connect) });
         let pace = Pace { timeout: TIMEOUT, interval: Duration::from_millis(50) };
         let checks = self.checks();
         let mut runner = Runner::new(connector, self.requests(), &checks, self.choice, pace);
