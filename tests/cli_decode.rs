@@ -317,3 +317,33 @@ fn texts_of_a_capture_are_printed_escaped() {
         assert!(!raw(&decoded.stdout) && !raw(&decoded.stderr), "{decoded:?}");
     }
 }
+
+/// Before: the second packet vanished, with status 0, and with the headers the dump was refused.
+#[test]
+fn each_packet_of_a_dump_is_explained() {
+    let (mut capture, mut at) = Capture::open();
+    let mut dump = String::new();
+    for (number, bytes) in (0..).zip([FRAME, b"", FRAME]) {
+        let before = capture.bytes.len() + 16;
+        capture.asks(&mut at, bytes);
+        dump += &format!("12:00:0{number}.5 IP 10.0.0.9.40000 > 10.0.0.3.500: Flags [P.], length 16\n");
+        for (row, bytes) in capture.bytes[before..].chunks(16).enumerate() {
+            let digits: String = bytes.iter().map(|byte| format!("{byte:02x} ")).collect();
+            dump += &format!("\t0x{:04x}:  {digits}\n", 16 * row);
+        }
+    }
+    let decoded = decode(&[], dump.as_bytes());
+    assert_eq!(decoded.status, 0, "{decoded:?}");
+    assert_eq!(decoded.stdout.matches("ASCII frame of 16 bytes: good\n").count(), 2, "{decoded:?}");
+    assert_eq!(decoded.stderr, "174 bytes of packets around their payloads are left out\n");
+}
+
+/// Before: a line that the recording had made, with a wrong exchange.
+#[test]
+fn ends_of_a_connection_are_one_line() {
+    let header = r#"{"fatek":"recording","version":1,"started":"2026-11-29T18:00:00Z"}"#;
+    let open = r#"{"us":1,"connection":1,"open":"a\n   0.003000     1.000   1   1  forged\u001b[2J"}"#;
+    let bytes = r#"{"us":2,"connection":1,"to":"plc","bytes":"06"}"#;
+    let decoded = decode(&[], format!("{header}\n{open}\n{bytes}\n").as_bytes());
+    assert!(decoded.stdout.contains("connection 1: a\\n   0.003000"), "{decoded:?}");
+}

@@ -4,10 +4,13 @@
 mod process;
 
 use std::fs;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::thread;
+use std::time::Duration;
 
-use self::process::{FATEK, Folder, Output, Sim, fatek, run_at_terminal_on};
+use self::process::{FATEK, Folder, Output, ScriptedPlc, Sim, fatek, run_at_terminal_on};
 
 /// A running `fatek record` or `fatek replay --listen`, killed on drop.
 struct Listening {
@@ -153,20 +156,26 @@ fn writes_are_sent_only_if_asked_for() {
     recorder.end("INT");
     sim.fatek(&["write", "R0=6"]).ok();
     let value = || sim.fatek(&["read", "R0", "--format", "csv"]).ok();
+    let is_unchanged = || value().contains("R0,u16,6");
+    assert!(is_unchanged(), "{}", value());
     let replay = |args: &[&str]| fatek(&[&["replay", &file, "--link", &sim.url], args].concat());
 
     let refused = replay(&[]).usage();
     assert!(refused.contains("the first is station 1: write registers (47h) R0 = 5; to leave them out"), "{refused}");
+    assert!(is_unchanged(), "without a choice");
     assert!(replay(&["--writes", "send"]).usage().contains("give --yes"));
+    assert!(is_unchanged(), "without a consent");
     let listed = replay(&["--dry-run"]);
     assert_eq!(listed.status, 0, "{listed:?}");
     assert!(listed.stdout.contains("write registers (47h) R0 = 5  true\n"), "{listed:?}");
+    assert!(is_unchanged(), "with --dry-run");
     assert_eq!(replay(&["--writes", "skip"]).status, 0);
+    assert!(is_unchanged(), "with --writes skip");
     let args = ["replay", &file, "--writes", "send"];
     let (status, shown) = run_at_terminal_on(&sim.url, &args, "n\n");
     assert_eq!(status, 1, "{shown}");
     assert!(shown.contains("Send 4 requests to tcp://127.0.0.1:"), "{shown}");
-    assert!(value().contains("6"), "nothing was written so far");
+    assert!(is_unchanged(), "after the answer n");
 
     assert_eq!(replay(&["--writes", "send", "--yes"]).status, 0);
     assert!(value().contains("R0,u16,5"), "{}", value());
@@ -266,4 +275,113 @@ fn files_that_are_no_recordings_are_refused() {
         }
     }
     assert!(fatek(&["replay", &file]).usage().contains("no link"));
+}
+
+/// The header of a recording, and its events.
+fn recording(framing: &str, events: &[&str]) -> String {
+    let header = format!(
+        "{{\"fatek\":\"recording\",\"version\":1,\"started\":\"2026-11-29T18:00:00Z\",\"framing\":\"{framing}\"}}\n"
+    );
+    events.iter().fold(header, |text, event| text + event + "\n")
+}
+
+/// An event of connection 1 at this time.
+fn passed(micros: u64, to: &str, content: &str) -> String {
+    let digits: String = process::ascii(content).iter().map(|byte| format!("{byte:02x}")).collect();
+    format!("{{\"us\":{micros},\"connection\":1,\"to\":\"{to}\",\"bytes\":\"{digits}\"}}")
+}
+
+/// Before: the copy was the reply to the second request, and so was the frame of three values: 2 of 3
+/// replies differed, with status 7.
+#[test]
+fn doubled_and_late_replies_are_not_those_of_other_requests() {
+    let folder = Folder::new("replay-doubled");
+    let file = folder.file("a.recording");
+    let exchanges = [("014601R00000", "014600007"), ("014601R00001", "014600008"), ("014601R00002", "014600009")];
+    let exchange = |(i, (request, reply)): (u64, (&str, &str))| {
+        [passed(2000 * i, "plc", request), passed(2000 * i + 1000, "client", reply)]
+    };
+    let events: Vec<String> = (0..).zip(exchanges).flat_map(exchange).collect();
+    let events: Vec<&str> = events.iter().map(String::as_str).collect();
+    fs::write(&file, recording("ascii", &events)).unwrap();
+    let plc = ScriptedPlc::start(|request| match &request[11..13] {
+        b"00" => process::ascii("014600007"),
+        b"01" => ["014600007", "014600008"].map(process::ascii).concat(),
+        _ => ["01460000100020003", "014600009"].map(process::ascii).concat(),
+    });
+    let same = fatek(&["replay", &file, "--link", &plc.url]);
+    assert_eq!((same.status, same.stdout.as_str()), (0, ""), "{same:?}");
+    // An equal reply to another request is one, if nothing else comes.
+    let plc = ScriptedPlc::start(|_| process::ascii("014600007"));
+    let other = fatek(&["replay", &file, "--link", &plc.url]);
+    assert!(other.stderr.ends_with("error: 2 of 3 replies differ\n"), "{other:?}");
+}
+
+/// Before: it waited without end after the first request.
+#[test]
+fn pauses_without_end_are_refused_before_anything_is_sent() {
+    let folder = Folder::new("replay-pause");
+    let file = folder.file("a.recording");
+    let events = [passed(0, "plc", "014601R00000"), passed(u64::MAX, "plc", "014601R00001")];
+    fs::write(&file, recording("ascii", &events.each_ref().map(String::as_str))).unwrap();
+    let plc = ScriptedPlc::start(|_| process::ascii("014600007"));
+    let refused = fatek(&["replay", &file, "--link", &plc.url, "--timing", "recorded"]);
+    assert_eq!(refused.status, 7, "{refused:?}");
+    assert!(refused.stderr.contains("the most is 24 h; give --timing fast"), "{refused:?}");
+    assert!(plc.received().is_empty());
+}
+
+/// Before: status 0, since a serial port that ended was a connection that ended.
+#[cfg(feature = "serial")]
+#[test]
+fn a_recording_of_a_serial_port_fails_with_its_link() {
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+    let folder = Folder::new("record-serial");
+    let terminal = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&terminal).unwrap();
+    unlockpt(&terminal).unwrap();
+    let path = ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
+    let listen = format!("serial:{path}");
+    let failed =
+        fatek(&["record", &folder.file("a"), "--listen", &listen, "--link", "tcp://127.0.0.1:1", "--timeout", "1s"]);
+    assert_eq!(failed.status, 5, "{failed:?}");
+    assert!(failed.stderr.contains("cannot connect to tcp://127.0.0.1:1"), "{failed:?}");
+}
+
+/// Before: `neither a recording, nor a capture, nor a log of -vv`.
+#[test]
+fn a_log_with_other_lines_before_it_is_replayed() {
+    let (folder, sim) = (Folder::new("replay-log"), Sim::start(&["--set", "R0=7"]));
+    let file = folder.file("a.log");
+    let logged = sim.fatek(&["-vv", "read", "R0"]);
+    fs::write(&file, format!("warning: x\n{}", logged.stderr)).unwrap();
+    assert_eq!(fatek(&["replay", &file, "--link", &sim.url]).status, 0);
+}
+
+/// Before: the reply was neither passed on nor recorded, 2 s after the client had closed its direction.
+#[test]
+fn a_reply_after_the_client_has_closed_its_direction_is_passed_on() {
+    let folder = Folder::new("record-half");
+    let file = folder.file("a.recording");
+    let plc = TcpListener::bind("127.0.0.1:0").unwrap();
+    let link = format!("tcp://{}", plc.local_addr().unwrap());
+    let recorder = Listening::start(&["record", &file, "--link", &link]);
+    let mut client = TcpStream::connect(recorder.url.strip_prefix("tcp://").unwrap()).unwrap();
+    client.write_all(&process::ascii("014601R00000")).unwrap();
+    client.shutdown(Shutdown::Write).unwrap();
+    let (mut stream, _) = plc.accept().unwrap();
+    let mut request = Vec::new();
+    // The end of the client is passed on.
+    stream.read_to_end(&mut request).unwrap();
+    assert_eq!(request, process::ascii("014601R00000"));
+    // Longer than the limit was before.
+    thread::sleep(Duration::from_millis(2500));
+    stream.write_all(&process::ascii("014600007")).unwrap();
+    drop(stream);
+    let mut reply = Vec::new();
+    client.read_to_end(&mut reply).unwrap();
+    assert_eq!(reply, process::ascii("014600007"));
+    assert_eq!(recorder.end("INT").0, Some(0));
+    assert!(fatek(&["decode", "--file", &file]).ok().contains("read registers (46h) R0: 7"));
 }

@@ -40,7 +40,7 @@ pub(crate) fn decode(args: &DecodeArgs, output: &Output) -> Result<(), Failure> 
         (None, []) => {
             return Err(Failure::Usage("no bytes: give HEX, --file FILE, or - for the standard input".to_owned()));
         }
-        (None, hex) => return text(&hex.join(" "), args, output),
+        (None, hex) => return text(&shapes::join(hex), args, output),
     };
     let kind = source.kind()?;
     if kind != SourceKind::Other {
@@ -48,7 +48,7 @@ pub(crate) fn decode(args: &DecodeArgs, output: &Output) -> Result<(), Failure> 
     }
     let content = source.read_all()?;
     if !is_text(&content) {
-        return frames(&content, args, output);
+        return frames(&[content], args, output);
     }
     text(&String::from_utf8_lossy(&content), args, output)
 }
@@ -68,7 +68,7 @@ fn conversation(source: &mut Source, kind: SourceKind, args: &DecodeArgs, output
     if source.is_stdin() {
         Stop::new()?;
     }
-    let mut analysis = Analysis::new(args.framing);
+    let mut analysis = Analysis::new(args.framing.or(kind.framing()));
     let mut printer = Printer::new(output, args.fields);
     let mut entries = Vec::new();
     let read = source.read(kind, &args.ports, &mut |event| {
@@ -89,17 +89,27 @@ fn conversation(source: &mut Source, kind: SourceKind, args: &DecodeArgs, output
     read.and(decoded)
 }
 
-/// Explains frames field by field. Of a whole packet, which begins with no frame, it takes the payload.
-fn frames(bytes: &[u8], args: &DecodeArgs, output: &Output) -> Result<(), Failure> {
+/// Explains the frames of strings of bytes field by field. Of a whole packet, which begins with no
+/// frame, it takes the payload.
+fn frames(strings: &[Vec<u8>], args: &DecodeArgs, output: &Output) -> Result<(), Failure> {
     let begins_with_frame = |bytes: &[u8]| !matches!(split::pieces(bytes, args.framing)[..], [Piece::Noise(_), ..]);
-    let payload = payload(bytes).filter(|payload| !begins_with_frame(bytes) && begins_with_frame(payload));
-    if let Some(payload) = payload {
-        let headers = bytes.len() - payload.len();
-        output.remark(format_args!("{headers} bytes of a packet around its payload are left out"));
+    let mut headers = 0;
+    let mut pieces = Vec::new();
+    for bytes in strings {
+        let is_payload = |payload: &&[u8]| {
+            // Of several packets, some acknowledge only.
+            let is_good = if payload.is_empty() { strings.len() > 1 } else { begins_with_frame(payload) };
+            is_good && !begins_with_frame(bytes)
+        };
+        let payload = payload(bytes).filter(is_payload).unwrap_or(bytes);
+        headers += bytes.len() - payload.len();
+        pieces.extend(split::pieces(payload, args.framing));
     }
-    let bytes = payload.unwrap_or(bytes);
-    let explanations: Vec<Explanation> =
-        split::pieces(bytes, args.framing).into_iter().map(|piece| explain::explain(&piece)).collect();
+    if headers > 0 {
+        let packets = if strings.len() > 1 { "packets around their payloads" } else { "a packet around its payload" };
+        output.remark(format_args!("{headers} bytes of {packets} are left out"));
+    }
+    let explanations: Vec<Explanation> = pieces.iter().map(explain::explain).collect();
     match output.format {
         Format::Table => print_tables(&explanations)?,
         Format::Json => output.json(&explanations.iter().map(json).collect())?,

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use fatek::Endpoint;
-use fatek::endpoint::EndpointStream;
+use fatek::endpoint::{EndpointStream, SerialSettings};
 use fatek::wire::Framing;
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::time;
@@ -23,7 +23,7 @@ pub(crate) const MAX_DATAGRAM_LEN: usize = 65_536;
 pub(crate) enum Listener {
     Tcp(TcpListener),
     Udp(UdpSocket),
-    Serial(EndpointStream),
+    Serial(EndpointStream, SerialSettings),
 }
 
 impl Listener {
@@ -39,7 +39,7 @@ impl Listener {
             PlaceKind::Udp(address) => UdpSocket::bind(address).await.map(Self::Udp),
             PlaceKind::Serial(path, settings) => {
                 let endpoint = Endpoint::serial(path).with_framing(framing).with_serial(settings);
-                endpoint.map_err(Failure::usage)?.open().await.map(Self::Serial)
+                endpoint.map_err(Failure::usage)?.open().await.map(|port| Self::Serial(port, settings))
             }
         };
         let failed = |error| Failure::Listen { url: url.to_owned(), error };
@@ -47,7 +47,7 @@ impl Listener {
         let url = match &listener {
             Self::Tcp(listener) => format!("tcp://{}", listener.local_addr().map_err(failed)?),
             Self::Udp(socket) => format!("udp://{}", socket.local_addr().map_err(failed)?),
-            Self::Serial(_) => url.to_owned(),
+            Self::Serial(..) => url.to_owned(),
         };
         Ok((listener, url))
     }

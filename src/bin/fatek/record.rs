@@ -32,6 +32,8 @@ pub(crate) async fn record(
     }
     let mut stop = Stop::new()?;
     let (listener, url) = Listener::bind(&args.listen, endpoint.framing()).await?;
+    // Before the file is made: after a wrong host, it must not exist.
+    let plc = datagrams::resolve(&endpoint).await?;
     let writer = RecordingWriter::create(&args.file, &endpoint, args.max_size)?;
     if writer.is_stdout() {
         output.remark(format_args!("listening {url}"));
@@ -41,8 +43,11 @@ pub(crate) async fn record(
     let passing = async {
         match listener {
             Listener::Tcp(listener) => streams::pass_connections(listener, &endpoint, timeout, &writer, output).await,
-            Listener::Udp(socket) => datagrams::pass(socket, &endpoint, &writer).await,
-            Listener::Serial(port) => streams::pass_port(port, &args.listen, &endpoint, timeout, &writer, output).await,
+            Listener::Udp(socket) => datagrams::pass(socket, plc, &endpoint, &writer).await,
+            Listener::Serial(port, settings) => {
+                let client = streams::SerialClient { port, settings, url: &args.listen };
+                Err(streams::pass_port(client, &endpoint, timeout, &writer).await)
+            }
         }
     };
     let ended = tokio::select! {

@@ -12,7 +12,7 @@ use fatek::wire::Framing;
 
 use self::answers::Answers;
 use self::script::{Script, ScriptedRequest};
-use crate::args::{ReplayArgs, WritesArg};
+use crate::args::{ReplayArgs, TimingArg, WritesArg};
 use crate::confirm::{can_be_confirmed, confirm};
 use crate::conversation::Entry;
 use crate::failure::Failure;
@@ -25,6 +25,9 @@ use crate::transfer::shown;
 
 /// Longest recording, which is held in memory.
 const MAX_ENTRIES: usize = 1_000_000;
+
+/// Longest pause between two requests that is repeated.
+const MAX_PAUSE: Duration = Duration::from_secs(24 * 3600);
 
 /// Sends the recorded requests, and compares the replies.
 pub(crate) async fn send(
@@ -40,6 +43,7 @@ pub(crate) async fn send(
     if args.consent.dry_run {
         return dry_run(&script.steps, output);
     }
+    check_pauses(&script, args)?;
     let mut stop = Stop::new()?;
     let mut replay = client::Replay::new(endpoint, timeout, args.timing);
     let mut rows = Rows::new(["request", "station", "sent", "recorded", "now"]);
@@ -111,6 +115,18 @@ fn check_framing(recorded: &[Entry], of_framing: usize, framing: Framing, args: 
         Some(_) | None => "it has no requests".to_owned(),
     };
     Err(TrafficFailure::Damaged { name, rule }.into())
+}
+
+/// Refuses pauses that are too long to repeat, as of a wrong clock, before anything is sent.
+fn check_pauses(script: &Script, args: &ReplayArgs) -> Result<(), Failure> {
+    let longest = script.longest_pause();
+    if args.timing == TimingArg::Fast || longest <= MAX_PAUSE {
+        return Ok(());
+    }
+    let hours = MAX_PAUSE.as_secs() / 3600;
+    let rule =
+        format!("a pause of {} s between two requests: the most is {hours} h; give --timing fast", longest.as_secs());
+    Err(TrafficFailure::Damaged { name: shown(&args.file), rule }.into())
 }
 
 /// Applies `--writes`. Asks before requests that may change the PLC are sent.

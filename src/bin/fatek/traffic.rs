@@ -39,11 +39,12 @@ impl fmt::Debug for Source {
     }
 }
 
-/// SourceKind of a source, by its first bytes.
+/// Kind of a source, told by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SourceKind {
     Capture(capture::Form),
-    Recording,
+    /// With the framing that its first line names.
+    Recording(Option<Framing>),
     /// Log lines, the first of which has a time.
     Log,
     /// Text or bytes of another kind.
@@ -157,7 +158,7 @@ impl Source {
         let reader = &mut self.reader;
         let read = match kind {
             SourceKind::Capture(form) => capture::read(reader, form, ports, sink),
-            SourceKind::Recording => recording::read(reader, sink),
+            SourceKind::Recording(_) => recording::read(reader, sink),
             SourceKind::Log | SourceKind::Other => log::read(reader, sink),
         };
         read.map_err(|error| match error {
@@ -176,6 +177,14 @@ impl Source {
 }
 
 impl SourceKind {
+    /// Framing that the source names.
+    pub(crate) fn framing(self) -> Option<Framing> {
+        match self {
+            Self::Recording(framing) => framing,
+            Self::Capture(_) | Self::Log | Self::Other => None,
+        }
+    }
+
     fn of(head: &[u8]) -> Self {
         if let Some(form) = capture::Form::of(head) {
             return Self::Capture(form);
@@ -183,7 +192,7 @@ impl SourceKind {
         let first = head.split(|&byte| byte == b'\n').next().unwrap_or_default();
         let first = String::from_utf8_lossy(first);
         if recording::is_header(&first) {
-            Self::Recording
+            Self::Recording(recording::framing_of(&first))
         } else if log::has_time(&first) {
             Self::Log
         } else {
@@ -208,7 +217,7 @@ pub(crate) fn is_log(text: &str) -> bool {
 /// The payload of a whole packet of TCP or UDP, from Ethernet or IP on, as programs that show packets copy
 /// it; `None` for other bytes.
 pub(crate) fn payload(bytes: &[u8]) -> Option<&[u8]> {
-    packet::payload(bytes).filter(|payload| !payload.is_empty())
+    packet::payload(bytes)
 }
 
 /// Returns whether the standard input is a pipe or a file.
@@ -216,19 +225,25 @@ pub(crate) fn stdin_is_piped() -> bool {
     !io::stdin().is_terminal()
 }
 
-/// Reads a whole source, and returns its entries and the name of its connections.
+/// Reads a whole source, and returns its entries. Its framing is this one, else that of a recording.
 pub(crate) fn entries(
     source: &mut Source,
     ports: &[u16],
     framing: Option<Framing>,
     max: usize,
 ) -> Result<Vec<Entry>, Failure> {
-    let kind = source.kind()?;
-    if let SourceKind::Other = kind {
-        let rule = "neither a recording, nor a capture, nor a log of -vv".to_owned();
-        return Err(source.failure(SourceError::Content(rule)));
+    let mut kind = source.kind()?;
+    if kind == SourceKind::Other {
+        // A log may begin with other lines.
+        let content = source.read_all()?;
+        if !is_text(&content) || !is_log(&String::from_utf8_lossy(&content)) {
+            let rule = "neither a recording, nor a capture, nor a log of -vv".to_owned();
+            return Err(source.failure(SourceError::Content(rule)));
+        }
+        *source = Source::of_bytes(&source.name, content);
+        kind = SourceKind::Log;
     }
-    let (mut analysis, mut entries) = (Analysis::new(framing), Vec::new());
+    let (mut analysis, mut entries) = (Analysis::new(framing.or(kind.framing())), Vec::new());
     let name = source.name.clone();
     source.read(kind, ports, &mut |event| {
         analysis.push(event, &mut entries);

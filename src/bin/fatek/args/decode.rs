@@ -29,6 +29,7 @@ Results of conversations:
   no reply     before a later request was answered, or before the end
   retried      no reply before the same request came again
   wrong reply  reply of another length or kind than the request asks for
+  ambiguous    reply to this request, or to the one before or after
   doubled      copy of the last reply of the station
   late         reply to a request that was given up or retried
   unexpected   reply without a request

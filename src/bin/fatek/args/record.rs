@@ -10,7 +10,7 @@ use super::LinkArgs;
 /// Record a conversation between another client and a PLC
 ///
 /// Listens like a PLC, and passes the bytes of each connection on to the PLC and back, unchanged, until
-/// Ctrl-C. Each event is on the disk at once. The file is text, one JSON object per line; `decode`
+/// Ctrl-C. Each event is written at once. The file is text, one JSON object per line; `decode`
 /// explains it, `replay` repeats it. An existing file is not replaced.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -18,7 +18,8 @@ use super::LinkArgs;
   fatek record b.recording --listen serial:/dev/ttyS1 --link serial:/dev/ttyS0
   fatek record - --listen udp://0.0.0.0:500 --link udp://10.0.0.3 | fatek decode
 
-Over a serial port one client is connected at a time.")]
+Over a serial port one client is connected at a time. When one end closes its
+connection, the other has 30 s more for the rest, a PLC at a serial port 2 s.")]
 pub(crate) struct RecordArgs {
     /// File of the recording, which must not exist; - for stdout
     #[arg(value_name = "FILE", value_hint = ValueHint::FilePath)]

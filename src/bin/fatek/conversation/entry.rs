@@ -58,6 +58,8 @@ pub(crate) struct Answer {
     pub(crate) round_trip: Duration,
     pub(crate) reply: SeenFrame,
     pub(crate) verdict: Verdict,
+    /// It may also be the reply to the request before or after.
+    pub(crate) is_ambiguous: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -103,11 +103,16 @@ impl Framer {
         let OneWay { codec, buffer, .. } = self.one_way(direction);
         let codec = codec.get_or_insert_with(|| Codec::new(framing, side));
         loop {
-            let before = Bytes::copy_from_slice(buffer);
+            let before = buffer.to_vec();
             // The codecs do no I/O, so they return no errors.
             let item = if ends { codec.decode_eof(buffer) } else { codec.decode(buffer) };
-            let Some(received) = item.ok().flatten() else { break };
-            let bytes = before.slice(..before.len().saturating_sub(buffer.len()));
+            let Some(mut received) = item.ok().flatten() else { break };
+            let consumed = before.get(..before.len().saturating_sub(buffer.len())).unwrap_or_default();
+            // Copies: a part of the buffer keeps all of it in memory.
+            let bytes = Bytes::copy_from_slice(consumed);
+            if let Received::Frame(frame) = &mut received {
+                frame.data = Bytes::copy_from_slice(&frame.data);
+            }
             framed.push(Framed { direction, at, received, bytes, framing });
         }
     }

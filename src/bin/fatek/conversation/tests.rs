@@ -61,7 +61,8 @@ fn line(entry: &Entry) -> String {
                         Verdict::Unknown => "unknown".to_owned(),
                         Verdict::Mismatch(rule) => format!("mismatch {rule}"),
                     };
-                    format!("{verdict} after {}", answer.round_trip.as_millis())
+                    let ambiguous = if answer.is_ambiguous { "ambiguous " } else { "" };
+                    format!("{ambiguous}{verdict} after {}", answer.round_trip.as_millis())
                 }
                 Outcome::Unanswered => "unanswered".to_owned(),
                 Outcome::Retried => "retried".to_owned(),
@@ -146,28 +147,108 @@ fn a_reply_answers_the_oldest_request_that_it_fits() {
 #[test]
 fn a_lost_reply_does_not_shift_the_others() {
     let mut talk = Talk::new();
+    talk.asks(0, R0).replies(2, "014600009");
     // The reply to R0 is lost, and the client goes on after its timeout.
-    talk.asks(0, R0).asks(300, R1).replies(301, "014600001");
+    talk.asks(10, R0).asks(310, R1).replies(311, "014600001");
     // A reply is damaged, and the client goes on at once.
-    talk.asks(310, R0).bytes(311, Direction::FromPlc, b"\x02014600017FF\x03").asks(312, R1).replies(313, "014600002");
+    talk.asks(320, R0).bytes(321, Direction::FromPlc, b"\x02014600017FF\x03").asks(322, R1).replies(323, "014600002");
     // The capture lacks a reply.
-    talk.asks(320, R0);
+    talk.asks(330, R0);
     let change = Change::Missing { direction: Direction::FromPlc, count: 13 };
-    talk.analysis.push(Event { connection: 1, at: Duration::from_millis(321), change }, &mut talk.entries);
-    talk.asks(322, R1).replies(323, "014600003");
+    talk.analysis.push(Event { connection: 1, at: Duration::from_millis(331), change }, &mut talk.entries);
+    talk.asks(332, R1).replies(333, "014600003");
     assert_eq!(
         talk.lines(),
         [
-            "0 #1 read registers (46h) R0: unanswered",
-            "300 #1 read registers (46h) R1: 1 after 1",
-            "311 bad from the PLC: \\x02014600017FF\\x03",
-            "310 #1 read registers (46h) R0: unanswered",
-            "312 #1 read registers (46h) R1: 2 after 1",
-            "321 missing from the PLC: 13",
+            "0 #1 read registers (46h) R0: 9 after 2",
+            "10 #1 read registers (46h) R0: unanswered",
+            "310 #1 read registers (46h) R1: 1 after 1",
+            "321 bad from the PLC: \\x02014600017FF\\x03",
             "320 #1 read registers (46h) R0: unanswered",
-            "322 #1 read registers (46h) R1: 3 after 1",
+            "322 #1 read registers (46h) R1: 2 after 1",
+            "331 missing from the PLC: 13",
+            "330 #1 read registers (46h) R0: unanswered",
+            "332 #1 read registers (46h) R1: 3 after 1",
         ]
     );
+}
+
+/// Before: `R0: unanswered`, `R1: 10 after 60` and `Late(180ms) "0000B"`.
+#[test]
+fn replies_of_a_slow_station_are_paired_in_order() {
+    let mut talk = Talk::new();
+    talk.asks(0, R0).asks(60, R1).replies(120, "01460000A").replies(180, "01460000B");
+    assert_eq!(
+        talk.lines(),
+        ["0 #1 read registers (46h) R0: 10 after 120", "60 #1 read registers (46h) R1: 11 after 120"]
+    );
+    // With another request between the replies.
+    let mut talk = Talk::new();
+    talk.asks(0, R0).asks(60, R1).replies(120, "01460000A").asks(121, "014601R00002").replies(180, "01460000B");
+    talk.replies(240, "01460000C");
+    assert_eq!(
+        talk.lines(),
+        [
+            "0 #1 read registers (46h) R0: 10 after 120",
+            "60 #1 read registers (46h) R1: 11 after 120",
+            "121 #1 read registers (46h) R2: 12 after 119",
+        ]
+    );
+    // Three are open, and a reply comes after the client has given its request up.
+    let mut talk = Talk::new();
+    talk.asks(0, R0).asks(60, R1).asks(120, "014601R00002").replies(180, "01460000A").replies(240, "01460000B");
+    talk.replies(300, "01460000C").asks(400, R0).asks(1000, R1).replies(1010, "01460000D").replies(1011, "01460000E");
+    assert_eq!(
+        talk.lines(),
+        [
+            "0 #1 read registers (46h) R0: 10 after 180",
+            "60 #1 read registers (46h) R1: 11 after 180",
+            "120 #1 read registers (46h) R2: 12 after 180",
+            "400 #1 read registers (46h) R0: 13 after 610",
+            "1000 #1 read registers (46h) R1: 14 after 11",
+        ]
+    );
+}
+
+/// Before: the value was that of R1 without a mark.
+#[test]
+fn a_reply_that_may_belong_to_two_requests_is_ambiguous() {
+    let mut talk = Talk::new();
+    talk.asks(0, R0).asks(60, R1).replies(120, "01460000A");
+    assert_eq!(
+        talk.lines(),
+        ["0 #1 read registers (46h) R0: unanswered", "60 #1 read registers (46h) R1: ambiguous 10 after 60"]
+    );
+    // A copy looks the same as an equal reply.
+    let mut talk = Talk::new();
+    talk.asks(0, R0).asks(60, R1).replies(120, "01460000A").replies(121, "01460000A");
+    let lines = talk.lines();
+    assert!(lines.len() == 2 && lines.iter().all(|line| line.contains(": ambiguous 10 after ")), "{lines:?}");
+    // Nothing tells for a long time; a silence ends it.
+    let mut talk = Talk::new();
+    talk.asks(0, R0).asks(60, R1).replies(120, "01460000A");
+    for number in 0..20 {
+        talk.asks(121 + 60 * number, &format!("014601R{number:05}")).replies(180 + 60 * number, "01460000B");
+    }
+    talk.asks(3000, R0).replies(3060, "01460000C");
+    let lines = talk.lines();
+    let ambiguous = lines.iter().filter(|line| line.contains(": ambiguous ")).count();
+    assert_eq!((lines.len(), ambiguous), (23, 21), "{lines:?}");
+    assert_eq!(lines.last().unwrap(), "3000 #1 read registers (46h) R0: 12 after 60");
+}
+
+#[test]
+fn round_trips_tell_whether_a_request_is_given_up() {
+    // No round trip is known when the first reply is lost.
+    let mut talk = Talk::new();
+    talk.asks(0, R0);
+    for number in 1..6 {
+        talk.asks(300 + 20 * number, &format!("014601R{number:05}")).replies(301 + 20 * number, "014600001");
+    }
+    let lines = talk.lines();
+    assert_eq!(lines.len(), 6, "{lines:?}");
+    assert!(lines[0].ends_with("R0: unanswered"), "{lines:?}");
+    assert!(lines[1..].iter().all(|line| line.ends_with(": 1 after 1")), "{lines:?}");
 }
 
 #[test]

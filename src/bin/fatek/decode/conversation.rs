@@ -14,6 +14,7 @@ use super::split::pieces;
 use crate::conversation::{Change, Entry, Event, Found, Outcome, Timestamp};
 use crate::failure::Failure;
 use crate::output::{Format, Output, print};
+use crate::printable::excerpt;
 
 /// Prints the entries of a conversation as they come.
 #[derive(Debug)]
@@ -122,7 +123,7 @@ impl<'o> Printer<'o> {
 
     fn line(&mut self, row: &Row) -> Result<(), Failure> {
         if let Some(ends) = self.ends.remove(&row.connection) {
-            print(format_args!("connection {}: {ends}", row.connection))?;
+            print(format_args!("connection {}: {}", row.connection, excerpt(&ends)))?;
         }
         let since = self.since(row);
         let trip = row.round_trip.map(millis).unwrap_or_default();
@@ -209,7 +210,8 @@ impl<'o> Printer<'o> {
     }
 
     fn summary(&self) -> String {
-        let exchanges = [Mark::Ok, Mark::Refused, Mark::NoReply, Mark::Retried, Mark::Broadcast, Mark::WrongReply];
+        let exchanges =
+            [Mark::Ok, Mark::Refused, Mark::NoReply, Mark::Retried, Mark::Broadcast, Mark::WrongReply, Mark::Ambiguous];
         let count = |mark: &Mark| self.counts.get(mark).copied().unwrap_or_default();
         let requests: usize = exchanges.iter().map(count).sum();
         let marks = self.counts.iter().filter(|&(&mark, _)| mark != Mark::Ok);

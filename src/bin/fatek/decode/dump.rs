@@ -9,45 +9,57 @@ const OFFSET_DIGITS: std::ops::RangeInclusive<usize> = 4..=8;
 /// Longest dump with repeated lines.
 const MAX_LEN: usize = 1024 * 1024;
 
-/// Parses a dump. `None` if the text is none: its first line does not begin with offset 0.
-pub(super) fn parse(text: &str) -> Option<Result<Vec<u8>, String>> {
-    let mut lines = text.lines().filter(|line| !line.trim().is_empty()).peekable();
-    let first = Line::split(lines.peek()?)?;
+/// Parses a dump into the bytes of its blocks, each of which begins with offset 0. `None` if the text is
+/// none: no line begins with offset 0, or others are before it that have bytes.
+///
+/// Lines without an offset are allowed before a block, such as the headers of `tcpdump`.
+pub(super) fn parse(text: &str) -> Option<Result<Vec<Vec<u8>>, String>> {
+    let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).collect();
+    let start = lines.iter().position(|line| Line::split(line).is_some())?;
+    let first = Line::split(lines.get(start)?)?;
     let is_marked = first.is_marked || first.rest.starts_with("  ");
-    if first.offset != 0 || first.rest.trim().is_empty() || !(is_marked || lines.clone().nth(1).is_some()) {
+    let is_long = start == 0 && lines.len() > 1;
+    if first.offset != 0 || first.rest.trim().is_empty() || !(is_marked || is_long) {
         return None;
     }
-    let (mut bytes, mut in_block) = (Vec::new(), 0_usize);
+    let (mut blocks, mut block): (Vec<Vec<u8>>, Vec<u8>) = (Vec::new(), Vec::new());
     let (mut last, mut is_repeated): (Vec<u8>, bool) = (Vec::new(), false);
-    for (number, line) in (1..).zip(lines) {
-        let rule = |rule: &str| format!("line {number} of the dump, `{}`: {rule}", excerpt(line.trim()));
+    let mut len = 0_usize;
+    for (at, line) in lines.iter().enumerate().skip(start) {
+        let rule = |rule: &str| Err(format!("line {} of the dump, `{}`: {rule}", at + 1, excerpt(line.trim())));
         if line.trim() == "*" && !last.is_empty() {
             is_repeated = true;
             continue;
         }
-        let Some(split) = Line::split(line) else { return Some(Err(rule("it does not begin with an offset"))) };
+        let Some(split) = Line::split(line) else {
+            let mut behind = lines.iter().skip(at).filter_map(|line| Line::split(line));
+            if behind.next().is_some_and(|next| next.offset == 0) {
+                continue;
+            }
+            return Some(rule("it does not begin with an offset"));
+        };
         // `*` stands for lines equal to the last one.
-        while std::mem::take(&mut is_repeated) && in_block + last.len() <= split.offset.min(MAX_LEN) {
-            in_block += last.len();
-            bytes.extend_from_slice(&last);
+        while std::mem::take(&mut is_repeated) && block.len() + last.len() <= split.offset && len <= MAX_LEN {
+            len += last.len();
+            block.extend_from_slice(&last);
             is_repeated = true;
         }
-        // Each packet of a dump begins with offset 0.
         if split.offset == 0 {
-            in_block = 0;
-        } else if split.offset != in_block && split.octal != Some(in_block) {
-            return Some(Err(rule(&format!("its offset is not that of the next byte, {in_block:04x}"))));
+            blocks.push(std::mem::take(&mut block));
+        } else if split.offset != block.len() && split.octal != Some(block.len()) {
+            return Some(rule(&format!("its offset is not that of the next byte, {:04x}", block.len())));
         }
         match of_line(split.rest) {
             Some(of_line) => {
-                in_block += of_line.len();
-                bytes.extend_from_slice(&of_line);
+                block.extend_from_slice(&of_line);
                 last = of_line;
             }
-            None => return Some(Err(rule("behind the offset, it has no pairs of hexadecimal digits"))),
+            None => return Some(rule("behind the offset, it has no pairs of hexadecimal digits")),
         }
     }
-    Some(Ok(bytes))
+    blocks.push(block);
+    blocks.retain(|block| !block.is_empty());
+    Some(Ok(blocks))
 }
 
 /// A line behind its offset.
@@ -79,9 +91,14 @@ impl<'l> Line<'l> {
 
 /// Bytes of a line, without the characters behind them.
 fn of_line(text: &str) -> Option<Vec<u8>> {
-    // `hexdump -C` has the characters between bars.
-    if let Some((bytes, _)) = text.split_once('|') {
-        return pairs(bytes);
+    // `hexdump -C` has the characters between bars, which may be characters themselves.
+    if let Some(barred) = text.trim_end().strip_suffix('|') {
+        let bars = barred.match_indices('|').map(|(at, _)| at);
+        let parts = bars.filter_map(|at| Some((pairs(barred.get(..at)?)?, barred.get(at + 1..)?)));
+        let found = parts.filter(|(bytes, _)| !bytes.is_empty());
+        if let Some((bytes, _)) = { found }.find(|(bytes, characters)| is_characters_of(characters, bytes)) {
+            return Some(bytes);
+        }
     }
     // Two blanks are before the characters, which are as many as the bytes, and perhaps one more blank
     // in their middle. Two blanks can be in the middle of the bytes, too.
@@ -143,11 +160,9 @@ mod tests {
 
     #[track_caller]
     fn assert_is_dump(text: &str, bytes: &[u8]) {
-        assert_eq!(
-            parse(text).unwrap().unwrap().escape_ascii().to_string(),
-            bytes.escape_ascii().to_string(),
-            "{text}"
-        );
+        let blocks = parse(text).unwrap().unwrap();
+        assert_eq!(blocks.len(), 1, "{text}");
+        assert_eq!(blocks.concat().escape_ascii().to_string(), bytes.escape_ascii().to_string(), "{text}");
     }
 
     #[test]
@@ -211,7 +226,22 @@ mod tests {
 
     #[test]
     fn packets_of_a_dump_begin_with_offset_0() {
-        assert_is_dump("0000  02 03  ..\n\n0000  02 03  ..\n0002  06  .\n", b"\x02\x03\x02\x03\x06");
+        let expected = Ok(vec![b"\x02\x03".to_vec(), b"\x02\x03\x06".to_vec()]);
+        assert_eq!(parse("0000  02 03  ..\n\n0000  02 03  ..\n0002  06  .\n"), Some(expected.clone()));
+        // Before: `line 1 of the dump … is not hexadecimal`, as no dump.
+        let headers = "12:00:00.5 IP 10.0.0.9.4000 > 10.0.0.3.500: Flags [P.], length 2\n\t0x0000:  0203  ..\n\
+                       12:00:00.6 IP 10.0.0.3.500 > 10.0.0.9.4000: Flags [P.], length 3\n\t0x0000:  0203  ..\n\
+                       \t0x0002:  06  .\n";
+        assert_eq!(parse(headers), Some(expected));
+    }
+
+    /// Before: 61 62 7C AB for the first, and the last was refused.
+    #[test]
+    fn bars_can_be_bytes() {
+        assert_is_dump("00000000: 6162 7c                                  ab|\n", b"ab|");
+        assert_is_dump("00000000: 7c61 627c                                |ab|\n", b"|ab|");
+        assert_is_dump("00000000  51 10 7c 02  |Q.|.|\n", b"\x51\x10\x7c\x02");
+        assert_is_dump("0000  51 7c 10 7c  Q|.|\n", b"\x51\x7c\x10\x7c");
     }
 
     #[test]

@@ -16,6 +16,7 @@ pub(super) enum Mark {
     Retried,
     Broadcast,
     WrongReply,
+    Ambiguous,
     Doubled,
     Late,
     Unexpected,
@@ -32,6 +33,7 @@ impl Mark {
             Self::Retried => "retried",
             Self::Broadcast => "broadcast",
             Self::WrongReply => "wrong reply",
+            Self::Ambiguous => "ambiguous",
             Self::Doubled => "doubled",
             Self::Late => "late",
             Self::Unexpected => "unexpected",
@@ -120,7 +122,7 @@ impl Row {
             Outcome::Retried => return Self { mark: Mark::Retried, ..row },
             Outcome::Broadcast => return Self { mark: Mark::Broadcast, ..row },
         };
-        let Answer { round_trip, reply, verdict } = answer;
+        let Answer { round_trip, reply, verdict, is_ambiguous } = answer;
         let mut faults = row.faults;
         let (mark, text) = match verdict {
             Verdict::Values(values) => (Mark::Ok, values.clone()),
@@ -131,6 +133,7 @@ impl Row {
                 (Mark::WrongReply, reply.text())
             }
         };
+        let mark = if *is_ambiguous && mark != Mark::WrongReply { Mark::Ambiguous } else { mark };
         let (round_trip, reply_bytes) = (Some(*round_trip), Some(spaced(&reply.bytes)));
         Self { mark, round_trip, reply: Some(text), reply_bytes, faults, ..row }
     }

@@ -2,23 +2,38 @@
 //! languages, and hexadecimal dumps.
 
 use super::{dump, hex};
+use crate::printable::excerpt;
 use crate::traffic::unescape;
 
-/// Parses a text. The error names the place and the rule.
-pub(super) fn parse(text: &str) -> Result<Vec<u8>, String> {
+/// Parses a text into strings of bytes: one, or each packet of a dump. The error names the place and the
+/// rule.
+pub(super) fn parse(text: &str) -> Result<Vec<Vec<u8>>, String> {
     if let Some(dump) = dump::parse(text) {
         return dump;
     }
-    if text.contains(r"\x") {
-        return escaped(text);
-    }
-    match arrays(text) {
-        Some(digits) => hex::parse(&digits),
-        None => hex::parse(text),
-    }
+    let bytes = if is_escaped(text) {
+        escaped(text)
+    } else {
+        match arrays(text) {
+            Some(digits) => hex::parse(&digits?),
+            None => hex::parse(text),
+        }
+    };
+    Ok(vec![bytes?])
 }
 
-/// Parses escapes, in quotes or without. Between escapes without quotes, separators are allowed.
+/// Joins arguments to one text. Each one with escapes is a line of its own, since a blank would be a byte.
+pub(super) fn join(arguments: &[String]) -> String {
+    let separator = if arguments.iter().any(|argument| is_escaped(argument)) { "\n" } else { " " };
+    arguments.join(separator)
+}
+
+fn is_escaped(text: &str) -> bool {
+    text.contains(r"\x") || text.contains(r"\0")
+}
+
+/// Parses escapes, in quotes or without, of each line without its end. Between escapes without quotes,
+/// separators are allowed.
 fn escaped(text: &str) -> Result<Vec<u8>, String> {
     if let Some(strings) = quoted(text) {
         return strings.iter().map(|string| unescape(string)).collect::<Result<Vec<_>, _>>().map(|all| all.concat());
@@ -33,7 +48,12 @@ fn escaped(text: &str) -> Result<Vec<u8>, String> {
             return hex::parse(&digits);
         }
     }
-    unescape(text)
+    let lines = text.lines().map(|line| line.trim_matches([' ', '\t', '\r']));
+    let bytes = lines.map(|line| match quoted(line) {
+        Some(strings) => strings.iter().map(|string| unescape(string)).collect::<Result<Vec<_>, _>>(),
+        None => unescape(line).map(|bytes| vec![bytes]),
+    });
+    bytes.collect::<Result<Vec<_>, _>>().map(|all| all.concat().concat())
 }
 
 /// Contents of strings in double or single quotes, with nothing else between them than blanks, `+`,
@@ -58,8 +78,9 @@ fn quoted(text: &str) -> Option<Vec<String>> {
 }
 
 /// Digits of the arrays of a program: the content of each `{…}`, or of each `[…]` with nothing but digits
-/// and separators, without comments. `None` if there is no array.
-fn arrays(text: &str) -> Option<String> {
+/// and separators, without comments. `None` if there is no array. The error is that of a number without
+/// 0x, which is a decimal one in all these languages.
+fn arrays(text: &str) -> Option<Result<String, String>> {
     let code = without_comments(text);
     let contents = |open, close| -> Vec<String> {
         let begun = code.split(open).skip(1);
@@ -71,7 +92,14 @@ fn arrays(text: &str) -> Option<String> {
     let braces = contents('{', '}');
     let arrays = if braces.is_empty() { contents('[', ']') } else { braces.clone() };
     let is_array = !arrays.is_empty() && (!braces.is_empty() || arrays.iter().all(is_digits));
-    is_array.then(|| arrays.join(" ").replace('\'', " "))
+    if !is_array {
+        return None;
+    }
+    let digits = arrays.join(" ").replace('\'', " ");
+    let mut items = digits.split(|c: char| c == ',' || c.is_whitespace()).filter(|item| !item.is_empty());
+    let decimal = items.find(|item| !item.starts_with("0x") && !item.starts_with("0X"));
+    let rule = |item| format!("`{}` in an array: bytes of an array are written as 0x02", excerpt(item));
+    Some(decimal.map(rule).map_or(Ok(digits.clone()), Err))
 }
 
 /// The text without `/* … */`, and without `//` to the end of its line.
@@ -111,7 +139,7 @@ mod tests {
              0x32, 0x37, 0x35, 0x03 };",
             "00000000: 0230 3134 3630 3352 3030 3031 3237 3503  .014603R0001275.",
         ] {
-            assert_eq!(parse(text).as_deref(), Ok(FRAME), "{text}");
+            assert_eq!(parse(text).map(|strings| strings.concat()).as_deref(), Ok(FRAME), "{text}");
         }
     }
 
@@ -119,6 +147,10 @@ mod tests {
     fn wrong_texts_are_refused_with_a_rule() {
         for (text, rule) in [
             (r"\x0201\q", r"`\q` is no escape"),
+            // Before: the bytes 00 30 32, and 48 49 52.
+            (r"\002014603", r"`\0` is followed by a digit"),
+            ("{ 48, 49, 52 }", "`48` in an array: bytes of an array are written as 0x02"),
+            ("[2, 48]", "`2` in an array"),
             ("{ 0x02, 0xZZ }", "is not a hexadecimal digit"),
             ("{}", "has no bytes"),
             ("[31m 0x02", "`[31m 0x02` is not hexadecimal: character 1"),
@@ -128,6 +160,20 @@ mod tests {
             let error = parse(text).unwrap_err();
             assert!(error.contains(rule), "{text}: {error} should say: {rule}");
         }
+    }
+
+    /// Before: a line feed or a blank between them was a byte of no frame.
+    #[test]
+    fn escaped_frames_of_lines_and_arguments_are_parsed_each() {
+        let frame = r"\x02014603R0001275\x03".to_owned();
+        let quoted = format!("\"{frame}\"");
+        for [first, second] in [[&frame, &frame], [&quoted, &frame], [&frame, &quoted], [&quoted, &quoted]] {
+            let joined = super::join(&[first.clone(), second.clone()]);
+            for text in [joined, format!("{first}\r\n\r\n {second} \n")] {
+                assert_eq!(parse(&text), Ok(vec![[FRAME, FRAME].concat()]), "{text}");
+            }
+        }
+        assert_eq!(super::join(&["02".to_owned(), "30".to_owned()]), "02 30");
     }
 
     proptest::proptest! {

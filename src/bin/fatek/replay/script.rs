@@ -1,6 +1,9 @@
 //! The requests of a recording in their order, with the replies.
 
+use std::time::Duration;
+
 use bytes::Bytes;
+use fatek::command::ReplyError;
 use fatek::wire::{Frame, Framing};
 
 use crate::conversation::{Entry, Exchange, Found, Outcome, SeenFrame, Timestamp};
@@ -26,6 +29,13 @@ impl Script {
         // Stable: entries of one connection are in the order of their replies.
         steps.sort_by_key(|step| step.at);
         Self { steps }
+    }
+
+    /// Longest pause between two requests in the recording.
+    pub(super) fn longest_pause(&self) -> Duration {
+        let pauses =
+            self.steps.iter().zip(self.steps.iter().skip(1)).map(|(before, step)| step.at.saturating_sub(before.at));
+        pauses.max().unwrap_or_default()
     }
 }
 
@@ -55,6 +65,18 @@ impl ScriptedRequest {
 
     pub(super) fn is_broadcast(&self) -> bool {
         self.exchange.outcome == Outcome::Broadcast
+    }
+
+    /// Returns whether a frame is a reply to the request: of its station and command, and with data of
+    /// its form, unless the request is unknown.
+    pub(super) fn is_reply(&self, reply: &Frame, framing: Framing) -> bool {
+        let request = &self.exchange.request.frame;
+        (reply.station, reply.command) == (request.station, request.command)
+            && self
+                .exchange
+                .decoded
+                .as_ref()
+                .map_or(true, |request| matches!(request.decode_reply(reply, framing), Ok(_) | Err(ReplyError::Plc(_))))
     }
 
     fn reply(&self) -> Option<&Frame> {

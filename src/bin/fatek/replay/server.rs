@@ -62,7 +62,7 @@ impl Service {
         match listener {
             Listener::Tcp(listener) => self.serve_connections(&listener).await,
             Listener::Udp(socket) => self.serve_datagrams(&socket).await,
-            Listener::Serial(port) => {
+            Listener::Serial(port, _) => {
                 let error = self.serve_stream(port).await.err();
                 let error = error.unwrap_or_else(|| io::ErrorKind::UnexpectedEof.into());
                 Failure::Listen { url: "the serial port".to_owned(), error }

@@ -20,7 +20,7 @@ use crate::conversation::Timestamp;
 
 const BUFFER_LEN: usize = 64 * 1024;
 
-/// Longest block. PacketReader have at most 256 KiB.
+/// Longest block. Programs that capture write packets of at most 256 KiB.
 const MAX_BLOCK_LEN: usize = 4 * 1024 * 1024;
 
 /// Interfaces of a section of pcapng.

@@ -21,6 +21,10 @@ pub(crate) fn unescape(text: &str) -> Result<Vec<u8>, String> {
             Some('n') => b'\n',
             Some('r') => b'\r',
             Some('t') => b'\t',
+            // Octal in C, and `\0` with a digit behind it in other languages.
+            Some('0') if characters.as_str().starts_with(|next: char| next.is_ascii_digit()) => {
+                return Err("`\\0` is followed by a digit, which C reads as octal: write \\x02".to_owned());
+            }
             Some('0') => 0,
             Some(quoted @ ('\\' | '"' | '\'')) => quoted as u8,
             Some(other) => {
@@ -55,6 +59,7 @@ mod tests {
             (r"a\x0", "two hexadecimal digits"),
             (r"\xg0", "two hexadecimal digits"),
             (r"\q", r"`\q` is no escape"),
+            (r"\002", r"`\0` is followed by a digit"),
             ("\\", "ends with a single"),
             ("é", "'é' is no character of ASCII"),
         ] {

@@ -21,6 +21,9 @@ pub(crate) enum TrafficFailure {
     /// No stream to the PLC.
     #[error("cannot connect to {}: {error}", excerpt(url))]
     NotConnected { url: String, error: io::Error },
+    /// A connection of a recording that cannot be made again.
+    #[error("{}: lost: {error}", excerpt(ends))]
+    Lost { ends: String, error: io::Error },
 }
 
 impl TrafficFailure {
@@ -28,7 +31,7 @@ impl TrafficFailure {
     pub(crate) fn exit_status(&self) -> u8 {
         match self {
             Self::NotRead { .. } | Self::NotWritten { .. } | Self::Exists { .. } => 1,
-            Self::NotConnected { .. } => 5,
+            Self::NotConnected { .. } | Self::Lost { .. } => 5,
             Self::Damaged { .. } => 7,
         }
     }

@@ -88,8 +88,8 @@ impl<'p> Flows<'p> {
                     events.push(Event { connection: flow.number, at, change });
                 }
             }
-            Segment::Tcp { sequence, acknowledged, begins, ends } => {
-                let tcp = Tcp { sequence, acknowledged, begins, ends };
+            Segment::Tcp { sequence, acknowledged, begins, ends, resets } => {
+                let tcp = Tcp { sequence, acknowledged, begins, ends, resets };
                 self.tcp(key, direction, at, tcp, packet, &mut events);
             }
         }
@@ -130,8 +130,11 @@ impl<'p> Flows<'p> {
             let parts = flow.stream_mut(other).acknowledge(acknowledged);
             events.extend(flow.events(at, other, parts));
         }
-        if tcp.ends {
+        if tcp.ends || tcp.resets {
             flow.ended[usize::from(direction == Direction::ToPlc)] = true;
+            if tcp.resets {
+                flow.ended = [true; 2];
+            }
             if flow.ended == [true; 2]
                 && let Some(flow) = self.by_key.remove(&key)
             {
@@ -194,6 +197,7 @@ struct Tcp {
     acknowledged: Option<u32>,
     begins: bool,
     ends: bool,
+    resets: bool,
 }
 
 impl Flow {

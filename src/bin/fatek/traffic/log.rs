@@ -56,7 +56,9 @@ pub(super) fn read(reader: impl BufRead, sink: &mut Sink<'_>) -> Result<Remarks,
     let mut lines = Lines::new(reader);
     let mut links: BTreeMap<String, LoggedLink> = BTreeMap::new();
     let (mut connections, mut at) = (0, Timestamp::ZERO);
-    let (mut frames, mut unreadable) = (0_u64, Vec::new());
+    let mut frames = 0_u64;
+    // Line of the first frame that cannot be read, and number of the others.
+    let mut unreadable: Option<(u64, u64)> = None;
     while let Some(line) = lines.next()? {
         let text = without_colours(&line.text);
         let name = link_name(&text).to_owned();
@@ -71,7 +73,7 @@ pub(super) fn read(reader: impl BufRead, sink: &mut Sink<'_>) -> Result<Remarks,
         }
         let Some(logged) = Logged::parse(&text) else { continue };
         let Ok(logged) = logged else {
-            unreadable.push(line.number);
+            unreadable = Some(unreadable.map_or((line.number, 0), |(first, others)| (first, others + 1)));
             continue;
         };
         frames += 1;
@@ -94,13 +96,13 @@ pub(super) fn read(reader: impl BufRead, sink: &mut Sink<'_>) -> Result<Remarks,
         let change = Change::Bytes { direction, bytes, is_datagram: true };
         sink(Event { connection: link.connection, at, change }).map_err(ReadError::Sink)?;
     }
-    if frames == 0 && unreadable.is_empty() {
+    if frames == 0 && unreadable.is_none() {
         return Err(SourceError::Content("no line has a frame: frames are logged with -vv".to_owned()).into());
     }
-    Ok(match unreadable.as_slice() {
-        [] => Remarks::new(),
-        [first, rest @ ..] => {
-            let others = if rest.is_empty() { String::new() } else { format!(", and {} more", rest.len()) };
+    Ok(match unreadable {
+        None => Remarks::new(),
+        Some((first, others)) => {
+            let others = if others == 0 { String::new() } else { format!(", and {others} more") };
             vec![format!("line {first} has a frame that cannot be read{others}")]
         }
     })

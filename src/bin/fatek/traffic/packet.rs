@@ -40,8 +40,10 @@ pub(super) enum Segment {
         /// Next byte that the sender expects.
         acknowledged: Option<u32>,
         begins: bool,
-        /// FIN or RST.
+        /// FIN.
         ends: bool,
+        /// RST.
+        resets: bool,
     },
 }
 
@@ -108,7 +110,8 @@ fn of_ip<'a>(sliced: &LaxSlicedPacket<'a>) -> Result<Packet<'a>, Skipped> {
                 sequence: tcp.sequence_number(),
                 acknowledged: tcp.ack().then(|| tcp.acknowledgment_number()),
                 begins: tcp.syn(),
-                ends: tcp.fin() || tcp.rst(),
+                ends: tcp.fin(),
+                resets: tcp.rst(),
             };
             ((tcp.source_port(), tcp.destination_port()), segment, tcp.payload())
         }
@@ -161,7 +164,7 @@ mod tests {
             let packet = parse(link_type, &data).unwrap_or_else(|skipped| panic!("{link_type}: {skipped:?}"));
             let ports = (packet.from.port(), packet.to.port());
             assert_eq!((ports, packet.payload, packet.missing), ((4000, 500), PAYLOAD, 0), "{link_type}");
-            let tcp = Segment::Tcp { sequence: 77, acknowledged: Some(88), begins: false, ends: false };
+            let tcp = Segment::Tcp { sequence: 77, acknowledged: Some(88), begins: false, ends: false, resets: false };
             assert_eq!(packet.segment, if is_udp { Segment::Udp } else { tcp });
         }
         assert_eq!(EtherType::IPV4.0, 0x0800);

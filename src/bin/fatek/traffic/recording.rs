@@ -80,6 +80,12 @@ pub(super) fn is_header(line: &str) -> bool {
     compact.starts_with(r#"{"fatek":"recording""#)
 }
 
+/// Framing in the first line.
+pub(super) fn framing_of(line: &str) -> Option<Framing> {
+    let header: Value = serde_json::from_str(line).ok()?;
+    header.get("framing")?.as_str()?.parse().ok()
+}
+
 /// Reads a recording. A last line that is cut off is a remark: the computer may have lost its power.
 pub(super) fn read(reader: impl BufRead, sink: &mut Sink<'_>) -> Result<Remarks, ReadError> {
     let mut lines = Lines::new(reader);
@@ -194,6 +200,8 @@ mod tests {
         });
         assert_eq!((events, remarks), (expected.collect(), Remarks::new()));
         assert!(is_header(&recording()) && is_header("{ \"fatek\": \"recording\" }") && !is_header("{}"));
+        assert_eq!(framing_of(recording().lines().next().unwrap()), Some(Framing::Binary));
+        assert_eq!(framing_of("{\"fatek\":\"recording\"}"), None);
     }
 
     #[test]
