@@ -104,7 +104,8 @@ STEPS = [
     Step("detect {line} --baud 9600,115200 --frame 7E1,8N1 --stations 1 --timeout 300ms",
          # A pseudo-terminal has no speed: the first one with this framing is found.
          [r"^trying 4 settings with station 1: 6 requests", r"^serial:\S+ +1 +sure"], only=("serial",)),
-    Step("clock", [r"the PLC has no clock"], status=3),
+    Step("clock", [r"^2026-11-29 06:30:00 +0$"]),
+    Step("clock --set 2026-11-30T07:00:00", [r"the clock was set to 2026-11-30 07:00:00 weekday 1"]),
     Step("probe", [r"^48 mixed read +supported"]),
     # The simulated PLC has R65535 there.
     Step("doctor --quick --rate 500", [r"^  holds +registers-46 +answered$", r"^  contradicts +bad-address "],
@@ -266,7 +267,8 @@ def simulated_plc(transport, framing):
             link = f"serial:{client_end}?baud=115200&frame={frame}&framing={framing}"
         else:
             listen, link = f"{transport}://127.0.0.1:0", None
-        command = [FATEK, "sim", "--listen", listen, "--framing", framing, "--model", "largest"]
+        command = [FATEK, "sim", "--listen", listen, "--framing", framing, "--model", "largest",
+                   "--clock", "2026-11-29T06:30:00"]
         sim = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
             line = sim.stdout.readline().strip()

@@ -146,7 +146,7 @@ impl Plant {
         parse::parse(text, &mut load).map_err(of_file)
     }
 
-    /// The PLCs, in the order of the file.
+    /// The PLCs: first those of the sections `plc`, then those of the buses, each in the order of the file.
     pub fn plcs(&self) -> impl Iterator<Item = &PlantPlc> {
         self.plcs.iter()
     }

@@ -10,7 +10,7 @@ use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use process::{FATEK, Folder, Output, Sim, fatek};
+use process::{FATEK, Folder, Output, Sim, fatek, run};
 
 /// A running simulator, with its lines on stdout.
 struct Running {
@@ -138,6 +138,10 @@ fn faults_of_settings_name_the_text_and_the_rule() {
         assert!(refused.starts_with(&format!("error: {option} {text}: ")) && refused.contains(fault), "{refused}");
     }
     assert!(refused(&["--baud", "0"]).contains("--baud"));
+    assert!(refused(&["--model", "fbx"]).contains("`fbx` is not a known model (known: fbe-28mc fbs-20mc largest)"));
+    assert!(refused(&["--clock", "noon"]).contains("`noon` is not a time such as 2026-11-29T06:30:00"));
+    let range = refused(&["--set", "R2:f32=step(0..1e39,1ms)"]);
+    assert!(range.contains("R2:f32 cannot hold 1e39"), "{range}");
     assert!(refused(&["--response-time", "2s..1s"]).contains("the first time must not be the longer one"));
     assert!(refused(&["--client-config", "x.toml"]).contains("give --config FILE"));
 }
@@ -155,7 +159,7 @@ fn faults_are_counted_and_printed_at_the_end() {
     assert_eq!(ping("1").status, 0);
     assert_eq!(ping("2").status, 4);
     let stderr = sim.end();
-    let expected = "requests; faults applied: 2/ignore=100% ";
+    let expected = "requests; faults drawn: 2/ignore=100% ";
     let counts = stderr.trim_end().split_once(expected).unwrap_or_else(|| panic!("{stderr}")).1;
     let (ignored, others) = counts.split_once(", ").unwrap();
     assert!(ignored.parse::<u32>().unwrap() >= 3, "{stderr}");
@@ -287,6 +291,50 @@ fn plant(name: &str) -> (Folder, String, String) {
 }
 
 #[test]
+fn a_simulated_clock_is_read_and_set() {
+    let sim = Sim::start(&["--clock", "2026-11-29T06:30:00"]);
+    let read = || sim.fatek(&["clock", "--format", "csv"]).ok();
+    assert_eq!(read(), "time,weekday\n2026-11-29 06:30:00,0\n");
+    sim.fatek(&["clock", "--set", "2026-12-01T07:00:05"]).ok();
+    assert_eq!(read(), "time,weekday\n2026-12-01 07:00:05,2\n");
+    assert_eq!(Sim::start(&[]).fatek(&["clock"]).status, 3, "the PLC has no clock");
+}
+
+#[test]
+#[cfg(unix)]
+fn faults_of_options_replace_those_of_a_plant() {
+    let (_folder, path, copy) = plant("sim-precedence");
+    let sections = PLANT.replace("[sim.all]\n", "[sim.all]\nfault = 'ignore=100%,late=0%'\n");
+    let sections = sections.replace("[sim.mixer]\n", "[sim.mixer]\nfault = 'ignore=0%'\n");
+    fs::write(&path, sections).unwrap();
+    let args = ["sim", "--config", &path, "--client-config", &copy, "--fault", "pump1/ignore=0%"];
+    let sim = Running::start(&args, 3);
+    let read = |plc: &str| fatek(&["--config", &copy, plc, "--timeout", "100ms", "read", "R9"]).status;
+    assert_eq!((read("@mixer"), read("@boiler"), read("@pump1"), read("@pump2")), (0, 4, 0, 4));
+    let stderr = sim.end();
+    let line = |plcs: &str| stderr.lines().find(|line| line.starts_with(plcs)).unwrap_or_else(|| panic!("{stderr}"));
+    assert!(line("mixer: ").ends_with("; faults drawn: mixer/ignore=0% 0, late=0% 0"), "{stderr}");
+    let pumps = line("pump1, pump2: ");
+    assert!(pumps.contains("; faults drawn: pump1/ignore=0% 0, pump2/ignore=100% "), "{stderr}");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_copy_is_as_private_as_its_plant() {
+    use std::os::unix::fs::PermissionsExt;
+    let (_folder, path, copy) = plant("sim-private");
+    fs::write(&path, format!("\u{feff}{PLANT}")).unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+    let _sim = Running::start(&["sim", "--config", &path, "--client-config", &copy], 3);
+    assert_eq!(fs::metadata(&copy).unwrap().permissions().mode() & 0o777, 0o600);
+    // A byte order mark of the original does not make it unreadable.
+    assert_eq!(
+        fatek(&["--config", &copy, "@mixer", "read", "total", "--format", "csv"]).ok(),
+        "tag,type,value\ntotal,u32,70000\n"
+    );
+}
+
+#[test]
 #[cfg(unix)]
 fn a_plant_is_simulated_and_watched_with_two_commands() {
     let (_folder, path, copy) = plant("sim-plant");
@@ -308,7 +356,7 @@ fn a_plant_is_simulated_and_watched_with_two_commands() {
     fatek(&["--config", &copy, "@pump1", "write", "R5=1"]).ok();
     assert_eq!(read(&["@pump1", "read", "R5"]), "tag,type,value\nR5,u16,1\n");
     let stderr = sim.end();
-    assert!(stderr.starts_with("boiler: ") && stderr.contains("; faults applied: boiler/late=100%:1ms "), "{stderr}");
+    assert!(stderr.starts_with("boiler: ") && stderr.contains("; faults drawn: boiler/late=100%:1ms "), "{stderr}");
 }
 
 #[test]
@@ -375,7 +423,8 @@ fn a_plant_of_the_environment_is_simulated_by_name_only() {
         child.wait().unwrap();
         line
     };
-    assert!(!start(&["sim"]).contains(" for "));
+    let of_options = start(&["sim"]);
+    assert!(of_options.starts_with("listening tcp://") && !of_options.contains(" for "), "{of_options}");
     assert!(start(&["@mixer", "sim"]).ends_with(": mixer\n"));
 }
 
@@ -423,6 +472,23 @@ fn commands_for_one_plc_refuse_several_links() {
     ] {
         let refused = fatek(&[&links[..], command].concat()).usage();
         assert!(refused.starts_with("error: this command takes one PLC, not 2 links\n"), "{command:?}: {refused}");
+    }
+    // An empty one among several is not left out in silence.
+    for links in [["--link", "", "--link", "tcp://127.0.0.1:1"], ["--link", "tcp://127.0.0.1:1", "--link", ""]] {
+        let empty = fatek(&[&links[..], &["--station", "1", "read", "R0"]].concat()).usage();
+        assert!(empty.starts_with("error: ``"), "{empty}");
+    }
+    let capabilities = |args: &[&str]| {
+        let mut command = Command::new(FATEK);
+        run(command.args(args).args(["read", "R0"]).env("FATEK_CAPABILITIES", "pump.json")).usage()
+    };
+    let rule = "leave out --capabilities, and unset FATEK_CAPABILITIES";
+    for (args, plcs) in [
+        (&[&links[..], &["--station", "1"]].concat()[..], 2),
+        (&["--link", "tcp://127.0.0.1:1", "--station", "1-4"][..], 4),
+    ] {
+        let refused = capabilities(args);
+        assert!(refused.contains(&format!("capabilities are those of one PLC, not of {plcs}: {rule}")), "{refused}");
     }
     let missing = fatek(&["--station", "1", "read", "R0"]).usage();
     assert!(missing.starts_with("error: no link: give --link URL, or set FATEK_LINK\n"), "{missing}");

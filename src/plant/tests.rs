@@ -33,6 +33,15 @@ use = ["tank"]
 "#;
 
 #[test]
+fn plcs_of_buses_follow_the_others() {
+    let text = "[bus.line]\nlink = 'serial:a'\nstations = { zed = 1, ann = 2 }\n\
+                [plc.mixer]\nlink = 'tcp://h'\nstation = 1\n[plc.boiler]\nlink = 'tcp://i'\nstation = 1\n";
+    let plant = Plant::from_toml(text).unwrap();
+    let names: Vec<&str> = plant.plcs().map(PlantPlc::name).collect();
+    assert_eq!(names, ["mixer", "boiler", "zed", "ann"]);
+}
+
+#[test]
 fn a_plant_has_the_plcs_classes_and_tags_of_its_file() {
     let plant = Plant::from_toml(PLANT).unwrap();
     let names: Vec<&str> = plant.plcs().map(PlantPlc::name).collect();

@@ -12,7 +12,7 @@ use crate::tag::Tag;
 
 /// A value as a function of the time since its start, for [`Plc::set_movement`].
 ///
-/// It is parsed from text, and displays as text that parses to the same:
+/// It is parsed from text, and displays as text that parses to the same, without the seed:
 ///
 /// | text | value |
 /// |---|---|
@@ -50,6 +50,8 @@ pub struct Movement {
     to: Option<f64>,
     period: Duration,
     seed: u64,
+    /// `true` if random numbers are integers, all of them equally likely.
+    is_integral: bool,
 }
 
 /// The shape of a [`Movement`].
@@ -66,7 +68,7 @@ pub enum Shape {
     Square,
     /// The first number for one period, then the second for good.
     Step,
-    /// Another number in each period, both ends included.
+    /// Another number in each period, both ends included. Of integers and states, all are equally likely.
     Random,
     /// One more, or one less, in each period, from the first number to the second, and again.
     Counter,
@@ -159,7 +161,7 @@ impl Movement {
         if period.is_zero() || period > DAY {
             return Err(MovementError::Period);
         }
-        Ok(Self { shape, from, to, period, seed: 0 })
+        Ok(Self { shape, from, to, period, seed: 0, is_integral: false })
     }
 
     /// Sets the seed of [`Shape::Random`]. Default: 0. Values of different elements differ with equal seeds, too.
@@ -197,6 +199,7 @@ impl Movement {
             Shape::Sine => mix(0.5 + (self.phase(elapsed) * TAU).sin() / 2.0),
             Shape::Square => mix(if self.phase(elapsed) < 0.5 { 0.0 } else { 1.0 }),
             Shape::Step => mix(if periods == 0 { 0.0 } else { 1.0 }),
+            Shape::Random if self.is_integral => random_integer(from, to, self.share(periods)),
             Shape::Random => mix(self.share(periods)),
             Shape::Counter => counted(from, to, periods),
         }
@@ -218,7 +221,7 @@ impl Movement {
         let first = tag.first();
         let stream = u64::from(first.address()) << 8 | first.symbol() as u64;
         let seed = self.seed ^ Random::new(stream).next();
-        Ok(Self { to: Some(to), seed, ..self })
+        Ok(Self { to: Some(to), seed, is_integral: tag.is_integral(), ..self })
     }
 
     /// The part of the current period that is over: 0, and less than 1.
@@ -244,6 +247,12 @@ const LARGEST_COUNT: f64 = u32::MAX as f64;
 /// A number that the tag can hold if it can hold any: 0, or the value of the raw number 0.
 fn tag_zero(tag: &Tag) -> f64 {
     tag.scale().map_or(0.0, |scale| scale.offset())
+}
+
+/// The integer of a share from 0 to 1. Rounded, the ends would have half the chance of the others.
+fn random_integer(from: f64, to: f64, share: f64) -> f64 {
+    let (low, high) = (from.min(to).round(), from.max(to).round());
+    (low + (share * (high - low + 1.0)).floor()).min(high)
 }
 
 /// The number of a counter after this many counts.

@@ -181,11 +181,19 @@ impl Tag {
         let Storage::Bits(format, order) = self.storage else { return false };
         let bits = match self.scale {
             Some(scale) => scale.bits(format, number),
+            // Beyond the numbers of a float, the nearest integer is none either.
+            None if format.is_float() => format.nearest(number),
             None => format.nearest(number).or_else(|| format.nearest_integer(number)),
         };
         let Some(bits) = bits else { return false };
         raw.extend(split(bits, order, self.first.width(), self.elements_per_value()));
         true
+    }
+
+    /// Returns whether its values are integers or states: numbers without fractions.
+    #[cfg(feature = "sim")]
+    pub(crate) fn is_integral(&self) -> bool {
+        matches!(self.storage, Storage::Bits(format, _) if !format.is_float()) && self.scale.is_none()
     }
 
     /// The type of its values, for errors: `u16 of 16 bits`, `scaled`, `text`.

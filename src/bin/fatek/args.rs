@@ -171,8 +171,10 @@ impl DefaultPlc {
             plc.clone().or_else(|| default.clone()).filter(|text| !text.is_empty())
         };
         let links = if plc.links.is_empty() { &self.links } else { &plc.links };
+        // An empty one among several is no link, and is refused as such.
+        let is_unset = matches!(&links[..], [only] if only.is_empty());
         Plc {
-            links: links.iter().filter(|link| !link.is_empty()).cloned().collect(),
+            links: if is_unset { Vec::new() } else { links.clone() },
             station: first(&plc.station, &self.station),
             capabilities: first(&plc.capabilities, &self.capabilities),
         }

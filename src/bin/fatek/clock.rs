@@ -17,7 +17,7 @@ pub(crate) async fn clock(station: &Station, args: &ClockArgs, output: &Output) 
             None => following_weekday(station, seconds).await?,
         };
         let clock = Clock::from_seconds_since_2000(seconds, weekday);
-        let clock = clock.ok_or_else(|| Failure::Usage("the years of a clock are 2000 to 2099".to_owned()))?;
+        let clock = clock.ok_or_else(out_of_years)?;
         station.set_clock(&clock).await?;
         output.remark(format_args!("the clock was set to {clock}"));
         return Ok(());
@@ -28,6 +28,20 @@ pub(crate) async fn clock(station: &Station, args: &ClockArgs, output: &Output) 
     let time = text.split_once(" weekday").map_or(text.as_str(), |(time, _)| time);
     rows.push([time.into(), u16::from(clock.weekday()).into()]);
     output.rows(&rows)
+}
+
+/// The clock of a simulated PLC: the weekday 0 is a Sunday.
+pub(crate) fn simulated(time: &str) -> Result<Clock, Failure> {
+    const DAY: u64 = 86_400;
+    const WEEKDAY_OF_2000: u64 = 6;
+    let seconds = seconds(time)?;
+    // Below 7.
+    let weekday = ((seconds / DAY + WEEKDAY_OF_2000) % 7) as u8;
+    Clock::from_seconds_since_2000(seconds, weekday).ok_or_else(out_of_years)
+}
+
+fn out_of_years() -> Failure {
+    Failure::Usage("the years of a clock are 2000 to 2099".to_owned())
 }
 
 /// Seconds since 2000 of `now` in UTC, or of a date and a time without time zone.
@@ -42,7 +56,7 @@ fn seconds(text: &str) -> Result<u64, Failure> {
     };
     let since_1970 = time.duration_since(SystemTime::UNIX_EPOCH).ok();
     let seconds = since_1970.and_then(|time| time.as_secs().checked_sub(UNIX_TIME_OF_2000));
-    seconds.ok_or_else(|| Failure::Usage("the years of a clock are 2000 to 2099".to_owned()))
+    seconds.ok_or_else(out_of_years)
 }
 
 /// The weekday of a day as the clock of the PLC counts it: no manual says which day is 0.

@@ -47,10 +47,11 @@ pub(crate) async fn sim(args: &SimArgs, plant: Option<&SimulatedPlant>, output: 
         }
         summaries.push((of_plant, bus, faults));
     }
-    if let Some((path, text, folder)) = copied {
+    if let Some((path, plant)) = copied {
         let new = |old: &Endpoint| links.iter().find(|(_, _, link)| link == old).map(|(_, new, _)| new.clone());
-        let copy = client_config::copy(text, folder, new);
-        client_config::save(path, &copy).map_err(|error| Failure::ClientConfig { path: path.to_owned(), error })?;
+        let copy = client_config::copy(&plant.text, &plant.folder, new);
+        let saved = copy.and_then(|copy| client_config::save(path, &copy, &plant.path));
+        saved.map_err(|error| Failure::ClientConfig { path: path.to_owned(), error })?;
     }
     if links.is_empty() {
         listening.iter().try_for_each(|server| print(format_args!("listening {}", server.url())))?;
@@ -163,8 +164,8 @@ fn client_link(link: &Endpoint, server: &Listening) -> Endpoint {
     endpoint.with_framing(link.framing()).with_in_step(link.in_step())
 }
 
-/// Path of `--client-config`, with the text of the original and the folder of its tables.
-type Copied<'a> = (&'a Path, &'a str, &'a Path);
+/// Path of `--client-config`, with the original.
+type Copied<'a> = (&'a Path, &'a SimulatedPlant);
 
 /// Checks `--client-config`, before anything listens.
 fn client_config<'a>(args: &'a SimArgs, plant: Option<&'a SimulatedPlant>) -> Result<Option<Copied<'a>>, Failure> {
@@ -175,17 +176,18 @@ fn client_config<'a>(args: &'a SimArgs, plant: Option<&'a SimulatedPlant>) -> Re
         ));
     }
     client_config::check(path).map_err(|error| Failure::ClientConfig { path: path.clone(), error })?;
-    Ok(Some((path, &plant.text, &plant.folder)))
+    Ok(Some((path, plant)))
 }
 
-/// Prints how often each fault applied. `plcs`: the names of the PLCs of the bus, if they are of a plant.
+/// Prints how often each fault was drawn. One that is drawn has no effect if the request has no reply.
+/// `plcs`: the names of the PLCs of the bus, if they are of a plant.
 fn summarize(plcs: Option<&str>, counts: &Faults, faults: &[(Option<String>, FaultRate)], output: &Output) {
-    let of_rule = |((plc, rate), applied): (&(Option<String>, FaultRate), u64)| match plc {
-        Some(plc) => format!("{plc}/{rate} {applied}"),
-        None => format!("{rate} {applied}"),
+    let of_rule = |((plc, rate), drawn): (&(Option<String>, FaultRate), u64)| match plc {
+        Some(plc) => format!("{plc}/{rate} {drawn}"),
+        None => format!("{rate} {drawn}"),
     };
-    let applied = counts.rules().into_iter().map(|rule| rule.times_applied());
-    let applied: Vec<String> = faults.iter().zip(applied).map(of_rule).collect();
+    let drawn = counts.rules().into_iter().map(|rule| rule.times_applied());
+    let drawn: Vec<String> = faults.iter().zip(drawn).map(of_rule).collect();
     let plcs = plcs.map_or_else(String::new, |plcs| format!("{plcs}: "));
-    output.remark(format_args!("{plcs}{} requests; faults applied: {}", counts.log().arrivals(), applied.join(", ")));
+    output.remark(format_args!("{plcs}{} requests; faults drawn: {}", counts.log().arrivals(), drawn.join(", ")));
 }

@@ -160,9 +160,7 @@ impl Chosen {
         if self.0.is_empty() {
             return of_options(options, timeout, once);
         }
-        if options.capabilities.is_some() && self.0.len() > 1 {
-            return Err(Failure::Usage("--capabilities are those of one PLC".to_owned()));
-        }
+        check_capabilities(options, self.0.len())?;
         let mut links: HashMap<String, Link> = HashMap::new();
         let mut targets = Vec::new();
         for plc in &self.0 {
@@ -200,9 +198,7 @@ fn of_options(options: &Plc, timeout: Option<Duration>, once: bool) -> Result<Ve
         (_, 1) => url.to_owned(),
         (_, _) => format!("{number}@{url}"),
     };
-    if options.capabilities.is_some() && endpoints.len() > 1 {
-        return Err(Failure::Usage("--capabilities are those of one PLC".to_owned()));
-    }
+    check_capabilities(options, endpoints.len().saturating_mul(numbers.len()))?;
     let mut targets = Vec::new();
     for (url, endpoint) in &endpoints {
         let link = link(endpoint.clone(), timeout, numbers.len(), once);
@@ -213,6 +209,16 @@ fn of_options(options: &Plc, timeout: Option<Duration>, once: bool) -> Result<Ve
         }
     }
     Ok(targets)
+}
+
+/// Refuses capabilities for this number of PLCs, unless it is one.
+fn check_capabilities(options: &Plc, plcs: usize) -> Result<(), Failure> {
+    if options.capabilities.is_some() && plcs > 1 {
+        return Err(Failure::Usage(format!(
+            "capabilities are those of one PLC, not of {plcs}: leave out --capabilities, and unset FATEK_CAPABILITIES"
+        )));
+    }
+    Ok(())
 }
 
 /// Link of this number of stations. A single one that is watched is never offline: its return shows at once.

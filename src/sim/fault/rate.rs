@@ -17,7 +17,7 @@ use crate::printable::excerpt;
 /// | `drop` | [`DropReply`](Fault::DropReply): executed, no reply | |
 /// | `ignore` | [`Ignore`](Fault::Ignore): not executed, no reply | |
 /// | `late` | [`Delay`](Fault::Delay) of the reply | time, or times: `500ms..1500ms` |
-/// | `stuck` | [`Delay`](Fault::Delay): the station is busy, also for later requests | time, or times: `5s` |
+/// | `stuck` | as `late`, with a longer default | time, or times: `5s` |
 /// | `double` | [`Duplicate`](Fault::Duplicate) of the reply | time after it, or times: `0s` |
 /// | `corrupt` | [`BadChecksum`](Fault::BadChecksum) | |
 /// | `garbage` | [`GarbageBefore`](Fault::GarbageBefore) the reply | most bytes: `8` |
@@ -32,7 +32,10 @@ use crate::printable::excerpt;
 /// | `disconnect` | [`Disconnect`](Fault::Disconnect) before the reply | |
 /// | `refuse` | [`Refuse`](Fault::Refuse) a connection | |
 ///
-/// Of `late` and `stuck`, the first of the list that applies to a request delays it.
+/// A station is busy until its late reply is sent: later requests to it wait.
+///
+/// Each fault of a list is drawn for itself. Of faults of one kind, the first that applies counts, and the
+/// others are not drawn: `late` and `stuck` are one kind, [`Delay`](Fault::Delay).
 ///
 /// ```
 /// use fatek::sim::{Fault, FaultRate, Faults, Rule};
@@ -46,9 +49,12 @@ use crate::printable::excerpt;
 /// assert_eq!(error.to_string(), "`drop=1` is not a fault: a chance is 0% to 100%, as in `drop=1%`");
 /// # Ok::<(), fatek::sim::ParseFaultError>(())
 /// ```
-#[derive(Clone, Debug, PartialEq, Eq)]
+///
+/// Two are equal if fault and chance are, however they were written.
+#[derive(Clone, Debug)]
 pub struct FaultRate {
     text: String,
+    name: &'static str,
     fault: Fault,
     per_million: u32,
 }
@@ -59,6 +65,20 @@ pub struct FaultRate {
 pub struct ParseFaultError {
     input: String,
     rule: String,
+}
+
+impl ParseFaultError {
+    /// The text: the item of a list.
+    #[must_use]
+    pub fn input(&self) -> &str {
+        &self.input
+    }
+
+    /// The rule that it breaks.
+    #[must_use]
+    pub fn rule(&self) -> &str {
+        &self.rule
+    }
 }
 
 /// The faults by name, each with its default detail. The table of [`FaultRate`] describes them.
@@ -100,6 +120,18 @@ impl FaultRate {
         &self.fault
     }
 
+    /// Its name in the text, such as `drop`.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// The chance in millionths, as for [`Rule::per_million`].
+    #[must_use]
+    pub fn per_million(&self) -> u32 {
+        self.per_million
+    }
+
     /// A rule that applies the fault with its chance to all requests.
     #[must_use]
     pub fn rule(&self) -> Rule {
@@ -107,13 +139,21 @@ impl FaultRate {
     }
 }
 
+impl PartialEq for FaultRate {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.fault, self.per_million) == (&other.fault, other.per_million)
+    }
+}
+
+impl Eq for FaultRate {}
+
 impl FromStr for FaultRate {
     type Err = ParseFaultError;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let text = text.trim();
         match parse(text) {
-            Ok((fault, per_million)) => Ok(Self { text: text.to_owned(), fault, per_million }),
+            Ok((name, fault, per_million)) => Ok(Self { text: text.to_owned(), name, fault, per_million }),
             Err(rule) => Err(ParseFaultError { input: text.to_owned(), rule }),
         }
     }
@@ -125,9 +165,9 @@ impl fmt::Display for FaultRate {
     }
 }
 
-fn parse(text: &str) -> Result<(Fault, u32), String> {
+fn parse(text: &str) -> Result<(&'static str, Fault, u32), String> {
     let (name, rest) = text.split_once('=').map_or((text, None), |(name, rest)| (name.trim(), Some(rest)));
-    let Some((name, default)) = FAULTS.iter().find(|(known, _)| *known == name) else {
+    let Some((name, default)) = FAULTS.into_iter().find(|(known, _)| *known == name) else {
         return Err(format!("the names are {}", FAULTS.map(|(name, _)| name).join(", ")));
     };
     let (chance, detail) = match rest.map(|rest| rest.split_once(':').unwrap_or((rest, ""))) {
@@ -136,8 +176,8 @@ fn parse(text: &str) -> Result<(Fault, u32), String> {
     };
     let per_million = chance.ok_or_else(|| format!("a chance is 0% to 100%, as in `{name}=1%`"))?;
     let is_given = rest.is_some_and(|rest| rest.contains(':'));
-    let fault = if is_given { detailed(default, name, detail)? } else { default.clone() };
-    Ok((fault, per_million))
+    let fault = if is_given { detailed(&default, name, detail)? } else { default };
+    Ok((name, fault, per_million))
 }
 
 /// A percentage of up to four decimals, as millionths.

@@ -38,6 +38,34 @@ fn random_numbers_follow_from_seed_and_period() {
 }
 
 #[test]
+fn random_integers_are_equally_likely() {
+    #[allow(clippy::cast_possible_truncation, reason = "an integer, as asserted")]
+    let counts = |tag: &str, text: &str| {
+        let random = movement(text).of(&tag.parse().unwrap()).unwrap();
+        let mut counts = std::collections::BTreeMap::new();
+        for nth in 0..4000 {
+            let number = random.value(Duration::from_secs(nth));
+            assert_eq!(number, number.round(), "{tag}");
+            *counts.entry(number as i64).or_insert(0) += 1;
+        }
+        counts.into_iter().collect::<Vec<(i64, u32)>>()
+    };
+    // The chance of the ends was half of that: 500 of 4000.
+    for (tag, text, numbers) in [
+        ("R0", "random(0..3)", [0, 1, 2, 3]),
+        ("R0:i16", "random(1..-2)", [-2, -1, 0, 1]),
+        ("R0:bcd16", "random(6.8..9.4)", [7, 8, 9, 9]),
+    ] {
+        let counts = counts(tag, text);
+        assert!(counts.iter().all(|(number, _)| numbers.contains(number)), "{tag}: {counts:?}");
+        let even = 4000 / u32::try_from(counts.len()).unwrap();
+        assert!(counts.iter().all(|(_, count)| count.abs_diff(even) < 150), "{tag}: {counts:?}");
+    }
+    let states = counts("M0", "random");
+    assert!(states.len() == 2 && states.iter().all(|(_, count)| count.abs_diff(2000) < 150), "{states:?}");
+}
+
+#[test]
 fn texts_display_as_they_parse() {
     for text in ["ramp(0.0..100.0,10s)", "sine(-1.5..1e300,500ms)", "counter(1m)", "step(1.0..0.0,1h 30m)"] {
         assert_eq!(movement(text).to_string(), text);
@@ -91,6 +119,8 @@ fn tags_hold_both_ends_of_their_movement() {
         assert_eq!(of(tag, "counter"), Ok(Some(largest)), "{tag}");
     }
     assert_eq!(of("M0", "counter"), Ok(Some(1.0)));
+    assert_eq!(wrong("R0:f32", "ramp(0..1e39,1s)"), "R0:f32 cannot hold 1e39");
+    assert_eq!(of("R0:f64", "ramp(0..1e39,1s)"), Ok(Some(1e39)));
 }
 
 #[test]

@@ -4,12 +4,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueHint};
-use fatek::Element;
-use fatek::memory_map::{ParsePlcModelError, PlcModel};
+use fatek::memory_map::PlcModel;
 use fatek::sim::Model;
 use fatek::wire::Framing;
+use fatek::{Clock, Element};
 
-use crate::duration;
+use crate::printable::excerpt;
+use crate::{clock, duration};
 
 /// Simulate PLCs over TCP, UDP or a serial port
 ///
@@ -38,7 +39,7 @@ pub(crate) struct SimArgs {
     pub(crate) framing: Option<Framing>,
     /// Initial values, or movements; all other values are 0
     ///
-    /// With a plant, names of tags stand for tags.
+    /// A tag can be given by its name in the plant.
     #[arg(long = "set", value_name = "[PLC/]TAG=VALUE", num_args = 1.., help_heading = "Memory")]
     pub(crate) sets: Vec<String>,
     /// Saved backup as memory; its PLC is the model unless --model is given
@@ -61,6 +62,10 @@ pub(crate) struct SimArgs {
     /// Ladder size in the detailed status, in words
     #[arg(long, value_name = "N", help_heading = "Memory")]
     pub(crate) ladder_words: Option<u16>,
+    /// Clock with this time, which stands still: now (UTC), or date and time such as 2026-11-29T06:30:00
+    /// [default: none]
+    #[arg(long, value_name = "TIME", value_parser = clock, help_heading = "Memory")]
+    pub(crate) clock: Option<Clock>,
     /// Faults with their chances: drop=1%,late=5%:300ms; counted, and printed on stderr at the end
     #[arg(long = "fault", value_name = "[PLC/]FAULTS", help_heading = "Line and faults")]
     pub(crate) faults: Vec<String>,
@@ -103,7 +108,7 @@ Movements, of numbers and discretes:
 
 Faults, as NAME=CHANCE or NAME=CHANCE:DETAIL:
   drop, ignore       no reply; ignore: the request is not executed either
-  late, stuck        reply is late [500ms..1500ms]; PLC is busy [5s]
+  late, stuck        reply is late [500ms..1500ms], [5s]; later requests wait
   double             reply comes twice, this time apart [0s]
   corrupt            bad checksum
   garbage, noise     up to this number of bytes before a reply, or inside [8]
@@ -115,6 +120,9 @@ Faults, as NAME=CHANCE or NAME=CHANCE:DETAIL:
   echo               request comes back
   disconnect         connection is closed before the reply
   refuse             connection is not accepted
+
+Each is drawn for itself. Of one kind, such as late and stuck, the first that
+applies counts, and the others are not drawn.
 
 PLC/ and PLC= are a station number, or a name of the plant. Without: all PLCs.
 The section `sim` of a plant configuration has the same settings: docs/CLI.md.";
@@ -133,6 +141,18 @@ fn response_time(text: &str) -> Result<ResponseTime, String> {
 }
 
 /// Parses the name of a model.
-pub(crate) fn model(name: &str) -> Result<Model, ParsePlcModelError> {
-    if name.eq_ignore_ascii_case("largest") { Ok(Model::largest()) } else { name.parse::<PlcModel>().map(Model::of) }
+pub(crate) fn model(name: &str) -> Result<Model, String> {
+    const LARGEST: &str = "largest";
+    if name.eq_ignore_ascii_case(LARGEST) {
+        return Ok(Model::largest());
+    }
+    name.parse::<PlcModel>().map(Model::of).map_err(|_| {
+        let known = PlcModel::ALL.iter().map(|model| model.name().to_ascii_lowercase());
+        let known: Vec<String> = known.chain([LARGEST.to_owned()]).collect();
+        format!("`{}` is not a known model (known: {})", excerpt(name), known.join(" "))
+    })
+}
+
+fn clock(time: &str) -> Result<Clock, String> {
+    clock::simulated(time).map_err(|failure| failure.to_string())
 }

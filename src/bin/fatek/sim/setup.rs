@@ -148,6 +148,9 @@ impl<'a> Setup<'a> {
         if let Some((path, program)) = &program {
             plc.set_program(program).map_err(|error| Failure::Usage(format!("{}: {error}", shown(path))))?;
         }
+        if args.clock.is_some() {
+            plc.set_clock(args.clock);
+        }
         let apply = |text: &str, place: &str| {
             setting::apply(text, &plc, of.tags, seed).map_err(|rule| Failure::Usage(format!("{place}: {rule}")))
         };
@@ -172,9 +175,9 @@ impl<'a> Setup<'a> {
     }
 
     /// The faults of a bus with these PLCs. Those of options come first, then those of one PLC, since the first
-    /// of a kind applies.
+    /// of a kind applies. For each PLC, a fault replaces those of the same name behind it.
     pub(super) fn faults(&self, plcs: &[SimPlc<'_>]) -> Result<Vec<LimitedFault>, Failure> {
-        let mut faults = Vec::new();
+        let mut faults: Vec<LimitedFault> = Vec::new();
         for text in &self.args.faults {
             let (name, list) = split_plc(text);
             let rates = FaultRate::parse_list(list)
@@ -192,13 +195,23 @@ impl<'a> Setup<'a> {
             }
         }
         let (general, own): (Vec<_>, Vec<_>) = self.sections.iter().partition(|section| section.plc == section::ALL);
-        for section in own {
-            if let Some(limit) = plcs.iter().find(|plc| plc.label == section.plc) {
-                faults.extend(section.faults.iter().map(|rate| limited(Some(limit), rate.clone())));
+        for section in own.into_iter().chain(general) {
+            let is_general = section.plc == section::ALL;
+            let earlier = faults.len();
+            for rate in &section.faults {
+                let is_replaced = |plc: &SimPlc<'_>| {
+                    faults.iter().take(earlier).any(|(station, _, other)| {
+                        other.name() == rate.name() && station.is_none_or(|station| station == plc.station)
+                    })
+                };
+                let of_section = plcs.iter().filter(|plc| is_general || plc.label == section.plc);
+                let remaining: Vec<&SimPlc<'_>> = of_section.filter(|plc| !is_replaced(plc)).collect();
+                if is_general && remaining.len() == plcs.len() {
+                    faults.push(limited(None, rate.clone()));
+                } else {
+                    faults.extend(remaining.into_iter().map(|plc| limited(Some(plc), rate.clone())));
+                }
             }
-        }
-        for section in general {
-            faults.extend(section.faults.iter().map(|rate| limited(None, rate.clone())));
         }
         Ok(faults)
     }

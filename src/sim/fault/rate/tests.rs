@@ -8,7 +8,7 @@ fn rate(text: &str) -> FaultRate {
 fn every_name_is_a_fault_with_its_default() {
     for (name, fault) in FAULTS {
         let rate = rate(&format!("{name}=0.5%"));
-        assert_eq!((rate.fault(), rate.per_million), (&fault, 5000));
+        assert_eq!((rate.name(), rate.fault(), rate.per_million()), (name, &fault, 5000));
     }
 }
 
@@ -29,6 +29,13 @@ fn details_replace_the_defaults() {
         assert_eq!((rate(text).fault(), rate(text).per_million), (&fault, 50_000), "{text}");
         assert_eq!(rate(text).to_string(), text);
     }
+}
+
+#[test]
+fn rates_are_equal_however_they_are_written() {
+    assert_eq!(rate("late=5%:300ms"), rate(" late=5.0%: 300ms .. 300ms"));
+    assert_ne!(rate("late=5%:300ms"), rate("late=5%"));
+    assert_ne!(rate("drop=5%"), rate("drop=5.01%"));
 }
 
 #[test]
@@ -59,7 +66,9 @@ fn faults_of_the_text_name_it_and_the_rule() {
         ("error=1%:0", "error=1%:0", "`0` must be an error code, a hexadecimal digit"),
         ("drop=1%:", "drop=1%:", "`drop` has no detail behind the chance"),
     ] {
-        let error = FaultRate::parse_list(text).unwrap_err().to_string();
-        assert!(error.starts_with(&format!("`{item}` is not a fault: {rule}")), "{error}");
+        let error = FaultRate::parse_list(text).unwrap_err();
+        assert!(error.to_string().starts_with(&format!("`{item}` is not a fault: {rule}")), "{error}");
+        assert_eq!(error.input(), item);
+        assert!(error.rule().starts_with(rule), "{error}");
     }
 }
