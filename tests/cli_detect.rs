@@ -27,6 +27,8 @@ use tokio_util::codec::Decoder;
 struct Wire {
     path: String,
     received: Arc<Mutex<Vec<u8>>>,
+    /// The other end.
+    terminal: File,
     /// Keeps the port open: a line needs both sides open.
     _port: File,
 }
@@ -67,19 +69,20 @@ impl Wire {
         let path = ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
         let port = OpenOptions::new().read(true).write(true).open(&path).unwrap();
         let received = Arc::<Mutex<Vec<u8>>>::default();
-        let (log, mut terminal) = (received.clone(), File::from(terminal));
+        let (log, terminal) = (received.clone(), File::from(terminal));
+        let mut reader = terminal.try_clone().unwrap();
         // The thread ends with the process.
         thread::spawn(move || {
             let mut buffer = [0; 1024];
-            while let Ok(len @ 1..) = terminal.read(&mut buffer) {
+            while let Ok(len @ 1..) = reader.read(&mut buffer) {
                 log.lock().unwrap().extend_from_slice(&buffer[..len]);
-                let reply = answer(&buffer[..len], Seen::of(&tcgetattr(&terminal).unwrap()));
-                if terminal.write_all(&reply).is_err() {
+                let reply = answer(&buffer[..len], Seen::of(&tcgetattr(&reader).unwrap()));
+                if reader.write_all(&reply).is_err() {
                     return;
                 }
             }
         });
-        Self { path, received, _port: port }
+        Self { path, received, terminal, _port: port }
     }
 
     /// A line with a PLC of these settings; others garble what is sent and received.
@@ -89,6 +92,21 @@ impl Wire {
 
     fn detect(&self, args: &[&str]) -> Output {
         fatek(&[&["detect", &self.path, "--timeout", "1s"], args].concat())
+    }
+
+    /// Another master, which sends a frame every 10 ms. Its thread ends with the process.
+    fn send_all_the_time(&self) {
+        let mut terminal = self.terminal.try_clone().unwrap();
+        thread::spawn(move || {
+            while terminal.write_all(&process::ascii("094603R00012")).is_ok() {
+                thread::sleep(Duration::from_millis(10));
+            }
+        });
+    }
+
+    /// Returns whether the status of station 1 was asked.
+    fn was_asked(&self) -> bool {
+        self.received().windows(5).any(|bytes| bytes == b"\x020140")
     }
 
     /// All bytes that were received.
@@ -187,7 +205,7 @@ fn missing_replies_and_noise_lower_the_confidence() {
     let found = wire.detect(&["--baud", "9600", "--frame", "7E1", "--stations", "1", "--format", "json"]);
     let [row] = &rows(&found)[..] else { panic!("{found:?}") };
     assert_eq!(row["answer"], "likely");
-    assert_eq!(row["note"], "3 of 4 requests answered; 6 bytes that are no frame");
+    assert_eq!(row["note"], "3 of 4 requests answered; 8 bytes that are no frame");
 }
 
 #[test]
@@ -199,10 +217,10 @@ fn garbage_is_explained_and_is_status_4() {
     });
     let found = wire.detect(&["--baud", "9600", "--frame", "7O1,8N1", "--stations", "1", "--format", "json"]);
     assert_eq!((found.status, found.stdout.as_str()), (4, "[]\n"), "{found:?}");
-    let zeros = "?frame=7O1: 8 bytes that are no frame (00 00 00 00 00 00 00 00): characters of another parity are \
-                 read as 00\n";
+    let zeros = "?frame=7O1: 8 bytes that are no frame (00 00 00 00 00 00 00 00): characters of another parity or \
+                 speed are read as 00\n";
     assert!(found.stderr.contains(zeros), "{found:?}");
-    assert!(found.stderr.contains("bit 7 is an even parity of the others: the line has 7E1\n"), "{found:?}");
+    assert!(found.stderr.contains("bit 7 is an even parity of the others: perhaps 7E1\n"), "{found:?}");
     assert!(found.stderr.ends_with("error: no answer to 3 requests\n"), "{found:?}");
 }
 
@@ -221,13 +239,50 @@ fn a_silent_or_echoing_line_is_status_4_with_hints() {
 }
 
 #[test]
-fn frames_of_another_master_are_told() {
+fn frames_of_another_master_are_shown() {
     let wire = Wire::new(|_, _| process::ascii("094603R00012"));
     let found = wire.detect(&["--baud", "9600", "--frame", "7E1", "--stations", "1", "--format", "csv"]);
     assert_eq!(found.status, 4, "{found:?}");
     let row = found.stdout.lines().nth(1).unwrap();
     assert!(row.contains(",9600,7E1,ascii,9,heard,,,,,,,a frame of station 9: read registers (46h)"), "{row}");
     assert!(found.stderr.contains("hint: frames of another master or station came"), "{found:?}");
+}
+
+#[test]
+fn nothing_is_sent_to_a_busy_line() {
+    let args = ["--baud", "9600", "--frame", "7E1", "--stations", "1", "--format", "csv"];
+    let wire = Wire::new(|_, _| Vec::new());
+    wire.send_all_the_time();
+    let found = wire.detect(&args);
+    assert_eq!(found.status, 4, "{found:?}");
+    assert!(found.stdout.contains(",9600,7E1,ascii,9,heard,"), "{found:?}");
+    let busy = "error: the line is busy, nothing was sent: stop the other master, or give --busy\n";
+    assert!(found.stderr.ends_with(busy), "{found:?}");
+    assert!(!wire.was_asked(), "{:?}", wire.received());
+
+    let found = wire.detect(&[&args[..], &["--busy"]].concat());
+    assert_eq!(found.status, 4, "{found:?}");
+    assert!(found.stderr.ends_with("error: no answer to 1 request\n") && wire.was_asked(), "{found:?}");
+}
+
+#[test]
+fn a_detailed_status_without_a_reply_lowers_the_confidence() {
+    let wire = Wire::new(|request, _| match request.get(3..5) {
+        Some(b"53") => b"\xff\xfe".to_vec(),
+        _ => plc(request, Framing::Ascii, &[1]),
+    });
+    let found = wire.detect(&["--baud", "9600", "--frame", "7E1", "--stations", "1", "--format", "json"]);
+    let [row] = &rows(&found)[..] else { panic!("{found:?}") };
+    assert_eq!(row["answer"], "likely");
+    assert_eq!(row["note"], "no answer to the detailed status (53); 2 bytes that are no frame");
+}
+
+#[test]
+fn a_line_that_is_lost_at_each_request_is_status_5() {
+    let closed = std::net::UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let lost = fatek(&["detect", &format!("udp://{closed}"), "--timeout", "5s", "--stations", "1"]);
+    assert_eq!(lost.status, 5, "{lost:?}");
+    assert!(lost.stderr.contains("the line was lost at each of 2 requests: "), "{lost:?}");
 }
 
 #[test]

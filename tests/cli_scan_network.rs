@@ -12,12 +12,14 @@ use std::process::{Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use bytes::BytesMut;
 use fatek::ErrorCode;
-use fatek::command::{Code, Request};
+use fatek::command::{BriefStatus, Code, ReadStatus, Request, encode_refusal, encode_reply};
 use fatek::sim::{Bus, Fault, Faults, Plc, Rule, Server, UdpServer};
-use fatek::wire::Framing;
+use fatek::wire::{Codec, Framing, Received, Side};
 use process::{FATEK, Output, fatek};
 use serde_json::Value;
+use tokio_util::codec::Decoder;
 
 /// Scans without waiting for places in the rate. The timeout is longer than any answer takes.
 async fn scan(args: &[&str]) -> Output {
@@ -47,7 +49,7 @@ fn free_port(address: &str) -> u16 {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn plcs_of_a_network_are_found_over_tcp_and_udp_in_both_framings() {
+async fn plcs_are_found_over_tcp_and_udp_in_both_framings() {
     let port = free_port("127.1.1.5");
     let faults = Faults::new(1);
     let tcp = Server::bind(("127.1.1.5", port), bus(&[1, 3], &faults), Framing::Ascii).await.unwrap();
@@ -149,11 +151,74 @@ async fn each_kind_of_answer_is_reported() {
     let rows = rows(&found);
     let column = |key: &str| rows.iter().map(|row| row[key].clone()).collect::<Vec<_>>();
     assert_eq!(column("station"), [1, 2, 3, 5, 6]);
-    assert_eq!(column("answer"), ["ok", "refused", "late", "ok", "bad"], "{rows:#?}");
+    assert_eq!(column("answer"), ["ok", "refused", "late", "bad", "ok"], "{rows:#?}");
     assert_eq!(rows[1]["note"], "illegal format, or the command cannot be executed (4)");
     assert!(rows[2]["note"].as_str().unwrap().contains("increase --timeout"), "{rows:#?}");
-    assert!(rows[4]["note"].as_str().unwrap().ends_with(" bytes that are no frame"), "{rows:#?}");
+    assert!(rows[3]["note"].as_str().unwrap().ends_with(" bytes that are no frame"), "{rows:#?}");
     assert_eq!(column("main_unit")[4], Value::Null, "a model without a detailed status");
+    server.shutdown().await;
+}
+
+/// Closes the connection after a frame that it does not understand.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_binary_device_that_closes_after_an_ascii_frame_is_found() {
+    let listener = TcpListener::bind("127.1.10.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port().to_string();
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            let (mut stream, mut request) = (stream.unwrap(), [0; 64]);
+            while let Ok(len @ 1..) = stream.read(&mut request) {
+                let (mut codec, mut bytes) = (Codec::new(Framing::Binary, Side::Plc), BytesMut::from(&request[..len]));
+                let Some(frame) = codec.decode(&mut bytes).unwrap().and_then(Received::frame) else { break };
+                let mut reply = BytesMut::new();
+                if frame.command == 0x40 {
+                    let status = BriefStatus::from_raw([1, 0, 0]);
+                    encode_reply(&ReadStatus, Ok(&status), Framing::Binary, frame.station, &mut reply);
+                } else {
+                    encode_refusal(0x53, ErrorCode::IllegalFormat, Framing::Binary, frame.station, &mut reply);
+                }
+                stream.write_all(&reply).unwrap();
+            }
+        }
+    });
+    let found = scan(&["--network", "127.1.10.1", "--tcp", &port, "--stations", "1", "--format", "json"]).await;
+    assert_eq!(found.status, 0, "{found:?}");
+    let expected = format!("tcp://127.1.10.1:{port}?framing=binary 1 ok");
+    assert_eq!(rows(&found).iter().map(summary).collect::<Vec<_>>(), [expected]);
+}
+
+/// Each port of a PLC has a setting of its own.
+#[tokio::test(flavor = "multi_thread")]
+async fn two_ports_of_a_host_may_have_two_framings() {
+    let faults = Faults::new(1);
+    let port = free_port("127.1.11.1");
+    let tcp = Server::bind(("127.1.11.1", port), bus(&[1], &faults), Framing::Ascii).await.unwrap();
+    let udp = UdpServer::bind(("127.1.11.1", port), bus(&[1], &faults), Framing::Binary).await.unwrap();
+    let number = port.to_string();
+    let ports = ["--network", "127.1.11.1", "--tcp", &number, "--udp", &number, "--stations", "1"];
+    let found = scan(&[&ports[..], &["--retries", "0", "--format", "json"]].concat()).await;
+    assert_eq!(
+        rows(&found).iter().map(summary).collect::<Vec<_>>(),
+        [format!("tcp://127.1.11.1:{port} 1 ok"), format!("udp://127.1.11.1:{port}?framing=binary 1 ok")]
+    );
+    tcp.shutdown().await;
+    udp.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_reply_of_the_last_station_is_late() {
+    let faults = Faults::new(1);
+    let late = Duration::from_millis(1300);
+    faults.add_rule(Rule::new(Fault::Delay { min: late, max: late }).station(2));
+    let server = Server::bind("127.1.12.1:0", bus(&[1, 2], &faults), Framing::Ascii).await.unwrap();
+    let port = server.local_addr().port().to_string();
+    for (stations, expected) in [("2", &["2 late"][..]), ("1-2", &["1 ok", "2 late"])] {
+        let found =
+            scan(&["--network", "127.1.12.1", "--tcp", &port, "--stations", stations, "--format", "json"]).await;
+        assert_eq!(found.status, 6, "{found:?}");
+        let expected: Vec<_> = expected.iter().map(|text| format!("tcp://127.1.12.1:{port} {text}")).collect();
+        assert_eq!(rows(&found).iter().map(summary).collect::<Vec<_>>(), expected);
+    }
     server.shutdown().await;
 }
 
@@ -183,7 +248,7 @@ async fn a_device_that_closes_after_each_reply_is_scanned_whole() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn another_protocol_is_told_and_is_no_plc() {
+async fn another_protocol_is_reported_and_is_no_plc() {
     let socket = UdpSocket::bind("127.1.5.1:0").unwrap();
     let port = socket.local_addr().unwrap().port().to_string();
     thread::spawn(move || {
@@ -234,6 +299,18 @@ fn the_rate_bounds_the_connections_per_second() {
 }
 
 #[test]
+fn the_rate_bounds_the_datagrams_per_second() {
+    let silent = UdpSocket::bind("127.1.13.1:0").unwrap();
+    let port = silent.local_addr().unwrap().port().to_string();
+    let begun = Instant::now();
+    let args = ["scan", "--network", "127.1.13.1", "--udp", &port, "--rate", "10", "--timeout", "10ms"];
+    let stations = ["--stations", "1-6", "--retries", "0", "--framing", "ascii"];
+    assert_eq!(fatek(&[&args[..], &stations].concat()).status, 4);
+    // The first of six datagrams is sent at once.
+    assert!(begun.elapsed() >= Duration::from_millis(500), "{:?}", begun.elapsed());
+}
+
+#[test]
 fn invalid_arguments_send_nothing() {
     let scan = |args: &[&str]| fatek(&[&["scan"], args].concat()).usage();
     for (args, rule) in [
@@ -242,6 +319,9 @@ fn invalid_arguments_send_nothing() {
         (&["--network", "fd00::/64"], "/112 or longer"),
         (&["--network", "192.168.1.0/33"], "the length of its prefix"),
         (&["--network", "224.0.0.1"], "is not the address of a host"),
+        (&["--network", "::ffff:224.0.0.1"], "224.0.0.1 is not the address of a host"),
+        (&["--network", "ff02::1%lo"], "ff02::1 is not the address of a host"),
+        (&["--network", "0x0"], "0x0: 0.0.0.0 is not the address of a host"),
         (&["--network", "127.0.0.1", "--link", "tcp://127.0.0.1"], "cannot be used with"),
         (&["--network", "127.0.0.1", "--tcp", "0"], "0 is not in 1..=65535"),
         (&["--network", "127.0.0.1", "--rate", "0"], "0 is not in 1..=10000"),
@@ -369,6 +449,17 @@ fn a_module_that_answers_the_discovery_is_shown_as_unverified() {
     assert_eq!((&row["fatek_port"], &row["modbus_port"]), (&500.into(), &502.into()));
     assert_eq!((&row["verified"], &row["note"]), (&false.into(), &Value::Null));
     assert!(!found.stdout.contains('\x1b'), "{found:?}");
+}
+
+/// The hint has the address of the sender, which is the one that the module can be reached at.
+#[test]
+fn the_hint_of_a_discovery_has_address_and_ports() {
+    let mut reply = reply_of_a_module();
+    reply[76..78].copy_from_slice(&5000_u16.to_be_bytes());
+    let (address, _) = module("127.1.9.4", reply);
+    let found = discover(&address, &[]);
+    let hint = "hint: to find its stations: fatek scan --network 127.1.9.4 --tcp 5000 --udp 5000\n";
+    assert!(found.stderr.contains(hint), "{found:?}");
 }
 
 #[test]

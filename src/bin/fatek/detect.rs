@@ -24,7 +24,7 @@ use self::connection::Connection;
 use self::found::Found;
 use self::trials::{Setting, Trials};
 use crate::args::DetectArgs;
-use crate::enquiry::{Heard, Reply};
+use crate::enquiry::{Reply, Traffic};
 use crate::failure::Failure;
 use crate::hint;
 use crate::output::Output;
@@ -39,8 +39,8 @@ const LISTEN: Duration = Duration::from_millis(250);
 const CONFIRMATIONS: u32 = 4;
 /// Pause between a reply and the next request, for drivers of RS-485, and for duplicates.
 const PAUSE: Duration = Duration::from_millis(30);
-/// Limit of the settings whose traffic is told.
-const MAX_TOLD: usize = 5;
+/// Limit of the settings whose traffic is explained.
+const MAX_EXPLAINED: usize = 5;
 
 pub(crate) async fn detect(args: &DetectArgs, given: Option<Duration>, output: &Output) -> Result<(), Failure> {
     let line = line(&args.line)?;
@@ -61,13 +61,22 @@ pub(crate) async fn detect(args: &DetectArgs, given: Option<Duration>, output: &
         requests_text(trials.count()),
         seconds(trials.longest(timeout))
     ));
-    let mut detection =
-        Detection { timeout, found: Vec::new(), traffic: Vec::new(), tried: 0, opened: 0, unopened: Vec::new() };
+    let mut detection = Detection {
+        timeout,
+        may_disturb: args.busy,
+        is_busy: false,
+        found: Vec::new(),
+        traffic: Vec::new(),
+        tried: 0,
+        opened: 0,
+        unopened: Vec::new(),
+        lost: Vec::new(),
+    };
     let progress = StatusLine::new(output);
     let ended = unless_signalled(detection.run(&trials, &progress)).await?;
     drop(progress);
     found::print(&detection.found, detection.frames(), output)?;
-    detection.tell_traffic(output);
+    detection.print_traffic(output);
     ended.map_err(Failure::interrupted(""))?;
     detection.verdict(&line, output)
 }
@@ -99,14 +108,20 @@ fn line(text: &str) -> Result<Endpoint, Failure> {
 /// A running detection.
 struct Detection {
     timeout: Duration,
+    /// Send requests even if the line is busy.
+    may_disturb: bool,
+    /// Another master was heard, and nothing was sent.
+    is_busy: bool,
     found: Vec<Found>,
     /// Traffic besides answers, by setting.
-    traffic: Vec<(Setting, Framing, Heard)>,
+    traffic: Vec<(Setting, Framing, Traffic)>,
     /// Requests sent, and times that the line was opened.
     tried: usize,
     opened: usize,
     /// Settings that the port could not be opened with, with the errors.
     unopened: Vec<(Setting, io::Error)>,
+    /// Errors of requests at which the line ended without a reply.
+    lost: Vec<io::Error>,
 }
 
 impl Detection {
@@ -118,6 +133,10 @@ impl Detection {
                 Ok(line) => line,
                 Err(error) => {
                     self.unopened.push((setting.clone(), error));
+                    // A serial port may refuse a single setting; a host is not there for any framing.
+                    if setting.serial().is_none() && self.opened == 0 {
+                        return;
+                    }
                     continue;
                 }
             };
@@ -125,8 +144,12 @@ impl Detection {
             if std::mem::take(&mut is_first) && setting.serial().is_some() {
                 progress.show(format_args!("listening for another master"));
                 let framing = setting.framings.first().copied().unwrap_or(Framing::Ascii);
-                let heard = line.listen(framing, LISTEN).await;
-                self.keep(setting, framing, heard);
+                let traffic = line.listen(framing, LISTEN).await;
+                self.is_busy = traffic.bytes > 0 && !self.may_disturb;
+                self.keep(setting, framing, traffic);
+                if self.is_busy {
+                    return;
+                }
             }
             for &framing in &setting.framings {
                 self.tried += 1;
@@ -159,7 +182,8 @@ impl Detection {
         let wait = setting.wait(self.timeout);
         let first = line.ask(ReadStatus, framing, station, wait).await;
         let Some((reply, time)) = first.reply else {
-            self.keep(setting, framing, first.heard);
+            self.keep(setting, framing, first.traffic);
+            self.lost.extend(first.lost);
             return false;
         };
         let endpoint = setting.endpoint(framing);
@@ -177,34 +201,41 @@ impl Detection {
             replies: 1,
             brief,
             detailed: None,
+            is_detail_missing: false,
             refused,
             time,
-            heard: first.heard,
+            traffic: first.traffic,
         });
         while let Some(found) = self.found.get_mut(position).filter(|found| found.requests < CONFIRMATIONS) {
             sleep(PAUSE).await;
             found.requests += 1;
             let again = line.ask(ReadStatus, framing, station, wait).await;
             found.replies += u32::from(again.reply.is_some());
-            found.heard.add(again.heard);
+            found.traffic.add(again.traffic);
         }
         sleep(PAUSE).await;
         let details = line.ask(ReadDetailedStatus, framing, station, setting.wait_for_details(self.timeout)).await;
-        if let (Some(found), Some((Reply::Good(detailed), _))) = (self.found.get_mut(position), details.reply) {
-            found.detailed = Some(detailed);
+        if let Some(found) = self.found.get_mut(position) {
+            found.traffic.add(details.traffic);
+            match details.reply {
+                Some((Reply::Good(detailed), _)) => found.detailed = Some(detailed),
+                // Some models have no detailed status.
+                Some((Reply::Refused(_), _)) => {}
+                None => found.is_detail_missing = true,
+            }
         }
         sleep(PAUSE).await;
         true
     }
 
-    fn keep(&mut self, setting: &Setting, framing: Framing, heard: Heard) {
-        if heard.bytes == 0 {
+    fn keep(&mut self, setting: &Setting, framing: Framing, traffic: Traffic) {
+        if traffic.bytes == 0 {
             return;
         }
-        let same = |(other, of, _): &&mut (Setting, Framing, Heard)| other == setting && *of == framing;
+        let same = |(other, of, _): &&mut (Setting, Framing, Traffic)| other == setting && *of == framing;
         match self.traffic.iter_mut().find(same) {
-            Some((_, _, sum)) => sum.add(heard),
-            None => self.traffic.push((setting.clone(), framing, heard)),
+            Some((_, _, sum)) => sum.add(traffic),
+            None => self.traffic.push((setting.clone(), framing, traffic)),
         }
     }
 
@@ -212,24 +243,24 @@ impl Detection {
     fn frames(&self) -> impl Iterator<Item = (Endpoint, &Frame)> {
         self.traffic
             .iter()
-            .filter_map(|(setting, framing, heard)| Some((setting.endpoint(*framing), heard.frames.first()?)))
+            .filter_map(|(setting, framing, traffic)| Some((setting.endpoint(*framing), traffic.frames.first()?)))
     }
 
     /// Prints conclusions from other traffic. After an answer, those of settings before it mean little.
-    fn tell_traffic(&self, output: &Output) {
+    fn print_traffic(&self, output: &Output) {
         if !self.found.is_empty() {
             return;
         }
-        let told = self.traffic.iter().flat_map(|(setting, framing, heard)| {
+        let texts = self.traffic.iter().flat_map(|(setting, framing, traffic)| {
             let endpoint = setting.endpoint(*framing);
-            hearing::conclusions(heard, setting.serial()).into_iter().map(move |text| (endpoint.clone(), text))
+            hearing::conclusions(traffic, setting.serial()).into_iter().map(move |text| (endpoint.clone(), text))
         });
-        let told: Vec<_> = told.collect();
-        for (endpoint, text) in told.iter().take(MAX_TOLD) {
+        let texts: Vec<_> = texts.collect();
+        for (endpoint, text) in texts.iter().take(MAX_EXPLAINED) {
             output.remark(format_args!("{endpoint}: {text}"));
         }
-        if told.len() > MAX_TOLD {
-            output.remark(format_args!("... and the like with {} more settings", told.len() - MAX_TOLD));
+        if texts.len() > MAX_EXPLAINED {
+            output.remark(format_args!("... and the like with {} more settings", texts.len() - MAX_EXPLAINED));
         }
     }
 
@@ -239,6 +270,9 @@ impl Detection {
             output.remark(format_args!("hint: to read more: {command}"));
             return Ok(());
         }
+        if self.is_busy {
+            return Err(Failure::BusyLine);
+        }
         if self.opened == 0 && !self.unopened.is_empty() {
             let (_, error) = self.unopened.swap_remove(0);
             return Err(cannot_open(line, error));
@@ -246,6 +280,13 @@ impl Detection {
         if let Some((setting, error)) = self.unopened.first() {
             let (count, endpoint) = (self.unopened.len(), setting.endpoint(Framing::Ascii));
             output.remark(format_args!("the port could not be opened {count} times, such as for {endpoint}: {error}"));
+        }
+        if !self.lost.is_empty() {
+            let (lost, error) = (self.lost.len(), self.lost.swap_remove(0));
+            if lost == self.tried {
+                return Err(Failure::LostLine { link: line.to_string(), tried: self.tried, error });
+            }
+            output.remark(format_args!("the line was lost at {lost} of {}: {error}", requests_text(self.tried)));
         }
         for hint in self.hints(line) {
             output.remark(format_args!("hint: {hint}"));

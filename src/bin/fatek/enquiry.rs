@@ -27,7 +27,7 @@ pub(crate) enum Reply<T> {
 
 /// Traffic besides the reply.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Heard {
+pub(crate) struct Traffic {
     /// All received bytes, those of the reply included.
     pub(crate) bytes: usize,
     /// Bytes of no good frame.
@@ -40,7 +40,7 @@ pub(crate) struct Heard {
     pub(crate) sample: Vec<u8>,
 }
 
-impl Heard {
+impl Traffic {
     /// Adds the traffic of another request.
     pub(crate) fn add(&mut self, other: Self) {
         self.bytes += other.bytes;
@@ -75,7 +75,7 @@ pub(crate) struct Enquiry<C> {
     codec: Codec,
     buffer: BytesMut,
     is_answered: bool,
-    heard: Heard,
+    traffic: Traffic,
 }
 
 impl<C: Command> Enquiry<C> {
@@ -90,7 +90,7 @@ impl<C: Command> Enquiry<C> {
             codec: Codec::new(framing, Side::Client),
             buffer: BytesMut::new(),
             is_answered: false,
-            heard: Heard::default(),
+            traffic: Traffic::default(),
         })
     }
 
@@ -101,7 +101,7 @@ impl<C: Command> Enquiry<C> {
 
     /// Takes received bytes. Returns the reply if they complete it.
     pub(crate) fn receive(&mut self, bytes: &[u8]) -> Option<Reply<C::Reply>> {
-        self.heard.bytes += bytes.len();
+        self.traffic.bytes += bytes.len();
         self.buffer.extend_from_slice(bytes);
         let mut reply = None;
         while let Ok(Some(item)) = self.codec.decode(&mut self.buffer) {
@@ -111,22 +111,22 @@ impl<C: Command> Enquiry<C> {
     }
 
     /// Ends it: the traffic besides the reply. Incomplete frames are garbage.
-    pub(crate) fn end(mut self) -> Heard {
+    pub(crate) fn end(mut self) -> Traffic {
         while let Ok(Some(item)) = self.codec.decode_eof(&mut self.buffer) {
             self.take(item);
         }
-        self.heard
+        self.traffic
     }
 
     fn take(&mut self, item: Received) -> Option<Reply<C::Reply>> {
         let frame = match item {
             Received::Frame(frame) => frame,
             Received::Discarded { bytes, .. } if bytes == self.request => {
-                self.heard.echoes += 1;
+                self.traffic.echoes += 1;
                 return None;
             }
             Received::Discarded { bytes, .. } => {
-                self.heard.discard(&bytes);
+                self.traffic.discard(&bytes);
                 return None;
             }
             _ => return None,
@@ -143,9 +143,9 @@ impl<C: Command> Enquiry<C> {
             }
         }
         if Frame::request(self.station, &self.command, self.framing).is_ok_and(|request| request == frame) {
-            self.heard.echoes += 1;
-        } else if self.heard.frames.len() < MAX_FRAMES {
-            self.heard.frames.push(frame);
+            self.traffic.echoes += 1;
+        } else if self.traffic.frames.len() < MAX_FRAMES {
+            self.traffic.frames.push(frame);
         }
         None
     }
@@ -177,9 +177,9 @@ mod tests {
             bytes.extend_from_slice(&status(framing, 3));
             let replies: Vec<_> = bytes.chunks(1).filter_map(|byte| enquiry.receive(byte)).collect();
             assert_eq!(replies, [Reply::Good(BriefStatus::from_raw([1, 0x40, 0]))], "{framing}");
-            let heard = enquiry.end();
-            assert_eq!((heard.bytes, heard.garbage, heard.echoes), (bytes.len(), 2, 1), "{framing}");
-            assert_eq!((heard.frames.len(), &heard.sample[..]), (0, &b"\x06\xff"[..]), "{framing}");
+            let traffic = enquiry.end();
+            assert_eq!((traffic.bytes, traffic.garbage, traffic.echoes), (bytes.len(), 2, 1), "{framing}");
+            assert_eq!((traffic.frames.len(), &traffic.sample[..]), (0, &b"\x06\xff"[..]), "{framing}");
         }
     }
 
@@ -212,8 +212,8 @@ mod tests {
             let mut enquiry = enquiry(own);
             let frame = status(other, 3);
             assert_eq!(enquiry.receive(&frame), None);
-            let heard = enquiry.end();
-            assert_eq!((heard.garbage, heard.frames.len()), (frame.len(), 0), "{own}");
+            let traffic = enquiry.end();
+            assert_eq!((traffic.garbage, traffic.frames.len()), (frame.len(), 0), "{own}");
         }
     }
 
@@ -226,10 +226,10 @@ mod tests {
             assert_eq!(enquiry.receive(&other), None);
         }
         assert!(enquiry.buffer.len() <= fatek::wire::MAX_FRAME_LEN);
-        let heard = enquiry.end();
-        assert_eq!((heard.garbage, heard.frames.len(), heard.sample.len()), (409_600, MAX_FRAMES, MAX_SAMPLE));
-        let mut sum = heard.clone();
-        sum.add(heard);
+        let traffic = enquiry.end();
+        assert_eq!((traffic.garbage, traffic.frames.len(), traffic.sample.len()), (409_600, MAX_FRAMES, MAX_SAMPLE));
+        let mut sum = traffic.clone();
+        sum.add(traffic);
         assert_eq!((sum.garbage, sum.frames.len(), sum.sample.len()), (819_200, MAX_FRAMES, MAX_SAMPLE));
     }
 }

@@ -71,6 +71,12 @@ pub(crate) enum Failure {
     /// No settings were found for a line.
     #[error("no answer to {}", crate::detect::requests_text(*tried))]
     NotDetected { tried: usize },
+    /// A line ended at each request.
+    #[error("{}: the line was lost at each of {}: {error}", excerpt(link), crate::detect::requests_text(*tried))]
+    LostLine { link: String, tried: usize, error: io::Error },
+    /// Another master is working on a line.
+    #[error("the line is busy, nothing was sent: stop the other master, or give --busy")]
+    BusyLine,
     /// Stations with bad or late replies.
     #[error("stations with bad replies: {bad}")]
     BadStations { bad: usize },
@@ -206,6 +212,7 @@ impl Failure {
             Self::NoPlc { .. } | Self::Host { .. } | Self::Discover { .. } | Self::NoModule => None,
             Self::UnknownReplies { .. } | Self::Open { .. } | Self::Ports(_) | Self::NotDetected { .. } => None,
             Self::Contradicted { .. } | Self::EndedEarly { .. } => None,
+            Self::LostLine { .. } | Self::BusyLine => None,
         }
     }
 
@@ -236,6 +243,8 @@ impl Failure {
             Self::NotAsWritten { .. } | Self::Contradicted { .. } => 7,
             Self::EndedEarly { status, .. } => *status,
             Self::Lost { .. } | Self::NoStation { .. } | Self::NoModule | Self::NotDetected { .. } => 4,
+            Self::BusyLine => 4,
+            Self::LostLine { .. } => 5,
             Self::NoPlc { failure: None, .. } => 4,
             Self::NoPlc { failure: Some(_), .. } => 5,
             Self::Listen { .. } | Self::Host { .. } | Self::Discover { .. } | Self::Open { .. } => 5,

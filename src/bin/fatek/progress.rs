@@ -7,6 +7,10 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::output::{Output, complain};
 
+/// Template of the status line. The cursor goes back two columns: the `^C` that a terminal prints there
+/// must not begin a new line, which would leave the status behind.
+const STATUS_TEMPLATE: &str = "{wide_msg}  \u{1b}[2D";
+
 /// Kind of display, by `--quiet` and by the terminal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Display {
@@ -40,7 +44,7 @@ impl StatusLine {
             Display::Terminal => ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()),
             Display::Lines | Display::Quiet => ProgressBar::hidden(),
         };
-        Self { display, line: line.with_style(style("{wide_msg}")) }
+        Self { display, line: line.with_style(style(STATUS_TEMPLATE)) }
     }
 
     /// Shows the current status, on a terminal only.

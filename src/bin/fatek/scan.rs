@@ -7,7 +7,7 @@
 pub(crate) mod discover;
 pub(crate) mod hosts;
 pub(crate) mod network;
-mod pace;
+mod rate_limit;
 mod trial;
 
 use std::time::Duration;

@@ -31,7 +31,7 @@ pub(crate) struct PortsArgs {
 ///
 /// Reads the status of a station with one setting after the other, the likely ones first, until a
 /// station answers, and then asks the others. It never writes. The port is opened for itself alone:
-/// close other programs, and do not use a line that another master is working on.
+/// close other programs. On a serial line that another master is working on, nothing is sent.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   fatek detect /dev/ttyUSB0
@@ -52,8 +52,8 @@ The column model has the main unit and the version of its OS.
 JSON: array of objects with link, baud, frame, framing, station, answer,
 requests, replies, running, main_unit, os_version, time_ms and note; unknown
 values are null.
-Exit status 0 if a station answers, 4 if none does, 5 if the port cannot be
-opened.")]
+Exit status 0 if a station answers, 4 if none does or the line is busy, 5 if the
+port cannot be opened or the line is lost at each request.")]
 pub(crate) struct DetectArgs {
     /// Port such as /dev/ttyUSB0 or COM3, or a URL: serial:PATH, tcp://HOST:PORT, udp://HOST:PORT
     #[arg(value_name = "SERIAL", value_hint = ValueHint::AnyPath)]
@@ -72,4 +72,7 @@ pub(crate) struct DetectArgs {
     /// Stations to try, such as 1-4,9
     #[arg(long, value_name = "LIST", default_value = "1-4")]
     pub(crate) stations: String,
+    /// Send requests even if another master is heard on the line: they disturb each other
+    #[arg(long)]
+    pub(crate) busy: bool,
 }

@@ -113,7 +113,7 @@ pub(crate) struct NetworkArgs {
     /// Framing: ascii or binary [default: both, until a frame comes]
     #[arg(long, requires = "hosts")]
     pub(crate) framing: Option<Framing>,
-    /// Connections per second, 1 to 10000; over UDP the first datagram to a port
+    /// TCP connections and UDP datagrams per second, 1 to 10000
     #[arg(
         long,
         value_name = "N",

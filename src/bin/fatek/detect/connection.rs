@@ -12,7 +12,7 @@ use tokio::time::{sleep, timeout};
 
 use super::seconds;
 use super::trials::{SETTLE, Setting};
-use crate::enquiry::Heard;
+use crate::enquiry::Traffic;
 use crate::enquiry::exchange::{Outcome, Stream, ask, listen};
 
 trait Io: AsyncRead + AsyncWrite + Unpin {}
@@ -34,10 +34,11 @@ impl<'s> Connection<'s> {
     }
 
     /// Listens to traffic without a request.
-    pub(super) async fn listen(&mut self, framing: Framing, time: Duration) -> Heard {
+    pub(super) async fn listen(&mut self, framing: Framing, time: Duration) -> Traffic {
         match &mut self.line {
-            Some(line) => listen(line, framing, time).await,
-            None => Heard::default(),
+            // The end of the line shows at the next request.
+            Some(line) => listen(line, framing, time).await.0,
+            None => Traffic::default(),
         }
     }
 
@@ -54,7 +55,7 @@ impl<'s> Connection<'s> {
         let mut outcome = self.ask_once(command, framing, station, within).await;
         if had_answered && outcome.reply.is_none() && outcome.lost.is_some() {
             let again = self.ask_once(command, framing, station, within).await;
-            outcome.heard.add(again.heard);
+            outcome.traffic.add(again.traffic);
             (outcome.reply, outcome.lost) = (again.reply, again.lost);
         }
         outcome
@@ -71,11 +72,11 @@ impl<'s> Connection<'s> {
             self.has_answered = false;
             match open(self.setting, self.timeout).await {
                 Ok(line) => self.line = Some(Stream(line)),
-                Err(error) => return Outcome { reply: None, heard: Heard::default(), lost: Some(error) },
+                Err(error) => return Outcome { reply: None, traffic: Traffic::default(), lost: Some(error) },
             }
         }
         let Some(line) = &mut self.line else {
-            return Outcome { reply: None, heard: Heard::default(), lost: None };
+            return Outcome { reply: None, traffic: Traffic::default(), lost: None };
         };
         let outcome = ask(line, command, framing, station, within).await;
         self.has_answered |= outcome.reply.is_some();

@@ -6,7 +6,7 @@ use fatek::command::{BriefStatus, Code, DetailedStatus};
 use fatek::wire::Frame;
 use fatek::{Endpoint, ErrorCode};
 
-use crate::enquiry::Heard;
+use crate::enquiry::Traffic;
 use crate::failure::Failure;
 use crate::output::{Format, Output, Rows, version};
 
@@ -19,18 +19,20 @@ pub(super) struct Found {
     pub(super) replies: u32,
     pub(super) brief: Option<BriefStatus>,
     pub(super) detailed: Option<DetailedStatus>,
+    /// The request of the detailed status had no good reply.
+    pub(super) is_detail_missing: bool,
     pub(super) refused: Option<ErrorCode>,
     /// First round trip.
     pub(super) time: Duration,
     /// Traffic besides the replies.
-    pub(super) heard: Heard,
+    pub(super) traffic: Traffic,
 }
 
 impl Found {
     /// Column `answer`. Echoes do not lower it: they are no sign of other settings.
     fn answer(&self) -> &'static str {
-        let is_sure = self.replies == self.requests && self.heard.garbage == 0 && self.heard.frames.is_empty();
-        if is_sure { "sure" } else { "likely" }
+        let is_answered = self.replies == self.requests && !self.is_detail_missing;
+        if is_answered && self.traffic.garbage == 0 && self.traffic.frames.is_empty() { "sure" } else { "likely" }
     }
 
     fn note(&self) -> Option<String> {
@@ -38,16 +40,19 @@ impl Found {
         if self.replies < self.requests {
             notes.push(format!("{} of {} requests answered", self.replies, self.requests));
         }
+        if self.is_detail_missing {
+            notes.push("no answer to the detailed status (53)".to_owned());
+        }
         if let Some(code) = self.refused {
             notes.push(format!("refused: {code}"));
         }
-        if self.heard.echoes > 0 {
+        if self.traffic.echoes > 0 {
             notes.push("requests are echoed".to_owned());
         }
-        if self.heard.garbage > 0 {
-            notes.push(format!("{} bytes that are no frame", self.heard.garbage));
+        if self.traffic.garbage > 0 {
+            notes.push(format!("{} bytes that are no frame", self.traffic.garbage));
         }
-        if let Some(frame) = self.heard.frames.first() {
+        if let Some(frame) = self.traffic.frames.first() {
             notes.push(other_frame(frame));
         }
         (!notes.is_empty()).then(|| notes.join("; "))
@@ -126,7 +131,7 @@ pub(super) fn print<'f>(
 mod tests {
     use super::*;
 
-    fn found(requests: u32, replies: u32, heard: Heard) -> Found {
+    fn found(requests: u32, replies: u32, traffic: Traffic) -> Found {
         Found {
             endpoint: Endpoint::serial("/dev/x"),
             station: 1,
@@ -134,21 +139,27 @@ mod tests {
             replies,
             brief: None,
             detailed: None,
+            is_detail_missing: false,
             refused: None,
             time: Duration::ZERO,
-            heard,
+            traffic,
         }
     }
 
     #[test]
     fn missing_replies_garbage_and_other_frames_lower_the_confidence() {
         let frame = Frame { station: 9, command: 0x99, data: Default::default() };
-        let other = Heard { frames: vec![frame], ..Heard::default() };
+        let other = Traffic { frames: vec![frame], ..Traffic::default() };
         for (found, answer, note) in [
-            (found(4, 4, Heard::default()), "sure", None),
-            (found(4, 4, Heard { echoes: 4, ..Heard::default() }), "sure", Some("requests are echoed")),
-            (found(4, 3, Heard::default()), "likely", Some("3 of 4 requests answered")),
-            (found(4, 4, Heard { garbage: 2, ..Heard::default() }), "likely", Some("2 bytes that are no frame")),
+            (found(4, 4, Traffic::default()), "sure", None),
+            (found(4, 4, Traffic { echoes: 4, ..Traffic::default() }), "sure", Some("requests are echoed")),
+            (
+                Found { is_detail_missing: true, ..found(4, 4, Traffic::default()) },
+                "likely",
+                Some("no answer to the detailed status (53)"),
+            ),
+            (found(4, 3, Traffic::default()), "likely", Some("3 of 4 requests answered")),
+            (found(4, 4, Traffic { garbage: 2, ..Traffic::default() }), "likely", Some("2 bytes that are no frame")),
             (found(4, 4, other), "likely", Some("a frame of station 9: command 99h")),
         ] {
             assert_eq!((found.answer(), found.note().as_deref()), (answer, note));

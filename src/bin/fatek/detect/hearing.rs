@@ -2,21 +2,22 @@
 
 use fatek::endpoint::{DataBits, Parity, SerialSettings};
 
-use crate::enquiry::Heard;
+use crate::enquiry::Traffic;
 
 /// Shortest sample for a conclusion about its parity: by chance, 1 of 128 such samples has one.
 const MIN_SAMPLE: usize = 8;
 
 /// Texts about the traffic at these settings; `serial`: of a serial port.
-pub(super) fn conclusions(heard: &Heard, serial: Option<SerialSettings>) -> Vec<String> {
+pub(super) fn conclusions(traffic: &Traffic, serial: Option<SerialSettings>) -> Vec<String> {
     let mut texts = Vec::new();
-    if heard.echoes > 0 {
+    if traffic.echoes > 0 {
         texts.push("requests are echoed, so that adapter and port work".to_owned());
     }
-    if heard.garbage > 0 {
-        let bytes = if heard.garbage == 1 { "1 byte that is" } else { &format!("{} bytes that are", heard.garbage) };
-        let reason = serial.map_or("another protocol?", |serial| reason(&heard.sample, serial));
-        texts.push(format!("{bytes} no frame ({}): {reason}", sample(&heard.sample)));
+    if traffic.garbage > 0 {
+        let bytes =
+            if traffic.garbage == 1 { "1 byte that is" } else { &format!("{} bytes that are", traffic.garbage) };
+        let reason = serial.map_or("another protocol?", |serial| reason(&traffic.sample, serial));
+        texts.push(format!("{bytes} no frame ({}): {reason}", sample(&traffic.sample)));
     }
     texts
 }
@@ -32,12 +33,12 @@ fn reason(sample: &[u8], serial: SerialSettings) -> &'static str {
     let zeros = sample.iter().filter(|byte| **byte == 0).count();
     if serial.parity() != Parity::None && zeros > 0 && zeros * 4 >= sample.len() {
         // By Linux.
-        return "characters of another parity are read as 00";
+        return "characters of another parity or speed are read as 00";
     }
     let is_plain = serial.data_bits() == DataBits::Eight && serial.parity() == Parity::None;
     match parity_of(sample).filter(|_| is_plain) {
-        Some(Parity::Even) => "bit 7 is an even parity of the others: the line has 7E1",
-        Some(Parity::Odd) => "bit 7 is an odd parity of the others: the line has 7O1",
+        Some(Parity::Even) => "bit 7 is an even parity of the others: perhaps 7E1",
+        Some(Parity::Odd) => "bit 7 is an odd parity of the others: perhaps 7O1",
         Some(_) | None => "another speed or frame, or noise",
     }
 }
@@ -62,8 +63,8 @@ mod tests {
 
     const REPLY: &[u8] = b"\x020140001400059\x03";
 
-    fn garbage(sample: &[u8]) -> Heard {
-        Heard { bytes: sample.len(), garbage: sample.len(), sample: sample.to_vec(), ..Heard::default() }
+    fn garbage(sample: &[u8]) -> Traffic {
+        Traffic { bytes: sample.len(), garbage: sample.len(), sample: sample.to_vec(), ..Traffic::default() }
     }
 
     /// The bytes of 7 data bits and a parity bit, as 8 data bits.
@@ -76,7 +77,7 @@ mod tests {
         let plain = SerialSettings::new(Framing::Binary);
         for (odd, frame) in [(false, "7E1"), (true, "7O1")] {
             let [text] = &conclusions(&garbage(&with_parity(REPLY, odd)), Some(plain))[..] else { panic!("one") };
-            assert!(text.ends_with(&format!("the line has {frame}")), "{text}");
+            assert!(text.ends_with(&format!("perhaps {frame}")), "{text}");
         }
         // Neither a few bytes, nor text without a parity bit, nor noise.
         for sample in [&with_parity(REPLY, false)[..7], REPLY, b"\x80\x81\x82\x83\x84\x85\x86\x87"] {
@@ -92,7 +93,7 @@ mod tests {
         let texts = conclusions(&garbage(&sample), Some(even));
         assert_eq!(
             texts,
-            ["7 bytes that are no frame (00 30 00 34 30 00 31): characters of another parity are read as 00"]
+            ["7 bytes that are no frame (00 30 00 34 30 00 31): characters of another parity or speed are read as 00"]
         );
         assert_eq!(conclusions(&garbage(&[0x41]), Some(even)).len(), 1);
         assert_eq!(conclusions(&garbage(&[0x41]), None), ["1 byte that is no frame (41): another protocol?"]);
@@ -100,8 +101,8 @@ mod tests {
 
     #[test]
     fn an_echo_says_that_the_port_works() {
-        let heard = Heard { bytes: 8, echoes: 1, ..Heard::default() };
-        assert!(conclusions(&heard, None)[0].starts_with("requests are echoed"));
-        assert!(conclusions(&Heard::default(), None).is_empty());
+        let traffic = Traffic { bytes: 8, echoes: 1, ..Traffic::default() };
+        assert!(conclusions(&traffic, None)[0].starts_with("requests are echoed"));
+        assert!(conclusions(&Traffic::default(), None).is_empty());
     }
 }

@@ -9,7 +9,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::UdpSocket;
 use tokio::time::{Instant, timeout, timeout_at};
 
-use super::{Enquiry, Heard, Reply};
+use super::{Enquiry, Reply, Traffic};
 
 /// A line to stations.
 pub(crate) trait Line {
@@ -59,7 +59,7 @@ impl Line for Datagrams {
 pub(crate) struct Outcome<T> {
     /// The reply, with its round trip.
     pub(crate) reply: Option<(Reply<T>, Duration)>,
-    pub(crate) heard: Heard,
+    pub(crate) traffic: Traffic,
     /// The line has ended.
     pub(crate) lost: Option<io::Error>,
 }
@@ -78,7 +78,11 @@ pub(crate) async fn ask<C: Command>(
     let mut enquiry = match Enquiry::new(command, framing, station) {
         Ok(enquiry) => enquiry,
         Err(invalid) => {
-            return Outcome { reply: None, heard: Heard::default(), lost: Some(io::Error::other(invalid.to_string())) };
+            return Outcome {
+                reply: None,
+                traffic: Traffic::default(),
+                lost: Some(io::Error::other(invalid.to_string())),
+            };
         }
     };
     let exchange = async {
@@ -92,16 +96,16 @@ pub(crate) async fn ask<C: Command>(
         Ok(Err(error)) => (None, Some(error)),
         Err(_) => (None, None),
     };
-    Outcome { reply, heard: enquiry.end(), lost }
+    Outcome { reply, traffic: enquiry.end(), lost }
 }
 
-/// Listens without a request: the traffic of a framing in this time, or until the line ends.
-pub(crate) async fn listen(line: &mut impl Line, framing: Framing, time: Duration) -> Heard {
+/// Listens without a request: the traffic of a framing in this time, or until the line ends, with the
+/// reason of its end.
+pub(crate) async fn listen(line: &mut impl Line, framing: Framing, time: Duration) -> (Traffic, Option<io::Error>) {
     // No station answers as station 0, so no frame is taken for a reply.
-    let Ok(mut enquiry) = Enquiry::new(ReadStatus, framing, 0) else { return Heard::default() };
-    // The end of the line shows at the next request.
-    let _ = timeout(time, receive(line, &mut enquiry)).await;
-    enquiry.end()
+    let Ok(mut enquiry) = Enquiry::new(ReadStatus, framing, 0) else { return (Traffic::default(), None) };
+    let lost = timeout(time, receive(line, &mut enquiry)).await.ok().and_then(Result::err);
+    (enquiry.end(), lost)
 }
 
 /// Receives until the reply comes.

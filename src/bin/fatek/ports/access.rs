@@ -93,13 +93,14 @@ fn group(path: &Path, root: &Path) -> Option<String> {
 }
 
 /// Name of a group in the text of `/etc/group`. Names with other characters than those of groups are
-/// not taken: they would end up in a command.
+/// not taken: they would end up in a command. Neither is group 0: its members have the rights of the
+/// superuser.
 #[cfg(target_os = "linux")]
 fn name_of_group(groups: &str, number: u32) -> Option<String> {
     let name = groups.lines().find_map(|line| {
         let mut fields = line.split(':');
         let (name, _password, id) = (fields.next()?, fields.next()?, fields.next()?);
-        (id.parse() == Ok(number)).then_some(name)
+        (number != 0 && id.parse() == Ok(number)).then_some(name)
     })?;
     let is_plain = name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c));
     (is_plain && !name.starts_with('-')).then(|| name.to_owned())
@@ -113,7 +114,7 @@ mod tests {
     fn the_group_of_a_number_is_found_by_its_name() {
         let groups = "root:x:0:\nbroken\ndialout:x:20:ann\nbad name;rm:x:21:\n-x:x:22:\n";
         assert_eq!(name_of_group(groups, 20).as_deref(), Some("dialout"));
-        for number in [1, 21, 22] {
+        for number in [0, 1, 21, 22] {
             assert_eq!(name_of_group(groups, number), None, "{number}");
         }
     }

@@ -7,6 +7,7 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::time::Duration;
 
+use fatek::endpoint;
 use tokio::net::UdpSocket;
 use tokio::time::{Instant, timeout_at};
 
@@ -55,15 +56,23 @@ pub(crate) async fn discover(args: &DiscoverArgs, given: Option<Duration>, outpu
     received
         .map_err(Failure::interrupted(""))?
         .map_err(|error| Failure::Discover { subject: format!("UDP port {}", args.source_port), error })?;
-    let (all, known) =
-        (replies.values().flatten(), replies.values().flatten().filter_map(|reply| Module::parse(reply)));
-    if let Some(module) = known.clone().next() {
-        output.remark(format_args!("hint: to find its stations: fatek scan --network {}", module.address));
+    let all = replies.iter().flat_map(|(sender, replies)| replies.iter().map(move |reply| (sender, reply)));
+    let known = all.clone().filter_map(|(sender, reply)| Some((sender, Module::parse(reply)?)));
+    if let Some((sender, module)) = known.clone().next() {
+        output.remark(format_args!("hint: to find its stations: {}", scan_command(sender.ip(), module.fatek_port)));
     }
     match (known.count(), all.count()) {
         (0, 0) => Err(Failure::NoModule),
         (0, unknown) => Err(Failure::UnknownReplies { unknown }),
         (_, _) => Ok(()),
+    }
+}
+
+/// The scan of a module. `address`: the sender of the reply, since a module can state another address.
+fn scan_command(address: IpAddr, port: u16) -> String {
+    match port {
+        0 | endpoint::DEFAULT_PORT => format!("fatek scan --network {address}"),
+        _ => format!("fatek scan --network {address} --tcp {port} --udp {port}"),
     }
 }
 

@@ -10,6 +10,7 @@ use std::str::FromStr;
 pub(crate) const MAX_HOSTS: u128 = 1 << 16;
 /// Largest IPv6 network, by its prefix. Even with `--large`: a larger one has no end.
 const MIN_PREFIX_6: u8 = 112;
+const ONE_FAMILY: &str = "both ends of a range are of one kind, IPv4 or IPv6";
 
 /// One value of `--network`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,6 +36,11 @@ impl FromStr for Hosts {
         }
         if let Some(address) = address(text) {
             return single(address).map(Self::Range);
+        }
+        if let Some((address, _zone)) = text.split_once('%')
+            && let Ok(address) = address.trim_start_matches('[').parse::<Ipv6Addr>()
+        {
+            host(address.into())?;
         }
         if let Some((first, last)) = text.split_once('-')
             && let Some(first) = address(first)
@@ -110,7 +116,7 @@ fn range(first: IpAddr, last: &str) -> Result<Range, String> {
         (None, IpAddr::V6(_)) => return Err(rule.to_owned()),
     };
     if first.is_ipv4() != last.is_ipv4() {
-        return Err("both ends of a range are of one kind, IPv4 or IPv6".to_owned());
+        return Err(ONE_FAMILY.to_owned());
     }
     if last < first {
         return Err("the range is backwards".to_owned());
@@ -126,13 +132,22 @@ fn single(address: IpAddr) -> Result<Range, String> {
     checked(address, address)
 }
 
-/// Refuses addresses that are of no single host: a datagram to them would reach many.
+/// Refuses addresses that are of no single host: a datagram to them would reach many. Returns the IPv4
+/// address of one in the form `::ffff:10.0.0.1`, which the system takes for the same.
+fn host(address: IpAddr) -> Result<IpAddr, String> {
+    let address = address.to_canonical();
+    let is_broadcast = matches!(address, IpAddr::V4(address) if address.is_broadcast());
+    if address.is_multicast() || address.is_unspecified() || is_broadcast {
+        return Err(format!("{address} is not the address of a host"));
+    }
+    Ok(address)
+}
+
+/// The range between two addresses, without any that are of no single host.
 fn checked(first: IpAddr, last: IpAddr) -> Result<Range, String> {
-    for end in [first, last] {
-        let is_broadcast = matches!(end, IpAddr::V4(end) if end.is_broadcast());
-        if end.is_multicast() || end.is_unspecified() || is_broadcast {
-            return Err(format!("{end} is not the address of a host"));
-        }
+    let (first, last) = (host(first)?, host(last)?);
+    if first.is_ipv4() != last.is_ipv4() {
+        return Err(ONE_FAMILY.to_owned());
     }
     let range = Range { first, last };
     let multicast = Range { first: Ipv4Addr::new(224, 0, 0, 0).into(), last: Ipv4Addr::BROADCAST.into() };
@@ -189,12 +204,16 @@ impl HostList {
         self.ranges.push(range);
     }
 
-    /// Adds an address that was found for a name; its port is not used.
-    pub(crate) fn add_address(&mut self, address: SocketAddr) {
+    /// Adds an address that was found for a name; its port is not used. The error is the rule that the
+    /// address breaks.
+    pub(crate) fn add_address(&mut self, mut address: SocketAddr) -> Result<(), String> {
+        // Keeps the zone of an IPv6 address.
+        address.set_ip(host(address.ip())?);
         let is_new = |other: &SocketAddr| (other.ip(), zone(other)) != (address.ip(), zone(&address));
         if self.named.iter().all(is_new) {
             self.named.push(address);
         }
+        Ok(())
     }
 
     /// Number of hosts; those of overlapping ranges are counted more than once.
@@ -273,10 +292,37 @@ mod tests {
         assert_eq!(found, ["10.0.0.2", "10.0.0.3", "10.0.0.4", "10.0.0.1", "10.0.0.5", "10.0.0.6"]);
         let mut list = list(&["10.0.0.2-4"]);
         for address in ["10.0.0.3:0", "10.0.0.9:0", "10.0.0.9:0", "[fe80::1%2]:0", "[fe80::1%3]:0"] {
-            list.add_address(address.parse().unwrap());
+            list.add_address(address.parse().unwrap()).unwrap();
         }
         let found: Vec<String> = list.iter().map(|address| address.to_string()).collect();
         assert_eq!(found[3..], ["10.0.0.9:0", "[fe80::1%2]:0", "[fe80::1%3]:0"]);
+    }
+
+    #[test]
+    fn an_ipv4_address_in_an_ipv6_address_is_an_ipv4_host() {
+        assert_eq!(addresses(&["::ffff:10.0.0.5", "10.0.0.5"]), ["10.0.0.5"]);
+        assert_eq!(addresses(&["::ffff:10.0.0.0/127"]), ["10.0.0.0", "10.0.0.1"]);
+        let mut list = HostList::default();
+        list.add_address("[::ffff:10.0.0.5]:0".parse().unwrap()).unwrap();
+        assert_eq!(list.iter().next(), Some("10.0.0.5:0".parse().unwrap()));
+    }
+
+    #[test]
+    fn names_of_no_single_host_are_refused() {
+        let mut list = HostList::default();
+        for address in [
+            "0.0.0.0:0",
+            "224.0.0.1:0",
+            "255.255.255.255:0",
+            "[::]:0",
+            "[ff02::1%2]:0",
+            "[::ffff:224.0.0.1]:0",
+            "[::ffff:0.0.0.0]:0",
+        ] {
+            let error = list.add_address(address.parse().unwrap()).unwrap_err();
+            assert!(error.contains("not the address of a host"), "{address}: {error}");
+        }
+        assert_eq!(list.count(), 0);
     }
 
     #[test]
@@ -311,6 +357,12 @@ mod tests {
             ("224.0.0.1", "not the address of a host"),
             ("239.1.0.0/24", "not the address of a host"),
             ("ff02::1", "not the address of a host"),
+            ("ff02::1%eth0", "not the address of a host"),
+            ("[ff02::1%eth0]", "not the address of a host"),
+            ("::ffff:224.0.0.1", "not the address of a host"),
+            ("::ffff:0.0.0.0", "not the address of a host"),
+            ("::ffff:223.255.255.250-::ffff:240.0.0.1", "multicast"),
+            ("::fffe:ffff:fff0-::ffff:0.0.0.5", "of one kind"),
             ("10.0.0.0-230.0.0.0", "not the address of a host"),
             ("10.0.0.0-240.0.0.1", "multicast"),
             ("0.0.0.0/0", "multicast"),

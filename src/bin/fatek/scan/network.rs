@@ -1,6 +1,6 @@
 //! `fatek scan --network`: opens the ports of many hosts and asks the stations behind them.
 //!
-//! [`Trial`] has the order of the requests to a port, [`Pace`] the times of the connections, and
+//! [`Trial`] has the order of the requests to a port, [`RateLimit`] the times of the connections and datagrams, and
 //! [`HostList`] the hosts.
 
 mod results;
@@ -19,12 +19,13 @@ use tokio::time::{Instant, sleep, timeout};
 
 use self::results::{Kind, Tally, host, hosts_text, print};
 use super::hosts::{HostList, Hosts, MAX_HOSTS};
-use super::pace::{Pace, if_silent};
-use super::trial::{Found, Questions, Step, Trial};
+use super::rate_limit::{RateLimit, if_silent};
+use super::trial::{Found, Questions, Trial, TrialStep};
 use crate::args::ScanArgs;
-use crate::enquiry::exchange::{Datagrams, Line, Stream, ask};
+use crate::enquiry::exchange::{Datagrams, Line, Stream, ask, listen};
 use crate::failure::Failure;
 use crate::output::Output;
+use crate::printable::excerpt;
 use crate::progress::StatusLine;
 use crate::signal::unless_signalled;
 
@@ -45,7 +46,7 @@ pub(crate) async fn scan(args: &ScanArgs, given: Option<Duration>, output: &Outp
         plan: &plan,
         progress: &progress,
         begun: Instant::now(),
-        pace: RefCell::new(Pace::per_second(args.network.rate)),
+        rate: RefCell::new(RateLimit::per_second(args.network.rate)),
         tally: RefCell::default(),
     };
     let ended = unless_signalled(scan.all()).await?;
@@ -97,10 +98,9 @@ impl Plan {
             at_once: network.at_once,
             if_silent: Duration::ZERO,
         };
-        // There are at most 2 × 65535 ports.
-        let connections = u32::try_from(plan.ports.len()).unwrap_or(u32::MAX);
+        let places = plan.ports.iter().map(|(kind, _)| plan.places_if_silent(*kind)).fold(0, u32::saturating_add);
         let of_host = plan.ports.iter().map(|(kind, _)| plan.time_if_silent(*kind)).sum();
-        plan.if_silent = if_silent(plan.hosts.count(), plan.at_once, of_host, connections, network.rate);
+        plan.if_silent = if_silent(plan.hosts.count(), plan.at_once, of_host, places, network.rate);
         Ok(plan)
     }
 
@@ -116,6 +116,14 @@ impl Plan {
         match kind {
             Kind::Tcp => self.connect_timeout,
             Kind::Udp => self.timeout.saturating_mul(self.udp.when_silent()),
+        }
+    }
+
+    /// Connections and datagrams to a port of a host that is not there.
+    fn places_if_silent(&self, kind: Kind) -> u32 {
+        match kind {
+            Kind::Tcp => 1,
+            Kind::Udp => self.udp.when_silent(),
         }
     }
 
@@ -143,7 +151,10 @@ async fn hosts(all: &[Hosts], is_large: bool) -> Result<HostList, Failure> {
                 let inner = name.strip_prefix('[').and_then(|name| name.strip_suffix(']')).unwrap_or(name);
                 let addresses =
                     lookup_host((inner, 0)).await.map_err(|error| Failure::Host { host: name.clone(), error })?;
-                addresses.for_each(|address| list.add_address(address));
+                for address in addresses {
+                    let refused = |rule| Failure::Usage(format!("{}: {rule}", excerpt(name)));
+                    list.add_address(address).map_err(refused)?;
+                }
             }
         }
     }
@@ -161,7 +172,7 @@ struct Scan<'s> {
     plan: &'s Plan,
     progress: &'s StatusLine,
     begun: Instant,
-    pace: RefCell<Pace>,
+    rate: RefCell<RateLimit>,
     tally: RefCell<Tally>,
 }
 
@@ -169,10 +180,8 @@ struct Scan<'s> {
 enum Opened {
     Line(AnyLine),
     Refused,
-    /// No answer in time.
+    /// No answer in time, or the network says that the host is not there.
     Unanswered,
-    /// The host is not there, as the network says.
-    Unreachable,
     /// This computer cannot open it.
     Failed(io::Error),
 }
@@ -225,10 +234,6 @@ impl Scan<'_> {
                 Opened::Line(_) => {}
                 Opened::Refused => self.tally.borrow_mut().refused += 1,
                 Opened::Unanswered => self.tally.borrow_mut().unanswered += 1,
-                Opened::Unreachable => {
-                    self.tally.borrow_mut().unanswered += 1;
-                    break;
-                }
                 Opened::Failed(error) => {
                     let mut tally = self.tally.borrow_mut();
                     tally.failed += 1;
@@ -244,19 +249,20 @@ impl Scan<'_> {
     async fn port(&self, kind: Kind, address: SocketAddr, framing: &mut Option<Framing>) -> Opened {
         let mut line = match self.open(kind, address).await {
             Opened::Line(line) => line,
-            other @ (Opened::Refused | Opened::Unanswered | Opened::Unreachable | Opened::Failed(_)) => return other,
+            other @ (Opened::Refused | Opened::Unanswered | Opened::Failed(_)) => return other,
         };
         let within = self.plan.timeout;
-        let mut trial = Trial::new(self.plan.questions(kind), *framing);
+        let mut trial = Trial::new(self.plan.questions(kind), *framing, kind == Kind::Tcp);
         loop {
             let lost = match trial.step() {
-                Step::Status { framing, station } => {
+                TrialStep::Status { framing, station } => {
+                    self.datagram(kind).await;
                     let outcome = ask(&mut line, ReadStatus, framing, station, within).await;
                     match (outcome.reply, outcome.lost) {
-                        (None, Some(error)) => Some((error, outcome.heard)),
+                        (None, Some(error)) => Some((error, outcome.traffic)),
                         (reply, _) => {
                             let is_answered = reply.is_some();
-                            trial.status(reply, outcome.heard);
+                            trial.status(reply, outcome.traffic);
                             if is_answered {
                                 self.note(kind, address, trial.found());
                                 self.progress.event(format_args!(
@@ -269,41 +275,47 @@ impl Scan<'_> {
                         }
                     }
                 }
-                Step::Detail { framing, station } => {
+                TrialStep::Detail { framing, station } => {
+                    self.datagram(kind).await;
                     let outcome = ask(&mut line, ReadDetailedStatus, framing, station, within).await;
                     match (outcome.reply, outcome.lost) {
-                        (None, Some(error)) => Some((error, outcome.heard)),
+                        (None, Some(error)) => Some((error, outcome.traffic)),
                         (reply, _) => {
-                            trial.detail(reply.map(|(reply, _)| reply), outcome.heard);
+                            trial.detail(reply.map(|(reply, _)| reply), outcome.traffic);
                             None
                         }
                     }
                 }
-                Step::Open => {
+                TrialStep::Listen { framing } => {
+                    let (traffic, lost) = listen(&mut line, framing, within).await;
+                    trial.listened(traffic, lost.is_some());
+                    None
+                }
+                TrialStep::Open => {
                     match self.open(kind, address).await {
                         Opened::Line(new) => {
                             line = new;
                             trial.opened();
                         }
-                        Opened::Refused | Opened::Unanswered | Opened::Unreachable => {
+                        Opened::Refused | Opened::Unanswered => {
                             trial.end("the port accepts no second connection");
                         }
                         Opened::Failed(error) => trial.end(&error.to_string()),
                     }
                     None
                 }
-                Step::End => break,
+                TrialStep::End => break,
             };
-            if let Some((error, heard)) = lost {
+            if let Some((error, traffic)) = lost {
                 // The host says over UDP that the port is closed.
                 if kind == Kind::Udp && trial.found().is_empty() {
                     return classified(error);
                 }
-                trial.lost(&error.to_string(), heard);
+                trial.lost(&error.to_string(), traffic);
             }
         }
         *framing = framing.or(trial.framing());
-        let found = trial.into_found(kind == Kind::Tcp);
+        let found = trial.into_found();
         if found.is_empty() {
             return Opened::Unanswered;
         }
@@ -315,11 +327,26 @@ impl Scan<'_> {
         self.tally.borrow_mut().found.insert((address, kind), found.to_vec());
     }
 
-    /// Opens a connection, in its turn.
-    async fn open(&self, kind: Kind, address: SocketAddr) -> Opened {
-        let wait = self.pace.borrow_mut().reserve(self.begun.elapsed());
+    /// Waits for the next place in the rate.
+    async fn place(&self) {
+        let wait = self.rate.borrow_mut().reserve(self.begun.elapsed());
         if !wait.is_zero() {
             sleep(wait).await;
+        }
+    }
+
+    /// Waits for the place of a datagram. Requests on a connection need none.
+    async fn datagram(&self, kind: Kind) {
+        match kind {
+            Kind::Tcp => {}
+            Kind::Udp => self.place().await,
+        }
+    }
+
+    /// Opens a connection, in its turn. A UDP socket sends nothing for that.
+    async fn open(&self, kind: Kind, address: SocketAddr) -> Opened {
+        if kind == Kind::Tcp {
+            self.place().await;
         }
         let opened = match kind {
             Kind::Tcp => match timeout(self.plan.connect_timeout, TcpStream::connect(address)).await {
@@ -347,8 +374,7 @@ fn classified(error: io::Error) -> Opened {
     #[allow(clippy::wildcard_enum_match_arm, reason = "the enum of the standard library has more kinds each year")]
     match error.kind() {
         io::ErrorKind::ConnectionRefused | io::ErrorKind::ConnectionReset => Opened::Refused,
-        io::ErrorKind::TimedOut => Opened::Unanswered,
-        io::ErrorKind::HostUnreachable => Opened::Unreachable,
+        io::ErrorKind::TimedOut | io::ErrorKind::HostUnreachable => Opened::Unanswered,
         _ => Opened::Failed(error),
     }
 }

@@ -1,21 +1,25 @@
 //! The order of the requests to one port of a host, and the results. No I/O and no clock.
 //!
-//! States: the status of the next station is due ([`Step::Status`]), its detailed status
-//! ([`Step::Detail`]), a new connection ([`Step::Open`]), or nothing ([`Step::End`]). Inputs: the end
-//! of a request, and the end of the connection.
+//! States: the status of the next station is due ([`TrialStep::Status`]), its detailed status
+//! ([`TrialStep::Detail`]), late replies ([`TrialStep::Listen`]), a new connection
+//! ([`TrialStep::Open`]), or nothing ([`TrialStep::End`]). Inputs: the end of a request or of listening,
+//! and the end of the connection.
 //!
 //! Invariants:
 //! - Each framing and station is asked at most 1 + `retries` times, and once while nothing has come
 //!   from the host, but for the first station.
 //! - After the first good frame its framing is the only one.
-//! - A connection is opened again only after a reply on it, and at most twice for each station.
+//! - A connection is opened again after a reply on it, at most twice for each station, and for the next
+//!   framing if it ended without a reply.
+//! - After unanswered requests to a host that is there, a framing is left only after listening.
+//! - Garbage belongs to the station that was asked, if its framing is the one of the port.
 
 use std::time::Duration;
 
 use fatek::command::{BriefStatus, DetailedStatus, ReadStatus};
 use fatek::wire::Framing;
 
-use crate::enquiry::{Heard, Reply};
+use crate::enquiry::{Reply, Traffic};
 
 /// Stations, framings and retries of the requests to each port.
 #[derive(Clone, Debug)]
@@ -38,7 +42,7 @@ impl Questions {
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Step {
+pub(crate) enum TrialStep {
     /// Read the status (40).
     Status {
         framing: Framing,
@@ -49,6 +53,10 @@ pub(crate) enum Step {
         framing: Framing,
         station: u8,
     },
+    /// Listen for late replies, without a request.
+    Listen {
+        framing: Framing,
+    },
     /// Open the connection again.
     Open,
     End,
@@ -56,7 +64,7 @@ pub(crate) enum Step {
 
 /// Column `answer` of the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Answer {
+pub(crate) enum StationAnswer {
     Ok,
     /// Error code.
     Refused,
@@ -70,7 +78,7 @@ pub(crate) enum Answer {
     Other,
 }
 
-impl Answer {
+impl StationAnswer {
     pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -96,7 +104,7 @@ pub(crate) struct Found {
     /// `None` of a silent port.
     pub(crate) framing: Option<Framing>,
     pub(crate) station: Option<u8>,
-    pub(crate) answer: Answer,
+    pub(crate) answer: StationAnswer,
     pub(crate) brief: Option<BriefStatus>,
     pub(crate) detailed: Option<DetailedStatus>,
     pub(crate) time: Option<Duration>,
@@ -107,7 +115,7 @@ pub(crate) struct Found {
 }
 
 impl Found {
-    fn new(framing: Option<Framing>, station: Option<u8>, answer: Answer) -> Self {
+    fn new(framing: Option<Framing>, station: Option<u8>, answer: StationAnswer) -> Self {
         Self {
             framing,
             station,
@@ -122,6 +130,14 @@ impl Found {
     }
 }
 
+/// Bytes of no frame after requests to a station.
+#[derive(Clone, Copy, Debug)]
+struct Garbage {
+    framing: Framing,
+    station: u8,
+    bytes: usize,
+}
+
 /// The requests to one port.
 #[derive(Debug)]
 pub(crate) struct Trial<'q> {
@@ -133,50 +149,61 @@ pub(crate) struct Trial<'q> {
     /// Requests to the current station.
     asked: u32,
     is_detail_due: bool,
+    is_listen_due: bool,
     is_open_due: bool,
     has_ended: bool,
+    /// A connection was accepted: the host is there, even if it is silent.
+    is_connected: bool,
+    /// A status in the current framing was not answered in time.
+    is_unanswered: bool,
     /// A good frame came.
     is_alive: bool,
     /// A reply came on the current connection.
     is_answering: bool,
     opened_again: usize,
-    heard: Heard,
+    garbage: Vec<Garbage>,
+    /// All traffic that is no reply; its garbage is also in `garbage`.
+    traffic: Traffic,
     found: Vec<Found>,
 }
 
 impl<'q> Trial<'q> {
-    /// `framing`: that of another port of the host, if it is known.
-    pub(crate) fn new(questions: &'q Questions, framing: Option<Framing>) -> Self {
-        let framings = match framing {
-            Some(framing) => vec![framing],
-            None => questions.framings.clone(),
-        };
+    /// `framing`: that of another port of the host, if it is known. It is tried first, and not alone: each
+    /// port has a setting of its own. `is_connected`: a connection was accepted, so that a port without
+    /// answers is a result, too.
+    pub(crate) fn new(questions: &'q Questions, framing: Option<Framing>, is_connected: bool) -> Self {
+        let mut framings = questions.framings.clone();
+        framings.sort_by_key(|other| framing.is_some_and(|known| known != *other));
         Self {
             questions,
             framings,
             position: 0,
             asked: 0,
             is_detail_due: false,
+            is_listen_due: false,
             is_open_due: false,
             has_ended: false,
+            is_connected,
+            is_unanswered: false,
             is_alive: false,
             is_answering: false,
             opened_again: 0,
-            heard: Heard::default(),
+            garbage: Vec::new(),
+            traffic: Traffic::default(),
             found: Vec::new(),
         }
     }
 
     /// The next step. Its result is to be given before the next one is asked for.
-    pub(crate) fn step(&self) -> Step {
-        let Some((framing, station)) = self.current() else { return Step::End };
-        if self.is_open_due {
-            Step::Open
-        } else if self.is_detail_due {
-            Step::Detail { framing, station }
-        } else {
-            Step::Status { framing, station }
+    pub(crate) fn step(&self) -> TrialStep {
+        if self.is_open_due && !self.has_ended {
+            return TrialStep::Open;
         }
+        if let Some(&framing) = self.framings.first().filter(|_| self.is_listen_due && !self.has_ended) {
+            return TrialStep::Listen { framing };
+        }
+        let Some((framing, station)) = self.current() else { return TrialStep::End };
+        if self.is_detail_due { TrialStep::Detail { framing, station } } else { TrialStep::Status { framing, station } }
     }
 
     /// The framing of the host, if a good frame has come.
@@ -189,12 +216,12 @@ impl<'q> Trial<'q> {
         &self.found
     }
 
-    /// Takes the result of [`Step::Status`].
-    pub(crate) fn status(&mut self, reply: Option<(Reply<BriefStatus>, Duration)>, heard: Heard) {
+    /// Takes the result of [`TrialStep::Status`].
+    pub(crate) fn status(&mut self, reply: Option<(Reply<BriefStatus>, Duration)>, traffic: Traffic) {
         let Some((framing, station)) = self.current() else { return };
         self.asked += 1;
         let Some((reply, time)) = reply else {
-            self.take(framing, heard);
+            self.take(framing, station, traffic);
             self.unanswered();
             return;
         };
@@ -207,7 +234,7 @@ impl<'q> Trial<'q> {
         found.time = Some(time);
         match reply {
             Reply::Good(brief) => {
-                found.answer = Answer::Ok;
+                found.answer = StationAnswer::Ok;
                 found.brief = Some(brief);
                 if asked > 1 {
                     found.notes.push(format!("after {asked} requests"));
@@ -215,20 +242,20 @@ impl<'q> Trial<'q> {
                 self.is_detail_due = true;
             }
             Reply::Refused(code) => {
-                found.answer = Answer::Refused;
+                found.answer = StationAnswer::Refused;
                 found.notes.push(code.to_string());
                 self.next_station();
             }
         }
         // After the reply: more of this station are duplicates.
-        self.take(framing, heard);
+        self.take(framing, station, traffic);
     }
 
-    /// Takes the result of [`Step::Detail`].
-    pub(crate) fn detail(&mut self, reply: Option<Reply<DetailedStatus>>, heard: Heard) {
+    /// Takes the result of [`TrialStep::Detail`].
+    pub(crate) fn detail(&mut self, reply: Option<Reply<DetailedStatus>>, traffic: Traffic) {
         let Some((framing, station)) = self.current() else { return };
         self.is_answering |= reply.is_some();
-        self.take(framing, heard);
+        self.take(framing, station, traffic);
         let found = self.entry(framing, station);
         match reply {
             Some(Reply::Good(detailed)) => found.detailed = Some(detailed),
@@ -239,29 +266,46 @@ impl<'q> Trial<'q> {
         self.next_station();
     }
 
-    /// Takes a new connection, the result of [`Step::Open`].
+    /// Takes the result of [`TrialStep::Listen`]. `is_lost`: the connection has ended meanwhile.
+    pub(crate) fn listened(&mut self, traffic: Traffic, is_lost: bool) {
+        let last = self.questions.stations.last();
+        if let (Some(&framing), Some(&station)) = (self.framings.first(), last) {
+            self.take(framing, station, traffic);
+        }
+        self.leave_framing();
+        self.is_open_due = is_lost && !self.has_ended;
+    }
+
+    /// Takes a new connection, the result of [`TrialStep::Open`].
     pub(crate) fn opened(&mut self) {
         self.is_open_due = false;
         self.is_answering = false;
     }
 
     /// Takes the end of the connection in place of the result of a request.
-    pub(crate) fn lost(&mut self, reason: &str, heard: Heard) {
-        let Some((framing, _)) = self.current() else { return };
-        self.take(framing, heard);
+    pub(crate) fn lost(&mut self, reason: &str, traffic: Traffic) {
+        let Some((framing, station)) = self.current() else { return };
+        self.take(framing, station, traffic);
         // Some devices close the connection after each reply, and a station takes two.
         if self.is_answering && self.opened_again < 2 * self.questions.stations.len() {
             self.opened_again += 1;
             self.is_open_due = true;
-        } else {
+            return;
+        }
+        // Others close it after a frame of the other framing.
+        let is_only = self.is_alive || self.framings.len() <= 1;
+        self.leave_framing();
+        if is_only {
             self.end(reason);
+        } else {
+            self.is_open_due = true;
         }
     }
 
     /// Ends it before all requests were sent, for this reason.
     pub(crate) fn end(&mut self, reason: &str) {
         if self.found.is_empty() {
-            self.found.push(Found::new(None, None, Answer::Silent));
+            self.found.push(Found::new(None, None, StationAnswer::Silent));
         }
         if let Some(found) = self.found.last_mut() {
             found.notes.push(reason.to_owned());
@@ -269,22 +313,50 @@ impl<'q> Trial<'q> {
         self.has_ended = true;
     }
 
-    /// The results. `is_connected`: a connection was accepted, so that a port without answers is a
-    /// result, too.
-    pub(crate) fn into_found(mut self, is_connected: bool) -> Vec<Found> {
-        let is_noisy = self.heard.garbage > 0 || self.heard.echoes > 0 || !self.heard.frames.is_empty();
-        if self.found.is_empty() && (is_connected || is_noisy) {
-            self.found.push(Found::new(None, None, Answer::Silent));
+    /// The results, in the order of the stations.
+    pub(crate) fn into_found(mut self) -> Vec<Found> {
+        let before_framing = self.charge_garbage();
+        let Traffic { echoes, frames, .. } = &self.traffic;
+        let is_noisy = before_framing > 0 || *echoes > 0 || !frames.is_empty();
+        if self.found.is_empty() && (self.is_connected || is_noisy) {
+            self.found.push(Found::new(None, None, StationAnswer::Silent));
         }
+        self.found.sort_by_key(|found| found.station);
         if let Some(found) = self.found.last_mut() {
-            match found.answer {
-                Answer::Silent if is_noisy => found.answer = Answer::Other,
-                Answer::Ok if self.heard.garbage > 0 => found.answer = Answer::Bad,
-                Answer::Ok | Answer::Refused | Answer::Bad | Answer::Late | Answer::Silent | Answer::Other => {}
+            if found.answer == StationAnswer::Silent && is_noisy {
+                found.answer = StationAnswer::Other;
             }
-            found.notes.extend(besides(&self.heard, is_connected));
+            if before_framing > 0 {
+                // An IPsec gateway answers on UDP 500, too.
+                let other = match (self.is_alive, self.is_connected) {
+                    (true, _) => " before the framing was known",
+                    (false, true) => "",
+                    (false, false) => "; another protocol (IPsec has UDP 500, too)?",
+                };
+                found.notes.push(format!("{before_framing} bytes that are no frame{other}"));
+            }
+            found.notes.extend(besides(&self.traffic));
         }
         self.found
+    }
+
+    /// Notes garbage at the stations that were asked. Returns the number of bytes in other framings than
+    /// that of the port, which say nothing about a station.
+    fn charge_garbage(&mut self) -> usize {
+        let framing = self.framing();
+        let mut others = 0;
+        for garbage in std::mem::take(&mut self.garbage) {
+            if framing != Some(garbage.framing) {
+                others += garbage.bytes;
+                continue;
+            }
+            let found = self.entry(garbage.framing, garbage.station);
+            if found.answer == StationAnswer::Ok {
+                found.answer = StationAnswer::Bad;
+            }
+            found.notes.push(format!("{} bytes that are no frame", garbage.bytes));
+        }
+        others
     }
 
     /// The current framing and station; `None` at the end.
@@ -293,18 +365,26 @@ impl<'q> Trial<'q> {
         Some((*framing, *self.questions.stations.get(self.position)?))
     }
 
-    /// Takes other traffic: frames of stations that are late or answer twice are results.
-    fn take(&mut self, framing: Framing, mut heard: Heard) {
-        for frame in std::mem::take(&mut heard.frames) {
+    /// Takes other traffic after a request to a station: frames of stations that are late or answer twice
+    /// are results.
+    fn take(&mut self, framing: Framing, station: u8, mut traffic: Traffic) {
+        for frame in std::mem::take(&mut traffic.frames) {
             self.keep_to(framing);
             match frame.decode_reply(&ReadStatus, framing) {
                 Ok(brief) if self.questions.stations.contains(&frame.station) => {
                     self.late(framing, frame.station, brief);
                 }
-                Ok(_) | Err(_) => heard.frames.push(frame),
+                Ok(_) | Err(_) => traffic.frames.push(frame),
             }
         }
-        self.heard.add(heard);
+        if traffic.garbage > 0 {
+            let same = |of: &&mut Garbage| (of.framing, of.station) == (framing, station);
+            match self.garbage.iter_mut().find(same) {
+                Some(garbage) => garbage.bytes += traffic.garbage,
+                None => self.garbage.push(Garbage { framing, station, bytes: traffic.garbage }),
+            }
+        }
+        self.traffic.add(traffic);
     }
 
     /// Takes a status that was not waited for.
@@ -314,11 +394,11 @@ impl<'q> Trial<'q> {
         found.replies += 1;
         if found.requests == 0 {
             found.requests = most;
-            found.answer = Answer::Late;
+            found.answer = StationAnswer::Late;
             found.brief = Some(brief);
             found.notes.push("a reply after the timeout: increase --timeout".to_owned());
-        } else if found.replies > found.requests && found.answer == Answer::Ok {
-            found.answer = Answer::Bad;
+        } else if found.replies > found.requests && found.answer == StationAnswer::Ok {
+            found.answer = StationAnswer::Bad;
             found.notes.push("more replies than requests: a second station with this number?".to_owned());
         }
     }
@@ -326,7 +406,7 @@ impl<'q> Trial<'q> {
     fn entry(&mut self, framing: Framing, station: u8) -> &mut Found {
         let position = self.found.iter().position(|found| found.station == Some(station));
         let position = position.unwrap_or_else(|| {
-            self.found.push(Found::new(Some(framing), Some(station), Answer::Bad));
+            self.found.push(Found::new(Some(framing), Some(station), StationAnswer::Bad));
             self.found.len() - 1
         });
         &mut self.found[position]
@@ -339,6 +419,7 @@ impl<'q> Trial<'q> {
     }
 
     fn unanswered(&mut self) {
+        self.is_unanswered = true;
         let may_repeat = self.is_alive || self.position == 0;
         if !may_repeat || self.asked > self.questions.retries {
             self.next_station();
@@ -353,9 +434,22 @@ impl<'q> Trial<'q> {
         if self.position < self.questions.stations.len() {
             return;
         }
+        // The reply of the last station may be late. Hosts that are perhaps not there would take too long.
+        if self.is_unanswered && (self.is_connected || self.is_alive) {
+            self.is_listen_due = true;
+        } else {
+            self.leave_framing();
+        }
+    }
+
+    /// Goes on to the next framing, or ends. The framing of a port that has sent good frames is the only
+    /// one that is left.
+    fn leave_framing(&mut self) {
         self.position = 0;
-        // The framing of a host that has sent good frames is the only one that is left.
-        if self.framings.is_empty() || self.is_alive {
+        self.asked = 0;
+        self.is_listen_due = false;
+        self.is_unanswered = false;
+        if self.is_alive || self.framings.len() <= 1 {
             self.has_ended = true;
         } else {
             self.framings.remove(0);
@@ -364,18 +458,13 @@ impl<'q> Trial<'q> {
 }
 
 /// Texts for the traffic that belongs to no station.
-fn besides(heard: &Heard, is_connected: bool) -> Vec<String> {
+fn besides(traffic: &Traffic) -> Vec<String> {
     let mut notes = Vec::new();
-    if heard.garbage > 0 {
-        // An IPsec gateway answers on UDP 500, too.
-        let other = if is_connected { "" } else { "; another protocol (IPsec has UDP 500, too)?" };
-        notes.push(format!("{} bytes that are no frame{other}", heard.garbage));
-    }
-    if heard.echoes > 0 {
+    if traffic.echoes > 0 {
         notes.push("requests are echoed".to_owned());
     }
-    if let Some(frame) = heard.frames.first() {
-        notes.push(format!("{} other frames, such as of station {}", heard.frames.len(), frame.station));
+    if let Some(frame) = traffic.frames.first() {
+        notes.push(format!("{} other frames, such as of station {}", traffic.frames.len(), frame.station));
     }
     notes
 }

@@ -9,7 +9,7 @@ use fatek::wire::Framing;
 use crate::failure::Failure;
 use crate::hint;
 use crate::output::{Format, Output, Rows, version};
-use crate::scan::trial::{Answer, Found};
+use crate::scan::trial::{Found, StationAnswer};
 
 /// Kind of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -81,11 +81,11 @@ impl Tally {
     pub(super) fn hints(&self) -> Vec<String> {
         let mut hints = Vec::new();
         let good = self.found.iter().find_map(|((address, kind), all)| {
-            let found = all.iter().find(|found| found.answer == Answer::Ok)?;
+            let found = all.iter().find(|found| found.answer == StationAnswer::Ok)?;
             Some(hint::command(&kind.endpoint(*address, found.framing), found.station?, "status"))
         });
         hints.extend(good.map(|command| format!("to read more: {command}")));
-        let silent = self.found.iter().find(|(_, all)| all.iter().any(|found| found.answer == Answer::Silent));
+        let silent = self.found.iter().find(|(_, all)| all.iter().any(|found| found.answer == StationAnswer::Silent));
         if let Some(((address, kind), _)) = silent {
             let link = kind.endpoint(*address, None);
             hints.push(format!("to find other stations of a silent port: fatek scan --link {link}"));

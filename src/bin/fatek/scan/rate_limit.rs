@@ -1,20 +1,20 @@
-//! Rate of a scan: the times at which connections may be opened. No clock.
+//! Rate of a scan: the times of TCP connections and UDP datagrams. No clock.
 
 use std::time::Duration;
 
-/// Spreads connections evenly: no two are closer than the interval. Times count from the beginning of
-/// the scan.
+/// Spreads connections and datagrams evenly: no two are closer than the interval. Times count from the
+/// beginning of the scan.
 ///
-/// Invariant: in any time of length T, at most T / interval + 1 connections are opened, also after a
+/// Invariant: in any time of length T, at most T / interval + 1 places are reserved, also after a
 /// pause: unused places are not saved up.
 #[derive(Debug)]
-pub(crate) struct Pace {
+pub(crate) struct RateLimit {
     interval: Duration,
     next: Duration,
 }
 
-impl Pace {
-    /// A pace of this number of connections per second; 0 is taken as 1.
+impl RateLimit {
+    /// A limit of this number of places per second; 0 is taken as 1.
     pub(crate) fn per_second(rate: u32) -> Self {
         Self { interval: Duration::from_secs(1) / rate.max(1), next: Duration::ZERO }
     }
@@ -29,11 +29,11 @@ impl Pace {
 
 /// Time of a scan if no host answers. Hosts that answer take longer, each for itself.
 ///
-/// `connections`: of each host. `time`: for each host.
-pub(crate) fn if_silent(hosts: u128, at_once: u32, time: Duration, connections: u32, rate: u32) -> Duration {
+/// `places`: connections and datagrams of each host. `time`: for each host.
+pub(crate) fn if_silent(hosts: u128, at_once: u32, time: Duration, places: u32, rate: u32) -> Duration {
     let hosts = u64::try_from(hosts).unwrap_or(u64::MAX);
     let rounds = u32::try_from(hosts.div_ceil(at_once.max(1).into())).unwrap_or(u32::MAX);
-    let by_rate = hosts.saturating_mul(connections.into()).div_ceil(rate.max(1).into());
+    let by_rate = hosts.saturating_mul(places.into()).div_ceil(rate.max(1).into());
     time.saturating_mul(rounds).max(Duration::from_secs(by_rate))
 }
 
@@ -51,14 +51,14 @@ mod tests {
     }
 
     #[test]
-    fn connections_are_spread_evenly() {
-        let (mut pace, ms) = (Pace::per_second(100), Duration::from_millis);
-        let waits: Vec<Duration> = (0..4).map(|_| pace.reserve(ms(0))).collect();
+    fn places_are_spread_evenly() {
+        let (mut limit, ms) = (RateLimit::per_second(100), Duration::from_millis);
+        let waits: Vec<Duration> = (0..4).map(|_| limit.reserve(ms(0))).collect();
         assert_eq!(waits, [ms(0), ms(10), ms(20), ms(30)]);
-        assert_eq!(pace.reserve(ms(35)), ms(5));
+        assert_eq!(limit.reserve(ms(35)), ms(5));
         // A pause gives no right to a burst.
-        let waits: Vec<Duration> = (0..3).map(|_| pace.reserve(ms(1000))).collect();
+        let waits: Vec<Duration> = (0..3).map(|_| limit.reserve(ms(1000))).collect();
         assert_eq!(waits, [ms(0), ms(10), ms(20)]);
-        assert_eq!(Pace::per_second(0).interval, ms(1000));
+        assert_eq!(RateLimit::per_second(0).interval, ms(1000));
     }
 }
