@@ -416,11 +416,17 @@ async fn a_learned_length_divides_no_write_and_no_read_of_one_request() {
         let entries = bench.faults.log().entries();
         let lengths: Vec<usize> = entries
             .iter()
-            .filter_map(|entry| match entry.request()? {
-                Request::WriteRegisters(write) => Some(write.values().len()),
-                Request::WriteDiscretes(write) => Some(write.states().len()),
-                Request::ReadRegisters(read) => Some(read.count()),
-                _ => None,
+            .filter_map(|entry| {
+                let request = entry.request()?;
+                if let Request::WriteRegisters(write) = request {
+                    Some(write.values().len())
+                } else if let Request::WriteDiscretes(write) = request {
+                    Some(write.states().len())
+                } else if let Request::ReadRegisters(read) = request {
+                    Some(read.count())
+                } else {
+                    None
+                }
             })
             .collect();
         assert_eq!(lengths, [64, 256, 64], "{framing}");
