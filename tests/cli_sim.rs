@@ -484,7 +484,7 @@ fn commands_for_one_plc_refuse_several_links() {
     };
     let rule = "leave out --capabilities, and unset FATEK_CAPABILITIES";
     for (args, plcs) in [
-        (&[&links[..], &["--station", "1"]].concat()[..], 2),
+        (&links[..], 2),
         (&["--link", "tcp://127.0.0.1:1", "--station", "1-4"][..], 4),
     ] {
         let refused = capabilities(args);
