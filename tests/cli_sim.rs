@@ -483,10 +483,7 @@ fn commands_for_one_plc_refuse_several_links() {
         run(command.args(args).args(["read", "R0"]).env("FATEK_CAPABILITIES", "pump.json")).usage()
     };
     let rule = "leave out --capabilities, and unset FATEK_CAPABILITIES";
-    for (args, plcs) in [
-        (&links[..], 2),
-        (&["--link", "tcp://127.0.0.1:1", "--station", "1-4"][..], 4),
-    ] {
+    for (args, plcs) in [(&links[..], 2), (&["--link", "tcp://127.0.0.1:1", "--station", "1-4"][..], 4)] {
         let refused = capabilities(args);
         assert!(refused.contains(&format!("capabilities are those of one PLC, not of {plcs}: {rule}")), "{refused}");
     }

@@ -19,7 +19,7 @@ impl Plc {
     /// Lets the process change the values of a tag with time, each of them by this movement.
     ///
     /// - The time of all movements of a PLC starts with the first of them. It is that of Tokio, so that a
-    ///   test can [pause](tokio::time::pause) it.
+    ///   test can pause it (`tokio::time::pause`).
     /// - A movement replaces those that have elements in common with it.
     /// - Values are rounded to the nearest one of the tag. Values of [`Shape::Random`] differ from each other.
     /// - A client's write lasts until the next access: the process overwrites it. A disabled discrete keeps
