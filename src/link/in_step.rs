@@ -464,6 +464,8 @@ impl InStep {
     pub(crate) fn unproven(&mut self, reply: &Reply, copied: bool, rule: &Rule, now: Instant) {
         self.suspect.get_or_insert(Why::Unproven);
         self.ambiguous = true;
+        // A silence that ended with this reply proves nothing.
+        self.restart_silence(now);
         if copied {
             self.doubt();
         }

@@ -368,6 +368,24 @@ fn a_broadcast_restarts_the_silence() {
     station.expect_send(&run());
 }
 
+/// Before, the silence before the status request that learns the echo of a line proved what came after its
+/// reply: a RUN was sent at once, and a late reply could answer the next status request.
+#[test]
+fn a_reply_without_proof_restarts_the_silence() {
+    let mut station = TestStation::new();
+    station.in_step.connected();
+    assert_eq!(station.choose(&run()), Choice::Check(Check::Nonce, Why::Connected));
+    assert!(!station.check(Check::Nonce, true));
+    let until = station.now + QUIET;
+    assert_eq!(station.choose(&run()), Choice::Silence(until));
+    station.now = until;
+    let reply = station.reply(Check::STATUS, false);
+    station.in_step.unproven(&reply, false, &station.rule, station.now);
+    assert_eq!(station.choose(&run()), Choice::Silence(until + QUIET));
+    station.now = until + QUIET;
+    station.expect_send(&run());
+}
+
 #[test]
 fn one_request_a_connection_replaces_checks_by_silence() {
     let mut station = TestStation::new();
