@@ -2,6 +2,7 @@
 
 mod args;
 mod backup;
+mod byte_size;
 mod clock;
 mod complete;
 mod confirm;

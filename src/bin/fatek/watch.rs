@@ -53,7 +53,14 @@ pub(crate) async fn watch(targets: &[Target], args: &WatchArgs, output: &Output)
             closed = &mut closed => return Err(Failure::Output(closed)),
             () = &mut ended => break,
             sample = poller.next() => match sample {
-                Some(sample) => take(sample, args, &mut printer)?,
+                Some(sample) => {
+                    take(sample, args, &mut printer)?;
+                    // The number of readings is compared once for the samples that are there.
+                    for _ in 1..MAX_SAMPLES {
+                        let Some(Some(sample)) = poller.next().now_or_never() else { break };
+                        take(sample, args, &mut printer)?;
+                    }
+                }
                 None => break,
             },
             _ = check.tick(), if args.count.is_some() => {}
@@ -73,6 +80,8 @@ pub(crate) async fn watch(targets: &[Target], args: &WatchArgs, output: &Output)
 /// Age of a value without a reply and without a failure.
 const STALE_AFTER: Duration = Duration::from_secs(30);
 const BAD_AFTER: Duration = Duration::from_secs(120);
+/// Samples that are taken together.
+const MAX_SAMPLES: usize = 1024;
 const MIN_CHECK: Duration = Duration::from_millis(10);
 const MAX_CHECK: Duration = Duration::from_millis(100);
 

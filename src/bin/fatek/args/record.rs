@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum, ValueHint};
 use fatek::wire::Framing;
 
 use super::LinkArgs;
+use crate::byte_size;
 
 /// Record a conversation between another client and a PLC
 ///
@@ -29,7 +30,7 @@ pub(crate) struct RecordArgs {
     #[arg(long, value_name = "URL", default_value = "tcp://127.0.0.1:0")]
     pub(crate) listen: String,
     /// Largest size of the file, such as 500K, 20M or 2G; the rest is passed on, but not recorded
-    #[arg(long, value_name = "SIZE", default_value = "1G", value_parser = size)]
+    #[arg(long, value_name = "SIZE", default_value = "1G", value_parser = byte_size::parse)]
     pub(crate) max_size: u64,
     #[command(flatten)]
     pub(crate) link: LinkArgs,
@@ -94,30 +95,4 @@ pub(crate) enum WritesArg {
     Send,
     /// All others are sent
     Skip,
-}
-
-/// Parses a size in bytes, with K, M or G for powers of 1024.
-fn size(text: &str) -> Result<u64, String> {
-    let units = [('K', 1 << 10), ('M', 1 << 20), ('G', 1 << 30)];
-    let unit = units.into_iter().find(|&(unit, _)| text.ends_with([unit, unit.to_ascii_lowercase()]));
-    let (digits, factor) = unit.map_or((text, 1), |(_, factor)| (&text[..text.len() - 1], factor));
-    let is_number = !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit());
-    let bytes = digits.parse::<u64>().ok().filter(|_| is_number).and_then(|number| number.checked_mul(factor));
-    let rule = "expected a number of bytes from 1K, such as 500K, 20M or 2G";
-    bytes.filter(|&bytes| bytes >= 1 << 10).ok_or_else(|| rule.to_owned())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::size;
-
-    #[test]
-    fn sizes_are_numbers_with_a_unit() {
-        for (text, bytes) in [("1024", 1024), ("500K", 512_000), ("20m", 20 << 20), ("2G", 2 << 30)] {
-            assert_eq!(size(text), Ok(bytes), "{text}");
-        }
-        for text in ["", "K", "5", "1.5M", "-1G", "+2K", "20000000000G", "1T", "1é"] {
-            assert!(size(text).is_err(), "{text}");
-        }
-    }
 }

@@ -1,7 +1,6 @@
 //! Arguments of `fatek watch`.
 
 use std::path::PathBuf;
-use std::str::FromStr;
 use std::time::Duration;
 
 use clap::Args;
@@ -9,7 +8,7 @@ use clap_complete::ArgValueCompleter;
 
 use super::{ModelArgs, Plc};
 use crate::names::TableArgs;
-use crate::{complete, duration};
+use crate::{byte_size, complete, duration};
 
 /// Poll tags and print each value with its time
 ///
@@ -82,61 +81,11 @@ pub(crate) struct LogArgs {
     #[arg(long = "log", id = "log", value_name = "FILE")]
     pub(crate) file: Option<PathBuf>,
     /// Size of a full log file in bytes, or with K, M or G; at least 1K
-    #[arg(long = "log-size", id = "log-size", requires = "log", default_value = "100M", value_name = "SIZE")]
-    pub(crate) size: LogSize,
+    #[arg(long = "log-size", id = "log-size", requires = "log", default_value = "100M",
+        value_parser = byte_size::parse, value_name = "SIZE")]
+    pub(crate) size: u64,
     /// Number of full log files that are kept, 0 to 999
     #[arg(long = "log-keep", id = "log-keep", requires = "log", default_value_t = 9,
         value_parser = clap::value_parser!(u16).range(0..=999), value_name = "N")]
     pub(crate) keep: u16,
-}
-
-/// Size of a file in bytes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct LogSize(pub(crate) u64);
-
-impl FromStr for LogSize {
-    type Err = &'static str;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let (digits, unit) = match text.char_indices().last() {
-            Some((at, 'k' | 'K')) => (&text[..at], 1 << 10),
-            Some((at, 'm' | 'M')) => (&text[..at], 1 << 20),
-            Some((at, 'g' | 'G')) => (&text[..at], 1 << 30),
-            _ => (text, 1_u64),
-        };
-        let is_number = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-        let number = digits.parse::<u64>().ok().filter(|_| is_number);
-        match number.and_then(|number| number.checked_mul(unit)).filter(|size| *size >= 1 << 10) {
-            Some(size) => Ok(Self(size)),
-            None => Err("expected a number of bytes of at least 1K, such as 500000, 100K, 10M or 1G"),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sizes_have_a_number_and_perhaps_a_unit() {
-        for (text, bytes) in [("1024", 1024), ("1K", 1024), ("10m", 10 << 20), ("2G", 2 << 30)] {
-            assert_eq!(text.parse(), Ok(LogSize(bytes)), "{text}");
-        }
-        for text in [
-            "",
-            "K",
-            "1",
-            "1023",
-            "-1K",
-            "+5K",
-            "1.5M",
-            "1T",
-            "1 M",
-            "99999999999999999999",
-            "18446744073709551615G",
-            "é",
-        ] {
-            assert!(text.parse::<LogSize>().is_err(), "{text}");
-        }
-    }
 }

@@ -70,7 +70,7 @@ impl<'o> Printer<'o> {
         let mut printer = Self { output, layout, time_format: TimeFormat::new(args.local_time), log: None, count: 0 };
         if let Some(path) = &args.log.file {
             let header = printer.csv(&printer.columns().iter().map(String::as_str).collect::<Vec<_>>())?;
-            printer.log = Some(LogFile::open(path, header, args.log.size.0, args.log.keep)?);
+            printer.log = Some(LogFile::open(path, header, args.log.size, args.log.keep)?);
         }
         Ok(printer)
     }

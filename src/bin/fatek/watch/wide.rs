@@ -42,6 +42,8 @@ struct Reading {
     cycle: u64,
     /// A sample in each of its columns.
     samples: Vec<Option<Sample>>,
+    /// Number of samples that are there.
+    found: usize,
     /// Number of samples of a complete reading.
     tags: usize,
     is_printed: bool,
@@ -110,13 +112,14 @@ impl Wide {
         let Some(reading) = self.readings.get_mut(plc) else { return Vec::new() };
         let mut lines = Vec::new();
         if sample.cycle > reading.cycle {
-            if !reading.is_printed && reading.samples.iter().any(Option::is_some) {
+            if !reading.is_printed && reading.found > 0 {
                 lines.extend(self.finish(plc, now));
             }
             let Some(reading) = self.readings.get_mut(plc) else { return lines };
             reading.cycle = sample.cycle;
             reading.is_printed = false;
             reading.samples.fill(None);
+            reading.found = 0;
         }
         let Some(reading) = self.readings.get_mut(plc) else { return lines };
         // A sample that became stale or bad by its age belongs to a line that was printed.
@@ -124,9 +127,10 @@ impl Wide {
             return lines;
         }
         if let Some(place) = reading.samples.get_mut(column) {
+            reading.found += usize::from(place.is_none());
             *place = Some(sample);
         }
-        if reading.samples.iter().flatten().count() == reading.tags {
+        if reading.found == reading.tags {
             lines.extend(self.finish(plc, now));
         }
         lines
@@ -135,9 +139,8 @@ impl Wide {
     /// The lines of the last readings, if samples of them were missed. `ended`: the number of readings of
     /// each PLC that have ended; one under way has no line.
     pub(super) fn finish_missed(&mut self, ended: &[u64], now: SystemTime) -> Vec<Line> {
-        let is_missed = |(reading, ended): (&Reading, &u64)| {
-            !reading.is_printed && reading.samples.iter().any(Option::is_some) && reading.cycle <= *ended
-        };
+        let is_missed =
+            |(reading, ended): (&Reading, &u64)| !reading.is_printed && reading.found > 0 && reading.cycle <= *ended;
         let missed: Vec<bool> = self.readings.iter().zip(ended).map(is_missed).collect();
         let missed = missed.into_iter().enumerate().filter(|(_, is_missed)| *is_missed);
         missed.filter_map(|(plc, _)| self.finish(plc, now)).collect()
