@@ -159,9 +159,9 @@ impl Endpoint {
     /// Opens a connection as a plain stream, for the codecs of [`wire`](crate::wire) without a
     /// [`Link`](crate::Link).
     ///
-    /// Opens the host or the port as a link does, with the settings of this endpoint, but checks
-    /// nothing: frames can be late, doubled, or echoes. Over UDP each write is one datagram, and the
-    /// reads after it return only datagrams that answer it.
+    /// Opens the host or the port as a link does, but checks nothing: frames can be late, doubled,
+    /// or echoes. It does not wait for the time of [`settle`](InStepSettings::settle). Over UDP
+    /// each write is one datagram, and the reads after it return only datagrams that answer it.
     ///
     /// ```
     /// use fatek::command::ReadStatus;

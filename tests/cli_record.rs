@@ -8,7 +8,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use self::process::{FATEK, Folder, Output, ScriptedPlc, Sim, fatek, run_at_terminal_on};
 
@@ -61,6 +61,27 @@ impl Drop for Listening {
 }
 
 const READ: [&str; 6] = ["read", "R0-R3", "M0-M3", "R100:f32", "--format", "json"];
+
+/// Before: the request was sent at once, although the endpoint asks for a pause.
+#[test]
+fn the_first_request_waits_for_the_device_to_settle() {
+    let (sim, folder) = (Sim::start(&[]), Folder::new("replay-settle"));
+    let file = folder.file("status.recording");
+    let recorder = Listening::record(&file, &sim);
+    recorder.fatek(&["status"]).ok();
+    recorder.end("INT");
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("tcp://{}?settle=400ms", listener.local_addr().unwrap());
+    let device = thread::spawn(move || {
+        let (mut client, _) = listener.accept().unwrap();
+        let accepted = Instant::now();
+        client.read_exact(&mut [0]).unwrap();
+        accepted.elapsed()
+    });
+    fatek(&["replay", &file, "--link", &url, "--timeout", "50ms"]);
+    // A lower limit: a slow machine takes longer.
+    assert!(device.join().unwrap() >= Duration::from_millis(300));
+}
 
 #[test]
 fn a_recorded_read_is_decoded_and_replayed_both_ways() {

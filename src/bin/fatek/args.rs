@@ -45,7 +45,8 @@ use crate::{complete, duration};
 /// Command line client for FATEK / FACON PLCs, with a simulator and a frame decoder
 ///
 /// `fatek @NAME COMMAND` takes link and station of a PLC of --config. Data goes to stdout, messages to
-/// stderr. `program write`, `restore` and `top` ask for confirmation. All other commands that change a PLC act at once.
+/// stderr. `program write`, `restore`, `top`, `doctor --write` and `replay --writes send` ask for confirmation.
+/// All other commands that change a PLC act at once.
 #[derive(Debug, Parser)]
 #[command(version, after_help = AFTER_HELP, after_long_help = AFTER_LONG_HELP)]
 pub(crate) struct Cli {
@@ -95,8 +96,9 @@ Exit status:
   1  file or output error, or no confirmation
   2  usage error: nothing was sent
   3  error code from the PLC; read and backup: also for a part
-  4  timeout: no reply; scan and detect: from no station
-  5  no connection
+  4  timeout: no reply; scan and detect: from no station or module;
+     detect: the line is busy; doctor: the PLC fell silent
+  5  no connection, or lost
   6  bad reply; scan: also from one station of several; decode: bad frame
   7  file damaged or of another PLC, or contents, values or replies differ;
      doctor: an assumption is contradicted

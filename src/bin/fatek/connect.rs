@@ -65,10 +65,14 @@ pub(crate) fn endpoint(link: Option<&str>) -> Result<Endpoint, Failure> {
     link.parse().map_err(Failure::usage)
 }
 
-/// Opens a stream of bytes to an endpoint, without a link.
+/// Opens a stream of bytes to an endpoint, without a link, and waits until it may be used (`?settle=`).
 pub(crate) async fn open(endpoint: &Endpoint, timeout: Option<Duration>) -> io::Result<EndpointStream> {
-    let opened = time::timeout(timeout.unwrap_or(defaults::CONNECT_TIMEOUT), endpoint.open());
-    opened.await.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
+    let within = timeout.unwrap_or(defaults::CONNECT_TIMEOUT);
+    let opened = time::timeout(within, endpoint.open()).await;
+    let late = || io::Error::new(io::ErrorKind::TimedOut, format!("no connection within {} s", within.as_secs_f64()));
+    let stream = opened.unwrap_or_else(|_| Err(late()))?;
+    time::sleep(endpoint.in_step().settle()).await;
+    Ok(stream)
 }
 
 /// Link for interactive use: a refused connection fails at once, and no station is treated as

@@ -32,9 +32,7 @@ pub(crate) async fn forced(station: &Station, args: &ForcedArgs, output: &Output
         rows.push([discrete.to_string().into(), state.into()]);
     }
     let examined: usize = ranges.iter().map(DiscreteRange::len).sum();
-    if !rows.is_empty() || output.is_for_programs() {
-        output.rows(&rows)?;
-    }
+    output.rows(&rows)?;
     if refused > 0 {
         return Err(Failure::RefusedRanges { refused, all: ranges.len() });
     }

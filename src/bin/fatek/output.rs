@@ -55,7 +55,7 @@ impl Output {
         Self { format, guards_formulas, quiet }
     }
 
-    /// Prints rows: JSON is an array of objects with the columns as keys.
+    /// Prints rows, and nothing in place of an empty table. JSON is an array of objects with the columns as keys.
     pub(crate) fn rows(&self, rows: &Rows) -> Result<(), Failure> {
         match self.format {
             // A header alone says nothing; programs get an empty document.
@@ -64,11 +64,6 @@ impl Output {
             Format::Json => self.json(&rows.json()),
             Format::Csv => self.csv(rows.records().iter().map(Vec::as_slice)).map_err(Failure::Output),
         }
-    }
-
-    /// Prints rows, and nothing in place of an empty table.
-    pub(crate) fn some_rows(&self, rows: &Rows) -> Result<(), Failure> {
-        if rows.is_empty() && !self.is_for_programs() { Ok(()) } else { self.rows(rows) }
     }
 
     /// Prints one JSON document.

@@ -112,5 +112,5 @@ fn print(ports: &[Port], output: &Output) -> Result<(), Failure> {
             ]);
         }
     }
-    output.some_rows(if output.format == Format::Table { &table } else { &rows })
+    output.rows(if output.format == Format::Table { &table } else { &rows })
 }

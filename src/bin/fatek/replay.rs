@@ -73,9 +73,7 @@ pub(crate) async fn send(
         }
     };
     drop(status);
-    if !rows.is_empty() || output.is_for_programs() {
-        output.rows(&rows)?;
-    }
+    output.rows(&rows)?;
     output.remark(format_args!("{done} of {} requests sent, {differing} replies differ", script.steps.len()));
     ended?;
     if differing > 0 { Err(Failure::Differs { parts: "replies", differing, all: done }) } else { Ok(()) }

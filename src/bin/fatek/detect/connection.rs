@@ -5,24 +5,21 @@ use std::io;
 use std::time::Duration;
 
 use fatek::command::Command;
+use fatek::endpoint::EndpointStream;
 use fatek::link::defaults;
 use fatek::wire::Framing;
-use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::time::{sleep, timeout};
+use tokio::time::sleep;
 
-use super::seconds;
 use super::trials::{SETTLE, Setting};
+use crate::connect;
 use crate::enquiry::Traffic;
 use crate::enquiry::exchange::{Outcome, Stream, ask, listen};
-
-trait Io: AsyncRead + AsyncWrite + Unpin {}
-impl<T: AsyncRead + AsyncWrite + Unpin> Io for T {}
 
 pub(super) struct Connection<'s> {
     setting: &'s Setting,
     timeout: Duration,
     /// `None` after the other end has closed it.
-    line: Option<Stream<Box<dyn Io>>>,
+    line: Option<Stream<EndpointStream>>,
     /// A reply has come since it was opened.
     has_answered: bool,
 }
@@ -88,14 +85,12 @@ impl<'s> Connection<'s> {
 }
 
 /// Opens the line with a setting.
-async fn open(setting: &Setting, within: Duration) -> io::Result<Box<dyn Io>> {
+async fn open(setting: &Setting, within: Duration) -> io::Result<EndpointStream> {
     // The framing matters for UDP only, whose endpoint has no other settings.
     let framing = setting.framings.first().copied().unwrap_or(Framing::Ascii);
     let endpoint = setting.endpoint(framing);
     let within = within.max(defaults::CONNECT_TIMEOUT);
-    let line = timeout(within, endpoint.open())
-        .await
-        .map_err(|_| io::Error::new(io::ErrorKind::TimedOut, format!("no connection within {}", seconds(within))))??;
-    sleep(SETTLE.max(endpoint.in_step().settle())).await;
-    Ok(Box::new(line))
+    let line = connect::open(&endpoint, Some(within)).await?;
+    sleep(SETTLE).await;
+    Ok(line)
 }

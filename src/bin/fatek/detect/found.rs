@@ -124,7 +124,7 @@ pub(super) fn print<'f>(
             push(&endpoint, frame.station, "heard", None, Some(other_frame(frame)));
         }
     }
-    output.some_rows(&if output.format == Format::Table { table.without_empty("note") } else { rows })
+    output.rows(&if output.format == Format::Table { table.without_empty("note") } else { rows })
 }
 
 #[cfg(test)]

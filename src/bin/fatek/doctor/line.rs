@@ -7,13 +7,15 @@ use std::time::Duration;
 use bytes::{Bytes, BytesMut};
 use fatek::Endpoint;
 use fatek::endpoint::Transport;
+use fatek::link::defaults;
 use fatek::wire::{Codec, Framing, MAX_FRAME_LEN, Received, Side};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::{UdpSocket, lookup_host};
-use tokio::time::Instant;
+use tokio::time::{Instant, timeout};
 use tokio_util::codec::Decoder;
 
 use super::exchange::{Arrival, Item};
+use crate::connect;
 
 /// The kind of line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,9 +58,12 @@ impl Connect for Endpoint {
 
     async fn open(&mut self) -> io::Result<Wire> {
         match self.transport() {
-            Transport::Udp { host, port, .. } => Wire::udp(host, *port).await,
+            Transport::Udp { host, port, .. } => {
+                let opened = timeout(defaults::CONNECT_TIMEOUT, Wire::udp(host, *port)).await;
+                opened.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
+            }
             Transport::Tcp { .. } | Transport::Serial { .. } | _ => {
-                Ok(Wire::Stream(Box::new(Endpoint::open(self).await?)))
+                Ok(Wire::Stream(Box::new(connect::open(self, None).await?)))
             }
         }
     }

@@ -8,7 +8,7 @@ use std::io;
 use std::time::Duration;
 
 use bytes::Bytes;
-use tokio::time::{Instant, sleep_until, timeout, timeout_at};
+use tokio::time::{Instant, sleep_until, timeout_at};
 
 use super::check::{Check, Choice, Finding, Kind, Undo};
 use super::exchange::{Answer, Arrival, Ask, Attempt, Exchange, Item, fit};
@@ -18,8 +18,6 @@ use super::request::{Request, Requests, joined};
 
 /// Attempts of a request that only reads.
 const ATTEMPTS: usize = 3;
-/// Longest wait for a connection.
-const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// Silence behind several requests, in which late replies and duplicates are expected.
 const SETTLE: Duration = Duration::from_millis(100);
 /// Silence behind each reply, in which a duplicate of it comes (protocol 7: after 0 to 20 ms).
@@ -153,13 +151,12 @@ impl<'c, C: Connect> Runner<'c, C> {
         let mut failure = None;
         if self.line.is_none() {
             for _ in 0..RECONNECTS {
-                match timeout(CONNECT_TIMEOUT, self.connector.open()).await {
-                    Ok(Ok(wire)) => {
+                match self.connector.open().await {
+                    Ok(wire) => {
                         self.line = Some(Receiver::new(wire, self.facts.framing()));
                         break;
                     }
-                    Ok(Err(error)) => failure = Some(error),
-                    Err(_) => failure = Some(io::ErrorKind::TimedOut.into()),
+                    Err(error) => failure = Some(error),
                 }
                 tokio::time::sleep(SETTLE).await;
             }

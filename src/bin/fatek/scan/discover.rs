@@ -156,7 +156,7 @@ fn print(all: &Replies, output: &Output) -> Result<(), Failure> {
             ]);
         }
     }
-    output.some_rows(&if output.format == Format::Table { table.without_empty("note") } else { rows })
+    output.rows(&if output.format == Format::Table { table.without_empty("note") } else { rows })
 }
 
 fn note(sender: SocketAddr, reply: &[u8], module: Option<&Module>) -> Option<String> {

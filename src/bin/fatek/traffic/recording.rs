@@ -10,7 +10,7 @@
 //!
 //! `us` is the time since `started` in microseconds, by a clock that never steps. `bytes` are those of
 //! one read, and may be a part of a frame, or several. `"datagram":true`: they are a datagram. Unknown
-//! members are ignored, and so are lines with none of `open`, `bytes` and `close`. Docs: docs/CLI.md.
+//! members are ignored, and so are lines with none of `open`, `bytes`, `missing` and `close`. Docs: docs/CLI.md.
 
 use std::fmt::Write;
 use std::io::BufRead;

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use tokio::time::{Instant, timeout};
+use tokio::time::Instant;
 
-use super::{ATTEMPTS, CONNECT_TIMEOUT, End, Runner};
+use super::{ATTEMPTS, End, Runner};
 use crate::doctor::exchange::Attempt;
 use crate::doctor::line::{Connect, Receiver};
 use crate::doctor::request::Request;
@@ -20,8 +20,7 @@ impl<C: Connect> Runner<'_, C> {
         self.line().await?;
         let mut lines = vec![self.line.take()];
         for _ in 1..connections {
-            let opened = timeout(CONNECT_TIMEOUT, self.connector.open()).await;
-            let wire = opened.ok().and_then(Result::ok);
+            let wire = self.connector.open().await.ok();
             lines.push(wire.map(|wire| Receiver::new(wire, self.facts.framing())));
         }
         let mut attempts = Vec::new();

@@ -159,5 +159,5 @@ pub(super) fn print(all: &BTreeMap<(SocketAddr, Kind), Vec<Found>>, output: &Out
             ]);
         }
     }
-    output.some_rows(&if output.format == Format::Table { table.without_empty("note") } else { rows })
+    output.rows(&if output.format == Format::Table { table.without_empty("note") } else { rows })
 }
