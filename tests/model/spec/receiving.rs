@@ -206,7 +206,10 @@ impl Spec {
     fn station_answered(&mut self, in_flight: &InFlight, at: Micros) {
         let entry = self.stations.entry(in_flight.station).or_default();
         entry.timeouts = 0;
-        entry.measured(at - in_flight.sent);
+        // A frame that was cut short extends the wait beyond the response timeout, and may have held
+        // up the reply: such a time is no round trip.
+        let timeout = in_flight.limit - self.settings.slow_frame - in_flight.sent;
+        entry.measured((at - in_flight.sent).min(timeout));
         if entry.offline.take().is_some() {
             self.probe_now(at);
         }
