@@ -26,7 +26,8 @@
 //!
 //! Each element of the ranges has a value from a reply of the PLC, or the reason why it has none: a
 //! [`Missing`]. An element that could not be read is never zero. A request that the PLC refuses is
-//! halved until the refused elements are found; all others are read.
+//! halved until the refused elements are found; all others are read. Requests are no longer than the
+//! declared [capabilities](crate::capabilities) of the station allow.
 //!
 //! **Values are not of one moment.** A request reads up to 64 registers or 256 discretes of one
 //! scan cycle, and the next request reads a later one. If values must be consistent, stop the PLC

@@ -30,7 +30,7 @@ use std::fmt;
 use std::time::Duration;
 
 pub(crate) use self::known::{KnownCapabilities, LEARNED_LIFETIME, Refused};
-use crate::command::{Code, CommandSet};
+use crate::command::{Code, CommandSet, RequestLengths};
 use crate::element::Symbol;
 use crate::link::{Declared, LongestReads};
 use crate::plan::{Limits, PlanError, WordAreas, check_range};
@@ -235,6 +235,11 @@ impl Capabilities {
     /// Returns whether this command is not to be used.
     pub(crate) fn lacks(&self, code: Code) -> bool {
         self.refused.and(self.unanswered).contains(code)
+    }
+
+    /// The longest requests for consecutive elements.
+    pub(crate) fn request_lengths(&self) -> RequestLengths {
+        RequestLengths::PROTOCOL.within(self.max_points, self.max_registers)
     }
 
     /// The part of them that a link applies to its own requests.

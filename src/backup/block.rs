@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::{InvalidBackup, Missing};
-use crate::command::{Value, most_in_one_request};
+use crate::command::{RequestLengths, Value};
 use crate::element::Element;
 use crate::error::ErrorCode;
 use crate::tag::{Tag, TagType};
@@ -138,15 +138,19 @@ pub(super) fn runs_of_values<T>(
 }
 
 /// A queue of requests. A refused request is halved until the elements are found that caused it.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Chunks {
     /// Runs of elements of any length, the next one last.
     waiting: Vec<Chunk>,
+    lengths: RequestLengths,
 }
 
 impl Chunks {
-    /// The fewest requests for these runs, in this order. No value is split.
-    pub(super) fn new(runs: impl IntoIterator<Item = (usize, Tag, Range<usize>)>) -> Self {
+    pub(super) const EMPTY: Self = Self { waiting: Vec::new(), lengths: RequestLengths::PROTOCOL };
+
+    /// The fewest requests of these lengths for these runs, in this order. No value is split: one that
+    /// is longer is a request of its own.
+    pub(super) fn new(runs: impl IntoIterator<Item = (usize, Tag, Range<usize>)>, lengths: RequestLengths) -> Self {
         let run = |(block, range, indices): (usize, Tag, Range<usize>)| Chunk {
             block,
             range,
@@ -155,12 +159,12 @@ impl Chunks {
         };
         let mut waiting: Vec<Chunk> = runs.into_iter().map(run).filter(|run| run.count > 0).collect();
         waiting.reverse();
-        Self { waiting }
+        Self { waiting, lengths }
     }
 
     /// The next request, with as many elements as it can hold.
     pub(super) fn next(&self) -> Option<Chunk> {
-        self.waiting.last().map(|run| Chunk { count: most_at_once(*run), ..*run })
+        self.waiting.last().map(|run| Chunk { count: most_at_once(*run, self.lengths), ..*run })
     }
 
     /// The next one is settled.
@@ -171,7 +175,7 @@ impl Chunks {
     /// The first elements of the next one are settled. Its others come with the request after it.
     pub(super) fn done_first(&mut self, count: usize) {
         let Some(run) = self.waiting.last_mut() else { return };
-        let count = count.min(most_at_once(*run));
+        let count = count.min(most_at_once(*run, self.lengths));
         run.start = run.start.saturating_add(count);
         run.count = run.count.saturating_sub(count);
         if run.count == 0 {
@@ -212,14 +216,15 @@ impl Chunks {
 
 /// The number of elements of a run in one request: values stay whole. It is 1 for counters of 32
 /// bits, whose values have one element.
-fn most_at_once(run: Chunk) -> usize {
-    let most = most_in_one_request(run.range.first());
+fn most_at_once(run: Chunk, lengths: RequestLengths) -> usize {
+    let (most, per_value) = (lengths.most(run.range.first()), run.range.elements_per_value());
     if run.count <= most {
         return run.count;
     }
     let end = run.start.saturating_add(most);
-    let past = end.checked_rem(run.range.elements_per_value()).unwrap_or(0);
-    most.saturating_sub(past)
+    let past = end.checked_rem(per_value).unwrap_or(0);
+    // A value that is longer than a request is asked for whole, and refused.
+    most.saturating_sub(past).max(per_value).min(run.count)
 }
 
 /// The number of elements in the first half: values stay whole, and a single value has no halves.

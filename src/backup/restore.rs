@@ -83,7 +83,7 @@ impl Restore {
         if let Some(range) = self.restoring.refused_special().filter(|_| goal == RestoreGoal::Restore) {
             return Err(self.failed(RestoreFailure::Special { range }));
         }
-        self.restoring.begin(goal);
+        self.restoring.begin(goal, station.request_lengths());
         self.check_origin(station, goal).await.map_err(|source| self.failed(source))?;
         let driven = self.driver.run(&mut self.restoring, station).await;
         driven.map(|()| self.report()).map_err(|source| self.failed(source))

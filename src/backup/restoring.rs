@@ -12,7 +12,7 @@ use super::block::{Chunk, Chunks, discretes, is_never_restored, runs, runs_of_va
 use super::options::{IfRunning, RestoreOptions, SpecialElements};
 use super::target::{ElementState, Target, TargetElement};
 use super::{Backup, Difference, MissingRange, RestoreFailure};
-use crate::command::Value;
+use crate::command::{RequestLengths, Value};
 use crate::error::{Error, ErrorCode};
 use crate::file::{Origin, PlcDifference};
 use crate::progress::Phase;
@@ -90,6 +90,8 @@ pub(super) struct Restoring {
     control: RunControl,
     /// The requests that are left in this stage.
     chunks: Chunks,
+    /// The longest requests of this run.
+    lengths: RequestLengths,
     /// Elements of this stage, and those that are settled.
     total: usize,
     done: usize,
@@ -124,7 +126,8 @@ impl Restoring {
             goal: RestoreGoal::Compare,
             stage: RestoreStage::Done,
             control: RunControl::new(options.attempts),
-            chunks: Chunks::default(),
+            chunks: Chunks::EMPTY,
+            lengths: RequestLengths::PROTOCOL,
             total: 0,
             done: 0,
             before: Vec::new(),
@@ -134,8 +137,10 @@ impl Restoring {
         }
     }
 
-    /// Begins a run. Unless the last one succeeded, it inherits whether the PLC was stopped.
-    pub(super) fn begin(&mut self, goal: RestoreGoal) {
+    /// Begins a run with requests of these lengths. Unless the last one succeeded, it inherits whether
+    /// the PLC was stopped.
+    pub(super) fn begin(&mut self, goal: RestoreGoal, lengths: RequestLengths) {
+        self.lengths = lengths;
         self.control.begin(self.is_over());
         self.forget();
         self.remaining.clear();
@@ -170,7 +175,7 @@ impl Restoring {
             Compare => runs(&target.elements, is_unknown),
             Forced if self.options.write_forced || discretes(target.range).is_none() => Vec::new(),
             Forced => target.differing(),
-            Write | Check => target.to_write(self.options.bridge),
+            Write | Check => target.to_write(self.options.bridge, self.lengths),
             Verify => runs(&target.elements, is_verified),
         };
         // They come after the others, as in `all`, whose numbers chunks have.
@@ -184,7 +189,7 @@ impl Restoring {
     fn queue(&mut self, runs: Vec<(usize, Tag, Range<usize>)>) {
         (self.tries, self.done) = (0, 0);
         self.total = runs.iter().map(|(_, _, run)| run.len()).sum();
-        self.chunks = Chunks::new(runs);
+        self.chunks = Chunks::new(runs, self.lengths);
     }
 
     // Compare, write, verify.
@@ -276,7 +281,7 @@ impl Restoring {
         let left: usize = differing.iter().map(|(_, _, run)| run.len()).sum();
         debug_assert!(left <= chunk.count, "runs of a chunk do not overlap");
         self.chunks.done();
-        self.chunks.prepend(Chunks::new(differing));
+        self.chunks.prepend(Chunks::new(differing, self.lengths));
         self.done = self.done.saturating_add(chunk.count.saturating_sub(left));
         if left == 0 {
             self.tries = 0;

@@ -89,7 +89,7 @@ impl TakeBackup {
             None => self.read_origin(station).await.map_err(|error| self.failed(error))?,
             Some(_) => self.check_origin(station).await?,
         }
-        self.taking.begin();
+        self.taking.begin(station.request_lengths());
         let driven = self.driver.run(&mut self.taking, station).await;
         driven.map(|()| self.partial().clone()).map_err(|error| self.failed(error))
     }

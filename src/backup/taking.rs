@@ -2,7 +2,7 @@
 
 use super::block::{Chunk, Chunks, runs};
 use super::{Backup, Missing};
-use crate::command::Value;
+use crate::command::{RequestLengths, Value};
 use crate::error::Error;
 use crate::progress::Phase;
 use crate::transfer::{HoldLimit, Position, Reply, Step, Transfer};
@@ -29,7 +29,7 @@ impl Taking {
     pub(super) fn new(backup: Backup) -> Self {
         Self {
             backup,
-            chunks: Chunks::default(),
+            chunks: Chunks::EMPTY,
             done: 0,
             limit: HoldLimit::new(MAX_HELD),
             held: Vec::new(),
@@ -38,8 +38,9 @@ impl Taking {
         }
     }
 
-    /// Begins a run: reads the cells that are not read. Values that are held are dropped.
-    pub(super) fn begin(&mut self) {
+    /// Begins a run: reads the cells that are not read, with requests of these lengths. Values that
+    /// are held are dropped.
+    pub(super) fn begin(&mut self, lengths: RequestLengths) {
         if !self.held.is_empty() {
             self.limit.lower();
         }
@@ -48,9 +49,10 @@ impl Taking {
         self.done = self.confirmed_elements();
         let is_unread = |cell: &Result<Value, Missing>| *cell == Err(Missing::NotRead);
         let blocks = self.backup.blocks.iter().enumerate();
-        self.chunks = Chunks::new(blocks.flat_map(|(number, block)| {
+        let unread = blocks.flat_map(|(number, block)| {
             runs(&block.cells, is_unread).into_iter().map(move |run| (number, block.range, run))
-        }));
+        });
+        self.chunks = Chunks::new(unread, lengths);
     }
 
     /// Elements that have a value, or were refused.
@@ -154,7 +156,7 @@ mod tests {
             let mut taking = Taking::new(backup);
             let mut done = 0;
             loop {
-                taking.begin();
+                taking.begin(RequestLengths::PROTOCOL);
                 if let End::Done = contract::run(&mut taking, &plc, &mut random, 10) {
                     break;
                 }

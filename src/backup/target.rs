@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::block::{Block, Cell, part, runs, runs_by, runs_of_values};
 use super::{Difference, RefusedRange};
-use crate::command::{Value, most_in_one_request};
+use crate::command::{RequestLengths, Value};
 use crate::error::ErrorCode;
 use crate::memory_map::special_range;
 use crate::tag::Tag;
@@ -117,8 +117,8 @@ impl Target {
 
     /// The values that differ, with up to `bridge` equal elements between two of them if that saves
     /// a request.
-    pub(super) fn to_write(&self, bridge: usize) -> Vec<Range<usize>> {
-        let most = most_in_one_request(self.range.first());
+    pub(super) fn to_write(&self, bridge: usize, lengths: RequestLengths) -> Vec<Range<usize>> {
+        let most = lengths.most(self.range.first());
         let mut merged: Vec<Range<usize>> = Vec::new();
         for run in self.differing() {
             match merged.last_mut() {
@@ -134,8 +134,8 @@ impl Target {
         merged
     }
 
-    pub(super) fn ranges_to_write(&self, bridge: usize) -> Vec<Tag> {
-        self.to_write(bridge).iter().map(|run| part(self.range, run)).collect()
+    pub(super) fn ranges_to_write(&self, bridge: usize, lengths: RequestLengths) -> Vec<Tag> {
+        self.to_write(bridge, lengths).iter().map(|run| part(self.range, run)).collect()
     }
 
     fn bridges(&self, gap: Range<usize>, most: usize) -> bool {

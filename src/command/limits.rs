@@ -167,16 +167,43 @@ pub(super) fn units(code: Code, units: usize, max: usize) -> Result<(), InvalidR
     if units <= max { Ok(()) } else { Err(InvalidRequest::Units { code, units, max }) }
 }
 
+/// The longest requests for consecutive elements: those of the protocol, or shorter ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct RequestLengths {
+    points: usize,
+    units: usize,
+}
+
+impl RequestLengths {
+    pub(crate) const PROTOCOL: Self = Self { points: MAX_POINTS, units: MAX_UNITS };
+
+    /// The shorter of these and `points` discretes, `units` of registers; `None`: no limit is known.
+    pub(crate) fn within(self, points: Option<usize>, units: Option<usize>) -> Self {
+        let lower = |own: usize, other: Option<usize>| other.map_or(own, |other| own.min(other));
+        Self { points: lower(self.points, points), units: lower(self.units, units) }
+    }
+
+    /// The most consecutive elements from this one on in one request; at least 1.
+    pub(crate) fn most(self, first: Element) -> usize {
+        if first.is_counter_of_32_bits() { 1 } else { self.most_of_width(first.width()) }
+    }
+
+    fn most_of_width(self, width: Width) -> usize {
+        let most = match width {
+            Width::Bit => self.points,
+            Width::Word | Width::DWord => self.units / width.units(),
+        };
+        most.max(1)
+    }
+}
+
 /// The most consecutive elements from this one on in one request.
 pub(crate) fn most_in_one_request(first: Element) -> usize {
-    if first.is_counter_of_32_bits() { 1 } else { most_of_width(first.width()) }
+    RequestLengths::PROTOCOL.most(first)
 }
 
 fn most_of_width(width: Width) -> usize {
-    match width {
-        Width::Bit => MAX_POINTS,
-        Width::Word | Width::DWord => MAX_UNITS / width.units(),
-    }
+    RequestLengths::PROTOCOL.most_of_width(width)
 }
 
 /// Checks consecutive elements of one request: their number, and that all exist.

@@ -11,7 +11,7 @@
 
 use super::{JobReply, Outcome, Station, StationJob};
 use crate::command::{self, Command, Consecutive, InvalidRequest, StackReply, ValueOf, check_range};
-use crate::element::{Element, ElementError, Width};
+use crate::element::{Element, ElementError};
 use crate::error::Error;
 
 /// Reads `count` elements from `first` on; `request` makes one request.
@@ -25,7 +25,7 @@ where
     E: Into<Element> + TryFrom<Element, Error = ElementError> + Copy,
     C: Command<Reply = Vec<T>>,
 {
-    let most = most_in_one_request(station, first.into());
+    let most = station.request_lengths().most(first.into());
     if (1..=most).contains(&count) {
         return station.call(request(first, count)?).await;
     }
@@ -61,7 +61,7 @@ where
     C: Consecutive,
 {
     let count = into.len();
-    let most = most_in_one_request(station, first.into());
+    let most = station.request_lengths().most(first.into());
     // The caller copies the values: the link holds no reference to memory of a future that may be
     // dropped.
     let mut copy = |from: usize, values: &[ValueOf<C>]| {
@@ -105,7 +105,7 @@ where
     E: Into<Element> + TryFrom<Element, Error = ElementError> + Copy,
     C: Command<Reply = ()>,
 {
-    let (count, most) = (values.len(), most_in_one_request(station, first.into()));
+    let (count, most) = (values.len(), station.request_lengths().most(first.into()));
     // A value that the device cannot take at once is sent whole, and refused.
     let most = (most / unit.max(1) * unit).max(unit.min(command::most_in_one_request(first.into())));
     if (1..=most).contains(&count) {
@@ -132,25 +132,6 @@ where
         // All were acknowledged, but not confirmed.
         Err(error) => Err(unknown(job.first_held().unwrap_or(count), error)),
     }
-}
-
-/// The most consecutive elements from this one on in one request, within the declared capabilities of the
-/// station.
-///
-/// Those that a poller has learned do not count: a refused read may be one of its place, it says nothing of
-/// writes, and callers rely on the scan of one request.
-fn most_in_one_request(station: &Station, first: Element) -> usize {
-    let most = command::most_in_one_request(first);
-    if !station.link.knows_capabilities() {
-        return most;
-    }
-    let known = station.declared_capabilities();
-    let lowered = match first.width() {
-        Width::Bit => known.max_points(),
-        Width::Word => known.max_registers(),
-        Width::DWord => known.max_registers().map(|units| units / 2),
-    };
-    lowered.map_or(most, |lowered| most.min(lowered.max(1)))
 }
 
 /// The error of a write of `count` values, of which `written` were written before it.

@@ -1,6 +1,7 @@
 //! The capabilities of a station.
 
 use crate::capabilities::Capabilities;
+use crate::command::RequestLengths;
 use crate::station::Station;
 
 /// Capabilities of the PLC.
@@ -12,7 +13,8 @@ impl Station {
     /// discretes, for ten minutes, and of longer requests, which only pollers learn; an answer to a
     /// broadcast; and, except on a serial line, the smoothed round trip as the response time. A poller
     /// ignores refusals of others: it learns for itself. Learned lengths apply to plans and
-    /// [`read`](Self::read), but not to reads and writes of [any length](Self#any-length).
+    /// [`read`](Self::read), but not to reads and writes of [any length](Self#any-length), backups and
+    /// restores.
     ///
     /// ```
     /// # fatek::sim::doctest(|station| async move {
@@ -41,13 +43,26 @@ impl Station {
         self.link.declared_capabilities(self.number)
     }
 
+    /// The longest requests for consecutive elements, within the declared capabilities.
+    ///
+    /// Lengths that a poller has learned do not count: a refused read may be one of its place, it
+    /// says nothing of writes, and callers rely on the scan of one request.
+    pub(crate) fn request_lengths(&self) -> RequestLengths {
+        if self.link.knows_capabilities() {
+            self.declared_capabilities().request_lengths()
+        } else {
+            RequestLengths::PROTOCOL
+        }
+    }
+
     /// Declares the capabilities of the station, for all handles of the link, in place of all that was
     /// declared or learned before.
     ///
-    /// Reads and writes of any length, [`read`](Self::read) and its like, and plans and pollers that are made
-    /// from now on follow them; backups and restores do not. The link sends nothing by itself that is
-    /// refused or unanswered, but for a refused loop-back (4E). If that is unanswered, the status (40 or 53) and
-    /// the [quiet time](crate::endpoint::InStepSettings::with_quiet) behind it take its place.
+    /// Reads and writes of any length, [`read`](Self::read) and its like, backups, restores, and plans and
+    /// pollers that are made from now on follow them. Pages of programs have one length. The link sends
+    /// nothing by itself that is refused or unanswered, but for a refused loop-back (4E). If that is
+    /// unanswered, the status (40 or 53) and the
+    /// [quiet time](crate::endpoint::InStepSettings::with_quiet) behind it take its place.
     ///
     /// Another link to the same PLC, such as one of a [`Pool`](crate::Pool) or after an eviction, does not
     /// know them.

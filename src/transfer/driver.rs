@@ -8,8 +8,8 @@ use super::meter::Meter;
 use super::resume_guard::{OtherStation, ResumeGuard};
 use super::step::{Position, Reply, Request, Step, Transfer};
 use crate::command::{
-    Command, MAX_POINTS, ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadProgramPage, ReadRegisters, ReadStatus,
-    Value, WriteDiscretes, WriteRegisters,
+    Command, ReadDetailedStatus, ReadDisabled, ReadDiscretes, ReadProgramPage, ReadRegisters, ReadStatus, Value,
+    WriteDiscretes, WriteRegisters,
 };
 use crate::element::Element;
 use crate::error::Error;
@@ -143,7 +143,7 @@ async fn send<M: Copy>(station: &Station, job: &mut StationJob<'_, M>, mark: M, 
             station.write_program_page(page, &content).await.map(|()| outside_job(Reply::Done))
         }
         Request::Read { range, shorter } => read(job, mark, range, shorter).await,
-        Request::ReadDisabled(first, count) if count <= MAX_POINTS => {
+        Request::ReadDisabled(first, count) if count <= station.request_lengths().most(first.into()) => {
             call(job, mark, ReadDisabled::new(first, count)?, Reply::Disabled).await
         }
         Request::ReadDisabled(first, count) => {

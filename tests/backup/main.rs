@@ -5,6 +5,7 @@
 mod bench;
 mod crash;
 mod duplicates;
+mod lengths;
 mod options;
 mod refused;
 mod resume;

@@ -18,7 +18,11 @@ impl Restoring {
             written: ranges(|state| state == ElementState::Written),
             in_doubt: ranges(|state| matches!(state, ElementState::InDoubt | ElementState::ToRepeat)),
             unwritten: ranges(|state| state == ElementState::Differs),
-            to_write: self.targets.iter().flat_map(|target| target.ranges_to_write(self.options.bridge)).collect(),
+            to_write: self
+                .targets
+                .iter()
+                .flat_map(|target| target.ranges_to_write(self.options.bridge, self.lengths))
+                .collect(),
             refused: self.all().flat_map(Target::refused).collect(),
             forced: ranges(|state| state == ElementState::Forced),
             left_out: self.left_out.iter().map(|target| target.range).collect(),

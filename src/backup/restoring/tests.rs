@@ -58,7 +58,7 @@ fn names(ranges: &[Tag]) -> Vec<String> {
 /// Restores 0 to elements that hold these values, up to the first write.
 fn until_write(range: &str, held: &[u16]) -> Restoring {
     let mut restoring = Restoring::new(&backup(&[range]), RestoreOptions::new());
-    restoring.begin(RestoreGoal::Restore);
+    restoring.begin(RestoreGoal::Restore, RequestLengths::PROTOCOL);
     assert_eq!(next(&mut restoring), Request::Status);
     restoring.handle(Ok(status(false))).unwrap();
     assert!(matches!(next(&mut restoring), Request::Read { .. }));
@@ -111,7 +111,7 @@ fn half_a_value_of_a_lost_write_is_not_unwritten() {
 fn elements_of_a_lost_write_differ_from_those_never_sent() {
     let held = [[7_u16; 64], [7; 64]].concat();
     let mut restoring = Restoring::new(&backup(&["R0-R127"]), RestoreOptions::new());
-    restoring.begin(RestoreGoal::Restore);
+    restoring.begin(RestoreGoal::Restore, RequestLengths::PROTOCOL);
     restoring.handle(Ok(status(false))).unwrap();
     for half in held.chunks(64) {
         assert!(matches!(next(&mut restoring), Request::Read { .. }));
@@ -176,7 +176,7 @@ fn model(seed: u64) -> usize {
     let place = |element: Element| usize::from(element.address());
     for _ in 0..4 {
         let mut fates = vec![Fate::default(); memory.len()];
-        restoring.begin(RestoreGoal::Restore);
+        restoring.begin(RestoreGoal::Restore, RequestLengths::PROTOCOL);
         // The last status since STOP or RUN was sent.
         let mut seen: Option<bool> = None;
         // Elements that unconfirmed reads have shown, and the mark of the first of these reads.
@@ -343,7 +343,7 @@ fn restoring_keeps_the_contract_of_a_transfer() {
         let mut restoring = Restoring::new(&backup, options);
         for run in 0.. {
             assert!(run < 300, "seed {seed}: it does not end");
-            restoring.begin(RestoreGoal::Restore);
+            restoring.begin(RestoreGoal::Restore, RequestLengths::PROTOCOL);
             if let End::Done = contract::run(&mut restoring, &plc, &mut random, 10) {
                 break;
             }
