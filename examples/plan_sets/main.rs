@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! cargo run --release --example plan_sets --features sim
+//! cargo test --example plan_sets --features sim             # compares docs/PLAN.md with it
 //! ```
 
 mod sets;
@@ -19,8 +20,15 @@ use fatek::wire::Framing;
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
 fn main() -> Result<()> {
-    println!("| tags | line | one request per tag | gap merging | without words | `Plan` | ms less |");
-    println!("|---|---|---:|---:|---:|---:|---:|");
+    print!("{}\n{}", table()?, simulated::table()?);
+    Ok(())
+}
+
+/// The table of costs, as in docs/PLAN.md.
+fn table() -> Result<String> {
+    let mut table =
+        String::from("| tags | line | one request per tag | gap merging | without words | `Plan` | ms less |\n");
+    table += "|---|---|---:|---:|---:|---:|---:|\n";
     for (name, tags) in sets::all()? {
         for (line, cost) in lines()? {
             let plan = |limits: Limits| Plan::builder(cost).limits(limits).tags(tags.iter().copied()).build();
@@ -35,8 +43,8 @@ fn main() -> Result<()> {
             // For up to eight values, no plan is cheaper: tests compare it with all others.
             let values = tags.iter().map(Tag::value_count).sum::<usize>();
             let optimal = if values <= 8 { ", optimal" } else { "" };
-            println!(
-                "| {name} | {line} | {} | {} | {} | {}{optimal} | {:.1} |",
+            table += &format!(
+                "| {name} | {line} | {} | {} | {} | {}{optimal} | {:.1} |\n",
                 cell(&single),
                 cell(&[merged]),
                 cell(&[before]),
@@ -45,8 +53,7 @@ fn main() -> Result<()> {
             );
         }
     }
-    println!();
-    simulated::table()
+    Ok(table)
 }
 
 /// The lines of the tables.
@@ -69,4 +76,15 @@ fn cell(plans: &[Plan]) -> String {
 
 fn milliseconds(time: Duration) -> f64 {
     time.as_secs_f64() * 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_tables_of_the_page_are_those_of_this_example() {
+        let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/PLAN.md")).unwrap();
+        for table in [super::table().unwrap(), super::simulated::table().unwrap()] {
+            assert!(page.contains(&table), "docs/PLAN.md has another table:\n{table}");
+        }
+    }
 }

@@ -12,10 +12,9 @@ use tokio::time::Instant;
 
 use super::{Result, lines, milliseconds, sets};
 
-/// Prints the time of a read of some sets, with the checks of the link.
-pub(crate) fn table() -> Result<()> {
-    println!("| tags | line | without words, ms | `Plan`, ms |");
-    println!("|---|---|---:|---:|");
+/// The table of the times of a read of some sets, with the checks of the link.
+pub(crate) fn table() -> Result<String> {
+    let mut table = String::from("| tags | line | without words, ms | `Plan`, ms |\n|---|---|---:|---:|\n");
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build()?;
     for (name, tags) in sets::all()?.into_iter().take(6) {
         for (line, cost) in lines()? {
@@ -25,10 +24,10 @@ pub(crate) fn table() -> Result<()> {
                 times.push(runtime.block_on(read(&plan, line, &tags))?);
             }
             let [before, now] = times[..] else { continue };
-            println!("| {name} | {line} | {:.0} | {:.0} |", milliseconds(before), milliseconds(now));
+            table += &format!("| {name} | {line} | {:.0} | {:.0} |\n", milliseconds(before), milliseconds(now));
         }
     }
-    Ok(())
+    Ok(table)
 }
 
 /// Returns the time of the second read: the first one opens the connection.
