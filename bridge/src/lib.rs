@@ -1,0 +1,29 @@
+//! `fatek-bridge`: carries data of FATEK / FACON PLCs to MQTT, NATS, Prometheus and a web page.
+//!
+//! The program is this library with a command line. The library has no stable interface of its own: it exists
+//! so that tests and benchmarks reach its parts.
+//!
+//! ```text
+//! Pool + Poller ──samples──▶ Collector ──batches──▶ Buffer ──▶ cursor ──▶ Output (stdout, MQTT, NATS)
+//!                                            │                              │ commands
+//!                                            ▼                              ▼
+//!                                      page, metrics                    Commands ──writes──▶ Pool
+//! ```
+//!
+//! - [`config`]: the file, and the checks of it.
+//! - [`registry`]: the PLCs that are polled, shared by all parts; a reload changes it.
+//! - [`collect`] and [`batch`]: samples become batches of one PLC and one time.
+//! - [`buffer`]: holds batches until each output has acknowledged them.
+//! - [`output`]: one task an output.
+//! - [`run`]: starts all of this, and ends it.
+
+pub mod backoff;
+pub mod batch;
+pub mod buffer;
+pub mod collect;
+pub mod config;
+pub mod output;
+pub mod registry;
+pub mod run;
+pub mod secret;
+pub mod topic;

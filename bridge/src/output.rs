@@ -1,0 +1,82 @@
+//! Outputs: each is a task that delivers the batches of its cursor, and acknowledges what its server has
+//! taken. An output that fails or waits does not hold up the others.
+
+pub mod stdout;
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// The state of an output, for metrics and the page.
+#[derive(Debug)]
+pub struct Health {
+    name: &'static str,
+    connected: AtomicBool,
+    batches: AtomicU64,
+    samples: AtomicU64,
+    reconnects: AtomicU64,
+    failure: Mutex<Option<String>>,
+}
+
+impl Health {
+    /// Of an output with this name that is not connected yet.
+    #[must_use]
+    pub fn new(name: &'static str) -> Self {
+        Self {
+            name,
+            connected: AtomicBool::new(false),
+            batches: AtomicU64::new(0),
+            samples: AtomicU64::new(0),
+            reconnects: AtomicU64::new(0),
+            failure: Mutex::new(None),
+        }
+    }
+
+    /// The name of the output.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Returns whether it is connected.
+    #[must_use]
+    pub fn is_connected(&self) -> bool {
+        self.connected.load(Ordering::Relaxed)
+    }
+
+    /// Batches and samples that its server has acknowledged.
+    #[must_use]
+    pub fn delivered(&self) -> (u64, u64) {
+        (self.batches.load(Ordering::Relaxed), self.samples.load(Ordering::Relaxed))
+    }
+
+    /// Connections that were lost and opened anew.
+    #[must_use]
+    pub fn reconnects(&self) -> u64 {
+        self.reconnects.load(Ordering::Relaxed)
+    }
+
+    /// The last failure since it was connected.
+    #[must_use]
+    pub fn failure(&self) -> Option<String> {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Notes that it is connected. `again`: it was before.
+    pub fn set_connected(&self, again: bool) {
+        self.connected.store(true, Ordering::Relaxed);
+        self.reconnects.fetch_add(u64::from(again), Ordering::Relaxed);
+        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// Notes that it is not connected, and why.
+    pub fn set_failed(&self, failure: impl ToString) {
+        self.connected.store(false, Ordering::Relaxed);
+        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(failure.to_string());
+    }
+
+    /// Counts a batch that was acknowledged.
+    pub fn count(&self, samples: u32) {
+        self.batches.fetch_add(1, Ordering::Relaxed);
+        self.samples.fetch_add(samples.into(), Ordering::Relaxed);
+    }
+}
