@@ -26,4 +26,5 @@ pub mod output;
 pub mod registry;
 pub mod run;
 pub mod secret;
+pub mod tls;
 pub mod topic;
