@@ -55,7 +55,10 @@ fn run(path: &std::path::Path) -> ExitCode {
             return ExitCode::FAILURE;
         }
     };
-    match runtime.block_on(fatek_bridge::run::run(config)) {
+    let result = runtime.block_on(fatek_bridge::run::run(config));
+    // Without a limit, a write to a pipe that is not read would hold up the end.
+    runtime.shutdown_timeout(std::time::Duration::from_millis(100));
+    match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error}");

@@ -55,7 +55,7 @@ struct File {
 }
 
 /// `[bridge]`.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BridgeSection {
     /// The name of the bridge in topics.
@@ -80,7 +80,7 @@ impl Default for BridgeSection {
 }
 
 /// `bridge.buffer`.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BufferSection {
     /// The folder of the file, relative to `$STATE_DIRECTORY`; without it the buffer is in memory alone.
@@ -108,7 +108,7 @@ impl Default for BufferSection {
 }
 
 /// `[mqtt]`.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MqttSection {
     /// `mqtt://HOST[:PORT]`, or `mqtts://` with TLS.
@@ -134,7 +134,7 @@ pub struct MqttSection {
 }
 
 /// `[nats]`.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NatsSection {
     /// `nats://HOST[:PORT]`, or `tls://`.
@@ -159,7 +159,7 @@ pub struct NatsSection {
 }
 
 /// `[stdout]`.
-#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StdoutSection {}
 

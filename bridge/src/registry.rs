@@ -1,12 +1,21 @@
-//! The PLCs that are polled, with their tags: shared by the collector, the page and the reload.
+//! The PLCs that are polled, with their tags: shared by the collector, the outputs, the page and the reload.
+//!
+//! A configuration is applied in two phases. First all new and changed tags are added to the poller, which plans
+//! their requests; if one fails, all of them are removed again and nothing has changed. Then the old tags are
+//! removed, and samples are taken for the new ones. Tags that did not change stay as they are: they miss no cycle.
+
+mod change;
 
 use std::collections::{BTreeMap, HashMap};
-use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard};
 use std::time::Duration;
 
 use fatek::plant::{Plant, PlantPlc};
 use fatek::poll::{PolledStation, PollerHandle, ScanClass, TagId};
 use fatek::{Pool, Station};
+
+pub use self::change::Changes;
+use self::change::Staged;
 
 /// A PLC that is polled.
 #[derive(Clone, Debug)]
@@ -19,6 +28,8 @@ pub struct PolledPlc {
     pub polled: PolledStation,
     /// The ids of its tags in the poller, in the order of the configuration.
     pub ids: Vec<TagId>,
+    /// The scan classes of its tags, in the same order.
+    pub classes: Vec<ScanClass>,
 }
 
 /// PLC and name of a tag in the poller.
@@ -32,7 +43,11 @@ pub struct Place {
 
 /// All PLCs that are polled. Cheap to clone.
 #[derive(Clone, Debug, Default)]
-pub struct Registry(Arc<RwLock<Plcs>>);
+pub struct Registry {
+    plcs: Arc<RwLock<Plcs>>,
+    /// Held while a configuration is applied.
+    applying: Arc<Mutex<()>>,
+}
 
 /// The PLCs by name, and the places of their tags.
 ///
@@ -45,27 +60,40 @@ pub struct Plcs {
 
 /// A PLC whose tags cannot be polled.
 #[derive(Debug, thiserror::Error)]
-#[error("{plc}: {error}")]
+#[error("plc {plc}: {error}")]
 pub struct AddError {
     plc: String,
     #[source]
     error: Box<dyn std::error::Error + Send + Sync>,
 }
 
-/// The scan class of tags without one.
+/// The scan class of tags without one: each second.
 pub fn default_class() -> ScanClass {
     ScanClass::every(Duration::from_secs(1))
 }
 
 impl Registry {
-    /// Locks the PLCs for reading. Not across an `await`.
+    /// Locks the PLCs. Not across an `await`.
     pub fn read(&self) -> RwLockReadGuard<'_, Plcs> {
-        self.0.read().unwrap_or_else(PoisonError::into_inner)
+        self.plcs.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Locks the PLCs for a change. Not across an `await`.
-    pub fn write(&self) -> RwLockWriteGuard<'_, Plcs> {
-        self.0.write().unwrap_or_else(PoisonError::into_inner)
+    /// Polls the PLCs of a plant, and no others. Returns what was changed.
+    ///
+    /// # Errors
+    /// [`AddError`] if a tag cannot be polled; then nothing was changed.
+    pub fn apply(&self, plant: &Plant, pool: &Pool, poller: &PollerHandle) -> Result<Changes, AddError> {
+        let _applying = self.applying.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut staged = Staged::default();
+        for plc in plant.plcs() {
+            let old = self.read().get(plc.name()).cloned();
+            if let Err(error) = staged.add(plant, plc, old.as_ref(), pool, poller) {
+                staged.undo();
+                return Err(AddError { plc: plc.name().to_owned(), error });
+            }
+        }
+        let mut plcs = self.plcs.write().unwrap_or_else(PoisonError::into_inner);
+        Ok(staged.commit(&mut plcs))
     }
 }
 
@@ -86,42 +114,7 @@ impl Plcs {
     pub fn place(&self, id: TagId) -> Option<&Place> {
         self.places.get(&id)
     }
-
-    /// Adds a PLC with all of its tags to the poller, in place of one of the same name.
-    ///
-    /// # Errors
-    /// [`AddError`] if a tag cannot be polled; then nothing is polled for it.
-    pub fn add(&mut self, plant: &Plant, plc: &PlantPlc, pool: &Pool, poller: &PollerHandle) -> Result<(), AddError> {
-        let failed = |error: Box<dyn std::error::Error + Send + Sync>| AddError { plc: plc.name().to_owned(), error };
-        let station = pool.station(plc.endpoint().clone(), plc.station()).map_err(|error| failed(Box::new(error)))?;
-        let polled = poller.station(&station).map_err(|error| failed(Box::new(error)))?;
-        let mut ids = Vec::new();
-        for tag in plc.tags() {
-            let class = tag.class().and_then(|name| plant.class(name));
-            let class = class.map_or_else(default_class, fatek::plant::PlantClass::scan_class);
-            match polled.add(class, [tag.poll_tag()]) {
-                Ok(added) => ids.extend(added),
-                Err(error) => {
-                    polled.stop();
-                    return Err(failed(Box::new(error)));
-                }
-            }
-        }
-        self.remove(plc.name());
-        let name: Arc<str> = plc.name().into();
-        let place = |tag: &fatek::plant::PlantTag| Place { plc: name.clone(), tag: tag.name().into() };
-        self.places.extend(ids.iter().copied().zip(plc.tags().map(place)));
-        self.plcs.insert(name, PolledPlc { plc: plc.clone(), station, polled, ids });
-        Ok(())
-    }
-
-    /// Stops polling a PLC and returns whether it was polled.
-    pub fn remove(&mut self, name: &str) -> bool {
-        let Some(removed) = self.plcs.remove(name) else { return false };
-        removed.polled.stop();
-        removed.ids.iter().for_each(|id| {
-            self.places.remove(id);
-        });
-        true
-    }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,26 +1,46 @@
 //! Runs a configuration: poller, buffer and outputs, until a signal.
+//!
+//! ```text
+//! start ──▶ running ──SIGHUP──▶ reload ──▶ running
+//!              │ SIGTERM, SIGINT
+//!              ▼
+//!           draining: no new samples; outputs deliver what is in the buffer, for 5 s at most
+//!              │ all delivered, or the time is up, or a second signal
+//!              ▼
+//!           closing: outputs say goodbye, the buffer is written to disk, links are closed
+//! ```
+//!
+//! A part that panics ends the bridge with an error, so that the service manager starts it anew: a bridge that
+//! runs without its collector would look alive.
 
-use std::sync::Arc;
-use std::time::{Duration, Instant};
+mod drain;
+mod outputs;
+mod reload;
+mod service;
+
+use std::io;
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::Instant;
 
 use fatek::Pool;
 use fatek::poll::{Poller, PollerHandle};
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::broadcast;
-use tokio::time::timeout;
 
+use self::outputs::Outputs;
+pub use self::reload::ReloadError;
+use self::service::Service;
 use crate::batch::Batch;
 use crate::buffer::Buffer;
 use crate::collect::Collector;
 use crate::config::Config;
-use crate::output::{Health, stdout};
-use crate::registry::Registry;
+use crate::output::Health;
+use crate::registry::{AddError, Registry};
 
-/// The bridge that runs, for page and metrics. Cheap to clone.
+/// The bridge that runs, for outputs, page and metrics. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Bridge {
-    /// The configuration.
-    pub config: Arc<Config>,
+    config: Arc<RwLock<Arc<Config>>>,
     /// The PLCs that are polled.
     pub registry: Registry,
     /// The links to them.
@@ -39,67 +59,112 @@ pub struct Bridge {
 
 /// The batches that wait for a slow reader of the page before it misses some.
 const LIVE_CAPACITY: usize = 1024;
-/// The time for the outputs to deliver what is in the buffer at the end.
-const DRAIN: Duration = Duration::from_secs(5);
 
 /// An error that ends the bridge.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// A PLC cannot be polled.
     #[error(transparent)]
-    Add(#[from] crate::registry::AddError),
+    Add(#[from] AddError),
     /// A signal handler cannot be installed.
     #[error("cannot start: {0}")]
-    Start(#[from] std::io::Error),
+    Start(#[from] io::Error),
+    /// A part of the bridge has panicked.
+    #[error("the {0} has failed: this is a fault of the bridge")]
+    Panicked(&'static str),
+}
+
+impl Bridge {
+    /// The configuration that is in force; a reload changes it.
+    #[must_use]
+    pub fn config(&self) -> Arc<Config> {
+        self.config.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn set_config(&self, config: Config) {
+        *self.config.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(config);
+    }
+}
+
+/// Signals that the bridge knows.
+#[derive(Debug)]
+struct Signals {
+    interrupt: Signal,
+    terminate: Signal,
+    hangup: Signal,
+}
+
+impl Signals {
+    fn new() -> io::Result<Self> {
+        let [interrupt, terminate, hangup] =
+            [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()].map(signal);
+        Ok(Self { interrupt: interrupt?, terminate: terminate?, hangup: hangup? })
+    }
+
+    /// Waits for a signal that ends the bridge. Cancel-safe.
+    async fn end(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+        }
+    }
+
+    /// Waits for a signal that ends the bridge (`true`) or reloads the configuration (`false`). Cancel-safe.
+    async fn next(&mut self) -> bool {
+        tokio::select! {
+            _ = self.interrupt.recv() => true,
+            _ = self.terminate.recv() => true,
+            _ = self.hangup.recv() => false,
+        }
+    }
 }
 
 /// Runs until SIGINT or SIGTERM, and then delivers what is in the buffer, for a limited time.
 ///
 /// # Errors
-/// [`RunError`] if it cannot start.
+/// [`RunError`] if it cannot start, or if a part of it has panicked.
 pub async fn run(config: Config) -> Result<(), RunError> {
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
+    let mut signals = Signals::new()?;
+    let service = Service::new();
     let poller = Poller::new();
-    let outputs = config.outputs();
+    let names = config.outputs();
     let memory = usize::try_from(config.bridge.buffer.memory.0).unwrap_or(usize::MAX);
-    let buffer = Buffer::in_memory(outputs.len(), memory);
+    let buffer = Buffer::in_memory(names.len(), memory);
     let (live, _) = broadcast::channel(LIVE_CAPACITY);
     let bridge = Bridge {
         registry: Registry::default(),
         pool: Pool::new(),
         poller: poller.handle(),
         buffer: buffer.clone(),
-        outputs: outputs.iter().map(|name| Arc::new(Health::new(name))).collect(),
+        outputs: names.iter().map(|name| Arc::new(Health::new(name))).collect(),
         live: live.clone(),
         started: Instant::now(),
-        config: Arc::new(config),
+        config: Arc::new(RwLock::new(Arc::new(config))),
     };
-    for plc in bridge.config.plant.plcs() {
-        bridge.registry.write().add(&bridge.config.plant, plc, &bridge.pool, &bridge.poller)?;
-    }
-    let collector = tokio::spawn(Collector::new(bridge.registry.clone(), buffer.clone(), live).run(poller));
-    let mut tasks = tokio::task::JoinSet::new();
-    for (number, health) in bridge.outputs.iter().enumerate() {
-        let cursor = buffer.cursor(number);
-        if health.name() == "stdout" {
-            tasks.spawn(stdout::run(cursor, health.clone()));
-        }
-    }
-    tokio::select! {
-        _ = interrupt.recv() => {}
-        _ = terminate.recv() => {}
-    }
-    // No new samples, and then the rest of the buffer.
-    bridge.poller.close().await;
-    let drained = async {
-        let _ = collector.await;
-        while (0..bridge.outputs.len()).any(|number| !buffer.cursor(number).is_drained()) {
-            tokio::time::sleep(Duration::from_millis(10)).await;
+    let changes = bridge.registry.apply(&bridge.config().plant, &bridge.pool, &bridge.poller)?;
+    let mut collector = tokio::spawn(Collector::new(bridge.registry.clone(), buffer, live).run(poller));
+    let mut outputs = Outputs::start(&bridge);
+    tracing::info!("started; {changes}");
+    service.ready();
+    let ended = loop {
+        tokio::select! {
+            ends = signals.next() => match ends {
+                true => break Ok(()),
+                false => {
+                    service.reloading();
+                    // A fault is in the log, and nothing has changed.
+                    let _ = reload::reload(&bridge, &mut outputs).await;
+                    service.ready();
+                }
+            },
+            name = outputs.panicked() => break Err(RunError::Panicked(name)),
+            _ = &mut collector => break Err(RunError::Panicked("collector")),
+            () = service.watchdog() => {}
         }
     };
-    if timeout(DRAIN, drained).await.is_err() {
-        tracing::warn!("an output did not take all batches within {DRAIN:?}");
-    }
-    Ok(())
+    service.stopping();
+    // A collector that has ended must not be waited for again.
+    let collector = ended.is_ok().then_some(collector);
+    drain::drain(&bridge, outputs, collector, &mut signals).await;
+    ended
 }

@@ -1,38 +1,51 @@
 //! Output to stdout: lines of JSON, for trying and for pipes.
 
+use std::io;
 use std::sync::Arc;
 
-use tokio::io::AsyncWriteExt as _;
+use futures::future::OptionFuture;
+use tokio::io::{AsyncWriteExt as _, Stdout};
+use tokio_util::sync::CancellationToken;
 
 use super::Health;
 use crate::batch::Batch;
-use crate::buffer::Cursor;
+use crate::buffer::{Cursor, Entry};
 
 /// The batches that are written at once.
 const MAX_BATCHES: usize = 256;
 
-/// Writes batches until stdout is closed. A batch counts as acknowledged when the system has taken it.
-pub async fn run(mut cursor: Cursor, health: Arc<Health>) {
-    let mut stdout = tokio::io::stdout();
+/// Writes batches until `stop`. A batch counts as acknowledged when the system has taken it. After stdout was
+/// closed, batches are discarded, so that they do not fill the buffer.
+pub async fn run(mut cursor: Cursor, health: Arc<Health>, stop: CancellationToken) {
+    let mut stdout = Some(tokio::io::stdout());
     health.set_connected(false);
-    loop {
-        let entries = cursor.next(MAX_BATCHES).await;
-        let text: Vec<u8> = entries.iter().flat_map(|entry| line(&entry.batch, entry.replay)).collect();
-        let written = match stdout.write_all(&text).await {
-            Ok(()) => stdout.flush().await,
-            Err(error) => Err(error),
-        };
-        if let Err(error) = written {
-            // There is no other stdout to open.
-            tracing::warn!(%error, "stdout was closed: no more lines");
-            health.set_failed(error);
-            return;
+    let deliver = async {
+        loop {
+            let entries = cursor.next(MAX_BATCHES).await;
+            if let Some(Err(error)) = OptionFuture::from(stdout.as_mut().map(|out| write(out, &entries))).await {
+                // There is no other stdout to open.
+                tracing::warn!(%error, "stdout was closed: no more lines");
+                health.set_failed(error);
+                stdout = None;
+            }
+            for entry in entries {
+                if stdout.is_some() {
+                    health.count(entry.batch.samples);
+                }
+                cursor.acknowledge(entry.position);
+            }
         }
-        for entry in entries {
-            health.count(entry.batch.samples);
-            cursor.acknowledge(entry.position);
-        }
+    };
+    tokio::select! {
+        () = deliver => {}
+        () = stop.cancelled() => {}
     }
+}
+
+async fn write(stdout: &mut Stdout, entries: &[Entry]) -> io::Result<()> {
+    let text: Vec<u8> = entries.iter().flat_map(|entry| line(&entry.batch, entry.replay)).collect();
+    stdout.write_all(&text).await?;
+    stdout.flush().await
 }
 
 /// The message with the name of the PLC: `{"plc":"mixer","seq":…}`.

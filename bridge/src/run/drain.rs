@@ -1,0 +1,40 @@
+//! The end of the bridge.
+
+use std::time::Duration;
+
+use tokio::task::JoinHandle;
+use tokio::time::{sleep, timeout};
+
+use super::outputs::Outputs;
+use super::{Bridge, Signals};
+
+/// The time for the outputs to deliver what is in the buffer.
+const DRAIN: Duration = Duration::from_secs(5);
+/// The time for the links to end their requests.
+const CLOSE: Duration = Duration::from_secs(2);
+/// The time between two looks at the buffer.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// Delivers what can be delivered in time, and closes everything. A second signal ends the wait.
+pub(super) async fn drain(bridge: &Bridge, outputs: Outputs, collector: Option<JoinHandle<()>>, signals: &mut Signals) {
+    let delivered = async {
+        bridge.poller.close().await;
+        if let Some(collector) = collector {
+            // A panic was logged by the runtime; the outputs deliver the rest.
+            let _ = collector.await;
+        }
+        while (0..bridge.outputs.len()).any(|number| !bridge.buffer.cursor(number).is_drained()) {
+            sleep(LOOK).await;
+        }
+    };
+    tokio::select! {
+        delivered = timeout(DRAIN, delivered) => if delivered.is_err() {
+            tracing::warn!("an output did not take all batches within {DRAIN:?}");
+        },
+        () = signals.end() => tracing::warn!("a second signal: the bridge ends without waiting"),
+    }
+    outputs.stop().await;
+    if timeout(CLOSE, bridge.pool.close()).await.is_err() {
+        tracing::warn!("a link did not close within {CLOSE:?}");
+    }
+}

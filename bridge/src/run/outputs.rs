@@ -1,0 +1,104 @@
+//! The tasks of the outputs.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use tokio::task::{Id, JoinSet};
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+
+use super::Bridge;
+use crate::config::Config;
+use crate::output::stdout;
+
+/// The time in which an output must end: it says goodbye to its server.
+const GOODBYE: Duration = Duration::from_secs(2);
+
+/// The running outputs.
+#[derive(Debug, Default)]
+pub(super) struct Outputs {
+    tasks: JoinSet<()>,
+    running: HashMap<Id, Running>,
+}
+
+#[derive(Debug)]
+struct Running {
+    name: &'static str,
+    stop: CancellationToken,
+}
+
+impl Outputs {
+    /// Starts the outputs of the configuration.
+    pub(super) fn start(bridge: &Bridge) -> Self {
+        let mut outputs = Self::default();
+        bridge.outputs.iter().for_each(|health| outputs.start_one(bridge, health.name()));
+        outputs
+    }
+
+    /// Waits until an output has panicked, and returns its name. Cancel-safe.
+    pub(super) async fn panicked(&mut self) -> &'static str {
+        loop {
+            match self.tasks.join_next_with_id().await {
+                None => std::future::pending().await,
+                // Such as stdout, which was closed.
+                Some(Ok((id, ()))) => drop(self.running.remove(&id)),
+                Some(Err(error)) => return self.running.remove(&error.id()).map_or("output", |ended| ended.name),
+            }
+        }
+    }
+
+    /// Starts those outputs anew whose settings are others. Returns their names.
+    pub(super) async fn restart_changed(&mut self, bridge: &Bridge, old: &Config, new: &Config) -> Vec<&'static str> {
+        let is_changed = |name: &str| match name {
+            "mqtt" => old.mqtt != new.mqtt,
+            "nats" => old.nats != new.nats,
+            _ => false,
+        };
+        let names = bridge.outputs.iter().map(|health| health.name());
+        let changed: Vec<&'static str> = names.filter(|name| is_changed(name)).collect();
+        for name in &changed {
+            self.stop_one(name).await;
+            self.start_one(bridge, name);
+        }
+        changed
+    }
+
+    /// Ends all outputs; those that do not end within 2 s are aborted.
+    pub(super) async fn stop(mut self) {
+        self.running.values().for_each(|running| running.stop.cancel());
+        let ended = async { while self.tasks.join_next().await.is_some() {} };
+        if timeout(GOODBYE, ended).await.is_err() {
+            tracing::warn!("an output did not end within {GOODBYE:?}");
+        }
+    }
+
+    fn start_one(&mut self, bridge: &Bridge, name: &'static str) {
+        let Some(number) = bridge.outputs.iter().position(|health| health.name() == name) else { return };
+        let Some(health) = bridge.outputs.get(number).cloned() else { return };
+        let stop = CancellationToken::new();
+        let cursor = bridge.buffer.cursor(number);
+        let task = match name {
+            "stdout" => self.tasks.spawn(stdout::run(cursor, health, stop.clone())),
+            // The configuration knows no other output.
+            _ => return,
+        };
+        self.running.insert(task.id(), Running { name, stop });
+    }
+
+    async fn stop_one(&mut self, name: &str) {
+        let Some((&id, running)) = self.running.iter().find(|(_, running)| running.name == name) else { return };
+        running.stop.cancel();
+        let ended = async {
+            while self.running.contains_key(&id) {
+                match self.tasks.join_next_with_id().await {
+                    None => return,
+                    Some(Ok((ended, ()))) => drop(self.running.remove(&ended)),
+                    Some(Err(error)) => drop(self.running.remove(&error.id())),
+                }
+            }
+        };
+        if timeout(GOODBYE, ended).await.is_err() {
+            tracing::warn!(output = name, "the output did not end within {GOODBYE:?}");
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! Reload: the configuration is read again, and the difference is applied.
+
+use super::outputs::Outputs;
+use super::{AddError, Bridge};
+use crate::config::{Config, ConfigError};
+
+/// A configuration that is not in force: the one before still is.
+#[derive(Debug, thiserror::Error)]
+pub enum ReloadError {
+    /// It cannot be used.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A PLC cannot be polled.
+    #[error(transparent)]
+    Add(#[from] AddError),
+    /// The reload has panicked.
+    #[error("the reload has failed: this is a fault of the bridge")]
+    Panicked,
+}
+
+/// Reads the file again and applies the difference: by PLC and tag, and by output. A fault changes nothing.
+///
+/// Outputs that are new or gone, and the section `bridge`, need a restart: a warning names them.
+///
+/// # Errors
+/// [`ReloadError`], which is in the log, too.
+pub(super) async fn reload(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError> {
+    let result = apply(bridge, outputs).await;
+    if let Err(error) = &result {
+        tracing::error!("the configuration was not reloaded, and nothing has changed");
+        error.to_string().lines().for_each(|line| tracing::error!("{line}"));
+    }
+    result
+}
+
+async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError> {
+    let old = bridge.config();
+    let path = old.path.clone();
+    let (registry, pool, poller) = (bridge.registry.clone(), bridge.pool.clone(), bridge.poller.clone());
+    let runtime = tokio::runtime::Handle::current();
+    // Files are read and thousands of tags planned: that blocks.
+    let applied = tokio::task::spawn_blocking(move || {
+        let _runtime = runtime.enter();
+        let mut config = Config::load(&path)?;
+        let changes = registry.apply(&config.plant, &pool, &poller)?;
+        let needs_restart = keep_fixed(&mut config, &old);
+        Ok::<_, ReloadError>((config, changes, needs_restart, old))
+    });
+    let (config, changes, needs_restart, old) = applied.await.map_err(|_| ReloadError::Panicked)??;
+    bridge.set_config(config);
+    let restarted = outputs.restart_changed(bridge, &old, &bridge.config()).await;
+    tracing::info!("reloaded; {changes}");
+    restarted.iter().for_each(|name| tracing::info!(output = name, "the output was started anew"));
+    needs_restart.iter().for_each(|what| tracing::warn!("{what} is in force after a restart of the bridge"));
+    Ok(())
+}
+
+/// Keeps the settings that cannot change while the bridge runs. Returns the names of those that differ.
+fn keep_fixed(config: &mut Config, old: &Config) -> Vec<&'static str> {
+    let mut differ = Vec::new();
+    if config.bridge != old.bridge {
+        config.bridge = old.bridge.clone();
+        differ.push("section bridge");
+    }
+    if config.mqtt.is_some() != old.mqtt.is_some() {
+        config.mqtt.clone_from(&old.mqtt);
+        differ.push("section mqtt, which is new or gone,");
+    }
+    if config.nats.is_some() != old.nats.is_some() {
+        config.nats.clone_from(&old.nats);
+        differ.push("section nats, which is new or gone,");
+    }
+    if config.stdout.is_some() != old.stdout.is_some() {
+        config.stdout = old.stdout;
+        differ.push("section stdout, which is new or gone,");
+    }
+    differ
+}
