@@ -23,6 +23,7 @@ pub mod buffer;
 pub mod collect;
 pub mod config;
 pub mod output;
+pub mod plc_state;
 pub mod registry;
 pub mod run;
 pub mod secret;

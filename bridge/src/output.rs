@@ -14,6 +14,9 @@ pub struct Health {
     batches: AtomicU64,
     samples: AtomicU64,
     reconnects: AtomicU64,
+    no_subscribers: AtomicU64,
+    refused: AtomicU64,
+    skipped: AtomicU64,
     failure: Mutex<Option<String>>,
 }
 
@@ -27,6 +30,9 @@ impl Health {
             batches: AtomicU64::new(0),
             samples: AtomicU64::new(0),
             reconnects: AtomicU64::new(0),
+            no_subscribers: AtomicU64::new(0),
+            refused: AtomicU64::new(0),
+            skipped: AtomicU64::new(0),
             failure: Mutex::new(None),
         }
     }
@@ -55,6 +61,24 @@ impl Health {
         self.reconnects.load(Ordering::Relaxed)
     }
 
+    /// Batches that its server has taken without a subscriber, and thrown away.
+    #[must_use]
+    pub fn no_subscribers(&self) -> u64 {
+        self.no_subscribers.load(Ordering::Relaxed)
+    }
+
+    /// Messages that its server has refused. Batches among them are sent again, unless they are skipped.
+    #[must_use]
+    pub fn refused(&self) -> u64 {
+        self.refused.load(Ordering::Relaxed)
+    }
+
+    /// Batches that were given up, because the server can never take them: too large, or malformed for it.
+    #[must_use]
+    pub fn skipped(&self) -> u64 {
+        self.skipped.load(Ordering::Relaxed)
+    }
+
     /// The last failure since it was connected.
     #[must_use]
     pub fn failure(&self) -> Option<String> {
@@ -72,6 +96,26 @@ impl Health {
     pub fn set_failed(&self, failure: impl ToString) {
         self.connected.store(false, Ordering::Relaxed);
         *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(failure.to_string());
+    }
+
+    /// Notes a failure of messages on a connection that works otherwise; `None`: they are taken again.
+    pub fn set_refusal(&self, refusal: Option<String>) {
+        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = refusal;
+    }
+
+    /// Counts a batch that the server has taken without a subscriber.
+    pub fn count_no_subscribers(&self) {
+        self.no_subscribers.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Counts a message that the server has refused.
+    pub fn count_refused(&self) {
+        self.refused.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Counts a batch that was given up.
+    pub fn count_skipped(&self) {
+        self.skipped.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Counts a batch that was acknowledged.
