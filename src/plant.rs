@@ -182,6 +182,12 @@ impl PlantClass {
         self.every
     }
 
+    /// The age at which its values become stale, if the file has one.
+    #[must_use]
+    pub fn stale_after(&self) -> Option<Duration> {
+        self.stale_after
+    }
+
     /// The class for a [`Poller`](crate::Poller).
     pub fn scan_class(&self) -> ScanClass {
         let class = ScanClass::every(self.every);
@@ -304,9 +310,16 @@ impl PlantTag {
         self.line
     }
 
-    /// The tag with its name, for a [`Poller`](crate::Poller).
+    /// The tag with its name and the rule for its samples, for a [`Poller`](crate::Poller).
     pub fn poll_tag(&self) -> PollTag {
-        PollTag::new(self.name.clone(), self.tag)
+        let mut tag = PollTag::new(self.name.clone(), self.tag).on_change(self.on_change);
+        if let Some(deadband) = self.deadband {
+            tag = tag.deadband(deadband);
+        }
+        match self.heartbeat {
+            Some(heartbeat) => tag.heartbeat(heartbeat),
+            None => tag,
+        }
     }
 }
 

@@ -1,23 +1,39 @@
 //! Configuration: a TOML file with the sections of the bridge, and those of a plant.
 //!
 //! The sections `class`, `template`, `plc` and `bus` are read by [`fatek::plant`], and the command line
-//! uses the same file. All other sections are read here; unknown sections and keys are errors.
+//! `fatek` uses the same file. `sim` belongs to `fatek sim` and to the demo. All other sections are read here;
+//! unknown sections and keys are faults. All faults of a file are reported, each with its line and key.
+//!
+//! ```text
+//! text ─▶ Source (TOML, lines) ─▶ sections (serde) ─▶ rules ─▶ Config, with paths resolved
+//!    └──▶ fatek::plant ─────────────────────────────────────────▲
+//! ```
 
+mod environment;
 mod error;
+mod print;
+mod rules;
+mod schema;
+mod sections;
+mod source;
+mod suggestion;
+mod url;
 mod values;
 
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use fatek::plant::Plant;
-use serde::Deserialize;
-use serde::de::IgnoredAny;
 
-pub use self::error::ConfigError;
+pub use self::environment::Environment;
+pub use self::error::{ConfigError, ConfigFault};
+pub use self::print::print;
+pub use self::schema::schema;
+pub use self::sections::{BridgeSection, BufferSection, FleetSection, MqttSection, NatsSection, StdoutSection};
+use self::source::Source;
+pub use self::url::{Mqtt, Nats, Protocol, ServerUrl};
 pub use self::values::{ByteSize, Name, Period};
 
-/// The configuration.
+/// The configuration. Its paths are resolved.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// The file.
@@ -30,160 +46,60 @@ pub struct Config {
     pub nats: Option<NatsSection>,
     /// The output to stdout.
     pub stdout: Option<StdoutSection>,
+    /// Several bridges that share the PLCs.
+    pub fleet: Option<FleetSection>,
     /// The PLCs with their tags.
     pub plant: Plant,
 }
 
-/// All sections of the file.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct File {
-    #[serde(default)]
-    bridge: BridgeSection,
-    mqtt: Option<MqttSection>,
-    nats: Option<NatsSection>,
-    stdout: Option<StdoutSection>,
-    // Of the plant.
-    #[serde(rename = "class")]
-    _class: Option<IgnoredAny>,
-    #[serde(rename = "template")]
-    _template: Option<IgnoredAny>,
-    #[serde(rename = "plc")]
-    _plc: Option<IgnoredAny>,
-    #[serde(rename = "bus")]
-    _bus: Option<IgnoredAny>,
-}
+/// The sections that a file can have: those of the bridge, those of the plant, and that of the simulator.
+const SECTIONS: [&str; 10] = ["bridge", "mqtt", "nats", "stdout", "fleet", "class", "template", "plc", "bus", "sim"];
 
-/// `[bridge]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BridgeSection {
-    /// The name of the bridge in topics.
-    pub id: Name,
-    /// The address of page, metrics and health.
-    pub http: SocketAddr,
-    /// The file with the token of everything that writes over HTTP; without it nothing writes.
-    pub token_file: Option<PathBuf>,
-    /// The buffer between the PLCs and the outputs.
-    pub buffer: BufferSection,
-}
-
-impl Default for BridgeSection {
-    fn default() -> Self {
-        Self {
-            id: Name::of_host(),
-            http: SocketAddr::from(([127, 0, 0, 1], 9187)),
-            token_file: None,
-            buffer: BufferSection::default(),
-        }
-    }
-}
-
-/// `bridge.buffer`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BufferSection {
-    /// The folder of the file, relative to `$STATE_DIRECTORY`; without it the buffer is in memory alone.
-    pub dir: Option<PathBuf>,
-    /// The largest size on disk.
-    pub max: ByteSize,
-    /// The largest age of a batch.
-    pub max_age: Period,
-    /// The largest size in memory.
-    pub memory: ByteSize,
-    /// `true`: each batch is on disk before it is delivered.
-    pub sync: bool,
-}
-
-impl Default for BufferSection {
-    fn default() -> Self {
-        Self {
-            dir: None,
-            max: ByteSize(1 << 30),
-            max_age: Period(Duration::from_secs(7 * 24 * 3600)),
-            memory: ByteSize(64 << 20),
-            sync: false,
-        }
-    }
-}
-
-/// `[mqtt]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MqttSection {
-    /// `mqtt://HOST[:PORT]`, or `mqtts://` with TLS.
-    pub url: String,
-    /// The user.
-    pub user: Option<String>,
-    /// The file with the password, in `$CREDENTIALS_DIRECTORY` if it is relative.
-    pub password_file: Option<PathBuf>,
-    /// The first level of all topics.
-    #[serde(default = "default_prefix")]
-    pub prefix: Name,
-    /// The prefix of Home Assistant's discovery topics; without it none are published.
-    pub home_assistant: Option<Name>,
-    /// `true`: commands are taken.
-    #[serde(default)]
-    pub write: bool,
-    /// Certificates to trust instead of those of the system.
-    pub ca_file: Option<PathBuf>,
-    /// The certificate of the client.
-    pub cert_file: Option<PathBuf>,
-    /// Its key.
-    pub key_file: Option<PathBuf>,
-}
-
-/// `[nats]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct NatsSection {
-    /// `nats://HOST[:PORT]`, or `tls://`.
-    pub url: String,
-    /// The file with the credentials, in `$CREDENTIALS_DIRECTORY` if it is relative.
-    pub creds_file: Option<PathBuf>,
-    /// The name of the stream that captures the data.
-    #[serde(default = "default_stream")]
-    pub stream: Name,
-    /// The first token of all subjects.
-    #[serde(default = "default_prefix")]
-    pub prefix: Name,
-    /// `true`: commands are taken.
-    #[serde(default)]
-    pub write: bool,
-    /// Certificates to trust instead of those of the system.
-    pub ca_file: Option<PathBuf>,
-    /// The certificate of the client.
-    pub cert_file: Option<PathBuf>,
-    /// Its key.
-    pub key_file: Option<PathBuf>,
-}
-
-/// `[stdout]`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct StdoutSection {}
-
-fn default_prefix() -> Name {
-    Name::constant("fatek")
-}
-
-fn default_stream() -> Name {
-    Name::constant("FATEK")
-}
+/// The rule that a file with a section `fleet` breaks when it is to be run.
+pub const FLEET_RULE: &str = "a fleet is not supported yet: without this section, this bridge owns all links";
 
 impl Config {
-    /// Loads a file, and the tables of tags that it names. Blocks until the disk has read them.
+    /// Loads a file that is to be run, and the tables of tags that it names. Blocks until the disk has read
+    /// them.
     ///
     /// # Errors
-    /// [`ConfigError`] names the file and each fault with its line.
+    /// [`ConfigError`] names the file and all faults with their lines.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let config = Self::read(path, &Environment::of_process())?;
+        match &config.fleet {
+            None => Ok(config),
+            Some(_) => {
+                let fault = ConfigFault { line: None, key: "fleet".to_owned(), rule: FLEET_RULE.to_owned() };
+                Err(ConfigError::faults(path, vec![fault]))
+            }
+        }
+    }
+
+    /// Loads a file as [`load`](Self::load) does, also one that this version checks and does not run.
+    ///
+    /// # Errors
+    /// Those of [`load`](Self::load).
+    pub fn read(path: &Path, environment: &Environment) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path).map_err(|error| ConfigError::io(path, error))?;
-        let File { bridge, mqtt, nats, stdout, .. } =
-            toml::from_str(&text).map_err(|error| ConfigError::toml(path, &text, &error))?;
-        let plant = Plant::load(path).map_err(ConfigError::Plant)?;
-        let config = Self { path: path.to_owned(), bridge, mqtt, nats, stdout, plant };
-        config.check()?;
-        Ok(config)
+        let mut faults = Vec::new();
+        let sections = match Source::parse(&text) {
+            Ok(source) => Sections::of(&source, environment, &mut faults),
+            // The plant would have the same one.
+            Err(fault) => return Err(ConfigError::faults(path, vec![fault])),
+        };
+        let plant = match Plant::load(path) {
+            Ok(plant) => Some(plant),
+            Err(error) => {
+                faults.extend(error::plant_faults(error));
+                None
+            }
+        };
+        let (Some(plant), true) = (plant, faults.is_empty()) else { return Err(ConfigError::faults(path, faults)) };
+        if plant.plcs().next().is_none() {
+            let rule = "there is no PLC: a section such as [plc.mixer] with link and station adds one".to_owned();
+            return Err(ConfigError::faults(path, vec![ConfigFault { line: Some(1), key: "plc".to_owned(), rule }]));
+        }
+        Ok(sections.resolve(path, environment, plant))
     }
 
     /// The names of the outputs that are configured, in the order of their cursors.
@@ -192,26 +108,50 @@ impl Config {
         let outputs = [("stdout", self.stdout.is_some()), ("mqtt", self.mqtt.is_some()), ("nats", self.nats.is_some())];
         outputs.into_iter().filter(|(_, is_on)| *is_on).map(|(name, _)| name).collect()
     }
+}
 
-    fn check(&self) -> Result<(), ConfigError> {
-        let rule = |section: &str, cert: &Option<PathBuf>, key: &Option<PathBuf>| match (cert, key) {
-            (Some(_), Some(_)) | (None, None) => Ok(()),
-            (Some(_), None) => Err(self.fault(section, "cert_file needs key_file")),
-            (None, Some(_)) => Err(self.fault(section, "key_file needs cert_file")),
+/// The sections of the bridge as the file has them, with defaults.
+#[derive(Debug, Default)]
+struct Sections {
+    bridge: BridgeSection,
+    mqtt: Option<MqttSection>,
+    nats: Option<NatsSection>,
+    stdout: Option<StdoutSection>,
+    fleet: Option<FleetSection>,
+}
+
+impl Sections {
+    fn of(source: &Source<'_>, environment: &Environment, faults: &mut Vec<ConfigFault>) -> Self {
+        source.check_sections(&SECTIONS, faults);
+        let mut sections = Self {
+            bridge: source.section("bridge", faults).unwrap_or_default(),
+            mqtt: source.section("mqtt", faults),
+            nats: source.section("nats", faults),
+            stdout: source.section("stdout", faults),
+            fleet: source.section("fleet", faults),
         };
-        if let Some(mqtt) = &self.mqtt {
-            rule("mqtt", &mqtt.cert_file, &mqtt.key_file)?;
-        }
-        if let Some(nats) = &self.nats {
-            rule("nats", &nats.cert_file, &nats.key_file)?;
-        }
-        if self.plant.plcs().next().is_none() {
-            return Err(self.fault("plc", "there is no PLC"));
-        }
-        Ok(())
+        rules::check(&sections, source, faults);
+        rules::apply(environment, &mut sections.bridge, faults);
+        sections
     }
 
-    fn fault(&self, key: &str, rule: &str) -> ConfigError {
-        ConfigError::Rule { path: self.path.clone(), key: key.to_owned(), rule: rule.to_owned() }
+    /// The configuration, with all paths as the environment says.
+    fn resolve(self, path: &Path, environment: &Environment, plant: Plant) -> Config {
+        let Self { mut bridge, mut mqtt, mut nats, stdout, fleet } = self;
+        let credential = |file: &mut Option<PathBuf>| {
+            *file = file.take().map(|file| environment.credential(&file, path));
+        };
+        credential(&mut bridge.token_file);
+        bridge.buffer.dir = bridge.buffer.dir.map(|dir| environment.state(&dir, path));
+        if let Some(MqttSection { password_file, ca_file, cert_file, key_file, .. }) = &mut mqtt {
+            [password_file, ca_file, cert_file, key_file].into_iter().for_each(credential);
+        }
+        if let Some(NatsSection { creds_file, ca_file, cert_file, key_file, .. }) = &mut nats {
+            [creds_file, ca_file, cert_file, key_file].into_iter().for_each(credential);
+        }
+        Config { path: path.to_owned(), bridge, mqtt, nats, stdout, fleet, plant }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -24,6 +24,8 @@ pub mod collect;
 pub mod config;
 pub mod output;
 pub mod plc_state;
+#[path = "../../src/printable.rs"]
+mod printable;
 pub mod registry;
 pub mod run;
 pub mod secret;

@@ -1,4 +1,4 @@
-//! Secrets in files: relative paths are in `$CREDENTIALS_DIRECTORY`, where systemd puts them.
+//! Secrets in files or variables: relative paths are in `$CREDENTIALS_DIRECTORY`, where systemd puts them.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -29,6 +29,18 @@ impl Secret {
             return Err(failed("the file is empty".to_owned()));
         }
         Ok(Self(secret.to_owned()))
+    }
+
+    /// The secret of a variable of the environment if it is set and not empty, else of a file. `None` without
+    /// both. Blocks until the disk has read it.
+    ///
+    /// # Errors
+    /// Those of [`load`](Self::load).
+    pub fn find(variable: &str, file: Option<&Path>) -> Result<Option<Self>, SecretError> {
+        match std::env::var(variable).ok().filter(|secret| !secret.is_empty()) {
+            Some(secret) => Ok(Some(Self(secret))),
+            None => file.map(Self::load).transpose(),
+        }
     }
 
     /// The secret itself. It must not reach a log.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use crate::endpoint::ParseEndpointError;
 use crate::file::FileError;
 use crate::printable::excerpt;
-use crate::tag::ParseTagError;
+use crate::tag::{ParseTagError, Tag};
 use crate::tag_table::{TableFileError, fmt_first};
 
 /// A fault of the configuration of a plant.
@@ -106,6 +106,16 @@ pub enum PlantFault {
     /// The limits of a write do not suit the tag.
     #[error("min and max are of numbers, and pulse is of one discrete")]
     WrongRule,
+    /// A deadband of a tag without numbers.
+    #[error("a deadband is of numbers, and {tag} has none")]
+    #[non_exhaustive]
+    Deadband {
+        /// The tag.
+        tag: Tag,
+    },
+    /// A period that is too short to be polled.
+    #[error("a period is 1ms or more")]
+    Period,
     /// The text is not an endpoint.
     #[error(transparent)]
     Endpoint(ParseEndpointError),

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
+use std::time::Duration;
 
 use toml::de::DeTable;
 
@@ -103,7 +104,13 @@ fn add(plant: &mut Plant, plc: PlantPlc, section: &str, faults: &mut Faults) {
 
 fn class(name: &str, field: &Field<'_>, faults: &mut Faults) -> Option<PlantClass> {
     let mut section = field.table(faults)?;
-    let every = section.require("every", faults).and_then(|every| every.time(faults));
+    let every = section.require("every", faults).and_then(|field| {
+        let every = field.time(faults)?;
+        if every < Duration::from_millis(1) {
+            field.fault(PlantFault::Period, faults);
+        }
+        Some(every)
+    });
     let stale_after = section.take("stale_after", faults).and_then(|age| age.time(faults));
     section.finish(CLASS_KEYS, faults);
     Some(PlantClass { name: name.into(), every: every?, stale_after })
@@ -265,7 +272,13 @@ fn tag(name: &str, field: &Field<'_>, plant: &Plant, faults: &mut Faults) -> Opt
         let name = group.text(faults)?;
         group.is_named(name, faults).then(|| name.into())
     });
-    let deadband = section.take("deadband", faults).and_then(|deadband| deadband.number(0.0, faults));
+    let deadband = section.take("deadband", faults).and_then(|field| {
+        let deadband = field.number(0.0, faults)?;
+        if let Some(tag) = at.filter(|tag| deadband > 0.0 && !tag.tag_type().is_number()) {
+            field.fault(PlantFault::Deadband { tag }, faults);
+        }
+        Some(deadband)
+    });
     let heartbeat = section.take("heartbeat", faults).and_then(|heartbeat| heartbeat.time(faults));
     let on_change = section.take("on_change", faults).and_then(|on| on.flag(faults)).unwrap_or(false);
     let rule = section.take("write", faults).and_then(|rule| write_rule(&rule, at, faults));

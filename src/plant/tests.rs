@@ -42,6 +42,28 @@ fn plcs_of_buses_follow_the_others() {
 }
 
 #[test]
+fn polled_tags_have_the_rule_for_their_samples() {
+    let plant = Plant::from_toml(PLANT).unwrap();
+    let mixer = plant.plc("mixer").unwrap();
+    let polled = |name: &str| mixer.tag(name).unwrap().poll_tag();
+    let tag = |name: &str| PollTag::new(name, mixer.tag(name).unwrap().tag());
+    assert_eq!(polled("level"), tag("level").deadband(0.2).heartbeat(Duration::from_secs(60)));
+    assert_eq!(polled("alarm"), tag("alarm").on_change(true));
+    assert_eq!(polled("total"), tag("total"));
+}
+
+#[test]
+fn rules_that_a_poller_would_refuse_are_faults() {
+    let text = "[class]\nfast = { every = '999us' }\n[plc.mixer]\nlink = 'tcp://h'\nstation = 1\n\
+                tag.alarm = { at = 'M7', deadband = 0.5 }\ntag.level = { at = 'R5', deadband = 0.5 }\n\
+                tag.start = { at = 'M8', deadband = 0 }\n";
+    let errors = Plant::from_toml(text).unwrap_err().to_string();
+    let expected = "line 2, class.fast.every: a period is 1ms or more\n\
+                    line 6, plc.mixer.tag.alarm.deadband: a deadband is of numbers, and M7 has none";
+    assert_eq!(errors, expected);
+}
+
+#[test]
 fn a_plant_has_the_plcs_classes_and_tags_of_its_file() {
     let plant = Plant::from_toml(PLANT).unwrap();
     let names: Vec<&str> = plant.plcs().map(PlantPlc::name).collect();

@@ -1,44 +1,68 @@
 //! Errors of the configuration.
 
+use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use fatek::plant::PlantFileError;
+use fatek::plant::{PlantFault, PlantFileError};
 
-/// A configuration that cannot be used.
+use super::suggestion::known_keys;
+use crate::printable::excerpt;
+
+/// A configuration that cannot be used. It displays a line for each fault.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file cannot be read.
-    #[error("{}: {error}", path.display())]
+    #[error("{}: {error}", excerpt(&path.to_string_lossy()))]
     Io {
         /// The file.
         path: PathBuf,
         /// The error of the system.
         error: io::Error,
     },
-    /// A fault of the syntax or of a key of the bridge.
-    #[error("{}: line {line}: {message}", path.display())]
-    Toml {
+    /// The file has faults.
+    #[error("{}", Lines(path, faults))]
+    Faults {
         /// The file.
         path: PathBuf,
-        /// The line, from 1.
-        line: usize,
-        /// The key, if it is known, and the rule.
-        message: String,
+        /// All faults that were found, at least one, in the order of their lines.
+        faults: Vec<ConfigFault>,
     },
-    /// Faults of the PLCs and their tags.
-    #[error(transparent)]
-    Plant(PlantFileError),
-    /// Keys that do not fit together.
-    #[error("{}: {key}: {rule}", path.display())]
-    Rule {
-        /// The file.
-        path: PathBuf,
-        /// The key or section.
-        key: String,
-        /// The rule.
-        rule: String,
-    },
+}
+
+/// A fault of the configuration.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConfigFault {
+    /// The line of the file, from 1; `None`: the fault is not in the file, but in the environment.
+    pub line: Option<usize>,
+    /// The path of the key, such as `mqtt.url`; empty for a fault of the syntax.
+    pub key: String,
+    /// The rule that is broken.
+    pub rule: String,
+}
+
+impl fmt::Display for ConfigFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { line, key, rule } = self;
+        if let Some(line) = line {
+            write!(f, "line {line}{} ", if key.is_empty() { ":" } else { "," })?;
+        }
+        if key.is_empty() { write!(f, "{rule}") } else { write!(f, "{}: {rule}", excerpt(key)) }
+    }
+}
+
+/// Displays each fault on a line, behind the name of the file.
+struct Lines<'f>(&'f Path, &'f [ConfigFault]);
+
+impl fmt::Display for Lines<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(path, faults) = self;
+        let path = path.to_string_lossy();
+        for (number, fault) in faults.iter().enumerate() {
+            write!(f, "{}{}: {fault}", if number > 0 { "\n" } else { "" }, excerpt(&path))?;
+        }
+        Ok(())
+    }
 }
 
 impl ConfigError {
@@ -46,9 +70,26 @@ impl ConfigError {
         Self::Io { path: path.to_owned(), error }
     }
 
-    pub(super) fn toml(path: &Path, text: &str, error: &toml::de::Error) -> Self {
-        let at = error.span().map_or(0, |span| span.start).min(text.len());
-        let line = text.as_bytes().iter().take(at).filter(|byte| **byte == b'\n').count().saturating_add(1);
-        Self::Toml { path: path.to_owned(), line, message: error.message().to_owned() }
+    pub(super) fn faults(path: &Path, mut faults: Vec<ConfigFault>) -> Self {
+        faults.sort_by_key(|fault| fault.line);
+        Self::Faults { path: path.to_owned(), faults }
     }
+}
+
+/// The faults of the sections of a plant.
+pub(super) fn plant_faults(error: PlantFileError) -> Vec<ConfigFault> {
+    let PlantFileError::Plant { errors, .. } = error else {
+        return vec![ConfigFault { line: None, key: String::new(), rule: error.to_string() }];
+    };
+    let fault = |error: &fatek::plant::PlantError| {
+        let rule = match error.fault() {
+            PlantFault::Unknown { known, .. } => {
+                let key = error.key().rsplit('.').next().unwrap_or_default();
+                known_keys(key, &known.split(' ').collect::<Vec<_>>())
+            }
+            fault => fault.to_string(),
+        };
+        ConfigFault { line: Some(error.line()), key: error.key().to_owned(), rule }
+    };
+    errors.iter().map(fault).collect()
 }

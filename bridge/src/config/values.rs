@@ -3,8 +3,9 @@
 use std::fmt;
 use std::time::Duration;
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::Error as _;
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// A name in topics: 1 to 64 of the characters `A-Z a-z 0-9 _ -`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -15,6 +16,12 @@ impl Name {
     pub(crate) fn constant(name: &'static str) -> Self {
         debug_assert!(is_name(name), "{name} is a name");
         Self(name.to_owned())
+    }
+
+    /// The name that a text is.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        is_name(text).then(|| Self(text.to_owned()))
     }
 
     /// The name of this host, with other characters replaced; `bridge` if it is not known.
@@ -48,10 +55,15 @@ fn is_name(text: &str) -> bool {
 impl<'de> Deserialize<'de> for Name {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text = String::deserialize(deserializer)?;
-        if is_name(&text) {
-            return Ok(Self(text));
-        }
-        Err(D::Error::custom("a name has 1 to 64 of the characters A-Z a-z 0-9 _ -"))
+        Self::parse(&text).ok_or_else(|| D::Error::custom(NAME_RULE))
+    }
+}
+
+pub(super) const NAME_RULE: &str = "a name has 1 to 64 of the characters A-Z a-z 0-9 _ -";
+
+impl Serialize for Name {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&self.0)
     }
 }
 
@@ -85,6 +97,23 @@ impl<'de> Deserialize<'de> for ByteSize {
     }
 }
 
+impl fmt::Display for ByteSize {
+    /// Displays it with the largest unit of which it is a multiple.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let units = [("GiB", 1 << 30), ("MiB", 1 << 20), ("KiB", 1 << 10)];
+        let whole = |unit: u64| self.0 > 0 && self.0.is_multiple_of(unit);
+        let unit = units.into_iter().find(|(_, unit)| whole(*unit));
+        let (name, unit) = unit.unwrap_or(("B", 1));
+        write!(f, "{}{name}", self.0 / unit)
+    }
+}
+
+impl Serialize for ByteSize {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
 /// A time: `500ms`, `3s`, `7d`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Period(pub Duration);
@@ -95,6 +124,43 @@ impl<'de> Deserialize<'de> for Period {
         let period = humantime::parse_duration(&text).ok().filter(|period| !period.is_zero());
         period.map(Self).ok_or_else(|| D::Error::custom("a time is a number with a unit, such as 500ms, 3s or 7d"))
     }
+}
+
+impl fmt::Display for Period {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        humantime::format_duration(self.0).fmt(f)
+    }
+}
+
+impl Serialize for Period {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// Texts with a pattern, for the schema.
+macro_rules! text_schema {
+    ($($type:ty: $name:literal $pattern:literal $example:literal)*) => { $(
+        impl JsonSchema for $type {
+            fn schema_name() -> std::borrow::Cow<'static, str> {
+                $name.into()
+            }
+
+            fn inline_schema() -> bool {
+                true
+            }
+
+            fn json_schema(_: &mut SchemaGenerator) -> Schema {
+                json_schema!({ "type": "string", "pattern": $pattern, "examples": [$example] })
+            }
+        }
+    )* };
+}
+
+text_schema! {
+    Name: "name" "^[A-Za-z0-9_-]{1,64}$" "hall-2"
+    ByteSize: "size" "^[0-9]+ *([kKMG]B|[KMG]iB|B)?$" "64MiB"
+    Period: "time" "^ *([0-9]+(\\.[0-9]+)? *[a-z]+ *)+$" "500ms"
 }
 
 #[cfg(test)]
@@ -109,6 +175,18 @@ mod tests {
             (size("7"), size(""), size("MiB"), size("-1MiB"), size("99999999999GiB")),
             (Some(7), None, None, None, None)
         );
+    }
+
+    #[test]
+    fn sizes_and_times_are_shown_as_they_are_parsed() {
+        for (size, text) in [(64 << 20, "64MiB"), (1 << 30, "1GiB"), (1500, "1500B"), (0, "0B"), (3 << 10, "3KiB")] {
+            assert_eq!(ByteSize(size).to_string(), text);
+            assert_eq!(ByteSize::parse(text), Some(ByteSize(size)));
+        }
+        for period in [Duration::from_millis(1500), Duration::from_secs(7 * 24 * 3600), Duration::from_secs(90)] {
+            let text = Period(period).to_string();
+            assert_eq!(humantime::parse_duration(&text), Ok(period), "{text}");
+        }
     }
 
     #[test]

@@ -1,0 +1,199 @@
+//! The sections of the bridge. Their documentation is also that of the JSON schema: it is for users.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::url::{Mqtt, Nats, ServerUrl};
+use super::values::{ByteSize, Name, Period};
+use crate::secret::{Secret, SecretError};
+
+/// The bridge itself.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default, expecting = "a table is expected")]
+pub struct BridgeSection {
+    /// The name of the bridge in topics. Default: the name of the host.
+    pub id: Name,
+    /// The address of page, metrics and health: loopback unless told otherwise.
+    #[schemars(with = "String")]
+    pub http: SocketAddr,
+    /// The file with the token of everything that writes over HTTP; without it nothing writes.
+    pub token_file: Option<PathBuf>,
+    /// The buffer between the PLCs and the outputs.
+    pub buffer: BufferSection,
+}
+
+impl Default for BridgeSection {
+    fn default() -> Self {
+        Self {
+            id: Name::of_host(),
+            http: SocketAddr::from(([127, 0, 0, 1], 9187)),
+            token_file: None,
+            buffer: BufferSection::default(),
+        }
+    }
+}
+
+impl BridgeSection {
+    /// The token of everything that writes over HTTP, if there is one. Blocks until the disk has read it.
+    ///
+    /// # Errors
+    /// [`SecretError`] if its file cannot be used.
+    pub fn token(&self) -> Result<Option<Secret>, SecretError> {
+        Secret::find(TOKEN_VARIABLE, self.token_file.as_deref())
+    }
+}
+
+/// The variable in place of the content of `bridge.token_file`.
+pub(crate) const TOKEN_VARIABLE: &str = "FATEK_BRIDGE_HTTP_TOKEN";
+
+/// The buffer between the PLCs and the outputs.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default, expecting = "a table is expected")]
+pub struct BufferSection {
+    /// The folder of the file, relative to `$STATE_DIRECTORY`; without it the buffer is in memory alone.
+    pub dir: Option<PathBuf>,
+    /// The largest size on disk.
+    pub max: ByteSize,
+    /// The largest age of data.
+    pub max_age: Period,
+    /// The largest size in memory.
+    pub memory: ByteSize,
+    /// `true`: data is on disk before it is delivered.
+    pub sync: bool,
+}
+
+impl Default for BufferSection {
+    fn default() -> Self {
+        Self {
+            dir: None,
+            max: ByteSize(1 << 30),
+            max_age: Period(Duration::from_secs(7 * 24 * 3600)),
+            memory: ByteSize(64 << 20),
+            sync: false,
+        }
+    }
+}
+
+/// The output to an MQTT broker, version 5.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a table is expected")]
+pub struct MqttSection {
+    /// `mqtt://HOST[:PORT]`, or `mqtts://` with TLS. Default port: 1883, with TLS 8883.
+    pub url: ServerUrl<Mqtt>,
+    /// The user.
+    pub user: Option<String>,
+    /// The file with the password, in `$CREDENTIALS_DIRECTORY` or beside the configuration.
+    pub password_file: Option<PathBuf>,
+    /// The first level of all topics.
+    #[serde(default = "default_prefix")]
+    pub prefix: Name,
+    /// The prefix of Home Assistant's discovery topics; without it none are published.
+    pub home_assistant: Option<Name>,
+    /// `true`: commands are taken, for tags with `write` alone.
+    #[serde(default)]
+    pub write: bool,
+    /// Certificates to trust in place of those of the system, PEM.
+    pub ca_file: Option<PathBuf>,
+    /// The certificate of the client, PEM; needs `key_file`.
+    pub cert_file: Option<PathBuf>,
+    /// The key of the client's certificate, PEM; needs `cert_file`.
+    pub key_file: Option<PathBuf>,
+}
+
+impl MqttSection {
+    /// The password, if there is one. Blocks until the disk has read it.
+    ///
+    /// # Errors
+    /// [`SecretError`] if its file cannot be used.
+    pub fn password(&self) -> Result<Option<Secret>, SecretError> {
+        Secret::find(PASSWORD_VARIABLE, self.password_file.as_deref())
+    }
+}
+
+/// The variable in place of the content of `mqtt.password_file`.
+pub(crate) const PASSWORD_VARIABLE: &str = "FATEK_BRIDGE_MQTT_PASSWORD";
+
+/// The output to NATS JetStream.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a table is expected")]
+pub struct NatsSection {
+    /// `nats://HOST[:PORT]`, or `tls://`. Default port: 4222.
+    pub url: ServerUrl<Nats>,
+    /// The file with the credentials, in `$CREDENTIALS_DIRECTORY` or beside the configuration.
+    pub creds_file: Option<PathBuf>,
+    /// The name of the stream that captures the data.
+    #[serde(default = "default_stream")]
+    pub stream: Name,
+    /// The first token of all subjects.
+    #[serde(default = "default_prefix")]
+    pub prefix: Name,
+    /// `true`: commands are taken, for tags with `write` alone.
+    #[serde(default)]
+    pub write: bool,
+    /// Certificates to trust in place of those of the system, PEM.
+    pub ca_file: Option<PathBuf>,
+    /// The certificate of the client, PEM; needs `key_file`.
+    pub cert_file: Option<PathBuf>,
+    /// The key of the client's certificate, PEM; needs `cert_file`.
+    pub key_file: Option<PathBuf>,
+}
+
+impl NatsSection {
+    /// The content of the credentials file, if there is one. Blocks until the disk has read it.
+    ///
+    /// # Errors
+    /// [`SecretError`] if the file cannot be used.
+    pub fn credentials(&self) -> Result<Option<Secret>, SecretError> {
+        Secret::find(CREDENTIALS_VARIABLE, self.creds_file.as_deref())
+    }
+}
+
+/// The variable in place of the content of `nats.creds_file`.
+pub(crate) const CREDENTIALS_VARIABLE: &str = "FATEK_BRIDGE_NATS_CREDS";
+
+/// The output to stdout: lines of JSON, for trying and for pipes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a table is expected")]
+pub struct StdoutSection {}
+
+/// Several bridges share the PLCs. This version checks the section and does not run it.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, expecting = "a table is expected")]
+pub struct FleetSection {
+    /// The name of the fleet, in place of that of the bridge in topics.
+    pub id: Name,
+    /// The bucket of the leases.
+    #[serde(default = "default_bucket")]
+    pub bucket: Name,
+    /// The time after which the links of a silent bridge are taken over, 1s to 1m.
+    #[serde(default = "default_lease")]
+    pub lease: Period,
+    /// The share of this bridge, in comparison with the others: 1 to 1000.
+    #[serde(default = "default_weight")]
+    #[schemars(range(min = 1, max = 1000))]
+    pub weight: u32,
+}
+
+fn default_prefix() -> Name {
+    Name::constant("fatek")
+}
+
+fn default_stream() -> Name {
+    Name::constant("FATEK")
+}
+
+fn default_bucket() -> Name {
+    Name::constant("fatek_leases")
+}
+
+fn default_lease() -> Period {
+    Period(Duration::from_secs(3))
+}
+
+fn default_weight() -> u32 {
+    1
+}

@@ -1,0 +1,152 @@
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use super::*;
+
+const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
+
+/// A PLC, without which no configuration is complete.
+const PLC: &str = "[plc.mixer]\nlink = 'tcp://10.0.0.3'\nstation = 1\ntag.level = 'R5'\n";
+
+/// Writes a configuration and reads it.
+fn read_with(text: &str, environment: &Environment) -> (tempfile::TempDir, Result<Config, ConfigError>) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plant.toml");
+    std::fs::write(&path, text).unwrap();
+    let config = Config::read(&path, environment);
+    (folder, config)
+}
+
+fn read(text: &str) -> Config {
+    let (_folder, config) = read_with(text, &Environment::default());
+    config.unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// The faults of a text, without the name of the file.
+fn faults(text: &str) -> Vec<String> {
+    let (_folder, config) = read_with(text, &Environment::default());
+    match config.unwrap_err() {
+        ConfigError::Faults { faults, .. } => faults.iter().map(ToString::to_string).collect(),
+        ConfigError::Io { error, .. } => panic!("{error}"),
+    }
+}
+
+#[test]
+fn the_example_has_each_key_of_the_documentation() {
+    let config = Config::load(&Path::new(EXAMPLES).join("plant.toml")).unwrap();
+    assert_eq!(config.bridge.id.as_str(), "hall-2");
+    assert_eq!(config.bridge.http.to_string(), "127.0.0.1:9187");
+    let BufferSection { max, max_age, memory, sync, .. } = config.bridge.buffer;
+    assert_eq!((max.0, max_age.0, memory.0, sync), (1 << 30, Duration::from_secs(7 * 86_400), 64 << 20, false));
+    let mqtt = config.mqtt.as_ref().unwrap();
+    assert_eq!((mqtt.url.to_string().as_str(), mqtt.user.as_deref()), ("mqtts://broker.plant:8883", Some("hall2")));
+    assert_eq!((mqtt.prefix.as_str(), mqtt.write), ("fatek", true));
+    assert_eq!(mqtt.home_assistant.as_ref().map(Name::as_str), Some("homeassistant"));
+    let nats = config.nats.as_ref().unwrap();
+    assert_eq!((nats.url.to_string().as_str(), nats.stream.as_str()), ("tls://nats.plant:4222", "FATEK"));
+    assert_eq!((nats.prefix.as_str(), nats.write), ("fatek", false));
+    assert_eq!(config.outputs(), ["stdout", "mqtt", "nats"]);
+    let tags: BTreeMap<_, _> = config.plant.plcs().map(|plc| (plc.name(), plc.tags().count())).collect();
+    let expected = [("mixer", 6), ("boiler", 6), ("pump1", 3), ("pump2", 3), ("pump3", 3), ("pump4", 3)];
+    assert_eq!(tags, BTreeMap::from(expected));
+    // Paths are beside the file, and absolute.
+    for path in [&mqtt.password_file, &mqtt.ca_file, &nats.creds_file, &config.bridge.token_file] {
+        assert!(path.as_ref().is_some_and(|path| path.starts_with(EXAMPLES)), "{path:?}");
+    }
+}
+
+#[test]
+fn the_minimal_example_has_the_defaults() {
+    let config = Config::load(&Path::new(EXAMPLES).join("minimal.toml")).unwrap();
+    assert_eq!((config.bridge, config.mqtt, config.nats), (BridgeSection::default(), None, None));
+    assert_eq!(config.stdout, Some(StdoutSection {}));
+}
+
+#[test]
+fn a_fleet_is_checked_and_not_run() {
+    let text = format!("[fleet]\nid = 'plant-a'\nbucket = 'fatek_leases'\nlease = '3s'\nweight = 1\n{PLC}");
+    let fleet = read(&text).fleet.unwrap();
+    assert_eq!((fleet.id.as_str(), fleet.lease.0, fleet.weight), ("plant-a", Duration::from_secs(3), 1));
+    let (folder, _) = read_with(&text, &Environment::default());
+    let error = Config::load(&folder.path().join("plant.toml")).unwrap_err().to_string();
+    assert!(error.ends_with(&format!("plant.toml: fleet: {FLEET_RULE}")), "{error}");
+    let defaults = read(&format!("[fleet]\nid = 'plant-a'\n{PLC}")).fleet.unwrap();
+    assert_eq!(defaults, fleet);
+    assert_eq!(
+        faults(&format!("{PLC}[fleet]\nlease = '500ms'\nid = 'a'\nweight = 0\n")),
+        ["line 6, fleet.lease: a lease is 1s to 1m", "line 8, fleet.weight: a weight is 1 to 1000"]
+    );
+}
+
+#[test]
+fn all_faults_are_reported_with_file_line_key_and_rule() {
+    let text = "[bridge]\nid = 'a/b'\nhttp = 'localhost'\nbuffer = { mem = '1MiB', max_age = '7 days ago' }\n\
+                [mqtt]\nurl = 'mqtt://me:secret@broker'\npassword = 'secret'\n\
+                [nats]\nstreem = 'X'\n\
+                [outputs]\n\
+                [plc.mixer]\nlink = 'tcp://10.0.0.3'\nstation = 300\ntags = 'none.csv'\ntag.level = { at = 'R5', clas = 'x' }\n";
+    let all = faults(text);
+    let expected = [
+        "line 2, bridge.id: a name has 1 to 64 of the characters",
+        "line 3, bridge.http: invalid socket address",
+        "line 4, bridge.buffer.mem: the key is unknown (known: dir max max_age memory sync)",
+        "line 4, bridge.buffer.max_age: a time is a number with a unit",
+        "line 6, mqtt.url: the URL has no user and no password: they are in user and password_file",
+        "line 7, mqtt.password: the key is unknown",
+        "line 9, nats.streem: the key is unknown; did you mean `stream`?",
+        "line 8, nats.url: it is missing",
+        "line 10, outputs: the section is unknown (known: bridge mqtt nats stdout fleet class template plc bus sim)",
+        "line 13, plc.mixer.station: 300 is not a station",
+        "line 14, plc.mixer.tags: ",
+        "line 15, plc.mixer.tag.level.clas: the key is unknown; did you mean `class`?",
+    ];
+    for expected in expected {
+        assert!(all.iter().any(|fault| fault.starts_with(expected)), "{expected}: {all:#?}");
+    }
+    assert_eq!(all.len(), expected.len(), "{all:#?}");
+    assert!(!all.concat().contains("secret"), "{all:#?}");
+    let lines: Vec<&str> = all.iter().map(|fault| fault.split([',', ':']).next().unwrap()).collect();
+    let number = |line: &&str| line["line ".len()..].parse::<usize>().unwrap();
+    assert!(lines.is_sorted_by_key(number), "{lines:?}");
+}
+
+#[test]
+fn keys_that_do_not_fit_together_are_faults() {
+    let of = |text: &str| faults(&format!("{PLC}{text}")).join("; ");
+    for (text, fault) in [
+        ("[mqtt]\nurl = 'mqtts://a'\ncert_file = 'c'\n", "line 7, mqtt.cert_file: it needs key_file"),
+        ("[nats]\nurl = 'tls://a'\nkey_file = 'k'\n", "line 7, nats.key_file: it needs cert_file"),
+        (
+            "[mqtt]\nca_file = 'c'\nurl = 'mqtt://a'\n",
+            "line 6, mqtt.ca_file: it is for TLS, and the scheme of the URL is without",
+        ),
+        ("[mqtt]\nurl = 'mqtt://a'\npassword_file = 'p'\n", "line 7, mqtt.password_file: it needs user"),
+        ("[bridge]\nbuffer.memory = '0B'\n", "line 6, bridge.buffer.memory: it is more than 0"),
+        ("[nats]\nurl = 'mqtt://a'\n", "line 6, nats.url: the scheme is nats, or tls with TLS, and not mqtt"),
+        ("[stdout]\nx = 1\n", "line 6, stdout.x: the key is unknown: the section has none"),
+    ] {
+        assert_eq!(of(text), fault);
+    }
+    let [fault] = &faults("[stdout]\n")[..] else { panic!() };
+    assert!(fault.starts_with("line 1, plc: there is no PLC"), "{fault}");
+    let [fault] = &faults("[mqtt\n")[..] else { panic!() };
+    assert!(fault.starts_with("line 1: "), "{fault}");
+}
+
+#[test]
+fn variables_take_the_place_of_id_and_address() {
+    let environment = |id: &str, http: &str| Environment {
+        id: Some(id.to_owned()),
+        http: Some(http.to_owned()),
+        ..Environment::default()
+    };
+    let (_folder, config) = read_with(PLC, &environment("hall-9", "0.0.0.0:80"));
+    let bridge = config.unwrap().bridge;
+    assert_eq!((bridge.id.as_str(), bridge.http.to_string().as_str()), ("hall-9", "0.0.0.0:80"));
+    let (_folder, config) = read_with(PLC, &environment("a/b", "80"));
+    let error = config.unwrap_err().to_string();
+    assert!(
+        error.contains("$FATEK_BRIDGE_ID: a name has") && error.contains("$FATEK_BRIDGE_HTTP: it is an"),
+        "{error}"
+    );
+}
