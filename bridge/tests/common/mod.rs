@@ -1,0 +1,4 @@
+//! Parts that the integration tests share. Each test program uses some of them.
+#![allow(dead_code, unreachable_pub)]
+
+pub mod bridge;
