@@ -68,6 +68,7 @@ async fn sigterm_delivers_all_samples_and_ends_with_success() {
     }
 }
 
+/// With a reload that stops and starts each PLC, the shortest pauses were 44 to 192 ms, and no tag was kept.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reload_disturbs_no_other_tag() {
     let plant = Plant::new().await;
@@ -78,7 +79,7 @@ async fn a_reload_disturbs_no_other_tag() {
     );
     let bridge = plant.start(base);
     let mut last = next_with(&bridge, "mixer", "level");
-    let mut longest = Vec::new();
+    let (mut shortest, mut longest) = (Vec::new(), Vec::new());
     for round in 0..6 {
         let (text, new) = if round % 2 == 0 { (changed.as_str(), "added") } else { (base, "mixer") };
         plant.write(text);
@@ -103,12 +104,16 @@ async fn a_reload_disturbs_no_other_tag() {
                 assert!(between >= 1);
             }
         }
+        shortest.push(pauses.iter().copied().min().unwrap());
         longest.push(pauses.iter().copied().max().unwrap());
     }
     longest.sort_unstable();
-    println!("longest pauses of a tag of 200 ms around reloads: {longest:?} ms");
-    // A missed cycle takes 400 ms. A busy machine can be late, but not each time.
-    assert!(longest[longest.len() / 2] < 350, "{longest:?}");
+    shortest.sort_unstable();
+    println!("pauses of a tag of 200 ms around reloads: shortest {shortest:?} ms, longest {longest:?} ms");
+    // A missed cycle takes 400 ms; a tag that is added anew is read at once. A busy machine can be late, but not
+    // each time.
+    let middle = longest.len() / 2;
+    assert!(longest[middle] < 350 && shortest[middle] > 150, "{shortest:?} {longest:?}");
     let log = bridge.log();
     assert_eq!(log.matches("reloaded; PLCs: ").count(), 6, "{log}");
     assert!(log.contains("reloaded; PLCs: 1 added, 0 moved, 0 removed; tags: 2 added, 2 removed, 1 kept"), "{log}");
