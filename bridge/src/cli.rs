@@ -2,67 +2,67 @@
 //!
 //! Exit statuses: 0, done; 1, it failed; 2, faults of the command line or of the configuration.
 
-use std::path::PathBuf;
+mod args;
+mod commands;
+mod log;
+
+use std::io::{self, Write as _};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
-use fatek_bridge::config::Config;
-use tracing_subscriber::EnvFilter;
+use clap::Parser as _;
+use clap::error::ErrorKind;
 
-/// Daemon that carries data of FATEK / FACON PLCs to MQTT, NATS, Prometheus and a web page
-#[derive(Debug, Parser)]
-#[command(version)]
-struct Cli {
-    #[command(subcommand)]
-    command: Command,
-}
-
-#[derive(Debug, Subcommand)]
-enum Command {
-    /// Run a configuration until SIGINT or SIGTERM
-    Run {
-        /// Configuration
-        #[arg(env = "FATEK_BRIDGE_CONFIG", value_name = "FILE")]
-        config: PathBuf,
-    },
-}
+use self::args::{Cli, Command};
+use crate::printable::printable;
 
 /// The status of faults of the command line or of the configuration.
 const STATUS_USAGE: u8 = 2;
 
 /// Runs the command of the arguments.
 pub(crate) fn main() -> ExitCode {
-    let cli = Cli::parse();
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn,fatek_bridge=info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(false).init();
-    match cli.command {
-        Command::Run { config } => run(&config),
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return refuse(&error),
+    };
+    if let Err(error) = log::start(&cli.log) {
+        return complain(&format!("--log: {error}"), STATUS_USAGE);
+    }
+    let done = match cli.command {
+        Command::Run(args) => commands::run(&args.config),
+        Command::Check(args) => commands::check(&args),
+        Command::Demo(args) => commands::demo(&args),
+        Command::PrintConfig(args) => commands::print_config(&args.config),
+        Command::Import(args) => commands::import(&args),
+        Command::Schema => commands::schema(),
+    };
+    match done {
+        Ok(status) => status,
+        // The reader of stdout has closed it on purpose, as `head` does.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
+        Err(error) => complain(&format!("cannot write to stdout: {error}"), 1),
     }
 }
 
-fn run(path: &std::path::Path) -> ExitCode {
-    let config = match Config::load(path) {
-        Ok(config) => config,
-        Err(error) => {
-            error.to_string().lines().for_each(|line| eprintln!("error: {line}"));
-            return ExitCode::from(STATUS_USAGE);
-        }
-    };
-    let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
-        Ok(runtime) => runtime,
-        Err(error) => {
-            eprintln!("error: cannot start: {error}");
-            return ExitCode::FAILURE;
-        }
-    };
-    let result = runtime.block_on(fatek_bridge::run::run(config));
-    // Without a limit, a write to a pipe that is not read would hold up the end.
-    runtime.shutdown_timeout(std::time::Duration::from_millis(100));
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
-        }
+/// Prints an error of the arguments, which it quotes, or the help.
+fn refuse(error: &clap::Error) -> ExitCode {
+    let text = error.to_string();
+    let is_own = !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
+    if is_own || text.lines().all(|line| printable(line).to_string() == line) {
+        error.exit();
     }
+    text.lines().for_each(|line| eprintln!("{}", printable(line)));
+    ExitCode::from(STATUS_USAGE)
+}
+
+/// Prints an error, of which each line is one, and returns the status.
+fn complain(error: &str, status: u8) -> ExitCode {
+    error.lines().for_each(|line| eprintln!("error: {}", printable(line)));
+    ExitCode::from(status)
+}
+
+/// Prints a text on stdout. Control characters besides line feeds are escaped.
+fn print(text: &str) -> io::Result<()> {
+    let mut stdout = io::BufWriter::new(io::stdout().lock());
+    text.lines().try_for_each(|line| writeln!(stdout, "{}", printable(line)))?;
+    stdout.flush()
 }

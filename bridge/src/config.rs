@@ -81,19 +81,31 @@ impl Config {
     /// Those of [`load`](Self::load).
     pub fn read(path: &Path, environment: &Environment) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path).map_err(|error| ConfigError::io(path, error))?;
+        Self::parse(path, &text, Plant::load(path).map_err(error::plant_faults), environment)
+    }
+
+    /// Parses a text that names no tables of tags. `path`: its name in messages, and for relative paths.
+    ///
+    /// # Errors
+    /// Those of [`load`](Self::load), without reading.
+    pub fn from_text(path: &Path, text: &str, environment: &Environment) -> Result<Self, ConfigError> {
+        let plant = Plant::from_toml(text).map_err(|errors| error::faults_of(&errors));
+        Self::parse(path, text, plant, environment)
+    }
+
+    fn parse(
+        path: &Path,
+        text: &str,
+        plant: Result<Plant, Vec<ConfigFault>>,
+        environment: &Environment,
+    ) -> Result<Self, ConfigError> {
         let mut faults = Vec::new();
-        let sections = match Source::parse(&text) {
+        let sections = match Source::parse(text) {
             Ok(source) => Sections::of(&source, environment, &mut faults),
-            // The plant would have the same one.
+            // The plant has the same one.
             Err(fault) => return Err(ConfigError::faults(path, vec![fault])),
         };
-        let plant = match Plant::load(path) {
-            Ok(plant) => Some(plant),
-            Err(error) => {
-                faults.extend(error::plant_faults(error));
-                None
-            }
-        };
+        let plant = plant.map_err(|of_plant| faults.extend(of_plant)).ok();
         let (Some(plant), true) = (plant, faults.is_empty()) else { return Err(ConfigError::faults(path, faults)) };
         if plant.plcs().next().is_none() {
             let rule = "there is no PLC: a section such as [plc.mixer] with link and station adds one".to_owned();

@@ -10,7 +10,8 @@
 //!                                      page, metrics                    Commands ──writes──▶ Pool
 //! ```
 //!
-//! - [`config`]: the file, and the checks of it.
+//! - [`config`]: the file, and its rules. [`check`]: plans, load and missing files. [`import`]: tables of tags.
+//! - [`demo`]: simulated PLCs.
 //! - [`registry`]: the PLCs that are polled, shared by all parts; a reload changes it.
 //! - [`collect`] and [`batch`]: samples become batches of one PLC and one time.
 //! - [`buffer`]: holds batches until each output has acknowledged them.
@@ -20,8 +21,12 @@
 pub mod backoff;
 pub mod batch;
 pub mod buffer;
+pub mod check;
 pub mod collect;
+mod columns;
 pub mod config;
+pub mod demo;
+pub mod import;
 pub mod output;
 pub mod plc_state;
 #[path = "../../src/printable.rs"]

@@ -4,7 +4,7 @@ use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use fatek::plant::{PlantFault, PlantFileError};
+use fatek::plant::{PlantError, PlantErrors, PlantFault, PlantFileError};
 
 use super::suggestion::known_keys;
 use crate::printable::excerpt;
@@ -78,10 +78,15 @@ impl ConfigError {
 
 /// The faults of the sections of a plant.
 pub(super) fn plant_faults(error: PlantFileError) -> Vec<ConfigFault> {
-    let PlantFileError::Plant { errors, .. } = error else {
-        return vec![ConfigFault { line: None, key: String::new(), rule: error.to_string() }];
-    };
-    let fault = |error: &fatek::plant::PlantError| {
+    match error {
+        PlantFileError::Plant { errors, .. } => faults_of(&errors),
+        error => vec![ConfigFault { line: None, key: String::new(), rule: error.to_string() }],
+    }
+}
+
+/// The faults of a plant, with the key that was probably meant.
+pub(super) fn faults_of(errors: &PlantErrors) -> Vec<ConfigFault> {
+    let fault = |error: &PlantError| {
         let rule = match error.fault() {
             PlantFault::Unknown { known, .. } => {
                 let key = error.key().rsplit('.').next().unwrap_or_default();

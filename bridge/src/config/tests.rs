@@ -84,7 +84,8 @@ fn all_faults_are_reported_with_file_line_key_and_rule() {
                 [mqtt]\nurl = 'mqtt://me:secret@broker'\npassword = 'secret'\n\
                 [nats]\nstreem = 'X'\n\
                 [outputs]\n\
-                [plc.mixer]\nlink = 'tcp://10.0.0.3'\nstation = 300\ntags = 'none.csv'\ntag.level = { at = 'R5', clas = 'x' }\n";
+                [plc.mixer]\nlink = 'tcp://10.0.0.3'\nstation = 300\ntags = 'none.csv'\n\
+                tag.level = { at = 'R5', clas = 'x' }\n";
     let all = faults(text);
     let expected = [
         "line 2, bridge.id: a name has 1 to 64 of the characters",
