@@ -233,8 +233,8 @@ mod tests {
 
     #[test]
     fn help_texts_fit_80_columns() {
+        Cli::command().debug_assert();
         let mut command = Cli::command();
-        command.debug_assert();
         let names: Vec<String> = command.get_subcommands().map(|command| command.get_name().to_owned()).collect();
         let check = |command: &mut clap::Command| {
             for text in [command.render_help(), command.render_long_help()] {
