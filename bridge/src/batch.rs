@@ -5,7 +5,11 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use bytes::Bytes;
 use fatek::poll::{Quality, Sample};
-use serde_json::{Map, Value, json};
+use fatek::tag::TagValue;
+use serde::Serialize;
+use serde_json::json;
+
+use crate::registry::Place;
 
 /// Samples of one PLC with one time.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -14,7 +18,7 @@ pub struct Batch {
     pub plc: Arc<str>,
     /// Counts the batches of the PLC. It grows by one, and by more only when the bridge has started anew.
     pub seq: u64,
-    /// The time of the reply, in milliseconds since 1970, UTC.
+    /// The time of the reply, in milliseconds since 1970, UTC; of stale samples, the time when they became so.
     pub ts: u64,
     /// The number of samples.
     pub samples: u32,
@@ -56,58 +60,95 @@ pub fn milliseconds(time: SystemTime) -> u64 {
 pub struct Batcher {
     plc: Arc<str>,
     seq: u64,
-    open: Option<Open>,
-}
-
-#[derive(Debug)]
-struct Open {
+    /// The open batch: its time, its samples, and its data without the brace at the end.
     ts: u64,
-    data: Map<String, Value>,
+    samples: u32,
+    data: Vec<u8>,
+    /// For each tag, by its index, the number of the batch that has it, plus one.
+    in_batch: Vec<u64>,
 }
 
 impl Batcher {
     /// `first_seq`: of the first batch. Larger than all of an earlier run of the bridge.
     #[must_use]
     pub fn new(plc: Arc<str>, first_seq: u64) -> Self {
-        Self { plc, seq: first_seq, open: None }
+        Self { plc, seq: first_seq, ts: 0, samples: 0, data: Vec::new(), in_batch: Vec::new() }
     }
 
-    /// Adds a sample, whose tag has this name. Returns the batch that ends before it.
-    pub fn push(&mut self, tag: &str, sample: &Sample) -> Option<Batch> {
-        let ts = milliseconds(sample.at.time);
-        let is_other = |open: &Open| open.ts != ts || open.data.contains_key(tag);
-        let ended = if self.open.as_ref().is_some_and(is_other) { self.end() } else { None };
-        let open = self.open.get_or_insert_with(|| Open { ts, data: Map::new() });
-        open.data.insert(tag.to_owned(), value(sample, ts));
+    /// Returns whether a batch is open.
+    #[must_use]
+    pub fn is_open(&self) -> bool {
+        self.samples > 0
+    }
+
+    /// Adds a sample. Returns the batch that ends before it. Places must not change while a batch is open.
+    ///
+    /// `now`: the time of a sample that is stale, whose own time is that of the last value.
+    pub fn push(&mut self, place: &Place, sample: &Sample, now: u64) -> Option<Batch> {
+        let ts = if let Quality::Stale(_) = sample.quality { now } else { milliseconds(sample.at.time) };
+        let is_repeated = self.in_batch.get(place.index).is_some_and(|batch| *batch == self.seq.saturating_add(1));
+        let ended = if self.is_open() && (self.ts != ts || is_repeated) { self.end() } else { None };
+        self.ts = ts;
+        self.samples = self.samples.saturating_add(1);
+        if self.in_batch.len() <= place.index {
+            self.in_batch.resize(place.index.saturating_add(1), 0);
+        }
+        if let Some(batch) = self.in_batch.get_mut(place.index) {
+            *batch = self.seq.saturating_add(1);
+        }
+        self.data.push(if self.data.is_empty() { b'{' } else { b',' });
+        self.data.push(b'"');
+        // A name has no character that JSON escapes.
+        self.data.extend_from_slice(place.tag.as_bytes());
+        self.data.extend_from_slice(b"\":");
+        append_sample(&mut self.data, sample);
         ended
     }
 
     /// Ends the batch that is open, if there is one.
     pub fn end(&mut self) -> Option<Batch> {
-        let Open { ts, data } = self.open.take()?;
-        let seq = self.seq;
+        if !self.is_open() {
+            return None;
+        }
+        let mut data = Vec::with_capacity(self.data.len().saturating_add(1));
+        data.append(&mut self.data);
+        data.push(b'}');
+        let batch =
+            Batch { plc: self.plc.clone(), seq: self.seq, ts: self.ts, samples: self.samples, data: data.into() };
         self.seq = self.seq.saturating_add(1);
-        let samples = u32::try_from(data.len()).unwrap_or(u32::MAX);
-        Some(Batch { plc: self.plc.clone(), seq, ts, samples, data: Value::Object(data).to_string().into() })
+        self.samples = 0;
+        Some(batch)
     }
 }
 
-/// The value of a good sample; the quality and its reason otherwise, and never a value.
-fn value(sample: &Sample, ts: u64) -> Value {
+/// Appends the value of a good sample; the quality, its reason and the time of the sample otherwise, and never a
+/// value.
+fn append_sample(data: &mut Vec<u8>, sample: &Sample) {
     let (quality, reason) = match &sample.quality {
-        Quality::Good => return values(sample),
+        Quality::Good => return append_values(data, sample.values()),
         Quality::Stale(reason) => ("stale", reason.to_string()),
         Quality::Bad(reason) => ("bad", reason.to_string()),
         // A quality of a later version.
         other => ("bad", other.to_string()),
     };
-    json!({ "q": quality, "why": reason, "ts": ts })
+    append_json(data, &json!({ "q": quality, "why": reason, "ts": milliseconds(sample.at.time) }));
 }
 
-fn values(sample: &Sample) -> Value {
-    let value = |value| serde_json::to_value(value).unwrap_or(Value::Null);
-    match sample.values() {
-        [single] => value(single),
-        several => several.iter().map(value).collect(),
+fn append_values(data: &mut Vec<u8>, values: &[TagValue]) {
+    match values {
+        [single] => append_json(data, single),
+        several => append_json(data, several),
     }
 }
+
+fn append_json<T: Serialize + ?Sized>(data: &mut Vec<u8>, value: &T) {
+    let before = data.len();
+    if serde_json::to_writer(&mut *data, value).is_err() {
+        // A value of a later version without a form in JSON.
+        data.truncate(before);
+        data.extend_from_slice(b"null");
+    }
+}
+
+#[cfg(test)]
+mod tests;

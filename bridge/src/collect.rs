@@ -17,6 +17,8 @@ use crate::registry::{Plcs, Registry};
 pub struct Collector {
     registry: Registry,
     batchers: HashMap<Arc<str>, Batcher>,
+    /// The PLCs whose batches are open.
+    open: Vec<Arc<str>>,
     /// The sequence numbers behind those of an earlier run.
     known: HashMap<Arc<str>, u64>,
     /// Larger than the numbers of an earlier run: a run makes less than a million batches a second.
@@ -33,49 +35,65 @@ impl Collector {
     #[must_use]
     pub fn new(registry: Registry, buffer: Buffer, live: broadcast::Sender<Arc<Batch>>) -> Self {
         let first_seq = milliseconds(SystemTime::now()).saturating_mul(1000);
-        Self { registry, batchers: HashMap::new(), known: buffer.next_seqs(), first_seq, buffer, live }
+        Self {
+            registry,
+            batchers: HashMap::new(),
+            open: Vec::new(),
+            known: buffer.next_seqs(),
+            first_seq,
+            buffer,
+            live,
+        }
     }
 
     /// Runs until the poller is closed and its samples are taken.
     pub async fn run(mut self, mut poller: Poller) {
+        // Kept, so that no memory is allocated for each round.
+        let mut samples = Vec::new();
         while let Some(first) = poller.next().await {
-            let mut taken = 1;
-            let mut samples = vec![first];
-            while let Some(Some(sample)) = poller.next().now_or_never() {
+            samples.push(first);
+            while samples.len() < MAX_SAMPLES
+                && let Some(Some(sample)) = poller.next().now_or_never()
+            {
                 samples.push(sample);
-                taken += 1;
-                if taken == MAX_SAMPLES {
-                    break;
-                }
             }
+            let now = milliseconds(SystemTime::now());
             let registry = self.registry.clone();
+            // Locked until all batches are ended: their places stay as they are.
             let plcs = registry.read();
-            for sample in samples {
+            for sample in samples.drain(..) {
                 match sample {
-                    Ok(sample) => self.take(&sample, &plcs),
+                    Ok(sample) => self.take(&sample, &plcs, now),
                     Err(missed) => tracing::warn!(%missed, "the bridge is too slow for its tags"),
                 }
             }
-            drop(plcs);
-            let ended: Vec<Batch> = self.batchers.values_mut().filter_map(Batcher::end).collect();
-            ended.into_iter().for_each(|batch| self.push(batch));
+            while let Some(plc) = self.open.pop() {
+                let ended = self.batchers.get_mut(&plc).and_then(Batcher::end);
+                ended.into_iter().for_each(|batch| self.push(batch));
+            }
         }
     }
 
-    fn take(&mut self, sample: &Sample, plcs: &Plcs) {
+    fn take(&mut self, sample: &Sample, plcs: &Plcs, now: u64) {
         // A sample of a tag that was removed since.
         let Some(place) = plcs.place(sample.id) else { return };
+        let known = &self.known;
         let batcher = self.batchers.entry(place.plc.clone()).or_insert_with(|| {
-            let known = self.known.get(&place.plc).copied().unwrap_or(0);
+            let known = known.get(&place.plc).copied().unwrap_or(0);
             Batcher::new(place.plc.clone(), self.first_seq.max(known))
         });
-        let ended = batcher.push(&place.tag, sample);
+        if !batcher.is_open() {
+            self.open.push(place.plc.clone());
+        }
+        let ended = batcher.push(place, sample, now);
         ended.into_iter().for_each(|batch| self.push(batch));
     }
 
     fn push(&mut self, batch: Batch) {
         // Without a page there is no receiver.
-        let _ = self.live.send(Arc::new(batch.clone()));
+        if self.live.receiver_count() > 0 {
+            let _ = self.live.send(Arc::new(batch.clone()));
+        }
         self.buffer.push(batch);
     }
 }

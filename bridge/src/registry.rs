@@ -39,6 +39,8 @@ pub struct Place {
     pub plc: Arc<str>,
     /// The name of the tag.
     pub tag: Arc<str>,
+    /// The place of the tag among those of its PLC, from 0; another after a reload.
+    pub index: usize,
 }
 
 /// All PLCs that are polled. Cheap to clone.

@@ -131,8 +131,8 @@ impl Staged {
         let mut old_plcs = std::mem::take(&mut plcs.plcs);
         plcs.places.clear();
         for (name, StagedPlc { plc, is, added }) in self.plcs {
-            let place = |tag: &PlantTag| Place { plc: name.clone(), tag: tag.name().into() };
-            plcs.places.extend(plc.ids.iter().copied().zip(plc.plc.tags().map(place)));
+            let place = |(index, tag): (usize, &PlantTag)| Place { plc: name.clone(), tag: tag.name().into(), index };
+            plcs.places.extend(plc.ids.iter().copied().zip(plc.plc.tags().enumerate().map(place)));
             let kept = plc.ids.len().saturating_sub(added.len());
             changes.tags_kept = changes.tags_kept.saturating_add(kept);
             changes.tags_added = changes.tags_added.saturating_add(added.len());
