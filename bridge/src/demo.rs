@@ -24,9 +24,9 @@ pub const CONFIG: &str = include_str!("../examples/demo.toml");
 /// The PLC that falls silent from time to time.
 pub const SILENT_PLC: &str = "pump4";
 /// The time before it is silent for the first time.
-const FIRST_SILENCE_AFTER: Duration = Duration::from_secs(8);
+const FIRST_SILENCE_AFTER: Duration = Duration::from_secs(6);
 /// The time for which it is silent, and for which it answers after that.
-const SILENCE: Duration = Duration::from_secs(12);
+const SILENCE: Duration = Duration::from_secs(10);
 const ANSWERS: Duration = Duration::from_secs(30);
 
 /// The name of the configuration in messages.
