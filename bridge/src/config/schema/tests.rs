@@ -209,3 +209,27 @@ fn each_key_of_the_bridge_has_a_description() {
     assert!(count > 20, "{count}");
     assert!(!schema.to_string().contains("null"), "TOML has no null: {schema:#}");
 }
+
+/// All keys of the objects of a schema, besides names that the user chooses.
+fn all_keys(schema: &Value, keys: &mut BTreeSet<String>) {
+    if let Some(properties) = schema.get("properties").and_then(Value::as_object) {
+        keys.extend(properties.keys().cloned());
+    }
+    match schema {
+        Value::Object(object) => object.values().for_each(|value| all_keys(value, keys)),
+        Value::Array(items) => items.iter().for_each(|value| all_keys(value, keys)),
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
+    }
+}
+
+#[test]
+fn the_documentation_names_each_key() {
+    let documentation = include_str!("../../../docs/setup.md");
+    let mut keys = BTreeSet::new();
+    all_keys(&schema()["$defs"], &mut keys);
+    assert!(keys.len() > 35 && keys.contains("heartbeat") && keys.contains("password_file"), "{keys:?}");
+    for key in keys {
+        let is_named = ["`", ".", "`tag."].iter().any(|before| documentation.contains(&format!("{before}{key}`")));
+        assert!(is_named || key == "buffer" || key == "tag", "docs/setup.md does not name the key `{key}`");
+    }
+}
