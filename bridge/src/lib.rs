@@ -16,6 +16,7 @@
 //! - [`collect`] and [`batch`]: samples become batches of one PLC and one time.
 //! - [`buffer`]: holds batches until each output has acknowledged them.
 //! - [`output`]: one task an output.
+//! - [`command`]: commands of the outputs become writes to PLCs.
 //! - [`run`]: starts all of this, and ends it.
 
 pub mod backoff;
@@ -24,6 +25,7 @@ pub mod buffer;
 pub mod check;
 pub mod collect;
 mod columns;
+pub mod command;
 pub mod config;
 pub mod demo;
 pub mod import;

@@ -1,0 +1,255 @@
+//! Write-back: commands of an output become writes to a PLC, if the configuration allows them.
+//!
+//! - [`reply`]: the replies, with the reasons of refusals.
+//! - [`request`] parses payloads, [`rules`] checks them against the configuration, [`rate`] limits them.
+//! - [`journal`]: ids with their replies, so that each is executed once. [`store`]: the same on disk.
+//! - [`pulse`]: discretes that are reset after a time, also after a crash.
+//! - [`core`]: the state machine of all of these, without I/O and clocks. [`driver`] performs its outputs.
+//!
+//! The forms of messages and all limits are in `docs/commands.md`.
+
+mod core;
+mod driver;
+mod journal;
+mod pulse;
+mod rate;
+mod reply;
+mod request;
+mod rules;
+mod stats;
+mod store;
+
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::task::JoinHandle;
+use tokio::time::Instant;
+
+use self::core::{Core, Received, Stored};
+use self::driver::{Clock, Driver, Message};
+use self::journal::Key;
+use self::reply::Refusal;
+pub use self::reply::{Outcome, Reply};
+use self::stats::Figures;
+pub use self::stats::{CommandStats, PlcCommandStats};
+use self::store::Store;
+pub use self::store::StoreError;
+use crate::batch::milliseconds;
+use crate::config::{Config, Environment};
+use crate::registry::Registry;
+
+/// The name of the file of the commands.
+pub const FILE_NAME: &str = "commands.redb";
+
+/// Settings of the commands.
+#[derive(Clone, Debug)]
+pub struct CommandSettings {
+    /// Where ids and pulses are stored.
+    pub storage: Storage,
+    /// The limits.
+    pub limits: CommandLimits,
+    /// The clock that the `ts` of commands is compared with.
+    pub clock: WallClock,
+}
+
+impl CommandSettings {
+    /// With the default limits and the clock of the system.
+    #[must_use]
+    pub fn new(storage: Storage) -> Self {
+        Self { storage, limits: CommandLimits::default(), clock: WallClock::system() }
+    }
+}
+
+/// Where ids of commands and pulses are stored.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Storage {
+    /// In this file.
+    File(PathBuf),
+    /// In memory alone: after a restart an id can be executed again, and a pulse that was lost is not ended.
+    /// For simulated PLCs.
+    Memory,
+}
+
+impl Storage {
+    /// In [`FILE_NAME`] in the folder of the buffer, or without one in `$STATE_DIRECTORY`.
+    ///
+    /// # Errors
+    /// [`NoFolder`] without both.
+    pub fn of_config(config: &Config) -> Result<Self, NoFolder> {
+        let folder = config.bridge.buffer.dir.clone().or_else(|| Environment::of_process().state);
+        folder.map(|folder| Self::File(folder.join(FILE_NAME))).ok_or(NoFolder)
+    }
+
+    /// Returns whether there is a file of an earlier run, which may have pulses to end.
+    #[must_use]
+    pub fn exists(&self) -> bool {
+        match self {
+            Self::File(path) => path.exists(),
+            Self::Memory => false,
+        }
+    }
+}
+
+/// Writes are allowed, and there is no folder for the ids of commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("write = true needs a folder for the ids of commands: set bridge.buffer.dir, or $STATE_DIRECTORY")]
+pub struct NoFolder;
+
+/// Limits of the commands.
+#[derive(Clone, Copy, Debug)]
+pub struct CommandLimits {
+    /// Commands per second for one PLC, on average.
+    pub per_second: u32,
+    /// Commands for one PLC at once, after a pause.
+    pub burst: u32,
+    /// Commands for one PLC that wait while another one is executed.
+    pub max_waiting: usize,
+    journal: journal::Limits,
+}
+
+impl Default for CommandLimits {
+    fn default() -> Self {
+        Self { per_second: 10, burst: 20, max_waiting: 32, journal: journal::Limits::default() }
+    }
+}
+
+/// Commands of all outputs at once, waiting for their replies.
+const MAX_CALLS: usize = 1024;
+
+/// The clock of the day, which tests can set.
+#[derive(Clone)]
+pub struct WallClock(Arc<dyn Fn() -> SystemTime + Send + Sync>);
+
+impl WallClock {
+    /// The clock of the system.
+    #[must_use]
+    pub fn system() -> Self {
+        Self(Arc::new(SystemTime::now))
+    }
+
+    /// Another clock.
+    #[must_use]
+    pub fn new(clock: impl Fn() -> SystemTime + Send + Sync + 'static) -> Self {
+        Self(Arc::new(clock))
+    }
+
+    fn milliseconds(&self) -> u64 {
+        milliseconds((self.0)())
+    }
+}
+
+impl fmt::Debug for WallClock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("WallClock")
+    }
+}
+
+/// A time for the state machine.
+#[derive(Clone, Copy, Debug)]
+struct Now {
+    /// The time since the start, which never goes back.
+    run: Duration,
+    /// Milliseconds since 1970, by a clock that may be set.
+    wall: u64,
+}
+
+/// Executes commands. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Commands {
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    registry: Registry,
+    clock: Clock,
+    messages: mpsc::UnboundedSender<Message>,
+    calls: Semaphore,
+    figures: Figures,
+    task: tokio::sync::Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Commands {
+    /// Opens the file, and ends the pulses that an earlier run has not ended.
+    ///
+    /// # Errors
+    /// [`StoreError`] if the file cannot be used: another bridge has it open, it is damaged, or the folder
+    /// cannot be written.
+    pub async fn start(settings: CommandSettings, registry: Registry) -> Result<Self, StoreError> {
+        let (sender, results) = mpsc::unbounded_channel();
+        let (store, stored) = match settings.storage {
+            Storage::Memory => (Store::Memory(sender), Stored::default()),
+            Storage::File(path) => {
+                let failed = StoreError::new(&path, "the thread that opens it has ended");
+                let opened = tokio::task::spawn_blocking(move || Store::open(&path, sender)).await;
+                opened.unwrap_or(Err(failed))?
+            }
+        };
+        let clock = Clock { start: Instant::now(), wall: settings.clock };
+        let figures = Figures::default();
+        let core = Core::new(settings.limits, stored, figures.clone(), clock.now());
+        let (messages, receiver) = mpsc::unbounded_channel();
+        let driver = Driver::new(core, registry.clone(), store, clock.clone());
+        let task = tokio::spawn(driver.run(receiver, results));
+        let (calls, task) = (Semaphore::new(MAX_CALLS), tokio::sync::Mutex::new(Some(task)));
+        Ok(Self { shared: Arc::new(Shared { registry, clock, messages, calls, figures, task }) })
+    }
+
+    /// Executes the command of a message for a PLC, and returns the reply to send. `retained`: the server has
+    /// kept the message, so that it may be of any age; such commands are refused.
+    ///
+    /// Commands for one PLC are executed in the order of the first polls of these futures. Each takes as long as
+    /// its PLC and those before it, at most some seconds each, and a pulse as long as it lasts: callers run
+    /// several at once.
+    ///
+    /// Cancel-safe: the command is executed all the same, and a repetition of its id gets its reply.
+    pub async fn execute(&self, plc: &str, payload: &[u8], retained: bool) -> Reply {
+        let Shared { registry, clock, messages, calls, figures, .. } = &*self.shared;
+        let refused = |id: Option<&str>, refusal: &Refusal| {
+            let reply = Reply::refused(id, refusal);
+            match registry.read().get(plc) {
+                Some(polled) => figures.count(polled.plc.name(), &reply),
+                None => figures.count_no_plc(),
+            }
+            reply
+        };
+        let Ok(_call) = calls.try_acquire() else {
+            return refused(None, &Refusal::Busy { waiting: MAX_CALLS });
+        };
+        let request = match request::parse(payload) {
+            Ok(request) => request,
+            Err((id, refusal)) => return refused(id.as_deref(), &refusal),
+        };
+        if retained {
+            return refused(Some(&request.id), &Refusal::Retained);
+        }
+        let plan = rules::check(&request, plc, &*registry.read(), clock.now().wall);
+        let (digest, id) = (request.digest(), request.id);
+        let received = Received { key: Key { plc: plc.into(), id: id.clone() }, digest, plan };
+        let (sender, reply) = oneshot::channel();
+        if messages.send(Message::Command(received, sender)).is_err() {
+            return refused(Some(&id), &Refusal::Closed);
+        }
+        reply.await.unwrap_or_else(|_| Reply::unknown(Some(&id), "closed: the bridge has stopped"))
+    }
+
+    /// The figures.
+    #[must_use]
+    pub fn stats(&self) -> CommandStats {
+        self.shared.figures.snapshot()
+    }
+
+    /// Refuses new commands, and waits until those under way have ended, for some seconds at most. Pulses that
+    /// would last for longer are ended early. The outputs can still send replies then.
+    pub async fn close(&self) {
+        // An error: it was closed before.
+        let _ = self.shared.messages.send(Message::Close);
+        if let Some(task) = self.shared.task.lock().await.take() {
+            // A panic was reported by the panic hook.
+            let _ = task.await;
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! The task that performs the outputs of the state machine: it owns the disk, and calls the PLCs.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use fatek::tag::{Assignment, TagValue};
+use fatek::{Station, Tag};
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep_until};
+
+use super::core::{Core, Output, Received, Write, WriteFailure};
+use super::reply::Reply;
+use super::store::{self, Store};
+use super::{Now, WallClock};
+use crate::registry::{Plcs, Registry};
+
+/// The time for one request to a PLC: waiting for its turn and for a connection included.
+pub(super) const CALL_TIMEOUT: Duration = Duration::from_secs(5);
+/// The time that pulses may last after the close. Longer ones are ended early.
+const GRACE: Duration = Duration::from_secs(2);
+/// The time in which everything has ended after the close.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(6);
+
+/// A message to the task.
+#[derive(Debug)]
+pub(super) enum Message {
+    Command(Received, oneshot::Sender<Reply>),
+    Close,
+}
+
+/// The result of a call to a PLC.
+enum Called {
+    Written(u64, Result<(), WriteFailure>),
+    Read(u64, Result<Vec<TagValue>, String>),
+}
+
+/// The task.
+pub(super) struct Driver {
+    core: Core,
+    registry: Registry,
+    store: Store,
+    calls: JoinSet<Called>,
+    waiting: HashMap<u64, oneshot::Sender<Reply>>,
+    next_call: u64,
+    clock: Clock,
+}
+
+/// The time for the state machine.
+#[derive(Clone, Debug)]
+pub(super) struct Clock {
+    pub(super) start: Instant,
+    pub(super) wall: WallClock,
+}
+
+impl Clock {
+    pub(super) fn now(&self) -> Now {
+        Now { run: self.start.elapsed(), wall: self.wall.milliseconds() }
+    }
+}
+
+impl Driver {
+    pub(super) fn new(core: Core, registry: Registry, store: Store, clock: Clock) -> Self {
+        let (calls, waiting) = (JoinSet::new(), HashMap::new());
+        Self { core, registry, store, calls, waiting, next_call: 0, clock }
+    }
+
+    /// Runs until it was closed and everything has ended, or until all handles are gone.
+    pub(super) async fn run(
+        mut self,
+        mut messages: mpsc::UnboundedReceiver<Message>,
+        mut results: mpsc::UnboundedReceiver<store::Result>,
+    ) {
+        let (mut close_at, mut is_open) = (None, true);
+        self.step(|_, _, _| {});
+        while is_open || !self.core.is_idle() {
+            let tick_at = self.core.next_deadline().map(|at| self.clock.start + at);
+            tokio::select! {
+                message = messages.recv(), if is_open => match message {
+                    Some(Message::Command(received, reply)) => {
+                        let call = self.next_call;
+                        self.next_call = self.next_call.saturating_add(1);
+                        self.waiting.insert(call, reply);
+                        self.step(|core, now, plcs| core.arrived(now, plcs, call, received));
+                    }
+                    message @ (Some(Message::Close) | None) => {
+                        // Messages that were sent before still come, and are refused.
+                        messages.close();
+                        is_open = message.is_some();
+                        close_at.get_or_insert_with(|| Instant::now() + CLOSE_TIMEOUT);
+                        self.step(|core, now, _| core.close(now, GRACE));
+                    }
+                },
+                Some(called) = self.calls.join_next(), if !self.calls.is_empty() => match called {
+                    Ok(Called::Written(token, result)) => {
+                        self.step(|core, now, plcs| core.written(now, plcs, token, result));
+                    }
+                    Ok(Called::Read(token, result)) => self.step(|core, _, _| core.read(token, result)),
+                    Err(error) => tracing::error!(%error, "a call to a PLC has panicked"),
+                },
+                Some((token, result)) = results.recv() => {
+                    self.step(|core, now, plcs| core.stored(now, plcs, token, result));
+                }
+                () = until(tick_at) => self.step(|core, now, plcs| core.tick(now, plcs)),
+                () = until(close_at) => {
+                    tracing::warn!("commands did not end within {CLOSE_TIMEOUT:?}: their results are unknown");
+                    break;
+                }
+            }
+        }
+        let store = self.store;
+        let closed = tokio::task::spawn_blocking(move || store.close());
+        // Bounded as well: a disk may hang.
+        let _ = tokio::time::timeout(CLOSE_TIMEOUT, closed).await;
+    }
+
+    /// Hands an event to the state machine and performs its outputs, all with one configuration.
+    fn step(&mut self, event: impl FnOnce(&mut Core, Now, &Plcs)) {
+        let registry = self.registry.clone();
+        let plcs = registry.read();
+        event(&mut self.core, self.clock.now(), &plcs);
+        while let Some(output) = self.core.poll_output() {
+            self.perform(output, &plcs);
+        }
+    }
+
+    fn perform(&mut self, output: Output, plcs: &Plcs) {
+        let station = |plc: &Arc<str>| plcs.get(plc).map(|polled| polled.station.clone());
+        match output {
+            Output::Store { token, changes } => self.store.put(token, changes),
+            Output::Reply { call, reply } => {
+                if let Some(sender) = self.waiting.remove(&call) {
+                    // The call was dropped.
+                    let _ = sender.send(reply);
+                }
+            }
+            Output::Write { token, plc, write } => {
+                let station = station(&plc);
+                self.calls.spawn(async move { Called::Written(token, send(station, write).await) });
+            }
+            Output::Read { token, plc, tag } => {
+                let station = station(&plc);
+                self.calls.spawn(async move { Called::Read(token, read(station, tag).await) });
+            }
+        }
+    }
+}
+
+/// Waits until a time; forever without one.
+async fn until(at: Option<Instant>) {
+    match at {
+        Some(at) => sleep_until(at).await,
+        None => std::future::pending().await,
+    }
+}
+
+const NO_PLC: &str = "the PLC was removed from the configuration";
+
+async fn send(station: Option<Station>, write: Write) -> Result<(), WriteFailure> {
+    let not_sent = |error: String| WriteFailure { may_have_executed: false, error };
+    let Some(station) = station else { return Err(not_sent(NO_PLC.to_owned())) };
+    let options = station.options().with_call_timeout(CALL_TIMEOUT).with_retry_writes(write.is_end);
+    let station = station.with_options(options);
+    let written = if write.tag.is_bits_of_register() {
+        let states: Vec<bool> = write.values.iter().map(|value| *value == TagValue::Bool(true)).collect();
+        station.modify_bits(write.tag, states).await
+    } else {
+        let assignment = Assignment::new(write.tag, write.values).map_err(|error| not_sent(error.to_string()))?;
+        station.write_all([assignment]).await
+    };
+    written.map_err(|error| WriteFailure { may_have_executed: error.may_have_executed(), error: error.to_string() })
+}
+
+async fn read(station: Option<Station>, tag: Tag) -> Result<Vec<TagValue>, String> {
+    let station = station.ok_or_else(|| NO_PLC.to_owned())?;
+    let station = station.with_options(station.options().with_call_timeout(CALL_TIMEOUT));
+    station.read(tag).await.map_err(|error| error.to_string())
+}

@@ -1,0 +1,289 @@
+//! The rules of writes: what the configuration allows. No I/O, no clock.
+//!
+//! They are checked when a command arrives, and again just before it is sent, since the configuration can
+//! change and time passes while it waits.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use fatek::plant::{Plant, PlantPlc, PlantTag, WriteRule};
+use fatek::tag::{Tag, TagValue};
+use serde::de::DeserializeSeed as _;
+
+use super::reply::Refusal;
+use super::request::Request;
+use crate::registry::Plcs;
+
+/// The largest age of a command.
+pub(super) const MAX_AGE: Duration = Duration::from_secs(10);
+/// The largest time that its `ts` is ahead of the clock of the bridge.
+pub(super) const MAX_AHEAD: Duration = Duration::from_secs(5);
+
+/// The PLCs of the configuration that applies now.
+pub(super) trait Catalog {
+    /// The PLC of this name.
+    fn plc(&self, name: &str) -> Option<&PlantPlc>;
+
+    /// The name of the PLC at an endpoint, with this station number.
+    fn name_at(&self, endpoint: &str, station: u8) -> Option<&str>;
+}
+
+/// Returns whether a PLC is at this endpoint, with this station number.
+fn is_at(plc: &PlantPlc, endpoint: &str, station: u8) -> bool {
+    plc.station() == station && plc.endpoint().to_string() == endpoint
+}
+
+impl Catalog for Plcs {
+    fn plc(&self, name: &str) -> Option<&PlantPlc> {
+        self.get(name).map(|polled| &polled.plc)
+    }
+
+    fn name_at(&self, endpoint: &str, station: u8) -> Option<&str> {
+        self.iter().map(|polled| &polled.plc).find(|plc| is_at(plc, endpoint, station)).map(PlantPlc::name)
+    }
+}
+
+impl Catalog for Plant {
+    fn plc(&self, name: &str) -> Option<&PlantPlc> {
+        Self::plc(self, name)
+    }
+
+    fn name_at(&self, endpoint: &str, station: u8) -> Option<&str> {
+        self.plcs().find(|plc| is_at(plc, endpoint, station)).map(PlantPlc::name)
+    }
+}
+
+/// A write that the configuration allows.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Plan {
+    pub(super) plc: Arc<str>,
+    /// The name of the tag.
+    pub(super) name: Arc<str>,
+    pub(super) tag: Tag,
+    /// The values, which the tag takes.
+    pub(super) values: Vec<TagValue>,
+    /// The time of a pulse.
+    pub(super) pulse: Option<Duration>,
+    /// The `ts` of the command.
+    ts: u64,
+}
+
+/// Checks a command against all rules that do not depend on other commands. `now`: milliseconds since 1970.
+pub(super) fn check(request: &Request, plc: &str, catalog: &dyn Catalog, now: u64) -> Result<Plan, Refusal> {
+    let (plc, tag, rule) = writable(plc, &request.tag, catalog)?;
+    let at = tag.tag();
+    let values = at.values_seed().deserialize(&request.value).map_err(|error| Refusal::Value(error.to_string()))?;
+    let (plc, name) = (plc.name().into(), tag.name().into());
+    let plan = Plan { plc, name, tag: at, values, pulse: rule.pulse, ts: request.ts };
+    plan.check_values(&rule)?;
+    plan.check_time(now)?;
+    Ok(plan)
+}
+
+/// The PLC and the tag of these names, if the tag may be written.
+fn writable<'c>(
+    plc: &str,
+    tag: &str,
+    catalog: &'c dyn Catalog,
+) -> Result<(&'c PlantPlc, &'c PlantTag, WriteRule), Refusal> {
+    let plc = catalog.plc(plc).ok_or(Refusal::NoPlc)?;
+    let unknown = || Refusal::NoTag(tag.chars().take(64).collect());
+    let tag = plc.tag(tag).ok_or_else(unknown)?;
+    let rule = tag.write().ok_or(Refusal::NotWritable)?;
+    Ok((plc, tag, rule))
+}
+
+impl Plan {
+    /// Checks again what may have changed since [`check`].
+    pub(super) fn check_again(&self, catalog: &dyn Catalog, now: u64) -> Result<(), Refusal> {
+        let (_, tag, rule) = writable(&self.plc, &self.name, catalog)?;
+        if tag.tag() != self.tag || rule.pulse != self.pulse {
+            return Err(Refusal::Changed);
+        }
+        self.check_values(&rule)?;
+        self.check_time(now)
+    }
+
+    fn check_time(&self, now: u64) -> Result<(), Refusal> {
+        let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
+        let (age, ahead) = (now.saturating_sub(self.ts), self.ts.saturating_sub(now));
+        if age > millis(MAX_AGE) {
+            return Err(Refusal::Old { age: age.div_ceil(1000), max: MAX_AGE.as_secs() });
+        }
+        if ahead > millis(MAX_AHEAD) {
+            return Err(Refusal::Future { ahead: ahead.div_ceil(1000), max: MAX_AHEAD.as_secs() });
+        }
+        Ok(())
+    }
+
+    fn check_values(&self, rule: &WriteRule) -> Result<(), Refusal> {
+        if rule.pulse.is_some() {
+            return if self.values == [TagValue::Bool(true)] { Ok(()) } else { Err(Refusal::PulseValue) };
+        }
+        if !self.tag.tag_type().is_number() {
+            return Ok(());
+        }
+        // The PLC gets the nearest value that it has, which must be within the limits as well.
+        let raw = self.tag.encode(&self.values).map_err(|error| Refusal::Value(error.to_string()))?;
+        let stored = self.tag.decode(&raw).map_err(|error| Refusal::Value(error.to_string()))?;
+        self.values.iter().chain(&stored).try_for_each(|value| check_number(value, rule))
+    }
+}
+
+fn check_number(value: &TagValue, rule: &WriteRule) -> Result<(), Refusal> {
+    if !value.as_f64().is_some_and(f64::is_finite) {
+        return Err(Refusal::Value(format!("{value} is not a finite number")));
+    }
+    let range = |side, limit| Err(Refusal::Range { value: value.to_string(), side, limit });
+    match (rule.min, rule.max) {
+        (Some(min), _) if is_below(value, min) => range("below", min),
+        (_, Some(max)) if is_above(value, max) => range("above", max),
+        (_, _) => Ok(()),
+    }
+}
+
+/// An integer of 64 bits, which `as_f64` can round to a limit.
+fn integer(value: &TagValue) -> Option<i128> {
+    if let TagValue::U64(value) = *value {
+        return Some(value.into());
+    }
+    if let TagValue::I64(value) = *value { Some(value.into()) } else { None }
+}
+
+#[allow(clippy::cast_possible_truncation, reason = "the cast saturates, beyond all integers of 64 bits")]
+fn is_below(value: &TagValue, min: f64) -> bool {
+    match integer(value) {
+        Some(integer) => integer < min.ceil() as i128,
+        None => !value.as_f64().is_some_and(|number| number >= min),
+    }
+}
+
+#[allow(clippy::cast_possible_truncation, reason = "the cast saturates, beyond all integers of 64 bits")]
+fn is_above(value: &TagValue, max: f64) -> bool {
+    match integer(value) {
+        Some(integer) => integer > max.floor() as i128,
+        None => !value.as_f64().is_some_and(|number| number <= max),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLANT: &str = r#"
+[plc.mixer]
+link = "tcp://10.0.0.3"
+station = 1
+tag.setpoint = { at = "R200:f32", write = { min = 0.0, max = 80.0 } }
+tag.scaled = { at = "R5:i16*0.1", write = { min = -5, max = 79.98 } }
+tag.big = { at = "R10:u64", write = { max = 9007199254740992 } }
+tag.list = { at = "R20-R22", write = { max = 9 } }
+tag.free = { at = "R30:f32", write = {} }
+tag.double = { at = "R34:f64", write = {} }
+tag.digits = { at = "R40:bcd16", write = {} }
+tag.hex = { at = "R41:hex", write = { max = 255 } }
+tag.name = { at = "R50-R52:text", write = {} }
+tag.valve = { at = "M5", write = {} }
+tag.bit = { at = "R60.3", write = {} }
+tag.start = { at = "M100", write = { pulse = "500ms" } }
+tag.level = "R70:i16"
+"#;
+
+    fn result(tag: &str, value: &str, age: i64) -> Result<Vec<TagValue>, String> {
+        let plant = Plant::from_toml(PLANT).unwrap();
+        let now = 1_000_000_u64;
+        let ts = now.checked_add_signed(-age).unwrap();
+        let value = serde_json::from_str(value).unwrap();
+        let request = Request { id: "1".into(), tag: tag.to_owned(), value, ts };
+        let plan = check(&request, "mixer", &plant, now).map_err(|refusal| refusal.to_string())?;
+        assert_eq!(plan.check_again(&plant, now), Ok(()));
+        Ok(plan.values)
+    }
+
+    #[test]
+    fn values_keep_to_the_type_of_the_tag_and_to_its_limits() {
+        for (tag, value) in [
+            ("setpoint", "42.0"),
+            ("setpoint", "42"),
+            ("setpoint", "80.0"),
+            ("setpoint", "\"7.5\""),
+            ("scaled", "-4.99"),
+            ("scaled", "79.9"),
+            ("big", "9007199254740992"),
+            ("list", "[1,2,9]"),
+            ("free", "1e30"),
+            ("digits", "9999"),
+            ("hex", "\"0x00FF\""),
+            ("name", "\"pump\""),
+            ("valve", "true"),
+            ("bit", "false"),
+            ("start", "true"),
+        ] {
+            assert!(result(tag, value, 0).is_ok(), "{tag} = {value}: {:?}", result(tag, value, 0));
+        }
+        for (tag, value, why) in [
+            ("setpoint", "80.01", "range: 80.01 is above 80"),
+            ("setpoint", "-0.5", "range: -0.5 is below 0"),
+            ("setpoint", "\"NaN\"", "value: NaN is not a finite number"),
+            ("setpoint", "\"inf\"", "value: inf is not a finite number"),
+            ("setpoint", "\"0x7F800000\"", "value: inf is not a finite number"),
+            ("setpoint", "1e300", "value: "),
+            ("setpoint", "16777217", "value: "),
+            ("setpoint", "true", "value: "),
+            ("setpoint", "null", "value: "),
+            ("setpoint", "{}", "value: "),
+            ("setpoint", "[1.0,2.0]", "value: "),
+            // The nearest value of the PLC would be 80.0.
+            ("scaled", "79.98", "range: 80.0 is above 79.98"),
+            ("scaled", "\"NaN\"", "value: "),
+            ("scaled", "1e9", "value: "),
+            ("big", "9007199254740993", "range: 9007199254740993 is above 9007199254740992"),
+            ("big", "-1", "value: "),
+            ("list", "[1,2,10]", "range: 10 is above 9"),
+            ("list", "[1,2]", "value: "),
+            ("list", "[1,2,3,4]", "value: "),
+            ("double", "\"-inf\"", "value: -inf is not a finite number"),
+            ("digits", "10000", "value: "),
+            ("digits", "\"0x00FA\"", "value: "),
+            ("hex", "\"0x0100\"", "range: 0x0100 is above 255"),
+            ("name", "\"a longer text\"", "value: "),
+            ("name", "7", "value: "),
+            ("valve", "1", "value: "),
+            ("bit", "1", "value: "),
+            ("start", "false", "pulse: "),
+            ("level", "1", "write: the tag is not writable"),
+            ("nothing", "1", "tag: the PLC has no tag `nothing`"),
+            // A tag is written by its name alone.
+            ("R0", "1", "tag: "),
+        ] {
+            let refused = result(tag, value, 0).expect_err(&format!("{tag} = {value}"));
+            assert!(refused.starts_with(why), "{tag} = {value}: {refused}");
+        }
+    }
+
+    #[test]
+    fn old_commands_and_those_of_the_future_are_refused() {
+        assert!(result("valve", "true", 10_000).is_ok() && result("valve", "true", -5_000).is_ok());
+        assert_eq!(
+            result("valve", "true", 10_001).unwrap_err(),
+            "old: its ts is 11 s before the clock of the bridge, and 10 s are allowed"
+        );
+        assert!(result("valve", "true", -5_001).unwrap_err().starts_with("future: its ts is 6 s ahead"));
+    }
+
+    #[test]
+    fn a_change_of_the_configuration_applies_to_commands_that_wait() {
+        let plant = Plant::from_toml(PLANT).unwrap();
+        let request = Request { id: "1".into(), tag: "setpoint".to_owned(), value: 70.into(), ts: 0 };
+        let plan = check(&request, "mixer", &plant, 0).unwrap();
+        let changed = |from: &str, to: &str| {
+            let plant = Plant::from_toml(&PLANT.replace(from, to)).unwrap();
+            plan.check_again(&plant, 0).unwrap_err().to_string()
+        };
+        assert_eq!(changed("80.0", "60.0"), "range: 70.0 is above 60");
+        assert!(changed("R200", "R202").starts_with("changed: "));
+        assert!(changed("plc.mixer", "plc.boiler").starts_with("plc: "));
+        assert!(changed("tag.setpoint", "tag.other").starts_with("tag: "));
+        assert!(changed(", write = { min = 0.0, max = 80.0 }", "").starts_with("write: "));
+    }
+}
