@@ -1,0 +1,285 @@
+//! Measures the bridge: `cargo run --release --example load -- --help`.
+//!
+//! It starts simulated PLCs in a process of their own, a server if the output needs one, and the bridge; it
+//! subscribes, and prints for each period: samples a second, samples for each second of processor time of the
+//! bridge, the age of the samples at the subscriber, and the memory of the bridge.
+//!
+//! The age is the time between the reply of the PLC and the arrival at the subscriber.
+
+use std::error::Error;
+use std::io::{BufRead as _, BufReader};
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use clap::{Parser, ValueEnum};
+use fatek::register;
+use fatek::sim::{Model, Plc};
+use futures::StreamExt as _;
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::{AsyncClient, Event, Incoming, MqttOptions};
+use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
+
+type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
+
+/// Measures the bridge with simulated PLCs
+#[derive(Debug, Parser)]
+struct Args {
+    /// Number of PLCs
+    #[arg(long, default_value_t = 200)]
+    plcs: usize,
+    /// Tags of each PLC
+    #[arg(long, default_value_t = 64)]
+    tags: usize,
+    /// Period of the readings
+    #[arg(long, default_value = "100ms")]
+    every: String,
+    /// Output that is measured
+    #[arg(long, value_enum, default_value_t = Output::Stdout)]
+    output: Output,
+    /// Time of the measurement
+    #[arg(long = "for", default_value = "30s")]
+    duration: humantime::Duration,
+    /// Periods that are printed
+    #[arg(long, default_value = "10s")]
+    period: humantime::Duration,
+    /// Buffer in memory alone, without a file
+    #[arg(long)]
+    memory_only: bool,
+    /// Bridge; by default fatek-bridge of the same profile
+    #[arg(long)]
+    bridge: Option<PathBuf>,
+    /// Serve the PLCs: used by this program itself
+    #[arg(long, hide = true)]
+    serve: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Output {
+    Stdout,
+    Mqtt,
+    Nats,
+}
+
+/// A process that is ended with this program.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A message at the subscriber.
+struct Arrival {
+    samples: usize,
+    age: Duration,
+}
+
+#[tokio::main]
+async fn main() -> Result<()> {
+    let args = Args::parse();
+    if args.serve { serve(&args).await } else { measure(args).await }
+}
+
+/// Serves the PLCs and prints their addresses, one a line.
+async fn serve(args: &Args) -> Result<()> {
+    let mut servers = Vec::new();
+    let mut plcs = Vec::new();
+    for _ in 0..args.plcs {
+        let plc = Plc::with_model(Model::largest());
+        let server = plc.serve("127.0.0.1:0").await?;
+        println!("{}", server.local_addr());
+        servers.push(server);
+        plcs.push(plc);
+    }
+    for count in 0_u16.. {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        for plc in &plcs {
+            plc.write(register!("R0"), count)?;
+        }
+    }
+    Ok(())
+}
+
+async fn measure(args: Args) -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let mut command = Command::new(std::env::current_exe()?);
+    command.args(["--serve", "--plcs", &args.plcs.to_string()]).stdout(Stdio::piped());
+    let mut plcs = Process(command.spawn()?);
+    let stdout = plcs.0.stdout.take().ok_or("no stdout of the PLCs")?;
+    let addresses: Vec<String> = BufReader::new(stdout).lines().take(args.plcs).collect::<std::io::Result<_>>()?;
+    let port = free_port()?;
+    let _server = start_server(args.output, port, folder.path())?;
+    let config = folder.path().join("plant.toml");
+    std::fs::write(&config, configuration(&args, &addresses, port))?;
+    let (sender, mut arrivals) = unbounded_channel();
+    subscribe(args.output, port, sender.clone()).await?;
+
+    let program = match &args.bridge {
+        Some(program) => program.clone(),
+        None => std::env::current_exe()?.parent().and_then(Path::parent).ok_or("no folder")?.join("fatek-bridge"),
+    };
+    let mut command = Command::new(program);
+    command.arg("run").arg(&config).env("STATE_DIRECTORY", folder.path()).stdout(Stdio::piped());
+    let mut bridge = Process(command.spawn()?);
+    let stdout = bridge.0.stdout.take().ok_or("no stdout of the bridge")?;
+    if args.output == Output::Stdout {
+        std::thread::spawn(move || {
+            BufReader::new(stdout).lines().map_while(std::result::Result::ok).for_each(|line| {
+                let _ = sender.send(arrival(line.as_bytes()));
+            });
+        });
+    }
+    // Plans and connections are made first.
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    while arrivals.try_recv().is_ok() {}
+
+    println!("{} PLCs of {} tags, each {}, to {:?}", args.plcs, args.tags, args.every, args.output);
+    let end = Instant::now() + *args.duration;
+    while Instant::now() < end {
+        let (begun, cpu) = (Instant::now(), cpu_time(bridge.0.id())?);
+        let (mut samples, mut messages, mut ages) = (0, 0, Vec::new());
+        let period = tokio::time::sleep((*args.period).min(end - begun));
+        tokio::pin!(period);
+        loop {
+            tokio::select! {
+                () = &mut period => break,
+                arrival = arrivals.recv() => {
+                    let Arrival { samples: more, age } = arrival.ok_or("the subscription has ended")?;
+                    samples += more;
+                    messages += 1;
+                    ages.push(age);
+                }
+            }
+        }
+        ages.sort_unstable();
+        let age = |share: f64| ages.get((ages.len() as f64 * share) as usize).copied().unwrap_or_default();
+        let (seconds, cpu) = (begun.elapsed().as_secs_f64(), (cpu_time(bridge.0.id())? - cpu).as_secs_f64());
+        println!(
+            "{:.0} samples/s in {:.0} messages/s; {:.1} % of a core: {:.0} samples a core-second; \
+             age p50 {:.1?}, p99 {:.1?}, max {:.1?}; memory {:.1} MiB",
+            samples as f64 / seconds,
+            f64::from(messages) / seconds,
+            cpu / seconds * 100.0,
+            samples as f64 / cpu,
+            age(0.5),
+            age(0.99),
+            ages.last().copied().unwrap_or_default(),
+            memory(bridge.0.id())? as f64 / 1048576.0,
+        );
+    }
+    Ok(())
+}
+
+fn configuration(args: &Args, addresses: &[String], port: u16) -> String {
+    let dir = if args.memory_only { "" } else { "dir = 'buffer', " };
+    let mut text = format!("[bridge]\nid = 'load'\nhttp = '127.0.0.1:0'\nbuffer = {{ {dir}memory = '64MiB' }}\n");
+    text += &match args.output {
+        Output::Stdout => "[stdout]\n".to_owned(),
+        Output::Mqtt => format!("[mqtt]\nurl = 'mqtt://127.0.0.1:{port}'\n"),
+        Output::Nats => format!("[nats]\nurl = 'nats://127.0.0.1:{port}'\n"),
+    };
+    text += &format!("[class]\nall = {{ every = '{}' }}\n[template.all]\n", args.every);
+    for tag in 0..args.tags {
+        text += &format!("value_{tag} = {{ at = 'R{tag}:i16', class = 'all' }}\n");
+    }
+    for (plc, address) in addresses.iter().enumerate() {
+        text += &format!("[plc.plc_{plc}]\nlink = 'tcp://{address}'\nstation = 1\nuse = ['all']\n");
+    }
+    text
+}
+
+fn start_server(output: Output, port: u16, folder: &Path) -> Result<Option<Process>> {
+    let mut command = match output {
+        Output::Stdout => return Ok(None),
+        Output::Mqtt => {
+            let config = folder.join("mosquitto.conf");
+            std::fs::write(
+                &config,
+                format!("listener {port} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 0\n"),
+            )?;
+            let mut command = Command::new("mosquitto");
+            command.arg("-c").arg(config);
+            command
+        }
+        Output::Nats => {
+            let mut command = Command::new("nats-server");
+            command.args(["-js", "-a", "127.0.0.1", "-p", &port.to_string(), "-sd"]).arg(folder.join("nats"));
+            command
+        }
+    };
+    let path = format!("{}:/usr/sbin", std::env::var("PATH").unwrap_or_default());
+    let server = Process(command.env("PATH", path).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?);
+    let until = Instant::now() + Duration::from_secs(10);
+    while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
+        if Instant::now() > until {
+            return Err("the server does not start".into());
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    Ok(Some(server))
+}
+
+async fn subscribe(output: Output, port: u16, arrivals: UnboundedSender<Arrival>) -> Result<()> {
+    match output {
+        Output::Stdout => {}
+        Output::Mqtt => {
+            let (client, mut events) = AsyncClient::new(MqttOptions::new("load-subscriber", "127.0.0.1", port), 64);
+            client.subscribe("fatek/load/+/data", QoS::AtMostOnce).await?;
+            tokio::spawn(async move {
+                let _client = client;
+                loop {
+                    match events.poll().await {
+                        Ok(Event::Incoming(Incoming::Publish(publish))) => {
+                            let _ = arrivals.send(arrival(&publish.payload));
+                        }
+                        Ok(Event::Incoming(_) | Event::Outgoing(_)) => {}
+                        Err(error) => return eprintln!("subscriber: {error}"),
+                    }
+                }
+            });
+        }
+        Output::Nats => {
+            let client = async_nats::connect(format!("nats://127.0.0.1:{port}")).await?;
+            let mut messages = client.subscribe("fatek.load.*.data").await?;
+            tokio::spawn(async move {
+                while let Some(message) = messages.next().await {
+                    let _ = arrivals.send(arrival(&message.payload));
+                }
+            });
+        }
+    }
+    Ok(())
+}
+
+/// The samples of a message, and their age now.
+fn arrival(message: &[u8]) -> Arrival {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let text = String::from_utf8_lossy(message);
+    let ts = text.split("\"ts\":").nth(1).and_then(|rest| rest.split(',').next()).and_then(|ts| ts.parse().ok());
+    let samples = text.matches("value_").count();
+    Arrival { samples, age: now.saturating_sub(Duration::from_millis(ts.unwrap_or(0))) }
+}
+
+fn free_port() -> Result<u16> {
+    Ok(TcpListener::bind("127.0.0.1:0")?.local_addr()?.port())
+}
+
+/// The processor time of a process, in steps of 10 ms.
+fn cpu_time(process: u32) -> Result<Duration> {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat"))?;
+    // Behind the name, which may have blanks: state, and 10 fields before the times of user and system.
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+    let ticks = |at: usize| -> Result<u64> { Ok(fields.get(at).ok_or("no time of the process")?.parse()?) };
+    Ok(Duration::from_millis((ticks(11)? + ticks(12)?) * 10))
+}
+
+/// The memory of a process, in bytes.
+fn memory(process: u32) -> Result<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status"))?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).ok_or("no memory of the process")?;
+    Ok(line.trim().trim_end_matches(" kB").parse::<u64>()? * 1024)
+}
