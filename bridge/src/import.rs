@@ -1,5 +1,6 @@
 //! Import of tables of tags: CSV or TOML in, sections of a configuration out.
 
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -81,19 +82,18 @@ pub const DEFAULT_PERIOD: Duration = Duration::from_secs(1);
 pub fn import(tables: &[PathBuf], target: &Target, classes: &[(Name, Period)]) -> Result<Imported, ImportError> {
     let loaded = tables.iter().map(|path| Ok((path.as_path(), TagTable::load(path)?)));
     let loaded = loaded.collect::<Result<Vec<_>, TableFileError>>()?;
-    let mut tags: Vec<(&Path, &TagEntry)> = Vec::new();
-    for (path, table) in &loaded {
-        for tag in table.iter() {
-            if let Some((first_path, first)) = tags.iter().find(|(_, first)| first.name() == tag.name()) {
-                return Err(ImportError::DoubleName {
-                    file: path.to_path_buf(),
-                    line: tag.line(),
-                    name: tag.name().to_owned(),
-                    first_file: first_path.to_path_buf(),
-                    first_line: first.line(),
-                });
-            }
-            tags.push((path, tag));
+    let tags: Vec<(&Path, &TagEntry)> =
+        loaded.iter().flat_map(|(path, table)| table.iter().map(move |tag| (*path, tag))).collect();
+    let mut names: HashMap<&str, (&Path, &TagEntry)> = HashMap::new();
+    for (path, tag) in &tags {
+        if let Some((first_path, first)) = names.insert(tag.name(), (path, tag)) {
+            return Err(ImportError::DoubleName {
+                file: path.to_path_buf(),
+                line: tag.line(),
+                name: tag.name().to_owned(),
+                first_file: first_path.to_path_buf(),
+                first_line: first.line(),
+            });
         }
     }
     let (section, assumed_classes) = class_section(&tags, classes)?;

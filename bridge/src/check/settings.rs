@@ -1,6 +1,6 @@
 //! Settings that are allowed, and probably not meant.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 use fatek::memory_map::special_range;
 use fatek::plant::{PlantPlc, PlantTag};
@@ -31,6 +31,7 @@ pub(super) fn check(config: &Config, findings: &mut Vec<Finding>) {
             }
         }
     }
+    addresses(config, &mut warn);
     commands(config, &mut warn);
     outputs(config, &mut warn);
     buffer(config, &mut warn);
@@ -54,6 +55,23 @@ fn classes(config: &Config, warn: Warn<'_>) {
         if class.stale_after().is_some_and(|age| age < class.every().saturating_mul(2)) {
             let text = "it is less than two periods, and raised to them".to_owned();
             warn(None, format!("{key}.stale_after"), text);
+        }
+    }
+}
+
+/// PLCs at one address with different options: each of them has a connection of its own.
+fn addresses(config: &Config, warn: Warn<'_>) {
+    let mut first: HashMap<String, &PlantPlc> = HashMap::new();
+    for plc in config.plant.plcs() {
+        let link = plc.endpoint().to_string();
+        let address = link.split('?').next().unwrap_or_default();
+        match first.get(address) {
+            Some(other) if other.endpoint() != plc.endpoint() => {
+                let text = format!("{} has this address with other options: there are two connections", other.name());
+                warn(Some(plc.line()), format!("plc.{}.link", plc.name()), text);
+            }
+            Some(_) => {}
+            None => drop(first.insert(address.to_owned(), plc)),
         }
     }
 }

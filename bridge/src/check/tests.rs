@@ -141,6 +141,10 @@ fn settings_that_are_probably_not_meant_are_warnings() {
         ),
         ("[template.tank]\nlevel = 'R5'\n", "template.tank: no PLC and no bus uses it"),
         ("[plc.b]\nlink = 'tcp://h'\nstation = 1\n", "line 6, plc.b: it has no tags: nothing is read"),
+        (
+            "[plc.b]\nlink = 'tcp://10.0.0.3:500?framing=binary'\nstation = 2\ntag.x = 'R0'\n",
+            "line 6, plc.b.link: mixer has this address with other options: there are two connections",
+        ),
         ("[bridge]\nhttp = '0.0.0.0:80'\n", "bridge.http: the page on 0.0.0.0:80 is open to everyone on the network"),
         ("[bridge]\nbuffer.memory = '64KiB'\n", "bridge.buffer.memory: 64KiB is little"),
         ("[bridge]\nbuffer.sync = true\n", "bridge.buffer.sync: it has no effect without dir"),

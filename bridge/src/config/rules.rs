@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::environment::{Environment, HTTP_VARIABLE, ID_VARIABLE};
 use super::error::ConfigFault;
+use super::sections::ADDRESS_RULE;
 use super::source::Source;
 use super::values::NAME_RULE;
 use super::{BridgeSection, FleetSection, Name, Sections};
@@ -74,7 +75,7 @@ pub(super) fn apply(environment: &Environment, bridge: &mut BridgeSection, fault
     if let Some(http) = &environment.http {
         match http.parse() {
             Ok(http) => bridge.http = http,
-            Err(_) => fault(HTTP_VARIABLE, "it is an address with a port, such as 127.0.0.1:9187"),
+            Err(_) => fault(HTTP_VARIABLE, ADDRESS_RULE),
         }
     }
 }

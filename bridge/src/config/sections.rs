@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::url::{Mqtt, Nats, ServerUrl};
 use super::values::{ByteSize, Name, Period};
@@ -13,11 +14,12 @@ use crate::secret::{Secret, SecretError};
 
 /// The bridge itself.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, default, expecting = "a table is expected")]
+#[serde(deny_unknown_fields, default, expecting = "a table")]
 pub struct BridgeSection {
     /// The name of the bridge in topics. Default: the name of the host.
     pub id: Name,
     /// The address of page, metrics and health: loopback unless told otherwise.
+    #[serde(deserialize_with = "address")]
     #[schemars(with = "String")]
     pub http: SocketAddr,
     /// The file with the token of everything that writes over HTTP; without it nothing writes.
@@ -52,7 +54,7 @@ pub(crate) const TOKEN_VARIABLE: &str = "FATEK_BRIDGE_HTTP_TOKEN";
 
 /// The buffer between the PLCs and the outputs.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, default, expecting = "a table is expected")]
+#[serde(deny_unknown_fields, default, expecting = "a table")]
 pub struct BufferSection {
     /// The folder of the file, relative to `$STATE_DIRECTORY`; without it the buffer is in memory alone.
     pub dir: Option<PathBuf>,
@@ -80,7 +82,7 @@ impl Default for BufferSection {
 
 /// The output to an MQTT broker, version 5.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, expecting = "a table is expected")]
+#[serde(deny_unknown_fields, expecting = "a table")]
 pub struct MqttSection {
     /// `mqtt://HOST[:PORT]`, or `mqtts://` with TLS. Default port: 1883, with TLS 8883.
     pub url: ServerUrl<Mqtt>,
@@ -119,7 +121,7 @@ pub(crate) const PASSWORD_VARIABLE: &str = "FATEK_BRIDGE_MQTT_PASSWORD";
 
 /// The output to NATS JetStream.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, expecting = "a table is expected")]
+#[serde(deny_unknown_fields, expecting = "a table")]
 pub struct NatsSection {
     /// `nats://HOST[:PORT]`, or `tls://`. Default port: 4222.
     pub url: ServerUrl<Nats>,
@@ -157,12 +159,12 @@ pub(crate) const CREDENTIALS_VARIABLE: &str = "FATEK_BRIDGE_NATS_CREDS";
 
 /// The output to stdout: lines of JSON, for trying and for pipes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, expecting = "a table is expected")]
+#[serde(deny_unknown_fields, expecting = "a table")]
 pub struct StdoutSection {}
 
 /// Several bridges share the PLCs. This version checks the section and does not run it.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, expecting = "a table is expected")]
+#[serde(deny_unknown_fields, expecting = "a table")]
 pub struct FleetSection {
     /// The name of the fleet, in place of that of the bridge in topics.
     pub id: Name,
@@ -176,6 +178,14 @@ pub struct FleetSection {
     #[serde(default = "default_weight")]
     #[schemars(range(min = 1, max = 1000))]
     pub weight: u32,
+}
+
+/// The rule of `bridge.http`.
+pub(super) const ADDRESS_RULE: &str = "it is an address with a port, such as 127.0.0.1:9187";
+
+fn address<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SocketAddr, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    text.parse().map_err(|_| D::Error::custom(ADDRESS_RULE))
 }
 
 fn default_prefix() -> Name {

@@ -14,17 +14,39 @@ pub(super) fn known_keys(key: &str, known: &[&str]) -> String {
     }
 }
 
-/// The text of a fault that serde has found, for this path of keys.
+/// The rule of a fault that serde has found.
 ///
-/// Serde names the keys of a section in backquotes: first the unknown one, and then those that are known.
+/// Serde names the keys of a section in backquotes: first the unknown one, and then those that are known. Of a
+/// value of another kind it names that kind and the value, which is left out: it can be a secret.
 pub(super) fn of_serde(message: &str) -> String {
-    if !message.starts_with("unknown field") {
-        return excerpt(message).to_string();
+    if message.starts_with("unknown field") {
+        let mut quoted = message.split('`').skip(1).step_by(2);
+        let key = quoted.next().unwrap_or_default();
+        let known: Vec<&str> = quoted.collect();
+        return known_keys(key, &known);
     }
-    let mut quoted = message.split('`').skip(1).step_by(2);
-    let key = quoted.next().unwrap_or_default();
-    let known: Vec<&str> = quoted.collect();
-    known_keys(key, &known)
+    let Some((found, expected)) = message.strip_prefix("invalid ").and_then(|rest| rest.rsplit_once(", expected "))
+    else {
+        return excerpt(message).to_string();
+    };
+    let expected = match expected {
+        "a string" | "path string" => "a text",
+        "a boolean" => "true or false",
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number",
+        other => other,
+    };
+    let kinds = [
+        ("type: string", "a text"),
+        ("type: integer", "a number"),
+        ("type: floating point", "a number with decimals"),
+        ("type: boolean", "true or false"),
+        ("type: sequence", "a list"),
+        ("type: map", "a table"),
+    ];
+    match kinds.iter().find(|(kind, _)| found.starts_with(kind)) {
+        Some((_, kind)) => format!("{expected} is expected, and this is {kind}"),
+        None => format!("{expected} is expected"),
+    }
 }
 
 /// The known text that is close to this one: at most a third of it is different.
@@ -61,6 +83,21 @@ mod tests {
         let message = "unknown field `usr`, expected one of `url`, `user`";
         assert_eq!(of_serde(message), "the key is unknown; did you mean `user`? (known: url user)");
         assert_eq!(of_serde("unknown field `x`, there are no fields"), "the key is unknown: the section has none");
-        assert_eq!(of_serde("invalid type"), "invalid type");
+        assert_eq!(of_serde("a size is a number"), "a size is a number");
+    }
+
+    #[test]
+    fn values_of_another_kind_are_named_without_the_value() {
+        for (message, rule) in [
+            ("invalid type: integer `5`, expected a string", "a text is expected, and this is a number"),
+            (
+                "invalid type: string \"hunter2, expected x\", expected a boolean",
+                "true or false is expected, and this is a text",
+            ),
+            ("invalid type: sequence, expected a table", "a table is expected, and this is a list"),
+            ("invalid value: integer `-1`, expected u32", "a whole number is expected"),
+        ] {
+            assert_eq!(of_serde(message), rule);
+        }
     }
 }

@@ -89,7 +89,7 @@ fn all_faults_are_reported_with_file_line_key_and_rule() {
     let all = faults(text);
     let expected = [
         "line 2, bridge.id: a name has 1 to 64 of the characters",
-        "line 3, bridge.http: invalid socket address",
+        "line 3, bridge.http: it is an address with a port, such as 127.0.0.1:9187",
         "line 4, bridge.buffer.mem: the key is unknown (known: dir max max_age memory sync)",
         "line 4, bridge.buffer.max_age: a time is a number with a unit",
         "line 6, mqtt.url: the URL has no user and no password: they are in user and password_file",
@@ -123,8 +123,13 @@ fn keys_that_do_not_fit_together_are_faults() {
         ),
         ("[mqtt]\nurl = 'mqtt://a'\npassword_file = 'p'\n", "line 7, mqtt.password_file: it needs user"),
         ("[bridge]\nbuffer.memory = '0B'\n", "line 6, bridge.buffer.memory: it is more than 0"),
+        (
+            "[mqtt]\nurl = 'mqtt://a'\nwrite = 'yes'\n",
+            "line 7, mqtt.write: true or false is expected, and this is a text",
+        ),
+        ("[bridge]\nid = 5\n", "line 6, bridge.id: a text is expected, and this is a number"),
         ("[nats]\nurl = 'mqtt://a'\n", "line 6, nats.url: the scheme is nats, or tls with TLS, and not mqtt"),
-        ("[stdout]\nx = 1\n", "line 6, stdout.x: the key is unknown: the section has none"),
+        ("[stdout]\nx = true\n", "line 6, stdout.x: the key is unknown: the section has none"),
     ] {
         assert_eq!(of(text), fault);
     }
