@@ -9,19 +9,38 @@
 //!           └ removed              └ cursor of a slow output      └ cursor of a fast one
 //! ```
 //!
+//! Batches are in memory first. One without an acknowledgement for half a second is written to disk, so that
+//! a crash loses at most one second; with `sync` an output gets only what is on disk. What does not fit into
+//! memory is read back from disk when an output needs it.
+//!
 //! Invariants:
-//! - positions grow by one with each batch, and are never used again, also after a restart;
+//! - positions grow by one with each batch, by more at a start, and are never used again;
 //! - a cursor yields positions in order; after a rewind it begins behind the last acknowledged one;
 //! - a batch is in the buffer while an output has not acknowledged it, unless it was dropped and counted.
+//!
+//! Parts: the state machine without I/O and clocks (`log`, `jobs`, `chunk`), the format (`record`), the file
+//! (`disk`) and the thread that writes it (`storage`).
 
+mod chunk;
+mod disk;
+mod jobs;
 mod log;
+#[cfg(test)]
+mod model;
+mod record;
+mod restore;
+mod settings;
+mod storage;
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
+use std::time::Duration;
 
-use tokio::sync::Notify;
+use tokio::sync::watch;
 
-use self::log::Log;
+use self::log::{Limits, Log};
+pub use self::settings::{BufferError, BufferSettings};
+use self::storage::Shared;
 use crate::batch::Batch;
 
 /// A batch in the buffer.
@@ -44,17 +63,52 @@ pub struct CursorStats {
     pub dropped: u64,
 }
 
-/// The buffer; cheap to clone.
+/// Figures of the buffer.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BufferStats {
+    /// The batches that an output lacks.
+    pub batches: u64,
+    /// The age of the oldest of them.
+    pub oldest_age: Option<Duration>,
+    /// The bytes of batches in memory.
+    pub memory_bytes: u64,
+    /// The bytes of batches on disk, in whole pages.
+    pub disk_bytes: u64,
+    /// The length of the file.
+    pub file_bytes: u64,
+    /// The share of the disk's limit that is used, or of the memory's without a disk: 0 to 1.
+    pub fill: f64,
+    /// Batches that were written to disk.
+    pub spilled_batches: u64,
+    /// Reads and writes that failed.
+    pub disk_errors: u64,
+    /// Files that were damaged and moved aside.
+    pub corrupt_files: u64,
+    /// Batches that could not be read back.
+    pub corrupt_batches: u64,
+    /// Why the disk does not take batches, if it does not.
+    pub failure: Option<String>,
+}
+
+/// The buffer; cheap to clone. The storage thread ends with the last clone.
 #[derive(Clone, Debug)]
 pub struct Buffer {
     shared: Arc<Shared>,
+    /// Of a buffer with a disk.
+    closer: Option<Arc<Closer>>,
 }
 
+/// Ends the storage thread.
 #[derive(Debug)]
-struct Shared {
-    log: Mutex<Log>,
-    /// Wakes the outputs.
-    pushed: Notify,
+struct Closer {
+    shared: Arc<Shared>,
+    ended: watch::Receiver<bool>,
+}
+
+impl Drop for Closer {
+    fn drop(&mut self) {
+        self.shared.start_closing();
+    }
 }
 
 /// The cursor of an output.
@@ -65,16 +119,33 @@ pub struct Cursor {
 }
 
 impl Buffer {
+    /// Opens a buffer for these outputs, with what an earlier run has left there. Blocks: it reads the whole
+    /// file and verifies it.
+    ///
+    /// An output goes on where the output of the same name stopped; a new one begins with the oldest batch.
+    /// A damaged file is moved aside, and the buffer begins empty.
+    ///
+    /// # Errors
+    /// [`BufferError`] if another process has it open, or if the folder or the file cannot be used.
+    pub fn open(settings: &BufferSettings, outputs: &[&str]) -> Result<Self, BufferError> {
+        restore::open(settings, outputs, disk::Disk::opener())
+    }
+
     /// Makes a buffer in memory for these outputs. `memory`: the limit in bytes.
     #[must_use]
     pub fn in_memory(outputs: usize, memory: usize) -> Self {
-        Self { shared: Arc::new(Shared { log: Mutex::new(Log::new(outputs, memory)), pushed: Notify::new() }) }
+        let log = Log::in_memory(outputs, Limits { memory, max_age: None });
+        Self { shared: Arc::new(Shared::new(log, 0)), closer: None }
     }
 
-    /// Appends a batch and returns its position.
+    /// Appends a batch and returns its position. Never waits for the disk.
     pub fn push(&self, batch: Batch) -> u64 {
-        let position = lock(&self.shared.log).push(batch);
-        self.shared.pushed.notify_waiters();
+        let now = self.shared.now();
+        let mut state = self.shared.lock();
+        let position = state.log.push(batch, now);
+        self.shared.wake_storage(&mut state);
+        drop(state);
+        self.shared.changed.notify_waiters();
         position
     }
 
@@ -87,19 +158,38 @@ impl Buffer {
     /// The figures of each output.
     #[must_use]
     pub fn stats(&self) -> Vec<CursorStats> {
-        lock(&self.shared.log).stats()
+        self.shared.lock().log.stats()
+    }
+
+    /// The figures of the buffer.
+    #[must_use]
+    pub fn figures(&self) -> BufferStats {
+        let now = self.shared.now();
+        self.shared.lock().log.figures(now)
     }
 
     /// The bytes in memory.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        lock(&self.shared.log).bytes()
+        self.shared.lock().log.bytes()
     }
 
     /// The sequence numbers behind the last batch of each PLC.
     #[must_use]
     pub fn next_seqs(&self) -> HashMap<Arc<str>, u64> {
-        lock(&self.shared.log).next_seqs()
+        self.shared.lock().log.next_seqs()
+    }
+
+    /// Writes all that is not acknowledged to disk, within a limited time, and closes the file. Returns
+    /// whether all is there; `true` for a buffer in memory. Batches that are pushed later are in memory alone.
+    pub async fn close(&self) -> bool {
+        let Some(closer) = &self.closer else { return true };
+        self.shared.start_closing();
+        let mut ended = closer.ended.clone();
+        // A disk that does not answer at all is given up.
+        let limit = storage::CLOSE_WITHIN.saturating_add(Duration::from_secs(5));
+        let waited = tokio::time::timeout(limit, ended.wait_for(|ended| *ended)).await;
+        matches!(waited, Ok(Ok(_))) && self.shared.lock().log.is_written()
     }
 }
 
@@ -110,33 +200,33 @@ impl Cursor {
     pub async fn next(&mut self, max: usize) -> Vec<Entry> {
         loop {
             // Created before the look, so that a push in between wakes it.
-            let pushed = self.shared.pushed.notified();
-            let entries = lock(&self.shared.log).read(self.output, max);
+            let changed = self.shared.changed.notified();
+            let entries = {
+                let mut state = self.shared.lock();
+                let entries = state.log.read(self.output, max);
+                self.shared.wake_storage(&mut state);
+                entries
+            };
             if !entries.is_empty() {
                 return entries;
             }
-            pushed.await;
+            changed.await;
         }
     }
 
     /// Marks all batches up to this position as delivered.
     pub fn acknowledge(&mut self, position: u64) {
-        lock(&self.shared.log).acknowledge(self.output, position);
+        self.shared.lock().log.acknowledge(self.output, position);
     }
 
     /// Begins again behind the last acknowledged batch, after a connection was lost.
     pub fn rewind(&mut self) {
-        lock(&self.shared.log).rewind(self.output);
+        self.shared.lock().log.rewind(self.output);
     }
 
     /// Returns whether all batches are acknowledged.
     #[must_use]
     pub fn is_drained(&self) -> bool {
-        lock(&self.shared.log).stats().get(self.output).is_none_or(|stats| stats.lag == 0)
+        self.shared.lock().log.stats().get(self.output).is_none_or(|stats| stats.lag == 0)
     }
-}
-
-/// Locks a mutex, poisoned or not: no code under this lock leaves its data inconsistent.
-fn lock(log: &Mutex<Log>) -> MutexGuard<'_, Log> {
-    log.lock().unwrap_or_else(PoisonError::into_inner)
 }

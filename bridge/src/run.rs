@@ -31,7 +31,7 @@ use self::outputs::Outputs;
 pub use self::reload::ReloadError;
 use self::service::Service;
 use crate::batch::Batch;
-use crate::buffer::Buffer;
+use crate::buffer::{Buffer, BufferError, BufferSettings};
 use crate::collect::Collector;
 use crate::config::Config;
 use crate::output::Health;
@@ -66,6 +66,9 @@ pub enum RunError {
     /// A PLC cannot be polled.
     #[error(transparent)]
     Add(#[from] AddError),
+    /// The buffer cannot be opened.
+    #[error(transparent)]
+    Buffer(#[from] BufferError),
     /// A signal handler cannot be installed.
     #[error("cannot start: {0}")]
     Start(#[from] io::Error),
@@ -128,8 +131,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let service = Service::new();
     let poller = Poller::new();
     let names = config.outputs();
-    let memory = usize::try_from(config.bridge.buffer.memory.0).unwrap_or(usize::MAX);
-    let buffer = Buffer::in_memory(names.len(), memory);
+    let buffer = open_buffer(&config, names.clone()).await?;
     let (live, _) = broadcast::channel(LIVE_CAPACITY);
     let bridge = Bridge {
         registry: Registry::default(),
@@ -167,4 +169,11 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let collector = ended.is_ok().then_some(collector);
     drain::drain(&bridge, outputs, collector, &mut signals).await;
     ended
+}
+
+/// Opens the buffer. That reads the whole file, so it has a thread of its own.
+async fn open_buffer(config: &Config, outputs: Vec<&'static str>) -> Result<Buffer, RunError> {
+    let settings = BufferSettings::of(&config.bridge.buffer);
+    let opened = tokio::task::spawn_blocking(move || Buffer::open(&settings, &outputs)).await;
+    Ok(opened.map_err(|_| RunError::Panicked("buffer"))??)
 }

@@ -1,67 +1,200 @@
-//! The log of batches in memory, with the cursors of the outputs. No I/O, and no clock.
+//! The log of batches with the cursors of the outputs: which batches are in memory, which on disk, and what
+//! is dropped. No I/O, and no clock: callers pass the time, and [`super::jobs`] has the work for the disk.
+//!
+//! ```text
+//!            chunks (on disk)                   slots (in memory)
+//! [acknowledged by all … first ──────────────── slots.front ──── durable_end ── in flight ── end]
+//!    removed             │ read back on demand  │ on disk, too  │ being written │ not on disk
+//! ```
+//!
+//! Times are milliseconds of the buffer's time: it goes on while the bridge runs, whatever the clock does.
+//!
+//! Invariants:
+//! - each batch that an output lacks is in `slots`, in `chunks` or in both, unless it was counted as dropped;
+//! - all batches at or behind the first slot are in `slots`: chunks behind it are copies;
+//! - batches before `durable_end` that are left are in `chunks`;
+//! - `bytes` is at most `limits.memory`, plus one batch.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
+use std::time::Duration;
 
-use super::{CursorStats, Entry};
+use super::chunk::Chunk;
+use super::jobs::{Counters, DiskState};
+use super::{BufferStats, CursorStats, Entry};
 use crate::batch::Batch;
 
-/// Batches with consecutive positions.
-#[derive(Debug)]
-pub(super) struct Log {
-    /// The position of the first batch in `batches`.
-    first: u64,
-    batches: VecDeque<Arc<Batch>>,
-    bytes: usize,
-    max_bytes: usize,
-    cursors: Vec<CursorState>,
-    next_seqs: HashMap<Arc<str>, u64>,
+/// The PLCs whose sequence numbers are kept. Numbers begin with the time of a start, so the smallest is of
+/// the PLC that was removed first.
+const MAX_PLCS: usize = 16_384;
+
+/// A batch in memory.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Slot {
+    pub(super) position: u64,
+    /// When it was pushed.
+    pub(super) pushed: u64,
+    pub(super) batch: Arc<Batch>,
 }
 
+/// The limits of a log.
 #[derive(Clone, Copy, Debug)]
-struct CursorState {
+pub(super) struct Limits {
+    /// The bytes of all slots.
+    pub(super) memory: usize,
+    /// The largest age of a batch.
+    pub(super) max_age: Option<u64>,
+}
+
+/// Batches by position, with the cursors.
+#[derive(Debug)]
+pub(super) struct Log {
+    pub(super) limits: Limits,
+    pub(super) slots: VecDeque<Slot>,
+    /// The sizes of all slots.
+    pub(super) bytes: usize,
+    /// The position of the next batch.
+    pub(super) end: u64,
+    /// Batches before this position are of an earlier run.
+    pub(super) run_first: u64,
+    pub(super) cursors: Vec<CursorState>,
+    pub(super) next_seqs: HashMap<Arc<str>, u64>,
+    /// The disk, if there is one.
+    pub(super) disk: Option<DiskState>,
+}
+
+/// The state of an output.
+#[derive(Debug)]
+pub(super) struct CursorState {
+    /// The name of the output.
+    pub(super) name: Arc<str>,
     /// All batches before this position are acknowledged or dropped.
-    acknowledged: u64,
-    /// The position that is read next.
-    next: u64,
+    pub(super) acknowledged: u64,
+    /// No batch before this position is read next.
+    pub(super) next: u64,
     /// Batches before this position were read before.
-    read: u64,
-    dropped: u64,
+    pub(super) read: u64,
+    pub(super) dropped: u64,
+    pub(super) ahead: ReadAhead,
+}
+
+/// Batches that were read back from disk for an output.
+#[derive(Debug, Default)]
+pub(super) struct ReadAhead {
+    pub(super) slots: VecDeque<Slot>,
+    pub(super) bytes: usize,
+    /// The position behind the last chunk that was read back.
+    pub(super) end: u64,
+    /// The output needs more.
+    pub(super) is_wanted: bool,
+    /// The position from which chunks are being read.
+    pub(super) loading: Option<u64>,
+}
+
+impl CursorState {
+    /// Of an output that has acknowledged all before this position.
+    pub(super) fn new(name: Arc<str>, acknowledged: u64) -> Self {
+        let (next, read) = (acknowledged, acknowledged);
+        Self { name, acknowledged, next, read, dropped: 0, ahead: ReadAhead::default() }
+    }
+
+    /// Moves behind batches that are not there any more.
+    pub(super) fn skip_to(&mut self, position: u64) {
+        self.acknowledged = self.acknowledged.max(position);
+        self.next = self.next.max(self.acknowledged);
+        self.read = self.read.max(self.acknowledged);
+    }
+}
+
+impl ReadAhead {
+    /// Forgets what was read back, and what is being read.
+    pub(super) fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    fn pop(&mut self) -> Option<Slot> {
+        let slot = self.slots.pop_front()?;
+        self.bytes = self.bytes.saturating_sub(slot.batch.size());
+        Some(slot)
+    }
 }
 
 impl Log {
-    pub(super) fn new(outputs: usize, max_bytes: usize) -> Self {
-        let cursor = CursorState { acknowledged: 1, next: 1, read: 1, dropped: 0 };
-        let cursors = vec![cursor; outputs];
-        Self { first: 1, batches: VecDeque::new(), bytes: 0, max_bytes, cursors, next_seqs: HashMap::new() }
+    /// A log in memory alone.
+    pub(super) fn in_memory(outputs: usize, limits: Limits) -> Self {
+        let cursors = (0..outputs).map(|_| CursorState::new("".into(), 1)).collect();
+        Self {
+            limits,
+            slots: VecDeque::new(),
+            bytes: 0,
+            end: 1,
+            run_first: 1,
+            cursors,
+            next_seqs: HashMap::new(),
+            disk: None,
+        }
     }
 
-    pub(super) fn push(&mut self, batch: Batch) -> u64 {
-        self.next_seqs.insert(batch.plc.clone(), batch.seq.saturating_add(1));
-        let position = self.end();
-        self.bytes = self.bytes.saturating_add(batch.size());
-        self.batches.push_back(Arc::new(batch));
-        // The newest stays, however large it is.
-        while self.bytes > self.max_bytes && self.batches.len() > 1 {
-            self.drop_oldest();
+    /// Appends a batch and returns its position.
+    pub(super) fn push(&mut self, batch: Batch, now: u64) -> u64 {
+        let next_seq = batch.seq.saturating_add(1);
+        match self.next_seqs.get_mut(&batch.plc) {
+            Some(known) => *known = next_seq,
+            None => self.insert_next_seq(batch.plc.clone(), next_seq),
         }
+        let position = self.end;
+        self.end = self.end.saturating_add(1);
+        let size = batch.size();
+        self.bytes = self.bytes.saturating_add(size);
+        if let Some(disk) = &mut self.disk {
+            disk.unspilled = disk.unspilled.saturating_add(size);
+        }
+        self.slots.push_back(Slot { position, pushed: now, batch: Arc::new(batch) });
+        self.evict();
+        self.expire(now);
         self.remove_acknowledged();
         position
     }
 
+    /// The batches that an output reads next, at most `max`. None if there are none, or if they have to be
+    /// read back from disk first; then [`Self::is_load_wanted`].
     pub(super) fn read(&mut self, output: usize, max: usize) -> Vec<Entry> {
-        let (first, end) = (self.first, self.end());
+        let visible = self.visible_end();
+        let on_disk_before = self.slots.front().map_or(self.end, |slot| slot.position);
         let Some(cursor) = self.cursors.get_mut(output) else { return Vec::new() };
-        let begin = cursor.next;
-        let until = begin.saturating_add(u64::try_from(max).unwrap_or(u64::MAX)).min(end);
-        let already_read = cursor.read;
-        let entry = |position: u64| {
-            let at = usize::try_from(position.checked_sub(first)?).ok()?;
-            Some(Entry { position, batch: self.batches.get(at)?.clone(), replay: position < already_read })
+        let (run_first, already_read) = (self.run_first, cursor.read);
+        let entry = |slot: Slot| {
+            let replay = slot.position < already_read || slot.position < run_first;
+            Entry { position: slot.position, batch: slot.batch, replay }
         };
-        let entries: Vec<Entry> = (begin..until).filter_map(entry).collect();
-        cursor.next = until.max(begin);
-        cursor.read = cursor.read.max(cursor.next);
+        let mut entries = Vec::new();
+        while entries.len() < max
+            && let Some(slot) = cursor.ahead.pop()
+        {
+            // Dropped since it was read back.
+            if slot.position >= cursor.next {
+                cursor.next = slot.position.saturating_add(1);
+                entries.push(entry(slot));
+            }
+        }
+        if cursor.ahead.slots.is_empty() {
+            cursor.next = cursor.next.max(cursor.ahead.end);
+        }
+        let from = cursor.next.max(cursor.ahead.end);
+        let is_on_disk = self.disk.as_ref().is_some_and(|disk| disk.chunks.count(from, on_disk_before) > 0);
+        if is_on_disk {
+            let low = self.disk.as_ref().map_or(0, |disk| disk.limits.read_ahead / 2);
+            let is_low = cursor.ahead.bytes < low || cursor.ahead.slots.is_empty();
+            cursor.ahead.is_wanted = is_low && cursor.ahead.loading.is_none();
+        } else if cursor.ahead.slots.is_empty() && entries.len() < max {
+            let begin = self.slots.partition_point(|slot| slot.position < cursor.next);
+            let slots = self.slots.range(begin..).take_while(|slot| slot.position < visible);
+            entries.extend(slots.take(max.saturating_sub(entries.len())).cloned().map(entry));
+        }
+        if let Some(last) = entries.last() {
+            cursor.next = cursor.next.max(last.position.saturating_add(1));
+            cursor.read = cursor.read.max(cursor.next);
+        }
         entries
     }
 
@@ -69,8 +202,13 @@ impl Log {
         if let Some(cursor) = self.cursors.get_mut(output) {
             // A position that was not read cannot have been delivered.
             let up_to = position.saturating_add(1).min(cursor.read);
-            cursor.acknowledged = cursor.acknowledged.max(up_to);
-            cursor.next = cursor.next.max(cursor.acknowledged);
+            if up_to > cursor.acknowledged {
+                cursor.acknowledged = up_to;
+                cursor.next = cursor.next.max(up_to);
+                if let Some(disk) = &mut self.disk {
+                    disk.is_changed |= !disk.chunks.is_empty();
+                }
+            }
         }
         self.remove_acknowledged();
     }
@@ -78,57 +216,234 @@ impl Log {
     pub(super) fn rewind(&mut self, output: usize) {
         if let Some(cursor) = self.cursors.get_mut(output) {
             cursor.next = cursor.acknowledged;
+            cursor.ahead.clear();
         }
     }
 
+    /// Returns whether an output waits for batches from disk.
+    pub(super) fn is_load_wanted(&self) -> bool {
+        self.cursors.iter().any(|cursor| cursor.ahead.is_wanted && cursor.ahead.loading.is_none())
+    }
+
     pub(super) fn stats(&self) -> Vec<CursorStats> {
-        let end = self.end();
-        let stats = |cursor: &CursorState| CursorStats {
-            lag: end.saturating_sub(cursor.acknowledged),
-            dropped: cursor.dropped,
-        };
+        let stats =
+            |cursor: &CursorState| CursorStats { lag: self.count_from(cursor.acknowledged), dropped: cursor.dropped };
         self.cursors.iter().map(stats).collect()
     }
 
+    /// The number of batches at or behind a position.
+    pub(super) fn count_from(&self, position: u64) -> u64 {
+        let in_memory = self.slots.len().saturating_sub(self.slots.partition_point(|slot| slot.position < position));
+        let front = self.slots.front().map_or(self.end, |slot| slot.position);
+        let on_disk = self.disk.as_ref().map_or(0, |disk| disk.chunks.count(position, front.max(position)));
+        on_disk.saturating_add(u64::try_from(in_memory).unwrap_or(u64::MAX))
+    }
+
+    /// When the oldest batch was pushed.
+    pub(super) fn oldest(&self) -> Option<u64> {
+        let chunk = self.disk.as_ref().and_then(|disk| disk.chunks.front());
+        chunk.map(|chunk| chunk.oldest).or_else(|| self.slots.front().map(|slot| slot.pushed))
+    }
+
+    /// The bytes in memory: slots, and batches that were read back.
     pub(super) fn bytes(&self) -> usize {
-        self.bytes
+        self.cursors.iter().fold(self.bytes, |bytes, cursor| bytes.saturating_add(cursor.ahead.bytes))
+    }
+
+    pub(super) fn figures(&self, now: u64) -> BufferStats {
+        let bytes = |bytes: usize| u64::try_from(bytes).unwrap_or(u64::MAX);
+        let oldest = self.cursors.iter().map(|cursor| cursor.acknowledged).min().unwrap_or(self.end);
+        let age = |pushed: u64| Duration::from_millis(now.saturating_sub(pushed));
+        let mut stats = BufferStats {
+            batches: self.count_from(oldest),
+            oldest_age: self.oldest().map(age),
+            memory_bytes: bytes(self.bytes()),
+            fill: share(bytes(self.bytes), bytes(self.limits.memory)),
+            ..BufferStats::default()
+        };
+        if let Some(disk) = &self.disk {
+            let Counters { errors, corrupt_files, corrupt_batches, spilled_batches } = disk.counters;
+            stats.disk_bytes = disk.chunks.cost();
+            stats.file_bytes = disk.file_len;
+            stats.fill = share(disk.chunks.cost(), disk.limits.max);
+            stats.spilled_batches = spilled_batches;
+            stats.disk_errors = errors;
+            stats.corrupt_files = corrupt_files;
+            stats.corrupt_batches = corrupt_batches;
+            stats.failure = self.failure().map(str::to_owned);
+        }
+        stats
     }
 
     pub(super) fn next_seqs(&self) -> HashMap<Arc<str>, u64> {
         self.next_seqs.clone()
     }
 
-    /// The position of the next batch.
-    fn end(&self) -> u64 {
-        self.first.saturating_add(u64::try_from(self.batches.len()).unwrap_or(u64::MAX))
+    /// Adds a PLC. The one without a batch for the longest is forgotten if there are too many.
+    fn insert_next_seq(&mut self, plc: Arc<str>, next_seq: u64) {
+        if self.next_seqs.len() >= MAX_PLCS
+            && let Some(oldest) = self.next_seqs.iter().min_by_key(|(_, seq)| **seq).map(|(plc, _)| plc.clone())
+        {
+            self.next_seqs.remove(&oldest);
+        }
+        self.next_seqs.insert(plc, next_seq);
     }
 
-    fn drop_oldest(&mut self) {
-        let position = self.first;
-        self.remove_first();
-        for cursor in &mut self.cursors {
-            if cursor.acknowledged <= position {
-                cursor.acknowledged = position.saturating_add(1);
-                cursor.dropped = cursor.dropped.saturating_add(1);
+    /// The position up to which outputs may read.
+    fn visible_end(&self) -> u64 {
+        match &self.disk {
+            // While the disk fails, delivery protects a batch better than memory does.
+            Some(disk) if disk.limits.sync && disk.failing.is_none() && !disk.is_closed => disk.durable_end,
+            _ => self.end,
+        }
+    }
+
+    /// Removes slots until they are within the limit: those on disk first, and then the oldest.
+    pub(super) fn evict(&mut self) {
+        while self.bytes > self.limits.memory && self.slots.len() > 1 {
+            let front = self.slots.front().map_or(self.end, |slot| slot.position);
+            if self.disk.as_ref().is_some_and(|disk| front < disk.durable_end) {
+                self.pop_slot();
+            } else if let Some(end) = self.disk.as_ref().and_then(|disk| disk.in_flight) {
+                self.drop_behind(end);
+                return;
+            } else {
+                self.drop_slot();
             }
-            cursor.next = cursor.next.max(cursor.acknowledged);
-            cursor.read = cursor.read.max(cursor.acknowledged);
         }
     }
 
-    fn remove_acknowledged(&mut self) {
-        let acknowledged = self.cursors.iter().map(|cursor| cursor.acknowledged).min().unwrap_or(self.end());
-        while self.first < acknowledged && !self.batches.is_empty() {
-            self.remove_first();
+    /// Drops batches that are too old.
+    pub(super) fn expire(&mut self, now: u64) {
+        let Some(max_age) = self.limits.max_age else { return };
+        let is_old = |pushed: u64| now.saturating_sub(pushed) > max_age;
+        while let Some(chunk) = self.disk.as_ref().and_then(|disk| disk.chunks.front()) {
+            if !is_old(chunk.newest) {
+                return;
+            }
+            self.drop_chunk();
+        }
+        // All that is written at the moment is newer than its first batch.
+        while self.slots.front().is_some_and(|slot| is_old(slot.pushed)) && self.in_flight().is_none() {
+            self.drop_slot();
         }
     }
 
-    fn remove_first(&mut self) {
-        if let Some(batch) = self.batches.pop_front() {
-            self.bytes = self.bytes.saturating_sub(batch.size());
-            self.first = self.first.saturating_add(1);
+    /// Removes the batches that all outputs have acknowledged.
+    pub(super) fn remove_acknowledged(&mut self) {
+        let acknowledged = self.cursors.iter().map(|cursor| cursor.acknowledged).min().unwrap_or(self.end);
+        while self.slots.front().is_some_and(|slot| slot.position < acknowledged) {
+            self.pop_slot();
+        }
+        while let Some(disk) = &mut self.disk
+            && disk.chunks.front().is_some_and(|chunk| chunk.end() <= acknowledged)
+        {
+            disk.chunks.pop_front();
+            disk.is_changed = true;
         }
     }
+
+    /// Drops the oldest chunk, with its copy in memory.
+    pub(super) fn drop_chunk(&mut self) {
+        let Some(disk) = &mut self.disk else { return };
+        let Some(chunk) = disk.chunks.front() else { return };
+        for cursor in &mut self.cursors {
+            let missed = disk.chunks.count(cursor.acknowledged, chunk.end());
+            cursor.dropped = cursor.dropped.saturating_add(missed);
+            cursor.skip_to(chunk.end());
+        }
+        disk.chunks.pop_front();
+        disk.is_changed = true;
+        while self.slots.front().is_some_and(|slot| slot.position < chunk.end()) {
+            self.pop_slot();
+        }
+    }
+
+    /// Drops the end of a chunk, which could not be read back: all but its first `count` batches of `len`
+    /// bytes. Returns the number of batches that are lost.
+    pub(super) fn truncate_chunk(&mut self, chunk: Chunk, count: u32, len: u32) -> u64 {
+        let Some(disk) = &mut self.disk else { return 0 };
+        let begin = chunk.first.saturating_add(count.into());
+        // Dropped or acknowledged meanwhile, or found by another output.
+        let lost = disk.chunks.count(begin, chunk.end());
+        if lost == 0 {
+            return 0;
+        }
+        for cursor in &mut self.cursors {
+            let missed = disk.chunks.count(cursor.acknowledged.max(begin), chunk.end());
+            cursor.dropped = cursor.dropped.saturating_add(missed);
+        }
+        disk.chunks.truncate(chunk.first, count, len);
+        disk.is_changed = true;
+        // Batches before `durable_end` are in chunks.
+        let copies = self.slots.partition_point(|slot| slot.position < begin)
+            ..self.slots.partition_point(|slot| slot.position < chunk.end());
+        for slot in self.slots.drain(copies) {
+            self.bytes = self.bytes.saturating_sub(slot.batch.size());
+        }
+        lost
+    }
+
+    fn in_flight(&self) -> Option<u64> {
+        self.disk.as_ref().and_then(|disk| disk.in_flight)
+    }
+
+    /// Drops the first slot, which is not on disk.
+    fn drop_slot(&mut self) {
+        let Some(slot) = self.pop_slot() else { return };
+        // Otherwise there are older batches, on disk.
+        let is_oldest = self.disk.as_ref().is_none_or(|disk| disk.chunks.is_empty());
+        for cursor in &mut self.cursors {
+            cursor.dropped = cursor.dropped.saturating_add(u64::from(cursor.acknowledged <= slot.position));
+            if is_oldest {
+                cursor.skip_to(slot.position.saturating_add(1));
+            }
+        }
+    }
+
+    /// Drops the oldest slots behind those that are being written. Several at once, since they are in the
+    /// middle of the queue.
+    fn drop_behind(&mut self, in_flight: u64) {
+        let begin = self.slots.partition_point(|slot| slot.position < in_flight);
+        let target = self.limits.memory.saturating_sub(self.limits.memory / 16);
+        let mut bytes = self.bytes;
+        let newest = self.slots.len().saturating_sub(1);
+        let too_much = |slot: &&Slot| {
+            let is_too_much = bytes > target;
+            bytes = bytes.saturating_sub(slot.batch.size());
+            is_too_much
+        };
+        let candidates = self.slots.range(begin.min(newest)..newest);
+        let count = candidates.take_while(too_much).count();
+        for slot in self.slots.drain(begin.min(newest)..begin.min(newest).saturating_add(count)) {
+            let size = slot.batch.size();
+            self.bytes = self.bytes.saturating_sub(size);
+            if let Some(disk) = &mut self.disk {
+                disk.unspilled = disk.unspilled.saturating_sub(size);
+            }
+            for cursor in &mut self.cursors {
+                cursor.dropped = cursor.dropped.saturating_add(u64::from(cursor.acknowledged <= slot.position));
+            }
+        }
+    }
+
+    fn pop_slot(&mut self) -> Option<Slot> {
+        let slot = self.slots.pop_front()?;
+        let size = slot.batch.size();
+        self.bytes = self.bytes.saturating_sub(size);
+        if let Some(disk) = &mut self.disk
+            && slot.position >= disk.durable_end
+        {
+            disk.unspilled = disk.unspilled.saturating_sub(size);
+        }
+        Some(slot)
+    }
+}
+
+/// The share of a limit that is used, in steps of a thousandth.
+fn share(used: u64, limit: u64) -> f64 {
+    let thousandths = used.saturating_mul(1000).checked_div(limit).unwrap_or(0).min(1000);
+    f64::from(u16::try_from(thousandths).unwrap_or(u16::MAX)) / 1000.0
 }
 
 #[cfg(test)]
@@ -139,15 +454,19 @@ mod tests {
         Batch { plc: "mixer".into(), seq, ts: seq, samples: 1, data: "{\"level\":1}".into() }
     }
 
+    fn log(outputs: usize, memory: usize) -> Log {
+        Log::in_memory(outputs, Limits { memory, max_age: Some(1000) })
+    }
+
     fn seqs(entries: &[Entry]) -> Vec<u64> {
         entries.iter().map(|entry| entry.batch.seq).collect()
     }
 
     #[test]
     fn each_output_reads_all_batches_in_order_and_a_slow_one_keeps_them() {
-        let mut log = Log::new(2, 1 << 20);
+        let mut log = log(2, 1 << 20);
         (1..=5).for_each(|seq| {
-            log.push(batch(seq));
+            log.push(batch(seq), seq);
         });
         assert_eq!(seqs(&log.read(0, 3)), [1, 2, 3]);
         assert_eq!(seqs(&log.read(0, 9)), [4, 5]);
@@ -155,26 +474,26 @@ mod tests {
         assert_eq!(log.stats()[0].lag, 0);
         assert_eq!(seqs(&log.read(1, 9)), [1, 2, 3, 4, 5]);
         log.acknowledge(1, 2);
-        assert_eq!((log.first, log.batches.len()), (3, 3));
+        assert_eq!((log.slots[0].position, log.slots.len()), (3, 3));
         log.rewind(1);
         let again = log.read(1, 9);
         assert_eq!(seqs(&again), [3, 4, 5]);
         assert!(again.iter().all(|entry| entry.replay));
-        log.push(batch(6));
+        log.push(batch(6), 6);
         assert!(!log.read(1, 9)[0].replay);
     }
 
     #[test]
     fn a_full_log_drops_the_oldest_and_counts_it_for_those_that_lack_it() {
         let size = batch(1).size();
-        let mut log = Log::new(2, 3 * size);
+        let mut log = log(2, 3 * size);
         (1..=3).for_each(|seq| {
-            log.push(batch(seq));
+            log.push(batch(seq), seq);
         });
         log.read(0, 9);
         log.acknowledge(0, 2);
         (4..=5).for_each(|seq| {
-            log.push(batch(seq));
+            log.push(batch(seq), seq);
         });
         assert_eq!((log.stats()[0].dropped, log.stats()[1].dropped), (0, 2));
         assert_eq!(seqs(&log.read(0, 9)), [4, 5]);
@@ -184,9 +503,9 @@ mod tests {
 
     #[test]
     fn an_acknowledgement_of_what_was_not_read_has_no_effect() {
-        let mut log = Log::new(1, 1 << 20);
+        let mut log = log(1, 1 << 20);
         (1..=3).for_each(|seq| {
-            log.push(batch(seq));
+            log.push(batch(seq), seq);
         });
         log.acknowledge(0, 99);
         assert_eq!(log.stats()[0].lag, 3);
@@ -195,5 +514,28 @@ mod tests {
         assert_eq!(log.stats()[0].lag, 1);
         log.acknowledge(0, 0);
         assert_eq!(seqs(&log.read(0, 2)), [3]);
+    }
+
+    #[test]
+    fn batches_that_are_too_old_are_dropped_and_counted() {
+        let mut log = log(1, 1 << 20);
+        log.push(batch(1), 0);
+        log.push(batch(2), 600);
+        log.push(batch(3), 1000);
+        assert_eq!(log.stats()[0], CursorStats { lag: 3, dropped: 0 });
+        log.push(batch(4), 1001);
+        assert_eq!(log.stats()[0], CursorStats { lag: 3, dropped: 1 });
+        assert_eq!(seqs(&log.read(0, 9)), [2, 3, 4]);
+    }
+
+    #[test]
+    fn the_sequence_numbers_of_a_bounded_number_of_plcs_are_kept() {
+        let mut log = log(1, 1 << 20);
+        for seq in 1..=u64::try_from(MAX_PLCS).unwrap() + 3 {
+            log.push(Batch { plc: format!("plc{seq}").as_str().into(), ..batch(seq) }, seq);
+        }
+        let kept = log.next_seqs();
+        assert_eq!(kept.len(), MAX_PLCS);
+        assert!(!kept.contains_key("plc3") && kept.contains_key("plc4"));
     }
 }

@@ -34,6 +34,9 @@ pub(super) async fn drain(bridge: &Bridge, outputs: Outputs, collector: Option<J
         () = signals.end() => tracing::warn!("a second signal: the bridge ends without waiting"),
     }
     outputs.stop().await;
+    if !bridge.buffer.close().await {
+        tracing::error!("the buffer was not written: batches that were not delivered are lost");
+    }
     if timeout(CLOSE, bridge.pool.close()).await.is_err() {
         tracing::warn!("a link did not close within {CLOSE:?}");
     }

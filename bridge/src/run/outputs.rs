@@ -76,7 +76,9 @@ impl Outputs {
         let Some(number) = bridge.outputs.iter().position(|health| health.name() == name) else { return };
         let Some(health) = bridge.outputs.get(number).cloned() else { return };
         let stop = CancellationToken::new();
-        let cursor = bridge.buffer.cursor(number);
+        let mut cursor = bridge.buffer.cursor(number);
+        // An earlier task may have read batches that it did not deliver.
+        cursor.rewind();
         let task = match name {
             "stdout" => self.tasks.spawn(stdout::run(cursor, health, stop.clone())),
             // The configuration knows no other output.
