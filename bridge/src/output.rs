@@ -1,6 +1,7 @@
 //! Outputs: each is a task that delivers the batches of its cursor, and acknowledges what its server has
 //! taken. An output that fails or waits does not hold up the others.
 
+pub mod mqtt;
 pub mod stdout;
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use crate::registry::PolledPlc;
 
-/// Whether a PLC answers.
+/// Availability of a PLC, with the reason and the round trip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlcState {
     /// `true` if it has answered and its link is not down.

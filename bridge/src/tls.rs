@@ -122,12 +122,14 @@ fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
 fn private_key(path: &Path) -> Result<PrivateKeyDer<'static>, TlsError> {
     const ENCRYPTED: &[u8] = b"BEGIN ENCRYPTED PRIVATE KEY";
     let text = read(path)?;
-    PrivateKeyDer::from_pem_slice(&text).map_err(|error| match error {
-        PemError::NoItemsFound if text.windows(ENCRYPTED.len()).any(|part| part == ENCRYPTED) => {
+    PrivateKeyDer::from_pem_slice(&text).map_err(|error| {
+        if !matches!(error, PemError::NoItemsFound) {
+            fault(path, pem_rule(&error))
+        } else if text.windows(ENCRYPTED.len()).any(|part| part == ENCRYPTED) {
             fault(path, "the key has a passphrase: use one without, readable by the bridge alone")
+        } else {
+            fault(path, "there is no private key in the file (BEGIN PRIVATE KEY)")
         }
-        PemError::NoItemsFound => fault(path, "there is no private key in the file (BEGIN PRIVATE KEY)"),
-        error => fault(path, pem_rule(&error)),
     })
 }
 
@@ -142,8 +144,8 @@ fn pem_rule(error: &PemError) -> &'static str {
         PemError::IllegalSectionStart { .. } => "a BEGIN line of PEM is malformed",
         PemError::Base64Decode(_) => "a section of PEM is not base64",
         PemError::SectionTooLarge => "a section of PEM is too large",
-        // Of a later version, besides `NoItemsFound` and errors of files, which slices do not have.
-        _ => "the file is not PEM",
+        // A slice has no errors of files, and the caller handles an empty one.
+        PemError::Io(_) | PemError::NoItemsFound | _ => "the file is not PEM",
     }
 }
 

@@ -30,6 +30,12 @@ impl Topics {
         Self { base: format!("{prefix}.{bridge}"), separator: '.' }
     }
 
+    /// The levels that all topics of the bridge begin with.
+    #[must_use]
+    pub fn base(&self) -> &str {
+        &self.base
+    }
+
     /// The state of the bridge.
     #[must_use]
     pub fn bridge_state(&self) -> String {
@@ -72,11 +78,27 @@ impl Topics {
         self.of_plc(self.wildcard(), "data")
     }
 
+    /// The filter of the states of all PLCs.
+    #[must_use]
+    pub fn all_states(&self) -> String {
+        self.of_plc(self.wildcard(), "state")
+    }
+
     /// The PLC of a topic of commands; `None`: it is not such a topic.
     #[must_use]
     pub fn plc_of_commands<'t>(&self, topic: &'t str) -> Option<&'t str> {
+        self.plc_in(topic, "cmd")
+    }
+
+    /// The PLC of a topic of states; `None`: it is not such a topic.
+    #[must_use]
+    pub fn plc_of_state<'t>(&self, topic: &'t str) -> Option<&'t str> {
+        self.plc_in(topic, "state")
+    }
+
+    fn plc_in<'t>(&self, topic: &'t str, last: &str) -> Option<&'t str> {
         let rest = topic.strip_prefix(self.base.as_str())?.strip_prefix(self.separator)?;
-        let plc = rest.strip_suffix("cmd")?.strip_suffix(self.separator)?;
+        let plc = rest.strip_suffix(last)?.strip_suffix(self.separator)?;
         (!plc.is_empty() && !plc.contains(self.separator)).then_some(plc)
     }
 
@@ -109,6 +131,8 @@ mod tests {
         );
         assert_eq!(nats.replies("mixer"), "fatek.hall-2.mixer.cmd.reply");
         assert_eq!(mqtt.plc_of_commands("fatek/hall-2/mixer/cmd"), Some("mixer"));
+        assert_eq!(nats.plc_of_state("fatek.hall-2.mixer.state"), Some("mixer"));
+        assert_eq!((mqtt.plc_of_state("fatek/hall-2/state"), mqtt.plc_of_state("fatek/hall-2/a/cmd")), (None, None));
         for other in [
             "fatek/hall-2/mixer/data",
             "fatek/hall-2//cmd",

@@ -98,6 +98,9 @@ pub struct MqttSection {
     /// `true`: commands are taken, for tags with `write` alone.
     #[serde(default)]
     pub write: bool,
+    /// `true`: a batch that no client has subscribed to is kept and sent again. Default: it counts as delivered.
+    #[serde(default)]
+    pub require_subscribers: bool,
     /// Certificates to trust in place of those of the system, PEM.
     pub ca_file: Option<PathBuf>,
     /// The certificate of the client, PEM; needs `key_file`.

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Bridge;
 use crate::config::Config;
-use crate::output::stdout;
+use crate::output::{mqtt, stdout};
 
 /// The time in which an output must end: it says goodbye to its server.
 const GOODBYE: Duration = Duration::from_secs(2);
@@ -81,6 +81,13 @@ impl Outputs {
         cursor.rewind();
         let task = match name {
             "stdout" => self.tasks.spawn(stdout::run(cursor, health, stop.clone())),
+            "mqtt" => {
+                let config = bridge.config();
+                let Some(section) = config.mqtt.clone() else { return };
+                let (id, registry) = (config.bridge.id.clone(), bridge.registry.clone());
+                let parts = mqtt::MqttParts { id, registry, cursor, health, commands: None, stop: stop.clone() };
+                self.tasks.spawn(mqtt::run(section, parts))
+            }
             // The configuration knows no other output.
             _ => return,
         };

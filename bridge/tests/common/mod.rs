@@ -2,3 +2,6 @@
 #![allow(dead_code, unreachable_pub)]
 
 pub mod bridge;
+pub mod deliveries;
+pub mod mosquitto;
+pub mod mqtt_broker;

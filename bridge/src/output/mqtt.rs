@@ -1,0 +1,177 @@
+//! Output to an MQTT 5 broker.
+//!
+//! ```text
+//!             ┌───────────────────── back-off ◀──────────────────────┐
+//!             ▼                                                      │ fails, or is lost
+//! start ──▶ connecting ──CONNACK──▶ session: birth, states, discovery, batches ──stop──▶ offline state
+//! ```
+//!
+//! Batches are messages with QoS 1, several in flight. A batch is acknowledged in the buffer when the broker has
+//! acknowledged it and all before it. After a loss all others are sent again, as replays. There is no session at
+//! the broker that outlives a connection: the buffer is the only memory, and commands do not wait for a client.
+//!
+//! | module | content |
+//! |---|---|
+//! | [`credentials`] | files of a connection |
+//! | `connection` | packets; the only module that uses `rumqttc` |
+//! | `session` | a connection from its CONNACK to its end |
+//! | `window` | packet ids, and the prefix of acknowledged batches |
+//! | `delivery` | batches: sent, refused, sent again |
+//! | `retained` | states and discovery messages that the broker should have |
+//! | `plcs` | PLCs of the registry as such messages |
+//! | `discovery` | entities of Home Assistant |
+//! | `commands` | topics of replies |
+//! | `subscriptions` | messages that the broker sends |
+
+mod commands;
+mod connection;
+pub mod credentials;
+mod delivery;
+mod discovery;
+mod plcs;
+mod retained;
+mod session;
+mod subscriptions;
+mod window;
+
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use bytes::Bytes;
+use serde_json::json;
+use tokio::time::{Instant, sleep};
+use tokio_util::sync::CancellationToken;
+
+use self::connection::{Client, Connection};
+use self::credentials::Credentials;
+use self::delivery::Delivery;
+use self::discovery::Discovery;
+use self::session::{Carried, End, OFFLINE, Session};
+use super::Health;
+use crate::backoff::Backoff;
+use crate::batch::milliseconds;
+use crate::buffer::Cursor;
+use crate::command::Commands;
+use crate::config::{MqttSection, Name};
+use crate::registry::Registry;
+use crate::topic::Topics;
+
+/// A connection that lasts longer than this, or delivers a batch, was good: the next delay is short.
+const GOOD: Duration = Duration::from_secs(5);
+/// The delay after another client with the same id has connected: two that do not wait would fight.
+const TAKEN_OVER: Duration = Duration::from_secs(10);
+
+/// The parts of the bridge that the output uses.
+#[derive(Debug)]
+pub struct MqttParts {
+    /// The name of the bridge.
+    pub id: Name,
+    /// The PLCs.
+    pub registry: Registry,
+    /// The batches.
+    pub cursor: Cursor,
+    /// The state of the output.
+    pub health: Arc<Health>,
+    /// Executes commands; without it none are taken.
+    pub commands: Option<Commands>,
+    /// Ends the output.
+    pub stop: CancellationToken,
+}
+
+/// The parts of an output that do not change.
+#[derive(Debug)]
+struct Shared {
+    topics: Topics,
+    discovery: Option<Discovery>,
+    registry: Registry,
+    health: Arc<Health>,
+    commands: Option<Commands>,
+    stop: CancellationToken,
+    /// `true`: a batch without a subscriber is not delivered.
+    require_subscribers: bool,
+    /// The state of the bridge while it is connected.
+    birth: Bytes,
+}
+
+/// Delivers batches, states and discovery messages until it is stopped. It connects again after each loss.
+pub async fn run(section: MqttSection, parts: MqttParts) {
+    let MqttParts { id, registry, cursor, health, commands, stop } = parts;
+    let topics = Topics::mqtt(&section.prefix, &id);
+    let client = Client {
+        id: format!("{}-{id}", section.prefix),
+        will_topic: topics.bridge_state(),
+        will: Bytes::from_static(OFFLINE),
+    };
+    let writes = commands.is_some();
+    let bridge = [section.prefix.as_str(), id.as_str()];
+    let discovery = |prefix: Name| Discovery::new(prefix, topics.clone(), bridge, writes);
+    let shared = Shared {
+        discovery: section.home_assistant.clone().map(discovery),
+        registry,
+        health: health.clone(),
+        commands,
+        stop: stop.clone(),
+        require_subscribers: section.require_subscribers,
+        birth: birth(),
+        topics,
+    };
+    let mut carried = Carried::new(Delivery::new(cursor, health.clone()));
+    let mut backoff = Backoff::default();
+    let mut was_connected = false;
+    while !stop.is_cancelled() {
+        let opened = tokio::select! {
+            opened = open(&section, &client) => opened,
+            () = stop.cancelled() => return,
+        };
+        let delay = match opened {
+            Err(failure) => {
+                report(&health, &section, &failure);
+                backoff.next_delay()
+            }
+            Ok(connection) => {
+                tracing::info!("mqtt: connected to {}", section.url);
+                health.set_connected(was_connected);
+                was_connected = true;
+                let (begin, delivered) = (Instant::now(), health.delivered());
+                let End::Lost(error) = Session::new(&shared, &mut carried, connection).run().await else { return };
+                report(&health, &section, &error.to_string());
+                if begin.elapsed() >= GOOD || health.delivered() != delivered {
+                    backoff.reset();
+                }
+                if error.is_taken_over() { TAKEN_OVER } else { backoff.next_delay() }
+            }
+        };
+        tokio::select! {
+            () = sleep(delay) => {}
+            () = stop.cancelled() => {}
+        }
+    }
+}
+
+/// Opens a connection, with the present content of the files.
+async fn open(section: &MqttSection, client: &Client) -> Result<Connection, String> {
+    let files = section.clone();
+    let credentials = match tokio::task::spawn_blocking(move || Credentials::load(&files)).await {
+        Ok(credentials) => credentials.map_err(|error| error.to_string())?,
+        // It was aborted: the runtime ends.
+        Err(error) => return Err(error.to_string()),
+    };
+    Connection::open(&section.url, credentials, client).await.map_err(|error| error.to_string())
+}
+
+/// Notes a failure, and logs it unless it is the same as before.
+fn report(health: &Health, section: &MqttSection, failure: &str) {
+    let is_news = health.is_connected() || health.failure().as_deref() != Some(failure);
+    if is_news {
+        tracing::warn!("mqtt: {}: {failure}", section.url);
+    } else {
+        tracing::debug!("mqtt: {}: {failure}", section.url);
+    }
+    health.set_failed(failure);
+}
+
+/// The state of a bridge that is connected.
+fn birth() -> Bytes {
+    let started = milliseconds(SystemTime::now());
+    json!({ "online": true, "version": env!("CARGO_PKG_VERSION"), "started": started }).to_string().into()
+}

@@ -1,0 +1,321 @@
+//! Delivery of batches: which ones may be sent, and which ones are acknowledged in the buffer. No I/O besides
+//! the buffer, and no clock.
+//!
+//! ```text
+//! Open ──a batch is refused──▶ Stopping ──none in flight, rewound──▶ Waiting ──time──▶ Probing
+//!  ▲                                                                   ▲   a refusal     │
+//!  │                                                                   └─────────────────┤
+//!  └──────────────────────────────── a batch is taken ───────────────────────────────────┘
+//! ```
+//!
+//! Invariants:
+//! - a batch is acknowledged in the buffer only when the broker has taken it and all before it, or when it was
+//!   given up and counted;
+//! - batches are sent in the order of the buffer, and again in that order after a loss or a refusal;
+//! - while the broker refuses batches, one at a time is sent, with growing delays.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use tokio::time::Instant;
+
+use super::window::Prefix;
+use crate::backoff::Backoff;
+use crate::buffer::{Cursor, Entry};
+use crate::output::Health;
+
+/// The batches that are read from the buffer at once.
+const MAX_BATCHES: usize = 64;
+
+/// The batches of a cursor, on all connections of an output.
+#[derive(Debug)]
+pub(super) struct Delivery {
+    cursor: Cursor,
+    health: Arc<Health>,
+    /// Read, and not sent yet.
+    queue: VecDeque<Entry>,
+    prefix: Prefix,
+    in_flight: usize,
+    state: State,
+    backoff: Backoff,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// Batches are sent.
+    Open,
+    /// A batch was refused: no more are sent until those in flight have an answer.
+    Stopping,
+    /// Nothing is sent until then.
+    Waiting(Instant),
+    /// One batch at a time.
+    Probing,
+}
+
+/// Why a connection was lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Loss {
+    /// Because of one of the batches in flight: the next ones are sent one at a time.
+    Suspect,
+    /// Because of the batch at this position, which was alone in flight: it is given up.
+    Guilty(u64),
+    /// For another reason.
+    Other,
+}
+
+impl Delivery {
+    pub(super) fn new(cursor: Cursor, health: Arc<Health>) -> Self {
+        Self {
+            cursor,
+            health,
+            queue: VecDeque::new(),
+            prefix: Prefix::default(),
+            in_flight: 0,
+            state: State::Open,
+            backoff: Backoff::default(),
+        }
+    }
+
+    /// Returns whether [`fetch`](Self::fetch) has something to do.
+    pub(super) fn needs_batches(&self) -> bool {
+        let is_sending = matches!(self.state, State::Open | State::Probing);
+        is_sending && self.queue.is_empty()
+    }
+
+    /// Waits for batches of the buffer. Cancel-safe.
+    pub(super) async fn fetch(&mut self) {
+        let entries = self.cursor.next(MAX_BATCHES).await;
+        self.queue.extend(entries);
+    }
+
+    /// The batch that is to be sent now.
+    pub(super) fn take(&mut self) -> Option<Entry> {
+        match self.state {
+            State::Open => {}
+            State::Probing if self.in_flight == 0 => {}
+            State::Probing | State::Stopping | State::Waiting(_) => return None,
+        }
+        let entry = self.queue.pop_front()?;
+        self.prefix.push(entry.position);
+        self.in_flight = self.in_flight.saturating_add(1);
+        Some(entry)
+    }
+
+    /// When the next attempt after a refusal is due.
+    pub(super) fn due(&self) -> Option<Instant> {
+        match self.state {
+            State::Waiting(until) => Some(until),
+            State::Open | State::Stopping | State::Probing => None,
+        }
+    }
+
+    /// Begins the next attempt, if it is due.
+    pub(super) fn resume(&mut self, now: Instant) {
+        if self.due().is_some_and(|until| until <= now) {
+            self.state = State::Probing;
+        }
+    }
+
+    /// Notes that the broker has taken a batch.
+    pub(super) fn taken(&mut self, position: u64, samples: u32, now: Instant) {
+        self.health.count(samples);
+        self.settle(position);
+        if self.state == State::Probing {
+            self.state = State::Open;
+            self.backoff.reset();
+            self.health.set_refusal(None);
+        }
+        self.answered(now);
+    }
+
+    /// Notes that a batch is given up: the broker can never take it.
+    pub(super) fn skip(&mut self, position: u64, now: Instant) {
+        self.health.count_skipped();
+        self.settle(position);
+        self.answered(now);
+    }
+
+    /// Notes that a batch was refused. It is sent again. Returns whether that is news: none before it was refused.
+    pub(super) fn refused(&mut self, now: Instant) -> bool {
+        let is_first = self.state == State::Open;
+        self.state = State::Stopping;
+        self.answered(now);
+        is_first
+    }
+
+    /// Returns whether batches are sent one at a time.
+    pub(super) fn is_probing(&self) -> bool {
+        self.state == State::Probing
+    }
+
+    /// Returns whether such a batch is in flight: nothing else is sent then, so that it alone is the reason if
+    /// the broker ends the connection.
+    pub(super) fn is_probing_in_flight(&self) -> bool {
+        self.is_probing() && self.in_flight > 0
+    }
+
+    /// Notes that the connection was lost: all that is not acknowledged is sent again.
+    pub(super) fn lost(&mut self, loss: Loss) {
+        if let Loss::Guilty(position) = loss {
+            self.health.count_skipped();
+            self.settle(position);
+        }
+        if loss != Loss::Other || self.state != State::Open {
+            self.state = State::Probing;
+        }
+        self.rewind();
+        self.in_flight = 0;
+    }
+
+    /// Settles a batch, and acknowledges those at the front in the buffer.
+    fn settle(&mut self, position: u64) {
+        if let Some(last) = self.prefix.settle(position) {
+            self.cursor.acknowledge(last);
+        }
+    }
+
+    fn answered(&mut self, now: Instant) {
+        self.in_flight = self.in_flight.saturating_sub(1);
+        if self.state == State::Stopping && self.in_flight == 0 {
+            self.rewind();
+            self.state = State::Waiting(now + self.backoff.next_delay());
+        }
+    }
+
+    fn rewind(&mut self) {
+        self.prefix.clear();
+        self.queue.clear();
+        self.cursor.rewind();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use futures::FutureExt as _;
+
+    use super::*;
+    use crate::batch::Batch;
+    use crate::buffer::Buffer;
+
+    struct Case {
+        buffer: Buffer,
+        delivery: Delivery,
+        now: Instant,
+    }
+
+    impl Case {
+        fn new(batches: u64) -> Self {
+            let buffer = Buffer::in_memory(1, 1 << 20);
+            for seq in 1..=batches {
+                buffer.push(Batch { plc: "mixer".into(), seq, ts: seq, samples: 2, data: "{}".into() });
+            }
+            let delivery = Delivery::new(buffer.cursor(0), Arc::new(Health::new("mqtt")));
+            Self { buffer, delivery, now: Instant::now() }
+        }
+
+        /// Sends all that may be sent.
+        fn send(&mut self) -> Vec<u64> {
+            if self.delivery.needs_batches() {
+                let _ = self.delivery.fetch().now_or_never();
+            }
+            std::iter::from_fn(|| self.delivery.take()).map(|entry| entry.position).collect()
+        }
+
+        fn lag(&self) -> u64 {
+            self.buffer.stats()[0].lag
+        }
+
+        fn taken(&mut self, position: u64) {
+            self.delivery.taken(position, 2, self.now);
+        }
+
+        /// Lets the time pass until the next attempt.
+        fn wait(&mut self) {
+            let due = self.delivery.due().expect("it waits");
+            self.delivery.resume(due - Duration::from_millis(1));
+            assert!(self.delivery.due().is_some(), "too early");
+            self.delivery.resume(due);
+        }
+    }
+
+    #[test]
+    fn batches_are_acknowledged_in_order_alone() {
+        let mut case = Case::new(3);
+        assert_eq!(case.send(), [1, 2, 3]);
+        case.taken(3);
+        case.taken(2);
+        assert_eq!(case.lag(), 3);
+        case.taken(1);
+        assert_eq!(case.lag(), 0);
+        assert_eq!(case.delivery.health.delivered(), (3, 6));
+    }
+
+    #[test]
+    fn after_a_loss_the_unacknowledged_batches_come_again() {
+        let mut case = Case::new(4);
+        case.send();
+        case.taken(1);
+        case.taken(3);
+        case.delivery.lost(Loss::Other);
+        // The third as well: batches are acknowledged as a prefix.
+        assert_eq!(case.send(), [2, 3, 4]);
+        assert_eq!(case.delivery.health.skipped(), 0);
+    }
+
+    #[test]
+    fn a_refused_batch_is_tried_again_with_growing_delays() {
+        let mut case = Case::new(3);
+        assert_eq!(case.send(), [1, 2, 3]);
+        case.taken(1);
+        case.delivery.refused(case.now);
+        assert_eq!((case.send(), case.delivery.due()), (vec![], None), "the third has no answer yet");
+        case.taken(3);
+        let mut delays = Vec::new();
+        for _ in 0..8 {
+            delays.push(case.delivery.due().unwrap() - case.now);
+            case.wait();
+            assert_eq!(case.send(), [2], "one at a time");
+            assert_eq!(case.send(), [0u64; 0]);
+            case.delivery.refused(case.now);
+        }
+        assert!(delays[0] <= Duration::from_millis(250) && delays[7] >= Duration::from_secs(5), "{delays:?}");
+        assert_eq!(case.lag(), 2);
+        case.wait();
+        assert_eq!(case.send(), [2]);
+        case.taken(2);
+        assert_eq!(case.send(), [3]);
+        case.taken(3);
+        assert_eq!(case.lag(), 0);
+    }
+
+    #[test]
+    fn a_batch_that_ends_the_connection_is_found_and_given_up() {
+        let mut case = Case::new(4);
+        assert_eq!(case.send(), [1, 2, 3, 4]);
+        case.taken(1);
+        // The second or the third.
+        case.delivery.lost(Loss::Suspect);
+        assert_eq!((case.lag(), case.delivery.health.skipped()), (3, 0));
+        assert_eq!(case.send(), [2], "one at a time");
+        assert!(case.delivery.is_probing_in_flight());
+        case.delivery.lost(Loss::Guilty(2));
+        assert_eq!((case.lag(), case.delivery.health.skipped()), (2, 1));
+        assert_eq!(case.send(), [3]);
+        case.taken(3);
+        assert_eq!(case.send(), [4]);
+    }
+
+    #[test]
+    fn a_batch_that_is_given_up_holds_up_no_other() {
+        let mut case = Case::new(3);
+        case.send();
+        case.delivery.skip(2, case.now);
+        case.taken(1);
+        assert_eq!(case.lag(), 1);
+        assert_eq!((case.delivery.health.skipped(), case.delivery.health.delivered()), (1, (1, 2)));
+        case.taken(3);
+        assert_eq!(case.lag(), 0);
+    }
+}

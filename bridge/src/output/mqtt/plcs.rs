@@ -1,0 +1,61 @@
+//! The PLCs of the registry as retained messages: their states, and their discovery. No I/O.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use fatek::plant::PlantTag;
+
+use super::discovery::Discovery;
+use super::retained::{Priority, Retained};
+use crate::plc_state::PlcState;
+use crate::registry::{PolledPlc, Registry};
+use crate::topic::Topics;
+
+/// The PLCs as they were published.
+#[derive(Debug, Default)]
+pub(super) struct PublishedPlcs {
+    plcs: HashMap<Arc<str>, Published>,
+}
+
+#[derive(Debug)]
+struct Published {
+    state: PlcState,
+    tags: Vec<PlantTag>,
+}
+
+impl PublishedPlcs {
+    /// Brings the retained messages up to date with the registry. `anew`: states with present round trips.
+    pub(super) fn refresh(
+        &mut self,
+        registry: &Registry,
+        topics: &Topics,
+        discovery: Option<&Discovery>,
+        retained: &mut Retained,
+        anew: bool,
+    ) {
+        let mut gone = std::mem::take(&mut self.plcs);
+        for plc in registry.read().iter() {
+            let (name, known) = match gone.remove_entry(plc.plc.name()) {
+                Some((name, known)) => (name, Some(known)),
+                None => (plc.plc.name().into(), None),
+            };
+            let (state, tags) = known.map_or((None, None), |known| (Some(known.state), Some(known.tags)));
+            let tags = tags.filter(|tags| plc.plc.tags().eq(tags.iter())).unwrap_or_else(|| {
+                let messages = discovery.map(|discovery| discovery.messages(&plc.plc)).unwrap_or_default();
+                retained.replace(&name, Priority::Between, messages);
+                plc.plc.tags().cloned().collect()
+            });
+            let state = state.filter(|state| !anew && !Self::is_changed(state, plc)).unwrap_or_else(|| {
+                let state = PlcState::of(plc);
+                retained.set(topics.plc_state(&name), state.to_json(), Priority::First, Some(&name));
+                state
+            });
+            self.plcs.insert(name, Published { state, tags });
+        }
+        gone.keys().for_each(|name| retained.remove_owner(name));
+    }
+
+    fn is_changed(state: &PlcState, plc: &PolledPlc) -> bool {
+        PlcState::of(plc).differs_from(state)
+    }
+}
