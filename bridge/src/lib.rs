@@ -28,6 +28,7 @@ mod columns;
 pub mod command;
 pub mod config;
 pub mod demo;
+mod file_limit;
 pub mod import;
 pub mod output;
 pub mod plc_state;

@@ -34,6 +34,7 @@ use crate::batch::Batch;
 use crate::buffer::{Buffer, BufferError, BufferSettings};
 use crate::collect::Collector;
 use crate::config::Config;
+use crate::file_limit;
 use crate::output::Health;
 use crate::registry::{AddError, Registry};
 
@@ -128,6 +129,7 @@ impl Signals {
 /// [`RunError`] if it cannot start, or if a part of it has panicked.
 pub async fn run(config: Config) -> Result<(), RunError> {
     let mut signals = Signals::new()?;
+    file_limit::raise();
     let service = Service::new();
     let poller = Poller::new();
     let names = config.outputs();
