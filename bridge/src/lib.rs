@@ -17,6 +17,7 @@
 //! - [`buffer`]: holds batches until each output has acknowledged them.
 //! - [`output`]: one task an output.
 //! - [`command`]: commands of the outputs become writes to PLCs.
+//! - [`http`]: page, metrics, health and API; it reads only.
 //! - [`run`]: starts all of this, and ends it.
 
 pub mod backoff;
@@ -29,6 +30,7 @@ pub mod command;
 pub mod config;
 pub mod demo;
 mod file_limit;
+pub mod http;
 pub mod import;
 pub mod output;
 pub mod plc_state;

@@ -26,6 +26,7 @@ use fatek::Pool;
 use fatek::poll::{Poller, PollerHandle};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::broadcast;
+use tokio_util::sync::CancellationToken;
 
 use self::outputs::Outputs;
 pub use self::reload::ReloadError;
@@ -35,6 +36,7 @@ use crate::buffer::{Buffer, BufferError, BufferSettings};
 use crate::collect::Collector;
 use crate::config::Config;
 use crate::file_limit;
+use crate::http::{self, BindError};
 use crate::output::Health;
 use crate::registry::{AddError, Registry};
 
@@ -70,6 +72,9 @@ pub enum RunError {
     /// The buffer cannot be opened.
     #[error(transparent)]
     Buffer(#[from] BufferError),
+    /// The address of the page cannot be bound.
+    #[error(transparent)]
+    Bind(#[from] BindError),
     /// A signal handler cannot be installed.
     #[error("cannot start: {0}")]
     Start(#[from] io::Error),
@@ -145,8 +150,11 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         started: Instant::now(),
         config: Arc::new(RwLock::new(Arc::new(config))),
     };
+    let listener = http::bind(bridge.config().bridge.http)?;
     let changes = bridge.registry.apply(&bridge.config().plant, &bridge.pool, &bridge.poller)?;
     let mut collector = tokio::spawn(Collector::new(bridge.registry.clone(), buffer, live).run(poller));
+    let stop_http = CancellationToken::new();
+    let mut http = tokio::spawn(http::serve(bridge.clone(), listener, stop_http.clone()));
     let mut outputs = Outputs::start(&bridge);
     tracing::info!("started; {changes}");
     service.ready();
@@ -163,6 +171,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
             },
             name = outputs.panicked() => break Err(RunError::Panicked(name)),
             _ = &mut collector => break Err(RunError::Panicked("collector")),
+            _ = &mut http => break Err(RunError::Panicked("page")),
             () = service.watchdog() => {}
         }
     };
@@ -170,6 +179,11 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     // A collector that has ended must not be waited for again.
     let collector = ended.is_ok().then_some(collector);
     drain::drain(&bridge, outputs, collector, &mut signals).await;
+    // The metrics show the drain.
+    stop_http.cancel();
+    if !matches!(ended, Err(RunError::Panicked("page"))) {
+        let _ = http.await;
+    }
     ended
 }
 

@@ -5,3 +5,6 @@ pub mod bridge;
 pub mod deliveries;
 pub mod mosquitto;
 pub mod mqtt_broker;
+pub mod http;
+pub mod openmetrics;
+pub mod plc;

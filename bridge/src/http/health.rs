@@ -1,0 +1,60 @@
+//! Health: whether the bridge works, and whether it can take data.
+
+use std::time::Duration;
+
+use axum::extract::State;
+use axum::http::StatusCode;
+
+use super::Shared;
+
+/// The time without a look at the bridge after which it does not work.
+const HANGS_AFTER: Duration = Duration::from_secs(10);
+
+type Answer = (StatusCode, &'static str);
+
+/// 200 while the bridge works: its registry is not locked up and its tasks run.
+pub(super) async fn healthz(State(shared): State<Shared>) -> Answer {
+    health(shared.hub.lock().looked.elapsed())
+}
+
+fn health(since_look: Duration) -> Answer {
+    if since_look < HANGS_AFTER {
+        (StatusCode::OK, "ok\n")
+    } else {
+        (StatusCode::SERVICE_UNAVAILABLE, "the bridge hangs\n")
+    }
+}
+
+/// 200 while the bridge can take data: its buffer is not full. A PLC that does not answer does not matter.
+pub(super) async fn readyz(State(shared): State<Shared>) -> Answer {
+    let limit = shared.bridge.config().bridge.buffer.memory.0;
+    let bytes = u64::try_from(shared.bridge.buffer.bytes()).unwrap_or(u64::MAX);
+    readiness(bytes, limit)
+}
+
+fn readiness(bytes: u64, limit: u64) -> Answer {
+    // A full buffer drops its oldest batch for each new one, and stays just below its limit.
+    if bytes < limit.saturating_sub(limit / 50) {
+        (StatusCode::OK, "ok\n")
+    } else {
+        (StatusCode::SERVICE_UNAVAILABLE, "the buffer is full: the oldest data are dropped\n")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bridge_that_hangs_is_not_healthy() {
+        assert_eq!(health(Duration::from_secs(3)).0, StatusCode::OK);
+        assert_eq!(health(HANGS_AFTER).0, StatusCode::SERVICE_UNAVAILABLE);
+    }
+
+    #[test]
+    fn a_full_buffer_is_not_ready() {
+        assert_eq!(readiness(0, 1000).0, StatusCode::OK);
+        assert_eq!(readiness(979, 1000).0, StatusCode::OK);
+        assert_eq!(readiness(980, 1000).0, StatusCode::SERVICE_UNAVAILABLE);
+    }
+}

@@ -1,0 +1,151 @@
+// The overview, and the lists of links, outputs and the buffer.
+
+import * as format from "./format.js";
+
+const itemTemplate = document.getElementById("item-template").content;
+
+/** A list whose items stay the same elements as long as their names do. */
+class ItemList {
+  constructor(id, emptyText) {
+    this.element = document.getElementById(id);
+    this.emptyText = emptyText;
+    this.items = new Map();
+  }
+
+  /** `items`: of each, its name, state, and texts. */
+  show(items) {
+    const names = items.map(item => item.name);
+    if (names.join("\n") !== [...this.items.keys()].join("\n") || this.element.childElementCount === 0) {
+      this.items = new Map(names.map(name => [name, this.items.get(name) ?? itemTemplate.firstElementChild.cloneNode(true)]));
+      this.element.replaceChildren(...this.items.values());
+      if (items.length === 0) {
+        const empty = document.createElement("li");
+        empty.className = "empty";
+        empty.textContent = this.emptyText;
+        this.element.append(empty);
+      }
+    }
+    for (const item of items) showItem(this.items.get(item.name), item);
+  }
+}
+
+function showItem(element, { name, mark, state, part, partState, facts, why }) {
+  const find = selector => element.querySelector(selector);
+  find(".mark").dataset.state = mark;
+  format.setText(find(".item-name"), format.plain(name));
+  format.setText(find(".state"), state);
+  const meter = find(".meter");
+  meter.hidden = part === null || part === undefined;
+  meter.dataset.state = partState ?? "good";
+  meter.firstElementChild.style.width = `${Math.min(1, part ?? 0) * 100}%`;
+  format.setText(find(".facts-line"), facts.filter(Boolean).join(" · "));
+  format.setText(find(".why"), why ? format.plain(why) : "");
+}
+
+function batches(number) {
+  return `${format.count(number)} ${number === 1 ? "batch" : "batches"}`;
+}
+
+/** The state of a part of what is there: from 0.7 on it needs a look, from 0.9 on it is bad. */
+function grade(part) {
+  return part >= 0.9 ? "bad" : part >= 0.7 ? "stale" : "good";
+}
+
+const MARKS = { up: "good", connecting: "stale", waiting: "stale", down: "bad", idle: "idle", closed: "idle" };
+
+function linkItem(link, plcs) {
+  const rate = link.requests_per_second;
+  const names = plcs.filter(plc => plc.link === link.link).map(plc => plc.plc);
+  return {
+    name: link.link,
+    mark: MARKS[link.state] ?? "idle",
+    state: link.state,
+    part: link.load,
+    partState: grade(link.load ?? 0),
+    facts: [
+      `load ${format.percent(link.load)}`,
+      rate === null ? null : `${format.short(rate)} requests/s`,
+      names.length > 3 ? format.counted(names.length, "PLC") : names.join(", "),
+      link.disconnects > 0 && format.counted(link.disconnects, "lost connection"),
+      link.checksum_errors > 0 && format.counted(link.checksum_errors, "checksum error"),
+    ],
+    why: link.why,
+  };
+}
+
+function outputItem(output) {
+  const rate = output.samples_per_second;
+  return {
+    name: output.output,
+    mark: output.connected ? "good" : "bad",
+    state: output.connected ? "connected" : "not connected",
+    part: null,
+    facts: [
+      rate === null ? null : `${format.short(rate)} samples/s`,
+      `lag ${batches(output.lag)}`,
+      output.dropped > 0 && `${format.count(output.dropped)} dropped`,
+      output.reconnects > 0 && format.counted(output.reconnects, "reconnect"),
+    ],
+    why: output.failure,
+  };
+}
+
+export class Aside {
+  constructor() {
+    this.links = new ItemList("links", "No link yet");
+    this.outputs = new ItemList("outputs", "No output is configured");
+    this.buffer = document.getElementById("buffer");
+    this.buffer.append(...itemTemplate.firstElementChild.cloneNode(true).childNodes);
+    this.buffer.classList.add("item");
+    this.cards = new Map([...document.querySelectorAll(".card")].map(card => [card.dataset.figure, card]));
+    this.title = document.getElementById("bridge");
+    this.uptime = document.getElementById("uptime");
+    this.version = document.getElementById("version");
+  }
+
+  show(status) {
+    this.links.show(status.links.map(link => linkItem(link, status.plcs)));
+    this.outputs.show(status.outputs.map(outputItem));
+    this.#showBuffer(status.buffer);
+    this.#showOverview(status);
+    format.setText(this.title, status.id);
+    format.setText(this.uptime, `Running for ${format.age(status.uptime_seconds * 1000).replace(".0", "")}`);
+    format.setText(this.version, `fatek-bridge ${status.version}`);
+  }
+
+  #showBuffer(buffer) {
+    const part = buffer.memory_limit_bytes > 0 ? buffer.memory_bytes / buffer.memory_limit_bytes : 0;
+    showItem(this.buffer, {
+      name: "Memory",
+      mark: grade(part),
+      state: format.percent(part),
+      part,
+      partState: grade(part),
+      facts: [
+        `${format.bytes(buffer.memory_bytes)} of ${format.bytes(buffer.memory_limit_bytes)}`,
+        `${batches(buffer.batches)} wait${buffer.batches === 1 ? "s" : ""}`,
+      ],
+      why: null,
+    });
+  }
+
+  #showOverview({ plcs, tags, poller, buffer, outputs }) {
+    const online = plcs.filter(plc => plc.online).length;
+    const all = tags.good + tags.stale + tags.bad;
+    const connected = outputs.filter(output => output.connected).length;
+    const part = buffer.memory_limit_bytes > 0 ? buffer.memory_bytes / buffer.memory_limit_bytes : 0;
+    this.#card("plcs", format.count(online), `of ${format.count(plcs.length)}`, online < plcs.length ? "bad" : "good");
+    this.#card("tags", format.count(tags.good), `of ${format.count(all)}`, tags.good < all ? "stale" : "good");
+    const missed = poller.missed > 0 ? `${format.count(poller.missed)} missed` : "";
+    this.#card("samples", format.short(poller.samples_per_second), missed, missed ? "stale" : "good");
+    this.#card("buffer", format.percent(part), batches(buffer.batches), grade(part));
+    this.#card("outputs", format.count(connected), `of ${format.count(outputs.length)}`, connected < outputs.length ? "bad" : "good");
+  }
+
+  #card(figure, number, rest, state) {
+    const card = this.cards.get(figure);
+    card.dataset.state = state;
+    format.setText(card.querySelector("b"), number);
+    format.setText(card.querySelector("span"), rest);
+  }
+}
