@@ -99,7 +99,11 @@ struct Shared {
 
 /// Serves until `stop` is cancelled, and then ends all connections within a second.
 pub async fn serve(bridge: Bridge, listener: TcpListener, stop: CancellationToken) {
-    let is_loopback = listener.local_addr().is_ok_and(|address| address.ip().is_loopback());
+    let address = listener.local_addr();
+    if let Ok(address) = address {
+        tracing::info!("the page is at http://{address}");
+    }
+    let is_loopback = address.is_ok_and(|address| address.ip().is_loopback());
     let hub = Arc::new(Hub::new(&bridge));
     let watching = tokio::spawn(hub.clone().run(bridge.clone(), stop.clone()));
     let shared = Shared { bridge, hub, stop: stop.clone() };

@@ -12,9 +12,9 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 
-/// A bridge with one PLC, whose class is fast.
-async fn bridge_with(sim: &SimPlc) -> HttpBridge {
-    let config = format!(
+/// A configuration of one PLC, whose class is fast.
+fn config(sim: &SimPlc) -> String {
+    format!(
         r#"
 [bridge]
 id = "hall-2"
@@ -32,8 +32,11 @@ tag.recipe = {{ at = "R30-R32", class = "fast" }}
 tag.ratio = {{ at = "R40:f32", class = "fast" }}
 "#,
         sim.link()
-    );
-    HttpBridge::start(&config).await
+    )
+}
+
+async fn bridge_with(sim: &SimPlc) -> HttpBridge {
+    HttpBridge::start(&config(sim)).await
 }
 
 async fn mixer() -> SimPlc {
@@ -307,4 +310,32 @@ async fn a_slow_reader_gets_a_snapshot_and_one_that_stops_is_dropped() {
     bridge.get_until("/metrics", |metrics| metrics.contains("fatek_page_streams 0\n")).await;
     println!("memory before and after: {before} and {} KiB; dropped after {:?}", memory(), began.elapsed());
     drop(stopped);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reload_sends_a_snapshot_and_keeps_the_history() {
+    let sim = mixer().await;
+    let bridge = bridge_with(&sim).await;
+    let has_two = |answer: &str| json(answer)["tags"]["level"].as_array().is_some_and(|values| values.len() >= 2);
+    bridge.get_until("/api/history?plc=mixer&tags=level", has_two).await;
+    let mut stream = open_events(&bridge).await;
+    read_until(&mut stream, "event: changes\n", 1).await;
+    // The order of the tags is another one then, and a PLC is before the one that stays.
+    let text = config(&sim).replace("HTTP", &bridge.http.to_string()).replace("tag.running", "tag.motor");
+    let text = format!("{text}[plc.agitator]\nlink = \"{}\"\nstation = 1\ntag.speed = \"R6\"\n", sim.link());
+    std::fs::write(bridge.folder().join("bridge.toml"), text).unwrap();
+    let pid = bridge.child.id().unwrap().to_string();
+    assert!(std::process::Command::new("kill").args(["-s", "HUP", &pid]).status().unwrap().success());
+    let text = read_until(&mut stream, "event: snapshot\n", 1).await + &read_until(&mut stream, "\n\n", 1).await;
+    let snapshot = json(text.rsplit("event: snapshot\ndata: ").next().unwrap().split("\n\n").next().unwrap());
+    assert_eq!((&snapshot["plcs"][0]["plc"], &snapshot["plcs"][1]["plc"]), (&"agitator".into(), &"mixer".into()));
+    let names: Vec<&str> =
+        snapshot["plcs"][1]["tags"].as_array().unwrap().iter().map(|tag| tag["tag"].as_str().unwrap()).collect();
+    assert!(names.contains(&"motor") && !names.contains(&"running"), "{names:?}");
+    let history = bridge.get("/api/history?plc=mixer&tags=level").await.body;
+    assert!(has_two(&history), "{history}");
+    assert_eq!(bridge.get("/api/history?plc=mixer&tags=running").await.status, 404);
+    bridge
+        .get_until("/metrics", |metrics| metrics.contains(r#"fatek_tag_quality{plc="agitator",tag="speed"} 2"#))
+        .await;
 }

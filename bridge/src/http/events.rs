@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use axum::body::{Body, Bytes};
 use axum::extract::State;
-use axum::http::{StatusCode, header};
+use axum::http::StatusCode;
+use axum::http::header::{self, HeaderName};
 use axum::response::{IntoResponse as _, Response};
 use futures::stream;
 use tokio::sync::OwnedSemaphorePermit;
@@ -47,7 +48,12 @@ pub(super) async fn stream(State(shared): State<Shared>) -> Response {
         let event = reader.next().await?;
         Some((Ok::<_, std::convert::Infallible>(event), reader))
     });
-    let headers = [(header::CONTENT_TYPE, "text/event-stream"), (header::CACHE_CONTROL, "no-store")];
+    // The last one tells a proxy (nginx) to pass events on at once.
+    let headers = [
+        (header::CONTENT_TYPE, "text/event-stream"),
+        (header::CACHE_CONTROL, "no-store"),
+        (HeaderName::from_static("x-accel-buffering"), "no"),
+    ];
     (headers, Body::from_stream(events)).into_response()
 }
 

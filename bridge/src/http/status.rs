@@ -117,6 +117,7 @@ impl Memory {
     pub(super) fn status(&mut self, bridge: &Bridge, view: &View, now: Instant) -> Status {
         self.rates.begin(now);
         let plcs = self.plcs(view);
+        self.busy.retain(|link, _| plcs.iter().any(|plc| plc.link == *link));
         Status {
             id: bridge.config().bridge.id.to_string(),
             version: env!("CARGO_PKG_VERSION"),

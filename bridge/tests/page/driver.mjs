@@ -1,5 +1,6 @@
 // Shared by the scripts: the browser, and the requests to the Rust test that started the script.
 
+import { existsSync, readFileSync } from "node:fs";
 import { createInterface } from "node:readline";
 import { chromium } from "playwright-core";
 
@@ -22,5 +23,18 @@ export function start() {
       "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
       "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
     ],
+  });
+}
+
+/** With $PAGE_FILES, a folder, the files of the page come from there: a change of them needs no build. */
+export async function useFiles(context) {
+  const folder = process.env.PAGE_FILES;
+  if (!folder) return;
+  const types = { css: "text/css", js: "text/javascript", html: "text/html" };
+  await context.route("**/*", route => {
+    const name = new URL(route.request().url()).pathname.slice(1) || "index.html";
+    const contentType = types[name.split(".").pop()];
+    if (!contentType || !existsSync(`${folder}/${name}`)) return route.continue();
+    return route.fulfill({ contentType, body: readFileSync(`${folder}/${name}`) });
   });
 }

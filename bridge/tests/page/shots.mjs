@@ -1,13 +1,14 @@
 // Makes the pictures of the documentation, and those that show the page's other forms, in the folder $SHOTS.
 
 import { setTimeout as sleep } from "node:timers/promises";
-import { ask, start, url } from "./driver.mjs";
+import { ask, start, url, useFiles } from "./driver.mjs";
 
 const folder = process.env.SHOTS ?? ".";
 const browser = await start();
 
 async function page(width, height, colorScheme) {
   const context = await browser.newContext({ viewport: { width, height }, colorScheme });
+  await useFiles(context);
   const page = await context.newPage();
   page.on("console", message => console.log(message.text()));
   page.on("pageerror", error => console.log(String(error)));

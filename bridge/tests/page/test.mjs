@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { setTimeout as sleep } from "node:timers/promises";
-import { ask, start, url } from "./driver.mjs";
+import { ask, start, url, useFiles } from "./driver.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const host = new URL(url).host;
@@ -12,10 +12,14 @@ const browser = await start();
 /** Errors of the page, and requests to other hosts, of all checks. */
 const complaints = [];
 let failures = 0;
+/** The contexts of pages that one check alone uses. */
+const contexts = [];
 
 /** Opens the page. `expected`: errors of the console that belong to the check. */
 async function open({ width = 1280, height = 900, colorScheme = "light", bypassCSP = false, expected = null } = {}) {
   const context = await browser.newContext({ viewport: { width, height }, colorScheme, bypassCSP });
+  contexts.push(context);
+  await useFiles(context);
   const page = await context.newPage();
   page.on("console", message => {
     if (["error", "warning"].includes(message.type()) && !expected?.test(message.text())) complaints.push(message.text());
@@ -36,6 +40,7 @@ async function check(name, act) {
     failures += 1;
     console.log(`FAILS ${name}\n${error.stack}`);
   }
+  for (const context of contexts.splice(0)) await context.close();
 }
 
 /** The row of a tag of the mixer. */
@@ -74,6 +79,8 @@ function assertNoOverflow(page) {
 }
 
 const page = await open({ expected: /ERR_CONNECTION_REFUSED|ERR_INCOMPLETE_CHUNKED_ENCODING|ERR_CONNECTION_RESET|ERR_EMPTY_RESPONSE/ });
+// It is the page of all checks.
+contexts.pop();
 
 await check("values move, and those of texts and lists are shown", async () => {
   const level = rowOf(page, "level").locator(".number");
@@ -101,7 +108,6 @@ await check("a sparkline grows", async () => {
   const later = await open();
   await until("points of the server", async () =>
     Number(await rowOf(later, "level").locator("svg").getAttribute("data-points")) >= first);
-  await later.context().close();
 });
 
 await check("figures of PLCs, links, outputs and buffer are there", async () => {
@@ -196,7 +202,6 @@ await check("the keyboard alone reaches everything, and the focus can be seen", 
   await fresh.locator(".skip").focus();
   await fresh.keyboard.press("Enter");
   assert.equal(await fresh.evaluate(() => document.activeElement.id), "plcs");
-  await fresh.context().close();
 });
 
 for (const colorScheme of ["light", "dark"]) {
@@ -207,7 +212,6 @@ for (const colorScheme of ["light", "dark"]) {
       await until("values", async () => (await rowOf(other, "level").getAttribute("data-state")) === "good");
       assert.deepEqual(await violations(other), []);
       await assertNoOverflow(other);
-      await other.context().close();
     });
   }
 }
@@ -218,7 +222,6 @@ await check("nothing overflows at 320 px with a tag in detail, and when a PLC is
   await narrow.getByRole("button", { name: "recipe", exact: true }).click();
   await narrow.locator("dialog[open]").waitFor();
   await assertNoOverflow(narrow);
-  await narrow.context().close();
 });
 
 await check("a lost connection is shown, and the page connects again by itself", async () => {
