@@ -2,6 +2,7 @@
 
 mod common;
 
+use std::fmt::Write as _;
 use std::process::Stdio;
 use std::time::Duration;
 
@@ -314,7 +315,7 @@ async fn a_slow_reader_gets_a_snapshot_and_one_that_stops_is_dropped() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reload_sends_a_snapshot_and_keeps_the_history() {
-    let sim = mixer().await;
+    let (sim, agitator) = (mixer().await, mixer().await);
     let bridge = bridge_with(&sim).await;
     let has_two = |answer: &str| json(answer)["tags"]["level"].as_array().is_some_and(|values| values.len() >= 2);
     bridge.get_until("/api/history?plc=mixer&tags=level", has_two).await;
@@ -322,7 +323,7 @@ async fn a_reload_sends_a_snapshot_and_keeps_the_history() {
     read_until(&mut stream, "event: changes\n", 1).await;
     // The order of the tags is another one then, and a PLC is before the one that stays.
     let text = config(&sim).replace("HTTP", &bridge.http.to_string()).replace("tag.running", "tag.motor");
-    let text = format!("{text}[plc.agitator]\nlink = \"{}\"\nstation = 1\ntag.speed = \"R6\"\n", sim.link());
+    let text = format!("{text}[plc.agitator]\nlink = \"{}\"\nstation = 1\ntag.speed = \"R6\"\n", agitator.link());
     std::fs::write(bridge.folder().join("bridge.toml"), text).unwrap();
     let pid = bridge.child.id().unwrap().to_string();
     assert!(std::process::Command::new("kill").args(["-s", "HUP", &pid]).status().unwrap().success());
@@ -338,4 +339,25 @@ async fn a_reload_sends_a_snapshot_and_keeps_the_history() {
     bridge
         .get_until("/metrics", |metrics| metrics.contains(r#"fatek_tag_quality{plc="agitator",tag="speed"} 2"#))
         .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_bridge_whose_buffer_is_full_is_alive_but_not_ready() {
+    let sim = SimPlc::start(&[("R0-R999", "random(0..65535,100ms)")]).await;
+    let mut config = format!(
+        "[bridge]\nhttp = \"HTTP\"\nbuffer = {{ memory = \"256KiB\" }}\n[stdout]\n\
+         [class]\nfast = {{ every = \"200ms\" }}\n[plc.store]\nlink = \"{}\"\nstation = 1\n",
+        sim.link()
+    );
+    (0..1000)
+        .for_each(|place| writeln!(config, "tag.place-{place} = {{ at = \"R{place}\", class = \"fast\" }}").unwrap());
+    // An output that takes nothing: a pipe that is not read.
+    let mut bridge = HttpBridge::start_with(&config, Stdio::piped()).await;
+    bridge.get_until("/readyz", |answer| answer.contains("full")).await;
+    assert_eq!((bridge.get("/readyz").await.status, bridge.get("/healthz").await.status), (503, 200));
+    let drops = |metrics: &str| !metrics.contains("fatek_output_dropped_batches_total{output=\"stdout\"} 0\n");
+    bridge.get_until("/metrics", drops).await;
+    let mut stdout = bridge.child.stdout.take().unwrap();
+    tokio::spawn(async move { tokio::io::copy(&mut stdout, &mut tokio::io::sink()).await });
+    bridge.get_until("/readyz", |answer| answer == "ok\n").await;
 }

@@ -2,7 +2,8 @@
 //!
 //! Needs node, npm and chromium. Playwright's driver and axe are installed from `tests/page/package-lock.json`.
 //!
-//! `FATEK_BRIDGE_PAGE_SCRIPT=shots.mjs cargo test --test page` makes the pictures of the documentation instead.
+//! `PAGE_FILES=$PWD/src/http/page` takes the files of the page from there, so that a change needs no build.
+//! `FATEK_BRIDGE_PAGE_SCRIPT` names another script to run in place of `test.mjs`.
 
 mod common;
 
@@ -44,7 +45,7 @@ impl Stage {
             mixer.plc.write(fatek::Register::r(register), low | (high << 8)).unwrap();
         }
         let boiler = SimPlc::start(&[("R0:i16*0.1", "sine(60..95,30s)"), ("R1:i16*0.01", "random(1.8..2.2,2s)")]).await;
-        let store = SimPlc::start(&[("R0-R9", "ramp(0..1000,10s)")]).await;
+        let store = SimPlc::start(&[("R0-R3839", "random(0..32767,1s)")]).await;
         let mut config = format!(
             r#"
 [bridge]

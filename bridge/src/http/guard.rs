@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse as _, Response};
 
-/// What the checks depend on.
+/// Settings of the checks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Guard {
     /// The listener has a loopback address.

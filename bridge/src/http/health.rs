@@ -27,14 +27,15 @@ fn health(since_look: Duration) -> Answer {
 
 /// 200 while the bridge can take data: its buffer is not full. A PLC that does not answer does not matter.
 pub(super) async fn readyz(State(shared): State<Shared>) -> Answer {
-    let limit = shared.bridge.config().bridge.buffer.memory.0;
-    let bytes = u64::try_from(shared.bridge.buffer.bytes()).unwrap_or(u64::MAX);
-    readiness(bytes, limit)
+    readiness(shared.bridge.buffer.figures().fill)
 }
 
-fn readiness(bytes: u64, limit: u64) -> Answer {
-    // A full buffer drops its oldest batch for each new one, and stays just below its limit.
-    if bytes < limit.saturating_sub(limit / 50) {
+/// The share of the buffer from which it counts as full: it drops the oldest batches for each new one, and stays
+/// just below its limit.
+const FULL: f64 = 0.98;
+
+fn readiness(fill: f64) -> Answer {
+    if fill < FULL {
         (StatusCode::OK, "ok\n")
     } else {
         (StatusCode::SERVICE_UNAVAILABLE, "the buffer is full: the oldest data are dropped\n")
@@ -53,8 +54,8 @@ mod tests {
 
     #[test]
     fn a_full_buffer_is_not_ready() {
-        assert_eq!(readiness(0, 1000).0, StatusCode::OK);
-        assert_eq!(readiness(979, 1000).0, StatusCode::OK);
-        assert_eq!(readiness(980, 1000).0, StatusCode::SERVICE_UNAVAILABLE);
+        assert_eq!(readiness(0.0).0, StatusCode::OK);
+        assert_eq!(readiness(0.97).0, StatusCode::OK);
+        assert_eq!(readiness(FULL).0, StatusCode::SERVICE_UNAVAILABLE);
     }
 }

@@ -43,7 +43,7 @@ pub(super) struct Hub {
     pub(super) resyncs: AtomicU64,
 }
 
-/// What the hub knows.
+/// State of the hub.
 #[derive(Debug)]
 pub(super) struct State {
     /// The tags.

@@ -82,12 +82,21 @@ struct PollerStatus {
     missed: u64,
 }
 
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 struct BufferStatus {
-    memory_bytes: usize,
-    memory_limit_bytes: u64,
-    /// The batches that the slowest output lacks.
+    /// The share of its limit that is used: 0 to 1.
+    fill: f64,
+    /// The batches that an output lacks.
     batches: u64,
+    /// The age of the oldest of them.
+    oldest_age_seconds: Option<u64>,
+    memory_bytes: u64,
+    memory_limit_bytes: u64,
+    disk_bytes: u64,
+    /// `null` without a disk.
+    disk_limit_bytes: Option<u64>,
+    /// Why the disk does not take batches.
+    failure: Option<String>,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -98,13 +107,17 @@ struct OutputStatus {
     /// The batches that are not acknowledged.
     lag: u64,
     dropped: u64,
+    /// Taken by its server without a subscriber, and thrown away.
+    no_subscribers: u64,
+    /// Given up, because the server can never take them.
+    skipped: u64,
     batches: u64,
     samples: u64,
     samples_per_second: Option<f64>,
     reconnects: u64,
 }
 
-/// What the next status needs of the one before.
+/// Counters of the last look, from which the next one gets rates.
 #[derive(Debug, Default)]
 pub(super) struct Memory {
     rates: Rates,
@@ -202,6 +215,8 @@ impl Memory {
                 failure: health.failure(),
                 lag: cursor.lag,
                 dropped: cursor.dropped,
+                no_subscribers: health.no_subscribers(),
+                skipped: health.skipped(),
                 batches,
                 samples,
                 samples_per_second: self.rates.rate(format!("output {}", health.name()), as_f64(samples)),
@@ -242,10 +257,17 @@ fn counts(view: &View, places: std::ops::Range<usize>) -> TagCounts {
 }
 
 fn buffer(bridge: &Bridge) -> BufferStatus {
+    let (figures, config) = (bridge.buffer.figures(), bridge.config());
+    let limits = &config.bridge.buffer;
     BufferStatus {
-        memory_bytes: bridge.buffer.bytes(),
-        memory_limit_bytes: bridge.config().bridge.buffer.memory.0,
-        batches: bridge.buffer.stats().iter().map(|cursor| cursor.lag).max().unwrap_or(0),
+        fill: figures.fill,
+        batches: figures.batches,
+        oldest_age_seconds: figures.oldest_age.map(|age| age.as_secs()),
+        memory_bytes: figures.memory_bytes,
+        memory_limit_bytes: limits.memory.0,
+        disk_bytes: figures.disk_bytes,
+        disk_limit_bytes: limits.dir.is_some().then_some(limits.max.0),
+        failure: figures.failure,
     }
 }
 

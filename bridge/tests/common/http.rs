@@ -39,11 +39,16 @@ impl HttpBridge {
     /// Starts a bridge in a folder of its own and waits until it is ready. `HTTP` in the configuration becomes
     /// the address of the page.
     pub async fn start(config: &str) -> Self {
+        Self::start_with(config, Stdio::null()).await
+    }
+
+    /// As [`start`](Self::start), with this stdout.
+    pub async fn start_with(config: &str, stdout: Stdio) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let http = free_address();
         let path = folder.path().join("bridge.toml");
         std::fs::write(&path, config.replace("HTTP", &http.to_string())).unwrap();
-        let bridge = Self { child: command(&path).spawn().unwrap(), http, folder };
+        let bridge = Self { child: command(&path).stdout(stdout).spawn().unwrap(), http, folder };
         let began = Instant::now();
         while !matches!(bridge.try_get("/readyz", "").await, Ok(answer) if answer.status == 200) {
             assert!(began.elapsed() < START, "the bridge is not ready");

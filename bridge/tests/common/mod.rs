@@ -3,8 +3,8 @@
 
 pub mod bridge;
 pub mod deliveries;
+pub mod http;
 pub mod mosquitto;
 pub mod mqtt_broker;
-pub mod http;
 pub mod openmetrics;
 pub mod plc;

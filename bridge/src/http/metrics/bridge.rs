@@ -39,11 +39,28 @@ fn poller(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
 }
 
 fn buffer(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
-    let (buffer, limit) = (&shared.bridge.buffer, shared.bridge.config().bridge.buffer.memory.0);
-    let help = "Size of the batches in memory";
-    to.gauge("buffer_memory", Some(Unit::Bytes), help, [(vec![], as_u64(buffer.bytes()))])?;
-    let help = "Limit of the batches in memory";
-    to.gauge("buffer_memory_limit", Some(Unit::Bytes), help, [(vec![], limit)])
+    let (figures, config) = (shared.bridge.buffer.figures(), shared.bridge.config());
+    let limits = &config.bridge.buffer;
+    let bytes = || Some(Unit::Bytes);
+    to.gauge("buffer_fill_ratio", None, "Share of the buffer's limit that is used", [(vec![], figures.fill)])?;
+    to.gauge("buffer_batches", None, "Batches that an output lacks", [(vec![], figures.batches)])?;
+    let oldest = figures.oldest_age.map(|age| (vec![], age.as_secs_f64()));
+    to.gauge("buffer_oldest_age", Some(Unit::Seconds), "Age of the oldest of them", oldest)?;
+    to.gauge("buffer_memory", bytes(), "Batches in memory", [(vec![], figures.memory_bytes)])?;
+    to.gauge("buffer_memory_limit", bytes(), "Limit of the batches in memory", [(vec![], limits.memory.0)])?;
+    to.gauge("buffer_disk", bytes(), "Batches on disk", [(vec![], figures.disk_bytes)])?;
+    let limit = limits.dir.is_some().then_some((vec![], limits.max.0));
+    to.gauge("buffer_disk_limit", bytes(), "Limit of the batches on disk", limit)?;
+    to.gauge("buffer_file", bytes(), "Length of the file", [(vec![], figures.file_bytes)])?;
+    let takes = u64::from(figures.failure.is_none());
+    to.gauge("buffer_disk_ok", None, "0 if the disk does not take batches", [(vec![], takes)])?;
+    let counters = [
+        ("buffer_spilled_batches", "Batches that were written to disk", figures.spilled_batches),
+        ("buffer_disk_errors", "Reads and writes of the disk that failed", figures.disk_errors),
+        ("buffer_corrupt_files", "Files that were damaged and moved aside", figures.corrupt_files),
+        ("buffer_corrupt_batches", "Batches that could not be read back", figures.corrupt_batches),
+    ];
+    counters.into_iter().try_for_each(|(name, help, count)| to.counter(name, None, help, [(vec![], count)]))
 }
 
 fn outputs(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
@@ -74,7 +91,14 @@ fn outputs(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
     let samples = of(&outputs, |health, _| health.delivered().1);
     to.counter("output_samples", None, "Samples that the server has acknowledged", samples)?;
     let reconnects = of(&outputs, |health, _| health.reconnects());
-    to.counter("output_reconnects", None, "Connections that were lost and opened anew", reconnects)
+    to.counter("output_reconnects", None, "Connections that were lost and opened anew", reconnects)?;
+    let no_subscribers = of(&outputs, |health, _| health.no_subscribers());
+    let help = "Batches that the server has taken without a subscriber, and thrown away";
+    to.counter("output_no_subscriber_batches", None, help, no_subscribers)?;
+    let refused = of(&outputs, |health, _| health.refused());
+    to.counter("output_refused_messages", None, "Messages that the server has refused", refused)?;
+    let skipped = of(&outputs, |health, _| health.skipped());
+    to.counter("output_skipped_batches", None, "Batches given up, because the server can never take them", skipped)
 }
 
 fn as_u64(count: usize) -> u64 {

@@ -84,6 +84,8 @@ function outputItem(output) {
       rate === null ? null : `${format.short(rate)} samples/s`,
       `lag ${batches(output.lag)}`,
       output.dropped > 0 && `${format.count(output.dropped)} dropped`,
+      output.skipped > 0 && `${format.count(output.skipped)} given up`,
+      output.no_subscribers > 0 && `${format.count(output.no_subscribers)} without a subscriber`,
       output.reconnects > 0 && format.counted(output.reconnects, "reconnect"),
     ],
     why: output.failure,
@@ -114,18 +116,20 @@ export class Aside {
   }
 
   #showBuffer(buffer) {
-    const part = buffer.memory_limit_bytes > 0 ? buffer.memory_bytes / buffer.memory_limit_bytes : 0;
+    const memory = `${format.bytes(buffer.memory_bytes)} of ${format.bytes(buffer.memory_limit_bytes)} in memory`;
+    const hasDisk = buffer.disk_limit_bytes !== null;
     showItem(this.buffer, {
-      name: "Memory",
-      mark: grade(part),
-      state: format.percent(part),
-      part,
-      partState: grade(part),
+      name: batches(buffer.batches),
+      mark: buffer.failure ? "bad" : grade(buffer.fill),
+      state: `${format.percent(buffer.fill)} full`,
+      part: buffer.fill,
+      partState: grade(buffer.fill),
       facts: [
-        `${format.bytes(buffer.memory_bytes)} of ${format.bytes(buffer.memory_limit_bytes)}`,
-        `${batches(buffer.batches)} wait${buffer.batches === 1 ? "s" : ""}`,
+        buffer.oldest_age_seconds === null ? null : `oldest ${format.age(buffer.oldest_age_seconds * 1000)}`,
+        memory,
+        hasDisk ? `${format.bytes(buffer.disk_bytes)} of ${format.bytes(buffer.disk_limit_bytes)} on disk` : "no disk",
       ],
-      why: null,
+      why: buffer.failure,
     });
   }
 
@@ -133,12 +137,11 @@ export class Aside {
     const online = plcs.filter(plc => plc.online).length;
     const all = tags.good + tags.stale + tags.bad;
     const connected = outputs.filter(output => output.connected).length;
-    const part = buffer.memory_limit_bytes > 0 ? buffer.memory_bytes / buffer.memory_limit_bytes : 0;
     this.#card("plcs", format.count(online), `of ${format.count(plcs.length)}`, online < plcs.length ? "bad" : "good");
     this.#card("tags", format.count(tags.good), `of ${format.count(all)}`, tags.good < all ? "stale" : "good");
     const missed = poller.missed > 0 ? `${format.count(poller.missed)} missed` : "";
     this.#card("samples", format.short(poller.samples_per_second), missed, missed ? "stale" : "good");
-    this.#card("buffer", format.percent(part), batches(buffer.batches), grade(part));
+    this.#card("buffer", format.percent(buffer.fill), batches(buffer.batches), buffer.failure ? "bad" : grade(buffer.fill));
     this.#card("outputs", format.count(connected), `of ${format.count(outputs.length)}`, connected < outputs.length ? "bad" : "good");
   }
 

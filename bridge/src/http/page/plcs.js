@@ -169,7 +169,8 @@ class Plc {
     const state = status.online ? (stale + bad > 0 ? "stale" : "good") : status.round_trip_ms === null ? "idle" : "bad";
     this.mark.dataset.state = state;
     format.setText(this.state, status.online ? "" : format.plain(status.why ?? "offline"));
-    format.setText(this.link, `${format.plain(status.link)}, station ${status.station}`);
+    const place = [status.bus, status.link, `station ${status.station}`].filter(Boolean).join(" · ");
+    format.setText(this.link, format.plain(place));
     [good, stale, bad].forEach((count, index) => {
       this.bars[index].style.width = all > 0 ? `${(count / all) * 100}%` : "0";
     });
