@@ -169,6 +169,22 @@ fn secrets_are_found_in_files_and_variables() {
 }
 
 #[test]
+fn the_buffer_is_in_the_first_folder_of_states() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write_config(folder.path(), &format!("{GOOD}[bridge]\nbuffer.dir = 'buffer'\n"));
+    let states = folder.path().join("states");
+    std::fs::write(&states, "no folder").unwrap();
+    let check = |variable: &str| {
+        let output = command(&["check", shown(&path)]).env("STATE_DIRECTORY", variable).output().unwrap();
+        text(&output.stdout).to_owned()
+    };
+    let found = check(&format!("{}:/nowhere", states.display()));
+    assert!(found.contains(&format!("warning: bridge.buffer.dir: {} is not a folder", states.display())), "{found}");
+    // Without the variable it is beside the configuration.
+    assert!(check("").ends_with("plant.toml: no faults\n"), "{}", check(""));
+}
+
+#[test]
 fn tables_of_tags_become_a_configuration_that_is_good() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = ["import", "examples/boiler.csv", "--link", "tcp://192.168.2.9", "--class", "fast=500ms"];

@@ -132,6 +132,24 @@ fn missing_files_are_findings() {
 }
 
 #[test]
+fn a_secret_that_all_users_can_read_is_a_warning() {
+    use std::os::unix::fs::PermissionsExt as _;
+
+    let folder = tempfile::tempdir().unwrap();
+    let text = format!("{GOOD}[bridge]\ntoken_file = 'token'\n");
+    let token = folder.path().join("token");
+    std::fs::write(&token, "hunter2").unwrap();
+    let found = |mode| {
+        std::fs::set_permissions(&token, std::fs::Permissions::from_mode(mode)).unwrap();
+        let report = report_in(folder.path(), &text, &Environment::default());
+        report.findings.iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    assert_eq!(found(0o600), [""; 0]);
+    let warned = found(0o644).concat();
+    assert!(warned.starts_with("warning: bridge.token_file: ") && warned.contains("chmod 600"), "{warned}");
+}
+
+#[test]
 fn settings_that_are_probably_not_meant_are_warnings() {
     for (text, expected) in [
         ("[class]\nslow = { every = '10s' }\n", "class.slow: no tag has this class"),

@@ -156,3 +156,23 @@ fn variables_take_the_place_of_id_and_address() {
         "{error}"
     );
 }
+
+proptest::proptest! {
+    #[test]
+    fn no_text_causes_a_panic(at in 0_usize..4000, length in 0_usize..60, insert in "[\\[\\]{}=.'\"a-z0-9\n\u{80}-\u{2ff} #]{0,12}") {
+        let text = include_str!("../../examples/plant.toml").replace("tags = \"boiler.csv\"", "tag.x = 'R5'");
+        let boundary = |at: usize| (0..=at.min(text.len())).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0);
+        let (begin, end) = (boundary(at), boundary(at + length));
+        let mutated = format!("{}{insert}{}", &text[..begin], &text[end..]);
+        let parsed = Config::from_text(Path::new("plant.toml"), &mutated, &Environment::default());
+        if let Err(error) = parsed {
+            let lines = mutated.lines().count() + 1;
+            let ConfigError::Faults { faults, .. } = error else { panic!("{error}") };
+            proptest::prop_assert!(!faults.is_empty());
+            for fault in faults {
+                proptest::prop_assert!(fault.line.is_some_and(|line| (1..=lines).contains(&line)), "{}", fault);
+                proptest::prop_assert!(!fault.to_string().chars().any(char::is_control), "{:?}", fault);
+            }
+        }
+    }
+}
