@@ -95,6 +95,8 @@ impl Demo {
         }
         let mut config = Config::from_text(Path::new(NAME), &text, &Environment::default())?;
         config.bridge.http = match http {
+            // Known now, so that it can be shown.
+            Some(http) if http.port() == 0 => free(http)?,
             Some(http) => http,
             None => free(config.bridge.http)?,
         };
@@ -166,10 +168,10 @@ fn set_value(plc: &Plc, tag: Tag, text: &str, seed: u64) -> Result<(), String> {
     elements.try_for_each(|(element, value)| plc.write(element, value)).map_err(|error| error.to_string())
 }
 
-/// The address, or another port of the same host if it is taken.
+/// The address, or another port of the same host if it is taken. Port 0 is any free one.
 fn free(wanted: SocketAddr) -> io::Result<SocketAddr> {
     match TcpListener::bind(wanted) {
-        Ok(_) => Ok(wanted),
+        Ok(listener) => listener.local_addr(),
         Err(_) => TcpListener::bind((wanted.ip(), 0))?.local_addr(),
     }
 }

@@ -3,7 +3,8 @@
 mod common;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::net::TcpListener;
+use std::io::{Read as _, Write as _};
+use std::net::{TcpListener, TcpStream};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -81,6 +82,34 @@ fn the_page_has_another_port_if_its_own_is_taken() {
     assert!(port != 9187 && port != 0, "{port}");
     assert!(log.contains("Simulated PLCs: mixer, boiler, pump1, pump2, pump3, pump4"), "{log}");
     assert_eq!(demo.line(), None, "quiet");
+}
+
+/// The answer to a request for a path of the page.
+fn get(address: &str, path: &str) -> std::io::Result<String> {
+    let mut stream = TcpStream::connect(address)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n")?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).map(|_| answer)
+}
+
+#[test]
+fn the_page_shows_the_plcs() {
+    let demo = Bridge::spawn(command(&["--http", "127.0.0.1:0", "--quiet"]));
+    demo.wait_for_log("Ctrl-C ends the demo.");
+    let log = demo.log();
+    let address = log.lines().find_map(|line| line.strip_prefix("Page: http://")).unwrap().to_owned();
+    let until = Instant::now() + PATIENCE;
+    loop {
+        let tags = get(&address, "/api/tags").unwrap_or_default();
+        if tags.contains("pump4") && tags.contains("42") {
+            assert!(tags.starts_with("HTTP/1.1 200 ") && tags.contains("setpoint"), "{tags}");
+            break;
+        }
+        assert!(Instant::now() < until, "{tags}\n{}", demo.log());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(get(&address, "/").unwrap().starts_with("HTTP/1.1 200 "));
 }
 
 #[test]
