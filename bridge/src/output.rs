@@ -2,6 +2,7 @@
 //! taken. An output that fails or waits does not hold up the others.
 
 pub mod mqtt;
+pub mod nats;
 pub mod stdout;
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

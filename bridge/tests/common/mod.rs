@@ -8,3 +8,4 @@ pub mod mosquitto;
 pub mod mqtt_broker;
 pub mod openmetrics;
 pub mod plc;
+pub mod nats;

@@ -1,0 +1,172 @@
+//! A connection to a server.
+//!
+//! `async-nats` reconnects by itself, and then sends what waits in its queue: messages behind those that were lost
+//! with the connection, which breaks their order. So a client here has one connection. Its tasks run in a runtime
+//! of their own, and end with it.
+
+use std::time::Duration;
+
+use async_nats::{Client, ConnectOptions, Event};
+use futures::FutureExt as _;
+use tokio::runtime::Runtime;
+use tokio::sync::mpsc;
+
+use crate::config::{Name, NatsSection};
+use crate::secret::SecretError;
+use crate::tls::{TlsError, TlsFiles};
+
+/// The time for a connection, TLS and authentication included.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// The period of pings. A server that misses two of them is lost.
+const PING: Duration = Duration::from_secs(5);
+/// The messages that wait for the client to write them. More than are in flight.
+const QUEUE: usize = 2048;
+/// The commands that wait to be taken. The client drops more.
+const SUBSCRIPTION: usize = 256;
+/// The delay of a reconnect, which is never reached.
+const NEVER: Duration = Duration::from_secs(24 * 3600);
+
+/// A connection. Its tasks end when it is dropped.
+#[derive(Debug)]
+pub(super) struct Connection {
+    client: Client,
+    lost: mpsc::UnboundedReceiver<String>,
+    runtime: Option<Runtime>,
+}
+
+/// A connection that cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum OpenError {
+    #[error("creds_file: {0}")]
+    Secret(#[from] SecretError),
+    #[error("creds_file: it has no credentials of NATS: {0}")]
+    Credentials(std::io::Error),
+    #[error("{0}")]
+    Tls(#[from] TlsError),
+    #[error("{0}")]
+    Connect(String),
+    #[error("cannot start a runtime: {0}")]
+    Runtime(std::io::Error),
+}
+
+impl Connection {
+    /// Opens a connection, with the present content of the files.
+    pub(super) async fn open(section: &NatsSection, bridge: &Name) -> Result<Self, OpenError> {
+        let files = section.clone();
+        let options = tokio::task::spawn_blocking(move || options(&files)).await;
+        // An error: it was aborted, since the runtime ends.
+        let options = options.map_err(|error| OpenError::Connect(error.to_string()))??;
+        let (sender, lost) = mpsc::unbounded_channel();
+        let options = options
+            .name(format!("fatek-bridge {bridge}"))
+            .connection_timeout(CONNECT_TIMEOUT)
+            .ping_interval(PING)
+            .client_capacity(QUEUE)
+            .subscription_capacity(SUBSCRIPTION)
+            .ignore_discovered_servers()
+            .reconnect_delay_callback({
+                let begun = std::sync::atomic::AtomicBool::new(false);
+                move |_| {
+                    let is_again = begun.swap(true, std::sync::atomic::Ordering::Relaxed);
+                    if is_again { NEVER } else { Duration::ZERO }
+                }
+            })
+            .event_callback(move |event| {
+                report(&sender, &event);
+                std::future::ready(())
+            });
+        let scheme = if section.url.is_tls() { "tls" } else { "nats" };
+        let host = section.url.host();
+        let host = if host.contains(':') { format!("[{host}]") } else { host.to_owned() };
+        let url = format!("{scheme}://{host}:{}", section.url.port());
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("nats")
+            .enable_all()
+            .build()
+            .map_err(OpenError::Runtime)?;
+        let connecting = runtime.spawn(async move { options.connect(url).await });
+        let connected = tokio::time::timeout(CONNECT_TIMEOUT * 2, connecting).await;
+        let client = match connected {
+            Ok(Ok(Ok(client))) => Ok(client),
+            Ok(Ok(Err(error))) => Err(with_sources(&error)),
+            Ok(Err(error)) => Err(error.to_string()),
+            Err(_) => Err("no answer".to_owned()),
+        };
+        match client {
+            Ok(client) => Ok(Self { client, lost, runtime: Some(runtime) }),
+            Err(error) => {
+                runtime.shutdown_background();
+                Err(OpenError::Connect(error))
+            }
+        }
+    }
+
+    pub(super) fn client(&self) -> &Client {
+        &self.client
+    }
+
+    /// Waits until the connection is lost, and returns why. Cancel-safe.
+    pub(super) async fn lost(&mut self) -> String {
+        let why = self.lost.recv().await;
+        // The reason can come before or after the loss itself.
+        let more = self.lost.recv().now_or_never().flatten();
+        let why = [why, more].into_iter().flatten().find(|why| why != LOST);
+        why.unwrap_or_else(|| LOST.to_owned())
+    }
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_background();
+        }
+    }
+}
+
+const LOST: &str = "the connection was lost";
+
+fn report(lost: &mpsc::UnboundedSender<String>, event: &Event) {
+    let why = match event {
+        Event::Disconnected | Event::Closed => LOST.to_owned(),
+        Event::LameDuckMode => "the server is shutting down".to_owned(),
+        Event::SlowConsumer(_) => return tracing::warn!("nats: too many commands at once: some are lost"),
+        // Such as missing permissions: the connection stays.
+        Event::ServerError(error) => return tracing::warn!("nats: the server reports: {error}"),
+        Event::ClientError(error) => return tracing::debug!("nats: {error}"),
+        Event::Connected | Event::Draining => return,
+    };
+    // The session has ended.
+    let _ = lost.send(why);
+}
+
+/// Reads the files of a section. Blocks until the disk has read them.
+fn options(section: &NatsSection) -> Result<ConnectOptions, OpenError> {
+    let mut options = ConnectOptions::new();
+    if let Some(credentials) = section.credentials()? {
+        options = options.credentials(credentials.expose()).map_err(OpenError::Credentials)?;
+    }
+    if section.url.is_tls() {
+        let files = TlsFiles {
+            ca: section.ca_file.as_deref(),
+            cert: section.cert_file.as_deref(),
+            key: section.key_file.as_deref(),
+        };
+        options = options.require_tls(true).tls_client_config(files.load()?);
+    }
+    Ok(options)
+}
+
+/// The text of an error with those of its causes that it does not have.
+pub(super) fn with_sources(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut source = error.source();
+    while let Some(cause) = source {
+        let cause_text = cause.to_string();
+        if !text.contains(&cause_text) {
+            text = format!("{text}: {cause_text}");
+        }
+        source = cause.source();
+    }
+    text
+}
