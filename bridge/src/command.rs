@@ -98,6 +98,17 @@ impl Storage {
 #[error("write = true needs a folder for the ids of commands: set bridge.buffer.dir, or $STATE_DIRECTORY")]
 pub struct NoFolder;
 
+/// Commands cannot be executed.
+#[derive(Debug, thiserror::Error)]
+pub enum CommandsError {
+    /// There is no folder for their ids.
+    #[error(transparent)]
+    NoFolder(#[from] NoFolder),
+    /// The file of their ids cannot be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
 /// Limits of the commands.
 #[derive(Clone, Copy, Debug)]
 pub struct CommandLimits {
@@ -196,6 +207,23 @@ impl Commands {
         let task = tokio::spawn(driver.run(receiver, results));
         let (calls, task) = (Semaphore::new(MAX_CALLS), tokio::sync::Mutex::new(Some(task)));
         Ok(Self { shared: Arc::new(Shared { registry, clock, messages, calls, figures, task }) })
+    }
+
+    /// Starts the commands of a configuration. `None`: no output takes any, and no earlier run has left a file,
+    /// which may have pulses to end.
+    ///
+    /// # Errors
+    /// [`CommandsError`] if an output takes commands and their ids cannot be stored.
+    pub async fn start_for(config: &Config, registry: Registry) -> Result<Option<Self>, CommandsError> {
+        let takes_commands =
+            config.mqtt.as_ref().is_some_and(|mqtt| mqtt.write) || config.nats.as_ref().is_some_and(|nats| nats.write);
+        let storage = match Storage::of_config(config) {
+            Err(error) if takes_commands => return Err(error.into()),
+            Err(NoFolder) => return Ok(None),
+            Ok(storage) if !takes_commands && !storage.exists() => return Ok(None),
+            Ok(storage) => storage,
+        };
+        Ok(Some(Self::start(CommandSettings::new(storage), registry).await?))
     }
 
     /// Executes the command of a message for a PLC, and returns the reply to send. `retained`: the server has

@@ -34,6 +34,7 @@ use self::service::Service;
 use crate::batch::Batch;
 use crate::buffer::{Buffer, BufferError, BufferSettings};
 use crate::collect::Collector;
+use crate::command::{Commands, CommandsError};
 use crate::config::Config;
 use crate::file_limit;
 use crate::http::{self, BindError};
@@ -52,6 +53,8 @@ pub struct Bridge {
     pub poller: PollerHandle,
     /// The buffer.
     pub buffer: Buffer,
+    /// The commands, if an output takes any.
+    pub commands: Option<Commands>,
     /// The outputs, in the order of their cursors.
     pub outputs: Vec<Arc<Health>>,
     /// Each batch, for the page.
@@ -69,6 +72,9 @@ pub enum RunError {
     /// A PLC cannot be polled.
     #[error(transparent)]
     Add(#[from] AddError),
+    /// Commands cannot be executed.
+    #[error(transparent)]
+    Commands(#[from] CommandsError),
     /// The buffer cannot be opened.
     #[error(transparent)]
     Buffer(#[from] BufferError),
@@ -139,9 +145,12 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let poller = Poller::new();
     let names = config.outputs();
     let buffer = open_buffer(&config, names.clone()).await?;
+    let registry = Registry::default();
+    let commands = Commands::start_for(&config, registry.clone()).await?;
     let (live, _) = broadcast::channel(LIVE_CAPACITY);
     let bridge = Bridge {
-        registry: Registry::default(),
+        registry,
+        commands,
         pool: Pool::new(),
         poller: poller.handle(),
         buffer: buffer.clone(),

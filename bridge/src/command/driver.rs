@@ -21,7 +21,7 @@ pub(super) const CALL_TIMEOUT: Duration = Duration::from_secs(5);
 /// The time that pulses may last after the close. Longer ones are ended early.
 const GRACE: Duration = Duration::from_secs(2);
 /// The time in which everything has ended after the close.
-const CLOSE_TIMEOUT: Duration = Duration::from_secs(6);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(4);
 
 /// A message to the task.
 #[derive(Debug)]

@@ -78,6 +78,9 @@ struct Shared {
 pub async fn run(section: NatsSection, parts: NatsParts) {
     let NatsParts { id, registry, cursor, health, commands, stop } = parts;
     let topics = Topics::nats(&section.prefix, &id);
+    if section.write && commands.is_none() {
+        tracing::warn!("nats: write = true applies after a restart of the bridge");
+    }
     let commands = commands.filter(|_| section.write);
     let shared = Shared { section, bridge: id, topics, registry, health: health.clone(), commands, stop: stop.clone() };
     let mut carried = Carried::new(Delivery::new(cursor, health.clone()));

@@ -27,8 +27,14 @@ pub(super) async fn drain(bridge: &Bridge, outputs: Outputs, collector: Option<J
             sleep(LOOK).await;
         }
     };
+    // The outputs send the replies.
+    let executed = async {
+        if let Some(commands) = &bridge.commands {
+            commands.close().await;
+        }
+    };
     tokio::select! {
-        delivered = timeout(DRAIN, delivered) => if delivered.is_err() {
+        (delivered, ()) = async { tokio::join!(timeout(DRAIN, delivered), executed) } => if delivered.is_err() {
             tracing::warn!("an output did not take all batches within {DRAIN:?}");
         },
         () = signals.end() => tracing::warn!("a second signal: the bridge ends without waiting"),

@@ -9,7 +9,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::Bridge;
 use crate::config::Config;
-use crate::output::{mqtt, stdout};
+use crate::output::mqtt::{self, MqttParts};
+use crate::output::nats::{self, NatsParts};
+use crate::output::stdout;
 
 /// The time in which an output must end: it says goodbye to its server.
 const GOODBYE: Duration = Duration::from_secs(2);
@@ -75,18 +77,22 @@ impl Outputs {
     fn start_one(&mut self, bridge: &Bridge, name: &'static str) {
         let Some(number) = bridge.outputs.iter().position(|health| health.name() == name) else { return };
         let Some(health) = bridge.outputs.get(number).cloned() else { return };
-        let stop = CancellationToken::new();
+        let (config, stop) = (bridge.config(), CancellationToken::new());
         let mut cursor = bridge.buffer.cursor(number);
         // An earlier task may have read batches that it did not deliver.
         cursor.rewind();
+        let (id, registry, commands) = (config.bridge.id.clone(), bridge.registry.clone(), bridge.commands.clone());
         let task = match name {
             "stdout" => self.tasks.spawn(stdout::run(cursor, health, stop.clone())),
             "mqtt" => {
-                let config = bridge.config();
                 let Some(section) = config.mqtt.clone() else { return };
-                let (id, registry) = (config.bridge.id.clone(), bridge.registry.clone());
-                let parts = mqtt::MqttParts { id, registry, cursor, health, commands: None, stop: stop.clone() };
+                let parts = MqttParts { id, registry, cursor, health, commands, stop: stop.clone() };
                 self.tasks.spawn(mqtt::run(section, parts))
+            }
+            "nats" => {
+                let Some(section) = config.nats.clone() else { return };
+                let parts = NatsParts { id, registry, cursor, health, commands, stop: stop.clone() };
+                self.tasks.spawn(nats::run(section, parts))
             }
             // The configuration knows no other output.
             _ => return,
