@@ -37,13 +37,13 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
     let old = bridge.config();
     let path = old.path.clone();
     let (registry, pool, poller) = (bridge.registry.clone(), bridge.pool.clone(), bridge.poller.clone());
-    let runtime = tokio::runtime::Handle::current();
+    let (runtime, takes_commands) = (tokio::runtime::Handle::current(), bridge.commands.is_some());
     // Files are read and thousands of tags planned: that blocks.
     let applied = tokio::task::spawn_blocking(move || {
         let _runtime = runtime.enter();
         let mut config = Config::load(&path)?;
         let changes = registry.apply(&config.plant, &pool, &poller)?;
-        let needs_restart = keep_fixed(&mut config, &old);
+        let needs_restart = keep_fixed(&mut config, &old, takes_commands);
         Ok::<_, ReloadError>((config, changes, needs_restart, old))
     });
     let (config, changes, needs_restart, old) = applied.await.map_err(|_| ReloadError::Panicked)??;
@@ -56,7 +56,9 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
 }
 
 /// Keeps the settings that cannot change while the bridge runs. Returns the names of those that differ.
-fn keep_fixed(config: &mut Config, old: &Config) -> Vec<&'static str> {
+///
+/// `takes_commands`: the bridge was started with an output that takes commands.
+fn keep_fixed(config: &mut Config, old: &Config, takes_commands: bool) -> Vec<&'static str> {
     let mut differ = Vec::new();
     if config.bridge != old.bridge {
         config.bridge = old.bridge.clone();
@@ -73,6 +75,12 @@ fn keep_fixed(config: &mut Config, old: &Config) -> Vec<&'static str> {
     if config.stdout.is_some() != old.stdout.is_some() {
         config.stdout = old.stdout;
         differ.push("section stdout, which is new or gone,");
+    }
+    // The file of the commands is opened at the start.
+    let writes = [config.mqtt.as_mut().map(|mqtt| &mut mqtt.write), config.nats.as_mut().map(|nats| &mut nats.write)];
+    for write in writes.into_iter().flatten().filter(|write| **write && !takes_commands) {
+        *write = false;
+        differ.push("write = true");
     }
     differ
 }

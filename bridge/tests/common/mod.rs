@@ -6,6 +6,6 @@ pub mod deliveries;
 pub mod http;
 pub mod mosquitto;
 pub mod mqtt_broker;
+pub mod nats;
 pub mod openmetrics;
 pub mod plc;
-pub mod nats;
