@@ -218,6 +218,7 @@ impl Element {
     /// [`ElementError::OutOfRange`] when there is none. [`ElementError::Counter`] or
     /// [`ElementError::NotConsecutive`] when counters of 32 bits begin or end in between: no
     /// element follows `RC199`, `DRC198` or `DRC255`.
+    #[inline]
     pub const fn nth(self, n: usize) -> Result<Self, ElementError> {
         if n == 0 {
             return Ok(self);
@@ -258,6 +259,7 @@ impl Element {
     /// The distance to the address of the next element: that of [`Symbol::step`], and 1 for
     /// counters of 32 bits.
     #[must_use]
+    #[inline]
     pub const fn step(self) -> u16 {
         if self.is_counter_of_32_bits() { 1 } else { self.symbol().step() }
     }
@@ -266,6 +268,7 @@ impl Element {
     ///
     /// They are read and written one by one: by 48 and 49, or by 46 and 47 with one element.
     #[must_use]
+    #[inline]
     pub const fn is_counter_of_32_bits(self) -> bool {
         let [first, last] = self.symbol().counters();
         first <= self.address() && self.address() <= last

@@ -164,11 +164,12 @@ fn read_reply<C: Command, R: FieldReader>(
         ErrorField::Leading => read_with_error(request, spelling, &mut fields()),
         // The echo first. A PLC may refuse a loop-back with an error digit, and the digit may also
         // be the echo.
-        ErrorField::Absent => {
-            read_without_error(request, spelling, &mut fields()).or_else(|mismatch| refused(&mut fields(), mismatch))
-        }
+        ErrorField::Absent => match read_without_error(request, spelling, &mut fields()) {
+            Err(ReplyError::Mismatch(mismatch)) => refused(&mut fields(), mismatch),
+            result => result,
+        },
         ErrorField::ByLength => match read_with_error(request, spelling, &mut fields()) {
-            Err(ReplyError::Mismatch(_)) => Ok(read_without_error(request, spelling, &mut fields())?),
+            Err(ReplyError::Mismatch(_)) => read_without_error(request, spelling, &mut fields()),
             result => result,
         },
     }
@@ -180,7 +181,7 @@ fn read_with_error<C: Command>(
     fields: &mut impl FieldReader,
 ) -> Result<C::Reply, ReplyError> {
     match ErrorCode::from_u8(fields.code().map_err(ReplyError::Mismatch)?) {
-        None => Ok(read_without_error(request, spelling, fields)?),
+        None => read_without_error(request, spelling, fields),
         Some(error) => {
             // No data follows an error code.
             fields.finish()?;
@@ -193,7 +194,7 @@ fn read_without_error<C: Command>(
     request: &C,
     spelling: Spelling,
     fields: &mut impl FieldReader,
-) -> Result<C::Reply, FieldError> {
+) -> Result<C::Reply, ReplyError> {
     let reply = request.read_spelled(spelling, fields)?;
     fields.finish()?;
     Ok(reply)

@@ -149,6 +149,7 @@ pub(super) fn addresses_in(request: &impl Command, framing: Framing) -> Result<(
 }
 
 /// Checks that the framing has the addresses of consecutive elements, which exist.
+#[inline]
 fn run_in(first: Element, count: usize, framing: Framing) -> Result<(), ElementError> {
     // Most elements are far from any limit, and every call is checked.
     let most = usize::from(first.symbol().last_address_in(framing).saturating_sub(first.address()));
@@ -184,6 +185,7 @@ impl RequestLengths {
     }
 
     /// The most consecutive elements from this one on in one request; at least 1.
+    #[inline]
     pub(crate) fn most(self, first: Element) -> usize {
         if first.is_counter_of_32_bits() { 1 } else { self.most_of_width(first.width()) }
     }

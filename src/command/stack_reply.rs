@@ -87,7 +87,9 @@ impl<C: Consecutive, const N: usize> Command for StackReply<C, N> {
         let mut reply = ArrayVec { len: asked.min(self.0.len()), values: [ValueOf::<C>::default(); N] };
         let values = reply.values.get_mut(..named).ok_or(FieldError::WrongLength)?;
         C::Element::read(fields, values)?;
-        values.rotate_left(named - asked);
+        if named > asked {
+            values.rotate_left(named - asked);
+        }
         Ok(reply)
     }
 

@@ -17,7 +17,7 @@ use bytes::{Bytes, BytesMut};
 use tokio::time::Instant;
 use tokio_util::codec::Decoder;
 
-use super::call::{self, CallFuture, CallMeta};
+use super::call::{self, CallFuture, CallMeta, Sending};
 use super::config::Config;
 use super::connector::Connector;
 use super::core::{Action, Core};
@@ -193,12 +193,10 @@ impl World {
             lane: options.lane(C::CODE.class()),
             deadline: later(self.now, options.call_timeout),
             queued_at: self.now,
-            response_timeout: RESPONSE_TIMEOUT,
-            options,
-            part,
             confirms: confirms.is_some(),
         };
-        let (mut call, future) = call::new(request, confirms, meta);
+        let sending = Sending { response_timeout: RESPONSE_TIMEOUT, adaptive: options.adaptive, part };
+        let (mut call, future) = call::new(request, confirms, meta, sending, &options);
         call.retries_left = 2;
         self.core.push(call, self.now);
         future

@@ -28,7 +28,7 @@ use std::time::Duration;
 use bytes::BytesMut;
 use tokio::time::Instant;
 
-pub(crate) use self::deadline::ended_by;
+pub(crate) use self::deadline::{TimerInUse, ended_by};
 pub(crate) use self::slot::CallFuture;
 use self::slot::CallSlot;
 use super::in_step::{Kind, Proof, Shape, Spelled};
@@ -39,8 +39,8 @@ use crate::wire::{FieldError, Framing};
 
 /// A call as the link sees it, without the type of its request.
 pub(crate) trait AnyCall: Send + Sync {
-    /// The data of the call that the link schedules it by.
-    fn meta(&self) -> &CallMeta;
+    /// How the request is sent.
+    fn sending(&self) -> Sending;
 
     /// The kind of the request, for the rule of `in_step`.
     fn kind(&self) -> Kind;
@@ -125,7 +125,7 @@ pub(crate) trait AnyCall: Send + Sync {
     fn was_sent(&self) -> bool;
 }
 
-/// Data of a call that are known when it is made.
+/// Data of a call that are known when it is made, and that the link schedules it by.
 #[derive(Debug)]
 pub(crate) struct CallMeta {
     pub(crate) station: u8,
@@ -134,18 +134,27 @@ pub(crate) struct CallMeta {
     /// When the caller gives up.
     pub(crate) deadline: Instant,
     pub(crate) queued_at: Instant,
+    /// The call is a check that confirms earlier results; its request is never sent.
+    pub(crate) confirms: bool,
+}
+
+/// How the request of a call is sent.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sending {
     pub(crate) response_timeout: Duration,
-    pub(crate) options: CallOptions,
+    /// The shortest response timeout, if it adapts.
+    pub(crate) adaptive: Option<Duration>,
     /// The request is part of a longer read or write: a spelling may leave elements to the next
     /// request.
     pub(crate) part: bool,
-    /// The call is a check that confirms earlier results; its request is never sent.
-    pub(crate) confirms: bool,
 }
 
 /// The link's half of a call. Dropped without a result, it ends the call with [`Error::Closed`].
 pub(crate) struct PendingCall {
     pub(crate) slot: Arc<dyn AnyCall>,
+    /// Not in the slot, whose type is not known here: each access would be a virtual call. It is small,
+    /// because a call is moved several times on its way.
+    meta: CallMeta,
     /// How many retries are left.
     pub(crate) retries_left: u32,
     /// A reply without proof has come, and the request was sent again. That is allowed once, and
@@ -159,7 +168,7 @@ pub(crate) struct PendingCall {
     /// How often the check before a write may still be repeated: nothing was sent then.
     pub(crate) check_retries_left: u32,
     /// Why the first attempt of the request itself has failed.
-    pub(crate) cause: Option<Cause>,
+    pub(crate) cause: Option<Box<Cause>>,
 }
 
 /// Why an attempt has failed.
@@ -171,23 +180,23 @@ pub(crate) enum Cause {
 }
 
 /// A call in the framing of its link, as the rule of `in_step` sees it.
-pub(crate) struct CallInFraming<'a>(pub(crate) &'a PendingCall, pub(crate) Framing);
+pub(crate) struct CallInFraming<'a>(pub(crate) &'a dyn AnyCall, pub(crate) Framing);
 
 impl Spelled for CallInFraming<'_> {
     fn kind(&self) -> Kind {
-        self.0.slot.kind()
+        self.0.kind()
     }
 
     fn plain(&self) -> Spelling {
-        self.0.slot.plain()
+        self.0.plain()
     }
 
     fn candidates(&self) -> Candidates {
-        self.0.slot.candidates(self.1)
+        self.0.candidates(self.1)
     }
 
     fn shape(&self, spelling: Spelling) -> Shape {
-        self.0.slot.shape(spelling, self.1)
+        self.0.shape(spelling, self.1)
     }
 }
 
@@ -195,7 +204,7 @@ impl Deref for PendingCall {
     type Target = CallMeta;
 
     fn deref(&self) -> &CallMeta {
-        self.slot.meta()
+        &self.meta
     }
 }
 
@@ -207,12 +216,12 @@ impl PendingCall {
 
     /// Ends a call whose deadline has passed or whose caller has given up.
     pub(crate) fn expire(&self) {
-        self.slot.fail(self.unanswered(self.options.call_timeout));
+        self.slot.fail(self.unanswered(self.deadline.saturating_duration_since(self.queued_at)));
     }
 
     /// The error of the call if it ends without a reply after this time.
     pub(crate) fn unanswered(&self, after: Duration) -> Error {
-        let fault = match &self.cause {
+        let fault = match self.cause.as_deref() {
             Some(Cause::Fault(reason)) => Some(reason.clone()),
             Some(Cause::Silence) | None => None,
         };
@@ -240,26 +249,30 @@ impl std::fmt::Debug for PendingCall {
         write!(f, "PendingCall(station {}, {}, {:?})", self.station, self.code, self.lane)
     }
 }
-/// Makes the two halves of a call. `implied_reply` is its result if it ends without a reply.
+/// Makes the two halves of a call. `implied_reply` is its result if it ends without a reply; `options`
+/// have its retries.
 pub(crate) fn new<C: Command>(
     request: C,
     implied_reply: Option<C::Reply>,
     meta: CallMeta,
+    sending: Sending,
+    options: &CallOptions,
 ) -> (PendingCall, CallFuture<C>) {
-    let retries_left = meta.options.retries_for(C::CODE.class());
-    let check_retries_left = meta.options.retries.saturating_sub(retries_left);
+    let retries_left = options.retries_for(C::CODE.class());
+    let check_retries_left = options.retries.saturating_sub(retries_left);
     let slot = match spares::take::<C>() {
-        None => Arc::new(CallSlot::new(request, implied_reply, meta)),
+        None => Arc::new(CallSlot::new(request, implied_reply, meta.station, sending)),
         Some(mut spare) => match Arc::get_mut(&mut spare) {
-            None => Arc::new(CallSlot::new(request, implied_reply, meta)),
+            None => Arc::new(CallSlot::new(request, implied_reply, meta.station, sending)),
             Some(slot) => {
-                slot.begin(request, implied_reply, meta);
+                slot.begin(request, implied_reply, meta.station, sending);
                 spare
             }
         },
     };
     let call = PendingCall {
         slot: slot.clone(),
+        meta,
         retries_left,
         unproven_once: false,
         plain: false,

@@ -26,9 +26,8 @@
 
 use std::time::Duration;
 
-use bytes::BytesMut;
+use bytes::{Buf, BytesMut};
 use tokio::time::Instant;
-use tokio_util::codec::Decoder;
 
 use super::buffer;
 use super::call::PendingCall;
@@ -37,7 +36,7 @@ use super::options::EchoMode;
 use crate::command::{self, Command, LoopBack, ReadDetailedStatus, ReadStatus, ReplyError};
 use crate::error::ErrorCode;
 use crate::hex;
-use crate::wire::{Codec, Discard, FieldError, Frame, Framing, Received, Side, fingerprint};
+use crate::wire::{Codec, Discard, FieldError, Found, FoundFrame, Framing, Side, fingerprint};
 
 /// A request that is sent on the wire.
 #[derive(Debug)]
@@ -52,7 +51,7 @@ pub(crate) enum Outgoing {
 #[derive(Debug)]
 pub(crate) enum LinkRequest {
     /// A check between two requests, with its loop-back if it is one.
-    Check(in_step::Check, LoopBack),
+    Check(in_step::Check, Box<LoopBack>),
     /// A status request, to learn whether the line echoes. Its reply proves nothing else.
     EchoTest,
 }
@@ -103,7 +102,7 @@ impl Outgoing {
             Self::Call(call) => call.slot.encode(framing, station, tx),
             Self::Link { request, .. } => match request {
                 LinkRequest::Check(in_step::Check::Nonce | in_step::Check::Empty, data) => {
-                    command::encode_spelled(data, data.plain(), framing, station, tx);
+                    command::encode_spelled(&**data, data.plain(), framing, station, tx);
                 }
                 LinkRequest::Check(in_step::Check::Status, _) | LinkRequest::EchoTest => {
                     command::encode_spelled(&ReadStatus, ReadStatus.plain(), framing, station, tx);
@@ -122,7 +121,7 @@ impl Outgoing {
             Self::Call(call) => call.slot.try_complete(framing, call.station, data, now),
             Self::Link { request, .. } => match request {
                 LinkRequest::Check(in_step::Check::Nonce | in_step::Check::Empty, echo) => {
-                    refusal_in(command::decode_reply(echo, framing, data))
+                    refusal_in(command::decode_reply(&**echo, framing, data))
                 }
                 LinkRequest::Check(in_step::Check::Status, _) | LinkRequest::EchoTest => {
                     refusal_in(command::decode_reply(&ReadStatus, framing, data))
@@ -196,6 +195,13 @@ pub(crate) enum Event {
     Stray { station: u8, command: u8, fingerprint: u64 },
     /// Bytes that are part of no frame.
     Noise { reason: Discard, bytes: usize },
+}
+
+/// A good frame in the receive buffer.
+struct ReceivedFrame<'a> {
+    station: u8,
+    command: u8,
+    data: &'a [u8],
 }
 
 #[derive(Debug)]
@@ -361,20 +367,34 @@ impl Exchange {
         if self.received.is_empty() {
             return None;
         }
-        // The codecs do no I/O, so they return no errors.
-        Some(match self.codec.decode(&mut self.received).ok().flatten()? {
-            Received::Frame(frame) => self.classify(&frame, now),
-            Received::Discarded { reason, bytes } => {
-                tracing::trace!(%reason, bytes = %bytes.escape_ascii(), "discarded");
-                if let Some(active) = &mut self.active {
-                    active.discarded = active.discarded.saturating_add(bytes.len());
-                    if may_contain_reply(reason) {
-                        active.fault = Some(reason.to_string());
-                    }
-                }
-                Event::Noise { reason, bytes: bytes.len() }
+        let Found { len, content } = self.codec.find(&self.received)?;
+        // The bytes are lent to `classify`, not copied.
+        let mut received = std::mem::take(&mut self.received);
+        let event = match content {
+            Ok(FoundFrame { station, command, data }) => {
+                let data = received.get(data).unwrap_or_default();
+                self.classify(&ReceivedFrame { station, command, data }, now)
             }
-        })
+            Err(reason) => self.discarded(reason, received.get(..len).unwrap_or_default()),
+        };
+        if len < received.len() {
+            received.advance(len);
+        } else {
+            received.clear();
+        }
+        self.received = received;
+        Some(event)
+    }
+
+    fn discarded(&mut self, reason: Discard, bytes: &[u8]) -> Event {
+        tracing::trace!(%reason, bytes = %bytes.escape_ascii(), "discarded");
+        if let Some(active) = &mut self.active {
+            active.discarded = active.discarded.saturating_add(bytes.len());
+            if may_contain_reply(reason) {
+                active.fault = Some(reason.to_string());
+            }
+        }
+        Event::Noise { reason, bytes: bytes.len() }
     }
 
     /// As [`next_event`](Self::next_event) on a line that has fallen silent: an incomplete frame is
@@ -397,12 +417,12 @@ impl Exchange {
         self.line_bytes = self.line_bytes.saturating_add(u64::try_from(bytes).unwrap_or(u64::MAX));
     }
 
-    fn classify(&mut self, frame: &Frame, now: Instant) -> Event {
+    fn classify(&mut self, frame: &ReceivedFrame<'_>, now: Instant) -> Event {
         let (station, command, data) = (frame.station, frame.command, frame.data.escape_ascii());
         tracing::trace!(station, command, %data, "received");
         let framing = self.framing();
         self.on_the_line(frame.data.len().saturating_add(framing.frame_overhead()));
-        let fingerprint = fingerprint(frame.command, &frame.data);
+        let fingerprint = fingerprint(frame.command, frame.data);
         let stray = Event::Stray { station: frame.station, command: frame.command, fingerprint };
         if self.is_late_echo(frame) {
             tracing::warn!("the line echoes requests: the status reply that showed otherwise was a late one");
@@ -432,7 +452,7 @@ impl Exchange {
         } else if !fits {
             Some(format!("a reply to command {:02X}", frame.command))
         } else {
-            match active.outgoing.try_complete(framing, &frame.data, now) {
+            match active.outgoing.try_complete(framing, frame.data, now) {
                 Ok(refusal) => {
                     active.reply = Some(Reply { shape: active.shape, refused: refusal.is_some(), fingerprint });
                     active.refusal = refusal;
@@ -457,7 +477,7 @@ impl Exchange {
 
     /// Returns whether a frame is the status request that seemed to show that the line does not
     /// echo. No reply to 40 is empty.
-    fn is_late_echo(&self, frame: &Frame) -> bool {
+    fn is_late_echo(&self, frame: &ReceivedFrame<'_>) -> bool {
         let request = frame.command == u8::from(ReadStatus::CODE) && frame.data.is_empty();
         request && self.framing() == Framing::Ascii && self.learned_from == Some(frame.station)
     }

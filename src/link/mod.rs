@@ -57,14 +57,14 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::runtime::Handle;
+use tokio::runtime::{Handle, TryCurrentError};
 use tokio::sync::watch;
 use tokio::task::{consume_budget, yield_now};
 use tokio::time::Instant;
 use tracing::Instrument;
 
 use self::by_station::ByStation;
-use self::call::CallMeta;
+use self::call::{CallMeta, Sending};
 use self::config::Config;
 pub(crate) use self::config::SharedConfigs;
 pub(crate) use self::connect_limiter::ConnectLimiter;
@@ -320,28 +320,32 @@ impl Link {
         purpose: Purpose<C>,
         options: CallOptions,
     ) -> CallOutcome<C::Reply> {
-        if let Err(error) = request.check(self.framing()).map_err(Error::from).and_then(|()| self.start()) {
-            return CallOutcome::none(Err(error), request.plain());
-        }
         let queued_at = Instant::now();
         let deadline = later(queued_at, options.call_timeout);
+        let checked = request.check(self.framing()).map_err(Error::from);
+        let mut timer = match checked.and_then(|()| self.prepare(deadline)) {
+            Ok(timer) => timer,
+            Err(error) => return CallOutcome::none(Err(error), request.plain()),
+        };
         let meta = CallMeta {
             station,
             code: C::CODE,
             lane: options.lane(C::CODE.class()),
             deadline,
             queued_at,
-            response_timeout: options.response_timeout.unwrap_or(self.inner.config.response_timeout),
-            options,
-            part: matches!(purpose, Purpose::Part),
             confirms: matches!(purpose, Purpose::Confirm(_)),
+        };
+        let sending = Sending {
+            response_timeout: options.response_timeout.unwrap_or(self.inner.config.response_timeout),
+            adaptive: options.adaptive,
+            part: matches!(purpose, Purpose::Part),
         };
         let in_job = matches!(purpose, Purpose::InJob | Purpose::Part);
         let implied_reply = match purpose {
             Purpose::Whole | Purpose::InJob | Purpose::Part => None,
             Purpose::Broadcast(reply) | Purpose::Confirm(reply) => Some(reply),
         };
-        let (call, mut future) = call::new(request, implied_reply, meta);
+        let (call, mut future) = call::new(request, implied_reply, meta, sending, &options);
         // Lasts until the call has ended.
         let span = tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name());
         // Work for the link may also serve calls of others, so it runs in the link's span.
@@ -355,7 +359,7 @@ impl Link {
         // A call may be ready at once: a broadcast is done when it is written. Other tasks must run
         // all the same.
         consume_budget().await;
-        let mut ended = call::ended_by(&mut future, deadline).await;
+        let mut ended = call::ended_by(&mut future, &mut timer, deadline).await;
         // This process may have been stopped until now, with the reply in the socket: the runtime
         // looks for events, and then the link's task reads it.
         for _ in 0..LOOKS_AT_DEADLINE {
@@ -373,13 +377,16 @@ impl Link {
             future.abandon();
             Err(future.unanswered(queued_at.elapsed()))
         };
-        let outcome = CallOutcome {
-            result: result.map_err(|error| self.explain(error, deadline)),
+        let mut outcome = CallOutcome {
+            result,
             replied_at: future.replied_at(),
             spelling,
             shape: if in_job { future.shape(self.framing()) } else { Shape { code: spelling.code, size: 0 } },
             proof: future.proof(),
         };
+        if outcome.result.is_err() {
+            outcome.result = outcome.result.map_err(|error| self.explain(error, deadline));
+        }
         future.recycle();
         outcome
     }
@@ -405,11 +412,22 @@ impl Link {
         Error::Connect { endpoint: self.inner.name.to_string(), source, sent }
     }
 
+    /// Takes the timer of a call, and starts the task if it does not run.
+    ///
+    /// # Errors
+    /// [`Error::Connect`]: the caller is in no runtime. A started task does not need it, but the timer does.
+    fn prepare(&self, deadline: Instant) -> Result<call::TimerInUse, Error> {
+        let timer = call::TimerInUse::take(deadline).map_err(|error| self.no_runtime(error))?;
+        if !self.inner.shared.is_started(false) {
+            self.start()?;
+        }
+        Ok(timer)
+    }
+
     /// Starts the task with the first call, and with the first one after its runtime has ended.
     fn start(&self) -> Result<(), Error> {
         // Fails before the task is taken, so that a caller without a runtime does not use it up.
-        // A started task does not need the caller's runtime, but the caller's timer does.
-        let runtime = Handle::try_current().map_err(|error| self.connect_error(Arc::new(io::Error::other(error))))?;
+        let runtime = Handle::try_current().map_err(|error| self.no_runtime(error))?;
         if !self.inner.shared.is_started(false) && !self.inner.shared.is_started(true) {
             let task = self.inner.shared.clone().run();
             runtime.spawn(task.instrument(self.span()));
@@ -420,6 +438,10 @@ impl Link {
     /// The span of events that concern the link; its task and its callers emit them.
     fn span(&self) -> tracing::Span {
         tracing::debug_span!(parent: None, "link", name = %self.inner.name)
+    }
+
+    fn no_runtime(&self, error: TryCurrentError) -> Error {
+        self.connect_error(Arc::new(io::Error::other(error)))
     }
 
     fn connect_error(&self, source: Arc<io::Error>) -> Error {
@@ -477,8 +499,16 @@ impl fmt::Debug for Link {
     }
 }
 
+/// A time in nanoseconds, for the smoothing of times.
+#[inline]
+pub(crate) fn nanoseconds(time: Duration) -> u64 {
+    // More than 500 years.
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
+
 /// The instant `by` after `now`, at most a day: more than any call takes, and within the range of a
 /// clock.
+#[inline]
 pub(crate) fn later(now: Instant, by: Duration) -> Instant {
     now.checked_add(by.min(Duration::from_secs(86_400))).unwrap_or(now)
 }

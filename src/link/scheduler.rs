@@ -265,8 +265,10 @@ impl Scheduler {
 
     /// Adds to the used bus time of a station.
     pub(crate) fn charge(&mut self, station: u8, time: Duration) {
-        let grown = time.checked_div(ALLOWANCE_SHARE).unwrap_or_default();
-        self.allowance = self.allowance.saturating_add(grown).min(MAX_ALLOWANCE);
+        if self.allowance < MAX_ALLOWANCE {
+            let grown = time.checked_div(ALLOWANCE_SHARE).unwrap_or_default();
+            self.allowance = self.allowance.saturating_add(grown).min(MAX_ALLOWANCE);
+        }
         self.queues(station, |queues| queues.service.used = queues.service.used.saturating_add(time));
     }
 

@@ -13,7 +13,7 @@ use tokio::time::Instant;
 
 use super::by_station::ByStation;
 use super::in_step::InStep;
-use super::later;
+use super::{later, nanoseconds};
 
 #[derive(Debug)]
 pub(crate) struct Stations {
@@ -75,11 +75,6 @@ impl Stations {
     /// Runs `work` for all stations that were sent a request.
     pub(crate) fn for_all(&mut self, work: impl Fn(&mut InStep)) {
         self.stations.values_mut().for_each(|health| work(&mut health.in_step));
-    }
-
-    /// Notes that the station is given this response timeout.
-    pub(crate) fn note_timeout(&mut self, station: u8, timeout: Duration) {
-        self.health(station, |health| health.longest_timeout = health.longest_timeout.max(timeout));
     }
 
     /// The longest response timeout that the station was ever given; probes use it, too.
@@ -212,10 +207,15 @@ impl Stations {
         estimate.map_or(longest, |estimate| estimate.max(shortest).min(longest))
     }
 
-    /// Notes that the station is sent something. Station 0 has no state.
-    pub(crate) fn note_sent(&mut self, station: u8, now: Instant) {
+    /// Notes that the station is sent something: the request of a call, which is given this response
+    /// timeout, or one of the link itself. Station 0 has no state.
+    #[inline]
+    pub(crate) fn note_sent(&mut self, station: u8, timeout: Option<Duration>, now: Instant) {
         if station != 0 {
-            self.health(station, |health| health.sent_at = Some(now));
+            self.health(station, |health| {
+                health.sent_at = Some(now);
+                health.longest_timeout = health.longest_timeout.max(timeout.unwrap_or_default());
+            });
         }
     }
 
@@ -243,33 +243,34 @@ impl Stations {
     }
 }
 
-/// The round trip, smoothed as TCP does it (RFC 6298).
+/// The round trip, smoothed as TCP does it (RFC 6298). In nanoseconds: each reply is counted, and a
+/// `Duration` costs several times as much to divide.
 #[derive(Debug, Default)]
 struct RoundTrip {
-    smoothed: Option<Duration>,
-    deviation: Duration,
+    smoothed: Option<u64>,
+    deviation: u64,
     /// Number of times that the estimate was doubled since the last answer.
     doublings: u32,
 }
 
 impl RoundTrip {
     fn measured(&mut self, sample: Duration) {
+        let sample = nanoseconds(sample);
         self.doublings = 0;
         let Some(smoothed) = self.smoothed else {
             self.smoothed = Some(sample);
-            self.deviation = half(sample);
+            self.deviation = sample / 2;
             return;
         };
         let off = smoothed.abs_diff(sample);
-        self.deviation = self.deviation.saturating_sub(quarter(self.deviation)).saturating_add(quarter(off));
-        let eighth = |time| half(quarter(time));
-        self.smoothed = Some(smoothed.saturating_sub(eighth(smoothed)).saturating_add(eighth(sample)));
+        self.deviation = self.deviation.saturating_sub(self.deviation / 4).saturating_add(off / 4);
+        self.smoothed = Some(smoothed.saturating_sub(smoothed / 8).saturating_add(sample / 8));
     }
 
     /// The smoothed round trip, and its deviation or a quarter, whichever is more.
     fn expected(&self) -> Option<Duration> {
         let smoothed = self.smoothed?;
-        Some(smoothed.saturating_add(self.deviation.max(quarter(smoothed))))
+        Some(Duration::from_nanos(smoothed.saturating_add(self.deviation.max(smoothed / 4))))
     }
 
     fn timed_out(&mut self) {
@@ -278,16 +279,8 @@ impl RoundTrip {
 
     fn timeout(&self) -> Option<Duration> {
         let timeout = self.smoothed?.saturating_add(self.deviation.saturating_mul(4));
-        Some(timeout.saturating_mul(1_u32.checked_shl(self.doublings).unwrap_or(u32::MAX)))
+        Some(Duration::from_nanos(timeout).saturating_mul(1_u32.checked_shl(self.doublings).unwrap_or(u32::MAX)))
     }
-}
-
-fn half(time: Duration) -> Duration {
-    time.checked_div(2).unwrap_or_default()
-}
-
-fn quarter(time: Duration) -> Duration {
-    time.checked_div(4).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ use tokio::time::Instant;
 
 pub(crate) use self::shared::SharedStats;
 use super::in_step::Why;
+use super::nanoseconds;
 use crate::command::Spelling;
 
 /// Counters of a station since the link was made. A snapshot.
@@ -295,8 +296,9 @@ pub(crate) fn add(counter: &mut u64, count: u64) {
 }
 
 fn mean(a: Duration, weight_a: u32, b: Duration, weight_b: u32) -> Duration {
-    let sum = a.saturating_mul(weight_a).saturating_add(b.saturating_mul(weight_b));
-    sum.checked_div(weight_a.saturating_add(weight_b)).unwrap_or_default()
+    let weighted = |time, weight: u32| nanoseconds(time).saturating_mul(weight.into());
+    let sum = weighted(a, weight_a).saturating_add(weighted(b, weight_b));
+    Duration::from_nanos(sum.checked_div(weight_a.saturating_add(weight_b).into()).unwrap_or_default())
 }
 
 #[cfg(test)]

@@ -11,12 +11,12 @@
 
 use std::io;
 
-use bytes::{Buf, BufMut, BytesMut};
+use bytes::{BufMut, BytesMut};
 use tokio_util::codec::{Decoder, Encoder};
 
 use super::bulk;
 use super::field::{FieldError, FieldReader, FieldWriter};
-use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received};
+use super::frame::{Discard, EncodeError, Found, FoundFrame, Frame, MAX_FRAME_LEN, Received};
 use super::framing::Framing;
 use crate::element::{Element, ElementError, LONGEST_ADDRESS, LONGEST_SYMBOL, Symbol};
 use crate::hex;
@@ -77,9 +77,43 @@ impl AsciiCodec {
         self.scanned = 0;
     }
 
-    fn discard(&mut self, src: &mut BytesMut, len: usize, reason: Discard) -> Received {
+    /// See [`Codec::find`](super::Codec::find).
+    pub(super) fn find(&mut self, received: &[u8]) -> Option<Found> {
+        match received.first() {
+            None => return None,
+            Some(&STX) => {}
+            Some(_) => {
+                let garbage = memchr::memchr(STX, received).unwrap_or(received.len());
+                return Some(self.discard(garbage, Discard::Garbage));
+            }
+        }
+        // Data contains neither STX nor ETX, so the first of them ends this frame.
+        let from = self.scanned.max(1);
+        let rest = received.get(from..).unwrap_or_default();
+        let mark = memchr::memchr2(STX, ETX, rest).map(|at| at.saturating_add(from));
+        let end = mark.unwrap_or(received.len());
+        if end >= self.max_frame_len {
+            return Some(self.discard(end, Discard::TooLong));
+        }
+        let Some(mark) = mark else {
+            self.scanned = received.len();
+            return None;
+        };
+        if received.get(mark) == Some(&STX) {
+            return Some(self.discard(mark, Discard::Truncated));
+        }
         self.scanned = 0;
-        Received::Discarded { reason, bytes: src.split_to(len.min(src.len())).freeze() }
+        let len = mark.saturating_add(1);
+        let content = parse(received.get(..len).unwrap_or_default()).map(|(station, command)| {
+            let end = len.saturating_sub(TAIL);
+            FoundFrame { station, command, data: HEAD.min(end)..end }
+        });
+        Some(Found { len, content })
+    }
+
+    fn discard(&mut self, len: usize, reason: Discard) -> Found {
+        self.scanned = 0;
+        Found::noise(len, reason)
     }
 }
 
@@ -94,46 +128,12 @@ impl Decoder for AsciiCodec {
     type Error = io::Error;
 
     fn decode(&mut self, src: &mut BytesMut) -> Result<Option<Received>, io::Error> {
-        match src.first() {
-            None => return Ok(None),
-            Some(&STX) => {}
-            Some(_) => {
-                let garbage = memchr::memchr(STX, src).unwrap_or(src.len());
-                return Ok(Some(self.discard(src, garbage, Discard::Garbage)));
-            }
-        }
-        // Data contains neither STX nor ETX, so the first of them ends this frame.
-        let from = self.scanned.max(1);
-        let mark = memchr::memchr2(STX, ETX, src.get(from..).unwrap_or_default()).map(|at| at.saturating_add(from));
-        let end = mark.unwrap_or(src.len());
-        if end >= self.max_frame_len {
-            return Ok(Some(self.discard(src, end, Discard::TooLong)));
-        }
-        let Some(mark) = mark else {
-            self.scanned = src.len();
-            return Ok(None);
-        };
-        if src.get(mark) == Some(&STX) {
-            return Ok(Some(self.discard(src, mark, Discard::Truncated)));
-        }
-        self.scanned = 0;
-        let mut bytes = src.split_to(mark.saturating_add(1)).freeze();
-        Ok(Some(match parse(&bytes) {
-            Ok((station, command)) => {
-                bytes.truncate(bytes.len().saturating_sub(TAIL));
-                bytes.advance(bytes.len().min(HEAD));
-                Received::Frame(Frame { station, command, data: bytes })
-            }
-            Err(reason) => Received::Discarded { reason, bytes },
-        }))
+        Ok(self.find(src).map(|found| found.take_from(src)))
     }
 
     fn decode_eof(&mut self, src: &mut BytesMut) -> Result<Option<Received>, io::Error> {
         Ok(match self.decode(src)? {
-            None if !src.is_empty() => {
-                let len = src.len();
-                Some(self.discard(src, len, Discard::Truncated))
-            }
+            None if !src.is_empty() => Some(self.discard(src.len(), Discard::Truncated).take_from(src)),
             item => item,
         })
     }

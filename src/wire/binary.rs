@@ -12,12 +12,12 @@
 
 use std::io;
 
-use bytes::{Buf, BufMut, BytesMut};
+use bytes::{BufMut, BytesMut};
 use crc::{CRC_16_MODBUS, Crc, Table};
 use tokio_util::codec::{Decoder, Encoder};
 
 use super::field::{FieldError, FieldReader, FieldWriter};
-use super::frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received, Side};
+use super::frame::{Discard, EncodeError, Found, FoundFrame, Frame, MAX_FRAME_LEN, Received, Side};
 use super::framing::Framing;
 use super::{bulk, element_list};
 use crate::element::Element;
@@ -93,6 +93,36 @@ impl BinaryCodec {
         self.give_up = false;
     }
 
+    /// See [`Codec::find`](super::Codec::find).
+    pub(super) fn find(&mut self, received: &[u8]) -> Option<Found> {
+        self.partial = false;
+        let garbage = begin(received, 0);
+        if garbage > 0 {
+            return Some(Found::noise(garbage, Discard::Garbage));
+        }
+        if received.is_empty() {
+            return None;
+        }
+        let give_up = std::mem::take(&mut self.give_up);
+        let reason = match measure(received, self.max_frame_len) {
+            Measure::Partial if give_up => Discard::Truncated,
+            Measure::Partial => {
+                self.partial = true;
+                return None;
+            }
+            Measure::Bad(reason) => reason,
+            Measure::Whole { len, good: true } => {
+                let own = received.first() == Some(&self.emits());
+                let content = if own { Err(Discard::WrongSide) } else { Ok(content(received, len)) };
+                return Some(Found { len, content });
+            }
+            Measure::Whole { good: false, .. } => Discard::BadChecksum,
+        };
+        // Not a frame. A good one may begin inside it, so only the bytes up to the next possible
+        // beginning are discarded.
+        Some(Found::noise(begin(received, 1), reason))
+    }
+
     fn emits(&self) -> u8 {
         match self.side {
             Side::Client => QUERY,
@@ -106,36 +136,7 @@ impl Decoder for BinaryCodec {
     type Error = io::Error;
 
     fn decode(&mut self, src: &mut BytesMut) -> Result<Option<Received>, io::Error> {
-        self.partial = false;
-        let garbage = begin(src, 0);
-        if garbage > 0 {
-            return Ok(Some(Received::Discarded { reason: Discard::Garbage, bytes: src.split_to(garbage).freeze() }));
-        }
-        if src.is_empty() {
-            return Ok(None);
-        }
-        let give_up = std::mem::take(&mut self.give_up);
-        let reason = match measure(src, self.max_frame_len) {
-            Measure::Partial if give_up => Discard::Truncated,
-            Measure::Partial => {
-                self.partial = true;
-                return Ok(None);
-            }
-            Measure::Bad(reason) => reason,
-            Measure::Whole { len, good: true } => {
-                let side = if src.first() == Some(&self.emits()) { Err(Discard::WrongSide) } else { Ok(()) };
-                let bytes = src.split_to(len).freeze();
-                return Ok(Some(match side {
-                    Err(reason) => Received::Discarded { reason, bytes },
-                    Ok(()) => Received::Frame(frame(bytes)),
-                }));
-            }
-            Measure::Whole { good: false, .. } => Discard::BadChecksum,
-        };
-        // Not a frame. A good one may begin inside it, so only the bytes up to the next possible
-        // beginning are discarded.
-        let bytes = src.split_to(begin(src, 1)).freeze();
-        Ok(Some(Received::Discarded { reason, bytes }))
+        Ok(self.find(src).map(|found| found.take_from(src)))
     }
 
     fn decode_eof(&mut self, src: &mut BytesMut) -> Result<Option<Received>, io::Error> {
@@ -255,15 +256,12 @@ fn measure(bytes: &[u8], max: usize) -> Measure {
     Measure::Whole { len, good }
 }
 
-/// The content of a complete, good frame.
-fn frame(mut bytes: bytes::Bytes) -> Frame {
-    debug_assert!(bytes.len() >= OVERHEAD, "a good frame has a station, which is not 0 for want of one");
-    let end = bytes.len().saturating_sub(TAIL);
-    bytes.truncate(end);
-    let station = bytes.get(HEAD).copied().unwrap_or_default();
-    let command = bytes.get(HEAD + 1).copied().unwrap_or_default();
-    bytes.advance(bytes.len().min(HEAD + 2));
-    Frame { station, command, data: bytes }
+/// The content of a complete, good frame of this length at the beginning of received bytes.
+fn content(received: &[u8], len: usize) -> FoundFrame {
+    debug_assert!(len >= OVERHEAD, "a good frame has a station, which is not 0 for want of one");
+    let station = received.get(HEAD).copied().unwrap_or_default();
+    let command = received.get(HEAD + 1).copied().unwrap_or_default();
+    FoundFrame { station, command, data: HEAD + 2..len.saturating_sub(TAIL) }
 }
 
 /// Writes fields as bytes.
@@ -302,8 +300,16 @@ impl FieldWriter for BinaryWriter<'_> {
     }
 
     fn element(&mut self, element: Element) {
-        self.dst.put_slice(element.symbol().as_str().as_bytes());
-        self.dst.put_u16(element.address());
+        let [high, low] = element.address().to_be_bytes();
+        // Appended at once: each append checks the room in the buffer.
+        match *element.symbol().as_str().as_bytes() {
+            [a] => self.dst.put_slice(&[a, high, low]),
+            [a, b] => self.dst.put_slice(&[a, b, high, low]),
+            ref symbol => {
+                self.dst.put_slice(symbol);
+                self.dst.put_slice(&[high, low]);
+            }
+        }
     }
 
     fn bits(&mut self, bits: &[bool]) {

@@ -1,7 +1,7 @@
 use bytes::BytesMut;
 use tokio_util::codec::{Decoder, Encoder};
 
-use super::{AsciiCodec, BinaryCodec, EncodeError, Frame, Framing, Received, Side};
+use super::{AsciiCodec, BinaryCodec, EncodeError, Found, Frame, Framing, Received, Side};
 
 /// The codec of either framing, chosen at run time.
 #[derive(Clone, Debug)]
@@ -42,6 +42,15 @@ impl Codec {
         match self {
             Self::Ascii(codec) => codec.skip_partial(),
             Self::Binary(codec) => codec.skip_partial(),
+        }
+    }
+
+    /// Finds the next frame or noise at the beginning of received bytes. The caller removes it before
+    /// the next call. `None`: more bytes are needed.
+    pub(crate) fn find(&mut self, received: &[u8]) -> Option<Found> {
+        match self {
+            Self::Ascii(codec) => codec.find(received),
+            Self::Binary(codec) => codec.find(received),
         }
     }
 

@@ -1,6 +1,7 @@
 use std::fmt;
+use std::ops::Range;
 
-use bytes::Bytes;
+use bytes::{Bytes, BytesMut};
 
 /// The longest frame, in bytes, that the codecs decode and encode by default.
 ///
@@ -65,6 +66,44 @@ impl Received {
         match self {
             Self::Frame(frame) => Some(frame),
             Self::Discarded { .. } => None,
+        }
+    }
+}
+
+/// A frame or noise at the beginning of received bytes, which stay where they are: a [`Received`]
+/// shares their memory, which costs more than to decode a short frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Found {
+    /// The number of bytes that it takes.
+    pub(crate) len: usize,
+    pub(crate) content: Result<FoundFrame, Discard>,
+}
+
+/// A good frame in received bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct FoundFrame {
+    pub(crate) station: u8,
+    pub(crate) command: u8,
+    /// The place of the data.
+    pub(crate) data: Range<usize>,
+}
+
+impl Found {
+    pub(super) fn noise(len: usize, reason: Discard) -> Self {
+        Self { len, content: Err(reason) }
+    }
+
+    /// Takes it from the bytes that it was found in.
+    pub(super) fn take_from(self, src: &mut BytesMut) -> Received {
+        debug_assert!(self.len <= src.len(), "it was found in other bytes");
+        let bytes = src.split_to(self.len.min(src.len())).freeze();
+        match self.content {
+            Ok(FoundFrame { station, command, data }) => {
+                debug_assert!(data.start <= data.end && data.end <= bytes.len(), "the data are within the frame");
+                let (start, end) = (data.start.min(bytes.len()), data.end.min(bytes.len()));
+                Received::Frame(Frame { station, command, data: bytes.slice(start.min(end)..end) })
+            }
+            Err(reason) => Received::Discarded { reason, bytes },
         }
     }
 }

@@ -24,7 +24,7 @@ pub use ascii::{AsciiCodec, AsciiReader, AsciiWriter};
 pub use binary::{BinaryCodec, BinaryReader, BinaryWriter};
 pub use codec::Codec;
 pub use field::{FieldError, FieldReader, FieldWriter};
-pub(crate) use frame::fingerprint;
 pub use frame::{Discard, EncodeError, Frame, MAX_FRAME_LEN, Received, Side};
+pub(crate) use frame::{Found, FoundFrame, fingerprint};
 pub use framing::{Framing, ParseFramingError};
 pub(crate) use length::LONGEST_FRAME;

@@ -14,7 +14,7 @@
 //! - A thread keeps a bounded number of timers, all of the runtime that it was used with last. A timer
 //!   keeps the memory and the descriptors of its runtime.
 
-use std::cell::Cell;
+use std::cell::RefCell;
 use std::future::poll_fn;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use std::task::{Context, Poll, Wake, Waker, ready};
 
 use futures::future::Future;
 use futures::task::AtomicWaker;
-use tokio::runtime::{Handle, Id};
+use tokio::runtime::{Handle, Id, TryCurrentError};
 use tokio::task::unconstrained;
 use tokio::time::{Instant, Sleep, sleep_until};
 
@@ -33,7 +33,7 @@ use crate::command::Command;
 const MAX_KEPT: usize = 256;
 
 thread_local! {
-    static KEPT: Cell<Vec<CallTimer>> = const { Cell::new(Vec::new()) };
+    static KEPT: RefCell<Vec<CallTimer>> = const { RefCell::new(Vec::new()) };
 }
 
 /// A timer, and the runtime that drives it.
@@ -64,13 +64,12 @@ impl Wake for Task {
 
 impl CallTimer {
     /// Takes a timer of this runtime that is due at the deadline or before.
-    fn take(deadline: Instant) -> Self {
-        let runtime = Handle::current().id();
+    fn take(deadline: Instant, runtime: Id) -> Self {
         let timer = with_kept(|kept| {
             keep_only(kept, runtime);
             kept.pop()
         });
-        let Some(mut timer) = timer else {
+        let Some(mut timer) = timer.flatten() else {
             let task = Arc::<Task>::default();
             let waker = task.clone().into();
             return Self { sleep: Box::pin(sleep_until(deadline)), registered: false, task, waker, runtime };
@@ -122,16 +121,25 @@ fn keep_only(kept: &mut Vec<CallTimer>, runtime: Id) {
     }
 }
 
-fn with_kept<R>(work: impl FnOnce(&mut Vec<CallTimer>) -> R) -> R {
-    // A thread that is ending keeps none.
-    let mut kept = KEPT.try_with(Cell::take).unwrap_or_default();
-    let result = work(&mut kept);
-    let _ = KEPT.try_with(|place| place.set(kept));
-    result
+/// `None`: the thread is ending, or it drops a timer, which may end tasks whose calls have timers. It
+/// keeps none then.
+fn with_kept<R>(work: impl FnOnce(&mut Vec<CallTimer>) -> R) -> Option<R> {
+    KEPT.try_with(|kept| kept.try_borrow_mut().ok().map(|mut kept| work(&mut kept))).ok().flatten()
 }
 
-/// The timer of a call that waits; `None` before it waits for the first time.
-struct TimerInUse(Option<CallTimer>);
+/// The timer of a call, until it has ended. `None` while it is dropped.
+pub(crate) struct TimerInUse(Option<CallTimer>);
+
+impl TimerInUse {
+    /// Takes a timer for this deadline.
+    ///
+    /// # Errors
+    /// The caller is in no runtime.
+    pub(crate) fn take(deadline: Instant) -> Result<Self, TryCurrentError> {
+        let runtime = Handle::try_current()?.id();
+        Ok(Self(Some(CallTimer::take(deadline, runtime))))
+    }
+}
 
 impl Drop for TimerInUse {
     fn drop(&mut self) {
@@ -142,13 +150,11 @@ impl Drop for TimerInUse {
 }
 
 /// Waits until a call has ended or its deadline has passed. Returns whether it has ended.
-pub(crate) async fn ended_by<C: Command>(call: &mut CallFuture<C>, deadline: Instant) -> bool {
-    let mut timer = TimerInUse(None);
-    poll_fn(|cx| {
-        if call.poll_ended(cx).is_ready() {
-            return Poll::Ready(true);
-        }
-        timer.0.get_or_insert_with(|| CallTimer::take(deadline)).poll(deadline, cx).map(|()| false)
+pub(crate) async fn ended_by<C: Command>(call: &mut CallFuture<C>, timer: &mut TimerInUse, deadline: Instant) -> bool {
+    poll_fn(|cx| match (call.poll_ended(cx), &mut timer.0) {
+        (Poll::Ready(()), _) => Poll::Ready(true),
+        (Poll::Pending, Some(timer)) => timer.poll(deadline, cx).map(|()| false),
+        (Poll::Pending, None) => Poll::Pending,
     })
     .await
 }
@@ -169,11 +175,17 @@ mod tests {
     const SECOND: Duration = Duration::from_secs(1);
 
     fn kept() -> usize {
-        with_kept(|kept| kept.len())
+        with_kept(|kept| kept.len()).expect("the thread is alive")
     }
 
     fn runtime() -> Runtime {
         Builder::new_current_thread().enable_all().start_paused(true).build().expect("a runtime")
+    }
+
+    /// Waits with a timer of the runtime that polls first.
+    async fn ended_by(call: &mut CallFuture<ReadStatus>, deadline: Instant) -> bool {
+        let mut timer = TimerInUse::take(deadline).expect("a runtime");
+        super::ended_by(call, &mut timer, deadline).await
     }
 
     /// A call that waits for its deadline, this long from now.

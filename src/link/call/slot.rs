@@ -15,7 +15,7 @@ use bytes::BytesMut;
 use futures::task::AtomicWaker;
 use tokio::time::Instant;
 
-use super::{AnyCall, CallMeta, lock, spares};
+use super::{AnyCall, Sending, lock, spares};
 use crate::command::{self, Candidates, Class, Code, Command, NO_CANDIDATES, ReplyError, Run, Spelling};
 use crate::error::{Error, ErrorCode, Seen};
 use crate::link::in_step::{Kind, Proof, Shape};
@@ -57,14 +57,11 @@ impl<C: Command> CallFuture<C> {
 
     /// Takes the result of a call that has ended. A result that was taken already is an error rather
     /// than a panic.
+    #[inline]
     pub(crate) fn take_result(&mut self) -> Result<C::Reply, Error> {
-        match lock(&self.slot.result).take() {
-            Some((result, at)) => {
-                self.replied_at = at;
-                result
-            }
-            None => Err(Error::Closed { sent: true }),
-        }
+        let mut slot = lock(&self.slot.result);
+        self.replied_at = slot.at.take();
+        slot.result.take().unwrap_or(Err(Error::Closed { sent: true }))
     }
 
     /// The error of the call if it ends without a reply after this time.
@@ -128,7 +125,8 @@ pub(super) struct CallSlot<C: Command> {
     request: Option<C>,
     /// Result of a call that ends without a reply.
     implied_reply: Option<C::Reply>,
-    meta: CallMeta,
+    station: u8,
+    sending: Sending,
     state: AtomicU8,
     /// How many times the request has been sent, at most 255.
     sends: AtomicU8,
@@ -138,12 +136,22 @@ pub(super) struct CallSlot<C: Command> {
     proof: AtomicU64,
     /// Traffic received instead of the reply.
     seen: Mutex<Seen>,
-    result: Mutex<Option<TimedResult<C>>>,
+    result: Mutex<CallResult<C>>,
     waker: AtomicWaker,
 }
 
-/// A result, and when its reply came, if there was one.
-type TimedResult<C> = (Result<<C as Command>::Reply, Error>, Option<Instant>);
+/// The result of a call. A reply may be large, so it is moved as rarely as possible.
+#[derive(Debug)]
+struct CallResult<C: Command> {
+    /// `None` before the call has ended, and after the result was taken.
+    result: Option<Result<C::Reply, Error>>,
+    /// When the reply came, if there was one.
+    at: Option<Instant>,
+}
+
+impl<C: Command> CallResult<C> {
+    const NONE: Self = Self { result: None, at: None };
+}
 
 /// Bits of the state. A call that is neither done nor abandoned is queued or on the wire.
 const DONE: u8 = 1;
@@ -156,32 +164,34 @@ const AWAITS_SILENCE: u8 = 8;
 const CHECKED: u8 = 16;
 
 impl<C: Command> CallSlot<C> {
-    pub(super) fn new(request: C, implied_reply: Option<C::Reply>, meta: CallMeta) -> Self {
+    pub(super) fn new(request: C, implied_reply: Option<C::Reply>, station: u8, sending: Sending) -> Self {
         Self {
             request: Some(request),
             implied_reply,
-            meta,
+            station,
+            sending,
             state: AtomicU8::new(0),
             sends: AtomicU8::new(0),
             spelling: AtomicU32::new(0),
             proof: AtomicU64::new(0),
             seen: Mutex::default(),
-            result: Mutex::new(None),
+            result: Mutex::new(CallResult::NONE),
             waker: AtomicWaker::new(),
         }
     }
 
     /// Reuses the slot of a call that has ended; its waker was taken in [`CallFuture::recycle`].
-    pub(super) fn begin(&mut self, request: C, implied_reply: Option<C::Reply>, meta: CallMeta) {
+    pub(super) fn begin(&mut self, request: C, implied_reply: Option<C::Reply>, station: u8, sending: Sending) {
         self.request = Some(request);
         self.implied_reply = implied_reply;
-        self.meta = meta;
+        (self.station, self.sending) = (station, sending);
         *self.state.get_mut() = 0;
         *self.sends.get_mut() = 0;
         *self.spelling.get_mut() = 0;
         *self.proof.get_mut() = 0;
         *self.seen.get_mut().unwrap_or_else(PoisonError::into_inner) = Seen::default();
-        *self.result.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
+        let result = self.result.get_mut().unwrap_or_else(PoisonError::into_inner);
+        (result.result, result.at) = (None, None);
     }
 
     /// The request of a call under way.
@@ -207,7 +217,8 @@ impl<C: Command> CallSlot<C> {
         let mut slot = lock(&self.result);
         let wanted = self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0;
         if wanted {
-            *slot = Some((result, at));
+            slot.result = Some(result);
+            slot.at = at;
         }
         wanted
     }
@@ -219,8 +230,8 @@ impl<C: Command> CallSlot<C> {
 }
 
 impl<C: Command> AnyCall for CallSlot<C> {
-    fn meta(&self) -> &CallMeta {
-        &self.meta
+    fn sending(&self) -> Sending {
+        self.sending
     }
 
     fn kind(&self) -> Kind {
@@ -237,7 +248,7 @@ impl<C: Command> AnyCall for CallSlot<C> {
     }
 
     fn candidates(&self, framing: Framing) -> Candidates {
-        self.request().map_or(NO_CANDIDATES, |request| request.candidates(self.meta.part, framing))
+        self.request().map_or(NO_CANDIDATES, |request| request.candidates(self.sending.part, framing))
     }
 
     fn shape(&self, spelling: Spelling, framing: Framing) -> Shape {
@@ -302,7 +313,7 @@ impl<C: Command> AnyCall for CallSlot<C> {
     fn retract(&self) {
         let mut slot = lock(&self.result);
         if self.state.load(Ordering::Acquire) & DONE == 0 {
-            *slot = None;
+            (slot.result, slot.at) = (None, None);
         }
     }
 
@@ -352,7 +363,7 @@ impl<C: Command> AnyCall for CallSlot<C> {
     }
 
     fn unanswered(&self, after: Duration, fault: Option<String>) -> Error {
-        let (station, code) = (self.meta.station, C::CODE);
+        let (station, code) = (self.station, C::CODE);
         let state = self.state.load(Ordering::Acquire);
         let sent = state & SENT != 0;
         if state & AWAITS_SILENCE != 0 {

@@ -6,7 +6,7 @@
 //! - A thread keeps a bounded number of slots, without the values of writes and without wakers.
 
 use std::any::Any;
-use std::cell::Cell;
+use std::cell::RefCell;
 use std::sync::Arc;
 
 use super::slot::CallSlot;
@@ -15,7 +15,7 @@ use crate::command::Command;
 type Slots = Vec<Arc<dyn Any + Send + Sync>>;
 
 thread_local! {
-    static KEPT: Cell<Slots> = const { Cell::new(Vec::new()) };
+    static KEPT: RefCell<Slots> = const { RefCell::new(Vec::new()) };
 }
 
 /// Maximum number of slots that a thread keeps. This many calls under way at once need no new memory.
@@ -23,10 +23,11 @@ const MAX_KEPT: usize = 64;
 
 /// Takes a slot of this type.
 pub(super) fn take<C: Command>() -> Option<Arc<CallSlot<C>>> {
-    with(|slots| {
+    let slot = with(|slots| {
         let at = slots.iter().rposition(|slot| slot.is::<CallSlot<C>>() && Arc::strong_count(slot) == 1)?;
-        slots.swap_remove(at).downcast().ok()
-    })
+        Some(slots.swap_remove(at))
+    })?;
+    slot?.downcast().ok()
 }
 
 /// Leaves a slot to a later call.
@@ -46,10 +47,7 @@ pub(super) fn keep<C: Command>(mut slot: Arc<CallSlot<C>>) {
     });
 }
 
-fn with<R>(work: impl FnOnce(&mut Slots) -> R) -> R {
-    // A thread that is ending keeps none.
-    let mut slots = KEPT.try_with(Cell::take).unwrap_or_default();
-    let result = work(&mut slots);
-    let _ = KEPT.try_with(|place| place.set(slots));
-    result
+/// `None`: the thread is ending, and keeps none.
+fn with<R>(work: impl FnOnce(&mut Slots) -> R) -> Option<R> {
+    KEPT.try_with(|slots| slots.try_borrow_mut().ok().map(|mut slots| work(&mut slots))).ok().flatten()
 }

@@ -20,12 +20,10 @@ fn call_of<C: Command>(request: C, options: CallOptions) -> (PendingCall, CallFu
         lane: Lane::Read,
         deadline: queued_at + options.call_timeout,
         queued_at,
-        response_timeout: Duration::from_secs(1),
-        options,
-        part: false,
         confirms: false,
     };
-    new(request, None, meta)
+    let sending = Sending { response_timeout: Duration::from_secs(1), adaptive: options.adaptive, part: false };
+    new(request, None, meta, sending, &options)
 }
 
 fn result<C: Command>(future: &mut CallFuture<C>) -> Option<Result<(), Error>> {
@@ -140,7 +138,7 @@ fn errors_list_the_traffic_of_all_attempts() {
     let noted = Seen { garbage: 7, other_station: Some(9), half_frame: true, ..Seen::default() };
     let Error::Timeout { seen, .. } = call.unanswered(Duration::ZERO) else { panic!("expected a timeout") };
     assert_eq!(seen, noted);
-    call.cause = Some(Cause::Fault("an incomplete frame".to_owned()));
+    call.cause = Some(Box::new(Cause::Fault("an incomplete frame".to_owned())));
     let Error::BadReply { seen, .. } = call.unanswered(Duration::ZERO) else { panic!("expected a bad reply") };
     assert_eq!(seen, Seen { half_frame: false, ..noted }, "the reason has the incomplete frame already");
 }

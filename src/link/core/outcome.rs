@@ -89,7 +89,9 @@ impl Core {
         }
         let took = now.saturating_duration_since(active.began);
         self.scheduler.charge(station, took);
-        let round_trip = now.saturating_duration_since(active.sent.unwrap_or(active.began));
+        // On a network a request is sent when it is begun.
+        let sent = active.sent.unwrap_or(active.began);
+        let round_trip = if sent == active.began { took } else { now.saturating_duration_since(sent) };
         // While the process was stopped, no round trip was measured.
         let measured = round_trip.min(active.response_timeout);
         // How long the line was silent within that time.
@@ -104,7 +106,8 @@ impl Core {
                 if self.one_request {
                     self.connection.spend();
                 }
-                let kind = call.slot.kind();
+                let slot = &*call.slot;
+                let kind = slot.kind();
                 if active.followed {
                     self.stations.with_in_step(station, InStep::followed);
                 }
@@ -117,7 +120,7 @@ impl Core {
                 }
                 self.answered(station, measured, now);
                 let rule = self.rule(station);
-                let (plain, spelling, run) = (call.slot.plain(), call.slot.spelling(), call.slot.run());
+                let (plain, spelling, run) = (slot.plain(), slot.spelling(), slot.run());
                 if reply.refused && spelling != plain {
                     // Only the spelling may be refused.
                     let lacks = active.refusal.is_some_and(ErrorCode::is_about_the_command);
@@ -143,7 +146,7 @@ impl Core {
                     in_step.proof()
                 });
                 self.stats.mark_online(station, |stats| stats.replied(round_trip, reply.refused));
-                call.slot.commit(proof);
+                slot.commit(proof);
             }
             Outgoing::Link { request, call, .. } => {
                 self.answered(station, measured, now);
@@ -258,12 +261,12 @@ impl Core {
                 tracing::debug!(station, command = %call.code, check = !own, ?cause, after = ?after, "no reply");
                 // The cause of the request's own failure is not replaced by that of a check.
                 if own {
-                    call.cause.get_or_insert(cause);
+                    call.cause.get_or_insert_with(|| Box::new(cause));
                     self.retry_or_fail(call, now, PendingCall::unanswered);
                 } else if self.may_repeat_check(&call, now) {
                     self.repeat_check(call);
                 } else {
-                    self.retry_or_fail(call, now, move |call, after| match (&call.cause, cause) {
+                    self.retry_or_fail(call, now, move |call, after| match (call.cause.as_deref(), cause) {
                         (None, Cause::Fault(reason)) => call.slot.unanswered(after, Some(reason)),
                         (Some(_), _) | (None, Cause::Silence) => call.unanswered(after),
                     });

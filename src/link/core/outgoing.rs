@@ -7,7 +7,7 @@ use tokio::time::Instant;
 use super::{Action, Core};
 use crate::command::LoopBack;
 use crate::error::Error;
-use crate::link::call::{CallInFraming, PendingCall};
+use crate::link::call::{CallInFraming, PendingCall, Sending};
 use crate::link::config::Config;
 use crate::link::exchange::{LinkRequest, Outgoing};
 use crate::link::in_step::{self, Choice, InStep, Prices, Rule, Why};
@@ -63,8 +63,9 @@ impl Core {
     /// nothing for the time of a round trip: they show when the round trips become shorter. Writes
     /// are sent, too: the round trip may be that of much longer reads.
     fn can_be_answered(&self, call: &PendingCall, now: Instant) -> bool {
-        let waited = now.saturating_duration_since(call.queued_at);
-        if call.is_write() || waited < SHORT_WAIT {
+        // Mostly it is sent at once, and the two are equal.
+        let has_waited = || now.saturating_duration_since(call.queued_at) >= SHORT_WAIT;
+        if call.is_write() || now <= call.queued_at || !has_waited() {
             return true;
         }
         let left = call.deadline.saturating_duration_since(now);
@@ -86,7 +87,7 @@ impl Core {
         let (rule, framing) = (self.rule(station), self.config.framing);
         let choice = self.stations.with_in_step(station, |in_step| match call.confirms {
             true => in_step.confirm(&rule, now).ok_or(in_step.proof()),
-            false => Ok(in_step.choose(&CallInFraming(&call, framing), call.plain, &rule, now)),
+            false => Ok(in_step.choose(&CallInFraming(&*call.slot, framing), call.plain, &rule, now)),
         });
         match choice {
             Ok(Choice::Send(_)) if self.may_be_executed(&call) => {
@@ -124,7 +125,7 @@ impl Core {
     pub(super) fn begin(&mut self, outgoing: Outgoing, now: Instant) -> Option<Action> {
         // Not limited by the caller's deadline: a request that is not written in time costs the
         // connection.
-        let response_timeout = self.response_timeout(&outgoing);
+        let (own_timeout, response_timeout) = self.response_timeouts(&outgoing);
         let written_by = later(now, response_timeout.saturating_add(self.config.frame_time));
         if let Outgoing::Call(call) = &outgoing
             && !call.slot.mark_sent()
@@ -134,7 +135,7 @@ impl Core {
         let stale = self.exchange.begin(outgoing, response_timeout, now, written_by);
         let active = self.exchange.active()?;
         let station = active.outgoing.station();
-        self.stations.note_sent(station, now);
+        self.stations.note_sent(station, own_timeout, now);
         if stale > 0 {
             self.stats.count_link(|link| add(&mut link.stale_bytes, u64::try_from(stale).unwrap_or(u64::MAX)));
             self.stations.for_all(InStep::input_dropped);
@@ -143,12 +144,12 @@ impl Core {
             if call.is_broadcast() {
                 self.stats.count_link(|link| add(&mut link.broadcasts, 1));
             } else {
-                let (plain, spelling) = (call.slot.plain(), call.slot.spelling());
-                self.stations.note_timeout(station, call.response_timeout);
+                let slot = &*call.slot;
+                let (plain, spelling) = (slot.plain(), slot.spelling());
                 self.stats.count_station(station, |stats| stats.sent(plain, spelling));
                 debug_assert!(
                     self.stations.with_in_step(station, |in_step| {
-                        in_step.allows(&CallInFraming(call, self.config.framing), spelling)
+                        in_step.allows(&CallInFraming(&*call.slot, self.config.framing), spelling)
                     }),
                     "something owed could answer {spelling:?}"
                 );
@@ -175,19 +176,21 @@ impl Core {
         } else {
             LoopBack::empty()
         };
-        Outgoing::Link { station, request: LinkRequest::Check(check, data), call }
+        Outgoing::Link { station, request: LinkRequest::Check(check, Box::new(data)), call }
     }
 
-    /// The response timeout of a request. It does not end with the deadline of the call: a reply
-    /// that its caller no longer awaits is still the reply to this request, and no stray.
-    fn response_timeout(&self, outgoing: &Outgoing) -> Duration {
+    /// The response timeout that a caller has chosen, if the request is that of its call, and the one of
+    /// the request. It does not end with the deadline of the call: a reply that its caller no longer
+    /// awaits is still the reply to this request, and no stray.
+    fn response_timeouts(&self, outgoing: &Outgoing) -> (Option<Duration>, Duration) {
         let Some(call) = outgoing.call() else {
-            return self.config.response_timeout.max(self.stations.longest_timeout(outgoing.station()));
+            let longest = self.stations.longest_timeout(outgoing.station());
+            return (None, self.config.response_timeout.max(longest));
         };
-        match call.options.adaptive {
-            Some(shortest) => self.stations.adaptive_timeout(call.station, shortest, call.response_timeout),
-            None => call.response_timeout,
-        }
+        let Sending { adaptive, response_timeout: chosen, .. } = call.slot.sending();
+        let adapted = |shortest| self.stations.adaptive_timeout(call.station, shortest, chosen);
+        let is_own = matches!(outgoing, Outgoing::Call(_));
+        (is_own.then_some(chosen), adaptive.map_or(chosen, adapted))
     }
 }
 

@@ -32,12 +32,15 @@ impl AnsweredElements {
     /// Adds consecutive elements, at least one.
     pub(super) fn add(&mut self, first: Element, count: usize) {
         debug_assert!(count > 0, "a run has no elements");
-        let Ok(last) = first.nth(count.saturating_sub(1)) else { return };
-        let mut new = Span { symbol: first.symbol(), first: first.address(), last: last.address() };
-        let holds = |span: &Span| span.contains(new.symbol, new.first) && span.contains(new.symbol, new.last);
-        if self.spans.iter().any(holds) {
+        // Mostly a run that was added before.
+        let behind = u32::try_from(count.saturating_sub(1)).unwrap_or(u32::MAX).saturating_mul(first.step().into());
+        let last = u16::try_from(u32::from(first.address()).saturating_add(behind));
+        let is_in = |span: &Span| last.is_ok_and(|last| span.contains(first.symbol(), last));
+        if self.spans.iter().any(|span| span.contains(first.symbol(), first.address()) && is_in(span)) {
             return;
         }
+        let Ok(last) = first.nth(count.saturating_sub(1)) else { return };
+        let mut new = Span { symbol: first.symbol(), first: first.address(), last: last.address() };
         self.spans.retain(|span| {
             let joins = span.touches(&new);
             if joins {

@@ -6,6 +6,7 @@ use tokio::time::Instant;
 
 use crate::command::{Candidate, Candidates, Code, CommandSet, Spelling};
 use crate::endpoint::InStepSettings;
+use crate::link::nanoseconds;
 use crate::wire::Framing;
 
 /// The shape of a positive reply. A refusal fits every size of its command.
@@ -205,8 +206,7 @@ impl Prices {
 
     /// Transmission time of this many bytes. A count of 32 bits would be full within days.
     pub(crate) fn line_time(&self, bytes: u64) -> Duration {
-        let byte = u64::try_from(self.byte.as_nanos()).unwrap_or(u64::MAX);
-        Duration::from_nanos(byte.saturating_mul(bytes))
+        Duration::from_nanos(nanoseconds(self.byte).saturating_mul(bytes))
     }
 
     pub(super) fn of(&self, candidate: &Candidate, plain: Spelling) -> Duration {

@@ -1,6 +1,6 @@
 use super::*;
 use crate::command::{Command, ReadStatus};
-use crate::link::call::{self, CallFuture, CallMeta};
+use crate::link::call::{self, CallFuture, CallMeta, Sending};
 use crate::link::options::CallOptions;
 use crate::random::Random;
 
@@ -13,12 +13,10 @@ fn call(station: u8, lane: Lane, now: Instant) -> (PendingCall, CallFuture<ReadS
         lane,
         deadline: now + 1000 * SECOND,
         queued_at: now,
-        response_timeout: SECOND,
-        options: CallOptions::new(),
-        part: false,
         confirms: false,
     };
-    call::new(ReadStatus, None, meta)
+    let sending = Sending { response_timeout: SECOND, adaptive: None, part: false };
+    call::new(ReadStatus, None, meta, sending, &CallOptions::new())
 }
 
 /// A scheduler with these calls waiting, and the futures that keep them wanted.

@@ -12,7 +12,7 @@ use super::super::{Action, Core};
 use crate::command::{self, Code, Command, ReadRegisters, WriteRegisters};
 use crate::element::Register;
 use crate::error::Error;
-use crate::link::call::{self, CallFuture, CallMeta};
+use crate::link::call::{self, CallFuture, CallMeta, Sending};
 use crate::link::config::Config;
 use crate::link::connector::Connector;
 use crate::link::in_step::InStep;
@@ -95,12 +95,11 @@ impl TestLink {
             lane: options.lane(C::CODE.class()),
             deadline: later(self.now, options.call_timeout),
             queued_at: self.now,
-            response_timeout: options.response_timeout.unwrap_or(TIMEOUT),
-            options,
-            part: false,
             confirms: false,
         };
-        let (call, future) = call::new(request, None, meta);
+        let response_timeout = options.response_timeout.unwrap_or(TIMEOUT);
+        let sending = Sending { response_timeout, adaptive: options.adaptive, part: false };
+        let (call, future) = call::new(request, None, meta, sending, &options);
         self.core.push(call, self.now);
         future
     }
