@@ -16,10 +16,10 @@ use common::http::{HttpBridge, command};
 use common::plc::SimPlc;
 use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
 use tokio::process::{Child, ChildStdin, Command};
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
 
 /// The time for all checks in the browser.
-const LIMIT: Duration = Duration::from_secs(600);
+const LIMIT: Duration = Duration::from_secs(900);
 /// The tags of the PLC that shows that many tags can be handled.
 const MANY: usize = 9_000;
 
@@ -45,7 +45,15 @@ impl Stage {
             mixer.plc.write(fatek::Register::r(register), low | (high << 8)).unwrap();
         }
         let boiler = SimPlc::start(&[("R0:i16*0.1", "sine(60..95,30s)"), ("R1:i16*0.01", "random(1.8..2.2,2s)")]).await;
-        let store = SimPlc::start(&[("R0-R3839", "random(0..32767,1s)")]).await;
+        let store = SimPlc::start(&[]).await;
+        let plc = store.plc.clone();
+        // Movements of thousands of registers would cost more than all the rest.
+        tokio::spawn(async move {
+            for value in (0..u16::MAX).cycle() {
+                (0..3840).for_each(|register| plc.write(fatek::Register::r(register), value).unwrap());
+                sleep(Duration::from_secs(1)).await;
+            }
+        });
         let mut config = format!(
             r#"
 [bridge]

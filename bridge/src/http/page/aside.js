@@ -142,7 +142,9 @@ export class Aside {
     const missed = poller.missed > 0 ? `${format.count(poller.missed)} missed` : "";
     this.#card("samples", format.short(poller.samples_per_second), missed, missed ? "stale" : "good");
     this.#card("buffer", format.percent(buffer.fill), batches(buffer.batches), buffer.failure ? "bad" : grade(buffer.fill));
-    this.#card("outputs", format.count(connected), `of ${format.count(outputs.length)}`, connected < outputs.length ? "bad" : "good");
+    const isAllUp = connected === outputs.length;
+    if (outputs.length === 0) this.#card("outputs", "–", "none", "good");
+    else this.#card("outputs", format.count(connected), `of ${format.count(outputs.length)}`, isAllUp ? "good" : "bad");
   }
 
   #card(figure, number, rest, state) {
