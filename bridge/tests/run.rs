@@ -151,7 +151,7 @@ async fn settings_that_need_a_restart_are_named() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reader_of_stdout_that_stops_does_not_hold_up_the_end() {
     let plant = Plant::new().await;
-    // So many bytes that the pipe is full at once: 64 KiB.
+    // The pipe of 64 KiB is full at once.
     let tags: String = (0..40)
         .map(|n| format!("tag.level{n} = {{ at = 'R{}-R{}:i16', class = 'fast' }}\n", n * 64, n * 64 + 63))
         .collect();
