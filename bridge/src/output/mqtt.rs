@@ -134,7 +134,9 @@ pub async fn run(section: MqttSection, parts: MqttParts) {
                 was_connected = true;
                 let (begin, delivered) = (Instant::now(), health.delivered());
                 let End::Lost(error) = Session::new(&shared, &mut carried, connection).run().await else { return };
-                report(&health, &section, &error.to_string());
+                // Some brokers refuse a message and close the connection without a reason.
+                let refusal = health.failure().map(|refusal| format!("{refusal}; ")).unwrap_or_default();
+                report(&health, &section, &format!("{refusal}{error}"));
                 if begin.elapsed() >= GOOD || health.delivered() != delivered {
                     backoff.reset();
                 }

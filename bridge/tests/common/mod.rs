@@ -6,6 +6,8 @@ pub mod deliveries;
 pub mod http;
 pub mod mosquitto;
 pub mod mqtt_broker;
+pub mod mqtt_output;
+pub mod mqtt_proxy;
 pub mod nats;
 pub mod openmetrics;
 pub mod plc;

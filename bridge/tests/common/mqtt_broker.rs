@@ -32,6 +32,8 @@ pub enum Action {
     Silence,
     /// None yet: when this number of them is held, all are sent, the last one first.
     HoldAndReverse(usize),
+    /// None, and the message is lost.
+    LoseAndStay,
     /// The connection is closed, and the message is lost.
     Lose,
     /// The connection is closed, and the message is not lost.
@@ -229,8 +231,8 @@ async fn serve(mut stream: TcpStream, shared: Arc<Shared>) {
             Ok(publish) = to_clients.recv() => client.forward(publish),
         }
         // PUBACKs of the client are taken and ignored.
-        while let Ok(packet) = Packet::read(&mut buffer, None) {
-            match client.take(packet) {
+        while let Some(next) = client.take_next(&mut buffer) {
+            match next {
                 Next::Go => {}
                 Next::Close => {
                     let _ = stream.write_all(&client.out).await;
@@ -271,6 +273,14 @@ enum Next {
 }
 
 impl Client {
+    fn take_next(&mut self, buffer: &mut BytesMut) -> Option<Next> {
+        // A DISCONNECT without a reason, which `rumqttc` does not decode.
+        if buffer.starts_with(&[0xE0, 0]) {
+            return Some(Next::Goodbye);
+        }
+        Packet::read(buffer, None).ok().map(|packet| self.take(packet))
+    }
+
     fn take(&mut self, packet: Packet) -> Next {
         match packet {
             Packet::Connect(connect, will, _) => self.connect(connect, will),
@@ -330,7 +340,7 @@ impl Client {
         let mut state = self.shared.state.lock().unwrap();
         let connected = &mut state.connected[self.number - 1];
         connected.most_in_flight = connected.most_in_flight.max(self.in_flight);
-        if !matches!(action, Action::Lose | Action::Disconnect(_) | Action::StopReading) {
+        if !matches!(action, Action::Lose | Action::LoseAndStay | Action::Disconnect(_) | Action::StopReading) {
             if retain && received.payload.is_empty() {
                 state.retained.remove(&received.topic);
             } else if retain {
@@ -346,7 +356,7 @@ impl Client {
                 self.acknowledge(pkid, 0);
                 self.out.extend_from_slice(&puback(pkid, 0));
             }
-            Action::Silence => {}
+            Action::Silence | Action::LoseAndStay => {}
             Action::HoldAndReverse(number) => {
                 self.held.push(pkid);
                 if self.held.len() >= number {

@@ -5,14 +5,15 @@
 //! Open ──a batch is refused──▶ Stopping ──none in flight, rewound──▶ Waiting ──time──▶ Probing
 //!  ▲                                                                   ▲   a refusal     │
 //!  │                                                                   └─────────────────┤
-//!  └──────────────────────────────── a batch is taken ───────────────────────────────────┘
+//!  └────────────────────────────── enough batches are taken ─────────────────────────────┘
 //! ```
 //!
 //! Invariants:
 //! - a batch is acknowledged in the buffer only when the broker has taken it and all before it, or when it was
 //!   given up and counted;
 //! - batches are sent in the order of the buffer, and again in that order after a loss or a refusal;
-//! - while the broker refuses batches, one at a time is sent, with growing delays.
+//! - while the broker refuses batches, one at a time is sent, with growing delays;
+//! - a batch that ends the connections is found, and one that the broker names as the reason is given up.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -26,6 +27,8 @@ use crate::output::Health;
 
 /// The batches that are read from the buffer at once.
 const MAX_BATCHES: usize = 64;
+/// The batches in flight with which all is well again.
+const ENOUGH: usize = 64;
 
 /// The batches of a cursor, on all connections of an output.
 #[derive(Debug)]
@@ -36,6 +39,8 @@ pub(super) struct Delivery {
     queue: VecDeque<Entry>,
     prefix: Prefix,
     in_flight: usize,
+    /// `true` if a batch was taken since the last loss of a connection.
+    has_progress: bool,
     state: State,
     backoff: Backoff,
 }
@@ -48,8 +53,8 @@ enum State {
     Stopping,
     /// Nothing is sent until then.
     Waiting(Instant),
-    /// One batch at a time.
-    Probing,
+    /// As many batches as this are in flight at once: one at first, and twice as many with each that is taken.
+    Probing(usize),
 }
 
 /// Why a connection was lost.
@@ -71,6 +76,7 @@ impl Delivery {
             queue: VecDeque::new(),
             prefix: Prefix::default(),
             in_flight: 0,
+            has_progress: true,
             state: State::Open,
             backoff: Backoff::default(),
         }
@@ -78,7 +84,7 @@ impl Delivery {
 
     /// Returns whether [`fetch`](Self::fetch) has something to do.
     pub(super) fn needs_batches(&self) -> bool {
-        let is_sending = matches!(self.state, State::Open | State::Probing);
+        let is_sending = matches!(self.state, State::Open | State::Probing(_));
         is_sending && self.queue.is_empty()
     }
 
@@ -89,14 +95,14 @@ impl Delivery {
     }
 
     /// The batch that is to be sent now.
-    pub(super) fn take(&mut self) -> Option<Entry> {
+    pub(super) fn take(&mut self, now: Instant) -> Option<Entry> {
         match self.state {
             State::Open => {}
-            State::Probing if self.in_flight == 0 => {}
-            State::Probing | State::Stopping | State::Waiting(_) => return None,
+            State::Probing(limit) if self.in_flight < limit => {}
+            State::Probing(_) | State::Stopping | State::Waiting(_) => return None,
         }
         let entry = self.queue.pop_front()?;
-        self.prefix.push(entry.position);
+        self.prefix.push(entry.position, now);
         self.in_flight = self.in_flight.saturating_add(1);
         Some(entry)
     }
@@ -105,23 +111,24 @@ impl Delivery {
     pub(super) fn due(&self) -> Option<Instant> {
         match self.state {
             State::Waiting(until) => Some(until),
-            State::Open | State::Stopping | State::Probing => None,
+            State::Open | State::Stopping | State::Probing(_) => None,
         }
     }
 
     /// Begins the next attempt, if it is due.
     pub(super) fn resume(&mut self, now: Instant) {
         if self.due().is_some_and(|until| until <= now) {
-            self.state = State::Probing;
+            self.state = State::Probing(1);
         }
     }
 
     /// Notes that the broker has taken a batch.
     pub(super) fn taken(&mut self, position: u64, samples: u32, now: Instant) {
         self.health.count(samples);
+        self.has_progress = true;
         self.settle(position);
-        if self.state == State::Probing {
-            self.state = State::Open;
+        if let State::Probing(limit) = self.state {
+            self.state = if limit < ENOUGH { State::Probing(limit.saturating_mul(2)) } else { State::Open };
             self.backoff.reset();
             self.health.set_refusal(None);
         }
@@ -137,15 +144,20 @@ impl Delivery {
 
     /// Notes that a batch was refused. It is sent again. Returns whether that is news: none before it was refused.
     pub(super) fn refused(&mut self, now: Instant) -> bool {
-        let is_first = self.state == State::Open;
+        let is_first = matches!(self.state, State::Open | State::Probing(2..));
         self.state = State::Stopping;
         self.answered(now);
         is_first
     }
 
+    /// When the first batch was sent that has no acknowledgement.
+    pub(super) fn oldest(&self) -> Option<Instant> {
+        self.prefix.oldest()
+    }
+
     /// Returns whether batches are sent one at a time.
     pub(super) fn is_probing(&self) -> bool {
-        self.state == State::Probing
+        self.state == State::Probing(1)
     }
 
     /// Returns whether such a batch is in flight: nothing else is sent then, so that it alone is the reason if
@@ -160,8 +172,10 @@ impl Delivery {
             self.health.count_skipped();
             self.settle(position);
         }
-        if loss != Loss::Other || self.state != State::Open {
-            self.state = State::Probing;
+        // Twice without progress, although batches were sent: perhaps because of one of them.
+        let is_fruitless = self.in_flight > 0 && !std::mem::replace(&mut self.has_progress, false);
+        if loss != Loss::Other || self.state != State::Open || is_fruitless {
+            self.state = State::Probing(1);
         }
         self.rewind();
         self.in_flight = 0;
@@ -220,7 +234,7 @@ mod tests {
             if self.delivery.needs_batches() {
                 let _ = self.delivery.fetch().now_or_never();
             }
-            std::iter::from_fn(|| self.delivery.take()).map(|entry| entry.position).collect()
+            std::iter::from_fn(|| self.delivery.take(self.now)).map(|entry| entry.position).collect()
         }
 
         fn lag(&self) -> u64 {
@@ -305,6 +319,35 @@ mod tests {
         assert_eq!(case.send(), [3]);
         case.taken(3);
         assert_eq!(case.send(), [4]);
+    }
+
+    #[test]
+    fn twice_as_many_batches_are_sent_with_each_that_is_taken() {
+        let mut case = Case::new(1000);
+        case.send();
+        case.delivery.lost(Loss::Suspect);
+        let mut limits = Vec::new();
+        while let State::Probing(limit) = case.delivery.state {
+            let sent = case.send();
+            assert!(!sent.is_empty() && case.delivery.in_flight <= limit);
+            limits.push(limit);
+            case.taken(sent[0]);
+        }
+        assert_eq!((limits, case.delivery.state), (vec![1, 2, 4, 8, 16, 32, 64], State::Open));
+    }
+
+    #[test]
+    fn after_losses_without_progress_one_batch_is_sent_at_a_time() {
+        let mut case = Case::new(3);
+        assert_eq!(case.send(), [1, 2, 3]);
+        case.delivery.lost(Loss::Other);
+        assert_eq!(case.send(), [1, 2, 3], "once is no pattern");
+        case.delivery.lost(Loss::Other);
+        assert_eq!(case.send(), [1]);
+        case.taken(1);
+        assert_eq!(case.send(), [2, 3]);
+        case.delivery.lost(Loss::Other);
+        assert_eq!((case.send(), case.delivery.health.skipped()), (vec![2], 0));
     }
 
     #[test]

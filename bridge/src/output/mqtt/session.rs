@@ -12,7 +12,7 @@ use bytes::Bytes;
 use futures::future::BoxFuture;
 use futures::stream::FuturesUnordered;
 use futures::{FutureExt as _, StreamExt as _};
-use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout};
 
 use super::Shared;
 use super::commands::ReplyTo;
@@ -32,6 +32,10 @@ const TICK: Duration = Duration::from_secs(1);
 const EARLIER_RUN: Duration = Duration::from_secs(10);
 /// The time for the broker to acknowledge the last state when the output ends.
 const GOODBYE: Duration = Duration::from_secs(1);
+/// The keep-alive times after which a batch without an acknowledgement is taken for lost.
+const UNANSWERED: u32 = 3;
+/// The time to read what came before the connection was lost.
+const REST: Duration = Duration::from_millis(200);
 /// The replies that wait for a connection. More are dropped, the oldest first.
 const MAX_REPLIES: usize = 256;
 /// The state of a bridge that is not connected.
@@ -173,8 +177,28 @@ impl<'a> Session<'a> {
                 }
             };
             if let Err(error) = ready {
-                return End::Lost(error);
+                return End::Lost(self.read_rest(error).await);
             }
+        }
+    }
+
+    /// Reads what the broker has sent before it has closed the connection: acknowledgements, and the reason. A write
+    /// may fail before they are read.
+    async fn read_rest(&mut self, error: LostError) -> LostError {
+        if !matches!(error, LostError::Io(_)) {
+            return error;
+        }
+        let reading = async {
+            loop {
+                let read = self.connection.reader.fill().await.and_then(|()| self.receive());
+                if let Err(last) = read {
+                    return last;
+                }
+            }
+        };
+        match timeout(REST, reading).await {
+            Ok(reason @ LostError::Disconnected(_)) => reason,
+            Ok(_) | Err(_) => error,
         }
     }
 
@@ -221,7 +245,7 @@ impl<'a> Session<'a> {
         if self.carried.delivery.is_probing() && !self.window.is_empty() {
             return false;
         }
-        let Some(Entry { position, batch, replay }) = self.carried.delivery.take() else { return false };
+        let Some(Entry { position, batch, replay }) = self.carried.delivery.take(Instant::now()) else { return false };
         let topic = Bytes::from(self.shared.topics.data(&batch.plc));
         let message = Message { topic, payload: batch.message(replay), retain: false, correlation: None };
         self.publish(&message, Item::Batch { position, samples: batch.samples });
@@ -388,6 +412,10 @@ impl<'a> Session<'a> {
         if silence >= keep_alive.mul_f64(1.5) {
             return Err(LostError::Silent(Duration::from_secs(silence.as_secs())));
         }
+        let patience = keep_alive.saturating_mul(UNANSWERED);
+        if self.carried.delivery.oldest().is_some_and(|sent| now.duration_since(sent) >= patience) {
+            return Err(LostError::Unanswered(patience));
+        }
         let oldest = self.last_received.min(self.last_sent);
         let is_due = |last: Instant| now.duration_since(last) >= keep_alive / 2;
         if is_due(oldest) && is_due(self.last_ping) {
@@ -434,7 +462,7 @@ impl<'a> Session<'a> {
                 Ok::<_, LostError>(())
             };
             // It ends anyway.
-            let _ = tokio::time::timeout(GOODBYE, written).await;
+            let _ = timeout(GOODBYE, written).await;
         }
         End::Stopped
     }

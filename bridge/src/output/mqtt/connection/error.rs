@@ -53,6 +53,9 @@ pub(in crate::output::mqtt) enum LostError {
     /// The broker does not answer.
     #[error("the broker has not answered for {0:?}")]
     Silent(Duration),
+    /// The broker answers, but does not acknowledge a batch.
+    #[error("the broker has not acknowledged a message for {0:?}")]
+    Unanswered(Duration),
 }
 
 impl LostError {
@@ -75,7 +78,7 @@ pub(super) fn lost_at_connect(error: &LostError) -> ConnectError {
         LostError::Io(error) if tls_error(error).is_some() => of_tls(error),
         LostError::Io(error) => ConnectError::Lost(error.to_string()),
         LostError::Closed => ConnectError::Lost("the broker has closed it".to_owned()),
-        LostError::Disconnected(_) | LostError::Malformed(_) | LostError::Silent(_) => {
+        LostError::Disconnected(_) | LostError::Malformed(_) | LostError::Silent(_) | LostError::Unanswered(_) => {
             ConnectError::Lost(error.to_string())
         }
     }

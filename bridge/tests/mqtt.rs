@@ -1,0 +1,348 @@
+//! The MQTT output with a real mosquitto.
+//!
+//! Long campaigns: `FATEK_BRIDGE_RESTARTS=20 FATEK_BRIDGE_AWAY=600 cargo test --test mqtt -- --nocapture`.
+
+mod common;
+
+use std::time::{Duration, Instant, SystemTime};
+
+use common::bridge::{Bridge, PATIENCE, write_config};
+use common::deliveries::Deliveries;
+use common::mosquitto::Mosquitto;
+use common::mqtt_output::Output;
+use common::mqtt_proxy::Proxy;
+use fatek::register;
+use fatek::sim::{Bus, Plc, Server};
+use fatek::wire::Framing;
+use fatek_bridge::batch::milliseconds;
+use rcgen::{BasicConstraints, CertificateParams, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair};
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::{AsyncClient, Event, Incoming, MqttOptions};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+use tokio::sync::mpsc;
+use tokio::time::{sleep, timeout};
+
+/// A number that a variable of the environment scales up.
+fn scale(variable: &str, short: u64) -> u64 {
+    std::env::var(variable).map_or(short, |text| text.parse().unwrap())
+}
+
+/// A client that receives messages of a filter: topic, content, and whether the broker had kept it.
+struct Subscriber {
+    messages: mpsc::UnboundedReceiver<(String, Value, bool)>,
+    task: tokio::task::JoinHandle<()>,
+}
+
+impl Subscriber {
+    /// Subscribes, also again after the broker was restarted.
+    async fn start(mosquitto: &Mosquitto, filter: &str) -> Self {
+        // Each has its own id.
+        let id = format!("subscriber-{}", fastrand::u64(..));
+        let mut options = MqttOptions::new(id, "127.0.0.1", mosquitto.port());
+        options.set_keep_alive(Duration::from_secs(5));
+        let (client, mut events) = AsyncClient::new(options, 10);
+        let (sender, messages) = mpsc::unbounded_channel();
+        let (subscribed, mut is_subscribed) = mpsc::unbounded_channel();
+        let filter = filter.to_owned();
+        let task = tokio::spawn(async move {
+            loop {
+                match events.poll().await {
+                    Ok(Event::Incoming(Incoming::ConnAck(_))) => {
+                        client.subscribe(filter.clone(), QoS::AtLeastOnce).await.unwrap();
+                    }
+                    Ok(Event::Incoming(Incoming::SubAck(_))) => drop(subscribed.send(())),
+                    Ok(Event::Incoming(Incoming::Publish(publish))) => {
+                        let topic = String::from_utf8(publish.topic.to_vec()).unwrap();
+                        let content = serde_json::from_slice(&publish.payload).unwrap_or(Value::Null);
+                        let _ = sender.send((topic, content, publish.retain));
+                    }
+                    Ok(_) => {}
+                    Err(_) => sleep(Duration::from_millis(50)).await,
+                }
+            }
+        });
+        is_subscribed.recv().await.unwrap();
+        Self { messages, task }
+    }
+
+    /// Waits for a message for which this holds.
+    async fn wait_for(&mut self, what: &str, holds: impl Fn(&str, &Value) -> bool) -> (String, Value, bool) {
+        let waiting = async {
+            loop {
+                let message = self.messages.recv().await.unwrap();
+                if holds(&message.0, &message.1) {
+                    return message;
+                }
+            }
+        };
+        timeout(PATIENCE, waiting).await.unwrap_or_else(|_| panic!("{what}: not within {PATIENCE:?}"))
+    }
+}
+
+impl Drop for Subscriber {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn values_states_and_the_will_arrive_from_a_simulated_plc() {
+    let Some(mut mosquitto) = Mosquitto::start() else { return };
+    let plc = Plc::new();
+    plc.write(register!("R5"), 1234_u16).unwrap();
+    let bus = Bus::new().with_station(1, plc.clone()).unwrap();
+    let server = Server::bind("127.0.0.1:0", bus, Framing::Ascii).await.unwrap();
+    let folder = TempDir::new().unwrap();
+    let text = format!(
+        "[bridge]\nid = 'test'\nhttp = '127.0.0.1:0'\n[mqtt]\nurl = '{}'\n[class]\nfast = {{ every = '100ms', stale_after = '1s' }}\n\
+         [plc.mixer]\nlink = 'tcp://{}'\nstation = 1\ntag.level = {{ at = 'R5:i16*0.1-40', class = 'fast' }}\n",
+        mosquitto.url(),
+        server.local_addr(),
+    );
+    let config = write_config(folder.path(), &text);
+    let mut subscriber = Subscriber::start(&mosquitto, "fatek/#").await;
+    let bridge = Bridge::start(&config, folder.path());
+    let is_state =
+        |topic: &str, content: &Value, online: bool| topic == "fatek/test/state" && content["online"] == online;
+    let is_data = |topic: &str, content: &Value| topic == "fatek/test/mixer/data" && !content["d"]["level"].is_null();
+
+    subscriber.wait_for("birth", |topic, content| is_state(topic, content, true)).await;
+    let (_, batch, _) =
+        subscriber.wait_for("value", |topic, content| is_data(topic, content) && content["d"]["level"].is_f64()).await;
+    assert_eq!(batch["d"], json!({ "level": 83.4 }));
+    let age = milliseconds(SystemTime::now()).saturating_sub(batch["ts"].as_u64().unwrap());
+    assert!(age < 5000, "{age} ms");
+
+    // A PLC that does not answer: never a value for a bad tag.
+    drop(server);
+    let is_bad = |topic: &str, content: &Value| is_data(topic, content) && content["d"]["level"].is_object();
+    let (_, batch, _) = subscriber.wait_for("bad", is_bad).await;
+    let level = batch["d"]["level"].as_object().unwrap();
+    assert!(level["why"].is_string() && ["stale", "bad"].contains(&level["q"].as_str().unwrap()), "{batch}");
+    assert!(level.keys().all(|key| ["q", "why", "ts"].contains(&key.as_str())), "{batch}");
+    let is_offline = |topic: &str, content: &Value| topic == "fatek/test/mixer/state" && content["online"] == false;
+    let mut state = Subscriber::start(&mosquitto, "fatek/test/mixer/state").await;
+    state.wait_for("offline", is_offline).await;
+    drop(state);
+
+    // The broker forgets everything when it is restarted.
+    mosquitto.kill();
+    mosquitto.launch();
+    subscriber.wait_for("birth after a restart", |topic, content| is_state(topic, content, true)).await;
+    let mut state = Subscriber::start(&mosquitto, "fatek/test/mixer/state").await;
+    state.wait_for("state after a restart", is_offline).await;
+    drop(state);
+
+    bridge.signal("KILL");
+    subscriber.wait_for("will", |topic, content| is_state(topic, content, false)).await;
+    // A client that comes later sees it, too.
+    let mut late = Subscriber::start(&mosquitto, "fatek/test/state").await;
+    let (_, state, retained) = late.wait_for("retained", |topic, _| topic == "fatek/test/state").await;
+    assert_eq!((state, retained), (json!({ "online": false }), true));
+
+    let mut bridge = Bridge::start(&config, folder.path());
+    late.wait_for("birth", |topic, content| is_state(topic, content, true)).await;
+    bridge.signal("TERM");
+    late.wait_for("offline", |topic, content| is_state(topic, content, false)).await;
+    assert!(bridge.wait().success(), "{}", bridge.log());
+}
+
+/// Compares the batches that the broker has acknowledged with those that were pushed.
+fn check(output: &Output, proxy: &Proxy) -> Deliveries {
+    let taken = proxy.taken();
+    Deliveries::check(taken.iter().map(|(plc, batch)| (plc.as_str(), batch)), &output.expected())
+}
+
+/// Without the resending of what was not acknowledged, each restart lost the batches in flight.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_broker_that_is_killed_again_and_again_loses_nothing() {
+    let Some(mut mosquitto) = Mosquitto::start() else { return };
+    let restarts = scale("FATEK_BRIDGE_RESTARTS", 5);
+    let proxy = Proxy::start(mosquitto.port()).await;
+    let mut output = Output::start(&proxy.url(), json!({}));
+    let mut random = fastrand::Rng::with_seed(3);
+    output.wait_until_connected().await;
+    for _ in 0..restarts {
+        // It is killed in the middle of a burst, and comes back after up to 300 ms.
+        for _ in 0..random.u64(5..30) {
+            output.push_sized(20, 1000);
+            sleep(Duration::from_millis(2)).await;
+        }
+        mosquitto.kill();
+        output.push_sized(random.u64(0..200), 1000);
+        sleep(Duration::from_millis(random.u64(..300))).await;
+        mosquitto.launch();
+        output.wait_until_connected().await;
+    }
+    output.wait_until_delivered().await;
+    let result = check(&output, &proxy);
+    println!("{restarts} restarts, {} batches: {result:?}", output.pushed);
+    assert_eq!((result.lost, result.out_of_order, result.unmarked), (0, 0, 0));
+    assert_eq!(u64::try_from(result.batches).unwrap(), output.pushed);
+    output.stop().await;
+}
+
+/// 10,000 samples/s, as batches of 64.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_broker_that_was_away_gets_the_backlog_soon() {
+    const SAMPLES: u64 = 64;
+    let Some(mut mosquitto) = Mosquitto::start() else { return };
+    let away = Duration::from_secs(scale("FATEK_BRIDGE_AWAY", 10));
+    let proxy = Proxy::start(mosquitto.port()).await;
+    let mut output = Output::start(&proxy.url(), json!({}));
+    output.wait_until_connected().await;
+    mosquitto.kill();
+    let begin = Instant::now();
+    while begin.elapsed() < away {
+        let due = u64::try_from(begin.elapsed().as_millis()).unwrap() * 10 / SAMPLES;
+        output.push_sized(due.saturating_sub(output.pushed), 1200);
+        sleep(Duration::from_millis(10)).await;
+    }
+    let backlog = output.lag();
+    mosquitto.launch();
+    let begin = Instant::now();
+    let limit = Duration::from_secs(30) + away / 4;
+    while output.lag() > 0 {
+        assert!(begin.elapsed() < limit, "{} of {backlog} left after {limit:?}", output.lag());
+        sleep(Duration::from_millis(10)).await;
+    }
+    let result = check(&output, &proxy);
+    println!(
+        "away for {away:?}: {backlog} batches, {} samples; gone in {:?}: {result:?}",
+        backlog * SAMPLES,
+        begin.elapsed()
+    );
+    assert_eq!((result.lost, result.out_of_order, result.unmarked), (0, 0, 0));
+    output.stop().await;
+}
+
+/// A certificate authority, and certificates of a server and of a client.
+struct Certificates {
+    folder: TempDir,
+}
+
+impl Certificates {
+    fn new() -> Self {
+        let folder = TempDir::new().unwrap();
+        let write = |name: &str, text: String| std::fs::write(folder.path().join(name), text).unwrap();
+        for name in ["ca", "other"] {
+            let key = KeyPair::generate().unwrap();
+            let mut params = CertificateParams::new(Vec::new()).unwrap();
+            params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+            params.distinguished_name.push(rcgen::DnType::CommonName, name);
+            write(&format!("{name}.pem"), params.self_signed(&key).unwrap().pem());
+            let issuer = Issuer::new(params, key);
+            for (part, usage) in
+                [("server", ExtendedKeyUsagePurpose::ServerAuth), ("client", ExtendedKeyUsagePurpose::ClientAuth)]
+            {
+                let key = KeyPair::generate().unwrap();
+                let mut params = CertificateParams::new(vec!["localhost".to_owned()]).unwrap();
+                params.extended_key_usages.push(usage);
+                write(&format!("{name}-{part}.pem"), params.signed_by(&key, &issuer).unwrap().pem());
+                write(&format!("{name}-{part}.key"), key.serialize_pem());
+            }
+        }
+        Self { folder }
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.path().join(name).to_str().unwrap().to_owned()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tls_with_a_client_certificate_and_its_faults() {
+    let certificates = Certificates::new();
+    let lines = format!(
+        "allow_anonymous true\ncafile {}\ncertfile {}\nkeyfile {}\nrequire_certificate true\n",
+        certificates.path("ca.pem"),
+        certificates.path("ca-server.pem"),
+        certificates.path("ca-server.key"),
+    );
+    let Some(mosquitto) = Mosquitto::start_with(&lines) else { return };
+    let tls = format!("mqtts://localhost:{}", mosquitto.port());
+    let files = |ca: &str, client: &str| {
+        json!({
+            "ca_file": certificates.path(ca),
+            "cert_file": certificates.path(&format!("{client}.pem")),
+            "key_file": certificates.path(&format!("{client}.key")),
+        })
+    };
+    let mut output = Output::start(&tls, files("ca.pem", "ca-client"));
+    output.push_sized(500, 2000);
+    output.wait_until_delivered().await;
+    output.stop().await;
+    let address = format!("mqtts://127.0.0.1:{}", mosquitto.port());
+    for (url, files, expected) in [
+        (&tls, files("other.pem", "ca-client"), "authority"),
+        (&tls, files("ca.pem", "other-client"), "does not trust the certificate of the client"),
+        (&tls, json!({ "ca_file": certificates.path("ca.pem") }), "set cert_file and key_file"),
+        (&address, files("ca.pem", "ca-client"), "another name"),
+        (&tls, files("none.pem", "ca-client"), "none.pem: No such file"),
+        (&mosquitto.url(), json!({}), "lost before the broker has accepted it"),
+    ] {
+        assert_fails(url, files, expected).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn user_and_password_and_their_faults() {
+    let folder = TempDir::new().unwrap();
+    let write = |name: &str, text: &str| {
+        std::fs::write(folder.path().join(name), text).unwrap();
+        folder.path().join(name).to_str().unwrap().to_owned()
+    };
+    let passwords = write("passwords", "hall2:correct horse\n");
+    let status = std::process::Command::new("mosquitto_passwd").args(["-U", &passwords]).status();
+    let Some(mosquitto) = Mosquitto::start_with(&format!("allow_anonymous false\npassword_file {passwords}\n")) else {
+        return;
+    };
+    assert!(status.is_ok_and(|status| status.success()), "mosquitto_passwd");
+    let (good, bad) = (write("good", "correct horse\n"), write("bad", "wrong battery\n"));
+    let mut output = Output::start(&mosquitto.url(), json!({ "user": "hall2", "password_file": good }));
+    output.push(10);
+    output.wait_until_delivered().await;
+    output.stop().await;
+    let wrong =
+        assert_fails(&mosquitto.url(), json!({ "user": "hall2", "password_file": bad }), "password is wrong").await;
+    assert!(!wrong.contains("battery"), "{wrong}");
+    assert_fails(&mosquitto.url(), json!({}), "password is wrong").await;
+    assert_fails(&mosquitto.url(), json!({ "user": "hall2", "password_file": "/none" }), "/none: No such file").await;
+    let tls = format!("mqtts://127.0.0.1:{}", mosquitto.port());
+    let ca = Certificates::new();
+    assert_fails(&tls, json!({ "ca_file": ca.path("ca.pem") }), "TLS").await;
+}
+
+/// A rule of the broker that is corrected later: nothing is lost.
+#[tokio::test(flavor = "multi_thread")]
+async fn batches_that_the_broker_does_not_authorize_are_kept() {
+    let folder = TempDir::new().unwrap();
+    let rules = folder.path().join("acl");
+    std::fs::write(&rules, "topic write fatek/+/+/state\ntopic write fatek/+/state\n").unwrap();
+    let lines = format!("allow_anonymous true\nacl_file {}\n", rules.display());
+    let Some(mut mosquitto) = Mosquitto::start_with(&lines) else { return };
+    let mut output = Output::start(&mosquitto.url(), json!({}));
+    output.push(20);
+    output.wait_for("refusal", |output| output.health.refused() > 0).await;
+    assert!(output.health.failure().unwrap().contains("not authorized"), "{:?}\n{}", output.health, mosquitto.log());
+    assert_eq!(output.lag(), 20);
+    std::fs::write(&rules, "topic readwrite #\n").unwrap();
+    mosquitto.kill();
+    mosquitto.launch();
+    output.wait_until_delivered().await;
+    assert_eq!(output.health.delivered(), (20, 20));
+    output.stop().await;
+}
+
+/// Waits until the output says this, and that it is not connected.
+async fn assert_fails(url: &str, more: Value, expected: &str) -> String {
+    let output = Output::start(url, more);
+    output.wait_for("failure", |output| output.health.failure().is_some()).await;
+    let failure = output.health.failure().unwrap();
+    println!("{failure}");
+    assert!(failure.contains(expected), "{failure} does not say {expected}");
+    assert!(!output.health.is_connected());
+    output.stop().await;
+    failure
+}

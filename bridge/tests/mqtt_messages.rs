@@ -1,0 +1,269 @@
+//! States, discovery messages and commands of the MQTT output, at a broker that records everything.
+
+mod common;
+
+use std::time::{Duration, SystemTime};
+
+use common::mqtt_broker::{Action, Broker, Received};
+use common::mqtt_output::{Output, PolledPlant};
+use fatek::Value as PlcValue;
+use fatek::{element, register};
+use fatek_bridge::batch::milliseconds;
+use rumqttc::v5::mqttbytes::v5::PublishProperties;
+use serde_json::{Value, json};
+use tokio::time::sleep;
+
+const PLANT: &str = "\
+[class]
+fast = { every = '100ms' }
+[plc.mixer]
+link = 'LINK'
+station = 1
+tag.level = { at = 'R5:i16', class = 'fast', unit = '%' }
+tag.alarm = { at = 'M7', class = 'fast' }
+tag.setpoint = { at = 'R200', class = 'fast', write = { min = 0, max = 80 } }
+tag.start = { at = 'M100', class = 'fast', write = { pulse = '100ms' } }
+tag.pump = { at = 'M101', class = 'fast', write = {} }
+";
+const BOILER: &str = "\
+[plc.boiler]
+link = 'LINK'
+station = 2
+tag.level = { at = 'R5:i16', class = 'fast' }
+";
+
+/// The messages of a topic.
+fn of_topic(broker: &Broker, topic: &str) -> Vec<Received> {
+    broker.received().into_iter().filter(|received| received.topic == topic).collect()
+}
+
+fn is_online(broker: &Broker, plc: &str) -> Option<bool> {
+    broker.retained_json(&format!("fatek/hall-2/{plc}/state"))?["online"].as_bool()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_state_of_a_plc_is_sent_on_change_and_at_each_connection() {
+    let broker = Broker::start().await;
+    let mut plant = PolledPlant::start(PLANT).await;
+    let output = Output::start_with(&broker.url(), json!({}), plant.registry.clone(), None);
+    broker.wait_for("online", |broker| is_online(broker, "mixer") == Some(true)).await;
+    let state = broker.retained_json("fatek/hall-2/mixer/state").unwrap();
+    assert!(state["rtt_ms"].as_f64().is_some_and(|rtt| rtt < 1000.0) && state.get("why").is_none(), "{state}");
+    // Round trips change all the time, and are no change.
+    let before = of_topic(&broker, "fatek/hall-2/mixer/state").len();
+    sleep(Duration::from_secs(3)).await;
+    assert_eq!(of_topic(&broker, "fatek/hall-2/mixer/state").len(), before);
+
+    drop(plant.server.take());
+    broker.wait_for("offline", |broker| is_online(broker, "mixer") == Some(false)).await;
+    let state = broker.retained_json("fatek/hall-2/mixer/state").unwrap();
+    assert!(state["why"].is_string(), "{state}");
+
+    // At the next connection all states are sent again: the broker may have lost them.
+    broker.behave(|_| Action::Cut);
+    output.health.set_failed("the test looks for the next connection");
+    plant.apply(&format!("{PLANT}{BOILER}"));
+    broker.wait_for("loss", |broker| broker.connected()[0].is_closed).await;
+    broker.behave(|_| Action::Ack);
+    let sent_again = |broker: &Broker| {
+        let topics = ["fatek/hall-2/state", "fatek/hall-2/mixer/state", "fatek/hall-2/boiler/state"];
+        let last = broker.connected().len();
+        topics.iter().all(|topic| of_topic(broker, topic).iter().any(|one| one.connection == last && one.retain))
+    };
+    broker.wait_for("states", sent_again).await;
+    output.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reload_publishes_what_is_new_and_clears_what_has_gone() {
+    let broker = Broker::start().await;
+    // Of an earlier run, and of another bridge.
+    broker.retain("fatek/hall-2/gone/state", r#"{"online":true}"#);
+    broker.retain("ha/sensor/fatek_-hall-2/gone_-level/config", "{}");
+    broker.retain("fatek/hall-20/gone/state", r#"{"online":true}"#);
+    broker.retain("ha/sensor/fatek_-hall-20/gone_-level/config", "{}");
+    let plant = PolledPlant::start(&format!("{PLANT}{BOILER}")).await;
+    let more = json!({ "home_assistant": "ha" });
+    let output = Output::start_with(&broker.url(), more, plant.registry.clone(), None);
+    let topics = |broker: &Broker| broker.retained().into_keys().collect::<Vec<String>>();
+    let all = [
+        "fatek/hall-2/boiler/state",
+        "fatek/hall-2/mixer/state",
+        "fatek/hall-2/state",
+        "fatek/hall-20/gone/state",
+        "ha/binary_sensor/fatek_-hall-2/mixer_-alarm/config",
+        "ha/binary_sensor/fatek_-hall-2/mixer_-pump/config",
+        "ha/binary_sensor/fatek_-hall-2/mixer_-start/config",
+        "ha/sensor/fatek_-hall-2/boiler_-level/config",
+        "ha/sensor/fatek_-hall-2/mixer_-level/config",
+        "ha/sensor/fatek_-hall-2/mixer_-setpoint/config",
+        "ha/sensor/fatek_-hall-20/gone_-level/config",
+    ];
+    broker.wait_for("all messages", |broker| topics(broker) == all).await;
+
+    // A PLC and a tag go, and another tag comes.
+    plant.apply(&PLANT.replace("tag.alarm = { at = 'M7'", "tag.lamp = { at = 'M7'"));
+    let all = [
+        "fatek/hall-2/mixer/state",
+        "fatek/hall-2/state",
+        "fatek/hall-20/gone/state",
+        "ha/binary_sensor/fatek_-hall-2/mixer_-lamp/config",
+        "ha/binary_sensor/fatek_-hall-2/mixer_-pump/config",
+        "ha/binary_sensor/fatek_-hall-2/mixer_-start/config",
+        "ha/sensor/fatek_-hall-2/mixer_-level/config",
+        "ha/sensor/fatek_-hall-2/mixer_-setpoint/config",
+        "ha/sensor/fatek_-hall-20/gone_-level/config",
+    ];
+    broker.wait_for("the difference", |broker| topics(broker) == all).await;
+
+    // Home Assistant starts anew, and may have forgotten its entities.
+    let level = "ha/sensor/fatek_-hall-2/mixer_-level/config";
+    let before = of_topic(&broker, level).len();
+    broker.send("ha/status", "offline", false, None);
+    broker.send("ha/status", "online", true, None);
+    sleep(Duration::from_millis(300)).await;
+    assert_eq!(of_topic(&broker, level).len(), before);
+    broker.send("ha/status", "online", false, None);
+    broker.wait_for("discovery", |broker| of_topic(broker, level).len() == before + 1).await;
+    output.stop().await;
+}
+
+/// A command for `mixer` with an id of this number.
+fn command(tag: &str, value: Value, id: u32) -> String {
+    json!({ "id": format!("c{id}"), "tag": tag, "value": value, "ts": milliseconds(SystemTime::now()) }).to_string()
+}
+
+fn respond_to(topic: &str, correlation: &'static [u8]) -> Option<PublishProperties> {
+    Some(PublishProperties {
+        response_topic: Some(topic.to_owned()),
+        correlation_data: Some(correlation.into()),
+        ..PublishProperties::default()
+    })
+}
+
+const COMMANDS: &str = "fatek/hall-2/mixer/cmd";
+const REPLIES: &str = "fatek/hall-2/mixer/cmd/reply";
+
+/// An output that takes commands.
+async fn with_commands(broker: &Broker, plant: &PolledPlant, more: Value) -> Output {
+    let commands = plant.commands().await;
+    let output = Output::start_with(&broker.url(), more, plant.registry.clone(), Some(commands));
+    let is_subscribed = |broker: &Broker| broker.subscriptions().iter().any(|filter| filter == "fatek/hall-2/+/cmd");
+    broker.wait_for("subscription", is_subscribed).await;
+    broker.wait_for("online", |broker| is_online(broker, "mixer") == Some(true)).await;
+    output
+}
+
+/// Waits for the reply with an id at a topic, and returns it.
+async fn reply(broker: &Broker, topic: &str, id: u32) -> (Value, Received) {
+    let find = |broker: &Broker| {
+        let all = of_topic(broker, topic).into_iter();
+        let mut all = all.map(|one| (serde_json::from_slice::<Value>(&one.payload).unwrap(), one));
+        all.find(|(reply, _)| reply["id"] == format!("c{id}"))
+    };
+    broker.wait_for(&format!("reply {id}"), |broker| find(broker).is_some()).await;
+    find(broker).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_is_executed_and_answered_where_it_says() {
+    let broker = Broker::start().await;
+    let plant = PolledPlant::start(PLANT).await;
+    let output = with_commands(&broker, &plant, json!({ "home_assistant": "ha" })).await;
+    assert!(broker.retained().contains_key("ha/number/fatek_-hall-2/mixer_-setpoint/config"));
+
+    broker.send(COMMANDS, &command("setpoint", json!(42), 1), false, respond_to("client/7", b"\x00\xFF"));
+    let (answer, received) = reply(&broker, "client/7", 1).await;
+    assert_eq!((&answer["result"], &answer["read_back"]), (&json!("ok"), &json!(42)), "{answer}");
+    assert_eq!(received.properties.unwrap().correlation_data.as_deref(), Some(&b"\x00\xFF"[..]));
+    assert!(!received.retain);
+    assert_eq!(plant.plcs[0].read(register!("R200")), PlcValue::Word(42));
+
+    broker.send(COMMANDS, &command("setpoint", json!(99), 2), false, None);
+    let (answer, received) = reply(&broker, REPLIES, 2).await;
+    assert_eq!(answer["result"], "refused", "{answer}");
+    assert!(received.properties.is_none_or(|all| all.correlation_data.is_none()));
+    // The broker would keep it, and give it to each client that comes.
+    broker.send(COMMANDS, &command("setpoint", json!(7), 3), true, None);
+    assert_eq!(reply(&broker, REPLIES, 3).await.0["result"], "refused");
+    // A response topic of the bridge itself.
+    broker.send(COMMANDS, &command("setpoint", json!(43), 4), false, respond_to("fatek/hall-2/state", b""));
+    assert_eq!(reply(&broker, REPLIES, 4).await.0["result"], "ok");
+    assert_eq!(plant.plcs[0].read(register!("R200")), PlcValue::Word(43));
+    output.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_reply_of_a_command_outlives_the_connection() {
+    let broker = Broker::start().await;
+    let plant = PolledPlant::start(PLANT).await;
+    let output = with_commands(&broker, &plant, json!({})).await;
+    let mut cuts = 1;
+    broker.behave(move |received| match received.topic.as_str() {
+        "client/7" if cuts > 0 => {
+            cuts -= 1;
+            Action::Lose
+        }
+        _ => Action::Ack,
+    });
+    broker.send(COMMANDS, &command("pump", json!(true), 1), false, respond_to("client/7", b"x"));
+    let (answer, received) = reply(&broker, "client/7", 1).await;
+    assert_eq!((&answer["result"], received.connection), (&json!("ok"), 2), "{answer}");
+    output.stop().await;
+}
+
+/// Topics, payloads and properties of all kinds: each command has a reply, and none changes what it must not.
+#[tokio::test(flavor = "multi_thread")]
+async fn hostile_commands_change_nothing_and_stop_nothing() {
+    let broker = Broker::start().await;
+    let plant = PolledPlant::start(PLANT).await;
+    let mut output = with_commands(&broker, &plant, json!({ "home_assistant": "ha" })).await;
+    plant.plcs[0].write(register!("R5"), 1234_u16).unwrap();
+    let mut random = fastrand::Rng::with_seed(5);
+    let good = command("setpoint", json!(50), 0);
+    let responses =
+        ["", "#", "a/+/b", "$SYS/x", "fatek/hall-2/mixer/cmd", "fatek/hall-2/state", "ha/sensor/x/config", "c/r"];
+    let commands = 2000;
+    for number in 0..commands {
+        let plc = *random.choice(["mixer", "none", "state", "..", "mixer%00", "\u{202E}", "$"].iter()).unwrap();
+        let mut payload = good.clone().into_bytes();
+        for _ in 0..random.usize(1..6) {
+            let at = random.usize(..payload.len().max(1));
+            if payload.is_empty() {
+                break;
+            }
+            match random.u8(..4) {
+                0 => payload[at] = random.u8(b' '..b'~'),
+                1 => drop(payload.remove(at)),
+                2 => payload.insert(at, random.u8(b' '..b'~')),
+                _ => payload.truncate(at.max(1)),
+            }
+        }
+        let payload = String::from_utf8(payload).unwrap();
+        let response = *random.choice(responses.iter()).unwrap();
+        broker.send(&format!("fatek/hall-2/{plc}/cmd"), &payload, random.bool(), respond_to(response, b"\xFF"));
+        if number % 20 == 0 {
+            sleep(Duration::from_millis(10)).await;
+        }
+    }
+    let is_reply = |received: &Received| received.topic.ends_with("/cmd/reply") || received.topic == "c/r";
+    let replies = |broker: &Broker| broker.received().iter().filter(|received| is_reply(received)).count();
+    broker.wait_for("replies", |broker| replies(broker) >= commands).await;
+    // Only batches, states, discovery messages and replies were sent.
+    let is_own =
+        |one: &Received| one.topic.starts_with("fatek/hall-2/") || one.topic.starts_with("ha/") || is_reply(one);
+    assert!(broker.received().iter().all(is_own));
+    assert!(of_topic(&broker, COMMANDS).is_empty());
+    let state = broker.retained_json("fatek/hall-2/state").unwrap();
+    assert_eq!(state["online"], true);
+    let plc = &plant.plcs[0];
+    assert_eq!(plc.read(register!("R5")), PlcValue::Word(1234));
+    let PlcValue::Word(setpoint) = plc.read(register!("R200")) else { panic!("not a word") };
+    assert!(setpoint <= 80, "{setpoint}");
+    assert_eq!(plc.read(element!("M7")), PlcValue::Bit(false));
+    // It still works.
+    output.push(3);
+    output.wait_until_delivered().await;
+    assert_eq!(broker.connected().len(), 1, "{:?}", output.health.failure());
+    output.stop().await;
+}
