@@ -81,7 +81,7 @@ impl Config {
     /// Those of [`load`](Self::load).
     pub fn read(path: &Path, environment: &Environment) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path).map_err(|error| ConfigError::io(path, error))?;
-        Self::parse(path, &text, Plant::load(path).map_err(error::plant_faults), environment)
+        Self::parse(path, &text, Plant::load(path).map_err(|error| error::plant_faults(error, &text)), environment)
     }
 
     /// Parses a text that names no tables of tags. `path`: its name in messages, and for relative paths.
@@ -89,7 +89,7 @@ impl Config {
     /// # Errors
     /// Those of [`load`](Self::load), without reading.
     pub fn from_text(path: &Path, text: &str, environment: &Environment) -> Result<Self, ConfigError> {
-        let plant = Plant::from_toml(text).map_err(|errors| error::faults_of(&errors));
+        let plant = Plant::from_toml(text).map_err(|errors| error::faults_of(&errors, text));
         Self::parse(path, text, plant, environment)
     }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use fatek::plant::{PlantError, PlantErrors, PlantFault, PlantFileError};
 
-use super::suggestion::known_keys;
+use super::suggestion::{known_keys, meant};
 use crate::printable::excerpt;
 
 /// A configuration that cannot be used. It displays a line for each fault.
@@ -77,20 +77,26 @@ impl ConfigError {
 }
 
 /// The faults of the sections of a plant.
-pub(super) fn plant_faults(error: PlantFileError) -> Vec<ConfigFault> {
+pub(super) fn plant_faults(error: PlantFileError, text: &str) -> Vec<ConfigFault> {
     match error {
-        PlantFileError::Plant { errors, .. } => faults_of(&errors),
+        PlantFileError::Plant { errors, .. } => faults_of(&errors, text),
         error => vec![ConfigFault { line: None, key: String::new(), rule: error.to_string() }],
     }
 }
 
-/// The faults of a plant, with the key that was probably meant.
-pub(super) fn faults_of(errors: &PlantErrors) -> Vec<ConfigFault> {
+/// The faults of a plant, with the key or name that was probably meant.
+pub(super) fn faults_of(errors: &PlantErrors, text: &str) -> Vec<ConfigFault> {
+    let table: toml::Table = text.parse().unwrap_or_default();
     let fault = |error: &PlantError| {
         let rule = match error.fault() {
             PlantFault::Unknown { known, .. } => {
                 let key = error.key().rsplit('.').next().unwrap_or_default();
                 known_keys(key, &known.split(' ').collect::<Vec<_>>())
+            }
+            fault @ PlantFault::NoSuch { kind, name, .. } => {
+                let names = table.get(*kind).and_then(toml::Value::as_table).into_iter().flatten();
+                let names: Vec<&str> = names.map(|(name, _)| name.as_str()).collect();
+                format!("{fault}{}", meant(name, &names))
             }
             fault => fault.to_string(),
         };

@@ -4,13 +4,17 @@ use crate::printable::excerpt;
 
 /// The rule that an unknown key breaks: it names the known ones.
 pub(super) fn known_keys(key: &str, known: &[&str]) -> String {
-    let meant = match closest(key, known) {
-        Some(meant) => format!("; did you mean `{meant}`?"),
-        None => String::new(),
-    };
     match known {
         [] => "the key is unknown: the section has none".to_owned(),
-        known => format!("the key is unknown{meant} (known: {})", known.join(" ")),
+        known => format!("the key is unknown{} (known: {})", meant(key, known), known.join(" ")),
+    }
+}
+
+/// A question for the text that was probably meant, if there is one.
+pub(super) fn meant(text: &str, known: &[&str]) -> String {
+    match closest(text, known) {
+        Some(meant) => format!("; did you mean `{}`?", excerpt(meant)),
+        None => String::new(),
     }
 }
 
@@ -50,8 +54,8 @@ pub(super) fn of_serde(message: &str) -> String {
 }
 
 /// The known text that is close to this one: at most a third of it is different.
-pub(super) fn closest<'k>(text: &str, known: &[&'k str]) -> Option<&'k str> {
-    let distance = |known: &str| strsim::damerau_levenshtein(&text.to_lowercase(), known);
+fn closest<'k>(text: &str, known: &[&'k str]) -> Option<&'k str> {
+    let distance = |known: &str| strsim::damerau_levenshtein(&text.to_lowercase(), &known.to_lowercase());
     let (distance, meant) =
         known.iter().map(|known| (distance(known), *known)).min_by_key(|(distance, _)| *distance)?;
     (distance <= text.chars().count().div_ceil(3).min(3)).then_some(meant)

@@ -133,6 +133,15 @@ fn keys_that_do_not_fit_together_are_faults() {
     ] {
         assert_eq!(of(text), fault);
     }
+    let classes = "[class]\nfast = { every = '1s' }\n[template.tank]\n";
+    assert_eq!(
+        of(&format!(
+            "use = ['tonk']\ntag.x = {{ at = 'R0', class = 'fats' }}\ntag.y = {{ at = 'R0', class = 'z' }}\n{classes}"
+        )),
+        "line 5, plc.mixer.use: there is no template `tonk`; did you mean `tank`?; \
+         line 6, plc.mixer.tag.x.class: there is no class `fats`; did you mean `fast`?; \
+         line 7, plc.mixer.tag.y.class: there is no class `z`"
+    );
     let [fault] = &faults("[stdout]\n")[..] else { panic!() };
     assert!(fault.starts_with("line 1, plc: there is no PLC"), "{fault}");
     let [fault] = &faults("[mqtt\n")[..] else { panic!() };
