@@ -78,29 +78,26 @@ impl ConfigError {
 
 /// The faults of the sections of a plant.
 pub(super) fn plant_faults(error: PlantFileError, text: &str) -> Vec<ConfigFault> {
-    match error {
-        PlantFileError::Plant { errors, .. } => faults_of(&errors, text),
-        error => vec![ConfigFault { line: None, key: String::new(), rule: error.to_string() }],
-    }
+    let PlantFileError::Plant { errors, .. } = &error else {
+        return vec![ConfigFault { line: None, key: String::new(), rule: error.to_string() }];
+    };
+    faults_of(errors, text)
 }
 
 /// The faults of a plant, with the key or name that was probably meant.
 pub(super) fn faults_of(errors: &PlantErrors, text: &str) -> Vec<ConfigFault> {
     let table: toml::Table = text.parse().unwrap_or_default();
-    let fault = |error: &PlantError| {
-        let rule = match error.fault() {
-            PlantFault::Unknown { known, .. } => {
-                let key = error.key().rsplit('.').next().unwrap_or_default();
-                known_keys(key, &known.split(' ').collect::<Vec<_>>())
-            }
-            fault @ PlantFault::NoSuch { kind, name, .. } => {
-                let names = table.get(*kind).and_then(toml::Value::as_table).into_iter().flatten();
-                let names: Vec<&str> = names.map(|(name, _)| name.as_str()).collect();
-                format!("{fault}{}", meant(name, &names))
-            }
-            fault => fault.to_string(),
-        };
-        ConfigFault { line: Some(error.line()), key: error.key().to_owned(), rule }
+    let rule = |error: &PlantError| {
+        if let PlantFault::Unknown { known, .. } = error.fault() {
+            let key = error.key().rsplit('.').next().unwrap_or_default();
+            return known_keys(key, &known.split(' ').collect::<Vec<_>>());
+        }
+        let PlantFault::NoSuch { kind, name, .. } = error.fault() else { return error.fault().to_string() };
+        let names = table.get(*kind).and_then(toml::Value::as_table).into_iter().flatten();
+        let names: Vec<&str> = names.map(|(name, _)| name.as_str()).collect();
+        format!("{}{}", error.fault(), meant(name, &names))
     };
+    let fault =
+        |error: &PlantError| ConfigFault { line: Some(error.line()), key: error.key().to_owned(), rule: rule(error) };
     errors.iter().map(fault).collect()
 }

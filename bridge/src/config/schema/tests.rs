@@ -85,9 +85,9 @@ fn the_schema_has_the_keys_of_the_sections() {
 /// The keys that the parser of a plant knows where the text has the key `x`.
 fn known(text: &str) -> BTreeSet<String> {
     let errors = Plant::from_toml(text).unwrap_err();
-    let known = errors.iter().find_map(|error| match error.fault() {
-        PlantFault::Unknown { known, .. } => Some(*known),
-        _ => None,
+    let known = errors.iter().find_map(|error| {
+        let PlantFault::Unknown { known, .. } = error.fault() else { return None };
+        Some(*known)
     });
     known.unwrap_or_else(|| panic!("{errors}")).split(' ').map(str::to_owned).collect()
 }
