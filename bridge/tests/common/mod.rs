@@ -6,11 +6,8 @@ pub mod deliveries;
 pub mod http;
 pub mod mosquitto;
 pub mod mqtt_broker;
-<<<<<<< HEAD
 pub mod mqtt_output;
 pub mod mqtt_proxy;
-=======
->>>>>>> 80e638a (Bridge: faults of a plant without wildcards over its kinds)
 pub mod nats;
 pub mod openmetrics;
 pub mod plc;
