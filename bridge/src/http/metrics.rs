@@ -4,6 +4,7 @@
 //! few values: names of the configuration, links, and states.
 
 mod bridge;
+mod commands;
 mod plcs;
 mod tags;
 
@@ -53,6 +54,7 @@ impl Collector for Metrics {
     fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
         let mut writer = Writer { encoder };
         bridge::write(&mut writer, &self.shared)?;
+        commands::write(&mut writer, &self.shared)?;
         plcs::write(&mut writer, &self.shared)?;
         tags::write(&mut writer, &self.shared)
     }

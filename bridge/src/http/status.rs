@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use super::rates::Rates;
 use super::view::{Grade, View};
+use crate::command::CommandStats;
 use crate::plc_state::PlcState;
 use crate::run::Bridge;
 
@@ -26,6 +27,21 @@ pub(super) struct Status {
     poller: PollerStatus,
     buffer: BufferStatus,
     outputs: Vec<OutputStatus>,
+    /// `null` if no output takes commands.
+    commands: Option<CommandStatus>,
+}
+
+/// Commands of all PLCs since the start.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+struct CommandStatus {
+    ok: u64,
+    refused: u64,
+    /// They may have been executed.
+    unknown: u64,
+    repeated: u64,
+    waiting: usize,
+    /// Pulses that have begun and whose end is not confirmed.
+    open_pulses: usize,
 }
 
 /// Tags by quality.
@@ -141,6 +157,7 @@ impl Memory {
             poller: self.poller(bridge),
             buffer: buffer(bridge),
             outputs: self.outputs(bridge),
+            commands: bridge.commands.as_ref().map(|commands| sum(&commands.stats())),
         }
     }
 
@@ -269,6 +286,19 @@ fn buffer(bridge: &Bridge) -> BufferStatus {
         disk_limit_bytes: limits.dir.is_some().then_some(limits.max.0),
         failure: figures.failure,
     }
+}
+
+fn sum(stats: &CommandStats) -> CommandStatus {
+    // Those for no PLC are refused, too.
+    let first = CommandStatus { refused: stats.no_plc, ..CommandStatus::default() };
+    stats.plcs.values().fold(first, |sum, plc| CommandStatus {
+        ok: sum.ok.saturating_add(plc.ok),
+        refused: sum.refused.saturating_add(plc.refused),
+        unknown: sum.unknown.saturating_add(plc.unknown),
+        repeated: sum.repeated.saturating_add(plc.repeated),
+        waiting: sum.waiting.saturating_add(plc.waiting),
+        open_pulses: sum.open_pulses.saturating_add(plc.pulses_open),
+    })
 }
 
 /// The best state of an endpoint's connections, and why it is not better.

@@ -96,9 +96,12 @@ export class Aside {
   constructor() {
     this.links = new ItemList("links", "No link yet");
     this.outputs = new ItemList("outputs", "No output is configured");
-    this.buffer = document.getElementById("buffer");
-    this.buffer.append(...itemTemplate.firstElementChild.cloneNode(true).childNodes);
-    this.buffer.classList.add("item");
+    [this.buffer, this.commands] = ["buffer", "commands"].map(id => {
+      const panel = document.getElementById(id);
+      panel.append(...itemTemplate.firstElementChild.cloneNode(true).childNodes);
+      panel.classList.add("item");
+      return panel;
+    });
     this.cards = new Map([...document.querySelectorAll(".card")].map(card => [card.dataset.figure, card]));
     this.title = document.getElementById("bridge");
     this.uptime = document.getElementById("uptime");
@@ -109,6 +112,7 @@ export class Aside {
     this.links.show(status.links.map(link => linkItem(link, status.plcs)));
     this.outputs.show(status.outputs.map(outputItem));
     this.#showBuffer(status.buffer);
+    this.#showCommands(status.commands);
     this.#showOverview(status);
     format.setText(this.title, status.id);
     format.setText(this.uptime, `Running for ${format.age(status.uptime_seconds * 1000).replace(".0", "")}`);
@@ -130,6 +134,25 @@ export class Aside {
         hasDisk ? `${format.bytes(buffer.disk_bytes)} of ${format.bytes(buffer.disk_limit_bytes)} on disk` : "no disk",
       ],
       why: buffer.failure,
+    });
+  }
+
+  #showCommands(commands) {
+    document.getElementById("commands-section").hidden = commands === null;
+    if (commands === null) return;
+    const needsLook = commands.unknown > 0 || commands.open_pulses > 0;
+    showItem(this.commands, {
+      name: `${format.count(commands.ok)} executed`,
+      mark: needsLook ? "stale" : "good",
+      state: commands.waiting > 0 ? `${format.count(commands.waiting)} waiting` : "",
+      part: null,
+      facts: [
+        `${format.count(commands.refused)} refused`,
+        `${format.count(commands.unknown)} unknown`,
+        commands.repeated > 0 && `${format.count(commands.repeated)} repeated`,
+        commands.open_pulses > 0 && format.counted(commands.open_pulses, "open pulse"),
+      ],
+      why: null,
     });
   }
 

@@ -1,0 +1,28 @@
+//! Metrics of commands, if an output takes any.
+
+use std::fmt;
+
+use super::{Labels, Writer};
+use crate::command::PlcCommandStats;
+use crate::http::Shared;
+
+/// The results of commands.
+const RESULTS: [(&str, fn(&PlcCommandStats) -> u64); 3] =
+    [("ok", |plc| plc.ok), ("refused", |plc| plc.refused), ("unknown", |plc| plc.unknown)];
+
+pub(super) fn write(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
+    let Some(commands) = &shared.bridge.commands else { return Ok(()) };
+    let stats = commands.stats();
+    let plcs = || stats.plcs.iter().map(|(plc, stats)| (&**plc, stats));
+    let of = |name, result| vec![("plc", name), ("result", result)];
+    let results = plcs().flat_map(|(name, plc)| RESULTS.map(|(result, count)| (of(name, result), count(plc))));
+    to.counter("commands", None, "Commands by result; unknown: they may have been executed", results)?;
+    let labels = |name| -> Labels<'_> { vec![("plc", name)] };
+    let repeated = plcs().map(|(name, plc)| (labels(name), plc.repeated));
+    to.counter("commands_repeated", None, "Repetitions of commands, which were not executed again", repeated)?;
+    let waiting = plcs().map(|(name, plc)| (labels(name), u64::try_from(plc.waiting).unwrap_or(u64::MAX)));
+    to.gauge("commands_waiting", None, "Commands that wait or run", waiting)?;
+    let pulses = plcs().map(|(name, plc)| (labels(name), u64::try_from(plc.pulses_open).unwrap_or(u64::MAX)));
+    to.gauge("commands_open_pulses", None, "Pulses that have begun and whose end is not confirmed", pulses)?;
+    to.counter("commands_without_plc", None, "Commands for a PLC that does not exist", [(vec![], stats.no_plc)])
+}
