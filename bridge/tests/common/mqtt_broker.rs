@@ -100,7 +100,7 @@ impl Broker {
     pub async fn start() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
-        let (to_clients, _) = broadcast::channel(64);
+        let (to_clients, _) = broadcast::channel(4096);
         let shared = Arc::new(Shared {
             behaviour: Mutex::new(Box::new(|_| Action::Ack)),
             limits: Mutex::new(no_limits()),

@@ -38,7 +38,7 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 /// A client sends something at least this often; see [`Limits::keep_alive`].
 const KEEP_ALIVE: Duration = Duration::from_secs(20);
 /// The largest packet that the broker may send: of commands, and of retained messages of an earlier run.
-const MAX_INCOMING: u32 = 64 << 10;
+const MAX_INCOMING: u32 = 128 << 10;
 /// The bytes that are read at once.
 const READ_SIZE: usize = 16 << 10;
 /// The packets in flight, unless the broker takes fewer.
