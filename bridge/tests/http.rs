@@ -13,7 +13,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 
-/// A configuration of one PLC, whose class is fast.
+/// A configuration of one PLC. Its tags are stale for three seconds before they are bad.
 fn config(sim: &SimPlc) -> String {
     format!(
         r#"
@@ -22,7 +22,7 @@ id = "hall-2"
 http = "HTTP"
 [stdout]
 [class]
-fast = {{ every = "100ms", stale_after = "500ms" }}
+fast = {{ every = "400ms", stale_after = "800ms" }}
 [plc.mixer]
 link = "{}"
 station = 1
@@ -116,7 +116,7 @@ async fn metrics_are_openmetrics_without_values_of_old_readings() {
     assert!(value(r#"fatek_plc_round_trip_seconds{plc="mixer"}"#) > 0.0);
     assert!(value(r#"fatek_plc_requests_total{plc="mixer"}"#) > 0.0);
     assert_eq!(value(r#"fatek_class_tags{plc="mixer",class="fast"}"#), 5.0);
-    assert_eq!(value(r#"fatek_class_period_seconds{plc="mixer",class="fast"}"#), 0.1);
+    assert_eq!(value(r#"fatek_class_period_seconds{plc="mixer",class="fast"}"#), 0.4);
     assert_eq!(value(&format!(r#"fatek_link_up{{link="{}"}}"#, sim.link())), 1.0);
     assert_eq!(value(r#"fatek_pool_links{state="up"}"#), 1.0);
     assert_eq!(value(r#"fatek_output_connected{output="stdout"}"#), 1.0);
