@@ -10,8 +10,8 @@
 //! ```
 //!
 //! Batches are in memory first. One without an acknowledgement for half a second is written to disk, so that
-//! a crash loses at most one second; with `sync` an output gets only what is on disk. What does not fit into
-//! memory is read back from disk when an output needs it.
+//! a crash loses at most one second; with `sync` an output gets only what is on disk. Batches that do not fit into
+//! memory are read back from disk when an output needs them.
 //!
 //! Invariants:
 //! - positions grow by one with each batch, by more at a start, and are never used again;
@@ -23,6 +23,8 @@
 
 mod chunk;
 mod disk;
+#[cfg(test)]
+mod faults;
 mod jobs;
 mod log;
 #[cfg(test)]

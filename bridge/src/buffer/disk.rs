@@ -206,20 +206,23 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, redb::Error>) -> Result<T, DiskEr
 }
 
 fn classify(error: redb::Error) -> DiskError {
-    match error {
-        redb::Error::DatabaseAlreadyOpen | redb::Error::LockProtocolMismatch => DiskError::InUse,
-        redb::Error::Io(error) if matches!(error.kind(), io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof) => {
-            DiskError::Damaged(error.to_string())
-        }
-        redb::Error::Io(error) => DiskError::Io(error.to_string()),
-        error @ (redb::Error::PreviousIo | redb::Error::DatabaseClosed | redb::Error::Backend(_)) => {
-            DiskError::Io(error.to_string())
-        }
-        error => DiskError::Damaged(error.to_string()),
+    use redb::Error::{Backend, DatabaseAlreadyOpen, DatabaseClosed, Io, LockProtocolMismatch, PreviousIo};
+    if matches!(error, DatabaseAlreadyOpen | LockProtocolMismatch) {
+        return DiskError::InUse;
     }
+    if let Io(error) = &error {
+        // redb tells so of a file that is no database, or too short.
+        let is_damaged = matches!(error.kind(), io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof);
+        let text = error.to_string();
+        return if is_damaged { DiskError::Damaged(text) } else { DiskError::Io(text) };
+    }
+    if matches!(error, PreviousIo | DatabaseClosed | Backend(_)) {
+        return DiskError::Io(error.to_string());
+    }
+    DiskError::Damaged(error.to_string())
 }
 
-/// What a file has.
+/// The content of a file.
 enum Content {
     New,
     Log(Restored),

@@ -311,7 +311,7 @@ impl Log {
         }
         disk.file_len = file_len;
         match &mut disk.failing {
-            // Whether it takes batches again is not known yet.
+            // It has taken no batches yet.
             Some(failing) if disk.unspilled > 0 && commit.chunks.is_empty() => failing.has_removed = true,
             _ => disk.failing = None,
         }

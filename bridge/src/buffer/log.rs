@@ -7,7 +7,8 @@
 //!    removed             │ read back on demand  │ on disk, too  │ being written │ not on disk
 //! ```
 //!
-//! Times are milliseconds of the buffer's time: it goes on while the bridge runs, whatever the clock does.
+//! Times are milliseconds of the buffer's time: it goes on while the bridge runs, and a step of the clock
+//! does not change it.
 //!
 //! Invariants:
 //! - each batch that an output lacks is in `slots`, in `chunks` or in both, unless it was counted as dropped;

@@ -359,7 +359,7 @@ impl World {
         self.crash();
         if self.names == names && self.limits.max_age.is_none() {
             let restored: Vec<u64> = self.log.stats().iter().map(|stats| stats.lag).collect();
-            // What is damaged in the file is noticed once more.
+            // A damaged record is noticed once more.
             let is_kept = restored.iter().zip(&lags).all(|(restored, lag)| restored >= lag);
             assert!(is_kept, "seed {}: nothing is lost when the buffer is closed", self.seed);
         }

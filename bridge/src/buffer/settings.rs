@@ -17,7 +17,7 @@ pub struct BufferSettings {
     pub max: u64,
     /// The largest age of a batch.
     pub max_age: Duration,
-    /// The largest size in memory, in bytes; 256 KiB at least.
+    /// The largest size in memory, in bytes; with a folder 256 KiB at least.
     pub memory: usize,
     /// `true`: each batch is on disk before it is delivered.
     pub sync: bool,
@@ -64,15 +64,11 @@ const LARGEST_JOB: usize = 4 << 20;
 const LARGEST_CACHE: usize = 16 << 20;
 
 impl BufferSettings {
-    /// The settings of a configuration. A relative folder is in `$STATE_DIRECTORY`, if that is set.
+    /// The settings of a configuration.
     #[must_use]
     pub fn of(section: &BufferSection) -> Self {
-        let state = std::env::var_os("STATE_DIRECTORY");
-        // systemd separates several of them with colons.
-        let state = state.as_ref().and_then(|state| state.to_str()).and_then(|state| state.split(':').next());
-        let state = state.map_or_else(PathBuf::new, PathBuf::from);
         Self {
-            dir: section.dir.as_ref().map(|dir| state.join(dir)),
+            dir: section.dir.clone(),
             max: section.max.0,
             max_age: section.max_age.0,
             memory: usize::try_from(section.memory.0).unwrap_or(usize::MAX),
@@ -87,7 +83,7 @@ impl BufferSettings {
     pub fn check(&self) -> Result<(), BufferError> {
         let memory = u64::try_from(self.memory).unwrap_or(u64::MAX);
         let least_memory = u64::try_from(LEAST_MEMORY).unwrap_or(u64::MAX);
-        if self.memory < LEAST_MEMORY {
+        if self.dir.is_some() && self.memory < LEAST_MEMORY {
             return Err(BufferError::Limit { key: "memory", bytes: memory, least: least_memory });
         }
         if self.dir.is_some() && self.max < LEAST_MAX {

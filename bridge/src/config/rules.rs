@@ -9,12 +9,16 @@ use super::sections::ADDRESS_RULE;
 use super::source::Source;
 use super::values::NAME_RULE;
 use super::{BridgeSection, FleetSection, Name, Sections};
+use crate::buffer::{BufferError, BufferSettings};
 
 /// Adds the faults of keys that do not fit together.
 pub(super) fn check(sections: &Sections, source: &Source<'_>, faults: &mut Vec<ConfigFault>) {
     let Sections { bridge, mqtt, nats, stdout: _, fleet } = sections;
     if bridge.buffer.memory.0 == 0 {
         faults.push(source.fault(&["bridge", "buffer", "memory"], "it is more than 0"));
+    }
+    if let Err(BufferError::Limit { key, least, .. }) = BufferSettings::of(&bridge.buffer).check() {
+        faults.push(source.fault(&["bridge", "buffer", key], format!("with `dir` it is at least {} KiB", least >> 10)));
     }
     if let Some(mqtt) = mqtt {
         pair("mqtt", &mqtt.cert_file, &mqtt.key_file, source, faults);

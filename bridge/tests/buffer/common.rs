@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::str::FromStr;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use fatek_bridge::batch::Batch;
 use fatek_bridge::buffer::{Buffer, BufferSettings, Cursor, Entry};
@@ -36,11 +36,14 @@ pub(crate) fn number<T: FromStr>(name: &str, default: T) -> T {
 pub(crate) async fn take_all(buffer: &Buffer, output: usize, acknowledge: bool) -> Vec<Entry> {
     let mut cursor = buffer.cursor(output);
     let mut taken: Vec<Entry> = Vec::new();
+    let begin = Instant::now();
     let lag = |buffer: &Buffer| usize::try_from(buffer.stats()[output].lag).unwrap();
     while taken.len() < lag(buffer) {
         let read = tokio::time::timeout(Duration::from_millis(500), cursor.next(512)).await;
-        // What is damaged is not there, and the lag falls.
+        // A damaged batch is not there, and the lag falls.
         taken.extend(read.unwrap_or_default());
+        let state = || (taken.len(), buffer.stats(), buffer.figures());
+        assert!(begin.elapsed() < PATIENCE, "timeout: {:?}", state());
     }
     check(&taken);
     if let Some(last) = taken.last().filter(|_| acknowledge) {
@@ -70,6 +73,29 @@ pub(crate) async fn wait_until(what: &str, condition: impl Fn() -> bool) {
         }
     };
     tokio::time::timeout(PATIENCE, waited).await.unwrap_or_else(|_| panic!("timeout: {what}"));
+}
+
+/// Pushes batches while an output is stalled, not faster than the disk takes them. Returns the last.
+pub(crate) async fn push_stalled(
+    buffer: &Buffer,
+    memory: usize,
+    first: u64,
+    count: u64,
+    mut each: impl FnMut(),
+) -> u64 {
+    // A commit has an eighth of the memory, and the slots have a half; a batch takes 350 bytes.
+    let ahead = u64::try_from(memory / 1500).unwrap();
+    let before = buffer.figures().spilled_batches;
+    for pushed in 0..count {
+        buffer.push(batch(first + pushed));
+        if pushed % (ahead / 4) == 0 {
+            let is_near = || buffer.figures().spilled_batches - before + ahead >= pushed;
+            wait_until("the disk takes batches", is_near).await;
+            each();
+        }
+    }
+    wait_until("all is written", || buffer.figures().spilled_batches - before >= count).await;
+    first + count - 1
 }
 
 /// Reads and acknowledges at once.

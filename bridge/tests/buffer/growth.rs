@@ -25,15 +25,11 @@ async fn the_file_stays_within_its_limit_over_many_cycles() {
     let cycles: u32 = number("FATEK_BUFFER_CYCLES", 6);
     for cycle in 0..cycles {
         // More than the limit, so that the oldest is dropped.
-        for _ in 0..40_000 {
-            seq += 1;
-            buffer.push(batch(seq));
-            if seq % 500 == 0 {
-                wait_until("memory has place", || buffer.bytes() < 400 << 10).await;
-                let (length, blocks) = size(dir.path());
-                (longest, largest) = (longest.max(length), largest.max(blocks));
-            }
-        }
+        let look = || {
+            let (length, blocks) = size(dir.path());
+            (longest, largest) = (longest.max(length), largest.max(blocks));
+        };
+        seq = push_stalled(&buffer, settings.memory, seq + 1, 40_000, look).await;
         let before = buffer.stats()[1];
         let taken = take_all(&buffer, 1, cycle % 2 == 0).await;
         assert_eq!(taken.last().map(|entry| entry.batch.seq), Some(seq));
@@ -55,13 +51,7 @@ async fn the_file_stays_within_its_limit_over_many_cycles() {
 async fn the_file_shrinks_when_all_is_delivered() {
     let dir = tempfile::tempdir().unwrap();
     let buffer = Buffer::open(&settings(dir.path()), &["mqtt"]).unwrap();
-    for seq in 1..=60_000 {
-        buffer.push(batch(seq));
-        if seq % 1000 == 0 {
-            wait_until("memory has place", || buffer.bytes() < 1 << 20).await;
-        }
-    }
-    wait_until("all is written", || buffer.figures().spilled_batches == 60_000).await;
+    push_stalled(&buffer, 4 << 20, 1, 60_000, || {}).await;
     let (full, _) = size(dir.path());
     assert!(full > 10 << 20);
     assert_eq!(take_all(&buffer, 0, true).await.len(), 60_000);

@@ -1,7 +1,7 @@
 //! SIGKILL at random moments: at most one second of batches is lost, and none that an output got with `sync`.
 //!
-//! Seen failing without its cure: with batches that are written after 3 s instead of 0.5 s, up to 3.1 s were
-//! lost; with `sync` and outputs that read what is in memory, batches that were delivered were lost.
+//! Seen failing without its cure: with batches that are written after 3 s instead of 0.5 s, 2.3 s were lost;
+//! with `sync` and outputs that read what is in memory, batches that were delivered were lost.
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Write};
@@ -44,7 +44,7 @@ async fn kill_child() {
     }
 }
 
-/// What the process told before its end: sequence numbers with times.
+/// The lines of the process before its end: sequence numbers with times.
 #[derive(Default)]
 struct Told {
     pushed: Vec<(u64, u64)>,
@@ -86,13 +86,13 @@ fn run(dir: &Path, sync: bool, first: u64, time: Duration) -> Told {
 
 async fn kill_often(sync: bool) {
     let kills: u32 = number("FATEK_BUFFER_KILLS", 6);
-    let limit = if std::env::var("FATEK_BUFFER_STRICT").is_ok() { 1000 } else { 5000 };
+    let limit = if std::env::var("FATEK_BUFFER_STRICT").is_ok() { 1000 } else { 2000 };
     let mut rng = fastrand::Rng::with_seed(number("FATEK_BUFFER_SEED", 17));
     let dir = tempfile::tempdir().unwrap();
     let (mut next, mut known, mut losses) = (1, BTreeSet::new(), Vec::new());
     let (mut total, mut lost_total, mut undelivered) = (0, 0, 0);
     for kill in 0..kills {
-        let told = run(dir.path(), sync, next, Duration::from_millis(rng.u64(50..2500)));
+        let told = run(dir.path(), sync, next, Duration::from_millis(rng.u64(50..4000)));
         let (Some((first, _)), Some((last, killed_at))) = (told.pushed.first(), told.pushed.last()) else {
             panic!("kill {kill}: nothing was pushed");
         };
@@ -120,7 +120,7 @@ async fn kill_often(sync: bool) {
         let loss = lost.first().map_or(0, |(_, at)| killed_at.saturating_sub(*at));
         losses.push(loss);
         assert!(loss <= limit, "kill {kill}: {loss} ms are lost");
-        // What is lost is the end: there is no gap.
+        // The loss is at the end: there is no gap.
         let kept = told.pushed.iter().take_while(|(seq, _)| slow.contains(seq)).count();
         assert_eq!(kept + lost.len(), told.pushed.len(), "kill {kill}: there is a gap");
         known = slow;

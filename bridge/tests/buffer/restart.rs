@@ -25,7 +25,7 @@ async fn a_closed_buffer_goes_on_with_all_that_was_not_acknowledged() {
     assert_eq!(seqs(&nats), (1..=1001).collect::<Vec<_>>());
     let mqtt = take_all(&buffer, 1, true).await;
     assert_eq!(seqs(&mqtt), (701..=1001).collect::<Vec<_>>());
-    // What an earlier run may have delivered is a replay; the new batch is not.
+    // A batch that an earlier run may have delivered is a replay; the new batch is not.
     assert!(mqtt.iter().all(|entry| entry.replay == (entry.batch.seq <= 1000)));
     assert!(buffer.close().await);
 
