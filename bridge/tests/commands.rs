@@ -233,7 +233,6 @@ async fn a_pulse_is_ok_after_its_end_and_others_do_not_wait() {
     assert_eq!(bench.commands.stats().plcs["mixer"].pulses_open, 0);
 }
 
-/// Without the record on disk it gave M101 = on at the end.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_pulse_whose_end_was_lost_is_ended_after_a_restart() {
     let mut bench = Bench::start().await;
@@ -463,9 +462,6 @@ fn assert_allowed(changes: &[Change]) {
     }
 }
 
-/// Seen to fail with each of these rules removed: `write` of a tag ("R5 = … is not allowed"), `max` ("setpoint =
-/// 80.00001", "recipe 501"), finite numbers ("setpoint = NaN"), the value of a pulse, and the check of the value
-/// that the PLC gets.
 #[tokio::test(flavor = "multi_thread")]
 async fn mutated_commands_write_nothing_that_is_not_allowed() {
     let bench = Bench::with_tags(&TAGS.replace("200ms", "10ms")).await;

@@ -19,7 +19,6 @@ fn now() -> u64 {
     u64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_millis()).unwrap()
 }
 
-/// Seen to fail with the id stored after the write ("written twice") and with the pulse not stored (M100 stays on).
 #[tokio::test(flavor = "multi_thread")]
 async fn killed_at_any_moment_it_writes_an_id_once_and_ends_each_pulse() {
     let folder = tempfile::tempdir().unwrap();

@@ -113,8 +113,6 @@ fn all(plcs: &[&str], last: u64) -> BTreeMap<String, Vec<u64>> {
     plcs.iter().map(|plc| ((*plc).to_owned(), (1..=last).collect())).collect()
 }
 
-/// Without the rewind after a loss it gave "0 lost" as `drained` with a lag that stays; with the client that
-/// reconnects by itself batches came out of order (seq 3108 before 2934).
 #[tokio::test(flavor = "multi_thread")]
 async fn batches_arrive_once_and_in_order_while_the_server_is_killed() {
     let folder = tempfile::tempdir().unwrap();

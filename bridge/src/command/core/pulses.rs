@@ -91,7 +91,7 @@ impl Core {
         let Some(pulse) = self.pulses.get_mut(place) else { return };
         if !std::mem::replace(&mut pulse.is_reported, true) {
             let PulseRecord { plc, name, .. } = &pulse.record;
-            tracing::warn!(%plc, tag = %name, %error, "the end of a pulse is not confirmed, and is sent again until it is");
+            tracing::warn!(%plc, tag = %name, %error, "the end of a pulse is not confirmed: it is sent again");
         }
         pulse.state = PulseState::Waiting(at);
         let Some(key) = pulse.command.take() else { return };

@@ -2,14 +2,6 @@
 //! boundary, with a model of the disk and of the PLCs.
 //!
 //! `FATEK_BRIDGE_SEEDS` sets the number of seeds. A failure names its seed.
-//!
-//! Seen to fail, each with a line of the state machine changed:
-//! - the write sent together with the store of its id: "was sent before its id was on disk";
-//! - the check of the digest and the journal left out: "was sent twice";
-//! - the pulse not stored with the id: "a pulse was set that is not on disk";
-//! - a pulse removed at the first failed end: "a discrete stays on";
-//! - the reply given before the result is stored: "is ok, and the disk has";
-//! - `check_again` left out: "the configuration does not allow".
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

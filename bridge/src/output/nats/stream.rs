@@ -26,19 +26,18 @@ pub(super) async fn prepare(
     topics: &Topics,
     takes_commands: bool,
 ) -> Result<(), String> {
-    match context.get_stream(name).await {
-        Ok(stream) => check(&stream.cached_info().config, topics, takes_commands),
-        Err(error) => match error.kind() {
-            GetStreamErrorKind::JetStream(reply) if reply.error_code().0 == NOT_FOUND => {
-                let created = context.create_stream(new_config(name, prefix)).await;
-                let failed = |error| format!("the stream {name} cannot be made: {}", with_sources(&error));
-                created.map_err(failed)?;
-                tracing::info!(stream = name, "nats: the stream was made");
-                Ok(())
-            }
-            _ => Err(format!("the stream {name} cannot be read (is JetStream enabled?): {}", with_sources(&error))),
-        },
+    let error = match context.get_stream(name).await {
+        Ok(stream) => return check(&stream.cached_info().config, topics, takes_commands),
+        Err(error) => error,
+    };
+    let is_missing = matches!(error.kind(), GetStreamErrorKind::JetStream(reply) if reply.error_code().0 == NOT_FOUND);
+    if !is_missing {
+        return Err(format!("the stream {name} cannot be read (is JetStream enabled?): {}", with_sources(&error)));
     }
+    let created = context.create_stream(new_config(name, prefix)).await;
+    created.map_err(|error| format!("the stream {name} cannot be made: {}", with_sources(&error)))?;
+    tracing::info!(stream = name, "nats: the stream was made");
+    Ok(())
 }
 
 /// The stream of all bridges with this prefix.
