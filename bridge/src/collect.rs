@@ -2,14 +2,15 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use fatek::poll::{Poller, Sample};
 use futures::{FutureExt, StreamExt};
-use tokio::sync::broadcast;
+use tokio::time::timeout;
 
 use crate::batch::{Batch, Batcher, milliseconds};
 use crate::buffer::Buffer;
+use crate::liveness::Liveness;
 use crate::registry::{Plcs, Registry};
 
 /// Takes the samples of a poller and pushes them as batches.
@@ -24,16 +25,22 @@ pub struct Collector {
     /// Larger than the numbers of an earlier run: a run makes less than a million batches a second.
     first_seq: u64,
     buffer: Buffer,
-    live: broadcast::Sender<Arc<Batch>>,
+    liveness: Liveness,
+    /// Samples of tags that a reload has added to the poller, and not to the registry yet.
+    early: Vec<Sample>,
 }
 
 /// The samples that are taken before the batches are ended, so that none waits for long.
 const MAX_SAMPLES: usize = 10_000;
+/// The samples of a reload under way that are kept.
+const MAX_EARLY: usize = 1_000_000;
+/// The time between two signs of life while there are no samples.
+const SIGN_OF_LIFE: Duration = Duration::from_secs(1);
 
 impl Collector {
-    /// `live`: takes each batch for the page.
+    /// `liveness`: gets the signs of life.
     #[must_use]
-    pub fn new(registry: Registry, buffer: Buffer, live: broadcast::Sender<Arc<Batch>>) -> Self {
+    pub fn new(registry: Registry, buffer: Buffer, liveness: Liveness) -> Self {
         let first_seq = milliseconds(SystemTime::now()).saturating_mul(1000);
         Self {
             registry,
@@ -42,7 +49,8 @@ impl Collector {
             known: buffer.next_seqs(),
             first_seq,
             buffer,
-            live,
+            liveness,
+            early: Vec::new(),
         }
     }
 
@@ -50,8 +58,14 @@ impl Collector {
     pub async fn run(mut self, mut poller: Poller) {
         // Kept, so that no memory is allocated for each round.
         let mut samples = Vec::new();
-        while let Some(first) = poller.next().await {
-            samples.push(first);
+        loop {
+            self.liveness.beat();
+            match timeout(SIGN_OF_LIFE, poller.next()).await {
+                Ok(Some(first)) => samples.push(first),
+                Ok(None) => return,
+                Err(_) if self.early.is_empty() => continue,
+                Err(_) => {}
+            }
             while samples.len() < MAX_SAMPLES
                 && let Some(Some(sample)) = poller.next().now_or_never()
             {
@@ -61,9 +75,14 @@ impl Collector {
             let registry = self.registry.clone();
             // Locked until all batches are ended: their places stay as they are.
             let plcs = registry.read();
+            self.take_early(&plcs, now);
             for sample in samples.drain(..) {
                 match sample {
-                    Ok(sample) => self.take(&sample, &plcs, now),
+                    Ok(sample) => {
+                        if let Err(early) = self.take(sample, &plcs, now) {
+                            self.keep(early);
+                        }
+                    }
                     Err(missed) => tracing::warn!(%missed, "the bridge is too slow for its tags"),
                 }
             }
@@ -74,9 +93,25 @@ impl Collector {
         }
     }
 
-    fn take(&mut self, sample: &Sample, plcs: &Plcs, now: u64) {
-        // A sample of a tag that was removed since.
-        let Some(place) = plcs.place(sample.id) else { return };
+    /// Takes the samples of an earlier round whose tags the registry has got since, in their order.
+    fn take_early(&mut self, plcs: &Plcs, now: u64) {
+        for sample in std::mem::take(&mut self.early) {
+            if let Err(early) = self.take(sample, plcs, now) {
+                self.keep(early);
+            }
+        }
+    }
+
+    /// Keeps a sample without a place while a configuration is applied. Otherwise its tag was removed.
+    fn keep(&mut self, sample: Sample) {
+        if self.registry.is_applying() && self.early.len() < MAX_EARLY {
+            self.early.push(sample);
+        }
+    }
+
+    /// Adds a sample to the batch of its PLC. Returns it if its tag has no place.
+    fn take(&mut self, sample: Sample, plcs: &Plcs, now: u64) -> Result<(), Sample> {
+        let Some(place) = plcs.place(sample.id) else { return Err(sample) };
         let known = &self.known;
         let batcher = self.batchers.entry(place.plc.clone()).or_insert_with(|| {
             let known = known.get(&place.plc).copied().unwrap_or(0);
@@ -85,15 +120,15 @@ impl Collector {
         if !batcher.is_open() {
             self.open.push(place.plc.clone());
         }
-        let ended = batcher.push(place, sample, now);
+        let ended = batcher.push(place, &sample, now);
         ended.into_iter().for_each(|batch| self.push(batch));
+        Ok(())
     }
 
     fn push(&mut self, batch: Batch) {
-        // Without a page there is no receiver.
-        if self.live.receiver_count() > 0 {
-            let _ = self.live.send(Arc::new(batch.clone()));
-        }
         self.buffer.push(batch);
     }
 }
+
+#[cfg(test)]
+mod tests;

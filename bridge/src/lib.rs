@@ -32,6 +32,7 @@ pub mod demo;
 mod file_limit;
 pub mod http;
 pub mod import;
+pub mod liveness;
 pub mod output;
 pub mod plc_state;
 #[path = "../../src/printable.rs"]

@@ -7,6 +7,7 @@
 mod change;
 
 use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard};
 use std::time::Duration;
 
@@ -48,7 +49,9 @@ pub struct Place {
 pub struct Registry {
     plcs: Arc<RwLock<Plcs>>,
     /// Held while a configuration is applied.
-    applying: Arc<Mutex<()>>,
+    apply: Arc<Mutex<()>>,
+    /// `true` while tags may be in the poller and not here.
+    is_applying: Arc<AtomicBool>,
 }
 
 /// The PLCs by name, and the places of their tags.
@@ -80,12 +83,29 @@ impl Registry {
         self.plcs.read().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Returns whether a configuration is being applied: the poller may have tags that are not here yet.
+    #[must_use]
+    pub fn is_applying(&self) -> bool {
+        self.is_applying.load(Ordering::Acquire)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn set_applying(&self, applying: bool) {
+        self.is_applying.store(applying, Ordering::Release);
+    }
+
+    #[cfg(test)]
+    pub(crate) fn take_from(&self, other: &Self) {
+        *self.plcs.write().unwrap() = std::mem::take(&mut *other.plcs.write().unwrap());
+    }
+
     /// Polls the PLCs of a plant, and no others. Returns what was changed.
     ///
     /// # Errors
     /// [`AddError`] if a tag cannot be polled; then nothing was changed.
     pub fn apply(&self, plant: &Plant, pool: &Pool, poller: &PollerHandle) -> Result<Changes, AddError> {
-        let _applying = self.applying.lock().unwrap_or_else(PoisonError::into_inner);
+        let _apply = self.apply.lock().unwrap_or_else(PoisonError::into_inner);
+        let _applying = Applying::new(&self.is_applying);
         let mut staged = Staged::default();
         for plc in plant.plcs() {
             let old = self.read().get(plc.name()).cloned();
@@ -96,6 +116,22 @@ impl Registry {
         }
         let mut plcs = self.plcs.write().unwrap_or_else(PoisonError::into_inner);
         Ok(staged.commit(&mut plcs))
+    }
+}
+
+/// Sets a flag while it lives, also in a panic.
+struct Applying<'a>(&'a AtomicBool);
+
+impl<'a> Applying<'a> {
+    fn new(flag: &'a AtomicBool) -> Self {
+        flag.store(true, Ordering::Release);
+        Self(flag)
+    }
+}
+
+impl Drop for Applying<'_> {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Release);
     }
 }
 

@@ -25,19 +25,18 @@ use std::time::Instant;
 use fatek::Pool;
 use fatek::poll::{Poller, PollerHandle};
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::sync::broadcast;
 use tokio_util::sync::CancellationToken;
 
 use self::outputs::Outputs;
 pub use self::reload::ReloadError;
 use self::service::Service;
-use crate::batch::Batch;
 use crate::buffer::{Buffer, BufferError, BufferSettings};
 use crate::collect::Collector;
 use crate::command::{Commands, CommandsError};
 use crate::config::Config;
 use crate::file_limit;
 use crate::http::{self, BindError};
+use crate::liveness::Liveness;
 use crate::output::Health;
 use crate::registry::{AddError, Registry};
 
@@ -57,14 +56,11 @@ pub struct Bridge {
     pub commands: Option<Commands>,
     /// The outputs, in the order of their cursors.
     pub outputs: Vec<Arc<Health>>,
-    /// Each batch, for the page.
-    pub live: broadcast::Sender<Arc<Batch>>,
+    /// Signs of life of the collector.
+    pub liveness: Liveness,
     /// When it was started.
     pub started: Instant,
 }
-
-/// The batches that wait for a slow reader of the page before it misses some.
-const LIVE_CAPACITY: usize = 1024;
 
 /// An error that ends the bridge.
 #[derive(Debug, thiserror::Error)]
@@ -145,23 +141,24 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let poller = Poller::new();
     let names = config.outputs();
     let buffer = open_buffer(&config, names.clone()).await?;
-    let registry = Registry::default();
+    let (registry, pool) = (Registry::default(), Pool::new());
+    let listener = http::bind(config.bridge.http)?;
+    // Before the commands: a pulse that an earlier run has not ended needs its PLC.
+    let changes = registry.apply(&config.plant, &pool, &poller.handle())?;
     let commands = Commands::start_for(&config, registry.clone()).await?;
-    let (live, _) = broadcast::channel(LIVE_CAPACITY);
+    let liveness = Liveness::new();
     let bridge = Bridge {
         registry,
         commands,
-        pool: Pool::new(),
+        pool,
         poller: poller.handle(),
         buffer: buffer.clone(),
         outputs: names.iter().map(|name| Arc::new(Health::new(name))).collect(),
-        live: live.clone(),
+        liveness: liveness.clone(),
         started: Instant::now(),
         config: Arc::new(RwLock::new(Arc::new(config))),
     };
-    let listener = http::bind(bridge.config().bridge.http)?;
-    let changes = bridge.registry.apply(&bridge.config().plant, &bridge.pool, &bridge.poller)?;
-    let mut collector = tokio::spawn(Collector::new(bridge.registry.clone(), buffer, live).run(poller));
+    let mut collector = tokio::spawn(Collector::new(bridge.registry.clone(), buffer, liveness).run(poller));
     let stop_http = CancellationToken::new();
     let mut http = tokio::spawn(http::serve(bridge.clone(), listener, stop_http.clone()));
     let mut outputs = Outputs::start(&bridge);
@@ -173,15 +170,18 @@ pub async fn run(config: Config) -> Result<(), RunError> {
                 true => break Ok(()),
                 false => {
                     service.reloading();
-                    // A fault is in the log, and nothing has changed.
-                    let _ = reload::reload(&bridge, &mut outputs).await;
-                    service.ready();
+                    tokio::select! {
+                        // A fault is in the log, and nothing has changed.
+                        _ = reload::reload(&bridge, &mut outputs) => service.ready(),
+                        () = service.stay_alive(&bridge.liveness) => {}
+                        () = signals.end() => break Ok(()),
+                    }
                 }
             },
             name = outputs.panicked() => break Err(RunError::Panicked(name)),
             _ = &mut collector => break Err(RunError::Panicked("collector")),
             _ = &mut http => break Err(RunError::Panicked("page")),
-            () = service.watchdog() => {}
+            () = service.stay_alive(&bridge.liveness) => {}
         }
     };
     service.stopping();

@@ -6,15 +6,13 @@ use axum::extract::State;
 use axum::http::StatusCode;
 
 use super::Shared;
-
-/// The time without a look at the bridge after which it does not work.
-const HANGS_AFTER: Duration = Duration::from_secs(10);
+use crate::liveness::HANGS_AFTER;
 
 type Answer = (StatusCode, &'static str);
 
-/// 200 while the bridge works: its registry is not locked up and its tasks run.
+/// 200 while the bridge works: its registry is not locked up, and its collector runs.
 pub(super) async fn healthz(State(shared): State<Shared>) -> Answer {
-    health(shared.hub.lock().looked.elapsed())
+    health(shared.hub.lock().looked.elapsed().max(shared.bridge.liveness.age()))
 }
 
 fn health(since_look: Duration) -> Answer {

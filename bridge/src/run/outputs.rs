@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
-use tokio::task::{Id, JoinSet};
+use tokio::task::{AbortHandle, Id, JoinError, JoinSet};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
@@ -21,12 +21,15 @@ const GOODBYE: Duration = Duration::from_secs(2);
 pub(super) struct Outputs {
     tasks: JoinSet<()>,
     running: HashMap<Id, Running>,
+    /// Outputs that have panicked while another one was waited for.
+    panicked: Vec<&'static str>,
 }
 
 #[derive(Debug)]
 struct Running {
     name: &'static str,
     stop: CancellationToken,
+    abort: AbortHandle,
 }
 
 impl Outputs {
@@ -40,12 +43,25 @@ impl Outputs {
     /// Waits until an output has panicked, and returns its name. Cancel-safe.
     pub(super) async fn panicked(&mut self) -> &'static str {
         loop {
+            if let Some(name) = self.panicked.pop() {
+                return name;
+            }
             match self.tasks.join_next_with_id().await {
                 None => std::future::pending().await,
-                // Such as stdout, which was closed.
-                Some(Ok((id, ()))) => drop(self.running.remove(&id)),
-                Some(Err(error)) => return self.running.remove(&error.id()).map_or("output", |ended| ended.name),
+                Some(ended) => self.note(ended),
             }
+        }
+    }
+
+    /// Notes that a task has ended: by itself, such as stdout, by an abort, or by a panic.
+    fn note(&mut self, ended: Result<(Id, ()), JoinError>) {
+        let id = match &ended {
+            Ok((id, ())) => *id,
+            Err(error) => error.id(),
+        };
+        let name = self.running.remove(&id).map_or("output", |ended| ended.name);
+        if ended.is_err_and(|error| error.is_panic()) {
+            self.panicked.push(name);
         }
     }
 
@@ -99,23 +115,27 @@ impl Outputs {
             // The configuration knows no other output.
             _ => return,
         };
-        self.running.insert(task.id(), Running { name, stop });
+        self.running.insert(task.id(), Running { name, stop, abort: task });
     }
 
+    /// Ends an output. One that does not end in time is aborted: two tasks must never share a cursor.
     async fn stop_one(&mut self, name: &str) {
         let Some((&id, running)) = self.running.iter().find(|(_, running)| running.name == name) else { return };
         running.stop.cancel();
-        let ended = async {
-            while self.running.contains_key(&id) {
-                match self.tasks.join_next_with_id().await {
-                    None => return,
-                    Some(Ok((ended, ()))) => drop(self.running.remove(&ended)),
-                    Some(Err(error)) => drop(self.running.remove(&error.id())),
-                }
-            }
-        };
-        if timeout(GOODBYE, ended).await.is_err() {
+        let abort = running.abort.clone();
+        if timeout(GOODBYE, self.join(id)).await.is_err() {
             tracing::warn!(output = name, "the output did not end within {GOODBYE:?}");
+            abort.abort();
+            self.join(id).await;
+        }
+    }
+
+    /// Waits until a task has ended.
+    async fn join(&mut self, id: Id) {
+        while self.running.contains_key(&id)
+            && let Some(ended) = self.tasks.join_next_with_id().await
+        {
+            self.note(ended);
         }
     }
 }

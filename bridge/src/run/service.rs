@@ -6,6 +6,8 @@ use std::time::Duration;
 use sd_notify::NotifyState;
 use tokio::time::{Instant, sleep_until};
 
+use crate::liveness::{HANGS_AFTER, Liveness};
+
 /// The messages to the service manager.
 #[derive(Debug)]
 pub(super) struct Service {
@@ -39,12 +41,18 @@ impl Service {
         notify(&[NotifyState::Stopping]);
     }
 
-    /// Waits until the next sign of life is due, and sends it. Cancel-safe. Without a watchdog it never returns.
-    pub(super) async fn watchdog(&self) {
+    /// Sends a sign of life each time that one is due, unless the collector hangs. Never returns. Cancel-safe.
+    pub(super) async fn stay_alive(&self, liveness: &Liveness) {
         let Some(period) = self.period else { return std::future::pending().await };
-        sleep_until(self.next.get()).await;
-        notify(&[NotifyState::Watchdog]);
-        self.next.set(Instant::now() + period);
+        loop {
+            sleep_until(self.next.get()).await;
+            if liveness.age() < HANGS_AFTER {
+                notify(&[NotifyState::Watchdog]);
+            } else {
+                tracing::error!("the collector hangs: the service manager gets no sign of life");
+            }
+            self.next.set(Instant::now() + period);
+        }
     }
 }
 
