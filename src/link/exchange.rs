@@ -51,7 +51,7 @@ pub(crate) enum Outgoing {
 #[derive(Debug)]
 pub(crate) enum LinkRequest {
     /// A check between two requests, with its loop-back if it is one.
-    Check(in_step::Check, Box<LoopBack>),
+    Check(in_step::Check, LoopBack),
     /// A status request, to learn whether the line echoes. Its reply proves nothing else.
     EchoTest,
 }
@@ -102,7 +102,7 @@ impl Outgoing {
             Self::Call(call) => call.slot.encode(framing, station, tx),
             Self::Link { request, .. } => match request {
                 LinkRequest::Check(in_step::Check::Nonce | in_step::Check::Empty, data) => {
-                    command::encode_spelled(&**data, data.plain(), framing, station, tx);
+                    command::encode_spelled(data, data.plain(), framing, station, tx);
                 }
                 LinkRequest::Check(in_step::Check::Status, _) | LinkRequest::EchoTest => {
                     command::encode_spelled(&ReadStatus, ReadStatus.plain(), framing, station, tx);
@@ -121,7 +121,7 @@ impl Outgoing {
             Self::Call(call) => call.slot.try_complete(framing, call.station, data, now),
             Self::Link { request, .. } => match request {
                 LinkRequest::Check(in_step::Check::Nonce | in_step::Check::Empty, echo) => {
-                    refusal_in(command::decode_reply(&**echo, framing, data))
+                    refusal_in(command::decode_reply(echo, framing, data))
                 }
                 LinkRequest::Check(in_step::Check::Status, _) | LinkRequest::EchoTest => {
                     refusal_in(command::decode_reply(&ReadStatus, framing, data))

@@ -176,7 +176,7 @@ impl Core {
         } else {
             LoopBack::empty()
         };
-        Outgoing::Link { station, request: LinkRequest::Check(check, Box::new(data)), call }
+        Outgoing::Link { station, request: LinkRequest::Check(check, data), call }
     }
 
     /// The response timeout that a caller has chosen, if the request is that of its call, and the one of
