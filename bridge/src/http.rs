@@ -103,7 +103,7 @@ pub async fn serve(bridge: Bridge, listener: TcpListener, stop: CancellationToke
     if let Ok(address) = address {
         tracing::info!("the page is at http://{address}");
     }
-    let is_loopback = address.is_ok_and(|address| address.ip().is_loopback());
+    let is_loopback = address.is_ok_and(|address| address.ip().to_canonical().is_loopback());
     let hub = Arc::new(Hub::new(&bridge));
     let watching = tokio::spawn(hub.clone().run(bridge.clone(), stop.clone()));
     let shared = Shared { bridge, hub, stop: stop.clone() };

@@ -302,6 +302,7 @@ fn sum(stats: &CommandStats) -> CommandStatus {
 }
 
 /// The best state of an endpoint's connections, and why it is not better.
+#[expect(clippy::wildcard_enum_match_arm, reason = "the enum of the library may grow")]
 fn best(links: &[LinkState]) -> (&'static str, Option<String>) {
     let rank = |link: &LinkState| match link {
         LinkState::Up => (5, "up", None),

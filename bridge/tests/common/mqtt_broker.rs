@@ -282,6 +282,7 @@ impl Client {
     }
 
     fn take(&mut self, packet: Packet) -> Next {
+        #[expect(clippy::wildcard_enum_match_arm, reason = "packets that a client does not send")]
         match packet {
             Packet::Connect(connect, will, _) => self.connect(connect, will),
             Packet::Publish(publish) => return self.publish(publish),

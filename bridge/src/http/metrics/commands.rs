@@ -6,8 +6,11 @@ use super::{Labels, Writer};
 use crate::command::PlcCommandStats;
 use crate::http::Shared;
 
+/// A result of commands, and its number.
+type ResultCounter = (&'static str, fn(&PlcCommandStats) -> u64);
+
 /// The results of commands.
-const RESULTS: [(&str, fn(&PlcCommandStats) -> u64); 3] =
+const RESULTS: [ResultCounter; 3] =
     [("ok", |plc| plc.ok), ("refused", |plc| plc.refused), ("unknown", |plc| plc.unknown)];
 
 pub(super) fn write(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {

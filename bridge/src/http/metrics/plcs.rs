@@ -22,8 +22,14 @@ pub(super) fn write(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
     pool(to, shared)
 }
 
-/// Counters of a station, each with the end of its name.
-const STATION_COUNTERS: [(&str, &str, fn(&StationStats) -> u64); 12] = [
+/// A counter of some statistics: the end of its name, its help, and its value.
+type Counter<S> = (&'static str, &'static str, fn(&S) -> u64);
+
+/// The statistics of a PLC with its labels.
+type LabelledStation = (Vec<(&'static str, String)>, StationStats, PlcState);
+
+/// Counters of a station.
+const STATION_COUNTERS: [Counter<StationStats>; 12] = [
     ("requests", "Requests sent, retries included", |stats| stats.requests),
     ("replies", "Replies, refusals included", |stats| stats.replies),
     ("refusals", "Replies with an error code", |stats| stats.refusals),
@@ -40,7 +46,7 @@ const STATION_COUNTERS: [(&str, &str, fn(&StationStats) -> u64); 12] = [
 
 fn stations(to: &mut Writer<'_>, plcs: &[&PolledPlc]) -> fmt::Result {
     let labels = |plc: &'_ PolledPlc| vec![("plc", plc.plc.name().to_owned())];
-    let stats: Vec<(Vec<(&'static str, String)>, StationStats, PlcState)> =
+    let stats: Vec<LabelledStation> =
         plcs.iter().map(|plc| (labels(plc), plc.station.stats(), PlcState::of(plc))).collect();
     let online = stats.iter().map(|(labels, _, state)| (refs(labels), u64::from(state.online)));
     to.gauge("plc_online", None, "1 if the PLC has answered and its link is not down", online)?;
@@ -54,8 +60,8 @@ fn stations(to: &mut Writer<'_>, plcs: &[&PolledPlc]) -> fmt::Result {
     Ok(())
 }
 
-/// Counters of a scan class, each with the end of its name.
-const CLASS_COUNTERS: [(&str, &str, fn(&Counters) -> u64); 4] = [
+/// Counters of a scan class.
+const CLASS_COUNTERS: [Counter<Counters>; 4] = [
     ("cycles", "Cycles that were started", |class| class.cycles),
     ("overruns", "Cycles that were skipped because the one before had not ended", |class| class.overruns),
     ("abandoned_cycles", "Cycles that were abandoned because a reply did not come", |class| class.abandoned),
@@ -100,8 +106,8 @@ fn classes(to: &mut Writer<'_>, shared: &Shared, plcs: &[&PolledPlc]) -> fmt::Re
     Ok(())
 }
 
-/// Counters of a link, each with the end of its name.
-const LINK_COUNTERS: [(&str, &str, fn(&LinkStats) -> u64); 11] = [
+/// Counters of a link.
+const LINK_COUNTERS: [Counter<LinkStats>; 11] = [
     ("connects", "Connections opened", |link| link.connects),
     ("disconnects", "Connections lost", |link| link.disconnects),
     ("connect_failures", "Attempts to connect that failed", |link| link.connect_failures),
