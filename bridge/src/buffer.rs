@@ -16,6 +16,7 @@
 //! Invariants:
 //! - positions grow by one with each batch, by more at a start, and are never used again;
 //! - a cursor yields positions in order; after a rewind it begins behind the last acknowledged one;
+//! - a batch that an output may have sent before is a replay;
 //! - a batch is in the buffer while an output has not acknowledged it, unless it was dropped and counted.
 //!
 //! Parts: the state machine without I/O and clocks (`log`, `jobs`, `chunk`), the format (`record`), the file
@@ -40,7 +41,7 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 
-use self::log::{Limits, Log};
+use self::log::{Limits, Log, Slot};
 pub use self::settings::{BufferError, BufferSettings};
 use self::storage::Shared;
 use crate::batch::Batch;
@@ -52,9 +53,14 @@ pub struct Entry {
     pub position: u64,
     /// The batch.
     pub batch: Arc<Batch>,
-    /// `true` if it was delivered before without an acknowledgement, or is of an earlier run.
+    /// `true` if it is not news: the output may have sent it before, it is of an earlier run, or it was pushed
+    /// more than 5 s before it is sent.
     pub replay: bool,
 }
+
+/// A batch that an output has fetched, and not sent yet.
+#[derive(Clone, Debug)]
+pub struct Fetched(Slot);
 
 /// Figures of the buffer, for an output.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -196,24 +202,39 @@ impl Buffer {
 }
 
 impl Cursor {
-    /// Waits for batches and returns those that come next, at most `max`.
+    /// Waits for batches and returns those that come next, at most `max`. They count as sent.
     ///
     /// Cancel-safe: batches that were not returned are returned by the next call.
     pub async fn next(&mut self, max: usize) -> Vec<Entry> {
+        let fetched = self.fetch(max).await;
+        fetched.into_iter().map(|fetched| self.send(fetched)).collect()
+    }
+
+    /// As [`next`](Self::next), for an output that keeps batches before it sends them: [`send`](Self::send)
+    /// tells of each.
+    ///
+    /// Cancel-safe: batches that were not returned are returned by the next call.
+    pub async fn fetch(&mut self, max: usize) -> Vec<Fetched> {
         loop {
             // Created before the look, so that a push in between wakes it.
             let changed = self.shared.changed.notified();
-            let entries = {
+            let slots = {
                 let mut state = self.shared.lock();
-                let entries = state.log.read(self.output, max);
+                let slots = state.log.read(self.output, max);
                 self.shared.wake_storage(&mut state);
-                entries
+                slots
             };
-            if !entries.is_empty() {
-                return entries;
+            if !slots.is_empty() {
+                return slots.into_iter().map(Fetched).collect();
             }
             changed.await;
         }
+    }
+
+    /// Notes that a batch is sent now, and returns it as it is to be sent.
+    pub fn send(&mut self, fetched: Fetched) -> Entry {
+        let now = self.shared.now();
+        self.shared.lock().log.send(self.output, fetched.0, now)
     }
 
     /// Marks all batches up to this position as delivered.

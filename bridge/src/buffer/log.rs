@@ -29,6 +29,9 @@ use crate::batch::Batch;
 /// the PLC that was removed first.
 const MAX_PLCS: usize = 16_384;
 
+/// The age, in milliseconds, from which a batch is sent as a replay: it is no news any more.
+const LATE_AFTER: u64 = 5_000;
+
 /// A batch in memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Slot {
@@ -73,8 +76,8 @@ pub(super) struct CursorState {
     pub(super) acknowledged: u64,
     /// No batch before this position is read next.
     pub(super) next: u64,
-    /// Batches before this position were read before.
-    pub(super) read: u64,
+    /// Batches before this position may have been sent.
+    pub(super) sent: u64,
     pub(super) dropped: u64,
     pub(super) ahead: ReadAhead,
 }
@@ -95,15 +98,15 @@ pub(super) struct ReadAhead {
 impl CursorState {
     /// Of an output that has acknowledged all before this position.
     pub(super) fn new(name: Arc<str>, acknowledged: u64) -> Self {
-        let (next, read) = (acknowledged, acknowledged);
-        Self { name, acknowledged, next, read, dropped: 0, ahead: ReadAhead::default() }
+        let (next, sent) = (acknowledged, acknowledged);
+        Self { name, acknowledged, next, sent, dropped: 0, ahead: ReadAhead::default() }
     }
 
     /// Moves behind batches that are not there any more.
     pub(super) fn skip_to(&mut self, position: u64) {
         self.acknowledged = self.acknowledged.max(position);
         self.next = self.next.max(self.acknowledged);
-        self.read = self.read.max(self.acknowledged);
+        self.sent = self.sent.max(self.acknowledged);
     }
 }
 
@@ -159,23 +162,18 @@ impl Log {
 
     /// The batches that an output reads next, at most `max`. None if there are none, or if they have to be
     /// read back from disk first; then [`Self::is_load_wanted`].
-    pub(super) fn read(&mut self, output: usize, max: usize) -> Vec<Entry> {
+    pub(super) fn read(&mut self, output: usize, max: usize) -> Vec<Slot> {
         let visible = self.visible_end();
         let on_disk_before = self.slots.front().map_or(self.end, |slot| slot.position);
         let Some(cursor) = self.cursors.get_mut(output) else { return Vec::new() };
-        let (run_first, already_read) = (self.run_first, cursor.read);
-        let entry = |slot: Slot| {
-            let replay = slot.position < already_read || slot.position < run_first;
-            Entry { position: slot.position, batch: slot.batch, replay }
-        };
-        let mut entries = Vec::new();
-        while entries.len() < max
+        let mut read = Vec::new();
+        while read.len() < max
             && let Some(slot) = cursor.ahead.pop()
         {
             // Dropped since it was read back.
             if slot.position >= cursor.next {
                 cursor.next = slot.position.saturating_add(1);
-                entries.push(entry(slot));
+                read.push(slot);
             }
         }
         if cursor.ahead.slots.is_empty() {
@@ -187,22 +185,32 @@ impl Log {
             let low = self.disk.as_ref().map_or(0, |disk| disk.limits.read_ahead / 2);
             let is_low = cursor.ahead.bytes < low || cursor.ahead.slots.is_empty();
             cursor.ahead.is_wanted = is_low && cursor.ahead.loading.is_none();
-        } else if cursor.ahead.slots.is_empty() && entries.len() < max {
+        } else if cursor.ahead.slots.is_empty() && read.len() < max {
             let begin = self.slots.partition_point(|slot| slot.position < cursor.next);
             let slots = self.slots.range(begin..).take_while(|slot| slot.position < visible);
-            entries.extend(slots.take(max.saturating_sub(entries.len())).cloned().map(entry));
+            read.extend(slots.take(max.saturating_sub(read.len())).cloned());
         }
-        if let Some(last) = entries.last() {
+        if let Some(last) = read.last() {
             cursor.next = cursor.next.max(last.position.saturating_add(1));
-            cursor.read = cursor.read.max(cursor.next);
         }
-        entries
+        read
+    }
+
+    /// Notes that an output sends a batch that it has read, and returns it as it is to be sent.
+    pub(super) fn send(&mut self, output: usize, slot: Slot, now: u64) -> Entry {
+        let Slot { position, pushed, batch } = slot;
+        let mut replay = position < self.run_first || now.saturating_sub(pushed) > LATE_AFTER;
+        if let Some(cursor) = self.cursors.get_mut(output) {
+            replay |= position < cursor.sent;
+            cursor.sent = cursor.sent.max(position.saturating_add(1));
+        }
+        Entry { position, batch, replay }
     }
 
     pub(super) fn acknowledge(&mut self, output: usize, position: u64) {
         if let Some(cursor) = self.cursors.get_mut(output) {
-            // A position that was not read cannot have been delivered.
-            let up_to = position.saturating_add(1).min(cursor.read);
+            // A position that was not sent cannot have been delivered.
+            let up_to = position.saturating_add(1).min(cursor.sent);
             if up_to > cursor.acknowledged {
                 cursor.acknowledged = up_to;
                 cursor.next = cursor.next.max(up_to);
@@ -448,95 +456,4 @@ fn share(used: u64, limit: u64) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn batch(seq: u64) -> Batch {
-        Batch { plc: "mixer".into(), seq, ts: seq, samples: 1, data: "{\"level\":1}".into() }
-    }
-
-    fn log(outputs: usize, memory: usize) -> Log {
-        Log::in_memory(outputs, Limits { memory, max_age: Some(1000) })
-    }
-
-    fn seqs(entries: &[Entry]) -> Vec<u64> {
-        entries.iter().map(|entry| entry.batch.seq).collect()
-    }
-
-    #[test]
-    fn each_output_reads_all_batches_in_order_and_a_slow_one_keeps_them() {
-        let mut log = log(2, 1 << 20);
-        (1..=5).for_each(|seq| {
-            log.push(batch(seq), seq);
-        });
-        assert_eq!(seqs(&log.read(0, 3)), [1, 2, 3]);
-        assert_eq!(seqs(&log.read(0, 9)), [4, 5]);
-        log.acknowledge(0, 5);
-        assert_eq!(log.stats()[0].lag, 0);
-        assert_eq!(seqs(&log.read(1, 9)), [1, 2, 3, 4, 5]);
-        log.acknowledge(1, 2);
-        assert_eq!((log.slots[0].position, log.slots.len()), (3, 3));
-        log.rewind(1);
-        let again = log.read(1, 9);
-        assert_eq!(seqs(&again), [3, 4, 5]);
-        assert!(again.iter().all(|entry| entry.replay));
-        log.push(batch(6), 6);
-        assert!(!log.read(1, 9)[0].replay);
-    }
-
-    #[test]
-    fn a_full_log_drops_the_oldest_and_counts_it_for_those_that_lack_it() {
-        let size = batch(1).size();
-        let mut log = log(2, 3 * size);
-        (1..=3).for_each(|seq| {
-            log.push(batch(seq), seq);
-        });
-        log.read(0, 9);
-        log.acknowledge(0, 2);
-        (4..=5).for_each(|seq| {
-            log.push(batch(seq), seq);
-        });
-        assert_eq!((log.stats()[0].dropped, log.stats()[1].dropped), (0, 2));
-        assert_eq!(seqs(&log.read(0, 9)), [4, 5]);
-        assert_eq!(seqs(&log.read(1, 9)), [3, 4, 5]);
-        assert_eq!(log.bytes(), 3 * size);
-    }
-
-    #[test]
-    fn an_acknowledgement_of_what_was_not_read_has_no_effect() {
-        let mut log = log(1, 1 << 20);
-        (1..=3).for_each(|seq| {
-            log.push(batch(seq), seq);
-        });
-        log.acknowledge(0, 99);
-        assert_eq!(log.stats()[0].lag, 3);
-        assert_eq!(seqs(&log.read(0, 2)), [1, 2]);
-        log.acknowledge(0, 99);
-        assert_eq!(log.stats()[0].lag, 1);
-        log.acknowledge(0, 0);
-        assert_eq!(seqs(&log.read(0, 2)), [3]);
-    }
-
-    #[test]
-    fn batches_that_are_too_old_are_dropped_and_counted() {
-        let mut log = log(1, 1 << 20);
-        log.push(batch(1), 0);
-        log.push(batch(2), 600);
-        log.push(batch(3), 1000);
-        assert_eq!(log.stats()[0], CursorStats { lag: 3, dropped: 0 });
-        log.push(batch(4), 1001);
-        assert_eq!(log.stats()[0], CursorStats { lag: 3, dropped: 1 });
-        assert_eq!(seqs(&log.read(0, 9)), [2, 3, 4]);
-    }
-
-    #[test]
-    fn the_sequence_numbers_of_a_bounded_number_of_plcs_are_kept() {
-        let mut log = log(1, 1 << 20);
-        for seq in 1..=u64::try_from(MAX_PLCS).unwrap() + 3 {
-            log.push(Batch { plc: format!("plc{seq}").as_str().into(), ..batch(seq) }, seq);
-        }
-        let kept = log.next_seqs();
-        assert_eq!(kept.len(), MAX_PLCS);
-        assert!(!kept.contains_key("plc3") && kept.contains_key("plc4"));
-    }
-}
+mod tests;

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Batches are messages with QoS 1, several in flight. A batch is acknowledged in the buffer when the broker has
-//! acknowledged it and all before it. After a loss all others are sent again, as replays. There is no session at
-//! the broker that outlives a connection: the buffer is the only memory, and commands do not wait for a client.
+//! acknowledged it and all before it. After a loss all others are sent again. There is no session at the broker
+//! that outlives a connection: the buffer is the only memory, and commands do not wait for a client.
 //!
 //! | module | content |
 //! |---|---|

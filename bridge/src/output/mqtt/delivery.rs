@@ -22,7 +22,7 @@ use tokio::time::Instant;
 
 use super::window::Prefix;
 use crate::backoff::Backoff;
-use crate::buffer::{Cursor, Entry};
+use crate::buffer::{Cursor, Entry, Fetched};
 use crate::output::Health;
 
 /// The batches that are read from the buffer at once.
@@ -36,7 +36,7 @@ pub(super) struct Delivery {
     cursor: Cursor,
     health: Arc<Health>,
     /// Read, and not sent yet.
-    queue: VecDeque<Entry>,
+    queue: VecDeque<Fetched>,
     prefix: Prefix,
     in_flight: usize,
     /// `true` if a batch was taken since the last loss of a connection.
@@ -90,18 +90,18 @@ impl Delivery {
 
     /// Waits for batches of the buffer. Cancel-safe.
     pub(super) async fn fetch(&mut self) {
-        let entries = self.cursor.next(MAX_BATCHES).await;
-        self.queue.extend(entries);
+        let fetched = self.cursor.fetch(MAX_BATCHES).await;
+        self.queue.extend(fetched);
     }
 
-    /// The batch that is to be sent now.
+    /// The batch that is sent now.
     pub(super) fn take(&mut self, now: Instant) -> Option<Entry> {
         match self.state {
             State::Open => {}
             State::Probing(limit) if self.in_flight < limit => {}
             State::Probing(_) | State::Stopping | State::Waiting(_) => return None,
         }
-        let entry = self.queue.pop_front()?;
+        let entry = self.cursor.send(self.queue.pop_front()?);
         self.prefix.push(entry.position, now);
         self.in_flight = self.in_flight.saturating_add(1);
         Some(entry)
@@ -237,6 +237,14 @@ mod tests {
             std::iter::from_fn(|| self.delivery.take(self.now)).map(|entry| entry.position).collect()
         }
 
+        /// Sends one batch, and tells whether it is a replay.
+        fn send_one(&mut self) -> (u64, bool) {
+            if self.delivery.needs_batches() {
+                let _ = self.delivery.fetch().now_or_never();
+            }
+            self.delivery.take(self.now).map(|entry| (entry.position, entry.replay)).expect("one may be sent")
+        }
+
         fn lag(&self) -> u64 {
             self.buffer.stats()[0].lag
         }
@@ -276,6 +284,14 @@ mod tests {
         // The third as well: batches are acknowledged as a prefix.
         assert_eq!(case.send(), [2, 3, 4]);
         assert_eq!(case.delivery.health.skipped(), 0);
+    }
+
+    #[test]
+    fn a_batch_that_was_only_fetched_is_no_replay_after_a_loss() {
+        let mut case = Case::new(3);
+        assert_eq!([case.send_one(), case.send_one()], [(1, false), (2, false)]);
+        case.delivery.lost(Loss::Other);
+        assert_eq!([case.send_one(), case.send_one(), case.send_one()], [(1, true), (2, true), (3, false)]);
     }
 
     #[test]

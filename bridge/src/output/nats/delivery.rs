@@ -19,7 +19,7 @@ use std::sync::Arc;
 use tokio::time::Instant;
 
 use crate::backoff::Backoff;
-use crate::buffer::{Cursor, Entry};
+use crate::buffer::{Cursor, Entry, Fetched};
 use crate::output::Health;
 
 /// The batches in flight, at most.
@@ -69,7 +69,7 @@ pub(super) struct Delivery {
     in_flight: VecDeque<InFlight>,
     bytes: usize,
     /// Batches that were read, and not sent.
-    queue: VecDeque<Entry>,
+    queue: VecDeque<Fetched>,
     backoff: Backoff,
     timeouts: u32,
 }
@@ -132,8 +132,8 @@ impl Delivery {
 
     /// Waits for batches. Cancel-safe.
     pub(super) async fn fetch(&mut self) {
-        let entries = self.cursor.next(WINDOW).await;
-        self.queue.extend(entries);
+        let fetched = self.cursor.fetch(WINDOW).await;
+        self.queue.extend(fetched);
     }
 
     /// The next batch to send, if one may be sent. `len`: of its message.
@@ -141,7 +141,7 @@ impl Delivery {
         if self.state != State::Open || !self.has_room() {
             return None;
         }
-        let entry = self.queue.pop_front()?;
+        let entry = self.cursor.send(self.queue.pop_front()?);
         let (position, samples, bytes) = (entry.position, entry.batch.samples, entry.batch.size());
         self.bytes = self.bytes.saturating_add(bytes);
         self.in_flight.push_back(InFlight { position, samples, bytes });
@@ -257,9 +257,13 @@ mod tests {
 
         /// Sends all that may be sent.
         fn send(&mut self) -> Vec<u64> {
+            self.send_entries().into_iter().map(|entry| entry.position).collect()
+        }
+
+        fn send_entries(&mut self) -> Vec<Entry> {
             let mut sent = Vec::new();
             while self.delivery.needs_batches() && self.delivery.fetch().now_or_never().is_some() {
-                sent.extend(std::iter::from_fn(|| self.delivery.take()).map(|entry| entry.position));
+                sent.extend(std::iter::from_fn(|| self.delivery.take()));
             }
             sent
         }
@@ -286,6 +290,24 @@ mod tests {
         case.answer(&[Answer::Stored, Answer::Stored]).unwrap();
         assert_eq!(case.send(), [513, 514]);
         assert_eq!(case.lag(), 1998);
+    }
+
+    #[test]
+    fn a_batch_that_was_only_fetched_is_no_replay_in_the_next_session() {
+        let mut case = Case::new(2000);
+        case.send();
+        // Batches are read for the place of one, and 511 of them wait.
+        case.answer(&[Answer::Stored]).unwrap();
+        assert_eq!(case.send(), [513]);
+        assert_eq!(case.delivery.queue.len(), WINDOW - 1);
+        case.delivery.begin();
+        case.delivery.prepared(Ok(()), case.now);
+        let sent = case.send_entries();
+        assert_eq!((sent[0].position, sent.len()), (2, WINDOW));
+        case.answer(&vec![Answer::Stored; WINDOW]).unwrap();
+        let later = case.send_entries();
+        let is_right = |entry: &Entry| entry.replay == (entry.position <= 513);
+        assert!(sent.iter().chain(&later).all(is_right) && later.len() == WINDOW);
     }
 
     #[test]

@@ -1,0 +1,134 @@
+//! Tests of the log.
+
+use super::*;
+
+fn batch(seq: u64) -> Batch {
+    Batch { plc: "mixer".into(), seq, ts: seq, samples: 1, data: "{\"level\":1}".into() }
+}
+
+fn log(outputs: usize, memory: usize) -> Log {
+    Log::in_memory(outputs, Limits { memory, max_age: Some(1000) })
+}
+
+/// Reads batches and sends them at once.
+fn take(log: &mut Log, output: usize, max: usize) -> Vec<Entry> {
+    let read = log.read(output, max);
+    read.into_iter().map(|slot| log.send(output, slot, 0)).collect()
+}
+
+fn seqs(entries: &[Entry]) -> Vec<u64> {
+    entries.iter().map(|entry| entry.batch.seq).collect()
+}
+
+#[test]
+fn each_output_reads_all_batches_in_order_and_a_slow_one_keeps_them() {
+    let mut log = log(2, 1 << 20);
+    (1..=5).for_each(|seq| {
+        log.push(batch(seq), seq);
+    });
+    assert_eq!(seqs(&take(&mut log, 0, 3)), [1, 2, 3]);
+    assert_eq!(seqs(&take(&mut log, 0, 9)), [4, 5]);
+    log.acknowledge(0, 5);
+    assert_eq!(log.stats()[0].lag, 0);
+    assert_eq!(seqs(&take(&mut log, 1, 9)), [1, 2, 3, 4, 5]);
+    log.acknowledge(1, 2);
+    assert_eq!((log.slots[0].position, log.slots.len()), (3, 3));
+    log.rewind(1);
+    let again = take(&mut log, 1, 9);
+    assert_eq!(seqs(&again), [3, 4, 5]);
+    assert!(again.iter().all(|entry| entry.replay));
+    log.push(batch(6), 6);
+    assert!(!take(&mut log, 1, 9)[0].replay);
+}
+
+/// Sends batches, and tells which ones are replays.
+fn replays(log: &mut Log, slots: Vec<Slot>, now: u64) -> Vec<bool> {
+    slots.into_iter().map(|slot| log.send(0, slot, now).replay).collect()
+}
+
+#[test]
+fn a_batch_that_may_have_been_sent_is_a_replay_and_one_that_was_only_read_is_not() {
+    let mut log = log(1, 1 << 20);
+    (1..=4).for_each(|seq| {
+        log.push(batch(seq), 100);
+    });
+    let mut read = log.read(0, 4);
+    read.truncate(2);
+    assert_eq!(replays(&mut log, read, 100), [false, false]);
+    // A second connection that is lost sooner forgets nothing of the first one.
+    log.rewind(0);
+    let mut read = log.read(0, 4);
+    read.truncate(1);
+    assert_eq!(replays(&mut log, read, 100), [true]);
+    log.rewind(0);
+    let read = log.read(0, 4);
+    assert_eq!(replays(&mut log, read, 100), [true, true, false, false]);
+}
+
+#[test]
+fn a_batch_that_is_late_when_it_is_sent_is_a_replay() {
+    let mut log = log(1, 1 << 20);
+    (1..=3).for_each(|seq| {
+        log.push(batch(seq), 100);
+    });
+    let mut read = log.read(0, 3);
+    let rest = read.split_off(1);
+    assert_eq!(replays(&mut log, read, 100 + LATE_AFTER), [false]);
+    assert_eq!(replays(&mut log, rest, 101 + LATE_AFTER), [true, true]);
+}
+
+#[test]
+fn a_full_log_drops_the_oldest_and_counts_it_for_those_that_lack_it() {
+    let size = batch(1).size();
+    let mut log = log(2, 3 * size);
+    (1..=3).for_each(|seq| {
+        log.push(batch(seq), seq);
+    });
+    take(&mut log, 0, 9);
+    log.acknowledge(0, 2);
+    (4..=5).for_each(|seq| {
+        log.push(batch(seq), seq);
+    });
+    assert_eq!((log.stats()[0].dropped, log.stats()[1].dropped), (0, 2));
+    assert_eq!(seqs(&take(&mut log, 0, 9)), [4, 5]);
+    assert_eq!(seqs(&take(&mut log, 1, 9)), [3, 4, 5]);
+    assert_eq!(log.bytes(), 3 * size);
+}
+
+#[test]
+fn an_acknowledgement_of_what_was_not_read_has_no_effect() {
+    let mut log = log(1, 1 << 20);
+    (1..=3).for_each(|seq| {
+        log.push(batch(seq), seq);
+    });
+    log.acknowledge(0, 99);
+    assert_eq!(log.stats()[0].lag, 3);
+    assert_eq!(seqs(&take(&mut log, 0, 2)), [1, 2]);
+    log.acknowledge(0, 99);
+    assert_eq!(log.stats()[0].lag, 1);
+    log.acknowledge(0, 0);
+    assert_eq!(seqs(&take(&mut log, 0, 2)), [3]);
+}
+
+#[test]
+fn batches_that_are_too_old_are_dropped_and_counted() {
+    let mut log = log(1, 1 << 20);
+    log.push(batch(1), 0);
+    log.push(batch(2), 600);
+    log.push(batch(3), 1000);
+    assert_eq!(log.stats()[0], CursorStats { lag: 3, dropped: 0 });
+    log.push(batch(4), 1001);
+    assert_eq!(log.stats()[0], CursorStats { lag: 3, dropped: 1 });
+    assert_eq!(seqs(&take(&mut log, 0, 9)), [2, 3, 4]);
+}
+
+#[test]
+fn the_sequence_numbers_of_a_bounded_number_of_plcs_are_kept() {
+    let mut log = log(1, 1 << 20);
+    for seq in 1..=u64::try_from(MAX_PLCS).unwrap() + 3 {
+        log.push(Batch { plc: format!("plc{seq}").as_str().into(), ..batch(seq) }, seq);
+    }
+    let kept = log.next_seqs();
+    assert_eq!(kept.len(), MAX_PLCS);
+    assert!(!kept.contains_key("plc3") && kept.contains_key("plc4"));
+}
