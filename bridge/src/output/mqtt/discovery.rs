@@ -6,8 +6,8 @@
 //! | one number | `sensor`; writable: `number` |
 //! | text, hexadecimal number, several values | `sensor` of a text |
 //!
-//! All entities of a PLC take their values from its batches. A tag that a batch lacks keeps its value; one that
-//! is stale or bad becomes unknown. An entity is available while the bridge and the PLC are online.
+//! All entities of a PLC take their values from its batches. A tag that a batch lacks keeps its value, and so do
+//! all tags with a batch that is a replay; a tag that is stale or bad becomes unknown. An entity is available while the bridge and the PLC are online.
 
 use bytes::Bytes;
 use fatek::plant::{PlantPlc, PlantTag, WriteRule};
@@ -185,9 +185,11 @@ fn text_sensor(tag: &str) -> Value {
     json!({ "value_template": template })
 }
 
-/// `v`: the value of the tag; none if the batch lacks it, a mapping if it is stale or bad.
+/// `v`: the value of the tag; none if the batch lacks it or is a replay, a mapping if it is stale or bad.
+///
+/// Home Assistant takes each value as the present one: an old alarm must not start an automation.
 fn set(tag: &str) -> String {
-    format!("{{% set v = value_json.d.get('{tag}') %}}")
+    format!("{{% set v = none if value_json.hist is defined else value_json.d.get('{tag}') %}}")
 }
 
 /// A number; nothing if the batch lacks it; `None`, which makes it unknown, for everything else, as of a NaN.

@@ -115,6 +115,24 @@ fn units_limits_and_steps_are_those_of_the_tag() {
 }
 
 #[test]
+fn no_entity_takes_the_values_of_a_replay() {
+    let mut count = 0;
+    for (topic, message) in messages(true).into_iter().chain(messages(false)) {
+        if message["state_topic"].is_null() {
+            assert!(topic.contains("/button/"), "{topic}");
+            continue;
+        }
+        let template = message["value_template"].as_str().unwrap();
+        let start = "{% set v = none if value_json.hist is defined else value_json.d.get('";
+        assert!(template.starts_with(start), "{topic}: {template}");
+        // The template has no other way to a value.
+        assert_eq!(template.matches("value").count(), 2, "{topic}: {template}");
+        count += 1;
+    }
+    assert_eq!(count, 18);
+}
+
+#[test]
 fn different_names_give_different_ids() {
     let mut ids = HashSet::new();
     let names = ["a", "a_", "_a", "a-", "-a", "a_-a", "a__", "__a", "_", "-", "_-", "-_", "a-_a"];
