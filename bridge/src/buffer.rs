@@ -84,8 +84,11 @@ pub struct BufferStats {
     pub disk_bytes: u64,
     /// The length of the file.
     pub file_bytes: u64,
-    /// The share of the disk's limit that is used, or of the memory's without a disk: 0 to 1.
+    /// The share of the disk's limit that is used, or of the memory's without a disk: 0 to 1. While the disk
+    /// fails, the larger one of both.
     pub fill: f64,
+    /// `true` if there is no room, or if batches were dropped within the last 10 s because there was none.
+    pub is_full: bool,
     /// Batches that were written to disk.
     pub spilled_batches: u64,
     /// Reads and writes that failed.

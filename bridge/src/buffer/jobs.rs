@@ -215,7 +215,7 @@ impl Log {
         while self.disk.as_ref().is_some_and(|disk| {
             !disk.chunks.is_empty() && disk.chunks.cost().saturating_add(new_cost) > disk.limits.max
         }) {
-            self.drop_chunk();
+            self.drop_for_room(now, Self::drop_chunk);
         }
         let cursors = self.cursors.iter().map(|cursor| (cursor.name.clone(), cursor.acknowledged)).collect();
         let newest = self.slots.back().map(|slot| slot.position);
@@ -316,7 +316,7 @@ impl Log {
             _ => disk.failing = None,
         }
         self.remove_acknowledged();
-        self.evict();
+        self.evict(now);
     }
 
     /// Takes the batches of chunks that were read back: for each chunk those that are good.
@@ -364,11 +364,11 @@ impl Log {
         disk.in_flight = None;
         disk.is_changed = true;
         self.forget_loads();
-        self.evict();
+        self.evict(now);
     }
 
     /// Notes that the file was lost and is empty now.
-    pub(super) fn file_lost(&mut self) {
+    pub(super) fn file_lost(&mut self, now: u64) {
         let front = self.slots.front().map_or(self.end, |slot| slot.position);
         let Some(disk) = &mut self.disk else { return };
         let oldest = self.cursors.iter().map(|cursor| cursor.acknowledged).min().unwrap_or(front);
@@ -388,7 +388,7 @@ impl Log {
         disk.in_flight = None;
         disk.is_changed = true;
         disk.last_state = None;
-        self.evict();
+        self.evict(now);
     }
 
     /// Notes that the file was made smaller.

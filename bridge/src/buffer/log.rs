@@ -32,6 +32,12 @@ const MAX_PLCS: usize = 16_384;
 /// The age, in milliseconds, from which a batch is sent as a replay: it is no news any more.
 const LATE_AFTER: u64 = 5_000;
 
+/// The share of a limit from which the buffer counts as full.
+const FULL: f64 = 0.98;
+/// The time, in milliseconds, for which a buffer that had no room counts as full. A full disk may be below
+/// [`FULL`]: chunks are dropped whole.
+const FULL_FOR: u64 = 10_000;
+
 /// A batch in memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Slot {
@@ -63,6 +69,8 @@ pub(super) struct Log {
     pub(super) run_first: u64,
     pub(super) cursors: Vec<CursorState>,
     pub(super) next_seqs: HashMap<Arc<str>, u64>,
+    /// When a batch that an output lacked was last dropped for want of room.
+    pub(super) full_at: Option<u64>,
     /// The disk, if there is one.
     pub(super) disk: Option<DiskState>,
 }
@@ -135,6 +143,7 @@ impl Log {
             run_first: 1,
             cursors,
             next_seqs: HashMap::new(),
+            full_at: None,
             disk: None,
         }
     }
@@ -154,7 +163,7 @@ impl Log {
             disk.unspilled = disk.unspilled.saturating_add(size);
         }
         self.slots.push_back(Slot { position, pushed: now, batch: Arc::new(batch) });
-        self.evict();
+        self.evict(now);
         self.expire(now);
         self.remove_acknowledged();
         position
@@ -263,24 +272,29 @@ impl Log {
         let bytes = |bytes: usize| u64::try_from(bytes).unwrap_or(u64::MAX);
         let oldest = self.cursors.iter().map(|cursor| cursor.acknowledged).min().unwrap_or(self.end);
         let age = |pushed: u64| Duration::from_millis(now.saturating_sub(pushed));
+        let memory = share(bytes(self.bytes), bytes(self.limits.memory));
         let mut stats = BufferStats {
             batches: self.count_from(oldest),
             oldest_age: self.oldest().map(age),
             memory_bytes: bytes(self.bytes()),
-            fill: share(bytes(self.bytes), bytes(self.limits.memory)),
+            fill: memory,
             ..BufferStats::default()
         };
         if let Some(disk) = &self.disk {
             let Counters { errors, corrupt_files, corrupt_batches, spilled_batches } = disk.counters;
             stats.disk_bytes = disk.chunks.cost();
             stats.file_bytes = disk.file_len;
-            stats.fill = share(disk.chunks.cost(), disk.limits.max);
+            let on_disk = share(disk.chunks.cost(), disk.limits.max);
+            // New batches are in memory alone while the disk fails.
+            stats.fill = if disk.failing.is_some() { on_disk.max(memory) } else { on_disk };
             stats.spilled_batches = spilled_batches;
             stats.disk_errors = errors;
             stats.corrupt_files = corrupt_files;
             stats.corrupt_batches = corrupt_batches;
             stats.failure = self.failure().map(str::to_owned);
         }
+        let had_no_room = self.full_at.is_some_and(|at| now.saturating_sub(at) < FULL_FOR);
+        stats.is_full = had_no_room || stats.fill >= FULL;
         stats
     }
 
@@ -308,17 +322,27 @@ impl Log {
     }
 
     /// Removes slots until they are within the limit: those on disk first, and then the oldest.
-    pub(super) fn evict(&mut self) {
+    pub(super) fn evict(&mut self, now: u64) {
         while self.bytes > self.limits.memory && self.slots.len() > 1 {
             let front = self.slots.front().map_or(self.end, |slot| slot.position);
             if self.disk.as_ref().is_some_and(|disk| front < disk.durable_end) {
                 self.pop_slot();
             } else if let Some(end) = self.disk.as_ref().and_then(|disk| disk.in_flight) {
-                self.drop_behind(end);
+                self.drop_for_room(now, |log| log.drop_behind(end));
                 return;
             } else {
-                self.drop_slot();
+                self.drop_for_room(now, Self::drop_slot);
             }
+        }
+    }
+
+    /// Drops batches for want of room.
+    pub(super) fn drop_for_room(&mut self, now: u64, work: impl FnOnce(&mut Self)) {
+        let dropped = |log: &Self| log.cursors.iter().fold(0_u64, |sum, one| sum.saturating_add(one.dropped));
+        let before = dropped(self);
+        work(self);
+        if dropped(self) > before {
+            self.full_at = Some(now);
         }
     }
 

@@ -306,7 +306,7 @@ impl World {
             }
             5 if self.rng.u8(..4) == 0 => {
                 self.file = File { end: self.file.end, time: self.file.time, ..File::default() };
-                self.log.file_lost();
+                self.log.file_lost(self.now);
                 self.figures.losses += 1;
             }
             _ => self.finish(&job),

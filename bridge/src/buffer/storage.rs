@@ -197,7 +197,7 @@ impl Storage {
         match self.disk.move_aside() {
             Ok(place) => {
                 let mut state = self.shared.lock();
-                state.log.file_lost();
+                state.log.file_lost(self.shared.now());
                 drop(state);
                 tracing::error!("the buffer {} was damaged ({why}): it is now {}", path.display(), place.display());
             }

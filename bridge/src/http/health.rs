@@ -25,18 +25,14 @@ fn health(since_look: Duration) -> Answer {
 
 /// 200 while the bridge can take data: its buffer is not full. A PLC that does not answer does not matter.
 pub(super) async fn readyz(State(shared): State<Shared>) -> Answer {
-    readiness(shared.bridge.buffer.figures().fill)
+    readiness(shared.bridge.buffer.figures().is_full)
 }
 
-/// The share of the buffer from which it counts as full: it drops the oldest batches for each new one, and stays
-/// just below its limit.
-const FULL: f64 = 0.98;
-
-fn readiness(fill: f64) -> Answer {
-    if fill < FULL {
-        (StatusCode::OK, "ok\n")
-    } else {
+fn readiness(is_full: bool) -> Answer {
+    if is_full {
         (StatusCode::SERVICE_UNAVAILABLE, "the buffer is full: the oldest data are dropped\n")
+    } else {
+        (StatusCode::OK, "ok\n")
     }
 }
 
@@ -52,8 +48,7 @@ mod tests {
 
     #[test]
     fn a_full_buffer_is_not_ready() {
-        assert_eq!(readiness(0.0).0, StatusCode::OK);
-        assert_eq!(readiness(0.97).0, StatusCode::OK);
-        assert_eq!(readiness(FULL).0, StatusCode::SERVICE_UNAVAILABLE);
+        assert_eq!(readiness(false).0, StatusCode::OK);
+        assert_eq!(readiness(true).0, StatusCode::SERVICE_UNAVAILABLE);
     }
 }

@@ -1,6 +1,9 @@
 //! Tests of the log.
 
 use super::*;
+use crate::buffer::disk::Restored;
+use crate::buffer::jobs::{DiskLimits, Job};
+use crate::buffer::restore::continue_log;
 
 fn batch(seq: u64) -> Batch {
     Batch { plc: "mixer".into(), seq, ts: seq, samples: 1, data: "{\"level\":1}".into() }
@@ -131,4 +134,68 @@ fn the_sequence_numbers_of_a_bounded_number_of_plcs_are_kept() {
     let kept = log.next_seqs();
     assert_eq!(kept.len(), MAX_PLCS);
     assert!(!kept.contains_key("plc3") && kept.contains_key("plc4"));
+}
+
+#[test]
+fn a_log_without_room_is_full_until_nothing_was_dropped_for_ten_seconds() {
+    let size = batch(1).size();
+    // The share of three batches in 3.5 is not that of a full one.
+    let mut log = Log::in_memory(1, Limits { memory: 3 * size + size / 2, max_age: Some(60_000) });
+    (1..=3).for_each(|seq| {
+        log.push(batch(seq), 0);
+    });
+    assert!(!log.figures(0).is_full);
+    log.push(batch(4), 1_000);
+    let figures = log.figures(1_000);
+    assert!(figures.is_full && figures.fill < FULL && log.stats()[0].dropped == 1, "{figures:?}");
+    assert!(log.figures(1_000 + FULL_FOR - 1).is_full);
+    assert!(!log.figures(1_000 + FULL_FOR).is_full);
+    // One that is too old does not lack room.
+    log.expire(60_500);
+    assert_eq!((log.stats()[0].dropped, log.figures(60_500).is_full), (3, false));
+    // What all outputs have is no loss.
+    take(&mut log, 0, 9);
+    log.acknowledge(0, 4);
+    log.push(batch(5), 61_000);
+    assert!(!log.figures(61_000).is_full);
+}
+
+/// A log on a disk of this size.
+fn log_on_disk(memory: usize, max: u64) -> Log {
+    let limits = Limits { memory, max_age: Some(60_000) };
+    let disk = DiskLimits { max, chunk: 16 << 10, job: 1 << 16, read_ahead: 1 << 16, sync: false };
+    continue_log(Restored::default(), &["mqtt"], limits, disk, 0).0
+}
+
+#[test]
+fn while_the_disk_fails_the_memory_counts() {
+    let size = batch(1).size();
+    let mut log = log_on_disk(10 * size, 1 << 30);
+    log.failed("no space".to_owned(), 0);
+    (1..=9).for_each(|seq| {
+        log.push(batch(seq), 0);
+    });
+    let figures = log.figures(0);
+    assert!((figures.fill - 0.9).abs() < 0.01 && !figures.is_full, "{figures:?}");
+    log.push(batch(10), 0);
+    assert!(log.figures(0).is_full && log.stats()[0].dropped == 0, "there is no room");
+    log.push(batch(11), 0);
+    assert!(log.figures(9_000).is_full && log.stats()[0].dropped == 1);
+}
+
+#[test]
+fn a_small_disk_is_full_below_its_limit() {
+    let mut log = log_on_disk(1 << 20, 1 << 20);
+    for seq in 1..20_000 {
+        log.push(Batch { data: vec![b'x'; 500].into(), ..batch(seq) }, seq);
+        if let Some(Job::Commit(commit)) = log.plan(seq, false) {
+            log.committed(&commit, seq, 0);
+        }
+        let figures = log.figures(seq);
+        if log.stats()[0].dropped > 0 {
+            assert!(figures.is_full && figures.fill < FULL, "{figures:?}");
+            return;
+        }
+    }
+    panic!("the disk has room without end");
 }
