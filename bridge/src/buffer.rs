@@ -191,6 +191,15 @@ impl Buffer {
         self.shared.lock().log.next_seqs()
     }
 
+    /// Waits until the thread that writes to disk has ended: after [`close`](Self::close), or after a panic, with
+    /// which nothing reaches the disk any more. Cancel-safe. Without a disk it never returns.
+    pub async fn ended(&self) {
+        let Some(closer) = &self.closer else { return std::future::pending().await };
+        let mut ended = closer.ended.clone();
+        // After a panic the sender is gone.
+        let _ = ended.wait_for(|ended| *ended).await;
+    }
+
     /// Writes all that is not acknowledged to disk, within a limited time, and closes the file. Returns
     /// whether all is there; `true` for a buffer in memory. Batches that are pushed later are in memory alone.
     pub async fn close(&self) -> bool {
@@ -254,5 +263,29 @@ impl Cursor {
     #[must_use]
     pub fn is_drained(&self) -> bool {
         self.shared.lock().log.stats().get(self.output).is_none_or(|stats| stats.lag == 0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use futures::FutureExt as _;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_panic_of_the_storage_thread_is_noticed() {
+        let Buffer { shared, .. } = Buffer::in_memory(1, 1 << 20);
+        let (end, wait) = std::sync::mpsc::channel::<()>();
+        let work = move || {
+            let _ = wait.recv();
+            panic!("injected");
+        };
+        let ended = storage::spawn(work).unwrap();
+        let buffer = Buffer { closer: Some(Arc::new(Closer { shared: shared.clone(), ended })), shared };
+        assert_eq!(buffer.ended().now_or_never(), None, "it runs");
+        end.send(()).unwrap();
+        tokio::time::timeout(Duration::from_secs(60), buffer.ended()).await.expect("the end is noticed");
+        assert!(!buffer.close().await, "nothing was written");
+        assert_eq!(Buffer::in_memory(1, 1 << 20).ended().now_or_never(), None, "there is no thread");
     }
 }

@@ -181,6 +181,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
             name = outputs.panicked() => break Err(RunError::Panicked(name)),
             _ = &mut collector => break Err(RunError::Panicked("collector")),
             _ = &mut http => break Err(RunError::Panicked("page")),
+            () = bridge.buffer.ended() => break Err(RunError::Panicked("buffer")),
             () = service.stay_alive(&bridge.liveness) => {}
         }
     };

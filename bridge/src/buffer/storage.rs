@@ -77,9 +77,14 @@ impl Shared {
 
 /// Starts the storage thread. The receiver is told when it has ended.
 pub(super) fn start(shared: Arc<Shared>, disk: Disk) -> std::io::Result<watch::Receiver<bool>> {
+    spawn(move || Storage { shared, disk }.run())
+}
+
+/// Starts a thread. The receiver is told when it has ended; after a panic it loses its sender.
+pub(super) fn spawn(work: impl FnOnce() + Send + 'static) -> std::io::Result<watch::Receiver<bool>> {
     let (ended, receiver) = watch::channel(false);
     std::thread::Builder::new().name("buffer".to_owned()).spawn(move || {
-        Storage { shared, disk }.run();
+        work();
         ended.send_replace(true);
     })?;
     Ok(receiver)
