@@ -12,6 +12,8 @@ use crate::topic::Topics;
 const MAX_AGE: Duration = Duration::from_secs(7 * 24 * 3600);
 /// The time in which a stream that the bridge has made finds duplicates.
 const DUPLICATES: Duration = Duration::from_secs(120);
+/// The shortest such time: that of a lost connection, which is opened again, with room for a restart of the server.
+const MIN_DUPLICATES: Duration = Duration::from_secs(60);
 /// The JetStream error of a stream that does not exist.
 const NOT_FOUND: u64 = 10059;
 
@@ -27,7 +29,14 @@ pub(super) async fn prepare(
     takes_commands: bool,
 ) -> Result<(), String> {
     let error = match context.get_stream(name).await {
-        Ok(stream) => return check(&stream.cached_info().config, topics, takes_commands),
+        Ok(stream) => {
+            let config = &stream.cached_info().config;
+            check(config, topics, takes_commands)?;
+            if let Some(fault) = duplicates_fault(config) {
+                tracing::warn!("nats: {fault}");
+            }
+            return Ok(());
+        }
         Err(error) => error,
     };
     let is_missing = matches!(error.kind(), GetStreamErrorKind::JetStream(reply) if reply.error_code().0 == NOT_FOUND);
@@ -76,6 +85,16 @@ fn check(config: &Config, topics: &Topics, takes_commands: bool) -> Result<(), S
     Ok(())
 }
 
+/// The fault of a stream that finds duplicates for a short time alone.
+fn duplicates_fault(config: &Config) -> Option<String> {
+    let (name, window) = (&config.name, config.duplicate_window);
+    let fault = format!(
+        "the stream {name} finds duplicates for {window:?} alone: after a lost connection batches are stored twice \
+         (nats stream edit {name} --dupe-window=2m)"
+    );
+    (window < MIN_DUPLICATES).then_some(fault)
+}
+
 /// Returns whether all subjects of one pattern are subjects of another.
 fn covers(pattern: &str, subject: &str) -> bool {
     let mut tokens = subject.split('.');
@@ -111,6 +130,17 @@ mod tests {
             ("fatek", "fatek", true),
         ] {
             assert_eq!(covers(pattern, subject), expected, "{pattern} {subject}");
+        }
+    }
+
+    #[test]
+    fn a_stream_that_finds_duplicates_for_a_short_time_is_warned_of() {
+        let config = |duplicate_window| Config { duplicate_window, ..new_config("FATEK", "fatek") };
+        assert_eq!(duplicates_fault(&new_config("FATEK", "fatek")), None);
+        assert_eq!(duplicates_fault(&config(MIN_DUPLICATES)), None);
+        for window in [Duration::ZERO, Duration::from_millis(100), Duration::from_millis(59_999)] {
+            let fault = duplicates_fault(&config(window)).unwrap();
+            assert!(fault.starts_with(&format!("the stream FATEK finds duplicates for {window:?} alone")), "{fault}");
         }
     }
 
