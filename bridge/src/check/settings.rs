@@ -109,6 +109,10 @@ fn outputs(config: &Config, warn: Warn<'_>) {
         let text = "there is no output: values are on the page and in /metrics alone".to_owned();
         warn(None, "mqtt, nats, stdout".to_owned(), text);
     }
+    if config.mqtt.as_ref().is_some_and(|mqtt| mqtt.require_subscribers) && config.plant.plcs().count() > 1 {
+        let text = "one PLC whose batches have no subscriber holds up the batches of all: subscribe to every PLC";
+        warn(None, "mqtt.require_subscribers".to_owned(), text.to_owned());
+    }
     if let Some(mqtt) = &config.mqtt
         && !mqtt.url.is_tls()
         && !mqtt.url.is_loopback()

@@ -168,6 +168,10 @@ fn settings_that_are_probably_not_meant_are_warnings() {
         ("[bridge]\nbuffer.sync = true\n", "bridge.buffer.sync: it has no effect without dir"),
         ("[mqtt]\nurl = 'mqtt://h'\nuser = 'me'\n", "mqtt.url: the password is sent without encryption"),
         ("[mqtt]\nurl = 'mqtt://h'\n", "bridge.buffer.dir: without it the buffer is in memory alone"),
+        (
+            "[plc.b]\nlink = 'tcp://h'\nstation = 1\ntag.x = 'R0'\n[mqtt]\nurl = 'mqtt://h'\nrequire_subscribers = true\n",
+            "mqtt.require_subscribers: one PLC whose batches have no subscriber holds up the batches of all",
+        ),
         ("[mqtt]\nurl = 'mqtt://h'\nwrite = true\n", "mqtt.write: no tag has a key `write`"),
         (
             "[nats]\nurl = 'nats://h'\n[plc.b]\nlink = 'tcp://h'\nstation = 1\ntag.x = { at = 'M1', write = {} }\n",
@@ -190,6 +194,9 @@ fn settings_that_are_probably_not_meant_are_warnings() {
         let expected = format!("warning: {expected}");
         assert!(found.iter().any(|found| found.starts_with(&expected)), "{expected}: {found:#?}");
     }
+    // A single PLC holds up no other.
+    let single = findings(&format!("{GOOD}[mqtt]\nurl = 'mqtt://h'\nrequire_subscribers = true\n"));
+    assert!(!single.iter().any(|found| found.contains("holds up")), "{single:#?}");
     let without_output = findings(&GOOD.replace("[stdout]\n", ""));
     assert_eq!(
         without_output,
