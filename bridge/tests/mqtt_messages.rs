@@ -32,6 +32,15 @@ station = 2
 tag.level = { at = 'R5:i16', class = 'fast' }
 ";
 
+const BOILER_ALONE: &str = "\
+[class]
+fast = { every = '100ms' }
+[plc.boiler]
+link = 'LINK'
+station = 2
+tag.level = { at = 'R5:i16', class = 'fast' }
+";
+
 /// The messages of a topic.
 fn of_topic(broker: &Broker, topic: &str) -> Vec<Received> {
     broker.received().into_iter().filter(|received| received.topic == topic).collect()
@@ -126,6 +135,40 @@ async fn a_reload_publishes_what_is_new_and_clears_what_has_gone() {
     broker.send("ha/status", "online", false, None);
     broker.wait_for("discovery", |broker| of_topic(broker, level).len() == before + 1).await;
     output.stop().await;
+}
+
+/// Seen without its cure: the states and entities of the old names stayed at the broker.
+#[tokio::test(flavor = "multi_thread")]
+async fn after_a_reload_nothing_is_kept_under_the_old_names() {
+    let broker = Broker::start().await;
+    let plant = PolledPlant::start(BOILER_ALONE).await;
+    let topics = |broker: &Broker| broker.retained().into_keys().collect::<Vec<String>>();
+    let other = "plant/hall-20/state";
+    broker.retain(other, "{}");
+    let mut former = None;
+    for (more, expected) in [
+        (
+            json!({ "prefix": "plant", "home_assistant": "ha" }),
+            vec!["ha/sensor/plant_-hall-2/boiler_-level/config", "plant/hall-2/boiler/state", "plant/hall-2/state"],
+        ),
+        // Another prefix of the topics, and then of the entities; and then there are no entities.
+        (
+            json!({ "prefix": "fatek", "home_assistant": "ha" }),
+            vec!["fatek/hall-2/boiler/state", "fatek/hall-2/state", "ha/sensor/fatek_-hall-2/boiler_-level/config"],
+        ),
+        (
+            json!({ "home_assistant": "ha2" }),
+            vec!["fatek/hall-2/boiler/state", "fatek/hall-2/state", "ha2/sensor/fatek_-hall-2/boiler_-level/config"],
+        ),
+        (json!({}), vec!["fatek/hall-2/boiler/state", "fatek/hall-2/state"]),
+    ] {
+        let registry = plant.registry.clone();
+        let output = Output::start_after(&broker.url(), more.clone(), former.replace(more), registry, None);
+        let mut expected: Vec<&str> = expected.into_iter().chain([other]).collect();
+        expected.sort_unstable();
+        broker.wait_for("the new names alone", |broker| topics(broker) == expected).await;
+        output.stop().await;
+    }
 }
 
 /// A command for `mixer` with an id of this number.

@@ -68,6 +68,8 @@ pub struct MqttParts {
     pub id: Name,
     /// The PLCs.
     pub registry: Registry,
+    /// The section before a reload. The messages that the broker keeps under its names are cleared.
+    pub former: Option<MqttSection>,
     /// The batches.
     pub cursor: Cursor,
     /// The state of the output.
@@ -83,6 +85,8 @@ pub struct MqttParts {
 struct Shared {
     topics: Topics,
     discovery: Option<Discovery>,
+    /// Those before a reload.
+    former: Option<(Topics, Option<Discovery>)>,
     registry: Registry,
     health: Arc<Health>,
     commands: Option<Commands>,
@@ -95,18 +99,21 @@ struct Shared {
 
 /// Delivers batches, states and discovery messages until it is stopped. It connects again after each loss.
 pub async fn run(section: MqttSection, parts: MqttParts) {
-    let MqttParts { id, registry, cursor, health, commands, stop } = parts;
-    let topics = Topics::mqtt(&section.prefix, &id);
+    let MqttParts { id, registry, former, cursor, health, commands, stop } = parts;
+    let (topics, discovery) = names(&section, &id, commands.is_some());
+    let former = former.map(|section| names(&section, &id, false));
     let client = Client {
         id: format!("{}-{id}", section.prefix),
         will_topic: topics.bridge_state(),
         will: Bytes::from_static(OFFLINE),
     };
-    let writes = commands.is_some();
-    let bridge = [section.prefix.as_str(), id.as_str()];
-    let discovery = |prefix: Name| Discovery::new(prefix, topics.clone(), bridge, writes);
+    let mut carried = Carried::new(Delivery::new(cursor, health.clone()));
+    if let Some((former, _)) = former.as_ref().filter(|(former, _)| *former != topics) {
+        carried.retained.clear(former.bridge_state());
+    }
     let shared = Shared {
-        discovery: section.home_assistant.clone().map(discovery),
+        discovery,
+        former,
         registry,
         health: health.clone(),
         commands,
@@ -115,7 +122,6 @@ pub async fn run(section: MqttSection, parts: MqttParts) {
         birth: birth(),
         topics,
     };
-    let mut carried = Carried::new(Delivery::new(cursor, health.clone()));
     let mut backoff = Backoff::default();
     let mut was_connected = false;
     while !stop.is_cancelled() {
@@ -148,6 +154,15 @@ pub async fn run(section: MqttSection, parts: MqttParts) {
             () = stop.cancelled() => {}
         }
     }
+}
+
+/// The names of the messages of a section. `writes`: commands are taken.
+fn names(section: &MqttSection, id: &Name, writes: bool) -> (Topics, Option<Discovery>) {
+    let topics = Topics::mqtt(&section.prefix, id);
+    let bridge = [section.prefix.as_str(), id.as_str()];
+    let discovery = |prefix: Name| Discovery::new(prefix, topics.clone(), bridge, writes);
+    let discovery = section.home_assistant.clone().map(discovery);
+    (topics, discovery)
 }
 
 /// Opens a connection, with the present content of the files.

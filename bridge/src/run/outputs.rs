@@ -36,7 +36,7 @@ impl Outputs {
     /// Starts the outputs of the configuration.
     pub(super) fn start(bridge: &Bridge) -> Self {
         let mut outputs = Self::default();
-        bridge.outputs.iter().for_each(|health| outputs.start_one(bridge, health.name()));
+        bridge.outputs.iter().for_each(|health| outputs.start_one(bridge, health.name(), None));
         outputs
     }
 
@@ -76,7 +76,7 @@ impl Outputs {
         let changed: Vec<&'static str> = names.filter(|name| is_changed(name)).collect();
         for name in &changed {
             self.stop_one(name).await;
-            self.start_one(bridge, name);
+            self.start_one(bridge, name, Some(old));
         }
         changed
     }
@@ -90,7 +90,8 @@ impl Outputs {
         }
     }
 
-    fn start_one(&mut self, bridge: &Bridge, name: &'static str) {
+    /// `old`: the configuration before a reload.
+    fn start_one(&mut self, bridge: &Bridge, name: &'static str, old: Option<&Config>) {
         let Some(number) = bridge.outputs.iter().position(|health| health.name() == name) else { return };
         let Some(health) = bridge.outputs.get(number).cloned() else { return };
         let (config, stop) = (bridge.config(), CancellationToken::new());
@@ -103,7 +104,8 @@ impl Outputs {
             "mqtt" => {
                 let Some(section) = config.mqtt.clone() else { return };
                 let commands = commands.filter(|_| section.write);
-                let parts = MqttParts { id, registry, cursor, health, commands, stop: stop.clone() };
+                let former = old.and_then(|old| old.mqtt.clone());
+                let parts = MqttParts { id, registry, former, cursor, health, commands, stop: stop.clone() };
                 self.tasks.spawn(mqtt::run(section, parts))
             }
             "nats" => {

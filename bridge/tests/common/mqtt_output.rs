@@ -45,15 +45,29 @@ impl Output {
     }
 
     pub fn start_with(url: &str, more: Value, registry: Registry, commands: Option<Commands>) -> Self {
-        let mut section = json!({ "url": url });
-        section.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
-        let section: MqttSection = serde_json::from_value(section).unwrap();
+        Self::start_after(url, more, None, registry, commands)
+    }
+
+    /// An output after a reload. `former`: keys of `[mqtt]` before it.
+    pub fn start_after(
+        url: &str,
+        more: Value,
+        former: Option<Value>,
+        registry: Registry,
+        commands: Option<Commands>,
+    ) -> Self {
+        let section = |more: &Value| -> MqttSection {
+            let mut section = json!({ "url": url });
+            section.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+            serde_json::from_value(section).unwrap()
+        };
+        let (section, former) = (section(&more), former.as_ref().map(section));
         let buffer = Buffer::in_memory(2, 1 << 30);
         let health = Arc::new(Health::new("mqtt"));
         let stop = CancellationToken::new();
         let id: Name = serde_json::from_value(json!("hall-2")).unwrap();
         let cursor = buffer.cursor(0);
-        let parts = MqttParts { id, registry, cursor, health: health.clone(), commands, stop: stop.clone() };
+        let parts = MqttParts { id, registry, former, cursor, health: health.clone(), commands, stop: stop.clone() };
         let task = tokio::spawn(mqtt::run(section, parts));
         Self { buffer, health, stop, task, pushed: 0 }
     }

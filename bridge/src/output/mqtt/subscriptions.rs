@@ -2,6 +2,8 @@
 
 use super::Shared;
 use super::connection::Filter;
+use super::discovery::Discovery;
+use crate::topic::Topics;
 
 impl Shared {
     /// All subscriptions: for messages of an earlier run, the birth of Home Assistant, and commands.
@@ -16,17 +18,28 @@ impl Shared {
         filters
     }
 
-    /// The retained messages of the bridge that name PLCs and tags.
+    /// The retained messages of the bridge that name PLCs and tags, also those under the names before a reload.
     pub(super) fn earlier_run(&self) -> Vec<Filter> {
-        let states = Filter { path: self.topics.all_states(), as_published: false };
-        let discovery =
-            self.discovery.as_ref().map(|discovery| Filter { path: discovery.filter(), as_published: false });
-        std::iter::once(states).chain(discovery).collect()
+        let mut filters: Vec<Filter> = Vec::new();
+        for (topics, discovery) in self.all_names() {
+            for path in std::iter::once(topics.all_states()).chain(discovery.map(Discovery::filter)) {
+                if filters.iter().all(|filter| filter.path != path) {
+                    filters.push(Filter { path, as_published: false });
+                }
+            }
+        }
+        filters
     }
 
     pub(super) fn is_own_retained(&self, topic: &str) -> bool {
-        self.topics.plc_of_state(topic).is_some()
-            || self.discovery.as_ref().is_some_and(|discovery| discovery.is_own(topic))
+        self.all_names().any(|(topics, discovery)| {
+            topics.plc_of_state(topic).is_some() || discovery.is_some_and(|discovery| discovery.is_own(topic))
+        })
+    }
+
+    fn all_names(&self) -> impl Iterator<Item = (&Topics, Option<&Discovery>)> {
+        let former = self.former.as_ref().map(|(topics, discovery)| (topics, discovery.as_ref()));
+        std::iter::once((&self.topics, self.discovery.as_ref())).chain(former)
     }
 
     /// Returns whether Home Assistant has just started. A retained birth may be old, and everything was just sent.
