@@ -214,6 +214,11 @@ async fn a_broker_that_was_away_gets_the_backlog_soon() {
         begin.elapsed()
     );
     assert_eq!((result.lost, result.out_of_order, result.unmarked), (0, 0, 0));
+    // All that was pushed more than 5 s before the broker came back is late, and a second is left for this test.
+    let early = output.pushed / 3 * away.as_secs().saturating_sub(6) / away.as_secs();
+    let taken = proxy.taken();
+    let mut late = taken.iter().filter(|(_, batch)| batch["seq"].as_u64().is_some_and(|seq| seq < early));
+    assert!(late.all(|(_, batch)| batch["hist"] == true), "seen without its cure: not one had the mark");
     output.stop().await;
 }
 

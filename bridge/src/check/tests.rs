@@ -169,7 +169,8 @@ fn settings_that_are_probably_not_meant_are_warnings() {
         ("[mqtt]\nurl = 'mqtt://h'\nuser = 'me'\n", "mqtt.url: the password is sent without encryption"),
         ("[mqtt]\nurl = 'mqtt://h'\n", "bridge.buffer.dir: without it the buffer is in memory alone"),
         (
-            "[plc.b]\nlink = 'tcp://h'\nstation = 1\ntag.x = 'R0'\n[mqtt]\nurl = 'mqtt://h'\nrequire_subscribers = true\n",
+            "[plc.b]\nlink = 'tcp://h'\nstation = 1\ntag.x = 'R0'\n[mqtt]\nurl = 'mqtt://h'\n\
+             require_subscribers = true\n",
             "mqtt.require_subscribers: one PLC whose batches have no subscriber holds up the batches of all",
         ),
         ("[mqtt]\nurl = 'mqtt://h'\nwrite = true\n", "mqtt.write: no tag has a key `write`"),

@@ -22,7 +22,7 @@ async fn full_child() {
     tokio::spawn(deliver(buffer.cursor(0), move |_| {
         count.fetch_add(1, Ordering::Relaxed);
     }));
-    let (mut longest, mut total) = (Duration::ZERO, 0);
+    let (mut longest, mut total, mut was_full) = (Duration::ZERO, 0, false);
     // 8 MB in about 4 s.
     for seq in 1..=32_000 {
         let before = Instant::now();
@@ -30,6 +30,7 @@ async fn full_child() {
         longest = longest.max(before.elapsed());
         total = seq;
         if seq % 8 == 0 {
+            was_full |= buffer.figures().is_full;
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         assert!(buffer.bytes() <= 1 << 20, "memory is bounded");
@@ -45,6 +46,7 @@ async fn full_child() {
     std::io::stdout().write_all(line.as_bytes()).unwrap();
     assert!(figures.disk_errors > 0 && figures.failure.is_some(), "{figures:?}");
     assert_eq!((fast.dropped, fast.lag), (0, 0));
+    assert!(was_full, "it drops batches, and is not full");
     assert!(slow.dropped > 0 && slow.dropped + slow.lag == total, "{slow:?}");
     assert!(!buffer.close().await, "the end tells that not all is written");
     std::io::stdout().write_all(b"\nfull: passed\n").unwrap();

@@ -153,7 +153,7 @@ fn a_log_without_room_is_full_until_nothing_was_dropped_for_ten_seconds() {
     // One that is too old does not lack room.
     log.expire(60_500);
     assert_eq!((log.stats()[0].dropped, log.figures(60_500).is_full), (3, false));
-    // What all outputs have is no loss.
+    // A batch that all outputs have is no loss.
     take(&mut log, 0, 9);
     log.acknowledge(0, 4);
     log.push(batch(5), 61_000);

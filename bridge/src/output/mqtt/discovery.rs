@@ -7,7 +7,8 @@
 //! | text, hexadecimal number, several values | `sensor` of a text |
 //!
 //! All entities of a PLC take their values from its batches. A tag that a batch lacks keeps its value, and so do
-//! all tags with a batch that is a replay; a tag that is stale or bad becomes unknown. An entity is available while the bridge and the PLC are online.
+//! all tags with a batch that is a replay; a tag that is stale or bad becomes unknown. An entity is available while
+//! the bridge and the PLC are online.
 
 use bytes::Bytes;
 use fatek::plant::{PlantPlc, PlantTag, WriteRule};
