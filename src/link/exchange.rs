@@ -43,15 +43,17 @@ use crate::wire::{Codec, Discard, FieldError, Found, FoundFrame, Framing, Side, 
 pub(crate) enum Outgoing {
     /// The request of a call.
     Call(PendingCall),
-    /// A request of the link itself, and the call that waits for it, if any.
-    Link { station: u8, request: LinkRequest, call: Option<PendingCall> },
+    /// A request of the link itself, and the call that waits for it, if any. `nonce`: of a check with one.
+    /// The loop-back is made of it where it is needed: each link has the place of a request, and such checks
+    /// are rare.
+    Link { station: u8, request: LinkRequest, nonce: u64, call: Option<PendingCall> },
 }
 
 /// A request that the link itself sends to a station.
 #[derive(Debug)]
 pub(crate) enum LinkRequest {
-    /// A check between two requests, with its loop-back if it is one.
-    Check(in_step::Check, LoopBack),
+    /// A check between two requests.
+    Check(in_step::Check),
     /// A status request, to learn whether the line echoes. Its reply proves nothing else.
     EchoTest,
 }
@@ -84,12 +86,13 @@ impl Outgoing {
     pub(crate) fn shape(&self, framing: Framing) -> Shape {
         match self {
             Self::Call(call) => call.slot.shape(call.slot.spelling(), framing),
-            Self::Link { request, .. } => match request {
-                LinkRequest::Check(in_step::Check::Nonce | in_step::Check::Empty, data) => {
+            Self::Link { request, nonce, .. } => match request {
+                LinkRequest::Check(check @ (in_step::Check::Nonce | in_step::Check::Empty)) => {
+                    let data = loop_back(*check, *nonce);
                     Shape { code: LoopBack::CODE, size: data.reply_size(data.plain(), framing) }
                 }
-                LinkRequest::Check(in_step::Check::Status, _) | LinkRequest::EchoTest => in_step::Check::STATUS,
-                LinkRequest::Check(in_step::Check::Detail, _) => in_step::Check::DETAIL,
+                LinkRequest::Check(in_step::Check::Status) | LinkRequest::EchoTest => in_step::Check::STATUS,
+                LinkRequest::Check(in_step::Check::Detail) => in_step::Check::DETAIL,
             },
         }
     }
@@ -100,14 +103,15 @@ impl Outgoing {
         let station = self.station();
         match self {
             Self::Call(call) => call.slot.encode(framing, station, tx),
-            Self::Link { request, .. } => match request {
-                LinkRequest::Check(in_step::Check::Nonce | in_step::Check::Empty, data) => {
-                    command::encode_spelled(data, data.plain(), framing, station, tx);
+            Self::Link { request, nonce, .. } => match request {
+                LinkRequest::Check(check @ (in_step::Check::Nonce | in_step::Check::Empty)) => {
+                    let data = loop_back(*check, *nonce);
+                    command::encode_spelled(&data, data.plain(), framing, station, tx);
                 }
-                LinkRequest::Check(in_step::Check::Status, _) | LinkRequest::EchoTest => {
+                LinkRequest::Check(in_step::Check::Status) | LinkRequest::EchoTest => {
                     command::encode_spelled(&ReadStatus, ReadStatus.plain(), framing, station, tx);
                 }
-                LinkRequest::Check(in_step::Check::Detail, _) => {
+                LinkRequest::Check(in_step::Check::Detail) => {
                     command::encode_spelled(&ReadDetailedStatus, ReadDetailedStatus.plain(), framing, station, tx);
                 }
             },
@@ -119,18 +123,26 @@ impl Outgoing {
     fn try_complete(&self, framing: Framing, data: &[u8], now: Instant) -> Result<Option<ErrorCode>, FieldError> {
         match self {
             Self::Call(call) => call.slot.try_complete(framing, call.station, data, now),
-            Self::Link { request, .. } => match request {
-                LinkRequest::Check(in_step::Check::Nonce | in_step::Check::Empty, echo) => {
-                    refusal_in(command::decode_reply(echo, framing, data))
+            Self::Link { request, nonce, .. } => match request {
+                LinkRequest::Check(check @ (in_step::Check::Nonce | in_step::Check::Empty)) => {
+                    refusal_in(command::decode_reply(&loop_back(*check, *nonce), framing, data))
                 }
-                LinkRequest::Check(in_step::Check::Status, _) | LinkRequest::EchoTest => {
+                LinkRequest::Check(in_step::Check::Status) | LinkRequest::EchoTest => {
                     refusal_in(command::decode_reply(&ReadStatus, framing, data))
                 }
-                LinkRequest::Check(in_step::Check::Detail, _) => {
+                LinkRequest::Check(in_step::Check::Detail) => {
                     refusal_in(command::decode_reply(&ReadDetailedStatus, framing, data))
                 }
             },
         }
+    }
+}
+
+/// The loop-back of a check that has one: with a nonce, or empty.
+fn loop_back(check: in_step::Check, nonce: u64) -> LoopBack {
+    match check {
+        in_step::Check::Nonce => LoopBack::nonce(nonce),
+        in_step::Check::Empty | in_step::Check::Status | in_step::Check::Detail => LoopBack::empty(),
     }
 }
 

@@ -7,6 +7,7 @@
 //!
 //! Invariant: probes use no more than their share of the bus, however many stations are offline.
 
+use std::num::NonZeroU64;
 use std::time::Duration;
 
 use tokio::time::Instant;
@@ -38,8 +39,8 @@ pub(crate) struct OfflineRules {
 #[derive(Debug)]
 struct Health {
     in_step: InStep,
-    /// The longest response timeout that the station was ever given.
-    longest_timeout: Duration,
+    /// The longest response timeout that the station was ever given, in nanoseconds: half of a `Duration`.
+    longest_timeout: u64,
     /// Timeouts in a row.
     timeouts: u32,
     /// Boxed: most stations are online.
@@ -79,7 +80,7 @@ impl Stations {
 
     /// The longest response timeout that the station was ever given; probes use it, too.
     pub(crate) fn longest_timeout(&self, station: u8) -> Duration {
-        self.stations.get(station).map(|health| health.longest_timeout).unwrap_or_default()
+        Duration::from_nanos(self.stations.get(station).map_or(0, |health| health.longest_timeout))
     }
 
     /// Returns whether the last request to the station was answered in time.
@@ -214,7 +215,7 @@ impl Stations {
         if station != 0 {
             self.health(station, |health| {
                 health.sent_at = Some(now);
-                health.longest_timeout = health.longest_timeout.max(timeout.unwrap_or_default());
+                health.longest_timeout = health.longest_timeout.max(timeout.map_or(0, nanoseconds));
             });
         }
     }
@@ -233,7 +234,7 @@ impl Stations {
     fn health<R>(&mut self, station: u8, work: impl FnOnce(&mut Health) -> R) -> R {
         let new = || Health {
             in_step: InStep::new(),
-            longest_timeout: Duration::ZERO,
+            longest_timeout: 0,
             timeouts: 0,
             offline: None,
             round_trip: RoundTrip::default(),
@@ -247,29 +248,33 @@ impl Stations {
 /// `Duration` costs several times as much to divide.
 #[derive(Debug, Default)]
 struct RoundTrip {
-    smoothed: Option<u64>,
+    smoothed: Option<NonZeroU64>,
     deviation: u64,
     /// Number of times that the estimate was doubled since the last answer.
     doublings: u32,
+}
+
+fn at_least_one(nanoseconds: u64) -> NonZeroU64 {
+    NonZeroU64::new(nanoseconds).unwrap_or(NonZeroU64::MIN)
 }
 
 impl RoundTrip {
     fn measured(&mut self, sample: Duration) {
         let sample = nanoseconds(sample);
         self.doublings = 0;
-        let Some(smoothed) = self.smoothed else {
-            self.smoothed = Some(sample);
+        let Some(smoothed) = self.smoothed.map(NonZeroU64::get) else {
+            self.smoothed = Some(at_least_one(sample));
             self.deviation = sample / 2;
             return;
         };
         let off = smoothed.abs_diff(sample);
         self.deviation = self.deviation.saturating_sub(self.deviation / 4).saturating_add(off / 4);
-        self.smoothed = Some(smoothed.saturating_sub(smoothed / 8).saturating_add(sample / 8));
+        self.smoothed = Some(at_least_one(smoothed.saturating_sub(smoothed / 8).saturating_add(sample / 8)));
     }
 
     /// The smoothed round trip, and its deviation or a quarter, whichever is more.
     fn expected(&self) -> Option<Duration> {
-        let smoothed = self.smoothed?;
+        let smoothed = self.smoothed?.get();
         Some(Duration::from_nanos(smoothed.saturating_add(self.deviation.max(smoothed / 4))))
     }
 
@@ -278,7 +283,7 @@ impl RoundTrip {
     }
 
     fn timeout(&self) -> Option<Duration> {
-        let timeout = self.smoothed?.saturating_add(self.deviation.saturating_mul(4));
+        let timeout = self.smoothed?.get().saturating_add(self.deviation.saturating_mul(4));
         Some(Duration::from_nanos(timeout).saturating_mul(1_u32.checked_shl(self.doublings).unwrap_or(u32::MAX)))
     }
 }

@@ -153,7 +153,7 @@ impl Core {
                 self.stats.mark_online(station, |_| ());
                 let rule = self.rule(station);
                 let passed = match request {
-                    LinkRequest::Check(check, _) => {
+                    LinkRequest::Check(check) => {
                         self.echo_was_last = !reply.refused;
                         let refused = reply.refused && reply.shape.code == Code::LoopBack;
                         self.stats.count_station(station, |stats| add(&mut stats.refused_checks, u64::from(refused)));

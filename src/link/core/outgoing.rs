@@ -5,7 +5,6 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::{Action, Core};
-use crate::command::LoopBack;
 use crate::error::Error;
 use crate::link::call::{CallInFraming, PendingCall, Sending};
 use crate::link::config::Config;
@@ -166,17 +165,14 @@ impl Core {
         }
         if self.exchange.must_learn_echo() {
             self.stats.count_station(station, |stats| add(&mut stats.checks, 1));
-            return Outgoing::Link { station, request: LinkRequest::EchoTest, call };
+            return Outgoing::Link { station, request: LinkRequest::EchoTest, nonce: 0, call };
         }
         self.stats.count_station(station, |stats| stats.checked(why));
         tracing::debug!(station, ?check, ?why, "check");
-        let data = if check == in_step::Check::Nonce {
+        if check == in_step::Check::Nonce {
             self.nonce = self.nonce.wrapping_add(1);
-            LoopBack::nonce(self.nonce)
-        } else {
-            LoopBack::empty()
-        };
-        Outgoing::Link { station, request: LinkRequest::Check(check, data), call }
+        }
+        Outgoing::Link { station, request: LinkRequest::Check(check), nonce: self.nonce, call }
     }
 
     /// The response timeout that a caller has chosen, if the request is that of its call, and the one of
