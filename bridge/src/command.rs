@@ -27,12 +27,14 @@ use std::time::{Duration, SystemTime};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
 
 use self::core::{Core, Received, Stored};
 use self::driver::{Clock, Driver, Message};
 use self::journal::Key;
 use self::reply::Refusal;
 pub use self::reply::{Outcome, Reply};
+use self::request::Request;
 use self::stats::Figures;
 pub use self::stats::{CommandStats, PlcCommandStats};
 use self::store::Store;
@@ -97,17 +99,6 @@ impl Storage {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("write = true needs a folder for the ids of commands: set bridge.buffer.dir, or $STATE_DIRECTORY")]
 pub struct NoFolder;
-
-/// Commands cannot be executed.
-#[derive(Debug, thiserror::Error)]
-pub enum CommandsError {
-    /// There is no folder for their ids.
-    #[error(transparent)]
-    NoFolder(#[from] NoFolder),
-    /// The file of their ids cannot be used.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-}
 
 /// Limits of the commands.
 #[derive(Clone, Copy, Debug)]
@@ -180,7 +171,31 @@ struct Shared {
     messages: mpsc::UnboundedSender<Message>,
     calls: Semaphore,
     figures: Figures,
+    /// Why none can be executed.
+    failure: Option<Failure>,
     task: tokio::sync::Mutex<Option<JoinHandle<()>>>,
+    /// Cancelled when the task has ended.
+    ended: CancellationToken,
+}
+
+/// A file that cannot be used.
+#[derive(Debug)]
+struct Failure {
+    why: String,
+    /// When the bridge was started, in milliseconds since 1970.
+    begin: u64,
+}
+
+impl Failure {
+    /// The reply to any command. An earlier run may have executed one that was sent before the start.
+    fn reply(&self, request: &Request) -> Reply {
+        let ahead = u64::try_from(rules::MAX_AHEAD.as_millis()).unwrap_or(u64::MAX);
+        if request.ts > self.begin.saturating_add(ahead) {
+            return Reply::refused(Some(&request.id), &Refusal::Storage(self.why.clone()));
+        }
+        let why = format!("storage: an earlier run may have executed it: {}", self.why);
+        Reply::unknown(Some(&request.id), why)
+    }
 }
 
 impl Commands {
@@ -204,26 +219,52 @@ impl Commands {
         let core = Core::new(settings.limits, stored, figures.clone(), clock.now());
         let (messages, receiver) = mpsc::unbounded_channel();
         let driver = Driver::new(core, registry.clone(), store, clock.clone());
-        let task = tokio::spawn(driver.run(receiver, results));
+        let ended = CancellationToken::new();
+        let end = ended.clone().drop_guard();
+        let task = tokio::spawn(async move {
+            let _end = end;
+            driver.run(receiver, results).await;
+        });
         let (calls, task) = (Semaphore::new(MAX_CALLS), tokio::sync::Mutex::new(Some(task)));
-        Ok(Self { shared: Arc::new(Shared { registry, clock, messages, calls, figures, task }) })
+        let shared = Shared { registry, clock, messages, calls, figures, failure: None, task, ended };
+        Ok(Self { shared: Arc::new(shared) })
+    }
+
+    /// Refuses all commands, since their ids cannot be stored.
+    fn failed(why: String, registry: Registry) -> Self {
+        let (messages, _) = mpsc::unbounded_channel();
+        let clock = Clock { start: Instant::now(), wall: WallClock::system() };
+        let (calls, task) = (Semaphore::new(MAX_CALLS), tokio::sync::Mutex::new(None));
+        let (figures, ended) = (Figures::default(), CancellationToken::new());
+        let failure = Some(Failure { why, begin: clock.now().wall });
+        let shared = Shared { registry, clock, messages, calls, figures, failure, task, ended };
+        Self { shared: Arc::new(shared) }
     }
 
     /// Starts the commands of a configuration. `None`: no output takes any, and no earlier run has left a file,
-    /// which may have pulses to end.
+    /// which may have pulses to end. If that file cannot be used, all commands are refused, and the log says so:
+    /// data goes on.
     ///
     /// # Errors
-    /// [`CommandsError`] if an output takes commands and their ids cannot be stored.
-    pub async fn start_for(config: &Config, registry: Registry) -> Result<Option<Self>, CommandsError> {
+    /// [`NoFolder`] if an output takes commands and there is no folder for their ids.
+    pub async fn start_for(config: &Config, registry: Registry) -> Result<Option<Self>, NoFolder> {
         let takes_commands =
             config.mqtt.as_ref().is_some_and(|mqtt| mqtt.write) || config.nats.as_ref().is_some_and(|nats| nats.write);
         let storage = match Storage::of_config(config) {
-            Err(error) if takes_commands => return Err(error.into()),
+            Err(error) if takes_commands => return Err(error),
             Err(NoFolder) => return Ok(None),
             Ok(storage) if !takes_commands && !storage.exists() => return Ok(None),
             Ok(storage) => storage,
         };
-        Ok(Some(Self::start(CommandSettings::new(storage), registry).await?))
+        let started = Self::start(CommandSettings::new(storage), registry.clone()).await;
+        Ok(Some(started.unwrap_or_else(|error| {
+            tracing::error!("commands are refused, and pulses of an earlier run are not ended: {error}");
+            tracing::error!(
+                "if the file is damaged, check the outputs of pulses, move the file aside, and restart: \
+                 ids of earlier commands are then not known"
+            );
+            Self::failed(error.to_string(), registry)
+        })))
     }
 
     /// Executes the command of a message for a PLC, and returns the reply to send. `retained`: the server has
@@ -235,15 +276,15 @@ impl Commands {
     ///
     /// Cancel-safe: the command is executed all the same, and a repetition of its id gets its reply.
     pub async fn execute(&self, plc: &str, payload: &[u8], retained: bool) -> Reply {
-        let Shared { registry, clock, messages, calls, figures, .. } = &*self.shared;
-        let refused = |id: Option<&str>, refusal: &Refusal| {
-            let reply = Reply::refused(id, refusal);
+        let Shared { registry, clock, messages, calls, figures, failure, .. } = &*self.shared;
+        let counted = |reply: Reply| {
             match registry.read().get(plc) {
                 Some(polled) => figures.count(polled.plc.name(), &reply),
                 None => figures.count_no_plc(),
             }
             reply
         };
+        let refused = |id: Option<&str>, refusal: &Refusal| counted(Reply::refused(id, refusal));
         let Ok(_call) = calls.try_acquire() else {
             return refused(None, &Refusal::Busy { waiting: MAX_CALLS });
         };
@@ -253,6 +294,9 @@ impl Commands {
         };
         if retained {
             return refused(Some(&request.id), &Refusal::Retained);
+        }
+        if let Some(failure) = failure {
+            return counted(failure.reply(&request));
         }
         let plan = rules::check(&request, plc, &*registry.read(), clock.now().wall);
         let (digest, id) = (request.digest(), request.id);
@@ -268,6 +312,17 @@ impl Commands {
     #[must_use]
     pub fn stats(&self) -> CommandStats {
         self.shared.figures.snapshot()
+    }
+
+    /// Why no command can be executed: the file of their ids cannot be used.
+    #[must_use]
+    pub fn failure(&self) -> Option<&str> {
+        self.shared.failure.as_ref().map(|failure| failure.why.as_str())
+    }
+
+    /// Waits until the task has ended, after [`close`](Self::close) or by a panic. Cancel-safe.
+    pub async fn ended(&self) {
+        self.shared.ended.cancelled().await;
     }
 
     /// Refuses new commands, and waits until those under way have ended, for some seconds at most. Pulses that

@@ -32,7 +32,7 @@ pub use self::reload::ReloadError;
 use self::service::Service;
 use crate::buffer::{Buffer, BufferError, BufferSettings};
 use crate::collect::Collector;
-use crate::command::{Commands, CommandsError};
+use crate::command::{Commands, NoFolder};
 use crate::config::Config;
 use crate::file_limit;
 use crate::http::{self, BindError};
@@ -70,7 +70,7 @@ pub enum RunError {
     Add(#[from] AddError),
     /// Commands cannot be executed.
     #[error(transparent)]
-    Commands(#[from] CommandsError),
+    Commands(#[from] NoFolder),
     /// The buffer cannot be opened.
     #[error(transparent)]
     Buffer(#[from] BufferError),
@@ -182,6 +182,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
             _ = &mut collector => break Err(RunError::Panicked("collector")),
             _ = &mut http => break Err(RunError::Panicked("page")),
             () = bridge.buffer.ended() => break Err(RunError::Panicked("buffer")),
+            () = commands_ended(bridge.commands.as_ref()) => break Err(RunError::Panicked("commands")),
             () = service.stay_alive(&bridge.liveness) => {}
         }
     };
@@ -195,6 +196,14 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         let _ = http.await;
     }
     ended
+}
+
+/// Waits until the commands have ended; forever without commands.
+async fn commands_ended(commands: Option<&Commands>) {
+    match commands {
+        Some(commands) => commands.ended().await,
+        None => std::future::pending().await,
+    }
 }
 
 /// Opens the buffer. That reads the whole file, so it has a thread of its own.

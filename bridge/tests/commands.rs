@@ -15,6 +15,7 @@ use fatek::sim::{Bus, Change, DisconnectAt, Fault, Faults, Plc, Rule, Server};
 use fatek::wire::Framing;
 use fatek::{ErrorCode, Pool, discrete, register};
 use fatek_bridge::command::{CommandSettings, Commands, FILE_NAME, Outcome, Reply, Storage, WallClock};
+use fatek_bridge::config::Config;
 use fatek_bridge::registry::Registry;
 use futures::future::join_all;
 use serde_json::{Value, json};
@@ -503,4 +504,56 @@ async fn bytes_that_are_no_command_are_refused() {
         assert_eq!(reply.id(), None);
     }
     assert_eq!(bench.changes(), []);
+}
+
+/// Without the cure nobody noticed, and later commands were told that the bridge is stopping.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_panic_of_the_task_is_told_to_the_caller_and_to_the_bridge() {
+    let bench = Bench::start().await;
+    let is_armed = Arc::new(AtomicU64::new(0));
+    let clock = WallClock::new({
+        let is_armed = is_armed.clone();
+        // The test itself is no task of the runtime.
+        move || {
+            assert!(is_armed.load(Ordering::Relaxed) == 0 || tokio::task::try_id().is_none(), "a fault of the clock");
+            SystemTime::now()
+        }
+    });
+    let settings = CommandSettings { clock, ..CommandSettings::new(Storage::Memory) };
+    let commands = Commands::start(settings, bench.registry.clone()).await.unwrap();
+    ok(&commands.execute("mixer", command("1", "valve", json!(true)).as_bytes(), false).await);
+    is_armed.store(1, Ordering::Relaxed);
+    let reply = commands.execute("mixer", command("2", "valve", json!(true)).as_bytes(), false).await;
+    is(&reply, Outcome::Unknown, "closed: ");
+    tokio::time::timeout(PATIENCE, commands.ended()).await.unwrap();
+}
+
+/// Without the cure it gave the status 1, and the service manager started the bridge again and again, without data.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_damaged_file_of_commands_stops_commands_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "[bridge]\nid = 'hall-2'\nbuffer = { dir = '.' }\n[mqtt]\nurl = 'mqtt://127.0.0.1:1'\nwrite = true\n\
+                [plc.mixer]\nlink = 'tcp://127.0.0.1:1'\nstation = 1\ntag.valve = { at = 'M5', write = {} }\n";
+    let path = folder.path().join("bridge.toml");
+    std::fs::write(&path, text).unwrap();
+    let config = Config::load(&path).unwrap();
+    let file = folder.path().join(FILE_NAME);
+    let good = Commands::start(settings(folder.path()), Registry::default()).await.unwrap();
+    good.close().await;
+    let half = std::fs::read(&file).unwrap();
+    let half = half[..half.len() / 2].to_vec();
+    for content in [b"not a database".to_vec(), half] {
+        std::fs::write(&file, &content).unwrap();
+        let commands = Commands::start_for(&config, Registry::default()).await.unwrap().unwrap();
+        let failure = commands.failure().unwrap();
+        assert!(failure.contains(FILE_NAME), "{failure}");
+        let later = json!({ "id": "1", "tag": "valve", "value": true, "ts": now() + 60_000 }).to_string();
+        is(&commands.execute("mixer", later.as_bytes(), false).await, Outcome::Refused, "storage: ");
+        // It may be a repetition of one that the run before has executed.
+        let reply = commands.execute("mixer", command("1", "valve", json!(true)).as_bytes(), false).await;
+        is(&reply, Outcome::Unknown, "storage: an earlier run may have executed it");
+        // An operator decides about it.
+        assert_eq!(std::fs::read(&file).unwrap(), content);
+        commands.close().await;
+    }
 }

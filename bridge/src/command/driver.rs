@@ -1,11 +1,13 @@
 //! The task that performs the outputs of the state machine: it owns the disk, and calls the PLCs.
 
 use std::collections::HashMap;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
 use fatek::tag::{Assignment, TagValue};
 use fatek::{Station, Tag};
+use futures::FutureExt as _;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
@@ -97,7 +99,8 @@ impl Driver {
                         self.step(|core, now, plcs| core.written(now, plcs, token, result));
                     }
                     Ok(Called::Read(token, result)) => self.step(|core, _, _| core.read(token, result)),
-                    Err(error) => tracing::error!(%error, "a call to a PLC has panicked"),
+                    // No call is aborted, and a panic is a result.
+                    Err(error) => debug_assert!(false, "{error}"),
                 },
                 Some((token, result)) = results.recv() => {
                     self.step(|core, now, plcs| core.stored(now, plcs, token, result));
@@ -137,11 +140,11 @@ impl Driver {
             }
             Output::Write { token, plc, write } => {
                 let station = station(&plc);
-                self.calls.spawn(async move { Called::Written(token, send(station, write).await) });
+                self.calls.spawn(async move { Called::Written(token, written(send(station, write)).await) });
             }
             Output::Read { token, plc, tag } => {
                 let station = station(&plc);
-                self.calls.spawn(async move { Called::Read(token, read(station, tag).await) });
+                self.calls.spawn(async move { Called::Read(token, was_read(read(station, tag)).await) });
             }
         }
     }
@@ -156,6 +159,21 @@ async fn until(at: Option<Instant>) {
 }
 
 const NO_PLC: &str = "the PLC was removed from the configuration";
+
+/// What is told of a call that has panicked.
+const PANICKED: &str = "the call has failed: this is a fault of the bridge";
+
+/// The result of a write. After a panic it may have been executed, as after any other fault: the command and the
+/// pulse that wait for it go on.
+async fn written(call: impl Future<Output = Result<(), WriteFailure>>) -> Result<(), WriteFailure> {
+    let panicked = |_| Err(WriteFailure { may_have_executed: true, error: PANICKED.to_owned() });
+    AssertUnwindSafe(call).catch_unwind().await.unwrap_or_else(panicked)
+}
+
+/// The result of a read.
+async fn was_read<T>(call: impl Future<Output = Result<T, String>>) -> Result<T, String> {
+    AssertUnwindSafe(call).catch_unwind().await.unwrap_or_else(|_| Err(PANICKED.to_owned()))
+}
 
 async fn send(station: Option<Station>, write: Write) -> Result<(), WriteFailure> {
     let not_sent = |error: String| WriteFailure { may_have_executed: false, error };
@@ -176,4 +194,17 @@ async fn read(station: Option<Station>, tag: Tag) -> Result<Vec<TagValue>, Strin
     let station = station.ok_or_else(|| NO_PLC.to_owned())?;
     let station = station.with_options(station.options().with_call_timeout(CALL_TIMEOUT));
     station.read(tag).await.map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Without the cure no result came, and the lane of the PLC waited for ever.
+    #[tokio::test]
+    async fn a_call_that_panics_has_a_result() {
+        let failure = written(async { panic!("a fault of a call") }).await.unwrap_err();
+        assert!(failure.may_have_executed && failure.error == PANICKED, "{failure:?}");
+        assert_eq!(was_read::<()>(async { panic!("a fault of a call") }).await, Err(PANICKED.to_owned()));
+    }
 }

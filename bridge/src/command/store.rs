@@ -1,13 +1,14 @@
 //! The file of the commands: ids with their results, and pulses that have not ended.
 //!
 //! A thread of its own writes it, since each commit waits for the disk. Changes that arrive meanwhile are
-//! committed together.
+//! committed together. redb may panic on a damaged page: that counts as an error of the disk.
 //!
 //! | table | key | value |
 //! |---|---|---|
 //! | `commands` | PLC, id | [`Record`] as JSON |
 //! | `pulses` | [`Place`] as JSON | [`PulseRecord`] as JSON |
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::thread::JoinHandle;
@@ -51,7 +52,7 @@ impl StoreError {
 #[derive(Debug)]
 pub(super) enum Store {
     /// In a file, by a thread.
-    File { changes: mpsc::Sender<(u64, Changes)>, thread: JoinHandle<()> },
+    File { changes: mpsc::Sender<(u64, Changes)>, results: tokio_mpsc::UnboundedSender<Result>, thread: JoinHandle<()> },
     /// Nowhere.
     Memory(tokio_mpsc::UnboundedSender<Result>),
 }
@@ -63,28 +64,34 @@ impl Store {
         path: &Path,
         results: tokio_mpsc::UnboundedSender<Result>,
     ) -> std::result::Result<(Self, Stored), StoreError> {
-        let database = open(path).map_err(|error| StoreError::new(path, error))?;
-        let stored = read(&database).map_err(|error| StoreError::new(path, error))?;
-        let (sender, changes) = mpsc::channel();
-        let writer = Writer { path: path.to_owned(), database: Some(database), results };
-        let thread = std::thread::Builder::new().name("commands".to_owned()).spawn(move || writer.run(&changes));
-        let thread = thread.map_err(|error| StoreError::new(path, error))?;
-        Ok((Self::File { changes: sender, thread }, stored))
+        let opened = guarded(|| {
+            let database = open(path)?;
+            let stored = read(&database)?;
+            Ok((database, stored))
+        });
+        let (database, stored) = opened.map_err(|error| StoreError::new(path, error))?;
+        let writer = Writer { path: path.to_owned(), opener: open, database: Some(database), results: results.clone() };
+        let store = writer.start(results).map_err(|error| StoreError::new(path, error))?;
+        Ok((store, stored))
     }
 
     /// Stores a change. Its result is sent when it is on disk.
     pub(super) fn put(&self, token: u64, changes: Changes) {
-        let lost = match self {
-            Self::File { changes: sender, .. } => sender.send((token, changes)).is_err(),
-            Self::Memory(results) => results.send((token, Ok(()))).is_err(),
+        let (results, result) = match self {
+            Self::File { changes: sender, results, .. } => match sender.send((token, changes)) {
+                Ok(()) => return,
+                Err(_) => (results, Err("the thread of the disk has ended".to_owned())),
+            },
+            Self::Memory(results) => (results, Ok(())),
         };
-        debug_assert!(!lost, "the thread runs as long as the sender is there");
+        // The receiver is gone if the bridge is ending.
+        let _ = results.send((token, result));
     }
 
     /// Waits until the file is closed. Blocks.
     pub(super) fn close(self) {
         match self {
-            Self::File { changes, thread } => {
+            Self::File { changes, thread, .. } => {
                 drop(changes);
                 // A panic of the thread was reported by the panic hook.
                 let _ = thread.join();
@@ -97,19 +104,29 @@ impl Store {
 /// The thread of a file.
 struct Writer {
     path: PathBuf,
+    /// Opens the database; tests put faults here.
+    opener: fn(&Path) -> std::result::Result<Database, redb::Error>,
     /// `None` after a failure: the database must be opened anew.
     database: Option<Database>,
     results: tokio_mpsc::UnboundedSender<Result>,
 }
 
 impl Writer {
+    fn start(self, results: tokio_mpsc::UnboundedSender<Result>) -> std::io::Result<Store> {
+        let (sender, changes) = mpsc::channel();
+        let thread = std::thread::Builder::new().name("commands".to_owned()).spawn(move || self.run(&changes))?;
+        Ok(Store::File { changes: sender, results, thread })
+    }
+
     fn run(mut self, changes: &mpsc::Receiver<(u64, Changes)>) {
         while let Ok(first) = changes.recv() {
             let mut group = vec![first];
             group.extend(changes.try_iter().take(MAX_GROUP - 1));
-            let result = self.commit(&group).map_err(|error| error.to_string());
+            let result = guarded(|| self.commit(&group));
             if result.is_err() {
-                self.database = None;
+                let database = self.database.take();
+                // A damaged file may cause a panic here, too.
+                let _ = catch_unwind(AssertUnwindSafe(|| drop(database)));
             }
             for (token, _) in group {
                 // The receiver is gone if the bridge is ending.
@@ -121,7 +138,7 @@ impl Writer {
     fn commit(&mut self, group: &[(u64, Changes)]) -> std::result::Result<(), redb::Error> {
         let database = match self.database.take() {
             Some(database) => database,
-            None => open(&self.path)?,
+            None => (self.opener)(&self.path)?,
         };
         let database = self.database.insert(database);
         let transaction = database.begin_write()?;
@@ -145,6 +162,15 @@ impl Writer {
         }
         transaction.commit()?;
         Ok(())
+    }
+}
+
+/// Runs work on the database. A panic in it is an error.
+fn guarded<T>(work: impl FnOnce() -> std::result::Result<T, redb::Error>) -> std::result::Result<T, String> {
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(done) => done.map_err(|error| error.to_string()),
+        // The panic hook has reported it.
+        Err(_) => Err("the file is damaged".to_owned()),
     }
 }
 
@@ -200,4 +226,43 @@ fn json(value: &impl Serialize) -> Vec<u8> {
 
 fn parse<T: DeserializeOwned>(text: &[u8]) -> Option<T> {
     serde_json::from_slice(text).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    use super::*;
+
+    static OPENED: AtomicU32 = AtomicU32::new(0);
+
+    /// Panics once, as redb can on a damaged page.
+    fn damaged_once(path: &Path) -> std::result::Result<Database, redb::Error> {
+        assert!(OPENED.fetch_add(1, Ordering::Relaxed) > 0, "a damaged page");
+        open(path)
+    }
+
+    /// Without the guard the thread ended, and no result came.
+    #[tokio::test]
+    async fn a_panic_of_the_database_is_an_error_and_the_next_change_opens_it_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let (sender, mut results) = tokio_mpsc::unbounded_channel();
+        let path = folder.path().join("commands.redb");
+        let writer = Writer { path, opener: damaged_once, database: None, results: sender.clone() };
+        let store = writer.start(sender).unwrap();
+        store.put(1, Changes::default());
+        assert_eq!(results.recv().await, Some((1, Err("the file is damaged".to_owned()))));
+        store.put(2, Changes::default());
+        assert_eq!(results.recv().await, Some((2, Ok(()))));
+        store.close();
+    }
+
+    #[tokio::test]
+    async fn changes_fail_if_the_thread_has_ended() {
+        let (results, mut receiver) = tokio_mpsc::unbounded_channel();
+        let (changes, _) = mpsc::channel();
+        let store = Store::File { changes, results, thread: std::thread::spawn(|| ()) };
+        store.put(1, Changes::default());
+        assert!(receiver.recv().await.is_some_and(|(token, result)| token == 1 && result.is_err()));
+    }
 }
