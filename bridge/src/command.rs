@@ -19,9 +19,10 @@ mod rules;
 mod stats;
 mod store;
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, SystemTime};
 
 use tokio::sync::{Semaphore, mpsc, oneshot};
@@ -35,6 +36,7 @@ use self::journal::Key;
 use self::reply::Refusal;
 pub use self::reply::{Outcome, Reply};
 use self::request::Request;
+use self::rules::Gate;
 use self::stats::Figures;
 pub use self::stats::{CommandStats, PlcCommandStats};
 use self::store::Store;
@@ -162,6 +164,7 @@ struct Now {
 #[derive(Clone, Debug)]
 pub struct Commands {
     shared: Arc<Shared>,
+    gate: Gate,
 }
 
 #[derive(Debug)]
@@ -173,6 +176,8 @@ struct Shared {
     figures: Figures,
     /// Why none can be executed.
     failure: Option<Failure>,
+    /// By the name of the output.
+    gates: Mutex<BTreeMap<&'static str, Gate>>,
     task: tokio::sync::Mutex<Option<JoinHandle<()>>>,
     /// Cancelled when the task has ended.
     ended: CancellationToken,
@@ -226,8 +231,9 @@ impl Commands {
             driver.run(receiver, results).await;
         });
         let (calls, task) = (Semaphore::new(MAX_CALLS), tokio::sync::Mutex::new(Some(task)));
-        let shared = Shared { registry, clock, messages, calls, figures, failure: None, task, ended };
-        Ok(Self { shared: Arc::new(shared) })
+        let gates = Mutex::default();
+        let shared = Shared { registry, clock, messages, calls, figures, failure: None, gates, task, ended };
+        Ok(Self { shared: Arc::new(shared), gate: Gate::new(true) })
     }
 
     /// Refuses all commands, since their ids cannot be stored.
@@ -237,8 +243,9 @@ impl Commands {
         let (calls, task) = (Semaphore::new(MAX_CALLS), tokio::sync::Mutex::new(None));
         let (figures, ended) = (Figures::default(), CancellationToken::new());
         let failure = Some(Failure { why, begin: clock.now().wall });
-        let shared = Shared { registry, clock, messages, calls, figures, failure, task, ended };
-        Self { shared: Arc::new(shared) }
+        let gates = Mutex::default();
+        let shared = Shared { registry, clock, messages, calls, figures, failure, gates, task, ended };
+        Self { shared: Arc::new(shared), gate: Gate::new(true) }
     }
 
     /// Starts the commands of a configuration. `None`: no output takes any, and no earlier run has left a file,
@@ -265,6 +272,26 @@ impl Commands {
             );
             Self::failed(error.to_string(), registry)
         })))
+    }
+
+    /// The commands of an output: whether any is executed is set by [`allow`](Self::allow).
+    #[must_use]
+    pub fn of_output(&self, output: &'static str) -> Self {
+        let mut gates = self.shared.gates.lock().unwrap_or_else(PoisonError::into_inner);
+        let gate = gates.entry(output).or_insert_with(|| Gate::new(true)).clone();
+        Self { shared: self.shared.clone(), gate }
+    }
+
+    /// Sets which outputs take commands, also for commands that wait.
+    pub fn allow(&self, takes_commands: impl Fn(&str) -> bool) {
+        let gates = self.shared.gates.lock().unwrap_or_else(PoisonError::into_inner);
+        gates.iter().for_each(|(output, gate)| gate.set_open(takes_commands(output)));
+    }
+
+    /// Commands that are refused, since their output is closing. A repetition gets its reply.
+    #[must_use]
+    pub fn closing(&self) -> Self {
+        Self { shared: self.shared.clone(), gate: Gate::new(false) }
     }
 
     /// Executes the command of a message for a PLC, and returns the reply to send. `retained`: the server has
@@ -298,7 +325,7 @@ impl Commands {
         if let Some(failure) = failure {
             return counted(failure.reply(&request));
         }
-        let plan = rules::check(&request, plc, &*registry.read(), clock.now().wall);
+        let plan = rules::check(&request, plc, &self.gate, &*registry.read(), clock.now().wall);
         let (digest, id) = (request.digest(), request.id);
         let received = Received { key: Key { plc: plc.into(), id: id.clone() }, digest, plan };
         let (sender, reply) = oneshot::channel();

@@ -110,6 +110,8 @@ pub(super) enum Refusal {
     NoTag(String),
     #[error("write: the tag is not writable")]
     NotWritable,
+    #[error("write: the output takes no commands now")]
+    OutputNotWritable,
     #[error("value: {0}")]
     Value(String),
     #[error("range: {value} is {side} {limit}")]

@@ -4,6 +4,7 @@
 //! change and time passes while it waits.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use fatek::plant::{Plant, PlantPlc, PlantTag, WriteRule};
@@ -53,8 +54,26 @@ impl Catalog for Plant {
     }
 }
 
+/// Whether an output takes commands: the `write` of its section, which a reload changes. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(super) struct Gate(Arc<AtomicBool>);
+
+impl Gate {
+    pub(super) fn new(is_open: bool) -> Self {
+        Self(Arc::new(AtomicBool::new(is_open)))
+    }
+
+    pub(super) fn set_open(&self, is_open: bool) {
+        self.0.store(is_open, Ordering::Release);
+    }
+
+    pub(super) fn check(&self) -> Result<(), Refusal> {
+        if self.0.load(Ordering::Acquire) { Ok(()) } else { Err(Refusal::OutputNotWritable) }
+    }
+}
+
 /// A write that the configuration allows.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub(super) struct Plan {
     pub(super) plc: Arc<str>,
     /// The name of the tag.
@@ -64,17 +83,26 @@ pub(super) struct Plan {
     pub(super) values: Vec<TagValue>,
     /// The time of a pulse.
     pub(super) pulse: Option<Duration>,
+    /// The output that it came from.
+    gate: Gate,
     /// The `ts` of the command.
     ts: u64,
 }
 
 /// Checks a command against all rules that do not depend on other commands. `now`: milliseconds since 1970.
-pub(super) fn check(request: &Request, plc: &str, catalog: &dyn Catalog, now: u64) -> Result<Plan, Refusal> {
+pub(super) fn check(
+    request: &Request,
+    plc: &str,
+    gate: &Gate,
+    catalog: &dyn Catalog,
+    now: u64,
+) -> Result<Plan, Refusal> {
+    gate.check()?;
     let (plc, tag, rule) = writable(plc, &request.tag, catalog)?;
     let at = tag.tag();
     let values = at.values_seed().deserialize(&request.value).map_err(|error| Refusal::Value(error.to_string()))?;
     let (plc, name) = (plc.name().into(), tag.name().into());
-    let plan = Plan { plc, name, tag: at, values, pulse: rule.pulse, ts: request.ts };
+    let plan = Plan { plc, name, tag: at, values, pulse: rule.pulse, gate: gate.clone(), ts: request.ts };
     plan.check_values(&rule)?;
     plan.check_time(now)?;
     Ok(plan)
@@ -96,6 +124,7 @@ fn writable<'c>(
 impl Plan {
     /// Checks again what may have changed since [`check`].
     pub(super) fn check_again(&self, catalog: &dyn Catalog, now: u64) -> Result<(), Refusal> {
+        self.gate.check()?;
         let (_, tag, rule) = writable(&self.plc, &self.name, catalog)?;
         if tag.tag() != self.tag || rule.pulse != self.pulse {
             return Err(Refusal::Changed);
@@ -195,7 +224,7 @@ tag.level = "R70:i16"
         let ts = now.checked_add_signed(-age).unwrap();
         let value = serde_json::from_str(value).unwrap();
         let request = Request { id: "1".into(), tag: tag.to_owned(), value, ts };
-        let plan = check(&request, "mixer", &plant, now).map_err(|refusal| refusal.to_string())?;
+        let plan = check(&request, "mixer", &Gate::new(true), &plant, now).map_err(|refusal| refusal.to_string())?;
         assert_eq!(plan.check_again(&plant, now), Ok(()));
         Ok(plan.values)
     }
@@ -275,7 +304,8 @@ tag.level = "R70:i16"
     fn a_change_of_the_configuration_applies_to_commands_that_wait() {
         let plant = Plant::from_toml(PLANT).unwrap();
         let request = Request { id: "1".into(), tag: "setpoint".to_owned(), value: 70.into(), ts: 0 };
-        let plan = check(&request, "mixer", &plant, 0).unwrap();
+        let gate = Gate::new(true);
+        let plan = check(&request, "mixer", &gate, &plant, 0).unwrap();
         let changed = |from: &str, to: &str| {
             let plant = Plant::from_toml(&PLANT.replace(from, to)).unwrap();
             plan.check_again(&plant, 0).unwrap_err().to_string()
@@ -285,5 +315,10 @@ tag.level = "R70:i16"
         assert!(changed("plc.mixer", "plc.boiler").starts_with("plc: "));
         assert!(changed("tag.setpoint", "tag.other").starts_with("tag: "));
         assert!(changed(", write = { min = 0.0, max = 80.0 }", "").starts_with("write: "));
+        assert_eq!(plan.check_again(&plant, 0), Ok(()));
+        gate.set_open(false);
+        assert_eq!(plan.check_again(&plant, 0), Err(Refusal::OutputNotWritable));
+        gate.set_open(true);
+        assert_eq!(plan.check_again(&plant, 0), Ok(()));
     }
 }

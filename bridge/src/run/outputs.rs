@@ -103,14 +103,14 @@ impl Outputs {
             "stdout" => self.tasks.spawn(stdout::run(cursor, health, stop.clone())),
             "mqtt" => {
                 let Some(section) = config.mqtt.clone() else { return };
-                let commands = commands.filter(|_| section.write);
+                let commands = commands.filter(|_| section.write).map(|commands| commands.of_output(name));
                 let former = old.and_then(|old| old.mqtt.clone());
                 let parts = MqttParts { id, registry, former, cursor, health, commands, stop: stop.clone() };
                 self.tasks.spawn(mqtt::run(section, parts))
             }
             "nats" => {
                 let Some(section) = config.nats.clone() else { return };
-                let commands = commands.filter(|_| section.write);
+                let commands = commands.filter(|_| section.write).map(|commands| commands.of_output(name));
                 let parts = NatsParts { id, registry, cursor, health, commands, stop: stop.clone() };
                 self.tasks.spawn(nats::run(section, parts))
             }

@@ -2,6 +2,7 @@
 
 use super::outputs::Outputs;
 use super::{AddError, Bridge};
+use crate::command::Commands;
 use crate::config::{Config, ConfigError};
 
 /// A configuration that is not in force: the one before still is.
@@ -37,13 +38,18 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
     let old = bridge.config();
     let path = old.path.clone();
     let (registry, pool, poller) = (bridge.registry.clone(), bridge.pool.clone(), bridge.poller.clone());
-    let (runtime, takes_commands) = (tokio::runtime::Handle::current(), bridge.commands.is_some());
+    let (runtime, commands) = (tokio::runtime::Handle::current(), bridge.commands.clone());
     // Files are read and thousands of tags planned: that blocks.
     let applied = tokio::task::spawn_blocking(move || {
         let _runtime = runtime.enter();
         let mut config = Config::load(&path)?;
-        let changes = registry.apply(&config.plant, &pool, &poller)?;
-        let needs_restart = keep_fixed(&mut config, &old, takes_commands);
+        let needs_restart = keep_fixed(&mut config, &old, commands.is_some());
+        // No output writes a tag that its new section does not let it write, or its old one.
+        allow(commands.as_ref(), |output| takes_commands(&config, output) && takes_commands(&old, output));
+        let applied = registry.apply(&config.plant, &pool, &poller);
+        let in_force = if applied.is_ok() { &config } else { &*old };
+        allow(commands.as_ref(), |output| takes_commands(in_force, output));
+        let changes = applied?;
         Ok::<_, ReloadError>((config, changes, needs_restart, old))
     });
     let (config, changes, needs_restart, old) = applied.await.map_err(|_| ReloadError::Panicked)??;
@@ -53,6 +59,22 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
     restarted.iter().for_each(|name| tracing::info!(output = name, "the output was started anew"));
     needs_restart.iter().for_each(|what| tracing::warn!("{what} is in force after a restart of the bridge"));
     Ok(())
+}
+
+/// Sets which outputs take commands.
+fn allow(commands: Option<&Commands>, takes_commands: impl Fn(&str) -> bool) {
+    if let Some(commands) = commands {
+        commands.allow(takes_commands);
+    }
+}
+
+/// Returns whether the section of an output has `write = true`.
+fn takes_commands(config: &Config, output: &str) -> bool {
+    match output {
+        "mqtt" => config.mqtt.as_ref().is_some_and(|mqtt| mqtt.write),
+        "nats" => config.nats.as_ref().is_some_and(|nats| nats.write),
+        _ => false,
+    }
 }
 
 /// Keeps the settings that cannot change while the bridge runs. Returns the names of those that differ.

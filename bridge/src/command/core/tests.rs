@@ -14,6 +14,7 @@ use serde_json::json;
 
 use super::*;
 use crate::command::reply::Outcome;
+use crate::command::rules::Gate;
 use crate::command::{request, rules};
 
 const PLANT: &str = r#"
@@ -58,6 +59,7 @@ struct World {
     rng: Rng,
     plants: Vec<Plant>,
     plant: usize,
+    gate: Gate,
     core: Core,
     now: Now,
     /// Outputs that were taken, and whose results were not handed in.
@@ -93,6 +95,7 @@ impl World {
             rng,
             plants: plants(),
             plant: 0,
+            gate: Gate::new(true),
             core,
             now,
             pending: Vec::new(),
@@ -114,7 +117,8 @@ impl World {
             25..35 => self.repeat(),
             35..75 => self.complete_one(true),
             75..90 => self.pass(),
-            90..93 => self.plant = self.rng.usize(0..self.plants.len()),
+            90..92 => self.plant = self.rng.usize(0..self.plants.len()),
+            92..93 => self.gate.set_open(self.rng.bool()),
             93..95 => self.step_clock(),
             95..98 => self.crash(),
             _ => self.tick(),
@@ -153,7 +157,7 @@ impl World {
     fn deliver(&mut self, key: Key) {
         let request = request::parse(self.sent[&key].payload.as_bytes()).unwrap();
         let catalog = &self.plants[self.plant];
-        let plan = rules::check(&request, &key.plc, catalog, self.now.wall);
+        let plan = rules::check(&request, &key.plc, &self.gate, catalog, self.now.wall);
         let received = Received { key: key.clone(), digest: request.digest(), plan };
         let before = self.core.journal.record(&key, None);
         self.next += 1;
@@ -281,6 +285,7 @@ impl World {
             let is_stored = place.is_some_and(|(place, _)| self.disk.pulses.iter().any(|(stored, _)| stored == place));
             assert!(is_stored, "seed {seed}: a pulse was set that is not on disk");
         }
+        assert_eq!(self.gate.check(), Ok(()), "seed {seed}: {plc} {write:?}: its output takes no commands");
         let allowed = self.plants[self.plant].plc(plc).is_some_and(|plc| {
             plc.tags().any(|tag| {
                 let rule = tag.write();
@@ -347,6 +352,7 @@ impl World {
     /// Everything works again: all commands and all pulses end.
     fn heal(&mut self) {
         self.plant = 0;
+        self.gate.set_open(true);
         self.faults_of_disk = false;
         for _ in 0..10_000 {
             self.take_outputs();

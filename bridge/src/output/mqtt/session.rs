@@ -385,6 +385,8 @@ impl<'a> Session<'a> {
         if let Some((commands, plc)) = self.shared.commands.clone().zip(self.shared.topics.plc_of_commands(topic)) {
             let discovery = self.shared.discovery.as_ref().map(Discovery::prefix);
             let reply_to = ReplyTo::new(&self.shared.topics, discovery, plc, response, correlation);
+            // The result of a new one would come after the end of the session.
+            let commands = if self.closes.is_some() { commands.closing() } else { commands };
             let plc = plc.to_owned();
             let command = async move {
                 let reply = commands.execute(&plc, &payload, retain).await;
