@@ -25,6 +25,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, SystemTime};
 
+use fatek::Pool;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -55,15 +56,17 @@ pub struct CommandSettings {
     pub storage: Storage,
     /// The limits.
     pub limits: CommandLimits,
+    /// The links to PLCs that left the configuration before the end of a pulse.
+    pub pool: Pool,
     /// The clock that the `ts` of commands is compared with.
     pub clock: WallClock,
 }
 
 impl CommandSettings {
-    /// With the default limits and the clock of the system.
+    /// With the default limits, links of its own and the clock of the system.
     #[must_use]
     pub fn new(storage: Storage) -> Self {
-        Self { storage, limits: CommandLimits::default(), clock: WallClock::system() }
+        Self { storage, pool: Pool::new(), limits: CommandLimits::default(), clock: WallClock::system() }
     }
 }
 
@@ -223,7 +226,7 @@ impl Commands {
         let figures = Figures::default();
         let core = Core::new(settings.limits, stored, figures.clone(), clock.now());
         let (messages, receiver) = mpsc::unbounded_channel();
-        let driver = Driver::new(core, registry.clone(), store, clock.clone());
+        let driver = Driver::new(core, registry.clone(), settings.pool, store, clock.clone());
         let ended = CancellationToken::new();
         let end = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
@@ -254,7 +257,7 @@ impl Commands {
     ///
     /// # Errors
     /// [`NoFolder`] if an output takes commands and there is no folder for their ids.
-    pub async fn start_for(config: &Config, registry: Registry) -> Result<Option<Self>, NoFolder> {
+    pub async fn start_for(config: &Config, registry: Registry, pool: Pool) -> Result<Option<Self>, NoFolder> {
         let takes_commands =
             config.mqtt.as_ref().is_some_and(|mqtt| mqtt.write) || config.nats.as_ref().is_some_and(|nats| nats.write);
         let storage = match Storage::of_config(config) {
@@ -263,7 +266,8 @@ impl Commands {
             Ok(storage) if !takes_commands && !storage.exists() => return Ok(None),
             Ok(storage) => storage,
         };
-        let started = Self::start(CommandSettings::new(storage), registry.clone()).await;
+        let settings = CommandSettings { pool, ..CommandSettings::new(storage) };
+        let started = Self::start(settings, registry.clone()).await;
         Ok(Some(started.unwrap_or_else(|error| {
             tracing::error!("commands are refused, and pulses of an earlier run are not ended: {error}");
             tracing::error!(

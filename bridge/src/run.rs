@@ -145,7 +145,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let listener = http::bind(config.bridge.http)?;
     // Before the commands: a pulse that an earlier run has not ended needs its PLC.
     let changes = registry.apply(&config.plant, &pool, &poller.handle())?;
-    let commands = Commands::start_for(&config, registry.clone()).await?;
+    let commands = Commands::start_for(&config, registry.clone(), pool.clone()).await?;
     let liveness = Liveness::new();
     let bridge = Bridge {
         registry,

@@ -544,7 +544,7 @@ async fn a_damaged_file_of_commands_stops_commands_alone() {
     let half = half[..half.len() / 2].to_vec();
     for content in [b"not a database".to_vec(), half] {
         std::fs::write(&file, &content).unwrap();
-        let commands = Commands::start_for(&config, Registry::default()).await.unwrap().unwrap();
+        let commands = Commands::start_for(&config, Registry::default(), Pool::new()).await.unwrap().unwrap();
         let failure = commands.failure().unwrap();
         assert!(failure.contains(FILE_NAME), "{failure}");
         let later = json!({ "id": "1", "tag": "valve", "value": true, "ts": now() + 60_000 }).to_string();
@@ -556,4 +556,37 @@ async fn a_damaged_file_of_commands_stops_commands_alone() {
         assert_eq!(std::fs::read(&file).unwrap(), content);
         commands.close().await;
     }
+}
+
+/// Without the cure M100 stayed on, and the reply was `unknown` with "the PLC is not in the configuration".
+#[tokio::test(flavor = "multi_thread")]
+async fn a_pulse_is_ended_though_its_plc_left_the_configuration() {
+    let mut bench = Bench::start().await;
+    let other = Plant::from_toml("[plc.mixer]\nlink = 'tcp://127.0.0.1:1'\nstation = 1\ntag.level = 'R5'\n").unwrap();
+    let remove = async {
+        until("the pulse begins", || bench.plc.read(discrete!("M100")) == true.into()).await;
+        until("it is confirmed", || bench.commands.stats().plcs["mixer"].pulses_open == 1).await;
+        bench.registry.apply(&other, &Pool::new(), &Poller::new().handle()).unwrap();
+    };
+    let (reply, ()) = tokio::join!(bench.send("1", "start", json!(true)), remove);
+    // It was read from the PLC of the pulse, not from the one that has its name now.
+    assert_eq!(*ok(&reply), json!(false));
+    assert_eq!(bench.plc.read(discrete!("M100")), false.into());
+    // The same after a restart: the PLC does not answer, and has left the configuration at the next start.
+    let endpoint = bench.server.endpoint().to_string();
+    bench.registry.apply(&plant(&endpoint, TAGS), &Pool::new(), &Poller::new().handle()).unwrap();
+    let commands = bench.commands.clone();
+    let pulse =
+        tokio::spawn(
+            async move { commands.execute("mixer", command("2", "long", json!(true)).as_bytes(), false).await },
+        );
+    until("the pulse begins", || bench.plc.read(discrete!("M101")) == true.into()).await;
+    bench.faults.set_rules([Rule::new(Fault::Ignore)]);
+    bench.commands.close().await;
+    assert_eq!(pulse.await.unwrap().result(), Outcome::Unknown);
+    bench.registry.apply(&other, &Pool::new(), &Poller::new().handle()).unwrap();
+    bench.faults.set_rules([]);
+    bench.restart().await;
+    until("it is ended", || bench.plc.read(discrete!("M101")) == false.into()).await;
+    until("its end is known", || bench.commands.stats().plcs["mixer"].pulses_open == 0).await;
 }

@@ -64,6 +64,17 @@ pub(super) struct Write {
     pub(super) values: Vec<TagValue>,
     /// `true`: the end of a pulse, which may be sent again.
     pub(super) is_end: bool,
+    /// The time after which it must not be sent any more.
+    pub(super) valid_for: Duration,
+}
+
+/// The PLC of a call.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Target {
+    /// The PLC that has this name now.
+    Plc(Arc<str>),
+    /// The PLC of a pulse, which may have another name by now, or have left the configuration.
+    Place(Place),
 }
 
 /// A write that was not confirmed.
@@ -77,8 +88,8 @@ pub(super) struct WriteFailure {
 #[derive(Debug)]
 pub(super) enum Output {
     Store { token: u64, changes: Changes },
-    Write { token: u64, plc: Arc<str>, write: Write },
-    Read { token: u64, plc: Arc<str>, tag: Tag },
+    Write { token: u64, target: Target, write: Write },
+    Read { token: u64, target: Target, tag: Tag },
     Reply { call: u64, reply: Reply },
 }
 
@@ -308,10 +319,12 @@ impl Core {
                     let reply = Reply::refused(Some(&active.key.id), &refusal);
                     return self.finish(active, reply, true);
                 }
-                let write = Write { tag: active.plan.tag, values: active.plan.values.clone(), is_end: false };
+                let valid_for = active.plan.valid_for(now.wall);
+                let write =
+                    Write { tag: active.plan.tag, values: active.plan.values.clone(), is_end: false, valid_for };
                 self.put_active(active);
                 let token = self.token(Owner::Lane(plc.clone()));
-                self.outputs.push_back(Output::Write { token, plc: plc.clone(), write });
+                self.outputs.push_back(Output::Write { token, target: Target::Plc(plc.clone()), write });
                 return;
             }
             (Step::Finishing(reply), result) => {
@@ -353,7 +366,7 @@ impl Core {
                 let tag = active.plan.tag;
                 self.put_active(active);
                 let token = self.token(Owner::Lane(plc.clone()));
-                self.outputs.push_back(Output::Read { token, plc: plc.clone(), tag });
+                self.outputs.push_back(Output::Read { token, target: Target::Plc(plc.clone()), tag });
             }
             (Err(WriteFailure { may_have_executed: false, error }), _, _) => {
                 let reply = Reply::refused(Some(&id), &Refusal::Call(error));

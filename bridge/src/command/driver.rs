@@ -2,21 +2,21 @@
 
 use std::collections::HashMap;
 use std::panic::AssertUnwindSafe;
-use std::sync::Arc;
 use std::time::Duration;
 
 use fatek::tag::{Assignment, TagValue};
-use fatek::{Station, Tag};
+use fatek::{Pool, Station, Tag};
 use futures::FutureExt as _;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 
-use super::core::{Core, Output, Received, Write, WriteFailure};
+use super::core::{Core, Output, Received, Target, Write, WriteFailure};
+use super::pulse::Place;
 use super::reply::Reply;
 use super::store::{self, Store};
 use super::{Now, WallClock};
-use crate::registry::{Plcs, Registry};
+use crate::registry::{Plcs, PolledPlc, Registry};
 
 /// The time for one request to a PLC: waiting for its turn and for a connection included.
 pub(super) const CALL_TIMEOUT: Duration = Duration::from_secs(5);
@@ -42,6 +42,7 @@ enum Called {
 pub(super) struct Driver {
     core: Core,
     registry: Registry,
+    pool: Pool,
     store: Store,
     calls: JoinSet<Called>,
     waiting: HashMap<u64, oneshot::Sender<Reply>>,
@@ -63,9 +64,9 @@ impl Clock {
 }
 
 impl Driver {
-    pub(super) fn new(core: Core, registry: Registry, store: Store, clock: Clock) -> Self {
+    pub(super) fn new(core: Core, registry: Registry, pool: Pool, store: Store, clock: Clock) -> Self {
         let (calls, waiting) = (JoinSet::new(), HashMap::new());
-        Self { core, registry, store, calls, waiting, next_call: 0, clock }
+        Self { core, registry, pool, store, calls, waiting, next_call: 0, clock }
     }
 
     /// Runs until it was closed and everything has ended, or until all handles are gone.
@@ -105,7 +106,7 @@ impl Driver {
                 Some((token, result)) = results.recv() => {
                     self.step(|core, now, plcs| core.stored(now, plcs, token, result));
                 }
-                () = until(tick_at) => self.step(|core, now, plcs| core.tick(now, plcs)),
+                () = until(tick_at) => self.step(|core, now, _| core.tick(now)),
                 () = until(close_at) => {
                     tracing::warn!("commands did not end within {CLOSE_TIMEOUT:?}: their results are unknown");
                     break;
@@ -128,8 +129,26 @@ impl Driver {
         }
     }
 
+    /// The station of a call; an error tells why there is none.
+    fn station(&self, target: &Target, plcs: &Plcs) -> Result<Station, String> {
+        match target {
+            Target::Plc(name) => {
+                let polled = plcs.get(name).ok_or_else(|| "the PLC was removed from the configuration".to_owned())?;
+                Ok(polled.station.clone())
+            }
+            Target::Place(Place { endpoint, station, .. }) => {
+                let is_there = |polled: &&PolledPlc| {
+                    polled.plc.station() == *station && polled.plc.endpoint().to_string() == *endpoint
+                };
+                match plcs.iter().find(is_there) {
+                    Some(polled) => Ok(polled.station.clone()),
+                    None => self.pool.station(endpoint.as_str(), *station).map_err(|error| error.to_string()),
+                }
+            }
+        }
+    }
+
     fn perform(&mut self, output: Output, plcs: &Plcs) {
-        let station = |plc: &Arc<str>| plcs.get(plc).map(|polled| polled.station.clone());
         match output {
             Output::Store { token, changes } => self.store.put(token, changes),
             Output::Reply { call, reply } => {
@@ -138,12 +157,12 @@ impl Driver {
                     let _ = sender.send(reply);
                 }
             }
-            Output::Write { token, plc, write } => {
-                let station = station(&plc);
+            Output::Write { token, target, write } => {
+                let station = self.station(&target, plcs);
                 self.calls.spawn(async move { Called::Written(token, written(send(station, write)).await) });
             }
-            Output::Read { token, plc, tag } => {
-                let station = station(&plc);
+            Output::Read { token, target, tag } => {
+                let station = self.station(&target, plcs);
                 self.calls.spawn(async move { Called::Read(token, was_read(read(station, tag)).await) });
             }
         }
@@ -157,8 +176,6 @@ async fn until(at: Option<Instant>) {
         None => std::future::pending().await,
     }
 }
-
-const NO_PLC: &str = "the PLC was removed from the configuration";
 
 /// What is told of a call that has panicked.
 const PANICKED: &str = "the call has failed: this is a fault of the bridge";
@@ -175,10 +192,12 @@ async fn was_read<T>(call: impl Future<Output = Result<T, String>>) -> Result<T,
     AssertUnwindSafe(call).catch_unwind().await.unwrap_or_else(|_| Err(PANICKED.to_owned()))
 }
 
-async fn send(station: Option<Station>, write: Write) -> Result<(), WriteFailure> {
+async fn send(station: Result<Station, String>, write: Write) -> Result<(), WriteFailure> {
     let not_sent = |error: String| WriteFailure { may_have_executed: false, error };
-    let Some(station) = station else { return Err(not_sent(NO_PLC.to_owned())) };
-    let options = station.options().with_call_timeout(CALL_TIMEOUT).with_retry_writes(write.is_end);
+    let station = station.map_err(not_sent)?;
+    // It may wait for its turn until it is too old.
+    let options =
+        station.options().with_call_timeout(write.valid_for.min(CALL_TIMEOUT)).with_retry_writes(write.is_end);
     let station = station.with_options(options);
     let written = if write.tag.is_bits_of_register() {
         let states: Vec<bool> = write.values.iter().map(|value| *value == TagValue::Bool(true)).collect();
@@ -190,8 +209,8 @@ async fn send(station: Option<Station>, write: Write) -> Result<(), WriteFailure
     written.map_err(|error| WriteFailure { may_have_executed: error.may_have_executed(), error: error.to_string() })
 }
 
-async fn read(station: Option<Station>, tag: Tag) -> Result<Vec<TagValue>, String> {
-    let station = station.ok_or_else(|| NO_PLC.to_owned())?;
+async fn read(station: Result<Station, String>, tag: Tag) -> Result<Vec<TagValue>, String> {
+    let station = station?;
     let station = station.with_options(station.options().with_call_timeout(CALL_TIMEOUT));
     station.read(tag).await.map_err(|error| error.to_string())
 }

@@ -75,9 +75,6 @@ pub(super) enum PulseState {
     Stored(Duration),
 }
 
-/// The delay before a PLC that is not in the configuration is looked up again.
-pub(super) const ABSENT: Duration = Duration::from_secs(10);
-
 impl Pulse {
     pub(super) fn new(record: PulseRecord, tag: Tag, state: PulseState) -> Self {
         Self { record, tag, state, command: None, is_cut: false, is_reported: false, backoff: Backoff::default() }

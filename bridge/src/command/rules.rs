@@ -24,33 +24,17 @@ pub(super) const MAX_AHEAD: Duration = Duration::from_secs(5);
 pub(super) trait Catalog {
     /// The PLC of this name.
     fn plc(&self, name: &str) -> Option<&PlantPlc>;
-
-    /// The name of the PLC at an endpoint, with this station number.
-    fn name_at(&self, endpoint: &str, station: u8) -> Option<&str>;
-}
-
-/// Returns whether a PLC is at this endpoint, with this station number.
-fn is_at(plc: &PlantPlc, endpoint: &str, station: u8) -> bool {
-    plc.station() == station && plc.endpoint().to_string() == endpoint
 }
 
 impl Catalog for Plcs {
     fn plc(&self, name: &str) -> Option<&PlantPlc> {
         self.get(name).map(|polled| &polled.plc)
     }
-
-    fn name_at(&self, endpoint: &str, station: u8) -> Option<&str> {
-        self.iter().map(|polled| &polled.plc).find(|plc| is_at(plc, endpoint, station)).map(PlantPlc::name)
-    }
 }
 
 impl Catalog for Plant {
     fn plc(&self, name: &str) -> Option<&PlantPlc> {
         Self::plc(self, name)
-    }
-
-    fn name_at(&self, endpoint: &str, station: u8) -> Option<&str> {
-        self.plcs().find(|plc| is_at(plc, endpoint, station)).map(PlantPlc::name)
     }
 }
 
@@ -131,6 +115,11 @@ impl Plan {
         }
         self.check_values(&rule)?;
         self.check_time(now)
+    }
+
+    /// The time until it is too old.
+    pub(super) fn valid_for(&self, now: u64) -> Duration {
+        MAX_AGE.saturating_sub(Duration::from_millis(now.saturating_sub(self.ts)))
     }
 
     fn check_time(&self, now: u64) -> Result<(), Refusal> {

@@ -4,11 +4,10 @@ use std::time::Duration;
 
 use fatek::tag::{Tag, TagValue};
 
-use super::{Changes, Core, Output, Owner, Reply, Write, WriteFailure, confirmed, warn_of};
+use super::{Changes, Core, Output, Owner, Reply, Target, Write, WriteFailure, confirmed, warn_of};
 use crate::command::Now;
 use crate::command::journal::Key;
-use crate::command::pulse::{ABSENT, Place, Pulse, PulseRecord, PulseState, off};
-use crate::command::rules::Catalog;
+use crate::command::pulse::{Place, Pulse, PulseRecord, PulseState, off};
 
 impl Core {
     /// Takes up a pulse of an earlier run: it is ended at once.
@@ -41,14 +40,14 @@ impl Core {
     }
 
     /// Performs the steps of pulses whose time has come.
-    pub(in crate::command) fn tick(&mut self, now: Now, catalog: &dyn Catalog) {
+    pub(in crate::command) fn tick(&mut self, now: Now) {
         let is_due = |pulse: &Pulse| pulse.due().is_some_and(|at| at <= now.run);
         let due: Vec<Place> =
             self.pulses.iter().filter(|(_, pulse)| is_due(pulse)).map(|(place, _)| place.clone()).collect();
         for place in due {
             let Some(pulse) = self.pulses.get(&place) else { continue };
             match pulse.state {
-                PulseState::On(_) | PulseState::Waiting(_) => self.end_pulse(now, &place, catalog),
+                PulseState::On(_) | PulseState::Waiting(_) => self.end_pulse(&place),
                 PulseState::Stored(_) => self.clear_pulse(&place, None),
                 PulseState::Beginning | PulseState::Ending | PulseState::Reading | PulseState::Clearing(_) => {}
             }
@@ -56,17 +55,12 @@ impl Core {
     }
 
     /// Sends the reset to the PLC at the place of the pulse. Its name and its tags may have changed.
-    fn end_pulse(&mut self, now: Now, place: &Place, catalog: &dyn Catalog) {
-        let Some(plc) = catalog.name_at(&place.endpoint, place.station) else {
-            let error = "the PLC is not in the configuration".to_owned();
-            self.end_failed(place, now.run.saturating_add(ABSENT), &error);
-            return;
-        };
+    fn end_pulse(&mut self, place: &Place) {
         let Some(pulse) = self.pulses.get_mut(place) else { return };
         pulse.state = PulseState::Ending;
-        let write = Write { tag: pulse.tag, values: off(), is_end: true };
+        let write = Write { tag: pulse.tag, values: off(), is_end: true, valid_for: Duration::MAX };
         let token = self.token(Owner::Pulse(place.clone()));
-        self.outputs.push_back(Output::Write { token, plc: plc.into(), write });
+        self.outputs.push_back(Output::Write { token, target: Target::Place(place.clone()), write });
     }
 
     pub(super) fn pulse_written(&mut self, now: Now, place: &Place, result: Result<(), WriteFailure>) {
@@ -74,9 +68,9 @@ impl Core {
         match result {
             Ok(()) if pulse.command.is_some() => {
                 pulse.state = PulseState::Reading;
-                let (plc, tag) = (pulse.record.plc.as_str().into(), pulse.tag);
+                let (target, tag) = (Target::Place(place.clone()), pulse.tag);
                 let token = self.token(Owner::Pulse(place.clone()));
-                self.outputs.push_back(Output::Read { token, plc, tag });
+                self.outputs.push_back(Output::Read { token, target, tag });
             }
             Ok(()) => self.clear_pulse(place, None),
             Err(failure) => {

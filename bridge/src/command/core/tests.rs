@@ -181,18 +181,31 @@ impl World {
     }
 
     fn tick(&mut self) {
-        self.core.tick(self.now, &self.plants[self.plant]);
+        self.core.tick(self.now);
     }
 
     fn take_outputs(&mut self) {
         while let Some(output) = self.core.poll_output() {
             match output {
                 Output::Reply { call, reply } => self.check_reply(call, reply),
-                Output::Write { token, plc, write } => {
-                    self.check_write(&plc, &write);
-                    self.pending.push(Output::Write { token, plc, write });
+                Output::Write { token, target, write } => {
+                    self.check_write(&self.name_of(&target), &write);
+                    self.pending.push(Output::Write { token, target, write });
                 }
                 other @ (Output::Store { .. } | Output::Read { .. }) => self.pending.push(other),
+            }
+        }
+    }
+
+    /// The name of the PLC in the first plant. The second and the third have it at the same place, or not at all.
+    fn name_of(&self, target: &Target) -> Arc<str> {
+        match target {
+            Target::Plc(name) => name.clone(),
+            Target::Place(place) => {
+                let is_there = |plc: &&fatek::plant::PlantPlc| {
+                    plc.station() == place.station && plc.endpoint().to_string() == place.endpoint
+                };
+                self.plants[0].plcs().find(is_there).unwrap().name().into()
             }
         }
     }
@@ -221,7 +234,8 @@ impl World {
                 let result = if fails { Err("no space left".to_owned()) } else { Ok(()) };
                 self.core.stored(self.now, catalog, token, result);
             }
-            Output::Write { token, plc, write } => {
+            Output::Write { token, target, write } => {
+                let plc = self.name_of(&target);
                 let is_executed = !fails || self.rng.bool();
                 if is_executed {
                     self.execute(&plc, &write, token);
@@ -233,7 +247,7 @@ impl World {
                 }
                 self.core.written(self.now, catalog, token, if fails { Err(failure) } else { Ok(()) });
             }
-            Output::Read { token, plc: _, tag } => {
+            Output::Read { token, target: _, tag } => {
                 let values = vec![if tag.tag_type().is_number() { TagValue::U32(0) } else { TagValue::Bool(false) }];
                 self.core.read(token, if fails { Err("no reply".to_owned()) } else { Ok(values) });
             }
@@ -277,6 +291,9 @@ impl World {
             return;
         }
         let key = self.core.lanes[plc].active.as_ref().unwrap().key.clone();
+        let ts = request::parse(self.sent[&key].payload.as_bytes()).unwrap().ts;
+        let last = Duration::from_millis(self.now.wall).saturating_add(write.valid_for);
+        assert!(last <= Duration::from_millis(ts + 10_000), "seed {seed}: {key:?} may be sent when it is too old");
         assert!(
             self.disk.commands.iter().any(|(stored, _)| *stored == key),
             "seed {seed}: {key:?} was sent before its id was on disk"
@@ -337,7 +354,9 @@ impl World {
                         self.disk.apply(&changes);
                     }
                 }
-                Output::Write { token, plc, write } if self.rng.bool() => self.execute(&plc, &write, token),
+                Output::Write { token, target, write } if self.rng.bool() => {
+                    self.execute(&self.name_of(&target), &write, token);
+                }
                 Output::Write { .. } | Output::Read { .. } | Output::Reply { .. } => {}
             }
         }

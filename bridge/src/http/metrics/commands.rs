@@ -15,6 +15,9 @@ const RESULTS: [ResultCounter; 3] =
 
 pub(super) fn write(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
     let Some(commands) = &shared.bridge.commands else { return Ok(()) };
+    let is_ready = u64::from(commands.failure().is_none());
+    let help = "0 if no command can be executed, since the file of their ids cannot be used";
+    to.gauge("commands_ready", None, help, [(vec![], is_ready)])?;
     let stats = commands.stats();
     let plcs = || stats.plcs.iter().map(|(plc, stats)| (&**plc, stats));
     let of = |name, result| vec![("plc", name), ("result", result)];
