@@ -106,6 +106,7 @@ impl Carried {
 
     fn push_reply(&mut self, reply: Message) {
         if self.replies.len() == MAX_REPLIES {
+            tracing::warn!("mqtt: the reply of a command is lost: more than {MAX_REPLIES} wait for a connection");
             self.replies.pop_front();
         }
         self.replies.push_back(reply);

@@ -34,8 +34,10 @@ const TICK: Duration = Duration::from_secs(1);
 const REPEAT: u32 = 10;
 /// The commands that run at once. More wait in the subscription.
 const MAX_COMMANDS: usize = 256;
+/// The time for commands that run to end when the output ends.
+const REPLIES: Duration = Duration::from_secs(1);
 /// The time for the last messages when the output ends.
-const GOODBYE: Duration = Duration::from_secs(1);
+const GOODBYE: Duration = Duration::from_millis(500);
 /// The JetStream error of a message that is longer than its stream takes.
 const TOO_LONG: u64 = 10054;
 
@@ -218,12 +220,25 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Gives replies of commands that have ended, and the state of a bridge that is not connected.
+    /// Gives replies of commands that run, and the state of a bridge that is not connected.
     async fn say_goodbye(&mut self) {
-        let goodbye = async {
-            while let Some(Some((subject, reply))) = self.carried.commands.next().now_or_never() {
+        // New ones find no responder.
+        self.subscriber = None;
+        let replies = async {
+            while let Some((subject, reply)) = self.carried.commands.next().await {
                 publish(self.connection.client(), subject, reply).await?;
             }
+            Ok::<_, String>(())
+        };
+        match timeout(REPLIES, replies).await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => tracing::warn!("nats: a reply was not sent: {error}"),
+            Err(_) => {
+                let lost = self.carried.commands.len();
+                tracing::warn!(lost, "nats: commands did not end within {REPLIES:?}: their replies are lost");
+            }
+        }
+        let goodbye = async {
             publish(
                 self.connection.client(),
                 self.shared.topics.bridge_state(),
