@@ -158,8 +158,8 @@ impl Sections {
         if let Some(MqttSection { password_file, ca_file, cert_file, key_file, .. }) = &mut mqtt {
             [password_file, ca_file, cert_file, key_file].into_iter().for_each(credential);
         }
-        if let Some(NatsSection { creds_file, ca_file, cert_file, key_file, .. }) = &mut nats {
-            [creds_file, ca_file, cert_file, key_file].into_iter().for_each(credential);
+        if let Some(NatsSection { creds_file, password_file, ca_file, cert_file, key_file, .. }) = &mut nats {
+            [creds_file, password_file, ca_file, cert_file, key_file].into_iter().for_each(credential);
         }
         Config { path: path.to_owned(), bridge, mqtt, nats, stdout, fleet, plant }
     }

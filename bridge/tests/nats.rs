@@ -12,7 +12,8 @@ use std::time::{Duration, Instant};
 use async_nats::jetstream::{self, stream};
 use fatek::plant::Plant;
 use fatek::poll::Poller;
-use fatek::sim::Plc;
+use fatek::sim::{Bus, Fault, Faults, Plc, Rule};
+use fatek::wire::Framing;
 use fatek::{Pool, register};
 use fatek_bridge::batch::Batch;
 use fatek_bridge::buffer::Buffer;
@@ -286,6 +287,11 @@ async fn a_stalled_server_holds_up_no_other_output_and_loses_nothing() {
 /// A PLC with its registry.
 async fn plant(plc: &Plc) -> (fatek::sim::Server, Poller, Registry) {
     let server = plc.serve("127.0.0.1:0").await.unwrap();
+    let (poller, registry) = polled(&server);
+    (server, poller, registry)
+}
+
+fn polled(server: &fatek::sim::Server) -> (Poller, Registry) {
     let plant = Plant::from_toml(&format!(
         "[plc.mixer]\nlink = '{}'\nstation = 1\ntag.setpoint = {{ at = 'R200:u16', write = {{ max = 80 }} }}\n\
          tag.level = 'R5'\n",
@@ -294,7 +300,7 @@ async fn plant(plc: &Plc) -> (fatek::sim::Server, Poller, Registry) {
     .unwrap();
     let (poller, registry) = (Poller::new(), Registry::default());
     registry.apply(&plant, &Pool::new(), &poller.handle()).unwrap();
-    (server, poller, registry)
+    (poller, registry)
 }
 
 fn command(id: &str, tag: &str, value: Value) -> bytes::Bytes {
@@ -448,4 +454,68 @@ async fn tls_is_checked_by_the_given_certificates() {
         }
         output.stop().await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_user_with_a_password_is_let_in() {
+    let folder = tempfile::tempdir().unwrap();
+    let users = "authorization { user: bridge, password: hunter2 }\n";
+    let Some(server) = NatsServer::start_with(folder.path(), users) else { return };
+    let url = format!("nats://127.0.0.1:{}", server.port());
+    std::fs::write(folder.path().join("good"), "hunter2\n").unwrap();
+    std::fs::write(folder.path().join("bad"), "hunter3\n").unwrap();
+    for (more, is_let_in) in [
+        ("", false),
+        ("user = 'bridge'\npassword_file = 'bad'", false),
+        ("user = 'bridge'\npassword_file = 'good'", true),
+    ] {
+        let output = Output::start_with(section(folder.path(), &url, more), Registry::default(), None);
+        if is_let_in {
+            output.push("mixer", 1);
+            output.drained().await;
+        } else {
+            output.until("an error", |output| output.health.failure().is_some()).await;
+            let failure = output.health.failure().unwrap();
+            assert!(failure.to_lowercase().contains("authorization") && !failure.contains("hunter"), "{failure}");
+        }
+        output.stop().await;
+    }
+}
+
+/// Without the cure the client waited in vain: the output ended before the write did.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_under_way_gets_its_reply_when_the_output_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(server) = NatsServer::start(folder.path()) else { return };
+    let (plc, faults) = (Plc::new(), Faults::new(1));
+    let bus = Bus::new().with_station(1, plc.clone()).unwrap().with_faults(faults.clone());
+    let plc_server = fatek::sim::Server::bind("127.0.0.1:0", bus, Framing::Ascii).await.unwrap();
+    let (_poller, registry) = polled(&plc_server);
+    let commands = Commands::start(CommandSettings::new(Storage::Memory), registry.clone()).await.unwrap();
+    let url = format!("nats://127.0.0.1:{}", server.port());
+    let output = Output::start_with(section(folder.path(), &url, "write = true"), registry, Some(commands));
+    let client = server.client().await;
+    output.until("connected", |output| output.health.is_connected()).await;
+    assert_eq!(first_reply(&client).await["result"], "ok");
+    let delay = Duration::from_millis(150);
+    faults.set_rules([Rule::new(Fault::Delay { min: delay, max: delay })]);
+    let asked = client.clone();
+    let reply = tokio::spawn(async move { request(&asked, command("2", "setpoint", json!(42))).await });
+    output.until("it is executed", |_| plc.read(register!("R200")) == 42_u16.into()).await;
+    output.stop().await;
+    let reply = tokio::time::timeout(PATIENCE, reply).await.unwrap().unwrap();
+    assert_eq!((&reply["id"], &reply["result"]), (&json!("2"), &json!("ok")), "{reply}");
+}
+
+/// The reply to a command, which is sent until the output has subscribed.
+async fn first_reply(client: &async_nats::Client) -> Value {
+    let payload = command("1", "setpoint", json!(1));
+    let ask = async {
+        loop {
+            if let Ok(reply) = client.request("fatek.hall-2.mixer.cmd", payload.clone()).await {
+                break serde_json::from_slice(&reply.payload).unwrap();
+            }
+        }
+    };
+    tokio::time::timeout(PATIENCE, ask).await.unwrap()
 }

@@ -23,6 +23,7 @@ pub(super) fn check(config: &Config, environment: &Environment, findings: &mut V
     }
     if let Some(nats) = nats {
         secret("nats.creds_file", nats.creds_file.as_deref(), nats.credentials(), environment, findings);
+        secret("nats.password_file", nats.password_file.as_deref(), nats.password(), environment, findings);
         let files = [&nats.ca_file, &nats.cert_file, &nats.key_file];
         tls("nats", nats.url.is_tls(), files, findings);
     }

@@ -8,6 +8,7 @@
 //! | `FATEK_BRIDGE_HTTP_TOKEN` | in place of the content of `bridge.token_file` |
 //! | `FATEK_BRIDGE_MQTT_PASSWORD` | in place of the content of `mqtt.password_file` |
 //! | `FATEK_BRIDGE_NATS_CREDS` | in place of the content of `nats.creds_file` |
+//! | `FATEK_BRIDGE_NATS_PASSWORD` | in place of the content of `nats.password_file` |
 //! | `CREDENTIALS_DIRECTORY` | the folder of secrets, set by systemd |
 //! | `STATE_DIRECTORY` | the folder of the buffer, set by systemd |
 //!

@@ -30,6 +30,12 @@ pub(super) fn check(sections: &Sections, source: &Source<'_>, faults: &mut Vec<C
     if let Some(nats) = nats {
         pair("nats", &nats.cert_file, &nats.key_file, source, faults);
         tls("nats", nats.url.is_tls(), [&nats.ca_file, &nats.cert_file, &nats.key_file], source, faults);
+        if nats.password_file.is_some() && nats.user.is_none() {
+            faults.push(source.fault(&["nats", "password_file"], "it needs user"));
+        }
+        if nats.user.is_some() && nats.creds_file.is_some() {
+            faults.push(source.fault(&["nats", "user"], "it is in place of creds_file: only one of them is allowed"));
+        }
     }
     if let Some(FleetSection { lease, weight, .. }) = fleet {
         if !(Duration::from_secs(1)..=Duration::from_secs(60)).contains(&lease.0) {

@@ -130,6 +130,10 @@ pub struct NatsSection {
     pub url: ServerUrl<Nats>,
     /// The file with the credentials, in `$CREDENTIALS_DIRECTORY` or beside the configuration.
     pub creds_file: Option<PathBuf>,
+    /// The user, in place of `creds_file`.
+    pub user: Option<String>,
+    /// The file with the password of the user, in `$CREDENTIALS_DIRECTORY` or beside the configuration.
+    pub password_file: Option<PathBuf>,
     /// The name of the stream that captures the data.
     #[serde(default = "default_stream")]
     pub stream: Name,
@@ -155,10 +159,21 @@ impl NatsSection {
     pub fn credentials(&self) -> Result<Option<Secret>, SecretError> {
         Secret::find(CREDENTIALS_VARIABLE, self.creds_file.as_deref())
     }
+
+    /// The password, if there is one. Blocks until the disk has read it.
+    ///
+    /// # Errors
+    /// [`SecretError`] if its file cannot be used.
+    pub fn password(&self) -> Result<Option<Secret>, SecretError> {
+        Secret::find(NATS_PASSWORD_VARIABLE, self.password_file.as_deref())
+    }
 }
 
 /// The variable in place of the content of `nats.creds_file`.
 pub(crate) const CREDENTIALS_VARIABLE: &str = "FATEK_BRIDGE_NATS_CREDS";
+
+/// The variable in place of the content of `nats.password_file`.
+pub(crate) const NATS_PASSWORD_VARIABLE: &str = "FATEK_BRIDGE_NATS_PASSWORD";
 
 /// The output to stdout: lines of JSON, for trying and for pipes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]

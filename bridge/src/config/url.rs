@@ -36,7 +36,7 @@ pub enum Nats {}
 impl Protocol for Nats {
     const PLAIN: (&'static str, u16) = ("nats", 4222);
     const TLS: (&'static str, u16) = ("tls", 4222);
-    const CREDENTIALS: &'static str = "creds_file";
+    const CREDENTIALS: &'static str = "creds_file, or in user and password_file";
 }
 
 /// The address of a server: `SCHEME://HOST[:PORT]`.

@@ -39,6 +39,8 @@ pub(super) struct Connection {
 pub(super) enum OpenError {
     #[error("creds_file: {0}")]
     Secret(#[from] SecretError),
+    #[error("password_file: {0}")]
+    Password(SecretError),
     #[error("creds_file: it has no credentials of NATS: {0}")]
     Credentials(std::io::Error),
     #[error("{0}")]
@@ -145,6 +147,11 @@ fn options(section: &NatsSection) -> Result<ConnectOptions, OpenError> {
     let mut options = ConnectOptions::new();
     if let Some(credentials) = section.credentials()? {
         options = options.credentials(credentials.expose()).map_err(OpenError::Credentials)?;
+    }
+    if let Some(user) = &section.user {
+        let password = section.password().map_err(OpenError::Password)?;
+        let password = password.map(|password| password.expose().to_owned()).unwrap_or_default();
+        options = options.user_and_password(user.clone(), password);
     }
     if section.url.is_tls() {
         let files = TlsFiles {
