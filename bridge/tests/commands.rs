@@ -506,7 +506,7 @@ async fn bytes_that_are_no_command_are_refused() {
     assert_eq!(bench.changes(), []);
 }
 
-/// Without the cure nobody noticed, and later commands were told that the bridge is stopping.
+/// Without the guard of the task the bridge went on, and all later commands were refused as `closed`.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_panic_of_the_task_is_told_to_the_caller_and_to_the_bridge() {
     let bench = Bench::start().await;

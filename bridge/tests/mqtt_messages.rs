@@ -310,3 +310,26 @@ async fn hostile_commands_change_nothing_and_stop_nothing() {
     assert_eq!(broker.connected().len(), 1, "{:?}", output.health.failure());
     output.stop().await;
 }
+
+/// Without the cure it was written, and its reply never came: R200 = 42.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_that_comes_while_the_output_ends_is_not_executed() {
+    let broker = Broker::start().await;
+    let plant = PolledPlant::start(PLANT).await;
+    let output = with_commands(&broker, &plant, json!({})).await;
+    // The output waits for the acknowledgement of its last state.
+    let is_last = |received: &Received| {
+        received.topic == "fatek/hall-2/state" && received.payload.as_ref() == br#"{"online":false}"#
+    };
+    broker.behave(move |received| if is_last(received) { Action::Silence } else { Action::Ack });
+    let late = async {
+        broker.wait_for("last state", |broker| broker.received().iter().any(is_last)).await;
+        broker.send(COMMANDS, &command("setpoint", json!(42), 1), false, None);
+    };
+    tokio::join!(output.stop(), late);
+    let replies: Vec<Value> =
+        of_topic(&broker, REPLIES).iter().map(|one| serde_json::from_slice(&one.payload).unwrap()).collect();
+    println!("{replies:?}");
+    assert!(replies.iter().all(|reply| reply["result"] == "refused"), "{replies:?}");
+    assert_eq!(plant.plcs[0].read(register!("R200")), PlcValue::Word(0));
+}

@@ -177,7 +177,7 @@ async fn until(at: Option<Instant>) {
     }
 }
 
-/// What is told of a call that has panicked.
+/// The error of a call that has panicked.
 const PANICKED: &str = "the call has failed: this is a fault of the bridge";
 
 /// The result of a write. After a panic it may have been executed, as after any other fault: the command and the

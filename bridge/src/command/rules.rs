@@ -38,7 +38,8 @@ impl Catalog for Plant {
     }
 }
 
-/// Whether an output takes commands: the `write` of its section, which a reload changes. Cheap to clone.
+/// Lets the commands of an output through, or refuses them: by the `write` of its section, which a reload changes.
+/// Cheap to clone.
 #[derive(Clone, Debug)]
 pub(super) struct Gate(Arc<AtomicBool>);
 

@@ -52,9 +52,17 @@ impl StoreError {
 #[derive(Debug)]
 pub(super) enum Store {
     /// In a file, by a thread.
-    File { changes: mpsc::Sender<(u64, Changes)>, results: tokio_mpsc::UnboundedSender<Result>, thread: JoinHandle<()> },
+    File(FileStore),
     /// Nowhere.
     Memory(tokio_mpsc::UnboundedSender<Result>),
+}
+
+/// A file with its thread.
+#[derive(Debug)]
+pub(super) struct FileStore {
+    changes: mpsc::Sender<(u64, Changes)>,
+    results: tokio_mpsc::UnboundedSender<Result>,
+    thread: JoinHandle<()>,
 }
 
 impl Store {
@@ -78,7 +86,7 @@ impl Store {
     /// Stores a change. Its result is sent when it is on disk.
     pub(super) fn put(&self, token: u64, changes: Changes) {
         let (results, result) = match self {
-            Self::File { changes: sender, results, .. } => match sender.send((token, changes)) {
+            Self::File(FileStore { changes: sender, results, .. }) => match sender.send((token, changes)) {
                 Ok(()) => return,
                 Err(_) => (results, Err("the thread of the disk has ended".to_owned())),
             },
@@ -91,7 +99,7 @@ impl Store {
     /// Waits until the file is closed. Blocks.
     pub(super) fn close(self) {
         match self {
-            Self::File { changes, thread, .. } => {
+            Self::File(FileStore { changes, thread, .. }) => {
                 drop(changes);
                 // A panic of the thread was reported by the panic hook.
                 let _ = thread.join();
@@ -115,7 +123,7 @@ impl Writer {
     fn start(self, results: tokio_mpsc::UnboundedSender<Result>) -> std::io::Result<Store> {
         let (sender, changes) = mpsc::channel();
         let thread = std::thread::Builder::new().name("commands".to_owned()).spawn(move || self.run(&changes))?;
-        Ok(Store::File { changes: sender, results, thread })
+        Ok(Store::File(FileStore { changes: sender, results, thread }))
     }
 
     fn run(mut self, changes: &mpsc::Receiver<(u64, Changes)>) {
@@ -261,7 +269,7 @@ mod tests {
     async fn changes_fail_if_the_thread_has_ended() {
         let (results, mut receiver) = tokio_mpsc::unbounded_channel();
         let (changes, _) = mpsc::channel();
-        let store = Store::File { changes, results, thread: std::thread::spawn(|| ()) };
+        let store = Store::File(FileStore { changes, results, thread: std::thread::spawn(|| ()) });
         store.put(1, Changes::default());
         assert!(receiver.recv().await.is_some_and(|(token, result)| token == 1 && result.is_err()));
     }

@@ -122,6 +122,11 @@ fn keys_that_do_not_fit_together_are_faults() {
             "line 6, mqtt.ca_file: it is for TLS, and the scheme of the URL is without",
         ),
         ("[mqtt]\nurl = 'mqtt://a'\npassword_file = 'p'\n", "line 7, mqtt.password_file: it needs user"),
+        ("[nats]\nurl = 'nats://a'\npassword_file = 'p'\n", "line 7, nats.password_file: it needs user"),
+        (
+            "[nats]\nurl = 'nats://a'\nuser = 'me'\ncreds_file = 'c'\n",
+            "line 7, nats.user: it is in place of creds_file: only one of them is allowed",
+        ),
         ("[bridge]\nbuffer.memory = '0B'\n", "line 6, bridge.buffer.memory: it is more than 0"),
         (
             "[mqtt]\nurl = 'mqtt://a'\nwrite = 'yes'\n",
