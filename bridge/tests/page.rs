@@ -1,5 +1,6 @@
 //! The page in a browser: headless Chromium, driven by `tests/page/test.mjs`, against a bridge with simulated PLCs.
 //!
+//! On a machine that is busy its waits of 60 s are too short: `FATEK_BRIDGE_SKIP_PAGE=1` leaves it out.
 //! Needs node, npm and chromium. Playwright's driver and axe are installed from `tests/page/package-lock.json`.
 //!
 //! `PAGE_FILES=$PWD/src/http/page` takes the files of the page from there, so that a change needs no build.
@@ -150,6 +151,10 @@ async fn serve(script: &mut Child, stage: &mut Stage, stdin: &mut ChildStdin) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_page_works_in_a_browser() {
+    if std::env::var_os("FATEK_BRIDGE_SKIP_PAGE").is_some() {
+        println!("skipped: FATEK_BRIDGE_SKIP_PAGE is set");
+        return;
+    }
     if !has_programs(&["node", "npm", "chromium"]) {
         return;
     }
