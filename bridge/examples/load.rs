@@ -156,7 +156,8 @@ async fn measure(args: Args) -> Result<()> {
             }
         }
         ages.sort_unstable();
-        let age = |share: f64| ages.get((ages.len() as f64 * share) as usize).copied().unwrap_or_default();
+        let oldest = ages.last().copied().ok_or("no message has arrived in this period")?;
+        let age = |share: f64| ages.get((ages.len() as f64 * share) as usize).copied().unwrap_or(oldest);
         let (seconds, cpu) = (begun.elapsed().as_secs_f64(), (cpu_time(bridge.0.id())? - cpu).as_secs_f64());
         println!(
             "{:.0} samples/s in {:.0} messages/s; {:.1} % of a core: {:.0} samples a core-second; \
@@ -167,7 +168,7 @@ async fn measure(args: Args) -> Result<()> {
             samples as f64 / cpu,
             age(0.5),
             age(0.99),
-            ages.last().copied().unwrap_or_default(),
+            oldest,
             memory(bridge.0.id())? as f64 / 1048576.0,
         );
     }
@@ -260,8 +261,9 @@ fn arrival(message: &[u8]) -> Arrival {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let text = String::from_utf8_lossy(message);
     let ts = text.split("\"ts\":").nth(1).and_then(|rest| rest.split(',').next()).and_then(|ts| ts.parse().ok());
+    let ts = ts.unwrap_or_else(|| panic!("a message without a time: {text}"));
     let samples = text.matches("value_").count();
-    Arrival { samples, age: now.saturating_sub(Duration::from_millis(ts.unwrap_or(0))) }
+    Arrival { samples, age: now.saturating_sub(Duration::from_millis(ts)) }
 }
 
 fn free_port() -> Result<u16> {

@@ -201,7 +201,7 @@ impl Buffer {
     }
 
     /// Writes all that is not acknowledged to disk, within a limited time, and closes the file. Returns
-    /// whether all is there; `true` for a buffer in memory. Batches that are pushed later are in memory alone.
+    /// whether all of it is there; `true` for a buffer in memory. Later batches stay in memory only.
     pub async fn close(&self) -> bool {
         let Some(closer) = &self.closer else { return true };
         self.shared.start_closing();

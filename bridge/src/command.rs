@@ -44,6 +44,7 @@ use self::store::Store;
 pub use self::store::StoreError;
 use crate::batch::milliseconds;
 use crate::config::{Config, Environment};
+use crate::output::OutputKind;
 use crate::registry::Registry;
 
 /// The name of the file of the commands.
@@ -179,8 +180,7 @@ struct Shared {
     figures: Figures,
     /// Why none can be executed.
     failure: Option<Failure>,
-    /// By the name of the output.
-    gates: Mutex<BTreeMap<&'static str, Gate>>,
+    gates: Mutex<BTreeMap<OutputKind, Gate>>,
     task: tokio::sync::Mutex<Option<JoinHandle<()>>>,
     /// Cancelled when the task has ended.
     ended: CancellationToken,
@@ -258,8 +258,7 @@ impl Commands {
     /// # Errors
     /// [`NoFolder`] if an output takes commands and there is no folder for their ids.
     pub async fn start_for(config: &Config, registry: Registry, pool: Pool) -> Result<Option<Self>, NoFolder> {
-        let takes_commands =
-            config.mqtt.as_ref().is_some_and(|mqtt| mqtt.write) || config.nats.as_ref().is_some_and(|nats| nats.write);
+        let takes_commands = config.outputs().into_iter().any(|output| config.takes_commands(output));
         let storage = match Storage::of_config(config) {
             Err(error) if takes_commands => return Err(error),
             Err(NoFolder) => return Ok(None),
@@ -280,16 +279,16 @@ impl Commands {
 
     /// The commands of an output: whether any is executed is set by [`allow`](Self::allow).
     #[must_use]
-    pub fn of_output(&self, output: &'static str) -> Self {
+    pub fn of_output(&self, output: OutputKind) -> Self {
         let mut gates = self.shared.gates.lock().unwrap_or_else(PoisonError::into_inner);
         let gate = gates.entry(output).or_insert_with(|| Gate::new(true)).clone();
         Self { shared: self.shared.clone(), gate }
     }
 
     /// Sets which outputs take commands, also for commands that wait.
-    pub fn allow(&self, takes_commands: impl Fn(&str) -> bool) {
+    pub fn allow(&self, takes_commands: impl Fn(OutputKind) -> bool) {
         let gates = self.shared.gates.lock().unwrap_or_else(PoisonError::into_inner);
-        gates.iter().for_each(|(output, gate)| gate.set_open(takes_commands(output)));
+        gates.iter().for_each(|(output, gate)| gate.set_open(takes_commands(*output)));
     }
 
     /// Commands that are refused, since their output is closing. A repetition gets its reply.

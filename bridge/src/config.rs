@@ -32,6 +32,7 @@ pub use self::sections::{BridgeSection, BufferSection, FleetSection, MqttSection
 use self::source::Source;
 pub use self::url::{Mqtt, Nats, Protocol, ServerUrl};
 pub use self::values::{ByteSize, Name, Period};
+use crate::output::OutputKind;
 
 /// The configuration. Its paths are resolved.
 #[derive(Clone, Debug)]
@@ -114,11 +115,25 @@ impl Config {
         Ok(sections.resolve(path, environment, plant))
     }
 
-    /// The names of the outputs that are configured, in the order of their cursors.
+    /// The outputs that are configured, in the order of their cursors.
     #[must_use]
-    pub fn outputs(&self) -> Vec<&'static str> {
-        let outputs = [("stdout", self.stdout.is_some()), ("mqtt", self.mqtt.is_some()), ("nats", self.nats.is_some())];
-        outputs.into_iter().filter(|(_, is_on)| *is_on).map(|(name, _)| name).collect()
+    pub fn outputs(&self) -> Vec<OutputKind> {
+        let is_on = |kind: &OutputKind| match kind {
+            OutputKind::Stdout => self.stdout.is_some(),
+            OutputKind::Mqtt => self.mqtt.is_some(),
+            OutputKind::Nats => self.nats.is_some(),
+        };
+        [OutputKind::Stdout, OutputKind::Mqtt, OutputKind::Nats].into_iter().filter(is_on).collect()
+    }
+
+    /// Returns whether the section of an output has `write = true`.
+    #[must_use]
+    pub fn takes_commands(&self, output: OutputKind) -> bool {
+        match output {
+            OutputKind::Stdout => false,
+            OutputKind::Mqtt => self.mqtt.as_ref().is_some_and(|mqtt| mqtt.write),
+            OutputKind::Nats => self.nats.as_ref().is_some_and(|nats| nats.write),
+        }
     }
 }
 

@@ -6,12 +6,59 @@ pub mod nats;
 pub mod stdout;
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tokio_util::sync::CancellationToken;
+
+use crate::buffer::Cursor;
+use crate::command::Commands;
+use crate::config::Name;
+use crate::registry::Registry;
+
+/// A kind of output. A bridge has at most one of each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum OutputKind {
+    /// Lines of JSON at stdout.
+    Stdout,
+    /// An MQTT broker.
+    Mqtt,
+    /// NATS JetStream.
+    Nats,
+}
+
+impl OutputKind {
+    /// The name of its section, of its cursor, and in metrics.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Stdout => "stdout",
+            Self::Mqtt => "mqtt",
+            Self::Nats => "nats",
+        }
+    }
+}
+
+/// The parts of the bridge that the output to a server uses.
+#[derive(Debug)]
+pub struct OutputParts {
+    /// The name of the bridge.
+    pub id: Name,
+    /// The PLCs.
+    pub registry: Registry,
+    /// The batches.
+    pub cursor: Cursor,
+    /// The state of the output.
+    pub health: Arc<Health>,
+    /// Executes commands; without it none are taken.
+    pub commands: Option<Commands>,
+    /// Ends the output.
+    pub stop: CancellationToken,
+}
 
 /// The state of an output, for metrics and the page.
 #[derive(Debug)]
 pub struct Health {
-    name: &'static str,
+    kind: OutputKind,
     connected: AtomicBool,
     batches: AtomicU64,
     samples: AtomicU64,
@@ -23,11 +70,11 @@ pub struct Health {
 }
 
 impl Health {
-    /// Of an output with this name that is not connected yet.
+    /// Of an output that is not connected yet.
     #[must_use]
-    pub fn new(name: &'static str) -> Self {
+    pub fn new(kind: OutputKind) -> Self {
         Self {
-            name,
+            kind,
             connected: AtomicBool::new(false),
             batches: AtomicU64::new(0),
             samples: AtomicU64::new(0),
@@ -39,10 +86,10 @@ impl Health {
         }
     }
 
-    /// The name of the output.
+    /// The kind of the output.
     #[must_use]
-    pub fn name(&self) -> &'static str {
-        self.name
+    pub fn kind(&self) -> OutputKind {
+        self.kind
     }
 
     /// Returns whether it is connected.

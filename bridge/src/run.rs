@@ -37,7 +37,7 @@ use crate::config::Config;
 use crate::file_limit;
 use crate::http::{self, BindError};
 use crate::liveness::Liveness;
-use crate::output::Health;
+use crate::output::{Health, OutputKind};
 use crate::registry::{AddError, Registry};
 
 /// The bridge that runs, for outputs, page and metrics. Cheap to clone.
@@ -139,8 +139,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     file_limit::raise();
     let service = Service::new();
     let poller = Poller::new();
-    let names = config.outputs();
-    let buffer = open_buffer(&config, names.clone()).await?;
+    let buffer = open_buffer(&config).await?;
     let (registry, pool) = (Registry::default(), Pool::new());
     let listener = http::bind(config.bridge.http)?;
     // Before the commands: a pulse that an earlier run has not ended needs its PLC.
@@ -153,7 +152,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         pool,
         poller: poller.handle(),
         buffer: buffer.clone(),
-        outputs: names.iter().map(|name| Arc::new(Health::new(name))).collect(),
+        outputs: config.outputs().into_iter().map(|output| Arc::new(Health::new(output))).collect(),
         liveness: liveness.clone(),
         started: Instant::now(),
         config: Arc::new(RwLock::new(Arc::new(config))),
@@ -207,8 +206,9 @@ async fn commands_ended(commands: Option<&Commands>) {
 }
 
 /// Opens the buffer. That reads the whole file, so it has a thread of its own.
-async fn open_buffer(config: &Config, outputs: Vec<&'static str>) -> Result<Buffer, RunError> {
+async fn open_buffer(config: &Config) -> Result<Buffer, RunError> {
     let settings = BufferSettings::of(&config.bridge.buffer);
+    let outputs: Vec<&str> = config.outputs().into_iter().map(OutputKind::name).collect();
     let opened = tokio::task::spawn_blocking(move || Buffer::open(&settings, &outputs)).await;
     Ok(opened.map_err(|_| RunError::Panicked("buffer"))??)
 }

@@ -19,7 +19,7 @@ use fatek_bridge::batch::Batch;
 use fatek_bridge::buffer::Buffer;
 use fatek_bridge::command::{CommandSettings, Commands, Storage};
 use fatek_bridge::config::{Config, NatsSection};
-use fatek_bridge::output::{Health, nats};
+use fatek_bridge::output::{Health, OutputKind, OutputParts, nats};
 use fatek_bridge::registry::Registry;
 use futures::StreamExt as _;
 use serde_json::{Value, json};
@@ -56,9 +56,9 @@ impl Output {
     fn start_with((section, config): (NatsSection, Config), registry: Registry, commands: Option<Commands>) -> Self {
         // The second cursor is that of another output.
         let buffer = Buffer::in_memory(2, 256 << 20);
-        let health = Arc::new(Health::new("nats"));
+        let health = Arc::new(Health::new(OutputKind::Nats));
         let stop = CancellationToken::new();
-        let parts = nats::NatsParts {
+        let parts = OutputParts {
             id: config.bridge.id,
             registry,
             cursor: buffer.cursor(0),

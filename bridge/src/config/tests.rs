@@ -45,7 +45,7 @@ fn the_example_has_each_key_of_the_documentation() {
     let nats = config.nats.as_ref().unwrap();
     assert_eq!((nats.url.to_string().as_str(), nats.stream.as_str()), ("tls://nats.plant:4222", "FATEK"));
     assert_eq!((nats.prefix.as_str(), nats.write), ("fatek", false));
-    assert_eq!(config.outputs(), ["stdout", "mqtt", "nats"]);
+    assert_eq!(config.outputs().into_iter().map(OutputKind::name).collect::<Vec<_>>(), ["stdout", "mqtt", "nats"]);
     let tags: BTreeMap<_, _> = config.plant.plcs().map(|plc| (plc.name(), plc.tags().count())).collect();
     let expected = [("mixer", 6), ("boiler", 6), ("pump1", 3), ("pump2", 3), ("pump3", 3), ("pump4", 3)];
     assert_eq!(tags, BTreeMap::from(expected));

@@ -227,7 +227,7 @@ impl Memory {
         for (health, cursor) in bridge.outputs.iter().zip(cursors) {
             let (batches, samples) = health.delivered();
             outputs.push(OutputStatus {
-                output: health.name(),
+                output: health.kind().name(),
                 connected: health.is_connected(),
                 failure: health.failure(),
                 lag: cursor.lag,
@@ -236,7 +236,7 @@ impl Memory {
                 skipped: health.skipped(),
                 batches,
                 samples,
-                samples_per_second: self.rates.rate(format!("output {}", health.name()), as_f64(samples)),
+                samples_per_second: self.rates.rate(format!("output {}", health.kind().name()), as_f64(samples)),
                 reconnects: health.reconnects(),
             });
         }

@@ -47,10 +47,9 @@ use self::credentials::Credentials;
 use self::delivery::Delivery;
 use self::discovery::Discovery;
 use self::session::{Carried, End, OFFLINE, Session};
-use super::Health;
+use super::{Health, OutputParts};
 use crate::backoff::Backoff;
 use crate::batch::milliseconds;
-use crate::buffer::Cursor;
 use crate::command::Commands;
 use crate::config::{MqttSection, Name};
 use crate::registry::Registry;
@@ -60,25 +59,6 @@ use crate::topic::Topics;
 const GOOD: Duration = Duration::from_secs(5);
 /// The delay after another client with the same id has connected: two that do not wait would fight.
 const TAKEN_OVER: Duration = Duration::from_secs(10);
-
-/// The parts of the bridge that the output uses.
-#[derive(Debug)]
-pub struct MqttParts {
-    /// The name of the bridge.
-    pub id: Name,
-    /// The PLCs.
-    pub registry: Registry,
-    /// The section before a reload. The messages that the broker keeps under its names are cleared.
-    pub former: Option<MqttSection>,
-    /// The batches.
-    pub cursor: Cursor,
-    /// The state of the output.
-    pub health: Arc<Health>,
-    /// Executes commands; without it none are taken.
-    pub commands: Option<Commands>,
-    /// Ends the output.
-    pub stop: CancellationToken,
-}
 
 /// The parts of an output that do not change.
 #[derive(Debug)]
@@ -98,8 +78,9 @@ struct Shared {
 }
 
 /// Delivers batches, states and discovery messages until it is stopped. It connects again after each loss.
-pub async fn run(section: MqttSection, parts: MqttParts) {
-    let MqttParts { id, registry, former, cursor, health, commands, stop } = parts;
+/// `former`: the section before a reload. The messages that the broker keeps under its names are cleared.
+pub async fn run(section: MqttSection, former: Option<MqttSection>, parts: OutputParts) {
+    let OutputParts { id, registry, cursor, health, commands, stop } = parts;
     let (topics, discovery) = names(&section, &id, commands.is_some());
     let former = former.map(|section| names(&section, &id, false));
     let client = Client {

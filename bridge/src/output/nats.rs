@@ -34,9 +34,8 @@ use tokio_util::sync::CancellationToken;
 use self::connection::Connection;
 use self::delivery::Delivery;
 use self::session::{Carried, End, Session};
-use super::Health;
+use super::{Health, OutputParts};
 use crate::backoff::Backoff;
-use crate::buffer::Cursor;
 use crate::command::Commands;
 use crate::config::{Name, NatsSection};
 use crate::registry::Registry;
@@ -44,23 +43,6 @@ use crate::topic::Topics;
 
 /// A connection that lasts longer than this, or delivers a batch, was good: the next delay is short.
 const GOOD: Duration = Duration::from_secs(5);
-
-/// The parts of the bridge that the output uses.
-#[derive(Debug)]
-pub struct NatsParts {
-    /// The name of the bridge.
-    pub id: Name,
-    /// The PLCs.
-    pub registry: Registry,
-    /// The batches.
-    pub cursor: Cursor,
-    /// The state of the output.
-    pub health: Arc<Health>,
-    /// Executes commands. Without it, or without `write = true`, none is taken.
-    pub commands: Option<Commands>,
-    /// Ends the output.
-    pub stop: CancellationToken,
-}
 
 /// The parts of an output that do not change.
 #[derive(Debug)]
@@ -75,8 +57,8 @@ struct Shared {
 }
 
 /// Delivers batches and states, and takes commands, until it is stopped. It connects again after each loss.
-pub async fn run(section: NatsSection, parts: NatsParts) {
-    let NatsParts { id, registry, cursor, health, commands, stop } = parts;
+pub async fn run(section: NatsSection, parts: OutputParts) {
+    let OutputParts { id, registry, cursor, health, commands, stop } = parts;
     let topics = Topics::nats(&section.prefix, &id);
     if section.write && commands.is_none() {
         tracing::warn!("nats: write = true applies after a restart of the bridge");

@@ -9,9 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Bridge;
 use crate::config::Config;
-use crate::output::mqtt::{self, MqttParts};
-use crate::output::nats::{self, NatsParts};
-use crate::output::stdout;
+use crate::output::{OutputKind, OutputParts, mqtt, nats, stdout};
 
 /// The time in which an output must end: it says goodbye to its server.
 const GOODBYE: Duration = Duration::from_secs(2);
@@ -27,7 +25,7 @@ pub(super) struct Outputs {
 
 #[derive(Debug)]
 struct Running {
-    name: &'static str,
+    output: OutputKind,
     stop: CancellationToken,
     abort: AbortHandle,
 }
@@ -36,7 +34,7 @@ impl Outputs {
     /// Starts the outputs of the configuration.
     pub(super) fn start(bridge: &Bridge) -> Self {
         let mut outputs = Self::default();
-        bridge.outputs.iter().for_each(|health| outputs.start_one(bridge, health.name(), None));
+        bridge.outputs.iter().for_each(|health| outputs.start_one(bridge, health.kind(), None));
         outputs
     }
 
@@ -59,24 +57,23 @@ impl Outputs {
             Ok((id, ())) => *id,
             Err(error) => error.id(),
         };
-        let name = self.running.remove(&id).map_or("output", |ended| ended.name);
+        let name = self.running.remove(&id).map_or("output", |ended| ended.output.name());
         if ended.is_err_and(|error| error.is_panic()) {
             self.panicked.push(name);
         }
     }
 
-    /// Starts those outputs anew whose settings are others. Returns their names.
-    pub(super) async fn restart_changed(&mut self, bridge: &Bridge, old: &Config, new: &Config) -> Vec<&'static str> {
-        let is_changed = |name: &str| match name {
-            "mqtt" => old.mqtt != new.mqtt,
-            "nats" => old.nats != new.nats,
-            _ => false,
+    /// Starts those outputs anew whose settings are others. Returns them.
+    pub(super) async fn restart_changed(&mut self, bridge: &Bridge, old: &Config, new: &Config) -> Vec<OutputKind> {
+        let is_changed = |output: &OutputKind| match output {
+            OutputKind::Stdout => false,
+            OutputKind::Mqtt => old.mqtt != new.mqtt,
+            OutputKind::Nats => old.nats != new.nats,
         };
-        let names = bridge.outputs.iter().map(|health| health.name());
-        let changed: Vec<&'static str> = names.filter(|name| is_changed(name)).collect();
-        for name in &changed {
-            self.stop_one(name).await;
-            self.start_one(bridge, name, Some(old));
+        let changed: Vec<OutputKind> = bridge.outputs.iter().map(|health| health.kind()).filter(is_changed).collect();
+        for output in &changed {
+            self.stop_one(*output).await;
+            self.start_one(bridge, *output, Some(old));
         }
         changed
     }
@@ -91,42 +88,43 @@ impl Outputs {
     }
 
     /// `old`: the configuration before a reload.
-    fn start_one(&mut self, bridge: &Bridge, name: &'static str, old: Option<&Config>) {
-        let Some(number) = bridge.outputs.iter().position(|health| health.name() == name) else { return };
-        let Some(health) = bridge.outputs.get(number).cloned() else { return };
-        let (config, stop) = (bridge.config(), CancellationToken::new());
+    fn start_one(&mut self, bridge: &Bridge, output: OutputKind, old: Option<&Config>) {
+        let config = bridge.config();
+        let known = bridge.outputs.iter().enumerate().find(|(_, health)| health.kind() == output);
+        let Some((number, health)) = known else { return unknown(output) };
         let mut cursor = bridge.buffer.cursor(number);
         // An earlier task may have read batches that it did not deliver.
         cursor.rewind();
-        let (id, registry, commands) = (config.bridge.id.clone(), bridge.registry.clone(), bridge.commands.clone());
-        let task = match name {
-            "stdout" => self.tasks.spawn(stdout::run(cursor, health, stop.clone())),
-            "mqtt" => {
-                let Some(section) = config.mqtt.clone() else { return };
-                let commands = commands.filter(|_| section.write).map(|commands| commands.of_output(name));
-                let former = old.and_then(|old| old.mqtt.clone());
-                let parts = MqttParts { id, registry, former, cursor, health, commands, stop: stop.clone() };
-                self.tasks.spawn(mqtt::run(section, parts))
-            }
-            "nats" => {
-                let Some(section) = config.nats.clone() else { return };
-                let commands = commands.filter(|_| section.write).map(|commands| commands.of_output(name));
-                let parts = NatsParts { id, registry, cursor, health, commands, stop: stop.clone() };
-                self.tasks.spawn(nats::run(section, parts))
-            }
-            // The configuration knows no other output.
-            _ => return,
+        let takes_commands = config.takes_commands(output);
+        let commands = bridge.commands.as_ref().filter(|_| takes_commands);
+        let stop = CancellationToken::new();
+        let parts = OutputParts {
+            id: config.bridge.id.clone(),
+            registry: bridge.registry.clone(),
+            cursor,
+            health: health.clone(),
+            commands: commands.map(|commands| commands.of_output(output)),
+            stop: stop.clone(),
         };
-        self.running.insert(task.id(), Running { name, stop, abort: task });
+        let abort = match (output, config.mqtt.clone(), config.nats.clone()) {
+            (OutputKind::Stdout, _, _) => self.tasks.spawn(stdout::run(parts.cursor, parts.health, parts.stop)),
+            (OutputKind::Mqtt, Some(section), _) => {
+                let former = old.and_then(|old| old.mqtt.clone());
+                self.tasks.spawn(mqtt::run(section, former, parts))
+            }
+            (OutputKind::Nats, _, Some(section)) => self.tasks.spawn(nats::run(section, parts)),
+            (OutputKind::Mqtt, None, _) | (OutputKind::Nats, _, None) => return unknown(output),
+        };
+        self.running.insert(abort.id(), Running { output, stop, abort });
     }
 
     /// Ends an output. One that does not end in time is aborted: two tasks must never share a cursor.
-    async fn stop_one(&mut self, name: &str) {
-        let Some((&id, running)) = self.running.iter().find(|(_, running)| running.name == name) else { return };
+    async fn stop_one(&mut self, output: OutputKind) {
+        let Some((&id, running)) = self.running.iter().find(|(_, running)| running.output == output) else { return };
         running.stop.cancel();
         let abort = running.abort.clone();
         if timeout(GOODBYE, self.join(id)).await.is_err() {
-            tracing::warn!(output = name, "the output did not end within {GOODBYE:?}");
+            tracing::warn!(output = output.name(), "the output did not end within {GOODBYE:?}");
             abort.abort();
             self.join(id).await;
         }
@@ -139,5 +137,45 @@ impl Outputs {
         {
             self.note(ended);
         }
+    }
+}
+
+/// Reports an output that the configuration has not: a reload keeps their number.
+fn unknown(output: OutputKind) {
+    debug_assert!(false, "the configuration has no output {output:?}");
+    tracing::error!(output = output.name(), "the output is not started: this is a fault of the bridge");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Adds a task in the place of an output.
+    fn add(outputs: &mut Outputs, output: OutputKind, task: impl Future<Output = ()> + Send + 'static) {
+        let abort = outputs.tasks.spawn(task);
+        outputs.running.insert(abort.id(), Running { output, stop: CancellationToken::new(), abort });
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_output_that_does_not_end_is_aborted_before_the_next_one_starts() {
+        let mut outputs = Outputs::default();
+        let cursor = std::sync::Arc::new(());
+        let held = cursor.clone();
+        add(&mut outputs, OutputKind::Mqtt, async move {
+            let _held = held;
+            std::future::pending().await
+        });
+        outputs.stop_one(OutputKind::Mqtt).await;
+        assert_eq!((std::sync::Arc::strong_count(&cursor), outputs.running.len()), (1, 0));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_panic_while_another_output_is_stopped_is_not_lost() {
+        let mut outputs = Outputs::default();
+        add(&mut outputs, OutputKind::Nats, async { panic!("a fault of an output") });
+        add(&mut outputs, OutputKind::Mqtt, tokio::time::sleep(Duration::from_secs(1)));
+        outputs.stop_one(OutputKind::Mqtt).await;
+        let panicked = timeout(Duration::from_secs(1), outputs.panicked()).await;
+        assert_eq!(panicked, Ok("nats"));
     }
 }

@@ -4,6 +4,7 @@ use super::outputs::Outputs;
 use super::{AddError, Bridge};
 use crate::command::Commands;
 use crate::config::{Config, ConfigError};
+use crate::output::OutputKind;
 
 /// A configuration that is not in force: the one before still is.
 #[derive(Debug, thiserror::Error)]
@@ -45,10 +46,10 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
         let mut config = Config::load(&path)?;
         let needs_restart = keep_fixed(&mut config, &old, commands.is_some());
         // No output writes a tag that its new section does not let it write, or its old one.
-        allow(commands.as_ref(), |output| takes_commands(&config, output) && takes_commands(&old, output));
+        allow(commands.as_ref(), |output| config.takes_commands(output) && old.takes_commands(output));
         let applied = registry.apply(&config.plant, &pool, &poller);
         let in_force = if applied.is_ok() { &config } else { &*old };
-        allow(commands.as_ref(), |output| takes_commands(in_force, output));
+        allow(commands.as_ref(), |output| in_force.takes_commands(output));
         let changes = applied?;
         Ok::<_, ReloadError>((config, changes, needs_restart, old))
     });
@@ -56,24 +57,15 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
     bridge.set_config(config);
     let restarted = outputs.restart_changed(bridge, &old, &bridge.config()).await;
     tracing::info!("reloaded; {changes}");
-    restarted.iter().for_each(|name| tracing::info!(output = name, "the output was started anew"));
+    restarted.iter().for_each(|output| tracing::info!(output = output.name(), "the output was started anew"));
     needs_restart.iter().for_each(|what| tracing::warn!("{what} is in force after a restart of the bridge"));
     Ok(())
 }
 
 /// Sets which outputs take commands.
-fn allow(commands: Option<&Commands>, takes_commands: impl Fn(&str) -> bool) {
+fn allow(commands: Option<&Commands>, takes_commands: impl Fn(OutputKind) -> bool) {
     if let Some(commands) = commands {
         commands.allow(takes_commands);
-    }
-}
-
-/// Returns whether the section of an output has `write = true`.
-fn takes_commands(config: &Config, output: &str) -> bool {
-    match output {
-        "mqtt" => config.mqtt.as_ref().is_some_and(|mqtt| mqtt.write),
-        "nats" => config.nats.as_ref().is_some_and(|nats| nats.write),
-        _ => false,
     }
 }
 

@@ -1,5 +1,5 @@
 //! Parts that the integration tests share. Each test program uses some of them.
-#![allow(dead_code, unreachable_pub)]
+#![allow(dead_code, unreachable_pub, reason = "each test program uses some of them")]
 
 pub mod bridge;
 pub mod deliveries;

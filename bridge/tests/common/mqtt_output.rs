@@ -14,7 +14,7 @@ use fatek_bridge::buffer::Buffer;
 use fatek_bridge::command::{CommandSettings, Commands, Storage};
 use fatek_bridge::config::{MqttSection, Name};
 use fatek_bridge::output::Health;
-use fatek_bridge::output::mqtt::{self, MqttParts};
+use fatek_bridge::output::{OutputKind, OutputParts, mqtt};
 use fatek_bridge::registry::Registry;
 use futures::StreamExt as _;
 use serde_json::{Value, json};
@@ -63,12 +63,12 @@ impl Output {
         };
         let (section, former) = (section(&more), former.as_ref().map(section));
         let buffer = Buffer::in_memory(2, 1 << 30);
-        let health = Arc::new(Health::new("mqtt"));
+        let health = Arc::new(Health::new(OutputKind::Mqtt));
         let stop = CancellationToken::new();
         let id: Name = serde_json::from_value(json!("hall-2")).unwrap();
         let cursor = buffer.cursor(0);
-        let parts = MqttParts { id, registry, former, cursor, health: health.clone(), commands, stop: stop.clone() };
-        let task = tokio::spawn(mqtt::run(section, parts));
+        let parts = OutputParts { id, registry, cursor, health: health.clone(), commands, stop: stop.clone() };
+        let task = tokio::spawn(mqtt::run(section, former, parts));
         Self { buffer, health, stop, task, pushed: 0 }
     }
 

@@ -72,7 +72,7 @@ fn outputs(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
         value: impl Fn(&Health, &CursorStats) -> V,
     ) -> Vec<(super::Labels<'static>, V)> {
         let sample =
-            |(health, cursor): &(&Health, CursorStats)| (vec![("output", health.name())], value(health, cursor));
+            |(health, cursor): &(&Health, CursorStats)| (vec![("output", health.kind().name())], value(health, cursor));
         outputs.iter().map(sample).collect()
     }
     let connected = of(&outputs, |health, _| u64::from(health.is_connected()));

@@ -212,6 +212,7 @@ mod tests {
     use super::*;
     use crate::batch::Batch;
     use crate::buffer::Buffer;
+    use crate::output::OutputKind;
 
     struct Case {
         buffer: Buffer,
@@ -225,7 +226,7 @@ mod tests {
             for seq in 1..=batches {
                 buffer.push(Batch { plc: "mixer".into(), seq, ts: seq, samples: 2, data: "{}".into() });
             }
-            let delivery = Delivery::new(buffer.cursor(0), Arc::new(Health::new("mqtt")));
+            let delivery = Delivery::new(buffer.cursor(0), Arc::new(Health::new(OutputKind::Mqtt)));
             Self { buffer, delivery, now: Instant::now() }
         }
 

@@ -235,6 +235,7 @@ mod tests {
     use super::*;
     use crate::batch::Batch;
     use crate::buffer::Buffer;
+    use crate::output::OutputKind;
 
     struct Case {
         buffer: Buffer,
@@ -248,7 +249,7 @@ mod tests {
             for seq in 1..=batches {
                 buffer.push(Batch { plc: "mixer".into(), seq, ts: seq, samples: 2, data: "{}".into() });
             }
-            let mut delivery = Delivery::new(buffer.cursor(0), Arc::new(Health::new("nats")));
+            let mut delivery = Delivery::new(buffer.cursor(0), Arc::new(Health::new(OutputKind::Nats)));
             delivery.begin();
             let now = Instant::now();
             delivery.prepared(Ok(()), now);
