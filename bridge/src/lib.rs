@@ -17,6 +17,7 @@
 //! - [`buffer`]: holds batches until each output has acknowledged them.
 //! - [`output`]: one task an output.
 //! - [`command`]: commands of the outputs become writes to PLCs.
+//! - [`fleet`]: several bridges share the PLCs.
 //! - [`http`]: page, metrics, health and API; it reads only.
 //! - [`run`]: starts all of this, and ends it.
 
@@ -30,6 +31,7 @@ pub mod command;
 pub mod config;
 pub mod demo;
 mod file_limit;
+pub mod fleet;
 pub mod http;
 pub mod import;
 pub mod liveness;

@@ -19,7 +19,7 @@
 //! | `stream` | the stream: made, or checked |
 //! | `replies` | subjects of replies to commands |
 
-mod connection;
+pub(crate) mod connection;
 mod delivery;
 mod replies;
 mod session;

@@ -28,7 +28,7 @@ const NEVER: Duration = Duration::from_secs(24 * 3600);
 
 /// A connection. Its tasks end when it is dropped.
 #[derive(Debug)]
-pub(super) struct Connection {
+pub(crate) struct Connection {
     client: Client,
     lost: mpsc::UnboundedReceiver<String>,
     runtime: Option<Runtime>,
@@ -36,7 +36,7 @@ pub(super) struct Connection {
 
 /// A connection that cannot be opened.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum OpenError {
+pub(crate) enum OpenError {
     #[error("creds_file: {0}")]
     Secret(#[from] SecretError),
     #[error("password_file: {0}")]
@@ -53,7 +53,7 @@ pub(super) enum OpenError {
 
 impl Connection {
     /// Opens a connection, with the present content of the files.
-    pub(super) async fn open(section: &NatsSection, bridge: &Name) -> Result<Self, OpenError> {
+    pub(crate) async fn open(section: &NatsSection, bridge: &Name) -> Result<Self, OpenError> {
         let files = section.clone();
         let options = tokio::task::spawn_blocking(move || options(&files)).await;
         // An error: it was aborted, since the runtime ends.
@@ -104,12 +104,12 @@ impl Connection {
         }
     }
 
-    pub(super) fn client(&self) -> &Client {
+    pub(crate) fn client(&self) -> &Client {
         &self.client
     }
 
     /// Waits until the connection is lost, and returns why. Cancel-safe.
-    pub(super) async fn lost(&mut self) -> String {
+    pub(crate) async fn lost(&mut self) -> String {
         let why = self.lost.recv().await;
         // The reason can come before or after the loss itself.
         let more = self.lost.recv().now_or_never().flatten();
@@ -165,7 +165,7 @@ fn options(section: &NatsSection) -> Result<ConnectOptions, OpenError> {
 }
 
 /// The text of an error with those of its causes that it does not have.
-pub(super) fn with_sources(error: &dyn std::error::Error) -> String {
+pub(crate) fn with_sources(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut source = error.source();
     while let Some(cause) = source {

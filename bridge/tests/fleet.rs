@@ -1,0 +1,246 @@
+//! Members of a fleet with a real nats-server. PLCs are counters here: the protocol and its driver are under test.
+//!
+//! `FATEK_FLEET_KILLS` sets how often a member is killed (100 in a campaign, 3 otherwise).
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use async_nats::jetstream;
+use fatek_bridge::config::{Config, Name, NatsSection};
+use fatek_bridge::fleet::{
+    self, Event, Events, Fleet, FleetError, FleetSettings, FleetStatus, Initialized, LinkSpec, LinkToken, Member,
+    MemberState, Ownership, Reach, StoreFault,
+};
+use tokio::task::JoinHandle;
+
+use common::nats::{NatsServer, PATIENCE};
+
+/// The lease of these tests.
+const LEASE: Duration = Duration::from_millis(1500);
+
+/// The owners of links, as the members tell them.
+#[derive(Debug, Default)]
+struct Board {
+    owned: Mutex<BTreeMap<(Arc<str>, Arc<str>), Ownership>>,
+    tokens: Mutex<BTreeMap<Arc<str>, LinkToken>>,
+}
+
+impl Board {
+    /// The links of a member whose gates are open.
+    fn open(&self, member: &str) -> usize {
+        let owned = self.owned.lock().unwrap();
+        owned.iter().filter(|((of, _), ownership)| **of == *member && ownership.gate.is_open()).count()
+    }
+
+    /// No link has two open gates.
+    fn check(&self) {
+        let owned = self.owned.lock().unwrap();
+        let mut open = BTreeMap::new();
+        for ((member, link), _) in owned.iter().filter(|(_, ownership)| ownership.gate.is_open()) {
+            if let Some(other) = open.insert(link.clone(), member.clone()) {
+                panic!("{link} has two masters: {member} and {other}");
+            }
+        }
+    }
+}
+
+/// A member.
+struct Node {
+    id: Arc<str>,
+    fleet: Fleet,
+    task: JoinHandle<Result<(), FleetError>>,
+    events: JoinHandle<()>,
+}
+
+impl Node {
+    fn start(nats: &NatsSection, board: &Arc<Board>, id: &str, links: Vec<LinkSpec>) -> Self {
+        let member = Member { id: id.into(), version: "test".to_owned(), config: "c".to_owned(), weight: 1 };
+        let bucket = Name::parse("leases").unwrap();
+        let settings = FleetSettings { nats: nats.clone(), bucket, lease: LEASE, member, links };
+        let (fleet, events, task) = Fleet::start(settings).unwrap();
+        let events = tokio::spawn(follow(board.clone(), id.into(), events));
+        Self { id: id.into(), fleet, task, events }
+    }
+
+    /// Ends it as SIGKILL would.
+    async fn kill(self, board: &Board) {
+        self.task.abort();
+        let _ = self.task.await;
+        self.events.abort();
+        let _ = self.events.await;
+        board.owned.lock().unwrap().retain(|(member, _), _| *member != self.id);
+    }
+
+    async fn leave(self) {
+        self.fleet.leave();
+        tokio::time::timeout(PATIENCE, self.task).await.unwrap().unwrap().unwrap();
+    }
+}
+
+/// Keeps the board up to date, as a bridge that polls would do.
+async fn follow(board: Arc<Board>, member: Arc<str>, mut events: Events) {
+    while let Some(event) = events.recv().await {
+        match event {
+            Event::Owned(ownership) => {
+                let before = board.tokens.lock().unwrap().insert(ownership.link.clone(), ownership.token);
+                assert!(before.is_none_or(|before| before < ownership.token), "tokens rise");
+                board.owned.lock().unwrap().insert((member.clone(), ownership.link.clone()), ownership);
+            }
+            Event::Close(closing) => {
+                let ownership = board.owned.lock().unwrap().remove(&(member.clone(), closing.link.clone()));
+                assert!(!ownership.unwrap().gate.is_open(), "closed before it is told");
+                closing.closed();
+            }
+        }
+    }
+}
+
+fn section(folder: &Path, port: u16) -> NatsSection {
+    let text =
+        format!("[nats]\nurl = 'nats://127.0.0.1:{port}'\n[plc.mixer]\nlink = 'tcp://127.0.0.1:9'\nstation = 1\n");
+    let path = folder.join("plant.toml");
+    std::fs::write(&path, text).unwrap();
+    Config::load(&path).unwrap().nats.unwrap()
+}
+
+fn links(count: usize) -> Vec<LinkSpec> {
+    (0..count).map(|n| LinkSpec { id: format!("plc{n}").into(), reach: Reach::All }).collect()
+}
+
+async fn until(what: &str, board: &Board, is_true: impl Fn() -> bool) -> Duration {
+    let begin = Instant::now();
+    while !is_true() {
+        board.check();
+        assert!(begin.elapsed() < PATIENCE, "{what}: {:?}", board.owned.lock().unwrap().keys());
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    begin.elapsed()
+}
+
+async fn init(nats: &NatsSection) -> Initialized {
+    let bucket = Name::parse("leases").unwrap();
+    fleet::init(nats, &Name::parse("test").unwrap(), &bucket).await.unwrap()
+}
+
+fn state(node: &Node) -> MemberState {
+    let status: Arc<FleetStatus> = node.fleet.status();
+    status.state.clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_member_refuses_to_start_without_a_store() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(server) = NatsServer::start(folder.path()) else { return };
+    let nats = section(folder.path(), server.port());
+    let node = Node::start(&nats, &Arc::default(), "hall-1", links(1));
+    let error = tokio::time::timeout(PATIENCE, node.task).await.unwrap().unwrap().unwrap_err();
+    assert_eq!(error.to_string(), "the store leases does not exist: fatek-bridge fleet init makes it");
+    assert_eq!(init(&nats).await, Initialized::Made(1));
+    assert_eq!(init(&nats).await, Initialized::Exists);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn links_are_shared_taken_over_and_handed_over() {
+    let kills = std::env::var("FATEK_FLEET_KILLS").map_or(3, |kills| kills.parse::<u32>().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let Some(server) = NatsServer::start(folder.path()) else { return };
+    let nats = section(folder.path(), server.port());
+    init(&nats).await;
+    let board = Arc::new(Board::default());
+    let count = 200;
+    let begin = Instant::now();
+    let ids = ["hall-1", "hall-2", "hall-3"];
+    let mut nodes: Vec<Node> = ids.iter().map(|id| Node::start(&nats, &board, id, links(count))).collect();
+    let all = || ids.iter().map(|id| board.open(id)).sum::<usize>() == count;
+    until("all are owned", &board, all).await;
+    println!("{count} links first owned within {:?}", begin.elapsed());
+    let fair = || ids.iter().all(|id| board.open(id) > count / 5);
+    until("all have a share", &board, || all() && fair()).await;
+
+    let mut longest = Duration::ZERO;
+    for kill in 0..kills {
+        let node = nodes.remove(0);
+        let id = node.id.clone();
+        node.kill(&board).await;
+        let time = until("all are taken over", &board, all).await;
+        longest = longest.max(time);
+        nodes.push(Node::start(&nats, &board, &id, links(count)));
+        let time = until("the new member has its share", &board, || all() && board.open(&id) > count / 5).await;
+        println!("kill {kill}: a new member has its share after {time:?}");
+    }
+    println!("last link taken over within {longest:?}, {:.2} leases", longest.as_secs_f64() / LEASE.as_secs_f64());
+
+    let status = nodes[0].fleet.status();
+    assert_eq!((status.members.len(), status.links.len()), (3, count));
+    assert_eq!(status.state, MemberState::Active);
+
+    let node = nodes.remove(0);
+    let left = node.id.clone();
+    let begin = Instant::now();
+    node.leave().await;
+    until("a member that leaves gives all away", &board, || all() && board.open(&left) == 0).await;
+    println!("all links of a member that leaves are taken after {:?}", begin.elapsed());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn owners_stop_without_the_server_and_go_on_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(mut server) = NatsServer::start(folder.path()) else { return };
+    let nats = section(folder.path(), server.port());
+    init(&nats).await;
+    let board = Arc::new(Board::default());
+    let nodes: Vec<Node> = ["hall-1", "hall-2"].map(|id| Node::start(&nats, &board, id, links(20))).into();
+    let open = || board.open("hall-1") + board.open("hall-2");
+    until("all are owned", &board, || open() == 20).await;
+    let tokens = board.tokens.lock().unwrap().clone();
+    server.kill();
+    let time = until("all gates are closed", &board, || open() == 0).await;
+    assert!(time < LEASE * 2, "{time:?}");
+    server.run();
+    let time = until("all go on", &board, || open() == 20).await;
+    println!("all links go on {time:?} after the server");
+    assert_eq!(*board.tokens.lock().unwrap(), tokens, "with the same tokens");
+
+    // A short loss closes no gate.
+    server.kill();
+    server.run();
+    let begin = Instant::now();
+    while begin.elapsed() < LEASE * 2 {
+        board.check();
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    until("all are owned", &board, || open() == 20).await;
+    drop(nodes);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_that_was_deleted_stops_all_members() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(server) = NatsServer::start(folder.path()) else { return };
+    let nats = section(folder.path(), server.port());
+    init(&nats).await;
+    let board = Arc::new(Board::default());
+    let nodes: Vec<Node> = ["hall-1", "hall-2"].map(|id| Node::start(&nats, &board, id, links(20))).into();
+    let open = || board.open("hall-1") + board.open("hall-2");
+    until("all are owned", &board, || open() == 20).await;
+    let context = jetstream::new(server.client().await);
+    context.delete_stream("KV_leases").await.unwrap();
+    until("all gates are closed", &board, || open() == 0).await;
+    let is_missing = |node: &Node| state(node) == MemberState::Connecting;
+    until("the store is missed", &board, || nodes.iter().all(is_missing)).await;
+    let missing = context.get_stream("KV_leases").await;
+    assert!(missing.is_err(), "no member makes it again");
+    assert_eq!(init(&nats).await, Initialized::Made(1));
+    for node in nodes {
+        let error = tokio::time::timeout(PATIENCE, node.task).await.unwrap().unwrap().unwrap_err();
+        assert!(
+            matches!(error, FleetError::Store(StoreFault::Recreated { .. } | StoreFault::SetBack { .. })),
+            "{error}"
+        );
+    }
+    assert_eq!(open(), 0);
+}
