@@ -17,9 +17,13 @@ use crate::registry::{Plcs, Registry};
 #[derive(Debug)]
 pub struct Collector {
     registry: Registry,
-    batchers: HashMap<Arc<str>, Batcher>,
-    /// The PLCs whose batches are open.
-    open: Vec<Arc<str>>,
+    batchers: Vec<Batcher>,
+    /// The batchers of the PLCs, by their places.
+    places: HashMap<Arc<str>, usize>,
+    /// The PLC of the last sample and the place of its batcher: most samples are of the PLC of the sample before.
+    recent: Option<(Arc<str>, usize)>,
+    /// The places of the batchers whose batches are open.
+    open: Vec<usize>,
     /// The sequence numbers behind those of an earlier run.
     known: HashMap<Arc<str>, u64>,
     /// Larger than the numbers of an earlier run: a run makes less than a million batches a second.
@@ -44,7 +48,9 @@ impl Collector {
         let first_seq = milliseconds(SystemTime::now()).saturating_mul(1000);
         Self {
             registry,
-            batchers: HashMap::new(),
+            batchers: Vec::new(),
+            places: HashMap::new(),
+            recent: None,
             open: Vec::new(),
             known: buffer.next_seqs(),
             first_seq,
@@ -86,8 +92,8 @@ impl Collector {
                     Err(missed) => tracing::warn!(%missed, "the bridge is too slow for its tags"),
                 }
             }
-            while let Some(plc) = self.open.pop() {
-                let ended = self.batchers.get_mut(&plc).and_then(Batcher::end);
+            while let Some(place) = self.open.pop() {
+                let ended = self.batchers.get_mut(place).and_then(Batcher::end);
                 ended.into_iter().for_each(|batch| self.push(batch));
             }
         }
@@ -112,17 +118,34 @@ impl Collector {
     /// Adds a sample to the batch of its PLC. Returns it if its tag has no place.
     fn take(&mut self, sample: Sample, plcs: &Plcs, now: u64) -> Result<(), Sample> {
         let Some(place) = plcs.place(sample.id) else { return Err(sample) };
-        let known = &self.known;
-        let batcher = self.batchers.entry(place.plc.clone()).or_insert_with(|| {
-            let known = known.get(&place.plc).copied().unwrap_or(0);
-            Batcher::new(place.plc.clone(), self.first_seq.max(known))
-        });
+        let number = self.batcher_of(&place.plc);
+        let Some(batcher) = self.batchers.get_mut(number) else { return Err(sample) };
         if !batcher.is_open() {
-            self.open.push(place.plc.clone());
+            self.open.push(number);
         }
         let ended = batcher.push(place, &sample, now);
         ended.into_iter().for_each(|batch| self.push(batch));
         Ok(())
+    }
+
+    /// The place of the batcher of a PLC, which is made for its first sample.
+    fn batcher_of(&mut self, plc: &Arc<str>) -> usize {
+        match &self.recent {
+            Some((recent, place)) if Arc::ptr_eq(recent, plc) => return *place,
+            Some(_) | None => {}
+        }
+        let place = match self.places.get(plc) {
+            Some(place) => *place,
+            None => {
+                let known = self.known.get(plc).copied().unwrap_or(0);
+                self.batchers.push(Batcher::new(plc.clone(), self.first_seq.max(known)));
+                let place = self.places.len();
+                self.places.insert(plc.clone(), place);
+                place
+            }
+        };
+        self.recent = Some((plc.clone(), place));
+        place
     }
 
     fn push(&mut self, batch: Batch) {

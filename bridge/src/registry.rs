@@ -61,6 +61,7 @@ pub struct Registry {
 pub struct Plcs {
     plcs: BTreeMap<Arc<str>, PolledPlc>,
     places: HashMap<TagId, Place>,
+    generation: u64,
 }
 
 /// A PLC whose tags cannot be polled.
@@ -139,6 +140,12 @@ impl Plcs {
     /// The PLCs in the order of their names.
     pub fn iter(&self) -> impl Iterator<Item = &PolledPlc> {
         self.plcs.values()
+    }
+
+    /// Counts the configurations that were applied: PLCs and tags are the same as long as it is.
+    #[must_use]
+    pub fn generation(&self) -> u64 {
+        self.generation
     }
 
     /// The PLC of this name.

@@ -93,6 +93,8 @@ pub(super) struct View {
     plcs: Vec<PlcView>,
     states: Vec<Option<TagState>>,
     places: HashMap<TagId, usize>,
+    /// The generation of the PLCs; `None` before the first look.
+    generation: Option<u64>,
 }
 
 /// A PLC with the places of its tags.
@@ -124,18 +126,15 @@ impl View {
         &self.states
     }
 
-    /// Returns whether PLCs or tags are others since the last [`rebuild`](Self::rebuild).
+    /// Returns whether a configuration was applied since the last [`rebuild`](Self::rebuild).
     pub(super) fn is_outdated(&self, plcs: &Plcs) -> bool {
-        let is_same = |(view, plc): (&PlcView, &PolledPlc)| {
-            let known = &view.polled;
-            known.ids == plc.ids && known.plc.name() == plc.plc.name() && known.plc.tags().eq(plc.plc.tags())
-        };
-        plcs.iter().count() != self.plcs.len() || !self.plcs.iter().zip(plcs.iter()).all(is_same)
+        self.generation != Some(plcs.generation())
     }
 
     /// Takes over the PLCs and their tags. Returns the earlier place of each tag.
     pub(super) fn rebuild(&mut self, plcs: &Plcs) -> Vec<Option<usize>> {
         let earlier = std::mem::take(self);
+        self.generation = Some(plcs.generation());
         let mut states = earlier.states;
         let mut moved = Vec::new();
         for plc in plcs.iter() {

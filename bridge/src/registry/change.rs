@@ -130,6 +130,7 @@ impl Staged {
         let mut changes = Changes::default();
         let mut old_plcs = std::mem::take(&mut plcs.plcs);
         plcs.places.clear();
+        plcs.generation = plcs.generation.saturating_add(1);
         for (name, StagedPlc { plc, is, added }) in self.plcs {
             let place = |(index, tag): (usize, &PlantTag)| Place { plc: name.clone(), tag: tag.name().into(), index };
             plcs.places.extend(plc.ids.iter().copied().zip(plc.plc.tags().enumerate().map(place)));

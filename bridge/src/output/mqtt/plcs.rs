@@ -15,6 +15,8 @@ use crate::topic::Topics;
 #[derive(Debug, Default)]
 pub(super) struct PublishedPlcs {
     plcs: HashMap<Arc<str>, Published>,
+    /// The generation of the registry that they are from; `None` before the first.
+    generation: Option<u64>,
 }
 
 #[derive(Debug)]
@@ -34,13 +36,18 @@ impl PublishedPlcs {
         anew: bool,
     ) {
         let mut gone = std::mem::take(&mut self.plcs);
-        for plc in registry.read().iter() {
+        let plcs = registry.read();
+        let generation = Some(plcs.generation());
+        let is_same_plant = self.generation == generation;
+        self.generation = generation;
+        for plc in plcs.iter() {
             let (name, known) = match gone.remove_entry(plc.plc.name()) {
                 Some((name, known)) => (name, Some(known)),
                 None => (plc.plc.name().into(), None),
             };
             let (state, tags) = known.map_or((None, None), |known| (Some(known.state), Some(known.tags)));
-            let tags = tags.filter(|tags| plc.plc.tags().eq(tags.iter())).unwrap_or_else(|| {
+            let is_same = |tags: &Vec<PlantTag>| is_same_plant || plc.plc.tags().eq(tags.iter());
+            let tags = tags.filter(is_same).unwrap_or_else(|| {
                 let messages = discovery.map(|discovery| discovery.messages(&plc.plc)).unwrap_or_default();
                 retained.replace(&name, Priority::Between, messages);
                 plc.plc.tags().cloned().collect()
