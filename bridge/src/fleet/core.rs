@@ -28,8 +28,9 @@
 //!    alone moves no deadline: the next renewal does.
 //! 5. **A view that is younger than `L` proves nothing about the past**: the store may have been set back before
 //!    the connection was made, to a time at which a link had no owner, or another one. So an entry that the
-//!    view began with counts only after `L`, and only an entry that comes later counts at once. A gate that was
-//!    closed when the connection was made stays closed for `L`, and until then nothing is released.
+//!    view began with counts only after `L`, and only an entry that comes later counts at once. A session whose gates
+//!    have closed when a connection is made ends: its links may have had another owner. A release with an
+//!    unknown result that was sent over an earlier connection is not sent again before `L`.
 //! 6. A store with another creation time, or with revisions below those seen before, is not the store of this fleet
 //!    any more: the member stops for good. It never makes a store.
 //!
@@ -380,9 +381,7 @@ impl Core {
         self.is_missing = false;
         self.max_revision = last_revision;
         self.view = Some(View { since: now, last_revision, is_complete: false });
-        if let Some(session) = &mut self.session {
-            session.connected(now);
-        }
+        self.session_connected(now);
         self.sessions.values_mut().for_each(|seen| seen.is_confirmed = false);
         for link in self.links.values_mut() {
             link.connected(now);
@@ -456,9 +455,7 @@ impl Core {
                 "the store does not exist: this bridge sends nothing until it is back".to_owned(),
             ));
         }
-        if let Some(session) = &mut self.session {
-            session.must_wait = true;
-        }
+        self.end_session();
     }
 
     /// Stops for good.

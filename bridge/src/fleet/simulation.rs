@@ -111,17 +111,23 @@ fn no_plc_has_two_masters_and_each_has_one_in_the_end() {
     assert!(figures.requests > 1000 * count && figures.handovers > count, "{figures}");
 }
 
-/// Each of the variants is seen to fail the runs that the protocol passes.
+/// Each of the variants is seen to fail the runs that the protocol passes. Of 2000 seeds each: FIGURES.
 #[test]
 fn naive_variants_have_two_masters() {
-    let (first, count) = seeds(150);
+    let (first, count) = seeds(5000);
+    let is_campaign = variable("FATEK_FLEET_SEEDS").is_some();
     for variant in [Variant::NoGate, Variant::NoFence, Variant::ServerTtl, Variant::DeadlineFromReply] {
-        let (figures, failures) = run(variant, first, count);
-        let stale: Vec<_> = failures.iter().filter(|(_, failure)| failure.contains("request of")).collect();
-        println!("{variant:?}: two masters in {} of {count} seeds; {figures}", stale.len());
-        if let Some((seed, failure)) = stale.first() {
-            println!("  such as seed {seed}: {failure}");
+        let (mut all, mut stale, mut next) = (Figures::default(), BTreeMap::new(), first);
+        // A campaign counts all; a test ends with the first.
+        while next < first + count && (is_campaign || stale.is_empty()) {
+            let chunk = if is_campaign { count } else { 50 };
+            let (figures, failures) = run(variant, next, chunk);
+            all.add(&figures);
+            stale.extend(failures.into_iter().filter(|(_, failure)| failure.contains("request of")));
+            next += chunk;
         }
-        assert!(count < 100 || !stale.is_empty(), "{variant:?} was not caught by {count} seeds");
+        println!("{variant:?}: two masters in {} of {} seeds; {all}", stale.len(), next - first);
+        let (seed, failure) = stale.first_key_value().unwrap_or_else(|| panic!("{variant:?} was not caught"));
+        println!("  such as seed {seed}: {failure}");
     }
 }

@@ -188,12 +188,12 @@ impl Core {
         };
         let may_act = self.may_act(now);
         let Some(seen) = self.sessions.get_mut(name) else { return };
-        if is_old && !is_used {
+        let (is_dead, revision) = (seen.state == SeenState::Dead, seen.revision);
+        let is_due = is_dead && !is_used && is_mine && may_act && !seen.is_purged;
+        if is_old && !is_used && !is_due {
             self.sessions.remove(name);
             return;
         }
-        let (is_dead, revision) = (seen.state == SeenState::Dead, seen.revision);
-        let is_due = is_dead && !is_used && is_mine && may_act && !seen.is_purged;
         seen.is_purged |= is_due;
         seen.is_timer_set = true;
         self.set_timer(now.saturating_add(self.settings.lease * PURGE_AFTER), Timer::Session(name.clone()));

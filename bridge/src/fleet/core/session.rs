@@ -24,8 +24,6 @@ pub(super) struct Session {
     deadline: Nanos,
     /// The last renewal that was stored was sent then.
     renewed: Nanos,
-    /// The gates are closed until the view is as old as a lease (rule 5).
-    pub(super) must_wait: bool,
     /// The end of the gates as the driver has it.
     announced: Nanos,
     /// The next renewal is due then.
@@ -51,7 +49,6 @@ impl Session {
             value: None,
             deadline: 0,
             renewed: now,
-            must_wait: false,
             announced: 0,
             next: now,
             last_sent: 0,
@@ -65,37 +62,29 @@ impl Session {
     pub(super) fn renewed_value(&self) -> Option<(&SessionValue, Nanos)> {
         self.value.as_ref().filter(|_| self.is_created).map(|value| (value, self.renewed))
     }
-
-    /// A new view begins.
-    pub(super) fn connected(&mut self, now: Nanos) {
-        self.is_confirmed = false;
-        // It has no link before it is created.
-        self.must_wait |= self.is_created && self.deadline <= now;
-    }
 }
 
 impl Core {
     /// The time at which the gates close; 0: they are closed.
     pub(super) fn open_until(&self, now: Nanos) -> Nanos {
-        let open = self.session.as_ref().filter(|session| !session.must_wait && session.deadline > now);
+        let open = self.session.as_ref().filter(|session| session.deadline > now);
         open.map_or(0, |session| session.deadline)
     }
 
-    /// The time at which the gates may open again, if the age of the view holds them.
-    fn hold_ends(&self) -> Option<Nanos> {
-        let is_held = self.session.as_ref().is_some_and(|session| session.must_wait);
-        let view = self.view.as_ref().filter(|_| is_held)?;
-        Some(view.since.saturating_add(self.longest_lease))
+    /// A new view begins. A session whose gates have closed by then ends (rule 5). It has no links before it is
+    /// created.
+    pub(super) fn session_connected(&mut self, now: Nanos) {
+        let Some(session) = &mut self.session else { return };
+        session.is_confirmed = false;
+        if session.is_created && session.deadline <= now {
+            self.end_session();
+        }
     }
 
     /// Tells the driver the end of the gates.
     pub(super) fn update_gate(&mut self, now: Nanos) {
-        let is_over = self.hold_ends().is_some_and(|end| end <= now);
         let Some(session) = &mut self.session else { return };
-        if is_over && session.must_wait {
-            session.must_wait = false;
-        }
-        let until = if session.must_wait { 0 } else { session.deadline };
+        let until = session.deadline;
         if until != session.announced {
             session.announced = until;
             self.actions.push_back(Action::Gate { session: session.name.clone(), until });
@@ -119,7 +108,7 @@ impl Core {
         let next = (is_connected && !session.is_busy).then(|| next.max(self.not_before(session)));
         // Its passing must be noticed, and its end must not be missed between two renewals.
         let closes = (self.was_open && session.deadline > 0).then_some(session.deadline);
-        [next, closes, self.hold_ends()].into_iter().flatten().min()
+        [next, closes].into_iter().flatten().min()
     }
 
     /// The first time of the next request: errors that come at once must not become a storm.

@@ -404,21 +404,33 @@ fn a_member_without_a_store_closes_its_gates_and_makes_none() {
 
 /// Rule 5.
 #[test]
-fn a_gate_that_closed_while_cut_off_opens_a_lease_after_the_connection() {
+fn a_session_goes_on_after_a_short_loss_and_ends_after_a_long_one() {
     let value = session("hall-1", |_| {});
-    for (away, is_held) in [(L / 2, false), (2 * L, true)] {
-        let mut bench = Bench::active(&["plc1"], &[]);
-        bench.own("plc1");
-        bench.feed(Input::Disconnected);
-        bench.wait(away);
-        bench.reconnect(103, &[("w.me-1", &value, 101), ("l.plc1", "me-1", 103)]);
-        bench.create();
-        assert_eq!(bench.open_until() == 0, is_held);
-        bench.pass(L - 1);
-        assert_eq!(bench.open_until() == 0, is_held);
-        bench.pass(1);
-        assert!(bench.open_until() > 0);
-    }
+    let entries = [("w.me-1", &*value, 101), ("l.plc1", "me-1", 103)];
+    let mut bench = Bench::active(&["plc1"], &[]);
+    bench.own("plc1");
+    bench.feed(Input::Disconnected);
+    bench.wait(L / 2);
+    bench.reconnect(103, &entries);
+    bench.create();
+    assert!(bench.open_until() > 0);
+    bench.pass(3 * L);
+    assert!(!bench.actions.iter().any(|action| matches!(action, Action::Close { .. })));
+
+    let mut bench = Bench::active(&["plc1"], &[]);
+    let token = bench.own("plc1");
+    bench.feed(Input::Disconnected);
+    bench.wait(2 * L);
+    bench.reconnect(103, &entries);
+    assert_eq!(bench.take_actions().last(), Some(&Action::Close { link: "plc1".into(), token }));
+    bench.feed(Input::Closed { link: "plc1".into(), token });
+    bench.pass(L - 1);
+    assert_eq!(bench.requests, [], "its links are those of another session");
+    bench.pass(1);
+    let (request, operation) = bench.put("w.me-1");
+    assert_eq!(operation, put("w.me-1", DEAD, 101));
+    bench.store(request);
+    assert_eq!(bench.put("l.plc1").1, put("l.plc1", "me-2", 103));
 }
 
 #[test]

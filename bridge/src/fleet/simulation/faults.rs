@@ -14,6 +14,8 @@ pub(super) enum Fault {
     Stop { node: usize, time: u64 },
     /// A node is cut off from the server.
     Cut { node: usize, time: u64 },
+    /// Messages to a node are slow for a time, and then it is cut off.
+    Slow { node: usize, time: u64, cut: u64 },
     /// The server is killed, and starts again, with its data or older ones.
     Server { time: u64, is_set_back: bool },
     /// The store is deleted, and made again later.
@@ -42,7 +44,7 @@ impl World {
     /// A moment that matters for a node: a fault may strike around it.
     pub(super) fn moment(&mut self, node: usize, ahead: u64) {
         let is_over = self.is_healed || self.now + ahead >= self.heal_at;
-        if is_over || self.faults_left == 0 || self.rng.u16(..600) > 0 {
+        if is_over || self.faults_left == 0 || self.rng.u16(..250) > 0 {
             return;
         }
         self.faults_left -= 1;
@@ -59,7 +61,8 @@ impl World {
         match self.rng.u8(..100) {
             0..=17 => Fault::Kill { node, again },
             18..=44 => Fault::Stop { node, time },
-            45..=62 => Fault::Cut { node, time },
+            45..=56 => Fault::Cut { node, time },
+            57..=62 => Fault::Slow { node, time: time / 2, cut: again },
             63..=74 => Fault::Server { time: time / 2, is_set_back: false },
             75..=80 => Fault::Server { time: if self.rng.bool() { 1 } else { time / 2 }, is_set_back: true },
             81..=83 => Fault::Delete { again: if self.rng.bool() { 1 } else { again } },
@@ -94,6 +97,10 @@ impl World {
                 }
             }
             Fault::Cut { node, time } => self.cut(node, time),
+            Fault::Slow { node, time, cut } => {
+                self.nodes[node].slow_until = self.now + time;
+                self.after(time, Event::Fault(Fault::Cut { node, time: cut }));
+            }
             Fault::Server { time, is_set_back } => {
                 if self.store.is_up {
                     self.store.is_up = false;

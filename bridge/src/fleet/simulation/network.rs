@@ -294,6 +294,10 @@ impl World {
             if !self.is_healed && self.rng.u8(..20) == 0 {
                 delay += self.rng.u64(..LEASE / 2);
             }
+            if self.now < self.nodes[node].slow_until {
+                // Just within the timeout, or not.
+                delay += self.rng.u64(LEASE / 8..LEASE / 4);
+            }
             let outcome = outcome.clone();
             self.after(delay, Event::Network(Message::Reply { node, start, connection, request, outcome }));
         }

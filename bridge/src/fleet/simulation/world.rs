@@ -92,6 +92,8 @@ pub(super) struct Node {
     /// The events that wait for the process to go on.
     backlog: Vec<Event>,
     pub(super) is_cut: bool,
+    /// Messages to it are slow until then.
+    pub(super) slow_until: u64,
     /// Its connection.
     pub(super) connection: Option<u64>,
 }
@@ -170,6 +172,7 @@ impl World {
             is_stopped: false,
             backlog: Vec::new(),
             is_cut: false,
+            slow_until: 0,
             connection: None,
         };
         let nodes: Vec<_> = (0..rng.usize(3..=5)).map(|_| node(&mut rng)).collect();
@@ -183,7 +186,7 @@ impl World {
         let mut world = Self {
             variant,
             delay: rng.u64(LEASE / 2000..LEASE / 60),
-            faults_left: rng.u32(1..=8),
+            faults_left: rng.u32(2..=16),
             rng,
             now: LEASE,
             queue: BinaryHeap::new(),
