@@ -174,9 +174,10 @@ async fn links_are_shared_taken_over_and_handed_over() {
     }
     println!("last link taken over within {longest:?}, {:.2} leases", longest.as_secs_f64() / LEASE.as_secs_f64());
 
-    let status = nodes[0].fleet.status();
-    assert_eq!((status.members.len(), status.links.len()), (3, count));
-    assert_eq!(status.state, MemberState::Active);
+    // It is renewed twice a second.
+    until("the status has all members", &board, || nodes[0].fleet.status().members.len() == 3).await;
+    assert_eq!(nodes[0].fleet.status().links.len(), count);
+    assert_eq!(state(&nodes[0]), MemberState::Active);
 
     let node = nodes.remove(0);
     let left = node.id.clone();
@@ -203,9 +204,10 @@ async fn owners_stop_without_the_server_and_go_on_with_it() {
     server.run();
     let time = until("all go on", &board, || open() == 20).await;
     println!("all links go on {time:?} after the server");
-    assert_eq!(*board.tokens.lock().unwrap(), tokens, "with the same tokens");
+    let is_new = |(link, token): (&Arc<str>, &LinkToken)| tokens[link] < *token;
+    assert!(board.tokens.lock().unwrap().iter().all(is_new), "with new tokens, since there is a gap");
 
-    // A short loss closes no gate.
+    // A short loss closes no gate for long, if any.
     server.kill();
     server.run();
     let begin = Instant::now();

@@ -110,6 +110,13 @@ impl World {
                     self.drop_connections(within);
                     let step = if self.rng.bool() { self.rng.u64(..LEASE * 2) } else { 0 };
                     self.after(time, Event::ServerUp { is_set_back, step });
+                    if is_set_back && self.rng.bool() {
+                        // A process that knows no older state.
+                        let node = self.rng.usize(..self.nodes.len());
+                        self.end_process(node);
+                        let delay = self.rng.u64(1..LEASE / 4);
+                        self.after(time + delay, Event::Start { node });
+                    }
                 }
             }
             Fault::Delete { again } => {
