@@ -1,6 +1,7 @@
 //! The output to NATS JetStream, with a real server.
 //!
-//! `FATEK_BRIDGE_KILLS` sets how often the server is killed (20 in a campaign, 5 otherwise).
+//! `FATEK_BRIDGE_KILLS` sets how often the server is killed (20 in a campaign, 5 otherwise), `FATEK_BRIDGE_STALL` for
+//! how many seconds it stands still (600 in a campaign, 12 otherwise).
 
 mod common;
 
@@ -261,7 +262,8 @@ async fn a_stalled_server_holds_up_no_other_output_and_loses_nothing() {
     server.signal("STOP");
     let (begin, mut worst) = (Instant::now(), Duration::ZERO);
     let mut last = 1;
-    while begin.elapsed() < Duration::from_secs(12) {
+    let stall = std::env::var("FATEK_BRIDGE_STALL").ok().and_then(|text| text.parse().ok()).unwrap_or(12);
+    while begin.elapsed() < Duration::from_secs(stall) {
         last += 1;
         output.push("mixer", last);
         let pushed = Instant::now();
@@ -278,7 +280,7 @@ async fn a_stalled_server_holds_up_no_other_output_and_loses_nothing() {
     let stalled = output.lag();
     server.signal("CONT");
     output.drained().await;
-    println!("stalled for 12 s: {stalled} batches waited; the other output waited {worst:?} at most");
+    println!("stalled for {stall} s: {stalled} batches waited; the other output waited {worst:?} at most");
     assert!(stalled > 100 && worst < Duration::from_secs(2), "{stalled} {worst:?}");
     assert_eq!(seqs(&server.stored("FATEK").await), all(&["mixer"], last));
     output.stop().await;
