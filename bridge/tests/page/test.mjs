@@ -15,11 +15,14 @@ let failures = 0;
 /** The contexts of pages that one check alone uses. */
 const contexts = [];
 
+/** The longest wait for anything: on a machine with seven times the work that it has processors for, 60 s failed. */
+const PATIENCE = 180_000;
+
 /** Opens the page. `expected`: errors of the console that belong to the check. */
 async function open({ width = 1280, height = 900, colorScheme = "light", bypassCSP = false, expected = null } = {}) {
   const context = await browser.newContext({ viewport: { width, height }, colorScheme, bypassCSP });
   contexts.push(context);
-  context.setDefaultTimeout(60_000);
+  context.setDefaultTimeout(PATIENCE);
   await useFiles(context);
   const page = await context.newPage();
   page.on("console", message => {
@@ -50,7 +53,7 @@ function rowOf(page, tag) {
 }
 
 /** Waits until a function of the page returns a true value. */
-async function until(what, act, limit = 60_000) {
+async function until(what, act, limit = PATIENCE) {
   const end = performance.now() + limit;
   for (;;) {
     const result = await act();
