@@ -36,7 +36,7 @@
 //!   yields a zero: the tag is *stale* and keeps its last values, or *bad* and has none. Quality
 //!   also degrades with age while no reply comes.
 //! - **Report by exception.** A sample is reported after each reading or on change, as set in
-//!   [`PollTag`].
+//!   [`PollTag`]. [`PolledStation::report_all`] reports all tags again.
 //! - **Bounded queue.** If the consumer is too slow, the oldest samples are dropped and reported as
 //!   [`Missed`]. The poller never waits for the consumer.
 //! - **Refusals.** A request that the PLC refuses is halved until the refused tags are found. These
@@ -324,6 +324,24 @@ impl PolledStation {
     #[must_use]
     pub fn snapshot(&self) -> Vec<Sample> {
         self.shared.snapshot(&self.station)
+    }
+
+    /// Queues the current sample of each tag that was read or has failed, reported or not, as if all of them
+    /// had just changed. For a consumer whose users may have missed samples. Returns their number.
+    ///
+    /// Each has the time of its reply, or of its failure. They are queued in the order of these times, stale
+    /// ones last, and in step with the samples of readings: for each tag, the samples keep their order. A
+    /// heartbeat counts from here. Nothing is sent to the PLC.
+    ///
+    /// A full queue drops the oldest samples ([`Missed`]): call it for many stations in parts.
+    pub fn report_all(&self) -> usize {
+        let queued = self.station.with(|poller| {
+            self.shared.queue_samples(|samples| {
+                poller.report_all(Stamp::now(), samples);
+                samples.len()
+            })
+        });
+        queued.unwrap_or_default()
     }
 
     /// Returns the statistics of each class that has tags.

@@ -191,6 +191,12 @@ impl Buffer {
         self.shared.lock().log.next_seqs()
     }
 
+    /// Waits until the users of an output need the present values of all tags: it has delivered its last replay
+    /// and has no late batch left, or it has asked for them. Several such events count as one. Cancel-safe.
+    pub async fn present_values_wanted(&self) {
+        self.shared.present.notified().await;
+    }
+
     /// Waits until the thread that writes to disk has ended: after [`close`](Self::close), or after a panic, with
     /// which nothing reaches the disk any more. Cancel-safe. Without a disk it never returns.
     pub async fn ended(&self) {
@@ -251,7 +257,19 @@ impl Cursor {
 
     /// Marks all batches up to this position as delivered.
     pub fn acknowledge(&mut self, position: u64) {
-        self.shared.lock().log.acknowledge(self.output, position);
+        let now = self.shared.now();
+        let mut state = self.shared.lock();
+        state.log.acknowledge(self.output, position);
+        let has_caught_up = state.log.has_caught_up(self.output, now);
+        drop(state);
+        if has_caught_up {
+            self.want_present_values();
+        }
+    }
+
+    /// Asks for the present values of all tags: see [`Buffer::present_values_wanted`].
+    pub fn want_present_values(&self) {
+        self.shared.present.notify_one();
     }
 
     /// Begins again behind the last acknowledged batch, after a connection was lost.

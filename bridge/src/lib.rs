@@ -15,7 +15,7 @@
 //! - [`registry`]: the PLCs that are polled, shared by all parts; a reload changes it.
 //! - [`collect`] and [`batch`]: samples become batches of one PLC and one time.
 //! - [`buffer`]: holds batches until each output has acknowledged them.
-//! - [`output`]: one task an output.
+//! - [`output`]: one task an output. [`present`]: present values after an outage.
 //! - [`command`]: commands of the outputs become writes to PLCs.
 //! - [`fleet`]: several bridges share the PLCs.
 //! - [`http`]: page, metrics, health and API; it reads only.
@@ -37,6 +37,7 @@ pub mod import;
 pub mod liveness;
 pub mod output;
 pub mod plc_state;
+pub mod present;
 #[path = "../../src/printable.rs"]
 mod printable;
 pub mod registry;

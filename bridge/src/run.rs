@@ -38,6 +38,7 @@ use crate::file_limit;
 use crate::http::{self, BindError};
 use crate::liveness::Liveness;
 use crate::output::{Health, OutputKind};
+use crate::present;
 use crate::registry::{AddError, Registry};
 
 /// The bridge that runs, for outputs, page and metrics. Cheap to clone.
@@ -158,6 +159,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         config: Arc::new(RwLock::new(Arc::new(config))),
     };
     let mut collector = tokio::spawn(Collector::new(bridge.registry.clone(), buffer, liveness).run(poller));
+    let mut present = tokio::spawn(present::run(bridge.buffer.clone(), bridge.registry.clone()));
     let stop_http = CancellationToken::new();
     let mut http = tokio::spawn(http::serve(bridge.clone(), listener, stop_http.clone()));
     let mut outputs = Outputs::start(&bridge);
@@ -180,12 +182,14 @@ pub async fn run(config: Config) -> Result<(), RunError> {
             name = outputs.panicked() => break Err(RunError::Panicked(name)),
             _ = &mut collector => break Err(RunError::Panicked("collector")),
             _ = &mut http => break Err(RunError::Panicked("page")),
+            _ = &mut present => break Err(RunError::Panicked("task of present values")),
             () = bridge.buffer.ended() => break Err(RunError::Panicked("buffer")),
             () = commands_ended(bridge.commands.as_ref()) => break Err(RunError::Panicked("commands")),
             () = service.stay_alive(&bridge.liveness) => {}
         }
     };
     service.stopping();
+    present.abort();
     // A collector that has ended must not be waited for again.
     let collector = ended.is_ok().then_some(collector);
     drain::drain(&bridge, outputs, collector, &mut signals).await;

@@ -56,6 +56,10 @@ impl TagMap {
         self.states.iter().map(|state| &**state)
     }
 
+    pub(super) fn values_mut(&mut self) -> impl Iterator<Item = &mut TagState> {
+        self.states.iter_mut().map(|state| &mut **state)
+    }
+
     fn index_of(&self, id: TagId) -> Option<usize> {
         self.states.binary_search_by_key(&id, |state| state.id()).ok()
     }

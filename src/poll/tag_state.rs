@@ -149,14 +149,25 @@ impl TagState {
         self.sample.at = now;
     }
 
+    /// Reports the state as if it had changed, unless no cycle has read the tag or failed to.
+    pub(super) fn report_again(&mut self, now: Instant, samples: &mut Vec<Sample>) {
+        if !matches!(self.sample.quality, Quality::Bad(Reason::NotYetRead)) {
+            self.report(now, samples);
+        }
+    }
+
     fn report_if_due(&mut self, now: Instant, samples: &mut Vec<Sample>) {
         if self.is_report_due(now) {
-            if self.policy.on_change {
-                let (quality, values) = (self.sample.quality.clone(), self.sample.values.clone());
-                self.last_report = Some(Box::new(LastReport { quality, values, instant: now }));
-            }
-            samples.push(self.sample());
+            self.report(now, samples);
         }
+    }
+
+    fn report(&mut self, now: Instant, samples: &mut Vec<Sample>) {
+        if self.policy.on_change {
+            let (quality, values) = (self.sample.quality.clone(), self.sample.values.clone());
+            self.last_report = Some(Box::new(LastReport { quality, values, instant: now }));
+        }
+        samples.push(self.sample());
     }
 
     fn is_report_due(&self, now: Instant) -> bool {

@@ -87,6 +87,8 @@ pub(super) struct CursorState {
     /// Batches before this position may have been sent.
     pub(super) sent: u64,
     pub(super) dropped: u64,
+    /// The position behind the last replay, until it is delivered and the output has caught up.
+    pub(super) replays_end: Option<u64>,
     pub(super) ahead: ReadAhead,
 }
 
@@ -107,7 +109,7 @@ impl CursorState {
     /// Of an output that has acknowledged all before this position.
     pub(super) fn new(name: Arc<str>, acknowledged: u64) -> Self {
         let (next, sent) = (acknowledged, acknowledged);
-        Self { name, acknowledged, next, sent, dropped: 0, ahead: ReadAhead::default() }
+        Self { name, acknowledged, next, sent, dropped: 0, replays_end: None, ahead: ReadAhead::default() }
     }
 
     /// Moves behind batches that are not there any more.
@@ -208,10 +210,13 @@ impl Log {
     /// Notes that an output sends a batch that it has read, and returns it as it is to be sent.
     pub(super) fn send(&mut self, output: usize, slot: Slot, now: u64) -> Entry {
         let Slot { position, pushed, batch } = slot;
-        let mut replay = position < self.run_first || now.saturating_sub(pushed) > LATE_AFTER;
+        let mut replay = self.is_late(position, pushed, now);
         if let Some(cursor) = self.cursors.get_mut(output) {
             replay |= position < cursor.sent;
             cursor.sent = cursor.sent.max(position.saturating_add(1));
+            if replay {
+                cursor.replays_end = cursor.replays_end.max(Some(position.saturating_add(1)));
+            }
         }
         Entry { position, batch, replay }
     }
@@ -229,6 +234,28 @@ impl Log {
             }
         }
         self.remove_acknowledged();
+    }
+
+    /// Returns whether an output has caught up since the last call: it has sent replays, the last of them is
+    /// acknowledged, and no batch that it lacks is late.
+    pub(super) fn has_caught_up(&mut self, output: usize, now: u64) -> bool {
+        let Some(cursor) = self.cursors.get(output) else { return false };
+        if cursor.replays_end.is_none_or(|end| cursor.acknowledged < end) {
+            return false;
+        }
+        let begin = self.slots.partition_point(|slot| slot.position < cursor.sent);
+        let in_memory = self.slots.front().map_or(self.end, |slot| slot.position);
+        let is_late = self.slots.get(begin).is_some_and(|slot| self.is_late(slot.position, slot.pushed, now))
+            || self.disk.as_ref().is_some_and(|disk| disk.chunks.count(cursor.sent, in_memory) > 0);
+        if let Some(cursor) = self.cursors.get_mut(output).filter(|_| !is_late) {
+            cursor.replays_end = None;
+        }
+        !is_late
+    }
+
+    /// Returns whether a batch is no news.
+    fn is_late(&self, position: u64, pushed: u64, now: u64) -> bool {
+        position < self.run_first || now.saturating_sub(pushed) > LATE_AFTER
     }
 
     pub(super) fn rewind(&mut self, output: usize) {

@@ -23,6 +23,8 @@ pub(super) struct Shared {
     state: Mutex<State>,
     /// Wakes the outputs.
     pub(super) changed: Notify,
+    /// An output needs the present values.
+    pub(super) present: Notify,
     /// Wakes the storage thread.
     work: Condvar,
     /// The start, and the buffer's time then.
@@ -43,6 +45,7 @@ impl Shared {
         Self {
             state: Mutex::new(State { log, is_idle: false, is_closing: false }),
             changed: Notify::new(),
+            present: Notify::new(),
             work: Condvar::new(),
             started: (Instant::now(), time),
         }

@@ -108,6 +108,46 @@ fn a_heartbeat_repeats_an_unchanged_sample() {
 }
 
 #[test]
+fn a_report_of_all_tags_has_the_times_of_their_replies() {
+    let mut rig = TestRig::new(1);
+    rig.plc.timeout = ms(50);
+    rig.plc.frozen = true;
+    let on_change = |name: &str| PollTag::new(name, name.parse().unwrap()).on_change(true);
+    // The slow class comes first by its ids.
+    rig.try_add(every(10_000).stale_after(ms(60_000)), vec![on_change("R0")], false).unwrap();
+    rig.try_add(every(1000).stale_after(ms(3000)).bad_after(ms(60_000)), vec![on_change("R5")], false).unwrap();
+    let report = |rig: &mut TestRig| {
+        let now = rig.stamp();
+        rig.poller.report_all(now, &mut rig.samples);
+        rig.new_samples().into_iter().map(|sample| (sample.name.to_string(), sample)).collect::<Vec<_>>()
+    };
+    let start = rig.start;
+    let form = |samples: &[(String, Sample)]| -> Vec<(String, &str, Duration)> {
+        let one = |(name, sample): &(String, Sample)| {
+            (name.clone(), kinds(std::slice::from_ref(sample))[0], sample.at.instant - start)
+        };
+        samples.iter().map(one).collect()
+    };
+    assert_eq!(form(&report(&mut rig)), [], "nothing was read");
+    rig.run(ms(4500));
+    assert_eq!(rig.new_samples().len(), 2);
+    // By the times of the replies, not of the report.
+    let first = report(&mut rig);
+    let slow = first[0].1.at.instant - rig.start;
+    assert!(slow < ms(100), "{slow:?}");
+    assert_eq!(form(&first), [("R0".into(), "good", slow), ("R5".into(), "good", ms(4005))]);
+    rig.run(ms(2000));
+    assert_eq!(rig.new_samples().len(), 0, "they are reported on change as before");
+    // A stale tag has its last value with the time of that value, and comes last.
+    rig.plc.silent = true;
+    rig.run(ms(2000));
+    assert_eq!(kinds(&rig.new_samples()), ["stale: failed"]);
+    let second = report(&mut rig);
+    assert_eq!(form(&second), [("R0".into(), "good", slow), ("R5".into(), "stale: failed", ms(6005))]);
+    assert_eq!(second[1].1.values(), first[1].1.values());
+}
+
+#[test]
 fn a_deadband_is_measured_from_the_last_sample() {
     use crate::poll::Stamp;
     use crate::poll::tag_state::TagState;

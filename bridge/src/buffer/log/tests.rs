@@ -44,6 +44,40 @@ fn each_output_reads_all_batches_in_order_and_a_slow_one_keeps_them() {
     assert!(!take(&mut log, 1, 9)[0].replay);
 }
 
+#[test]
+fn an_output_has_caught_up_when_its_last_replay_is_acknowledged() {
+    let mut log = Log::in_memory(2, Limits { memory: 1 << 20, max_age: None });
+    let late = |at: u64| at + LATE_AFTER + 1;
+    (1..=4).for_each(|seq| {
+        log.push(batch(seq), 0);
+    });
+    let send = |log: &mut Log, count: usize, now: u64| {
+        let read = log.read(0, count);
+        replays(log, read, now)
+    };
+    // Without a replay there is nothing to catch up with.
+    assert_eq!(send(&mut log, 1, 0), [false]);
+    log.acknowledge(0, 1);
+    assert!(!log.has_caught_up(0, 0));
+    // Two of three late batches are sent: the third is missing.
+    assert_eq!(send(&mut log, 2, late(0)), [true, true]);
+    log.acknowledge(0, 2);
+    assert!(!log.has_caught_up(0, late(0)), "the third is not acknowledged");
+    log.acknowledge(0, 3);
+    assert!(!log.has_caught_up(0, late(0)), "the fourth is late");
+    log.push(batch(5), late(0));
+    assert_eq!(send(&mut log, 1, late(0)), [true]);
+    log.acknowledge(0, 4);
+    assert!(log.has_caught_up(0, late(0)), "the fifth is news");
+    assert!(!log.has_caught_up(0, late(0)) && !log.has_caught_up(1, late(0)), "once, and of this output");
+    // After a loss, batches that may have been sent are replays.
+    assert_eq!(send(&mut log, 1, late(0)), [false]);
+    log.rewind(0);
+    assert_eq!(send(&mut log, 1, late(0)), [true]);
+    log.acknowledge(0, 5);
+    assert!(log.has_caught_up(0, late(0)));
+}
+
 /// Sends batches, and tells which ones are replays.
 fn replays(log: &mut Log, slots: Vec<Slot>, now: u64) -> Vec<bool> {
     slots.into_iter().map(|slot| log.send(0, slot, now).replay).collect()

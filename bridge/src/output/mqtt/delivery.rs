@@ -150,6 +150,11 @@ impl Delivery {
         is_first
     }
 
+    /// Asks for the present values of all tags.
+    pub(super) fn want_present_values(&self) {
+        self.cursor.want_present_values();
+    }
+
     /// When the first batch was sent that has no acknowledgement.
     pub(super) fn oldest(&self) -> Option<Instant> {
         self.prefix.oldest()

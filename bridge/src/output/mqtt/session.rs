@@ -30,6 +30,8 @@ const MAX_WAITING: usize = 64 << 10;
 const TICK: Duration = Duration::from_secs(1);
 /// After this time the broker has sent all retained messages of an earlier run.
 const EARLIER_RUN: Duration = Duration::from_secs(10);
+/// The time in which Home Assistant makes its entities. Values that come before are lost for it.
+const INTRODUCTION: Duration = Duration::from_secs(5);
 /// The time for the broker to acknowledge the last state when the output ends.
 const GOODBYE: Duration = Duration::from_secs(1);
 /// The keep-alive times after which a batch without an acknowledgement is taken for lost.
@@ -76,6 +78,8 @@ pub(super) struct Session<'a> {
     /// `true` if the broker has the last state.
     is_last_state_known: bool,
     is_turn_of_discovery: bool,
+    /// When Home Assistant has made the entities of the last discovery messages: it needs their values then.
+    introduced: Option<Instant>,
 }
 
 /// A packet that waits for an acknowledgement.
@@ -129,6 +133,7 @@ impl<'a> Session<'a> {
             closes: None,
             is_last_state_known: false,
             is_turn_of_discovery: true,
+            introduced: None,
         }
     }
 
@@ -230,6 +235,8 @@ impl<'a> Session<'a> {
 
     fn send_retained(&mut self, priority: Priority) -> bool {
         let Some((topic, payload)) = self.carried.retained.take(priority) else { return false };
+        let is_entity = priority == Priority::Between && !payload.is_empty();
+        self.introduced = is_entity.then(|| Instant::now() + INTRODUCTION).or(self.introduced);
         let message = Message { topic: topic.clone().into(), payload, retain: true, correlation: None };
         let is_last = self.closes.is_some() && topic == self.shared.topics.bridge_state();
         self.publish(&message, if is_last { Item::LastState } else { Item::Retained(topic) });
@@ -427,6 +434,10 @@ impl<'a> Session<'a> {
         }
         if self.earlier_run_ends.is_some_and(|ends| ends <= now) {
             self.unsubscribe();
+        }
+        if self.introduced.is_some_and(|at| at <= now) {
+            self.introduced = None;
+            self.carried.delivery.want_present_values();
         }
         if self.closes.is_none() {
             self.refresh(false);
