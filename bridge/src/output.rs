@@ -5,6 +5,7 @@ pub mod mqtt;
 pub mod nats;
 pub mod stdout;
 
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -55,6 +56,15 @@ pub struct OutputParts {
     pub stop: CancellationToken,
 }
 
+/// A PLC whose batches a server refuses, or has refused.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RefusedPlc {
+    /// `true` if it refuses them now.
+    pub is_refused: bool,
+    /// Batches that were given up for that reason.
+    pub dropped: u64,
+}
+
 /// The state of an output, for metrics and the page.
 #[derive(Debug)]
 pub struct Health {
@@ -67,6 +77,7 @@ pub struct Health {
     refused: AtomicU64,
     skipped: AtomicU64,
     failure: Mutex<Option<String>>,
+    refused_plcs: Mutex<BTreeMap<Arc<str>, RefusedPlc>>,
 }
 
 impl Health {
@@ -83,6 +94,7 @@ impl Health {
             refused: AtomicU64::new(0),
             skipped: AtomicU64::new(0),
             failure: Mutex::new(None),
+            refused_plcs: Mutex::default(),
         }
     }
 
@@ -122,10 +134,31 @@ impl Health {
         self.refused.load(Ordering::Relaxed)
     }
 
-    /// Batches that were given up, because the server can never take them: too large, or malformed for it.
+    /// Batches that were given up: the server can never take them, since they are too large or malformed for it, or
+    /// it refuses those of their PLC.
     #[must_use]
     pub fn skipped(&self) -> u64 {
         self.skipped.load(Ordering::Relaxed)
+    }
+
+    /// The PLCs whose batches its server has refused while it took those of others, or refuses now.
+    #[must_use]
+    pub fn refused_plcs(&self) -> BTreeMap<Arc<str>, RefusedPlc> {
+        self.refused_plcs.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Notes whether the server refuses the batches of a PLC.
+    pub fn set_plc_refused(&self, plc: &str, is_refused: bool) {
+        let mut plcs = self.refused_plcs.lock().unwrap_or_else(PoisonError::into_inner);
+        plcs.entry(plc.into()).or_default().is_refused = is_refused;
+    }
+
+    /// Counts a batch of a refused PLC that was given up.
+    pub fn count_plc_dropped(&self, plc: &str) {
+        self.count_skipped();
+        let mut plcs = self.refused_plcs.lock().unwrap_or_else(PoisonError::into_inner);
+        let plc = plcs.entry(plc.into()).or_default();
+        plc.dropped = plc.dropped.saturating_add(1);
     }
 
     /// The last failure since it was connected.

@@ -235,13 +235,47 @@ async fn refused_batches_are_kept_and_are_no_hot_loop() {
     sleep(Duration::from_secs(4)).await;
     let attempts = broker.batches().len() - 50;
     println!("{attempts} attempts in 4 s; {:?}", output.health.failure());
-    assert!((1..=8).contains(&attempts), "{attempts}");
+    // Each of the three PLCs has its own.
+    assert!((3..=24).contains(&attempts), "{attempts}");
     assert!(output.health.failure().unwrap().contains("not authorized (0x87)"));
     assert_eq!((output.lag(), output.health.delivered()), (50, (0, 0)));
     assert_eq!(usize::try_from(output.health.refused()).unwrap(), attempts + 50);
     broker.behave(|_| Action::Ack);
     output.wait_until_delivered().await;
     assert_eq!((output.check(&broker).lost, output.health.failure()), (0, None));
+    assert_eq!(output.health.reconnects(), 0);
+    output.stop().await;
+}
+
+/// With one refusal for all, the second 200 batches of `boiler` and `pump-1` were not delivered.
+#[tokio::test]
+async fn a_refused_plc_holds_up_no_other() {
+    let broker = Broker::start().await;
+    let is_mixer = |received: &Received| received.topic == "fatek/hall-2/mixer/data";
+    broker.behave(move |received| if is_mixer(received) { Action::AckWith(0x87) } else { Action::Ack });
+    let mut output = Output::start(&broker.url(), json!({}));
+    output.push(300);
+    output.wait_for("the others", |output| output.health.delivered().0 == 200).await;
+    let failure = output.health.failure().unwrap();
+    assert!(failure.starts_with("batches of mixer: ") && failure.ends_with("not authorized (0x87)"), "{failure}");
+    let refused = output.health.refused_plcs();
+    assert!(refused["mixer"].is_refused && refused.len() == 1, "{refused:?}");
+    // News of the others go on, and those of the mixer wait behind its first batch.
+    let sent = |broker: &Broker| broker.received().iter().filter(|received| is_mixer(received)).count();
+    let before = sent(&broker);
+    output.push(300);
+    output.wait_for("the others", |output| output.health.delivered().0 == 400).await;
+    sleep(Duration::from_secs(1)).await;
+    let attempts = sent(&broker) - before;
+    println!("{attempts} attempts meanwhile");
+    assert!(attempts <= 20, "{attempts}");
+    broker.behave(|_| Action::Ack);
+    output.wait_until_delivered().await;
+    assert_eq!((output.health.failure(), output.health.skipped()), (None, 0));
+    assert!(!output.health.refused_plcs()["mixer"].is_refused);
+    let result = output.check(&broker);
+    println!("a refused PLC: {result:?}");
+    assert_eq!((result.batches, result.lost, result.unmarked), (600, 0, 0));
     assert_eq!(output.health.reconnects(), 0);
     output.stop().await;
 }

@@ -171,7 +171,7 @@ fn settings_that_are_probably_not_meant_are_warnings() {
         (
             "[plc.b]\nlink = 'tcp://h'\nstation = 1\ntag.x = 'R0'\n[mqtt]\nurl = 'mqtt://h'\n\
              require_subscribers = true\n",
-            "mqtt.require_subscribers: one PLC whose batches have no subscriber holds up the batches of all",
+            "mqtt.require_subscribers: batches of a PLC without a subscriber are dropped after 10 minutes",
         ),
         ("[mqtt]\nurl = 'mqtt://h'\nwrite = true\n", "mqtt.write: no tag has a key `write`"),
         (
@@ -195,9 +195,9 @@ fn settings_that_are_probably_not_meant_are_warnings() {
         let expected = format!("warning: {expected}");
         assert!(found.iter().any(|found| found.starts_with(&expected)), "{expected}: {found:#?}");
     }
-    // A single PLC holds up no other.
+    // Of a single PLC nothing is dropped.
     let single = findings(&format!("{GOOD}[mqtt]\nurl = 'mqtt://h'\nrequire_subscribers = true\n"));
-    assert!(!single.iter().any(|found| found.contains("holds up")), "{single:#?}");
+    assert!(!single.iter().any(|found| found.contains("require_subscribers")), "{single:#?}");
     let without_output = findings(&GOOD.replace("[stdout]\n", ""));
     assert_eq!(
         without_output,

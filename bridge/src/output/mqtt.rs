@@ -16,7 +16,8 @@
 //! | `connection` | packets; the only module that uses `rumqttc` |
 //! | `session` | a connection from its CONNACK to its end |
 //! | `window` | packet ids, and the prefix of acknowledged batches |
-//! | `delivery` | batches: sent, refused, sent again |
+//! | `delivery` | batches: sent, sent again, acknowledged |
+//! | `refusals` | PLCs whose batches the broker refuses |
 //! | `retained` | states and discovery messages that the broker should have |
 //! | `plcs` | PLCs of the registry as such messages |
 //! | `discovery` | entities of Home Assistant |
@@ -29,6 +30,7 @@ pub mod credentials;
 mod delivery;
 mod discovery;
 mod plcs;
+mod refusals;
 mod retained;
 mod session;
 mod subscriptions;

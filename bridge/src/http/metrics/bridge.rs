@@ -1,6 +1,7 @@
 //! Metrics of the bridge, its poller, buffer, outputs and readers.
 
 use std::fmt;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use prometheus_client::registry::Unit;
@@ -9,7 +10,7 @@ use super::Writer;
 use crate::buffer::CursorStats;
 use crate::http::Shared;
 use crate::http::hub::MAX_STREAMS;
-use crate::output::Health;
+use crate::output::{Health, RefusedPlc};
 
 pub(super) fn write(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
     let bridge = &shared.bridge;
@@ -98,7 +99,27 @@ fn outputs(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
     let refused = of(&outputs, |health, _| health.refused());
     to.counter("output_refused_messages", None, "Messages that the server has refused", refused)?;
     let skipped = of(&outputs, |health, _| health.skipped());
-    to.counter("output_skipped_batches", None, "Batches given up, because the server can never take them", skipped)
+    to.counter("output_skipped_batches", None, "Batches given up, because the server does not take them", skipped)?;
+    refused_plcs(to, shared)
+}
+
+/// The PLCs whose batches a server refuses, or has refused.
+fn refused_plcs(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
+    let mut all: Vec<(&'static str, Arc<str>, RefusedPlc)> = Vec::new();
+    for health in &shared.bridge.outputs {
+        let plcs = shared.bridge.registry.read();
+        let known = health.refused_plcs().into_iter().filter(|(plc, _)| plcs.get(plc).is_some());
+        all.extend(known.map(|(plc, refused)| (health.kind().name(), plc, refused)));
+    }
+    let refused = all.iter().map(|(output, plc, of)| (labels(output, plc), u64::from(of.is_refused)));
+    to.gauge("output_plc_refused", None, "1 while the server refuses the batches of the PLC", refused)?;
+    let dropped = all.iter().map(|(output, plc, of)| (labels(output, plc), of.dropped));
+    let help = "Batches given up, because the server refused those of the PLC and took those of others";
+    to.counter("output_plc_dropped_batches", None, help, dropped)
+}
+
+fn labels<'l>(output: &'l str, plc: &'l str) -> super::Labels<'l> {
+    vec![("output", output), ("plc", plc)]
 }
 
 fn as_u64(count: usize) -> u64 {

@@ -85,10 +85,8 @@ pub(super) struct Session<'a> {
 /// A packet that waits for an acknowledgement.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Item {
-    Batch {
-        position: u64,
-        samples: u32,
-    },
+    /// The batch at this position of the buffer.
+    Batch(u64),
     Retained(String),
     /// The state of the bridge when the output ends.
     LastState,
@@ -256,7 +254,7 @@ impl<'a> Session<'a> {
         let Some(Entry { position, batch, replay }) = self.carried.delivery.take(Instant::now()) else { return false };
         let topic = Bytes::from(self.shared.topics.data(&batch.plc));
         let message = Message { topic, payload: batch.message(replay), retain: false, correlation: None };
-        self.publish(&message, Item::Batch { position, samples: batch.samples });
+        self.publish(&message, Item::Batch(position));
         true
     }
 
@@ -314,7 +312,7 @@ impl<'a> Session<'a> {
     fn acknowledge(&mut self, item: Item, ack: Ack) {
         let is_lost = match (&item, ack) {
             (_, Ack::Taken) => false,
-            (Item::Batch { .. }, Ack::NoSubscribers) => {
+            (Item::Batch(_), Ack::NoSubscribers) => {
                 self.shared.health.count_no_subscribers();
                 self.shared.require_subscribers
             }
@@ -323,9 +321,7 @@ impl<'a> Session<'a> {
         };
         match item {
             _ if is_lost => self.refuse(item, ack),
-            Item::Batch { position, samples } => {
-                self.carried.delivery.taken(position, samples, Instant::now());
-            }
+            Item::Batch(position) => self.carried.delivery.taken(position, Instant::now()),
             Item::Retained(topic) => self.carried.retained.acknowledged(&topic),
             Item::LastState => self.is_last_state_known = true,
             Item::Reply(_) | Item::Subscriptions(_) | Item::EndOfSubscriptions => {}
@@ -344,15 +340,12 @@ impl<'a> Session<'a> {
             Ack::Taken | Ack::NoSubscribers => "no subscriber takes the batches".to_owned(),
         };
         match (item, ack) {
-            (Item::Batch { position, .. }, Ack::Never(_)) => {
+            (Item::Batch(position), Ack::Never(_)) => {
                 tracing::warn!(why, "mqtt: a batch is given up");
                 self.carried.delivery.skip(position, now);
             }
-            (Item::Batch { .. }, Ack::Refused(_) | Ack::NoSubscribers | Ack::Taken) => {
-                if self.carried.delivery.refused(now) {
-                    tracing::warn!(why, "mqtt: batches are kept, and sent again");
-                }
-                health.set_refusal(Some(why));
+            (Item::Batch(position), Ack::Refused(_) | Ack::NoSubscribers | Ack::Taken) => {
+                self.carried.delivery.refused(position, &why, now);
             }
             // It is sent again when it changes, or on the next connection: not now, which would not end.
             (Item::Retained(topic), _) => {
@@ -439,6 +432,7 @@ impl<'a> Session<'a> {
             self.introduced = None;
             self.carried.delivery.want_present_values();
         }
+        self.carried.delivery.give_up(now);
         if self.closes.is_none() {
             self.refresh(false);
         }
@@ -500,7 +494,7 @@ impl<'a> Session<'a> {
 impl Item {
     fn position(&self) -> Option<u64> {
         match self {
-            Self::Batch { position, .. } => Some(*position),
+            Self::Batch(position) => Some(*position),
             Self::Retained(_)
             | Self::LastState
             | Self::Reply(_)
@@ -512,7 +506,7 @@ impl Item {
     fn into_reply(self) -> Option<Message> {
         match self {
             Self::Reply(message) => Some(message),
-            Self::Batch { .. }
+            Self::Batch(_)
             | Self::Retained(_)
             | Self::LastState
             | Self::Subscriptions(_)

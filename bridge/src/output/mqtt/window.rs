@@ -2,8 +2,6 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use tokio::time::Instant;
-
 /// Packets that wait for an acknowledgement, by their packet id.
 ///
 /// Invariants:
@@ -63,7 +61,7 @@ impl<T> Window<T> {
     }
 }
 
-/// Batches that were sent, in the order of their positions, of which the settled ones at the front may be
+/// Batches that were read, in the order of their positions, of which the settled ones at the front may be
 /// acknowledged in the buffer.
 #[derive(Debug, Default)]
 pub(super) struct Prefix {
@@ -73,15 +71,19 @@ pub(super) struct Prefix {
 #[derive(Debug)]
 struct Sent {
     position: u64,
-    at: Instant,
     is_settled: bool,
 }
 
 impl Prefix {
-    /// Notes a batch that is sent now. Positions grow.
-    pub(super) fn push(&mut self, position: u64, at: Instant) {
+    /// Notes a batch that is sent now, or kept. Positions grow.
+    pub(super) fn push(&mut self, position: u64) {
         debug_assert!(self.sent.back().is_none_or(|last| last.position < position));
-        self.sent.push_back(Sent { position, at, is_settled: false });
+        self.sent.push_back(Sent { position, is_settled: false });
+    }
+
+    /// The number of batches from the first that is not settled.
+    pub(super) fn len(&self) -> usize {
+        self.sent.len()
     }
 
     /// Notes that a batch needs no more: it was acknowledged or given up. Returns the last position of
@@ -98,11 +100,6 @@ impl Prefix {
         last
     }
 
-    /// When the first batch was sent that is not settled.
-    pub(super) fn oldest(&self) -> Option<Instant> {
-        self.sent.front().map(|sent| sent.at)
-    }
-
     /// Forgets all, before they are sent again.
     pub(super) fn clear(&mut self) {
         self.sent.clear();
@@ -111,8 +108,6 @@ impl Prefix {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use super::*;
 
     #[test]
@@ -147,18 +142,16 @@ mod tests {
     #[test]
     fn positions_are_acknowledged_as_a_prefix_alone() {
         let mut prefix = Prefix::default();
-        let begin = Instant::now();
-        let at = |position| begin + Duration::from_secs(position);
-        [4, 5, 7, 8].into_iter().for_each(|position| prefix.push(position, at(position)));
+        [4, 5, 7, 8].into_iter().for_each(|position| prefix.push(position));
         assert_eq!(prefix.settle(5), None);
         assert_eq!(prefix.settle(8), None);
-        assert_eq!(prefix.oldest(), Some(at(4)));
+        assert_eq!(prefix.len(), 4);
         assert_eq!(prefix.settle(4), Some(5));
-        assert_eq!(prefix.oldest(), Some(at(7)));
+        assert_eq!(prefix.len(), 2);
         // Unknown, and settled before.
         assert_eq!((prefix.settle(6), prefix.settle(4), prefix.settle(99)), (None, None, None));
         assert_eq!(prefix.settle(7), Some(8));
-        prefix.push(9, at(9));
+        prefix.push(9);
         prefix.clear();
         assert_eq!(prefix.settle(9), None);
     }
