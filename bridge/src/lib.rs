@@ -29,6 +29,7 @@ pub mod collect;
 mod columns;
 pub mod command;
 pub mod config;
+mod database;
 pub mod demo;
 mod file_limit;
 pub mod fleet;

@@ -26,6 +26,7 @@ use super::chunk::Chunk;
 use super::jobs::{Commit, Load, NewChunk};
 use super::log::Slot;
 use super::record::{self, Decoder};
+use crate::database;
 
 const CHUNKS: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("chunks");
 const INDEX: TableDefinition<'_, u64, (u32, u32, u64, u64)> = TableDefinition::new("index");
@@ -110,6 +111,7 @@ impl Disk {
         builder.set_cache_size(self.cache).set_check_integrity_on_open(true);
         let (opener, path) = (self.opener.clone(), self.path.clone());
         let (db, restored) = guarded(move || {
+            database::ensure(&path, &builder)?;
             let db = opener(&builder, &path)?;
             let restored = restore(&db)?;
             Ok((db, restored))

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::thread::JoinHandle;
 
-use redb::{Database, ReadableDatabase as _, ReadableTable as _, TableDefinition, TableError};
+use redb::{Builder, Database, ReadableDatabase as _, ReadableTable as _, TableDefinition, TableError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tokio::sync::mpsc as tokio_mpsc;
@@ -22,6 +22,7 @@ use super::core::{Changes, Stored};
 use super::journal::{Key, Record};
 use super::pulse::{Place, PulseRecord};
 use super::reply::Reply;
+use crate::database;
 
 const COMMANDS: TableDefinition<'_, (&str, &str), &[u8]> = TableDefinition::new("commands");
 const PULSES: TableDefinition<'_, &[u8], &[u8]> = TableDefinition::new("pulses");
@@ -73,12 +74,13 @@ impl Store {
         results: tokio_mpsc::UnboundedSender<Result>,
     ) -> std::result::Result<(Self, Stored), StoreError> {
         let opened = guarded(|| {
-            let database = open(path)?;
+            let database = open_or_create(path)?;
             let stored = read(&database)?;
             Ok((database, stored))
         });
         let (database, stored) = opened.map_err(|error| StoreError::new(path, error))?;
-        let writer = Writer { path: path.to_owned(), opener: open, database: Some(database), results: results.clone() };
+        let writer =
+            Writer { path: path.to_owned(), opener: open_again, database: Some(database), results: results.clone() };
         let store = writer.start(results).map_err(|error| StoreError::new(path, error))?;
         Ok((store, stored))
     }
@@ -182,11 +184,23 @@ fn guarded<T>(work: impl FnOnce() -> std::result::Result<T, redb::Error>) -> std
     }
 }
 
-fn open(path: &Path) -> std::result::Result<Database, redb::Error> {
+fn open_or_create(path: &Path) -> std::result::Result<Database, redb::Error> {
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder)?;
     }
-    Ok(Database::builder().set_cache_size(CACHE).create(path)?)
+    database::ensure(path, &builder())?;
+    open_again(path)
+}
+
+/// Opens a file that has been open before. If it is gone, the ids in it are not known: that is an error.
+fn open_again(path: &Path) -> std::result::Result<Database, redb::Error> {
+    Ok(builder().open(path)?)
+}
+
+fn builder() -> Builder {
+    let mut builder = Database::builder();
+    builder.set_cache_size(CACHE);
+    builder
 }
 
 fn read(database: &Database) -> std::result::Result<Stored, redb::Error> {
@@ -239,6 +253,9 @@ fn parse<T: DeserializeOwned>(text: &[u8]) -> Option<T> {
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicU32, Ordering};
+    use std::time::Duration;
+
+    use tokio::time::timeout;
 
     use super::*;
 
@@ -247,7 +264,12 @@ mod tests {
     /// Panics once, as redb can on a damaged page.
     fn damaged_once(path: &Path) -> std::result::Result<Database, redb::Error> {
         assert!(OPENED.fetch_add(1, Ordering::Relaxed) > 0, "a damaged page");
-        open(path)
+        open_or_create(path)
+    }
+
+    /// The next result, which comes much sooner.
+    async fn next(results: &mut tokio_mpsc::UnboundedReceiver<Result>) -> Result {
+        timeout(Duration::from_secs(60), results.recv()).await.expect("there is a result").expect("the thread lives")
     }
 
     /// Without the guard the thread ended, and no result came.
@@ -259,9 +281,25 @@ mod tests {
         let writer = Writer { path, opener: damaged_once, database: None, results: sender.clone() };
         let store = writer.start(sender).unwrap();
         store.put(1, Changes::default());
-        assert_eq!(results.recv().await, Some((1, Err("the file is damaged".to_owned()))));
+        assert_eq!(next(&mut results).await, (1, Err("the file is damaged".to_owned())));
         store.put(2, Changes::default());
-        assert_eq!(results.recv().await, Some((2, Ok(()))));
+        assert_eq!(next(&mut results).await, (2, Ok(())));
+        store.close();
+    }
+
+    /// With a file that is made anew, the ids of the run were not known after its end, and no command failed.
+    #[tokio::test]
+    async fn a_file_that_is_gone_is_not_made_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("commands.redb");
+        let (sender, mut results) = tokio_mpsc::unbounded_channel();
+        drop(open_or_create(&path).unwrap());
+        let writer = Writer { path: path.clone(), opener: open_again, database: None, results: sender.clone() };
+        let store = writer.start(sender).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        store.put(1, Changes::default());
+        let (token, result) = next(&mut results).await;
+        assert!(token == 1 && result.is_err_and(|why| why.contains("No such file")) && !path.exists());
         store.close();
     }
 

@@ -137,6 +137,19 @@ async fn damage_while_the_file_is_open_is_counted() {
     println!("{rounds} rounds: {delivered_all} without loss, {files} files moved aside, {batches} batches lost");
 }
 
+/// Without the cure an empty file was taken for a new one: what was lost with its content was not told.
+#[tokio::test]
+async fn damage_that_left_no_content_is_counted() {
+    for content in [Vec::new(), vec![0; 1 << 20]] {
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(file(dir.path()), &content).unwrap();
+        let buffer = Buffer::open(&settings(dir.path()), &["mqtt"]).unwrap();
+        assert_eq!(buffer.figures().corrupt_files, 1, "{} bytes", content.len());
+        assert_eq!(fs::read(dir.path().join("buffer.damaged-1")).unwrap(), content);
+        assert!(buffer.close().await);
+    }
+}
+
 #[tokio::test]
 async fn damage_keeps_at_most_three_files() {
     let dir = tempfile::tempdir().unwrap();
