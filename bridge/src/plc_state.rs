@@ -40,10 +40,12 @@ impl PlcState {
         Self { online: why.is_none(), why, round_trip }
     }
 
-    /// Returns whether it must be published again: round trips alone, which change all the time, do not count.
+    /// Returns whether it must be published again. Another round trip, which changes all the time, does not count;
+    /// the first one does.
     #[must_use]
     pub fn differs_from(&self, other: &Self) -> bool {
-        (self.online, &self.why) != (other.online, &other.why)
+        let (first, second) = (self.round_trip.is_some(), other.round_trip.is_some());
+        (self.online, &self.why, first) != (other.online, &other.why, second)
     }
 
     /// `{"online":true,"rtt_ms":2.1}`, or `{"online":false,"why":"no answer"}`.
@@ -77,9 +79,11 @@ mod tests {
     }
 
     #[test]
-    fn a_round_trip_alone_is_no_change() {
+    fn another_round_trip_alone_is_no_change() {
         let state = |ms| PlcState::new(StationState::Online, &LinkState::Up, Some(Duration::from_millis(ms)));
         assert!(!state(2).differs_from(&state(3)));
+        // It can be known later than the reply.
+        assert!(state(2).differs_from(&PlcState::new(StationState::Online, &LinkState::Up, None)));
         assert!(state(2).differs_from(&PlcState::new(StationState::Unknown, &LinkState::Up, None)));
     }
 }
