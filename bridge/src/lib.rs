@@ -18,9 +18,11 @@
 //! - [`output`]: one task an output. [`present`]: present values after an outage.
 //! - [`command`]: commands of the outputs become writes to PLCs.
 //! - [`fleet`]: several bridges share the PLCs.
+//! - [`availability`]: the log of PLCs that do not answer.
 //! - [`http`]: page, metrics, health and API; it reads only.
 //! - [`run`]: starts all of this, and ends it.
 
+pub mod availability;
 pub mod backoff;
 pub mod batch;
 pub mod buffer;

@@ -30,6 +30,7 @@ use tokio_util::sync::CancellationToken;
 use self::outputs::Outputs;
 pub use self::reload::ReloadError;
 use self::service::Service;
+use crate::availability;
 use crate::buffer::{Buffer, BufferError, BufferSettings};
 use crate::collect::Collector;
 use crate::command::{Commands, NoFolder};
@@ -160,6 +161,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     };
     let mut collector = tokio::spawn(Collector::new(bridge.registry.clone(), buffer, liveness).run(poller));
     let mut present = tokio::spawn(present::run(bridge.buffer.clone(), bridge.registry.clone()));
+    let mut availability = tokio::spawn(availability::run(bridge.registry.clone()));
     let stop_http = CancellationToken::new();
     let mut http = tokio::spawn(http::serve(bridge.clone(), listener, stop_http.clone()));
     let mut outputs = Outputs::start(&bridge);
@@ -183,6 +185,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
             _ = &mut collector => break Err(RunError::Panicked("collector")),
             _ = &mut http => break Err(RunError::Panicked("page")),
             _ = &mut present => break Err(RunError::Panicked("task of present values")),
+            _ = &mut availability => break Err(RunError::Panicked("log of the PLCs")),
             () = bridge.buffer.ended() => break Err(RunError::Panicked("buffer")),
             () = commands_ended(bridge.commands.as_ref()) => break Err(RunError::Panicked("commands")),
             () = service.stay_alive(&bridge.liveness) => {}
@@ -190,6 +193,8 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     };
     service.stopping();
     present.abort();
+    // Links that close are no news.
+    availability.abort();
     // A collector that has ended must not be waited for again.
     let collector = ended.is_ok().then_some(collector);
     drain::drain(&bridge, outputs, collector, &mut signals).await;

@@ -9,6 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use common::bridge::{Bridge, PATIENCE, write_config};
+use common::plc::SimPlc;
 use serde_json::Value;
 
 /// A PLC that does not answer, and no port of the page that another test has.
@@ -78,6 +79,42 @@ fn lines_in_the_journal_begin_with_their_priority() {
     // Another stream: stderr was redirected since.
     let line = run(&|_| "1:1".to_owned());
     assert!(line.starts_with("20") && line.contains("INFO"), "{line}");
+}
+
+/// Without the cure the log had not a word of it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_plc_that_falls_silent_and_comes_back_is_named() {
+    let mut plc = SimPlc::start(&[]).await;
+    let folder = tempfile::tempdir().unwrap();
+    let text = format!(
+        "[bridge]\nhttp = '127.0.0.1:0'\n[plc.mixer]\nlink = '{}'\nstation = 1\ntag.level = 'R5'\n\
+         [plc.absent]\nlink = 'tcp://127.0.0.1:1'\nstation = 1\ntag.level = 'R5'\n[stdout]\n",
+        plc.link()
+    );
+    let bridge = Bridge::spawn(command(&write_config(folder.path(), &text), &["--log-format", "json"]));
+    let line = |plc: &str, message: &str| -> Option<Value> {
+        let log = bridge.log();
+        let mut events = log.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        events.rfind(|event| event["plc"] == plc && event["message"] == message)
+    };
+    let wait_for = async |plc: &str, message: &str| {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            if let Some(event) = line(plc, message) {
+                return event;
+            }
+            assert!(Instant::now() < until, "no {message:?} of {plc}: {}", bridge.log());
+            tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        }
+    };
+    // One that has never answered has some seconds for it.
+    let absent = wait_for("absent", "the PLC does not answer").await;
+    assert!(absent["level"] == "WARN" && absent["why"].as_str().unwrap().contains("refused"), "{absent}");
+    assert_eq!(line("mixer", "the PLC does not answer"), None);
+    plc.stop().await;
+    assert_eq!(wait_for("mixer", "the PLC does not answer").await["level"], "WARN");
+    plc.resume().await;
+    assert_eq!(wait_for("mixer", "the PLC answers again").await["level"], "INFO");
 }
 
 #[test]
