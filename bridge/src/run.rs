@@ -197,10 +197,10 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     availability.abort();
     // A collector that has ended must not be waited for again.
     let collector = ended.is_ok().then_some(collector);
-    drain::drain(&bridge, outputs, collector, &mut signals).await;
+    let hurries = drain::drain(&bridge, outputs, collector, &mut signals).await;
     // The metrics show the drain.
     stop_http.cancel();
-    if !matches!(ended, Err(RunError::Panicked("page"))) {
+    if !hurries && !matches!(ended, Err(RunError::Panicked("page"))) {
         let _ = http.await;
     }
     ended

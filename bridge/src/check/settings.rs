@@ -83,6 +83,11 @@ fn write_fault(tag: &PlantTag) -> Option<String> {
     if let Some((element, range)) = special {
         return Some(format!("{element} is special ({range}): writing it can cause system or I/O errors"));
     }
+    if tag.tag().is_bits_of_register() {
+        let text = "a write of one bit rewrites the whole register, and undoes what the PLC has changed in it \
+                    meanwhile: use a discrete (M)";
+        return Some(text.to_owned());
+    }
     let is_number = tag.tag().tag_type().is_number();
     (is_number && (rule.min.is_none() || rule.max.is_none()))
         .then(|| "write has no min or no max: numbers without a limit can be written".to_owned())

@@ -187,6 +187,10 @@ fn settings_that_are_probably_not_meant_are_warnings() {
             "line 9, plc.b.tag.x: M1990 is special (M1912-M2001)",
         ),
         (
+            "[plc.b]\nlink = 'tcp://h'\nstation = 1\ntag.x = { at = 'R60.3', write = {} }\n",
+            "line 9, plc.b.tag.x: a write of one bit rewrites the whole register",
+        ),
+        (
             "[plc.b]\nlink = 'tcp://h'\nstation = 1\ntag.x = { at = 'R0', write = { min = 0 } }\n",
             "line 9, plc.b.tag.x: write has no min or no max",
         ),

@@ -12,11 +12,19 @@ use super::{Bridge, Signals};
 const DRAIN: Duration = Duration::from_secs(5);
 /// The time for the links to end their requests.
 const CLOSE: Duration = Duration::from_secs(2);
+/// The time for outputs and buffer after a second signal.
+const HURRY: Duration = Duration::from_millis(500);
 /// The time between two looks at the buffer.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// Delivers what can be delivered in time, and closes everything. A second signal ends the wait.
-pub(super) async fn drain(bridge: &Bridge, outputs: Outputs, collector: Option<JoinHandle<()>>, signals: &mut Signals) {
+/// Delivers what can be delivered in time, and closes everything. A second signal ends the bridge within a second:
+/// returns whether there was one.
+pub(super) async fn drain(
+    bridge: &Bridge,
+    outputs: Outputs,
+    collector: Option<JoinHandle<()>>,
+    signals: &mut Signals,
+) -> bool {
     let delivered = async {
         bridge.poller.close().await;
         if let Some(collector) = collector {
@@ -33,17 +41,44 @@ pub(super) async fn drain(bridge: &Bridge, outputs: Outputs, collector: Option<J
             commands.close().await;
         }
     };
+    let mut hurries = tokio::select! {
+        (delivered, ()) = async { tokio::join!(timeout(DRAIN, delivered), executed) } => {
+            if delivered.is_err() {
+                tracing::warn!("an output did not take all batches within {DRAIN:?}");
+            }
+            false
+        }
+        () = signals.end() => true,
+    };
+    let in_order = !hurries;
+    let closed = async {
+        if in_order {
+            outputs.stop().await;
+            write_buffer(bridge).await;
+        } else {
+            tokio::join!(outputs.stop(), write_buffer(bridge));
+        }
+        if timeout(CLOSE, bridge.pool.close()).await.is_err() {
+            tracing::warn!("a link did not close within {CLOSE:?}");
+        }
+    };
+    let hurried = async {
+        if !hurries {
+            signals.end().await;
+            hurries = true;
+        }
+        tracing::warn!("a second signal: the bridge ends without waiting");
+        sleep(HURRY).await;
+    };
     tokio::select! {
-        (delivered, ()) = async { tokio::join!(timeout(DRAIN, delivered), executed) } => if delivered.is_err() {
-            tracing::warn!("an output did not take all batches within {DRAIN:?}");
-        },
-        () = signals.end() => tracing::warn!("a second signal: the bridge ends without waiting"),
+        () = closed => {}
+        () = hurried => {}
     }
-    outputs.stop().await;
+    hurries
+}
+
+async fn write_buffer(bridge: &Bridge) {
     if !bridge.buffer.close().await {
         tracing::error!("the buffer was not written: batches that were not delivered are lost");
-    }
-    if timeout(CLOSE, bridge.pool.close()).await.is_err() {
-        tracing::warn!("a link did not close within {CLOSE:?}");
     }
 }
