@@ -1,6 +1,7 @@
 //! Members of a fleet with a real nats-server. PLCs are counters here: the protocol and its driver are under test.
 //!
-//! `FATEK_FLEET_KILLS` sets how often a member is killed (100 in a campaign, 3 otherwise).
+//! `FATEK_FLEET_KILLS` sets how often a member is killed (100 in a campaign, 3 otherwise), and `FATEK_FLEET_LINKS` the
+//! number of links (200 otherwise).
 
 mod common;
 
@@ -145,13 +146,14 @@ async fn a_member_refuses_to_start_without_a_store() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn links_are_shared_taken_over_and_handed_over() {
-    let kills = std::env::var("FATEK_FLEET_KILLS").map_or(3, |kills| kills.parse::<u32>().unwrap());
+    let number = |name: &str| std::env::var(name).ok().map(|number| number.parse::<usize>().unwrap());
+    let kills = number("FATEK_FLEET_KILLS").unwrap_or(3);
+    let count = number("FATEK_FLEET_LINKS").unwrap_or(200);
     let folder = tempfile::tempdir().unwrap();
     let Some(server) = NatsServer::start(folder.path()) else { return };
     let nats = section(folder.path(), server.port());
     init(&nats).await;
     let board = Arc::new(Board::default());
-    let count = 200;
     let begin = Instant::now();
     let ids = ["hall-1", "hall-2", "hall-3"];
     let mut nodes: Vec<Node> = ids.iter().map(|id| Node::start(&nats, &board, id, links(count))).collect();
@@ -245,4 +247,41 @@ async fn a_store_that_was_deleted_stops_all_members() {
         );
     }
     assert_eq!(open(), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_operator_drains_members_and_moves_links() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(server) = NatsServer::start(folder.path()) else { return };
+    let nats = section(folder.path(), server.port());
+    init(&nats).await;
+    let board = Arc::new(Board::default());
+    let name = |text: &str| Name::parse(text).unwrap();
+    let nodes: Vec<Node> = ["hall-1", "hall-2"].map(|id| Node::start(&nats, &board, id, links(20))).into();
+    let shares = || (board.open("hall-1"), board.open("hall-2"));
+    until("both have a share", &board, || shares().0 + shares().1 == 20 && shares().0 > 2 && shares().1 > 2).await;
+    let before = shares();
+
+    let (admin, bucket, hall_1, plc7) = (name("admin"), name("leases"), name("hall-1"), name("plc7"));
+    fleet::drain(&nats, &admin, &bucket, &hall_1, true).await.unwrap();
+    until("hall-1 has given all away", &board, || shares() == (0, 20)).await;
+    until("it says so", &board, || state(&nodes[0]) == MemberState::Draining).await;
+    fleet::drain(&nats, &admin, &bucket, &hall_1, false).await.unwrap();
+    until("it has its share again", &board, || shares() == before).await;
+
+    let owner = |link: &str| {
+        let owned = board.owned.lock().unwrap();
+        owned.keys().find(|(_, owned)| **owned == *link).map(|(member, _)| member.to_string())
+    };
+    for member in ["hall-1", "hall-2"] {
+        fleet::move_link(&nats, &admin, &bucket, &plc7, Some(&name(member))).await.unwrap();
+        until("the link is moved", &board, || owner("plc7").as_deref() == Some(member)).await;
+    }
+    let observer = Member { id: "admin".into(), version: String::new(), config: "c".to_owned(), weight: 1 };
+    let status = fleet::observe(&nats, &bucket, LEASE, observer, links(20)).await.unwrap();
+    let members: Vec<&str> = status.members.iter().map(|member| &*member.id).collect();
+    assert_eq!(members, ["hall-1", "hall-2"], "the observer is none");
+    let plc7 = status.links.iter().find(|link| &*link.link == "plc7").unwrap();
+    assert_eq!((plc7.owner.as_deref(), plc7.target.as_deref()), (Some("hall-2"), Some("hall-2")));
+    drop(nodes);
 }

@@ -1,18 +1,20 @@
 //! The world of one seed: its nodes, their clocks, and its events in their order.
 
+mod actions;
+mod checks;
+
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
-use std::fmt;
 use std::sync::Arc;
 
+pub(super) use self::checks::Figures;
 use super::faults::Fault;
 use super::network::{Connection, Message};
 use super::oracle::{Oracle, Owner};
 use super::store::Store;
 use super::{LEASE, Variant};
-use crate::fleet::core::{Action, Core, Input, Member, Settings};
+use crate::fleet::core::{Core, Input, Member, Settings};
 use crate::fleet::keys::Key;
-use crate::fleet::placement::{self, Candidate};
 use crate::fleet::{LinkSpec, LinkToken, Reach};
 
 /// The longest way of a request from the gate to its PLC.
@@ -114,17 +116,6 @@ pub(super) struct Process {
     pub(super) is_leaving: bool,
     pub(super) has_left: bool,
     pub(super) has_failed: bool,
-}
-
-/// Figures of runs.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Figures {
-    pub(super) requests: u64,
-    pub(super) handovers: u64,
-    pub(super) faults: u64,
-    pub(super) events: u64,
-    pub(super) fences: u64,
-    pub(super) failed: u64,
 }
 
 #[derive(Debug)]
@@ -462,119 +453,6 @@ impl World {
         }
     }
 
-    fn act(&mut self, node: usize, start: u32, action: Action) {
-        match action {
-            Action::Request { request, operation, timeout } => {
-                self.note(|| format!("node {node} sends {request}: {operation:?}"));
-                self.send(node, start, request, operation, timeout);
-            }
-            Action::Gate { session, until } => self.set_gate(node, start, session, until),
-            Action::Own { link, token, session } => {
-                self.note(|| format!("node {node} owns {link} by {token}"));
-                let session = session.unwrap_or_else(|| "pinned".into());
-                let owner = Owner { node, start, session, token: token.revision };
-                let Some(process) = self.process(node, start) else { return };
-                let before = process.owned.insert(link.clone(), owner.clone());
-                if before.is_some() {
-                    return self.fail(format!("node {node} owns {link} twice"));
-                }
-                let at = self.rng.u64(..POLL / 8);
-                self.after(at, Event::Poll { node, start, owner, link, is_extra: false });
-                self.moment(node, 0);
-            }
-            Action::Close { link, token } => {
-                self.note(|| format!("node {node} closes {link} of {token}"));
-                let Some(process) = self.process(node, start) else { return };
-                let owner = process.owned.remove(&link);
-                if owner.is_none_or(|owner| owner.token != token.revision) {
-                    return self.fail(format!("node {node} closes {link} of {token}, which it does not own"));
-                }
-                // Until its last request is off the wire.
-                let at = TO_PLC + self.rng.u64(1..LEASE / 10);
-                self.after(at, Event::Closed { node, start, link, token });
-                self.moment(node, 0);
-            }
-            Action::Reconnect => self.lose_connection(node, start),
-            Action::Warn(text) => self.note(|| format!("node {node} warns: {text}")),
-            Action::Fail(fault) => {
-                self.note(|| format!("node {node} fails: {fault}"));
-                self.figures.failed += 1;
-                let was_set_back = self.store.was_set_back;
-                let Some(process) = self.process(node, start) else { return };
-                process.has_failed = true;
-                if !was_set_back {
-                    return self.fail(format!("node {node} fails without a reason: {fault}"));
-                }
-                let wait = self.rng.u64(LEASE / 10..LEASE * 3);
-                self.after(wait, Event::Fault(Fault::Replace { node, start }));
-            }
-            Action::Left => {
-                self.note(|| format!("node {node} has left"));
-                if let Some(process) = self.process(node, start) {
-                    process.has_left = true;
-                }
-                let wait = self.rng.u64(LEASE / 10..LEASE * 3);
-                self.after(wait, Event::Fault(Fault::Replace { node, start }));
-            }
-        }
-    }
-
-    fn set_gate(&mut self, node: usize, start: u32, session: Arc<str>, until: u64) {
-        self.note(|| format!("node {node} has a gate until {until} ({session})"));
-        let Some(process) = self.process(node, start) else { return };
-        process.gates.insert(session.clone(), until);
-        if until == 0 {
-            return;
-        }
-        // The last moments of a gate matter.
-        let owned: Vec<_> = process.owned.clone().into_iter().collect();
-        let end = self.true_time(node, until);
-        for (link, owner) in owned {
-            let before = self.rng.u64(1..LEASE / 100);
-            self.at(end.saturating_sub(before), Event::Poll { node, start, owner, link, is_extra: true });
-        }
-        self.moment(node, end.saturating_sub(self.now));
-    }
-
-    /// A request is due for a link that a process owns, if it still does.
-    fn poll(&mut self, node: usize, start: u32, owner: Owner, link: Arc<str>, is_extra: bool) {
-        let local = self.local(node);
-        let variant = self.variant;
-        let Some(process) = self.process(node, start) else { return };
-        if process.owned.get(&link) != Some(&owner) {
-            return;
-        }
-        let until = process.gates.get(&owner.session).copied().unwrap_or(0);
-        if local < until || variant == Variant::NoGate {
-            let way = self.rng.u64(..TO_PLC);
-            self.after(way, Event::Arrive { link: link.clone(), owner: owner.clone() });
-        }
-        if !is_extra {
-            let period = self.rng.u64(POLL / 2..POLL * 3 / 2);
-            self.after(period, Event::Poll { node, start, owner, link, is_extra });
-        }
-    }
-
-    /// A PLC gets a request.
-    fn arrive(&mut self, link: &Arc<str>, owner: &Owner) {
-        let last_take = if self.store.was_set_back { None } else { self.store.last_take(link) };
-        if let Err(failure) = self.oracle.request(self.now, link, owner, last_take) {
-            return self.fail(failure);
-        }
-        if self.variant != Variant::Real {
-            return;
-        }
-        for (index, node) in self.nodes.iter().enumerate() {
-            let Some(process) = &node.process else { continue };
-            let Some(other) = process.owned.get(link).filter(|other| *other != owner) else { continue };
-            let until = process.gates.get(&other.session).copied().unwrap_or(0);
-            if self.local(index) < until {
-                let failure = format!("{link}: request of {owner:?} while the gate of {other:?} is open");
-                return self.fail(failure);
-            }
-        }
-    }
-
     pub(super) fn fail(&mut self, failure: String) {
         self.note(|| format!("FAILURE: {failure}"));
         self.failure.get_or_insert(failure);
@@ -602,41 +480,6 @@ impl World {
             }
         }
     }
-
-    /// Each link must be polled by its target, and by no other node.
-    fn check_all_is_well(&self) -> Result<(), String> {
-        let entries = self.store.entries();
-        let value = |key: &str| {
-            let entry = entries.iter().find(|change| change.key == key);
-            entry.and_then(|change| change.value.clone()).filter(|value| !value.is_empty())
-        };
-        let running = self.nodes.iter().enumerate().filter(|(_, node)| node.process.is_some());
-        let running: Vec<(usize, String, u32)> = running.map(|(n, node)| (n, id_of(n), node.weight)).collect();
-        for link in &self.links {
-            let reaches = |id: &str| match &link.reach {
-                Reach::All => true,
-                Reach::Only(members) => members.iter().any(|member| **member == *id),
-                Reach::Pinned(_) => false,
-            };
-            let can_own = |id: &str| reaches(id) && value(&Key::Drain(id).text()).is_none();
-            let candidates = running.iter().filter(|(_, id, _)| can_own(id));
-            let candidates: Vec<_> =
-                candidates.map(|(_, id, weight)| Candidate { member: id, weight: *weight, session: id }).collect();
-            let by_hand = value(&Key::Override(&link.id).text());
-            let by_hand = by_hand.and_then(|id| candidates.iter().copied().find(|candidate| candidate.member == id));
-            let Some(target) = by_hand.or_else(|| placement::target(&link.id, candidates)) else { continue };
-            let Some((at, node)) = self.oracle.last_request(&link.id) else {
-                return Err(format!("{}: never polled", link.id));
-            };
-            let age = (self.now - at) as f64 / LEASE as f64;
-            if id_of(node) != target.member || age > 0.5 {
-                let id = &link.id;
-                let target = target.member;
-                return Err(format!("{id}: last polled by {} {age:.2} leases ago, in place of {target}", id_of(node)));
-            }
-        }
-        Ok(())
-    }
 }
 
 impl Process {
@@ -649,26 +492,4 @@ impl Process {
 /// The id of the member on a node.
 pub(super) fn id_of(node: usize) -> String {
     format!("hall-{node}")
-}
-
-impl Figures {
-    pub(super) fn add(&mut self, other: &Self) {
-        self.requests += other.requests;
-        self.handovers += other.handovers;
-        self.faults += other.faults;
-        self.events += other.events;
-        self.fences += other.fences;
-        self.failed += other.failed;
-    }
-}
-
-impl fmt::Display for Figures {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { requests, handovers, faults, events, fences, failed } = self;
-        write!(
-            f,
-            "{faults} faults, {requests} requests to PLCs, {handovers} handovers, {fences} sessions fenced, \
-             {failed} members stopped by a store that was set back, {events} events"
-        )
-    }
 }
