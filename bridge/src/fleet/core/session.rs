@@ -262,10 +262,16 @@ impl Core {
     /// Takes over a revision of the own session, if this process wrote it.
     fn adopt(&mut self, now: Nanos, value: &str, revision: u64) {
         let Some(session) = &mut self.session else { return };
+        let parsed = SessionValue::parse(value);
+        let beat = parsed.as_ref().map(|value| value.beat);
+        if revision == session.revision && session.is_created && beat != Some(session.stored_beat) {
+            // The store was set back, and has given the revision again.
+            let (what, before) = (Key::Session(&session.name).text(), revision);
+            return self.fail(StoreFault::SetBack { what, before, now: revision });
+        }
         if revision <= session.revision {
             return;
         }
-        let parsed = SessionValue::parse(value);
         let unresolved = session.stored_beat + 1..=session.beat;
         match parsed.filter(|value| *value.member == *self.member.id && unresolved.contains(&value.beat)) {
             Some(value) => {

@@ -239,7 +239,8 @@ impl World {
         }
         self.at(at, Event::Timeout { node, start, request });
         let Some(connection) = self.nodes[node].connection else { return };
-        let life = self.store.life;
+        // A request over a connection of an earlier life reaches nothing.
+        let Some(life) = self.connections.get(&connection).map(|open| open.life) else { return };
         let mut copies = 1;
         if !self.is_healed {
             match self.rng.u8(..100) {
