@@ -213,6 +213,17 @@ pub enum Error {
         /// Maximum number of waiting calls.
         limit: usize,
     },
+    /// The [send gate](crate::SendGate) of the link is closed.
+    #[non_exhaustive]
+    GateClosed {
+        /// The station; 0 for a broadcast.
+        station: u8,
+        /// The command.
+        code: Code,
+        /// `true` if the gate closed within the request, of which a part was written, or if the request
+        /// was sent before without a reply. `false`: no byte of it was written.
+        sent: bool,
+    },
     /// The connection could not be opened.
     #[non_exhaustive]
     Connect {
@@ -322,6 +333,14 @@ impl fmt::Display for Error {
             Self::QueueFull { station, limit } => {
                 write!(f, "{limit} calls are waiting for station {station} already")
             }
+            Self::GateClosed { station, code, sent: false } => {
+                write!(f, "{code} to station {station} was not sent: the send gate is closed")
+            }
+            Self::GateClosed { station, code, sent: true } => write!(
+                f,
+                "{code} to station {station} may have been executed: it was sent, whole or in part, before the send \
+                 gate closed"
+            ),
             Self::Connect { endpoint, source, sent: _ } => write!(f, "cannot connect to {endpoint}: {source}"),
             Self::Disconnected { endpoint, source, sent: _ } => {
                 write!(f, "the connection to {endpoint} was lost: {source}")
@@ -359,6 +378,7 @@ impl std::error::Error for Error {
             | Self::Duplicates { .. }
             | Self::Offline { .. }
             | Self::QueueFull { .. }
+            | Self::GateClosed { .. }
             | Self::Closed { .. } => None,
         }
     }
@@ -390,6 +410,7 @@ impl Error {
             | Self::Connect { .. }
             | Self::Disconnected { .. }
             | Self::QueueFull { .. }
+            | Self::GateClosed { .. }
             | Self::Closed { .. } => false,
         }
     }
@@ -410,12 +431,13 @@ impl Error {
             | Self::OutOfStep { .. }
             | Self::Duplicates { .. }
             | Self::QueueFull { .. }
+            | Self::GateClosed { .. }
             | Self::Closed { .. } => false,
         }
     }
 
     /// Returns `true` if the same request may succeed later without a change: the line, the PLC or
-    /// the queue failed, not the request.
+    /// the queue failed, or the send gate was closed; not the request.
     ///
     /// A refusal by the PLC is not transient. Before a write is repeated, see
     /// [`may_have_executed`](Self::may_have_executed).
@@ -429,7 +451,8 @@ impl Error {
             | Self::Duplicates { .. }
             | Self::Connect { .. }
             | Self::Disconnected { .. }
-            | Self::QueueFull { .. } => true,
+            | Self::QueueFull { .. }
+            | Self::GateClosed { .. } => true,
             Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.is_transient(),
             Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_transient),
             Self::Invalid(_) | Self::Tag(_) | Self::Plc { .. } | Self::Closed { .. } => false,
@@ -453,6 +476,7 @@ impl Error {
             | Self::OutOfStep { sent, .. }
             | Self::Duplicates { sent, .. }
             | Self::Offline { sent, .. }
+            | Self::GateClosed { sent, .. }
             | Self::Connect { sent, .. }
             | Self::Disconnected { sent, .. }
             | Self::Closed { sent } => *sent,
@@ -481,6 +505,7 @@ impl Error {
             | Self::Duplicates { .. }
             | Self::Offline { .. }
             | Self::QueueFull { .. }
+            | Self::GateClosed { .. }
             | Self::Connect { .. }
             | Self::Disconnected { .. }
             | Self::Closed { .. } => None,
@@ -506,5 +531,10 @@ mod tests {
         assert_eq!((refused.is_timeout(), refused.is_connect(), refused.is_transient()), (false, false, false));
         let full = Error::QueueFull { station: 1, limit: 16 };
         assert_eq!((full.is_timeout(), full.is_connect(), full.is_transient()), (false, false, true));
+        for sent in [false, true] {
+            let withheld = Error::GateClosed { station: 1, code: Code::ReadStatus, sent };
+            let kinds = (withheld.is_timeout(), withheld.is_connect(), withheld.is_transient());
+            assert_eq!((kinds, withheld.may_have_executed()), ((false, false, true), sent), "{withheld}");
+        }
     }
 }

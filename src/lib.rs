@@ -158,7 +158,7 @@ pub use endpoint::{Endpoint, ParseEndpointError};
 pub use error::{Error, ErrorCode, Seen};
 #[cfg(feature = "derive")]
 pub use fatek_derive::Tags;
-pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, StationState, StationStats};
+pub use link::{CallOptions, EchoMode, Link, LinkBuilder, LinkState, LinkStats, SendGate, StationState, StationStats};
 pub use memory_map::MemoryMap;
 pub use plan::{CostModel, Limits, Plan};
 pub use poll::Poller;

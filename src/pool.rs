@@ -179,6 +179,37 @@ impl Pool {
         join_all(links.iter().map(Link::close)).await;
     }
 
+    /// Closes the links of one endpoint, for all their handles, and waits until they are closed: the
+    /// request on the wire is finished, and the connection is closed. See [`Link::close`].
+    ///
+    /// For a PLC that another master is to take over. Without links of the endpoint, nothing happens.
+    /// The endpoint can be requested again at any time: [`station`](Self::station) then makes a new link.
+    /// Handles of the closed one stay closed. If the future is dropped, some links may stay open; call it
+    /// again to close them.
+    ///
+    /// ```
+    /// # #[tokio::main(flavor = "current_thread")]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// use fatek::sim::{self, Bus, Plc};
+    /// use fatek::{Endpoint, Pool};
+    ///
+    /// let bus = Bus::new().with_station(1, Plc::new())?;
+    /// let pool = Pool::builder().connector(move |endpoint| sim::connector(bus.clone(), endpoint.framing())()).build();
+    /// let endpoint: Endpoint = "tcp://bench".parse()?;
+    /// let station = pool.station(endpoint.clone(), 1)?;
+    /// station.read_status().await?;
+    ///
+    /// pool.close_endpoint(&endpoint).await;
+    /// assert!(station.read_status().await.is_err());
+    /// pool.station(endpoint, 1)?.read_status().await?;
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub async fn close_endpoint(&self, endpoint: &Endpoint) {
+        let links = self.lock().endpoints.get(&EndpointKey::of(endpoint)).map(|links| links.links.clone());
+        join_all(links.iter().flatten().map(Link::close)).await;
+    }
+
     fn link(&self, endpoint: &Endpoint) -> Result<Link, PoolError> {
         let settings = &self.shared.settings;
         let mut state = self.lock();

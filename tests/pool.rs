@@ -322,6 +322,25 @@ async fn a_closed_link_is_replaced() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn one_endpoint_is_closed_and_opened_again() {
+    let plant = Plant::new(Duration::ZERO);
+    let pool = plant.pool().links_per_endpoint(2).build();
+    let endpoint: Endpoint = "tcp://plc".parse().unwrap();
+    pool.close_endpoint(&endpoint).await;
+    let closed = [1, 2].map(|n| pool.station(endpoint.clone(), n).unwrap());
+    let other = pool.station("tcp://other", 1).unwrap();
+    assert!(works(&closed[0]).await && works(&closed[1]).await && works(&other).await);
+    // In another spelling.
+    pool.close_endpoint(&"tcp://PLC:500".parse().unwrap()).await;
+    assert_eq!((pool.stats().closed, pool.stats().up), (2, 1));
+    for station in &closed {
+        assert!(matches!(station.read_status().await, Err(Error::Closed { .. })));
+    }
+    assert!(works(&pool.station(endpoint, 1).unwrap()).await && works(&other).await);
+    assert_eq!((pool.stats().links, pool.stats().traffic.stations.replies), (2, 5));
+}
+
+#[tokio::test(start_paused = true)]
 async fn stations_outlive_the_pool() {
     let plant = Plant::new(Duration::ZERO);
     let pool = plant.pool().idle_timeout(Duration::from_secs(1)).build();

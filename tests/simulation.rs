@@ -307,6 +307,7 @@ fn error_kind(error: &Error) -> &'static str {
         Error::Disconnected { .. } => "disconnected",
         Error::Offline { .. } => "offline",
         Error::QueueFull { .. } => "queue full",
+        Error::GateClosed { .. } => "gate closed",
         Error::OutOfStep { .. } => "out of step",
         Error::Duplicates { .. } => "duplicates",
         Error::Closed { .. } => "closed",

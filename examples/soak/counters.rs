@@ -69,6 +69,7 @@ fn kind(error: &Error) -> &'static str {
         Error::Disconnected { .. } => "disconnected",
         Error::Offline { .. } => "offline",
         Error::QueueFull { .. } => "queue full",
+        Error::GateClosed { .. } => "gate closed",
         Error::Closed { .. } => "closed",
         Error::OutOfStep { .. } | Error::Duplicates { .. } | Error::PartlyWritten { .. } | _ => "other",
     }

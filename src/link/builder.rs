@@ -10,6 +10,7 @@ use super::driver::Driver;
 use super::frame_gap::GapLengths;
 use super::line::Line;
 use super::options::{CallOptions, EchoMode};
+use super::send_gate::SendGate;
 use super::shared::Shared;
 use super::shared_capabilities::SharedCapabilities;
 use super::state::SharedLinkState;
@@ -32,6 +33,7 @@ pub struct LinkBuilder {
     configs: Option<Arc<SharedConfigs>>,
     seed: Option<u64>,
     connect_limiter: Option<Arc<ConnectLimiter>>,
+    send_gate: Option<SendGate>,
 }
 
 impl LinkBuilder {
@@ -232,6 +234,32 @@ impl LinkBuilder {
         self
     }
 
+    /// Sets the [send gate](SendGate): a permission that is asked for before each write. Default: none;
+    /// the link sends at any time.
+    ///
+    /// Of several gates, set by several calls, all must be open.
+    ///
+    /// ```
+    /// use std::sync::Arc;
+    /// use std::sync::atomic::{AtomicBool, Ordering};
+    /// use fatek::Link;
+    ///
+    /// let maintenance = Arc::new(AtomicBool::new(false));
+    /// let lock = maintenance.clone();
+    /// let link = Link::builder("tcp://192.168.2.3:500".parse()?)
+    ///     .send_gate(move || !lock.load(Ordering::Acquire))
+    ///     .build();
+    /// # Ok::<(), fatek::ParseEndpointError>(())
+    /// ```
+    pub fn send_gate(mut self, gate: impl Into<SendGate>) -> Self {
+        let gate = gate.into();
+        self.send_gate = Some(match self.send_gate.take() {
+            Some(first) => first.and(gate),
+            None => gate,
+        });
+        self
+    }
+
     /// Replaces the connector.
     pub(crate) fn connector(mut self, connector: Connector) -> Self {
         self.connector = connector;
@@ -285,7 +313,7 @@ impl LinkBuilder {
             None => Arc::new(config),
         };
         let core = Core::new(config.clone(), name.clone(), stats.clone(), self.seed.unwrap_or_else(Random::seed));
-        let driver = Driver::new(core, self.connector, self.connect_limiter, state.clone());
+        let driver = Driver::new(core, self.connector, self.connect_limiter, self.send_gate, state.clone());
         let inner = LinkInner {
             name,
             config,
@@ -334,6 +362,7 @@ impl LinkBuilder {
             configs: None,
             seed: None,
             connect_limiter: None,
+            send_gate: None,
         }
     }
 }

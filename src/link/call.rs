@@ -85,13 +85,17 @@ pub(crate) trait AnyCall: Send + Sync {
     /// Drops the held result: its reply may belong to another request.
     fn retract(&self);
 
-    /// Marks the request as sent: from now on the PLC may execute it. Returns `false` if the call
-    /// is abandoned; then it must not be sent.
-    fn mark_sent(&self) -> bool;
+    /// Marks the request as sent: from now on the PLC may execute it. Returns whether it was sent
+    /// before; `None` if the call is abandoned, and then it must not be sent.
+    fn mark_sent(&self) -> Option<bool>;
 
     /// Takes back one [`mark_sent`](Self::mark_sent): only the spelling was refused, so the
     /// transmission does not count as a repetition.
     fn uncount_send(&self);
+
+    /// Takes back one [`mark_sent`](Self::mark_sent), which has returned `sent_before`: nothing was
+    /// written.
+    fn withdraw_send(&self, sent_before: bool);
 
     /// Notes that a check was sent for the call.
     fn mark_checked(&self);

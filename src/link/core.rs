@@ -437,10 +437,15 @@ impl Core {
             return false;
         }
         self.used_at = None;
+        self.forget_offline();
+        true
+    }
+
+    /// Makes offline stations unknown, so that they are not probed.
+    fn forget_offline(&mut self) {
         for station in self.stations.forget_offline() {
             self.stats.set_state(station, StationState::Unknown);
         }
-        true
     }
 
     fn idle_at(&self) -> Option<Instant> {
@@ -472,6 +477,11 @@ impl Core {
                 "device closes its connection after each reply: silence replaces checks from now on"
             );
         }
+    }
+
+    /// Returns whether the next action may be to send a request, or to open a connection for one.
+    pub(crate) fn wants_to_send(&mut self, now: Instant) -> bool {
+        self.is_idle() && self.has_work(now)
     }
 
     fn has_work(&mut self, now: Instant) -> bool {

@@ -16,11 +16,13 @@
 //! Invariants:
 //! - A request is begun only after all data that had come were read.
 //! - A request that is partly written is written to its end, or the connection is closed.
+//! - No byte is written unless the [send gate](SendGate), if there is one, was open immediately before.
 //! - The task learns of everything that `advance` waits for: readability and writability by its
 //!   waker, instants by the return value.
 
 #[cfg(test)]
 mod tests;
+mod writing;
 
 use std::io;
 use std::mem::MaybeUninit;
@@ -30,9 +32,10 @@ use std::task::{Context, Poll, Waker, ready};
 
 use bytes::BytesMut;
 use futures::future::{BoxFuture, FutureExt};
-use tokio::io::{AsyncRead as _, AsyncWrite as _, ReadBuf};
+use tokio::io::{AsyncRead as _, ReadBuf};
 use tokio::time::Instant;
 
+use self::writing::{Unwritten, Writing};
 use super::buffer;
 use super::call::PendingCall;
 use super::connect_limiter::{ConnectLimiter, ConnectPermit, ConnectSlot};
@@ -40,7 +43,7 @@ use super::connector::Connector;
 use super::core::{Action, Core};
 use super::in_step::Declared;
 use super::io_waker::IoWaker;
-use super::later;
+use super::send_gate::SendGate;
 use super::state::{LinkState, SharedLinkState};
 use crate::error::Rounded;
 use crate::transport::{BoxIo, Io};
@@ -51,6 +54,8 @@ pub(crate) struct Driver {
     connector: Connector,
     /// Shared by links that must not all connect at once.
     connect_limiter: Option<Arc<ConnectLimiter>>,
+    /// Asked before each write.
+    send_gate: Option<SendGate>,
     /// When the last written byte has left the machine.
     sent_until: Option<Instant>,
     state: Arc<SharedLinkState>,
@@ -71,15 +76,6 @@ pub(crate) struct Driver {
     ending: bool,
     /// Number of bytes that were received since other tasks could run.
     received: usize,
-}
-
-/// A request that is being written.
-#[derive(Debug)]
-struct Writing {
-    /// Number of bytes written.
-    written: usize,
-    /// When all must be written.
-    by: Instant,
 }
 
 /// Why [`Driver::advance`] has returned.
@@ -133,6 +129,7 @@ impl Driver {
         core: Core,
         connector: Connector,
         connect_limiter: Option<Arc<ConnectLimiter>>,
+        send_gate: Option<SendGate>,
         state: Arc<SharedLinkState>,
     ) -> Self {
         let io_waker = Arc::new(IoWaker::default());
@@ -140,6 +137,7 @@ impl Driver {
             core,
             connector,
             connect_limiter,
+            send_gate,
             sent_until: None,
             state,
             waker: Waker::from(io_waker.clone()),
@@ -261,7 +259,8 @@ impl Driver {
                         self.core.late_datagrams(late);
                         self.read_armed = self.read_armed && self.connector.wakes_reader();
                     }
-                    Poll::Ready(Err(error)) => self.connection_lost(error, clock.now()),
+                    Poll::Ready(Err(Unwritten::GateClosed { partly })) => self.gate_closed(partly, clock.now()),
+                    Poll::Ready(Err(Unwritten::Lost(error))) => self.connection_lost(error, clock.now()),
                 }
                 continue;
             }
@@ -275,6 +274,15 @@ impl Driver {
                 }
             }
             let now = clock.now();
+            // Asked before a connection is opened and before a request is begun, so that calls do not
+            // wait for a connection over which they would not be sent.
+            if self.send_gate.is_some() && self.core.wants_to_send(now) && !self.may_send() {
+                self.core.withhold_all();
+                // One that is wanted and not begun.
+                if std::mem::take(&mut self.open_requested) {
+                    self.core.may_connect(now);
+                }
+            }
             // A write must not go into a connection that is closed already: whether it was executed
             // would not be known.
             if self.core.may_send_write() && self.io.as_deref().is_some_and(<dyn Io>::is_closed_by_peer) {
@@ -355,45 +363,6 @@ impl Driver {
     pub(crate) fn finish(mut self) {
         self.io = None;
         self.state.end();
-    }
-
-    /// When the bytes just written leave the machine.
-    ///
-    /// On a serial line they follow those written before. A socket takes them at once, and the
-    /// clock need not be read for it. A user's stream may take long within a write or a flush.
-    fn transmitted_at(&mut self, clock: &mut Clock) -> Instant {
-        let Some(line) = self.core.config().line else {
-            return if self.connector.wakes_reader() { clock.now() } else { clock.look() };
-        };
-        let now = clock.look();
-        let begins = self.sent_until.map_or(now, |until| until.max(now));
-        let ends = later(begins, line.transmission(self.core.request_bytes().len()));
-        self.sent_until = Some(ends);
-        ends
-    }
-
-    /// Continues to write the request. Ready when it is written and flushed, or has failed.
-    fn poll_write(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        let Some(writing) = &mut self.writing else { return Poll::Ready(Ok(())) };
-        let Some(io) = &mut self.io else {
-            self.writing = None;
-            return Poll::Ready(Err(io::ErrorKind::NotConnected.into()));
-        };
-        let result = loop {
-            match self.core.request_bytes().get(writing.written..) {
-                Some(rest) if !rest.is_empty() => match ready!(Pin::new(&mut *io).poll_write(cx, rest)) {
-                    Ok(0) => break Err(io::ErrorKind::WriteZero.into()),
-                    // A stream that claims more than it was given has written all of it.
-                    Ok(written) => writing.written = writing.written.saturating_add(written),
-                    Err(error) => break Err(error),
-                },
-                // Flushing a serial port blocks the thread until the last bit is sent.
-                _ if self.core.config().line.is_some() => break Ok(()),
-                _ => break ready!(Pin::new(&mut *io).poll_flush(cx)),
-            }
-        };
-        self.writing = None;
-        Poll::Ready(result)
     }
 
     /// Reads all data and passes them to the core. Returns whether all were read: from a peer that

@@ -166,6 +166,8 @@ pub(crate) struct Active {
     pub(crate) deadline: Instant,
     /// The time from `sent` to the deadline, unless the deadline was moved.
     pub(crate) response_timeout: Duration,
+    /// The request of this call was sent before.
+    pub(crate) repeats: bool,
     /// The error in the last frame that came instead of the reply.
     pub(crate) fault: Option<String>,
     /// Shape of the positive reply.
@@ -279,9 +281,15 @@ impl Exchange {
         &self.request
     }
 
-    /// Begins an exchange. Its request must be written before `by`. Returns the number of bytes received
-    /// before the exchange, which are dropped.
-    pub(crate) fn begin(&mut self, outgoing: Outgoing, response_timeout: Duration, now: Instant, by: Instant) -> usize {
+    /// Begins an exchange. `repeats`: its call was sent before. Its request must be written before `by`.
+    /// Returns the number of bytes received before the exchange, which are dropped.
+    pub(crate) fn begin(
+        &mut self,
+        (outgoing, repeats): (Outgoing, bool),
+        response_timeout: Duration,
+        now: Instant,
+        by: Instant,
+    ) -> usize {
         let mut request = buffer::borrow();
         outgoing.encode(self.framing(), &mut request);
         self.request_len = request.len();
@@ -302,6 +310,7 @@ impl Exchange {
             sent: None,
             deadline: by,
             response_timeout,
+            repeats,
             fault: None,
             echoed: false,
             discarded: 0,
@@ -336,6 +345,13 @@ impl Exchange {
     pub(crate) fn end(&mut self) -> Option<Active> {
         self.written();
         self.active.take()
+    }
+
+    /// Ends the exchange of a request of which nothing was written.
+    pub(crate) fn withdraw(&mut self) -> Option<Active> {
+        let unsent = u64::try_from(self.request_len).unwrap_or(u64::MAX);
+        self.line_bytes = self.line_bytes.saturating_sub(unsent);
+        self.end()
     }
 
     /// Ends the exchange without a reply.

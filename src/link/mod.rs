@@ -17,6 +17,7 @@
 // - `mute`: detects connections over which nothing is answered any more.
 // - `connect_limiter`: limits the connection attempts of several links.
 // - `connector`: opens the connections. `line`: transmission times.
+// - `send_gate`: a permission that the driver asks for before each write.
 mod buffer;
 mod builder;
 #[cfg(all(test, feature = "sim"))]
@@ -42,6 +43,7 @@ mod shared_capabilities;
 pub(crate) use line::Line;
 mod options;
 mod scheduler;
+mod send_gate;
 mod state;
 mod stations;
 mod stats;
@@ -83,6 +85,7 @@ use crate::wire::Framing;
 
 pub use self::builder::LinkBuilder;
 pub use self::options::{CallOptions, EchoMode};
+pub use self::send_gate::SendGate;
 pub use self::state::LinkState;
 pub use self::stats::{CheckStats, LinkStats, RoundTripStats, SpellingStats, StationState, StationStats};
 

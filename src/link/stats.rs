@@ -171,6 +171,8 @@ link_counters! {
     long_gaps,
     /// Attempts to connect that failed.
     connect_failures,
+    /// Calls that failed because the [send gate](crate::SendGate) was closed.
+    withheld,
 }
 
 /// State of a station: answering or not.
@@ -335,6 +337,7 @@ mod tests {
             mute_connections: 12,
             long_gaps: 13,
             connect_failures: 10,
+            withheld: 14,
             one_request: true,
         };
         let two = one.plus(&one);
@@ -343,6 +346,7 @@ mod tests {
             [2, 4, 6, 8, 10]
         );
         assert_eq!((two.late_datagrams, two.one_request, two.mute_connections, two.long_gaps), (22, true, 24, 26));
+        assert_eq!(two.withheld, 28);
         assert_eq!(
             [two.echoes, two.connects, two.disconnects, two.idle_closes, two.connect_failures],
             [12, 14, 16, 18, 20]

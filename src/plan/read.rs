@@ -35,8 +35,8 @@ impl Plan {
     /// Sends the requests in turn and returns their replies.
     ///
     /// After a failed request the others are sent all the same: its tags have the error, the others
-    /// their values. Without a connection ([`Error::Connect`]) the others are not tried. If the PLC refuses a
-    /// request with
+    /// their values. Without a connection ([`Error::Connect`]), or behind a closed gate
+    /// ([`Error::GateClosed`]), the others are not tried. If the PLC refuses a request with
     /// [words of discretes](super::PlannedRequest::has_words_of_discretes), or a mixed read that it does not
     /// know, the values are read by others in the same call; silence is not a refusal. The station's
     /// [capabilities](Station::capabilities) have the refusal then, for the plans made after that.
@@ -54,7 +54,9 @@ impl Plan {
             let progress = if results.len() < self.requests.len() {
                 match self.read_request(results.len(), &mut job, &mut results).await {
                     Ok(result) => {
-                        let cut_off = result.reply.as_ref().err().filter(|error| error.is_connect()).cloned();
+                        let is_cut_off =
+                            |error: &&Error| error.is_connect() || matches!(error, Error::GateClosed { .. });
+                        let cut_off = result.reply.as_ref().err().filter(is_cut_off).cloned();
                         results.push(result);
                         if let Some(error) = cut_off {
                             // The results before are confirmed, or fail, as after all requests.

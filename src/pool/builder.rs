@@ -9,7 +9,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::{Pool, PoolShared, PoolState};
 use crate::endpoint::Endpoint;
-use crate::link::{ConnectLimiter, Connector, Link, LinkBuilder, SharedConfigs};
+use crate::link::{ConnectLimiter, Connector, Link, LinkBuilder, SendGate, SharedConfigs};
 use crate::random::Random;
 use crate::transport::BoxIo;
 
@@ -31,10 +31,12 @@ pub struct PoolBuilder {
     connects_per_second: u32,
     configure: Option<Configure>,
     connect: Option<Connect>,
+    send_gates: Option<SendGates>,
     seed: Option<u64>,
 }
 
 type Configure = Box<dyn Fn(LinkBuilder) -> LinkBuilder + Send + Sync>;
+type SendGates = Box<dyn Fn(&Endpoint) -> Option<SendGate> + Send + Sync>;
 type Connect = Arc<dyn Fn(Endpoint) -> BoxFuture<'static, io::Result<BoxIo>> + Send + Sync>;
 
 impl PoolBuilder {
@@ -47,6 +49,7 @@ impl PoolBuilder {
             connects_per_second: DEFAULT_CONNECTS_PER_SECOND,
             configure: None,
             connect: None,
+            send_gates: None,
             seed: None,
         }
     }
@@ -146,6 +149,33 @@ impl PoolBuilder {
         self
     }
 
+    /// Sets a function that returns the [send gate](SendGate) of each new link, by its endpoint; `None`:
+    /// the link needs no permission to send. Default: none of them does.
+    ///
+    /// The function must not use the pool. It is called again if an endpoint that was closed or evicted
+    /// is requested again.
+    ///
+    /// ```
+    /// use std::collections::HashSet;
+    /// use std::sync::{Arc, Mutex};
+    /// use fatek::{Endpoint, Pool, SendGate};
+    ///
+    /// // The PLCs of which this master is the active one.
+    /// let owned: Arc<Mutex<HashSet<Endpoint>>> = Arc::default();
+    /// let gate_of = {
+    ///     let owned = owned.clone();
+    ///     move |endpoint: &Endpoint| {
+    ///         let (owned, endpoint) = (owned.clone(), endpoint.clone());
+    ///         Some(SendGate::new(move || owned.lock().is_ok_and(|owned| owned.contains(&endpoint))))
+    ///     }
+    /// };
+    /// let pool = Pool::builder().send_gates(gate_of).build();
+    /// ```
+    pub fn send_gates(mut self, gate_of: impl Fn(&Endpoint) -> Option<SendGate> + Send + Sync + 'static) -> Self {
+        self.send_gates = Some(Box::new(gate_of));
+        self
+    }
+
     /// Sets the seed of the jitter between connection attempts, for repeatable tests.
     ///
     /// See also [`LinkBuilder::seed`]. Default: a new one for each pool.
@@ -166,6 +196,7 @@ impl PoolBuilder {
             configs: Arc::default(),
             configure: self.configure,
             connect: self.connect,
+            send_gates: self.send_gates,
         };
         Pool { shared: Arc::new(PoolShared { settings, state: Mutex::new(PoolState::default()) }) }
     }
@@ -192,6 +223,7 @@ pub(super) struct PoolSettings {
     configs: Arc<SharedConfigs>,
     configure: Option<Configure>,
     connect: Option<Connect>,
+    send_gates: Option<SendGates>,
 }
 
 impl PoolSettings {
@@ -211,6 +243,9 @@ impl PoolSettings {
                 open: Box::new(move || connect(Endpoint::clone(&endpoint))),
                 wakes_reader: false,
             });
+        }
+        if let Some(gate) = self.send_gates.as_ref().and_then(|gate_of| gate_of(endpoint)) {
+            builder = builder.send_gate(gate);
         }
         builder.idle_timeout(self.idle_timeout).build()
     }

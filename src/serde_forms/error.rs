@@ -28,6 +28,7 @@ fn kind(error: &Error) -> &'static str {
         Error::Duplicates { .. } => "duplicates",
         Error::Offline { .. } => "offline",
         Error::QueueFull { .. } => "queue_full",
+        Error::GateClosed { .. } => "gate_closed",
         Error::Connect { .. } => "connect",
         Error::Disconnected { .. } => "disconnected",
         Error::PartlyWritten { .. } => "partly_written",

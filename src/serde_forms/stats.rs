@@ -32,7 +32,7 @@ macro_rules! stats {
 stats! {
     LinkStats {
         stations, broadcasts, checksum_errors, garbage_bytes, stale_bytes, late_datagrams, echoes, connects,
-        disconnects, idle_closes, mute_connections, long_gaps, connect_failures, one_request,
+        disconnects, idle_closes, mute_connections, long_gaps, connect_failures, withheld, one_request,
     }
     StationStats {
         requests, replies, refusals, timeouts, bad_replies, retries, checks, checks_for, refused_checks, silences,

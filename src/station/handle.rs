@@ -21,10 +21,11 @@ use crate::link::{CallOptions, CallOutcome, Link, Purpose, StationState, Station
 /// - [`Error::Invalid`] if an argument breaks a rule of the protocol; nothing is sent.
 /// - [`Error::Plc`] if the PLC refuses the request.
 /// - [`Error::Timeout`], [`Error::BadReply`], [`Error::OutOfStep`], [`Error::Disconnected`],
-///   [`Error::Connect`], [`Error::Offline`], [`Error::QueueFull`] and [`Error::Closed`] if there is
-///   no usable reply. Reads were retried by then, as [`CallOptions::with_retries`] says; writes and
-///   control commands only with [`CallOptions::with_retry_writes`].
-///   [`Error::may_have_executed`] tells whether the PLC may have executed the request.
+///   [`Error::Connect`], [`Error::Offline`], [`Error::QueueFull`], [`Error::GateClosed`] and
+///   [`Error::Closed`] if there is no usable reply. Reads were retried by then, as
+///   [`CallOptions::with_retries`] says; writes and control commands only with
+///   [`CallOptions::with_retry_writes`]. [`Error::may_have_executed`] tells whether the PLC may
+///   have executed the request.
 ///
 /// # Cancel safety
 ///

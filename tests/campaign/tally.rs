@@ -112,6 +112,7 @@ fn kind(error: &Error) -> &'static str {
         Error::Duplicates { .. } => "duplicates",
         Error::Offline { .. } => "offline",
         Error::QueueFull { .. } => "queue full",
+        Error::GateClosed { .. } => "gate closed",
         Error::Connect { .. } => "connect",
         Error::Disconnected { .. } => "disconnected",
         Error::PartlyWritten { source, .. } => kind(source),

@@ -306,7 +306,7 @@ fn of_call(error: &fatek::Error) -> u8 {
         fatek::Error::OutOfStep { sent: false, .. } => 4,
         fatek::Error::BadReply { .. } | fatek::Error::OutOfStep { .. } | fatek::Error::Duplicates { .. } => 6,
         fatek::Error::Clock { .. } => 3,
-        fatek::Error::QueueFull { .. } | fatek::Error::PartlyWritten { .. } | _ => 1,
+        fatek::Error::QueueFull { .. } | fatek::Error::GateClosed { .. } | fatek::Error::PartlyWritten { .. } | _ => 1,
     }
 }
 

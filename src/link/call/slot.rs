@@ -323,16 +323,22 @@ impl<C: Command> AnyCall for CallSlot<C> {
         self.sends.store(count.saturating_sub(1), Ordering::Release);
     }
 
-    fn mark_sent(&self) -> bool {
+    fn mark_sent(&self) -> Option<bool> {
         // Either the caller abandons first and learns that nothing was sent, or the link marks
         // first and sends.
         let wanted = |state| (state & ABANDONED == 0).then_some((state | SENT) & !AWAITS_SILENCE);
-        let sends = self.state.fetch_update(Ordering::AcqRel, Ordering::Acquire, wanted).is_ok();
-        if sends {
-            let count = self.sends.load(Ordering::Acquire);
-            self.sends.store(count.saturating_add(1), Ordering::Release);
+        let before = self.state.fetch_update(Ordering::AcqRel, Ordering::Acquire, wanted).ok()?;
+        let count = self.sends.load(Ordering::Acquire);
+        self.sends.store(count.saturating_add(1), Ordering::Release);
+        Some(before & SENT != 0)
+    }
+
+    fn withdraw_send(&self, sent_before: bool) {
+        self.uncount_send();
+        if !sent_before {
+            // A caller that abandons before this takes the request for sent, which is the safe side.
+            self.state.fetch_and(!SENT, Ordering::AcqRel);
         }
-        sends
     }
 
     fn check_answered(&self) {

@@ -49,8 +49,8 @@ fn a_call_is_wanted_until_its_deadline_or_until_abandoned() {
 fn an_expired_call_says_its_timeout_and_whether_it_was_sent() {
     for sends in 0..=2 {
         let (call, mut future) = call(CallOptions::new().with_call_timeout(Duration::from_secs(3)));
-        for _ in 0..sends {
-            assert!(call.slot.mark_sent());
+        for before in 0..sends {
+            assert_eq!(call.slot.mark_sent(), Some(before > 0));
         }
         call.expire();
         drop(call);
@@ -88,9 +88,9 @@ fn a_call_ends_when_its_pending_half_is_dropped() {
 fn an_abandoned_call_is_sent_never_or_was_sent_before() {
     let (first, future) = call(CallOptions::new());
     assert!(!future.abandon());
-    assert!(!first.slot.mark_sent() && !first.slot.was_sent());
+    assert!(first.slot.mark_sent().is_none() && !first.slot.was_sent());
     let (second, future) = call(CallOptions::new());
-    assert!(second.slot.mark_sent());
+    assert!(second.slot.mark_sent().is_some());
     assert!(future.abandon() && second.slot.was_sent());
 }
 
@@ -155,6 +155,21 @@ fn a_timeout_says_whether_the_check_was_unanswered() {
     assert!(checked());
     call.slot.check_answered();
     assert!(!checked());
+}
+
+#[test]
+fn a_withdrawn_transmission_leaves_what_was_sent_before() {
+    let (call, _future) = call(CallOptions::new());
+    for sends in 0..3 {
+        // Nothing of it was written, any number of times.
+        for _ in 0..2 {
+            let before = call.slot.mark_sent().expect("the caller waits");
+            call.slot.withdraw_send(before);
+        }
+        let Error::Timeout { sent, attempts, .. } = call.unanswered(Duration::ZERO) else { panic!("a timeout") };
+        assert_eq!((sent, attempts, call.slot.was_sent()), (sends > 0, sends, sends > 0));
+        call.slot.mark_sent();
+    }
 }
 
 #[test]

@@ -285,6 +285,39 @@ impl Core {
         }
     }
 
+    /// Ends the request on the wire, which the send gate has held back. `partly`: a part of it was
+    /// written. The caller closes the connection then.
+    pub(crate) fn gate_closed(&mut self, partly: bool) {
+        let active = if partly { self.exchange.end() } else { self.exchange.withdraw() };
+        if let Some(active) = active {
+            if let (Outgoing::Call(call), false) = (&active.outgoing, partly) {
+                call.slot.withdraw_send(active.repeats);
+            }
+            if let Some(call) = active.outgoing.into_call() {
+                self.withhold(&call);
+            }
+        }
+        // With a gate that closes for moments only, a probe could be begun again without end.
+        self.forget_offline();
+    }
+
+    /// Ends all waiting calls: the send gate is closed. Offline stations become unknown: another master
+    /// may have them, and a timer for their probes would find the gate closed each time.
+    pub(crate) fn withhold_all(&mut self) {
+        for call in self.resynced.take().into_iter().chain(self.scheduler.drain_all()) {
+            self.withhold(&call);
+        }
+        self.forget_offline();
+    }
+
+    /// Ends a call that the send gate has held back.
+    fn withhold(&self, call: &PendingCall) {
+        self.stats.count_link(|link| add(&mut link.withheld, 1));
+        let (station, code, sent) = (call.station, call.code, call.slot.was_sent());
+        tracing::debug!(station, command = %code, sent, "the send gate is closed");
+        call.slot.fail(Error::GateClosed { station, code, sent });
+    }
+
     /// Sends a call again if it has retries left, else ends it with this error, made of the call
     /// and the time since it was made.
     pub(super) fn retry_or_fail(

@@ -126,12 +126,11 @@ impl Core {
         // connection.
         let (own_timeout, response_timeout) = self.response_timeouts(&outgoing);
         let written_by = later(now, response_timeout.saturating_add(self.config.frame_time));
-        if let Outgoing::Call(call) = &outgoing
-            && !call.slot.mark_sent()
-        {
-            return None;
-        }
-        let stale = self.exchange.begin(outgoing, response_timeout, now, written_by);
+        let repeats = match &outgoing {
+            Outgoing::Call(call) => call.slot.mark_sent()?,
+            Outgoing::Link { .. } => false,
+        };
+        let stale = self.exchange.begin((outgoing, repeats), response_timeout, now, written_by);
         let active = self.exchange.active()?;
         let station = active.outgoing.station();
         self.stations.note_sent(station, own_timeout, now);

@@ -3,6 +3,7 @@
 mod calls;
 mod checks;
 mod echoes;
+mod gate;
 mod refusals;
 mod seen;
 mod stations;

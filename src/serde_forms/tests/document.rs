@@ -293,6 +293,7 @@ fn link_stats() -> LinkStats {
         mute_connections: 26,
         long_gaps: 27,
         connect_failures: 28,
+        withheld: 29,
         one_request: true,
     }
 }
@@ -314,6 +315,7 @@ fn states_and_kinds_of_errors_have_names() {
         (Error::Duplicates { station: 1, sent: true }, "duplicates", true, true),
         (Error::Offline { station: 1, probe_in: after, sent: false }, "offline", true, false),
         (Error::QueueFull { station: 1, limit: 9 }, "queue_full", true, false),
+        (Error::GateClosed { station: 1, code, sent: false }, "gate_closed", true, false),
         (Error::Connect { endpoint: endpoint.clone(), source: io(), sent: false }, "connect", true, false),
         (Error::Disconnected { endpoint, source: io(), sent: true }, "disconnected", true, true),
         (

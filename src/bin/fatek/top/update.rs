@@ -275,7 +275,10 @@ impl Trouble {
             fatek::Error::BadReply { .. } | fatek::Error::OutOfStep { .. } | fatek::Error::Duplicates { .. } => {
                 "bad reply"
             }
-            fatek::Error::Invalid(_) | fatek::Error::Tag(_) | fatek::Error::QueueFull { .. } => "not sent",
+            fatek::Error::Invalid(_)
+            | fatek::Error::Tag(_)
+            | fatek::Error::QueueFull { .. }
+            | fatek::Error::GateClosed { .. } => "not sent",
             fatek::Error::PartlyWritten { .. } | _ => "failed",
         };
         Self { word, text: printable(&error.to_string()).to_string() }

@@ -17,7 +17,7 @@ use crate::link::config::Config;
 use crate::link::connector::Connector;
 use crate::link::in_step::InStep;
 use crate::link::options::CallOptions;
-use crate::link::stats::{LinkStats, SharedStats, StationStats};
+use crate::link::stats::{LinkStats, SharedStats, StationState, StationStats};
 use crate::link::{LinkBuilder, later};
 use crate::wire::{FieldWriter as _, Framing, Side, ascii, binary};
 
@@ -162,5 +162,9 @@ impl TestLink {
 
     pub(super) fn station_stats(&self, station: u8) -> StationStats {
         self.stats.station_stats(station)
+    }
+
+    pub(super) fn station_state(&self, station: u8) -> StationState {
+        *self.stats.watch_state(station).borrow()
     }
 }
