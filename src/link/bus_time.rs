@@ -271,6 +271,8 @@ fn the_line_and_the_plcs_are_busy_98_percent_of_the_time() {
             println!("{framing}, {baud} baud: the line is busy {:.2} % of the time", 100.0 * used);
             // The last exchange may end after the time.
             assert!((0.98..1.001).contains(&used), "{framing}, {baud} baud: {used}");
+            let load = world.stats.link_stats().bus_time.as_secs_f64() / time.as_secs_f64();
+            assert!((used - load).abs() < 0.001, "{framing}, {baud} baud: {used} is counted as {load}");
             let (fewest, most) = (world.answered.values().min().unwrap(), world.answered.values().max().unwrap());
             assert!(most - fewest <= 1, "stations were served unequally: {fewest} to {most}");
         }

@@ -208,7 +208,7 @@ impl Core {
                 // A new connection is a new chance: stations that were silent over the old one are
                 // probed as if they had just fallen silent.
                 self.stations.restart_probe_intervals();
-                self.stats.count_link(|link| add(&mut link.mute_connections, 1));
+                self.stats.count_link(|link| add(&mut link.rare().mute_connections, 1));
                 return Action::Replace(silent);
             }
             let gap_until = self.frame_gap.as_ref().and_then(|gap| gap.until(|| self.may_send_write()));
@@ -242,6 +242,8 @@ impl Core {
         {
             let code = call.code;
             call.slot.complete_without_reply(Proof::default());
+            let took = at.saturating_duration_since(active.began);
+            self.stats.add_bus_time(took.saturating_add(self.config.broadcast_gap));
             self.exchange.end();
             self.stations.for_all(|station| station.broadcast(code, at));
             self.hold_until = Some(later(at, self.config.broadcast_gap));
@@ -255,7 +257,7 @@ impl Core {
     pub(crate) fn late_datagrams(&mut self, late: LateDatagrams) {
         if late.duplicates > 0 || late.others > 0 {
             let count = late.duplicates.saturating_add(late.others);
-            self.stats.count_link(|link| add(&mut link.late_datagrams, count));
+            self.stats.count_link(|link| add(&mut link.rare().late_datagrams, count));
         }
         if late.others > 0 {
             // One of them may be the true reply to a request that a duplicate has answered, on a
@@ -355,6 +357,7 @@ impl Core {
             self.scheduler.push_front(call);
         }
         if let Some(active) = self.exchange.end() {
+            self.stats.add_bus_time(now.saturating_duration_since(active.began));
             let station = active.outgoing.station();
             let own = matches!(active.outgoing, Outgoing::Call(_));
             match active.outgoing.into_call() {

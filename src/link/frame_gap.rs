@@ -82,12 +82,16 @@ impl FrameGap {
     /// The end of the gap; `None` before the first reply. `for_write` returns whether the next
     /// request may be one that must not be repeated.
     pub(crate) fn until(&self, for_write: impl FnOnce() -> bool) -> Option<Instant> {
+        Some(later(self.replied_at?, self.length(for_write)))
+    }
+
+    /// The length of the gap, as for [`until`](Self::until).
+    pub(crate) fn length(&self, for_write: impl FnOnce() -> bool) -> Duration {
         let GapLengths { short, long } = self.lengths;
-        let gap = match self.state {
+        match self.state {
             State::Short if short == long || !for_write() => short,
             State::Short | State::Suspected { .. } | State::Long { .. } => long,
-        };
-        Some(later(self.replied_at?, gap))
+        }
     }
 
     /// Notes a reply to a request begun at `began`. Returns whether the gap is long from now on.

@@ -104,31 +104,60 @@ pub struct RoundTripStats {
 }
 
 /// Declares the counters of a link: as users see them, with the sum of its stations, and as the link
-/// keeps them.
+/// keeps them. Most links never need the rare ones.
 macro_rules! link_counters {
-    ($($(#[$doc:meta])* $name:ident,)*) => {
+    (usual { $($(#[$doc:meta])* $name:ident,)* } rare { $($(#[$rare_doc:meta])* $rare:ident,)* }) => {
         /// Counters of a link since it was made. A snapshot.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
         #[non_exhaustive]
         pub struct LinkStats {
             /// The sum of all stations.
             pub stations: StationStats,
+            /// The time in which the line was in use. Its growth over a time, divided by that time, is the
+            /// load of the link: 1 if each request waits only for the one before it.
+            ///
+            /// Of each request, those of the link itself included, it is the time from the beginning of its
+            /// transmission to the end of its reply, of the response timeout, or of the connection, and the
+            /// [frame gap](crate::LinkBuilder::frame_gap) behind a reply. Of a broadcast it is the
+            /// transmission and the [broadcast gap](crate::LinkBuilder::broadcast_gap). It is added when the
+            /// exchange ends, with the gap behind it, so over a short time the load can be more than 1. The
+            /// time of opening connections and the silences that replace a check do not count.
+            pub bus_time: Duration,
             $($(#[$doc])* pub $name: u64,)*
+            $($(#[$rare_doc])* pub $rare: u64,)*
             /// `true` if the device closes its connection after each reply, as
             /// [set](crate::endpoint::InStepSettings::one_request) or learned.
             pub one_request: bool,
         }
 
         /// Counters of a link without those of its stations.
-        #[derive(Clone, Copy, Debug, Default)]
+        #[derive(Clone, Debug, Default)]
         pub(crate) struct LinkCounters {
             $(pub(crate) $name: u64,)*
+            rare: Option<Box<RareCounters>>,
             pub(crate) one_request: bool,
         }
 
+        /// Counters that stay zero on most links.
+        #[derive(Clone, Copy, Debug, Default)]
+        pub(crate) struct RareCounters {
+            $(pub(crate) $rare: u64,)*
+        }
+
         impl LinkCounters {
-            pub(crate) fn with_stations(self, stations: StationStats) -> LinkStats {
-                LinkStats { stations, $($name: self.$name,)* one_request: self.one_request }
+            pub(crate) fn rare(&mut self) -> &mut RareCounters {
+                self.rare.get_or_insert_default()
+            }
+
+            pub(crate) fn with(&self, stations: StationStats, bus_time: Duration) -> LinkStats {
+                let rare = self.rare.as_deref().copied().unwrap_or_default();
+                LinkStats {
+                    stations,
+                    bus_time,
+                    $($name: self.$name,)*
+                    $($rare: rare.$rare,)*
+                    one_request: self.one_request,
+                }
             }
         }
 
@@ -136,7 +165,9 @@ macro_rules! link_counters {
             pub(crate) fn plus(self, other: &Self) -> Self {
                 Self {
                     stations: self.stations.plus(&other.stations),
+                    bus_time: self.bus_time.saturating_add(other.bus_time),
                     $($name: self.$name.saturating_add(other.$name),)*
+                    $($rare: self.$rare.saturating_add(other.$rare),)*
                     one_request: self.one_request || other.one_request,
                 }
             }
@@ -145,34 +176,38 @@ macro_rules! link_counters {
 }
 
 link_counters! {
-    /// Broadcasts sent.
-    broadcasts,
-    /// Frames with a bad checksum.
-    checksum_errors,
-    /// Bytes that were part of no good frame, those of bad frames included.
-    garbage_bytes,
-    /// Bytes that came before a request was sent, and were dropped then.
-    stale_bytes,
-    /// Datagrams that came to the local port of an earlier request: late replies and duplicates
-    /// over UDP.
-    late_datagrams,
-    /// Echoes of requests from an RS-485 adapter.
-    echoes,
-    /// Connections opened.
-    connects,
-    /// Connections lost.
-    disconnects,
-    /// Connections closed because the link was idle.
-    idle_closes,
-    /// Connections that were replaced because nothing was answered over them.
-    mute_connections,
-    /// Times that the frame gap became long, since slow RS-485 drivers were seen; see
-    /// [`LinkBuilder::frame_gap`](crate::LinkBuilder::frame_gap).
-    long_gaps,
-    /// Attempts to connect that failed.
-    connect_failures,
-    /// Calls that failed because the [send gate](crate::SendGate) was closed.
-    withheld,
+    usual {
+        /// Broadcasts sent.
+        broadcasts,
+        /// Frames with a bad checksum.
+        checksum_errors,
+        /// Bytes that were part of no good frame, those of bad frames included.
+        garbage_bytes,
+        /// Bytes that came before a request was sent, and were dropped then.
+        stale_bytes,
+        /// Connections opened.
+        connects,
+        /// Connections lost.
+        disconnects,
+        /// Connections closed because the link was idle.
+        idle_closes,
+        /// Attempts to connect that failed.
+        connect_failures,
+    }
+    rare {
+        /// Datagrams that came to the local port of an earlier request: late replies and duplicates
+        /// over UDP.
+        late_datagrams,
+        /// Echoes of requests from an RS-485 adapter.
+        echoes,
+        /// Connections that were replaced because nothing was answered over them.
+        mute_connections,
+        /// Times that the frame gap became long, since slow RS-485 drivers were seen; see
+        /// [`LinkBuilder::frame_gap`](crate::LinkBuilder::frame_gap).
+        long_gaps,
+        /// Calls that failed because the [send gate](crate::SendGate) was closed.
+        withheld,
+    }
 }
 
 /// State of a station: answering or not.
@@ -325,6 +360,7 @@ mod tests {
     fn sums_of_link_stats_add_every_counter() {
         let one = LinkStats {
             stations: StationStats { requests: 1, ..StationStats::default() },
+            bus_time: 15 * MS,
             broadcasts: 2,
             checksum_errors: 3,
             garbage_bytes: 4,
@@ -346,7 +382,7 @@ mod tests {
             [2, 4, 6, 8, 10]
         );
         assert_eq!((two.late_datagrams, two.one_request, two.mute_connections, two.long_gaps), (22, true, 24, 26));
-        assert_eq!(two.withheld, 28);
+        assert_eq!((two.withheld, two.bus_time), (28, 30 * MS));
         assert_eq!(
             [two.echoes, two.connects, two.disconnects, two.idle_closes, two.connect_failures],
             [12, 14, 16, 18, 20]

@@ -31,8 +31,8 @@ macro_rules! stats {
 // `:seconds` marks a duration.
 stats! {
     LinkStats {
-        stations, broadcasts, checksum_errors, garbage_bytes, stale_bytes, late_datagrams, echoes, connects,
-        disconnects, idle_closes, mute_connections, long_gaps, connect_failures, withheld, one_request,
+        stations, bus_time: seconds, broadcasts, checksum_errors, garbage_bytes, stale_bytes, late_datagrams, echoes,
+        connects, disconnects, idle_closes, mute_connections, long_gaps, connect_failures, withheld, one_request,
     }
     StationStats {
         requests, replies, refusals, timeouts, bad_replies, retries, checks, checks_for, refused_checks, silences,

@@ -27,9 +27,11 @@ use crate::wire::{Closing, Count, Wire};
 const CALLERS: u16 = 4;
 /// The station that is not there.
 const ABSENT: u8 = 9;
-/// How long a run goes on before it is stopped, and how long the gate stays closed.
+/// The longest time until the gate closes, the time for which it is closed, and the time after that, which
+/// must be long enough for several lost replies in a row.
 const RUN: Duration = Duration::from_secs(3);
 const CLOSED: Duration = Duration::from_secs(1);
+const REOPENED: Duration = Duration::from_secs(3);
 
 /// The stream of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -99,7 +101,8 @@ impl AddAssign for Tally {
     }
 }
 
-/// Without the question in `Driver::poll_write`: 28 failures in 96 runs, such as 258 bytes after the end.
+/// Without the question in `Driver::poll_write`: 28 failures in 96 runs, such as 258 bytes after the end. With a
+/// connection that is wanted and still opened: 2 failures, and with a probe that is left: 2.
 #[test]
 fn nothing_is_sent_after_the_gate_has_closed() {
     let seeds = std::env::var("FATEK_GATE_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(12_u64);
@@ -151,7 +154,7 @@ struct Ran {
 
 impl Run {
     fn new(seed: u64, stream: Stream, closing: Closing) -> Self {
-        let framing = if seed % 2 == 0 { Framing::Ascii } else { Framing::Binary };
+        let framing = if seed.is_multiple_of(2) { Framing::Ascii } else { Framing::Binary };
         Self { seed, stream, wire: Wire::new(seed, framing, closing), plcs: [Plc::new(), Plc::new()], framing }
     }
 
@@ -181,7 +184,7 @@ impl Run {
             sleep(CLOSED).await;
             let opened = Instant::now();
             self.wire.open();
-            sleep(CLOSED).await;
+            sleep(REOPENED).await;
             reopened = Some((closed, opened));
         }
         stops.store(true, Ordering::SeqCst);
@@ -258,7 +261,7 @@ impl Run {
         if questions > 3 * made + 10 {
             failures.push(format!("asked {questions} times for {made} calls"));
         }
-        if !all().any(|call| call.began > opened && call.error.is_none()) {
+        if !all().any(|call| call.began >= opened && call.error.is_none()) {
             failures.push("nothing is answered after the gate has opened again".to_owned());
         }
         failures

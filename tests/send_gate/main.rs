@@ -122,7 +122,7 @@ async fn the_rest_of_a_request_is_not_sent() {
 /// A loop-back with a nonce of 8 characters.
 const CHECK_LEN: usize = 16;
 
-/// Without the question in `Driver::poll_write`: REMOVED_RETRY
+/// Without any question: the retry was sent, and its reply did not come either.
 #[tokio::test(start_paused = true)]
 async fn a_retry_is_not_sent_after_the_gate_has_closed() {
     let (wire, plc) = (quick(Closing::Never), Plc::new());
@@ -139,7 +139,7 @@ async fn a_retry_is_not_sent_after_the_gate_has_closed() {
     assert_eq!((wire.after().bytes, link.stats().stations.requests), (0, 1));
 }
 
-/// Without `Core::forget_offline`: REMOVED_FORGET
+/// With stations that stay offline: the driver began the probe again without end.
 #[tokio::test(start_paused = true)]
 async fn an_offline_station_is_not_probed_and_nothing_spins() {
     let (wire, plc) = (quick(Closing::Never), Plc::new());

@@ -51,6 +51,17 @@ fn the_default_gap_costs_a_one_register_read_a_few_percent_at_fast_lines() {
     }
 }
 
+/// A line on which each request waits only for the one before it has a load of 1, gaps included.
+#[test]
+fn the_counted_bus_time_of_a_line_that_is_never_idle_is_all_the_time() {
+    for baud in [9600, 115_200] {
+        let (_, world) = read(baud, Duration::ZERO, 60 * SECOND, gap(baud));
+        let load = world.stats.link_stats().bus_time.as_secs_f64() / 60.0;
+        println!("{baud} baud: {:.2} % of the time is counted", 100.0 * load);
+        assert!((0.998..1.002).contains(&load), "{baud} baud: {load}");
+    }
+}
+
 /// With the short gap alone each second read is lost, with its timeout.
 #[test]
 fn a_line_with_slow_drivers_loses_few_reads_and_no_write() {

@@ -18,7 +18,7 @@ impl Core {
         match event {
             Event::Replied => {}
             Event::Echoed => {
-                self.stats.count_link(|link| add(&mut link.echoes, 1));
+                self.stats.count_link(|link| add(&mut link.rare().echoes, 1));
                 self.note(&Seen { echo: true, ..Seen::default() });
             }
             Event::Duplicate { station } => self.stats.count_station(station, |stats| add(&mut stats.duplicates, 1)),
@@ -85,10 +85,13 @@ impl Core {
         self.mute.reset();
         if self.frame_gap.as_mut().is_some_and(|gap| gap.replied(station, active.began, now)) {
             tracing::debug!(station, "no answer after a short frame gap, but after a long one: it is long for a while");
-            self.stats.count_link(|link| add(&mut link.long_gaps, 1));
+            self.stats.count_link(|link| add(&mut link.rare().long_gaps, 1));
         }
         let took = now.saturating_duration_since(active.began);
         self.scheduler.charge(station, took);
+        // The next request waits for the frame gap.
+        let gap = self.frame_gap.as_ref().map_or(Duration::ZERO, |gap| gap.length(|| false));
+        self.stats.add_bus_time(took.saturating_add(gap));
         // On a network a request is sent when it is begun.
         let sent = active.sent.unwrap_or(active.began);
         let round_trip = if sent == active.began { took } else { now.saturating_duration_since(sent) };
@@ -236,6 +239,7 @@ impl Core {
         let after = now.saturating_duration_since(active.began);
         let own = matches!(active.outgoing, Outgoing::Call(_));
         self.scheduler.charge_timeout(station, after);
+        self.stats.add_bus_time(after);
         self.echo_was_last = false;
         self.timed_out = Some((station, now));
         if let Some(gap) = &mut self.frame_gap {
@@ -287,10 +291,12 @@ impl Core {
 
     /// Ends the request on the wire, which the send gate has held back. `partly`: a part of it was
     /// written. The caller closes the connection then.
-    pub(crate) fn gate_closed(&mut self, partly: bool) {
+    pub(crate) fn gate_closed(&mut self, partly: bool, now: Instant) {
         let active = if partly { self.exchange.end() } else { self.exchange.withdraw() };
         if let Some(active) = active {
-            if let (Outgoing::Call(call), false) = (&active.outgoing, partly) {
+            if partly {
+                self.stats.add_bus_time(now.saturating_duration_since(active.began));
+            } else if let Outgoing::Call(call) = &active.outgoing {
                 call.slot.withdraw_send(active.repeats);
             }
             if let Some(call) = active.outgoing.into_call() {
@@ -312,7 +318,7 @@ impl Core {
 
     /// Ends a call that the send gate has held back.
     fn withhold(&self, call: &PendingCall) {
-        self.stats.count_link(|link| add(&mut link.withheld, 1));
+        self.stats.count_link(|link| add(&mut link.rare().withheld, 1));
         let (station, code, sent) = (call.station, call.code, call.slot.was_sent());
         tracing::debug!(station, command = %code, sent, "the send gate is closed");
         call.slot.fail(Error::GateClosed { station, code, sent });

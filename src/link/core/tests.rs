@@ -1,5 +1,6 @@
 //! The core, action by action: what it sends when, and what each received frame leads to.
 
+mod bus_time;
 mod calls;
 mod checks;
 mod echoes;

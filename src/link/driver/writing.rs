@@ -74,7 +74,7 @@ impl Driver {
 
     /// Handles a request that the send gate has held back, or the rest of it.
     pub(super) fn gate_closed(&mut self, partly: bool, now: Instant) {
-        self.core.gate_closed(partly);
+        self.core.gate_closed(partly, now);
         if partly {
             let closed = "the send gate closed while a request was being written";
             self.connection_lost(io::Error::other(closed), now);

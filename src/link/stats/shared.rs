@@ -1,11 +1,14 @@
 //! The counters and states of a link while it works.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use tokio::sync::watch;
 
 use super::{LinkCounters, LinkStats, StationState, StationStats, add};
 use crate::link::by_station::ByStation;
+use crate::link::nanoseconds;
 use crate::link::watchable::Watchable;
 use crate::wire::Discard;
 
@@ -13,6 +16,9 @@ use crate::wire::Discard;
 #[derive(Debug, Default)]
 pub(crate) struct SharedStats {
     records: Mutex<Records>,
+    /// In nanoseconds: it lasts for more than 500 years. Not under the lock, which is taken once for a
+    /// reply already.
+    bus_time: AtomicU64,
 }
 
 #[derive(Debug, Default)]
@@ -43,7 +49,7 @@ impl SharedStats {
     pub(crate) fn link_stats(&self) -> LinkStats {
         let records = self.lock();
         let stations = records.stations.values().fold(StationStats::default(), |sum, record| sum.plus(&record.stats));
-        records.link.with_stations(stations)
+        records.link.with(stations, Duration::from_nanos(self.bus_time.load(Ordering::Relaxed)))
     }
 
     pub(crate) fn station_stats(&self, station: u8) -> StationStats {
@@ -56,6 +62,11 @@ impl SharedStats {
 
     pub(crate) fn count_link(&self, count: impl FnOnce(&mut LinkCounters)) {
         count(&mut self.lock().link);
+    }
+
+    /// Adds to the time in which the line was in use.
+    pub(crate) fn add_bus_time(&self, time: Duration) {
+        self.bus_time.fetch_add(nanoseconds(time), Ordering::Relaxed);
     }
 
     pub(crate) fn count_station(&self, station: u8, count: impl FnOnce(&mut StationStats)) {
@@ -77,7 +88,7 @@ impl SharedStats {
 
     pub(crate) fn count_discarded(&self, reason: Discard, bytes: usize) {
         self.count_link(|link| match reason {
-            Discard::WrongSide => add(&mut link.echoes, 1),
+            Discard::WrongSide => add(&mut link.rare().echoes, 1),
             Discard::Garbage | Discard::Truncated | Discard::BadChecksum | Discard::Malformed | Discard::TooLong => {
                 add(&mut link.garbage_bytes, u64::try_from(bytes).unwrap_or(u64::MAX));
                 add(&mut link.checksum_errors, u64::from(reason == Discard::BadChecksum));

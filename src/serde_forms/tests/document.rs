@@ -281,6 +281,7 @@ fn link_stats() -> LinkStats {
     };
     LinkStats {
         stations,
+        bus_time: 90_500 * MS,
         broadcasts: 17,
         checksum_errors: 18,
         garbage_bytes: 19,

@@ -22,7 +22,7 @@ fn a_call_of_which_nothing_was_written_was_certainly_not_executed() {
         for _ in 0..3 {
             let mut call = link.call(1, write());
             begin(&mut link);
-            link.core.gate_closed(false);
+            link.core.gate_closed(false, link.now);
             let error = result(&mut call).expect("it ends").expect_err("it was not sent");
             assert!(matches!(error, Error::GateClosed { station: 1, code: Code::WriteRegisters, sent: false }));
             assert_eq!(link.core.exchange.line_bytes(), bytes, "the line was not used");
@@ -44,7 +44,7 @@ fn a_call_that_was_sent_before_is_in_doubt() {
     link.next_action();
     // The check before the retry.
     begin(&mut link);
-    link.core.gate_closed(false);
+    link.core.gate_closed(false, link.now);
     assert!(matches!(result(&mut call), Some(Err(Error::GateClosed { sent: true, .. }))));
 }
 
@@ -57,7 +57,7 @@ fn a_call_is_in_doubt_if_a_part_of_it_was_written_and_not_if_of_its_check() {
         }
         let mut call = link.call(1, write());
         begin(&mut link);
-        link.core.gate_closed(true);
+        link.core.gate_closed(true, link.now);
         let error = result(&mut call).expect("it ends").expect_err("it was cut");
         assert_eq!((error.may_have_executed(), matches!(error, Error::GateClosed { .. })), (in_doubt, true));
     }
@@ -93,7 +93,7 @@ fn an_offline_station_is_unknown_and_has_no_timer() {
         link.now = probe_at;
         if withdraws {
             begin(&mut link);
-            link.core.gate_closed(false);
+            link.core.gate_closed(false, link.now);
         } else {
             assert!(link.core.wants_to_send(link.now), "the probe");
             link.core.withhold_all();
