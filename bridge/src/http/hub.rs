@@ -53,7 +53,7 @@ pub(super) struct State {
     /// The figures, at the last look.
     pub(super) status: Arc<Status>,
     /// For the figures of the next look.
-    pub(super) memory: Memory,
+    memory: Memory,
     /// When it looked last.
     pub(super) looked: Instant,
 }

@@ -1,9 +1,7 @@
 //! The figures of PLCs, links, buffer and outputs, as the page and `/api/status` show them.
 
-use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use fatek::StationStats;
 use fatek::link::LinkState;
 use fatek::plant::PlantPlc;
 use serde::Serialize;
@@ -81,7 +79,7 @@ struct LinkStatus {
     /// Why it is down.
     why: Option<String>,
     plcs: usize,
-    /// The part of the time in which a reply was awaited, of those that came: 0 to 1.
+    /// The part of the time in which the line was in use: 0 to 1.
     load: Option<f64>,
     requests_per_second: Option<f64>,
     connects: u64,
@@ -137,8 +135,6 @@ struct OutputStatus {
 #[derive(Debug, Default)]
 pub(super) struct Memory {
     rates: Rates,
-    replies: BTreeMap<String, u64>,
-    busy: BTreeMap<String, Duration>,
 }
 
 impl Memory {
@@ -146,7 +142,6 @@ impl Memory {
     pub(super) fn status(&mut self, bridge: &Bridge, view: &View, now: Instant) -> Status {
         self.rates.begin(now);
         let plcs = self.plcs(view);
-        self.busy.retain(|link, _| plcs.iter().any(|plc| plc.link == *link));
         Status {
             id: bridge.config().bridge.id.to_string(),
             version: env!("CARGO_PKG_VERSION"),
@@ -162,15 +157,11 @@ impl Memory {
     }
 
     fn plcs(&mut self, view: &View) -> Vec<PlcStatus> {
-        let mut before = std::mem::take(&mut self.replies);
         let mut plcs = Vec::new();
         for plc in view.plcs() {
             let (stats, settings) = (plc.polled.station.stats(), &plc.polled.plc);
             let state = PlcState::of(&plc.polled);
             let (name, link) = (settings.name().to_owned(), link_of(settings));
-            let replies = stats.replies.saturating_sub(before.remove(&name).unwrap_or(stats.replies));
-            *self.busy.entry(link.clone()).or_default() += busy(&stats, replies);
-            self.replies.insert(name.clone(), stats.replies);
             plcs.push(PlcStatus {
                 requests_per_second: self.rates.rate(format!("plc {name}"), as_f64(stats.requests)),
                 plc: name,
@@ -196,12 +187,12 @@ impl Memory {
         for endpoint in bridge.pool.endpoints() {
             let (link, traffic) = (endpoint.endpoint.to_string(), &endpoint.traffic);
             let (state, why) = best(&endpoint.links);
-            let busy = self.busy.get(&link).copied().unwrap_or_default();
+            let bus_time = traffic.bus_time.as_secs_f64();
             links.push(LinkStatus {
                 state,
                 why,
                 plcs: plcs.iter().filter(|plc| plc.link == link).count(),
-                load: self.rates.rate(format!("busy {link}"), busy.as_secs_f64()).map(|load| load.min(1.0)),
+                load: self.rates.rate(format!("bus time {link}"), bus_time).map(|load| load.min(1.0)),
                 requests_per_second: self.rates.rate(format!("link {link}"), as_f64(traffic.stations.requests)),
                 connects: traffic.connects,
                 disconnects: traffic.disconnects,
@@ -242,22 +233,11 @@ impl Memory {
         }
         outputs
     }
-
-    /// For how long each link has awaited replies, of those that came.
-    pub(super) fn busy(&self) -> impl Iterator<Item = (&str, Duration)> {
-        self.busy.iter().map(|(link, busy)| (link.as_str(), *busy))
-    }
 }
 
 /// The text of a link in labels and on the page.
 pub(super) fn link_of(plc: &PlantPlc) -> String {
     plc.endpoint().to_string()
-}
-
-/// For how long a number of replies was awaited.
-fn busy(stats: &StationStats, replies: u64) -> Duration {
-    let each = stats.round_trip.map_or(Duration::ZERO, |times| times.smoothed);
-    each.saturating_mul(u32::try_from(replies).unwrap_or(u32::MAX))
 }
 
 fn counts(view: &View, places: std::ops::Range<usize>) -> TagCounts {

@@ -139,15 +139,8 @@ fn links(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
     }
     let garbage = endpoints.iter().map(|(labels, endpoint)| (refs(labels), endpoint.traffic.garbage_bytes));
     to.counter("link_garbage", Some(Unit::Bytes), "Bytes that were part of no good frame", garbage)?;
-    let busy: Vec<(Vec<(&'static str, String)>, f64)> = shared
-        .hub
-        .lock()
-        .memory
-        .busy()
-        .map(|(link, busy)| (vec![("link", link.to_owned())], busy.as_secs_f64()))
-        .collect();
-    let busy = busy.iter().map(|(labels, busy)| (refs(labels), *busy));
-    to.counter("link_busy", Some(Unit::Seconds), "Time in which replies were awaited, of those that came", busy)
+    let busy = endpoints.iter().map(|(labels, endpoint)| (refs(labels), endpoint.traffic.bus_time.as_secs_f64()));
+    to.counter("link_busy", Some(Unit::Seconds), "Time in which the line was in use", busy)
 }
 
 fn pool(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
