@@ -40,7 +40,7 @@ use tokio::sync::oneshot;
 
 pub use self::bucket::{InitError, Initialized, init};
 pub use self::core::{Member, StoreFault};
-pub use self::driver::{Events, Fleet, FleetError, FleetSettings};
+pub use self::driver::{Events, Fleet, FleetError, FleetSettings, FleetTask};
 pub use self::gate::{Gate, boot_time};
 pub use self::operator::{OrderError, drain, move_link, observe};
 pub use self::status::{FleetStatus, LinkStatus, MemberState, MemberStatus};

@@ -23,10 +23,13 @@ use common::nats::{NatsServer, PATIENCE};
 /// The lease of these tests.
 const LEASE: Duration = Duration::from_millis(1500);
 
+/// A member and a link.
+type MemberLink = (Arc<str>, Arc<str>);
+
 /// The owners of links, as the members tell them.
 #[derive(Debug, Default)]
 struct Board {
-    owned: Mutex<BTreeMap<(Arc<str>, Arc<str>), Ownership>>,
+    owned: Mutex<BTreeMap<MemberLink, Ownership>>,
     tokens: Mutex<BTreeMap<Arc<str>, LinkToken>>,
 }
 

@@ -75,13 +75,16 @@ enum Order {
     Leave,
 }
 
+/// The task of a member. It ends with an error, or after [`Fleet::leave`].
+pub type FleetTask = JoinHandle<Result<(), FleetError>>;
+
 impl Fleet {
     /// Joins a fleet. The task ends after [`leave`](Self::leave), or with an error, and then owns nothing any more
     /// but links that are pinned.
     ///
     /// # Errors
     /// [`FleetError`] if the system gives no random numbers.
-    pub fn start(settings: FleetSettings) -> Result<(Self, Events, JoinHandle<Result<(), FleetError>>), FleetError> {
+    pub fn start(settings: FleetSettings) -> Result<(Self, Events, FleetTask), FleetError> {
         let id = Name::parse(&settings.member.id).ok_or(FleetError::Id)?;
         let (orders, orders_in) = mpsc::unbounded_channel();
         let (events, events_out) = mpsc::unbounded_channel();
@@ -181,7 +184,8 @@ struct Driver {
 /// An event of a connection.
 enum Step {
     Connect,
-    Opened(Result<Opened, OpenError>),
+    Opened(Box<Opened>),
+    Refused(OpenError),
     Lost(String),
     Seen(Seen),
     Silent,
@@ -251,13 +255,14 @@ impl Driver {
                 let id = self.id.clone();
                 self.link = Link::Connecting(Box::pin(async move { bucket::open(&nats, &id, &bucket).await }));
             }
-            Step::Opened(Ok(Opened { bucket, watch, created, last_revision })) => {
+            Step::Opened(opened) => {
+                let Opened { bucket, watch, created, last_revision } = *opened;
                 tracing::info!("fleet: connected to {}", self.settings.nats.url);
                 (self.was_connected, self.last_failure) = (true, None);
                 self.link = Link::Open(Box::new(Open { bucket, watch, heard: Instant::now() }));
                 self.feed(Input::Connected { created, last_revision });
             }
-            Step::Opened(Err(error)) => {
+            Step::Refused(error) => {
                 let text = error.to_string();
                 if self.last_failure.as_ref() != Some(&text) {
                     tracing::warn!("fleet: {}: {text}", self.settings.nats.url);
@@ -370,7 +375,10 @@ impl Link {
                 sleep_until(*until).await;
                 Step::Connect
             }
-            Self::Connecting(opening) => Step::Opened(opening.await),
+            Self::Connecting(opening) => match opening.await {
+                Ok(opened) => Step::Opened(Box::new(opened)),
+                Err(error) => Step::Refused(error),
+            },
             Self::Open(open) => {
                 let Open { bucket, watch, heard } = &mut **open;
                 tokio::select! {
