@@ -221,3 +221,25 @@ async fn open_buffer(config: &Config) -> Result<Buffer, RunError> {
     let opened = tokio::task::spawn_blocking(move || Buffer::open(&settings, &outputs)).await;
     Ok(opened.map_err(|_| RunError::Panicked("buffer"))??)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use tokio::time::timeout;
+
+    use super::*;
+    use crate::command::{CommandSettings, Storage};
+
+    /// Seen without the cure, a wait that never ends: the bridge went on without commands.
+    #[tokio::test(start_paused = true)]
+    async fn the_end_of_the_commands_is_noticed() {
+        let settings = CommandSettings::new(Storage::Memory);
+        let commands = Commands::start(settings, Registry::default()).await.unwrap();
+        let day = Duration::from_secs(86_400);
+        assert!(timeout(day, commands_ended(Some(&commands))).await.is_err(), "they run");
+        assert!(timeout(day, commands_ended(None)).await.is_err(), "there are none");
+        commands.close().await;
+        assert!(timeout(day, commands_ended(Some(&commands))).await.is_ok());
+    }
+}
