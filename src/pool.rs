@@ -183,7 +183,8 @@ impl Pool {
     /// request on the wire is finished, and the connection is closed. See [`Link::close`].
     ///
     /// For a PLC that another master is to take over. Without links of the endpoint, nothing happens.
-    /// The endpoint can be requested again at any time: [`station`](Self::station) then makes a new link.
+    /// The endpoint can be requested again: [`station`](Self::station) then makes a new link. Request it after
+    /// this has returned, or the new link may connect while the request of the closed one ends.
     /// Handles of the closed one stay closed. If the future is dropped, some links may stay open; call it
     /// again to close them.
     ///

@@ -30,7 +30,7 @@ use std::sync::Arc;
 /// for the requests of calls, their retries, broadcasts, and the [checks](crate::StationStats::checks)
 /// and probes of the link itself. It is also asked before a connection is opened.
 ///
-/// While it is closed, no byte is sent and no connection is opened:
+/// While it is closed, no byte is sent and no connection is begun. One that is being opened goes on:
 ///
 /// - Calls fail with [`Error::GateClosed`](crate::Error::GateClosed), without retries, and so do the calls
 ///   that wait. A [`Poller`](crate::Poller) has the error as the reason of its samples.

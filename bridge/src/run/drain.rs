@@ -72,7 +72,7 @@ pub(super) async fn drain(
     };
     tokio::select! {
         () = closed => {}
-        () = hurried => {}
+        () = hurried => tracing::error!("not all was ended: batches that were not delivered or written are lost"),
     }
     hurries
 }

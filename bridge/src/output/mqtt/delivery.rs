@@ -15,7 +15,8 @@
 //!   counted;
 //! - the batches of a PLC are sent in the order of the buffer, and again in that order after a loss or a refusal;
 //! - a PLC whose batches are refused holds up no other;
-//! - a batch that ends the connections is found, and one that the broker names as the reason is given up.
+//! - a batch that ends the connections is found, and one that the broker names as the reason is given up;
+//! - a batch that was taken or given up is not sent again, also behind one of another PLC that waits.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -23,7 +24,7 @@ use std::sync::Arc;
 use tokio::time::Instant;
 
 use super::refusals::{Passed, Refusal, Refusals};
-use super::window::Prefix;
+use super::window::{Prefix, Settled};
 use crate::buffer::{Cursor, Entry, Fetched};
 use crate::output::Health;
 
@@ -113,7 +114,8 @@ impl Delivery {
             State::Probing(limit) if self.in_flight.len() < limit => {}
             State::Probing(_) => return None,
         }
-        let entry = self.refusals.take().or_else(|| self.take_next())?;
+        // The next ones may have been parked, and one of them be an attempt that is due.
+        let entry = self.refusals.take().or_else(|| self.take_next()).or_else(|| self.refusals.take())?;
         self.in_flight.insert(entry.position, InFlight { entry: entry.clone(), sent: now });
         Some(entry)
     }
@@ -122,7 +124,10 @@ impl Delivery {
     fn take_next(&mut self) -> Option<Entry> {
         loop {
             let entry = self.cursor.send(self.queue.pop_front()?);
-            self.prefix.push(entry.position);
+            if let Some(how) = self.prefix.push(entry.position, &entry.batch.plc) {
+                self.settle(entry.position, how);
+                continue;
+            }
             match self.refusals.pass(entry) {
                 Passed::Send(entry) => return Some(entry),
                 Passed::Parked => {}
@@ -146,7 +151,7 @@ impl Delivery {
         let Some(InFlight { entry, .. }) = self.in_flight.remove(&position) else { return };
         self.health.count(entry.batch.samples);
         self.has_progress = true;
-        self.settle(position);
+        self.settle(position, Settled::Taken);
         if let State::Probing(limit) = self.state {
             self.state = if limit < ENOUGH { State::Probing(limit.saturating_mul(2)) } else { State::Open };
         }
@@ -163,7 +168,7 @@ impl Delivery {
     /// Notes that a batch is given up: the broker can never take it.
     pub(super) fn skip(&mut self, position: u64, now: Instant) {
         self.health.count_skipped();
-        self.settle(position);
+        self.settle(position, Settled::GivenUp);
         if let Some(InFlight { entry, .. }) = self.in_flight.remove(&position) {
             self.refusals.skipped(&entry.batch.plc, now);
         }
@@ -207,7 +212,7 @@ impl Delivery {
     /// Drops a batch of a PLC that is given up.
     fn drop_batch(&mut self, entry: &Entry) {
         self.health.count_plc_dropped(&entry.batch.plc);
-        self.settle(entry.position);
+        self.settle(entry.position, Settled::GivenUp);
     }
 
     /// Asks for the present values of all tags.
@@ -231,18 +236,18 @@ impl Delivery {
         self.is_probing() && !self.in_flight.is_empty()
     }
 
-    /// Notes that the connection was lost: all that is not acknowledged is sent again.
+    /// Notes that the connection was lost: all that was neither taken nor given up is sent again.
     pub(super) fn lost(&mut self, loss: Loss) {
         if let Loss::Guilty(position) = loss {
             self.health.count_skipped();
-            self.settle(position);
+            self.settle(position, Settled::GivenUp);
         }
         // Twice without progress, although batches were sent: perhaps because of one of them.
         let is_fruitless = !self.in_flight.is_empty() && !std::mem::replace(&mut self.has_progress, false);
         if loss != Loss::Other || self.state != State::Open || is_fruitless {
             self.state = State::Probing(1);
         }
-        self.prefix.clear();
+        self.prefix.rewind();
         self.queue.clear();
         self.in_flight.clear();
         self.refusals.rewind();
@@ -250,8 +255,8 @@ impl Delivery {
     }
 
     /// Settles a batch, and acknowledges those at the front in the buffer.
-    fn settle(&mut self, position: u64) {
-        if let Some(last) = self.prefix.settle(position) {
+    fn settle(&mut self, position: u64, how: Settled) {
+        if let Some(last) = self.prefix.settle(position, how) {
             self.cursor.acknowledge(last);
         }
     }

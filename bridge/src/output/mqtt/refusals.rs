@@ -11,7 +11,8 @@
 //! The batches of such a PLC are parked behind the first that was refused. One of them is sent from time to time, with
 //! growing delays; when it is taken, the others follow. After [`HOLD`], in which others were taken, the PLC is
 //! given up: its batches are dropped, but for one at a time that is an attempt. If none of any PLC is taken, all
-//! are kept: then the broker refuses the output, and the buffer decides.
+//! are kept: then the broker refuses the output, and the buffer decides. A new connection begins with all of them
+//! kept.
 //!
 //! Invariants:
 //! - the batches of a PLC are sent in their order;
@@ -232,13 +233,16 @@ impl Refusals {
         given_up
     }
 
-    /// Forgets all batches, which are read again, and lets each PLC have an attempt: the connection is another.
+    /// Forgets all batches, which are read again, and lets each PLC have an attempt: the connection is another, and
+    /// perhaps the broker. So the time for which batches are kept begins anew.
     pub(super) fn rewind(&mut self) {
         self.ready.clear();
         (self.parked, self.bytes) = (0, 0);
+        self.taken = None;
         for refused in self.plcs.values_mut() {
             refused.parked.clear();
             refused.next = Next::Due;
+            refused.is_given_up = false;
         }
     }
 

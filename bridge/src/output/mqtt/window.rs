@@ -1,6 +1,7 @@
 //! Messages in flight: packet ids, and acknowledgements in any order. No I/O, and no clock.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::sync::Arc;
 
 /// Packets that wait for an acknowledgement, by their packet id.
 ///
@@ -63,46 +64,78 @@ impl<T> Window<T> {
 
 /// Batches that were read, in the order of their positions, of which the settled ones at the front may be
 /// acknowledged in the buffer.
+///
+/// Invariants, when the batches are read again:
+/// - a batch that was given up stays so;
+/// - one that was taken stays so, unless one before it of the same PLC is sent again: the order of a PLC is kept.
 #[derive(Debug, Default)]
 pub(super) struct Prefix {
-    sent: VecDeque<Sent>,
+    read: VecDeque<Read>,
+    /// Batches that were settled before the batches are read again, and are not read yet.
+    settled_before: VecDeque<(u64, Settled)>,
 }
 
 #[derive(Debug)]
-struct Sent {
+struct Read {
     position: u64,
-    is_settled: bool,
+    plc: Arc<str>,
+    settled: Option<Settled>,
+}
+
+/// Why a batch needs no more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Settled {
+    /// The broker has taken it.
+    Taken,
+    /// It is never sent again.
+    GivenUp,
 }
 
 impl Prefix {
-    /// Notes a batch that is sent now, or kept. Positions grow.
-    pub(super) fn push(&mut self, position: u64) {
-        debug_assert!(self.sent.back().is_none_or(|last| last.position < position));
-        self.sent.push_back(Sent { position, is_settled: false });
+    /// Notes a batch that is sent now, or kept. Positions grow. Returns how it was settled before: then it is not
+    /// sent, and to be settled again.
+    pub(super) fn push(&mut self, position: u64, plc: &Arc<str>) -> Option<Settled> {
+        debug_assert!(self.read.back().is_none_or(|last| last.position < position));
+        self.read.push_back(Read { position, plc: plc.clone(), settled: None });
+        // The buffer may have dropped some of them.
+        while self.settled_before.pop_front_if(|(settled, _)| *settled < position).is_some() {}
+        self.settled_before.pop_front_if(|(settled, _)| *settled == position).map(|(_, settled)| settled)
     }
 
     /// The number of batches from the first that is not settled.
     pub(super) fn len(&self) -> usize {
-        self.sent.len()
+        self.read.len()
     }
 
-    /// Notes that a batch needs no more: it was acknowledged or given up. Returns the last position of
-    /// those at the front that are settled, all of which may be acknowledged, if there are new ones.
-    pub(super) fn settle(&mut self, position: u64) -> Option<u64> {
-        let at = self.sent.partition_point(|sent| sent.position < position);
-        let sent = self.sent.get_mut(at).filter(|sent| sent.position == position)?;
-        sent.is_settled = true;
+    /// Notes that a batch needs no more. Returns the last position of those at the front that are settled, all of
+    /// which may be acknowledged, if there are new ones.
+    pub(super) fn settle(&mut self, position: u64, how: Settled) -> Option<u64> {
+        let at = self.read.partition_point(|read| read.position < position);
+        let read = self.read.get_mut(at).filter(|read| read.position == position)?;
+        read.settled = Some(how);
         let mut last = None;
-        while let Some(front) = self.sent.front().filter(|front| front.is_settled) {
+        while let Some(front) = self.read.pop_front_if(|front| front.settled.is_some()) {
             last = Some(front.position);
-            self.sent.pop_front();
         }
         last
     }
 
-    /// Forgets all, before they are sent again.
-    pub(super) fn clear(&mut self) {
-        self.sent.clear();
+    /// Forgets the batches, which are read again, but for the settled ones.
+    pub(super) fn rewind(&mut self) {
+        let mut sent_again = HashSet::new();
+        let mut settled = VecDeque::new();
+        for Read { position, plc, settled: how } in self.read.drain(..) {
+            match how {
+                Some(Settled::GivenUp) => settled.push_back((position, Settled::GivenUp)),
+                Some(Settled::Taken) if !sent_again.contains(&plc) => settled.push_back((position, Settled::Taken)),
+                Some(Settled::Taken) | None => {
+                    sent_again.insert(plc);
+                }
+            }
+        }
+        // Those that were not read again are behind all that were.
+        settled.append(&mut self.settled_before);
+        self.settled_before = settled;
     }
 }
 
@@ -139,20 +172,54 @@ mod tests {
         assert!(window.is_empty());
     }
 
+    fn plc(name: &str) -> Arc<str> {
+        name.into()
+    }
+
     #[test]
     fn positions_are_acknowledged_as_a_prefix_alone() {
         let mut prefix = Prefix::default();
-        [4, 5, 7, 8].into_iter().for_each(|position| prefix.push(position));
-        assert_eq!(prefix.settle(5), None);
-        assert_eq!(prefix.settle(8), None);
+        [4, 5, 7, 8].into_iter().for_each(|position| assert_eq!(prefix.push(position, &plc("mixer")), None));
+        assert_eq!(prefix.settle(5, Settled::Taken), None);
+        assert_eq!(prefix.settle(8, Settled::Taken), None);
         assert_eq!(prefix.len(), 4);
-        assert_eq!(prefix.settle(4), Some(5));
+        assert_eq!(prefix.settle(4, Settled::Taken), Some(5));
         assert_eq!(prefix.len(), 2);
         // Unknown, and settled before.
-        assert_eq!((prefix.settle(6), prefix.settle(4), prefix.settle(99)), (None, None, None));
-        assert_eq!(prefix.settle(7), Some(8));
-        prefix.push(9);
-        prefix.clear();
-        assert_eq!(prefix.settle(9), None);
+        let unknown = [6, 4, 99].map(|position| prefix.settle(position, Settled::Taken));
+        assert_eq!(unknown, [None; 3]);
+        assert_eq!(prefix.settle(7, Settled::Taken), Some(8));
+        prefix.push(9, &plc("mixer"));
+        prefix.rewind();
+        assert_eq!(prefix.settle(9, Settled::Taken), None);
+    }
+
+    #[test]
+    fn settled_positions_stay_so_in_the_order_of_each_plc() {
+        let mut prefix = Prefix::default();
+        let plcs = [plc("mixer"), plc("boiler")];
+        let read = |prefix: &mut Prefix, positions: &[u64]| -> Vec<u64> {
+            let of = |position: u64| &plcs[usize::try_from(position).unwrap() % 2];
+            positions.iter().copied().filter(|position| prefix.push(*position, of(*position)).is_some()).collect()
+        };
+        // Those of the boiler are odd.
+        assert_eq!(read(&mut prefix, &[1, 2, 3, 4, 5, 6]), Vec::<u64>::new());
+        assert_eq!(prefix.settle(2, Settled::Taken), None);
+        assert_eq!(prefix.settle(3, Settled::Taken), None);
+        assert_eq!(prefix.settle(5, Settled::GivenUp), None);
+        assert_eq!(prefix.settle(6, Settled::Taken), None);
+        prefix.rewind();
+        assert_eq!(prefix.len(), 0);
+        // 3 comes behind 1, which is sent again, and 6 behind 4.
+        assert_eq!(read(&mut prefix, &[1, 2]), [2]);
+        assert_eq!(prefix.settle(2, Settled::Taken), None);
+        // Again, before all were read; 3 is gone from the buffer.
+        prefix.rewind();
+        assert_eq!(read(&mut prefix, &[1, 2, 4, 5, 6]), [2, 5]);
+        [(2, Settled::Taken), (5, Settled::GivenUp), (6, Settled::Taken)].into_iter().for_each(|(position, how)| {
+            assert_eq!(prefix.settle(position, how), None);
+        });
+        assert_eq!(prefix.settle(1, Settled::Taken), Some(2));
+        assert_eq!(prefix.settle(4, Settled::Taken), Some(6));
     }
 }

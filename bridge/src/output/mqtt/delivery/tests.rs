@@ -247,10 +247,11 @@ fn the_next_connection_tries_a_refused_plc_at_once() {
     case.refused(1);
     case.taken(2);
     case.delivery.lost(Loss::Other);
-    assert_eq!((case.send(), case.delivery.due()), (vec![2, 1, 4], None));
+    // The second was taken.
+    assert_eq!((case.send(), case.delivery.due()), (vec![4, 1], None));
     case.taken(1);
     assert_eq!(case.send(), [3]);
-    [2, 3, 4].into_iter().for_each(|position| case.taken(position));
+    [3, 4].into_iter().for_each(|position| case.taken(position));
     assert_eq!(case.lag(), 0);
 }
 
@@ -310,4 +311,47 @@ fn a_batch_that_is_given_up_holds_up_no_other() {
     assert_eq!((case.delivery.health.skipped(), case.delivery.health.delivered()), (1, (1, 2)));
     case.taken(3);
     assert_eq!(case.lag(), 0);
+}
+
+/// Without the positions that stay settled, 2 was sent on each new connection, and ended it: the output delivered
+/// nothing more.
+#[test]
+fn a_batch_that_ends_the_connection_is_given_up_behind_a_refused_one() {
+    let mut case = Case::of(&["mixer", "boiler"], 4);
+    assert_eq!(case.send(), [1, 2, 3, 4]);
+    case.refused(1);
+    case.delivery.lost(Loss::Suspect);
+    assert_eq!(case.send(), [2]);
+    case.delivery.lost(Loss::Guilty(2));
+    assert_eq!(case.send(), [4]);
+    case.taken(4);
+    assert_eq!(case.send(), [1]);
+    case.refused(1);
+    // Nor is one sent again that was taken.
+    case.delivery.lost(Loss::Other);
+    assert_eq!(case.send(), [1]);
+    case.taken(1);
+    assert_eq!(case.send(), [3]);
+    case.taken(3);
+    assert_eq!((case.lag(), case.delivery.health.skipped()), (0, 1));
+}
+
+/// Without it, the PLC was given up at once by the time before the new connection, and its batches were dropped.
+#[test]
+fn the_time_of_a_refused_plc_begins_anew_with_a_connection() {
+    let mut case = Case::of(&["mixer", "boiler"], 2);
+    case.round(&["mixer"], Duration::ZERO);
+    case.push("boiler", 3);
+    case.round(&["mixer"], Duration::from_secs(120));
+    case.delivery.lost(Loss::Other);
+    // The broker is away, and then takes those of the boiler.
+    case.push("boiler", 4);
+    case.round(&["mixer"], HOLD - Duration::from_secs(60));
+    case.push("boiler", 5);
+    case.round(&["mixer"], Duration::from_secs(60));
+    case.push("boiler", 6);
+    case.round(&["mixer"], HOLD - Duration::from_secs(61));
+    assert_eq!(case.dropped("mixer"), 0);
+    case.round(&["mixer"], Duration::from_secs(1));
+    assert_eq!(case.dropped("mixer"), 1);
 }
