@@ -115,7 +115,7 @@ fn outputs(config: &Config, warn: Warn<'_>) {
         warn(None, "mqtt, nats, stdout".to_owned(), text);
     }
     if config.mqtt.as_ref().is_some_and(|mqtt| mqtt.require_subscribers) && config.plant.plcs().count() > 1 {
-        let text = "batches of a PLC without a subscriber are dropped after 10 minutes, and of a large backlog at once, \
+        let text = "batches of a PLC without a subscriber are dropped after 10 minutes, or at once of a large backlog, \
                     while those of others are taken: subscribe to every PLC";
         warn(None, "mqtt.require_subscribers".to_owned(), text.to_owned());
     }

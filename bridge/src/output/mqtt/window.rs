@@ -98,8 +98,12 @@ impl Prefix {
         debug_assert!(self.read.back().is_none_or(|last| last.position < position));
         self.read.push_back(Read { position, plc: plc.clone(), settled: None });
         // The buffer may have dropped some of them.
-        while self.settled_before.pop_front_if(|(settled, _)| *settled < position).is_some() {}
-        self.settled_before.pop_front_if(|(settled, _)| *settled == position).map(|(_, settled)| settled)
+        while self.settled_before.front().is_some_and(|(settled, _)| *settled < position) {
+            self.settled_before.pop_front();
+        }
+        let (_, how) = self.settled_before.front().copied().filter(|(settled, _)| *settled == position)?;
+        self.settled_before.pop_front();
+        Some(how)
     }
 
     /// The number of batches from the first that is not settled.
@@ -114,8 +118,9 @@ impl Prefix {
         let read = self.read.get_mut(at).filter(|read| read.position == position)?;
         read.settled = Some(how);
         let mut last = None;
-        while let Some(front) = self.read.pop_front_if(|front| front.settled.is_some()) {
+        while let Some(front) = self.read.front().filter(|front| front.settled.is_some()) {
             last = Some(front.position);
+            self.read.pop_front();
         }
         last
     }
