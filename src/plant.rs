@@ -38,7 +38,8 @@
 //! - A tag is its text, or a table with `at` and any of `class`, `unit`, `comment`, `group`, `deadband`,
 //!   `heartbeat`, `on_change` and `write`. Nothing is writable by its name without `write`.
 //! - Periods and times are texts such as `"500ms"`, `"1.5s"`, `"10m"`: more than 0, at most a day.
-//! - `host` and `only` name the hosts of a fleet that can reach the link.
+//! - `host` and `only` name the hosts of a fleet that can reach the link. A serial port belongs to its host: the same
+//!   name with another `host` is another port.
 //! - All faults of a file are reported, each with line and key.
 //!
 //! ```

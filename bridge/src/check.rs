@@ -19,7 +19,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 pub use self::load::{ClassPlan, LinkLoad};
-use crate::config::{Config, ConfigError, Environment, FLEET_RULE};
+use crate::config::{Config, ConfigError, Environment};
 use crate::topic::Topics;
 
 /// Result of a check.
@@ -29,6 +29,8 @@ pub struct Report {
     pub path: PathBuf,
     /// The plans of each PLC and scan class.
     pub plans: Vec<ClassPlan>,
+    /// `true`: a fleet shares the links.
+    pub is_fleet: bool,
     /// The links, with their load.
     pub links: Vec<LinkLoad>,
     /// The outputs.
@@ -94,6 +96,7 @@ impl Report {
         let mut report = Self {
             path: path.to_owned(),
             plans: Vec::new(),
+            is_fleet: false,
             links: Vec::new(),
             outputs: Vec::new(),
             findings: Vec::new(),
@@ -113,13 +116,11 @@ impl Report {
     fn fill(&mut self, config: &Config, environment: &Environment, round_trip: Duration) {
         let findings = &mut self.findings;
         self.plans = load::plans(config, round_trip, findings);
+        self.is_fleet = config.fleet.is_some();
         self.links = load::links(config, &self.plans, findings);
         self.outputs = outputs(config);
         files::check(config, environment, findings);
         settings::check(config, findings);
-        if config.fleet.is_some() {
-            findings.push(finding(Severity::Fault, "fleet", FLEET_RULE));
-        }
         // Stable: in the order in which they were found.
         findings.sort_by_key(|finding| finding.severity);
     }
@@ -144,7 +145,8 @@ impl Report {
         };
         let link = |link: &LinkLoad| {
             json!({
-                "link": link.link, "plcs": link.plcs, "requests_per_second": rounded(link.requests_per_second),
+                "link": link.link, "id": link.id, "hosts": link.hosts, "plcs": link.plcs,
+                "requests_per_second": rounded(link.requests_per_second),
                 "bytes_per_second": rounded(link.bytes_per_second), "load_percent": rounded(link.load * 100.0),
             })
         };
@@ -170,7 +172,7 @@ impl Report {
 }
 
 fn outputs(config: &Config) -> Vec<OutputSummary> {
-    let id = &config.bridge.id;
+    let id = config.topic_id();
     let mut outputs = Vec::new();
     if config.stdout.is_some() {
         outputs.push(OutputSummary { name: "stdout", server: None, topic: None, commands: false });

@@ -28,10 +28,10 @@ pub(crate) fn main() -> ExitCode {
         return complain(&format!("--log: {error}"), STATUS_USAGE);
     }
     let done = match cli.command {
-        Command::Run(args) => commands::run(&args.config),
+        Command::Run(args) => commands::run(&args.file),
         Command::Check(args) => commands::check(&args),
         Command::Demo(args) => commands::demo(&args),
-        Command::PrintConfig(args) => commands::print_config(&args.config),
+        Command::PrintConfig(args) => commands::print_config(&args.file),
         Command::Import(args) => commands::import(&args),
         Command::Schema => commands::schema(),
     };

@@ -11,6 +11,7 @@
 
 mod environment;
 mod error;
+mod fleet;
 mod print;
 mod rules;
 mod schema;
@@ -39,6 +40,8 @@ use crate::output::OutputKind;
 pub struct Config {
     /// The file.
     pub path: PathBuf,
+    /// The variables and options that it was read with.
+    pub environment: Environment,
     /// The bridge itself.
     pub bridge: BridgeSection,
     /// The output to an MQTT broker.
@@ -56,27 +59,26 @@ pub struct Config {
 /// The sections that a file can have: those of the bridge, those of the plant, and that of the simulator.
 const SECTIONS: [&str; 10] = ["bridge", "mqtt", "nats", "stdout", "fleet", "class", "template", "plc", "bus", "sim"];
 
-/// The rule that a file with a section `fleet` breaks when it is to be run.
-pub const FLEET_RULE: &str = "a fleet is not supported yet: without this section, this bridge owns all links";
-
 impl Config {
-    /// Loads a file that is to be run, and the tables of tags that it names. Blocks until the disk has read
-    /// them.
+    /// Reads a file and the tables of tags that it names, with the variables of this process. Blocks until the disk
+    /// has read them.
     ///
     /// # Errors
     /// [`ConfigError`] names the file and all faults with their lines.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let config = Self::read(path, &Environment::of_process())?;
-        match &config.fleet {
-            None => Ok(config),
-            Some(_) => {
-                let fault = ConfigFault { line: None, key: "fleet".to_owned(), rule: FLEET_RULE.to_owned() };
-                Err(ConfigError::faults(path, vec![fault]))
-            }
-        }
+        Self::read(path, &Environment::of_process())
     }
 
-    /// Loads a file as [`load`](Self::load) does, also one that this version checks and does not run.
+    /// Reads the file of a configuration again, with the same variables and options. Blocks as [`load`](Self::load)
+    /// does.
+    ///
+    /// # Errors
+    /// Those of [`load`](Self::load).
+    pub fn reload(&self) -> Result<Self, ConfigError> {
+        Self::read(&self.path, &self.environment)
+    }
+
+    /// Reads a file as [`load`](Self::load) does, with other variables.
     ///
     /// # Errors
     /// Those of [`load`](Self::load).
@@ -101,18 +103,31 @@ impl Config {
         environment: &Environment,
     ) -> Result<Self, ConfigError> {
         let mut faults = Vec::new();
-        let sections = match Source::parse(text) {
-            Ok(source) => Sections::of(&source, environment, &mut faults),
+        let source = match Source::parse(text) {
+            Ok(source) => source,
             // The plant has the same one.
             Err(fault) => return Err(ConfigError::faults(path, vec![fault])),
         };
+        let sections = Sections::of(&source, environment, &mut faults);
         let plant = plant.map_err(|of_plant| faults.extend(of_plant)).ok();
+        if let Some(plant) = &plant {
+            match sections.fleet {
+                Some(_) => fleet::check(plant, &source, &mut faults),
+                None => fleet::check_without(plant, &source, &mut faults),
+            }
+        }
         let (Some(plant), true) = (plant, faults.is_empty()) else { return Err(ConfigError::faults(path, faults)) };
         if plant.plcs().next().is_none() {
             let rule = "there is no PLC: a section such as [plc.mixer] with link and station adds one".to_owned();
             return Err(ConfigError::faults(path, vec![ConfigFault { line: Some(1), key: "plc".to_owned(), rule }]));
         }
         Ok(sections.resolve(path, environment, plant))
+    }
+
+    /// The id in topics: that of the fleet, or of the bridge.
+    #[must_use]
+    pub fn topic_id(&self) -> &Name {
+        self.fleet.as_ref().map_or(&self.bridge.id, |fleet| &fleet.id)
     }
 
     /// The outputs that are configured, in the order of their cursors.
@@ -176,7 +191,8 @@ impl Sections {
         if let Some(NatsSection { creds_file, password_file, ca_file, cert_file, key_file, .. }) = &mut nats {
             [creds_file, password_file, ca_file, cert_file, key_file].into_iter().for_each(credential);
         }
-        Config { path: path.to_owned(), bridge, mqtt, nats, stdout, fleet, plant }
+        let (path, environment) = (path.to_owned(), environment.clone());
+        Config { path, environment, bridge, mqtt, nats, stdout, fleet, plant }
     }
 }
 

@@ -21,6 +21,7 @@
 //! | `placement` | the member that is to own a link |
 //! | `status` | the state of the fleet, as a member sees it |
 //! | `simulation` | seeded test of whole fleets with faults |
+//! | `spec` | links, member and hash of a configuration |
 
 mod bucket;
 mod core;
@@ -31,6 +32,7 @@ mod operator;
 mod placement;
 #[cfg(test)]
 mod simulation;
+mod spec;
 mod status;
 
 use std::fmt;
@@ -43,6 +45,8 @@ pub use self::core::{Member, StoreFault};
 pub use self::driver::{Events, Fleet, FleetError, FleetSettings, FleetTask};
 pub use self::gate::{Gate, boot_time};
 pub use self::operator::{OrderError, drain, move_link, observe};
+pub use self::spec::{PlantLinks, config_hash, link_of, links, member};
+pub(crate) use self::spec::{hosts, is_serial};
 pub use self::status::{FleetStatus, LinkStatus, MemberState, MemberStatus};
 
 /// The fencing token of an ownership. Tokens of one link rise with each owner.

@@ -86,11 +86,15 @@ fn named<'t>(section: &Section<'t>, faults: &mut Faults) -> Vec<(&'t str, Field<
 /// Adds a PLC unless its name, or its link and station, is taken.
 fn add(plant: &mut Plant, plc: PlantPlc, section: &str, faults: &mut Faults) {
     let same = plant.plcs.iter().find(|other| other.name == plc.name);
-    let same_station = plant
-        .plcs
-        .iter()
-        .find(|other| other.station == plc.station && other.endpoint.transport() == plc.endpoint.transport());
-    let of_line = |other: &&PlantPlc| other.endpoint.transport().identity() == plc.endpoint.transport().identity();
+    let is_taken = |other: &&PlantPlc| {
+        let is_same = other.station == plc.station && other.endpoint.transport() == plc.endpoint.transport();
+        is_same && !are_ports_of_two_hosts(other, &plc)
+    };
+    let same_station = plant.plcs.iter().find(is_taken);
+    let of_line = |other: &&PlantPlc| {
+        let is_same = other.endpoint.transport().identity() == plc.endpoint.transport().identity();
+        is_same && !are_ports_of_two_hosts(other, &plc)
+    };
     let transport = plc.endpoint.transport();
     let other_settings = plant.plcs.iter().filter(of_line).find(|other| other.endpoint != plc.endpoint);
     let fault = match (same, same_station, other_settings.filter(|_| transport.is_one_line())) {
@@ -100,6 +104,12 @@ fn add(plant: &mut Plant, plc: PlantPlc, section: &str, faults: &mut Faults) {
         (None, None, None) => return plant.plcs.push(plc),
     };
     faults.push(plc.line, &format!("{section}.{}", plc.bus.as_ref().unwrap_or(&plc.name)), fault);
+}
+
+/// Returns whether both links are serial ports, and no host has both: then one name is that of two ports.
+fn are_ports_of_two_hosts(one: &PlantPlc, other: &PlantPlc) -> bool {
+    let are_lines = [one, other].iter().all(|plc| plc.endpoint.transport().is_one_line() && !plc.hosts.is_empty());
+    are_lines && !one.hosts.iter().any(|host| other.hosts.contains(host))
 }
 
 fn class(name: &str, field: &Field<'_>, faults: &mut Faults) -> Option<PlantClass> {

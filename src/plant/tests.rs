@@ -167,6 +167,26 @@ stations = { a = 3, c = "4" }
     assert!(syntax.to_string().starts_with("line 1: "), "{syntax}");
 }
 
+/// Without the rule, two halls with the same adapter had no configuration in common: "`a` has this link and station
+/// already".
+#[test]
+fn a_serial_port_belongs_to_its_host() {
+    let bus = |name: &str, plc: &str, link: &str, hosts: &str| {
+        format!("[bus.{name}]\nlink = '{link}'\nstations = {{ {plc} = 1 }}\n{hosts}\n")
+    };
+    let first = bus("line1", "a", "serial:/dev/ttyS1", "host = 'hall-1'");
+    let with = |link, hosts| Plant::from_toml(&format!("{first}{}", bus("line2", "b", link, hosts)));
+    for link in ["serial:/dev/ttyS1", "serial:/dev/ttyS1?baud=19200"] {
+        assert_eq!(with(link, "host = 'hall-2'").unwrap().plcs().count(), 2);
+        for hosts in ["", "host = 'hall-1'", "only = ['hall-2', 'hall-1']"] {
+            let error = with(link, hosts).unwrap_err().to_string();
+            assert!(error.contains(", bus.line2: `a` has this li"), "{hosts}: {error}");
+        }
+    }
+    let network = bus("line1", "a", "tcp://h", "only = ['hall-1']") + &bus("line2", "b", "tcp://h", "only = ['x']");
+    assert!(Plant::from_toml(&network).is_err());
+}
+
 #[test]
 fn a_file_may_name_tables_of_tags_beside_it() {
     let folder = std::env::temp_dir().join(format!("fatek-plant-{}", std::process::id()));

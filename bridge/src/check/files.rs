@@ -4,6 +4,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 
 use fatek::endpoint::Transport;
+use fatek::plant::PlantPlc;
 use rustix::fs::Access as Rights;
 
 use super::access::Access;
@@ -81,11 +82,13 @@ fn folder_fault(dir: &Path) -> Option<String> {
     Some(fault)
 }
 
-/// Serial ports that are missing, or not for this user. Another user may run the bridge, and an adapter may
-/// be plugged in later.
+/// Serial ports of this host that are missing, or not for this user. Another user may run the bridge, and an
+/// adapter may be plugged in later.
 fn ports(config: &Config, findings: &mut Vec<Finding>) {
     let mut paths: Vec<&str> = Vec::new();
-    for plc in config.plant.plcs() {
+    let id = config.bridge.id.as_str();
+    let is_here = |plc: &&PlantPlc| config.fleet.is_none() || plc.hosts().any(|host| host == id);
+    for plc in config.plant.plcs().filter(is_here) {
         if let Transport::Serial { path, .. } = plc.endpoint().transport()
             && !paths.contains(&path.as_str())
         {

@@ -1,5 +1,6 @@
 //! Plans of the PLCs, and the load of their links.
 
+use std::collections::HashMap;
 use std::time::Duration;
 
 use fatek::plant::{PlantClass, PlantPlc, PlantTag};
@@ -8,6 +9,7 @@ use fatek::{CostModel, Plan};
 
 use super::{Finding, Severity, finding};
 use crate::config::Config;
+use crate::fleet::{PlantLinks, hosts};
 use crate::registry::default_class;
 
 /// The load above which a link has too little time left for retries and commands.
@@ -41,6 +43,10 @@ pub struct ClassPlan {
 pub struct LinkLoad {
     /// The link.
     pub link: String,
+    /// Its id in a fleet: the name of its bus, or of its PLC.
+    pub id: Option<String>,
+    /// The members of a fleet that can reach it; none: all can.
+    pub hosts: Vec<String>,
     /// The number of its PLCs.
     pub plcs: usize,
     /// The requests in a second.
@@ -113,16 +119,31 @@ fn cost(plc: &PlantPlc, round_trip: Duration) -> CostModel {
 
 /// Sums up the plans of each link.
 pub(super) fn links(config: &Config, plans: &[ClassPlan], findings: &mut Vec<Finding>) -> Vec<LinkLoad> {
+    // In a fleet, a port of the same name on another host is another link.
+    let of_fleet = config.fleet.as_ref().map(|_| PlantLinks::of(&config.plant));
     let mut links: Vec<LinkLoad> = Vec::new();
+    let mut of_plc: HashMap<&str, usize> = HashMap::new();
     for plc in config.plant.plcs() {
         let link = plc.endpoint().to_string();
-        match links.iter_mut().find(|known| known.link == link) {
+        let id = of_fleet.as_ref().and_then(|links| links.link_of(plc.name())).map(|id| id.to_string());
+        let known = links.iter().position(|known| known.link == link && known.id == id);
+        let number = known.unwrap_or(links.len());
+        of_plc.insert(plc.name(), number);
+        match links.get_mut(number) {
             Some(known) => known.plcs += 1,
-            None => links.push(LinkLoad { link, plcs: 1, requests_per_second: 0.0, bytes_per_second: 0.0, load: 0.0 }),
+            None => links.push(LinkLoad {
+                link,
+                id,
+                hosts: hosts(plc).into_iter().map(str::to_owned).collect(),
+                plcs: 1,
+                requests_per_second: 0.0,
+                bytes_per_second: 0.0,
+                load: 0.0,
+            }),
         }
     }
     for plan in plans {
-        let Some(link) = links.iter_mut().find(|link| link.link == plan.link) else { continue };
+        let Some(link) = of_plc.get(&*plan.plc).and_then(|&number| links.get_mut(number)) else { continue };
         let per_second = 1.0 / plan.every.as_secs_f64();
         link.requests_per_second += plan.requests as f64 * per_second;
         link.bytes_per_second += plan.bytes as f64 * per_second;

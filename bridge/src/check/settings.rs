@@ -31,7 +31,10 @@ pub(super) fn check(config: &Config, findings: &mut Vec<Finding>) {
             }
         }
     }
-    addresses(config, &mut warn);
+    // In a fleet it is a fault.
+    if config.fleet.is_none() {
+        addresses(config, &mut warn);
+    }
     commands(config, &mut warn);
     outputs(config, &mut warn);
     buffer(config, &mut warn);

@@ -85,6 +85,40 @@ fn tables_have_at_most_80_columns() {
 }
 
 #[test]
+fn links_of_a_fleet_have_hosts_and_topics_its_id() {
+    let long = "x".repeat(64);
+    let text = format!(
+        "{GOOD}[bridge]\nid = 'hall-1'\nbuffer.dir = 'b'\n[nats]\nurl = 'nats://h'\n[fleet]\nid = 'plant-a'\n\
+         [template.t]\nx = 'R0'\n[bus.line1]\nlink = 'serial:/dev/ttyX'\nstations = {{ a = 1, b = 2 }}\nuse = ['t']\n\
+         host = 'hall-1'\n\
+         [bus.{long}]\nlink = 'serial:/dev/ttyX?baud=115200&frame=8N1'\nstations = {{ c = 1 }}\nuse = ['t']\n\
+         host = '{long}'\n"
+    );
+    let report = report(&text);
+    assert_eq!(report.count(Severity::Fault), 0, "{report}");
+    let of_link = |link: &LinkLoad| (link.id.clone().unwrap(), link.hosts.join(","), link.plcs);
+    let links: Vec<_> = report.links.iter().map(of_link).collect();
+    let expected = [("mixer", "", 1), ("line1", "hall-1", 2), (&*long, &*long, 1)];
+    assert_eq!(links, expected.map(|(id, hosts, plcs)| (id.to_owned(), hosts.to_owned(), plcs)));
+    let shown = report.to_string();
+    for line in shown.split("\n\n").take(3).flat_map(str::lines) {
+        assert!(line.chars().count() <= 80, "{} columns: {line}", line.chars().count());
+    }
+    assert!(shown.contains("mixer             tcp://10.0.0.3:500    all   "), "{shown}");
+    assert!(shown.contains("fatek.plant-a.PLC.data"), "{shown}");
+    // The ports of other hosts are not here.
+    let of_port = report.findings.iter().filter(|finding| finding.key == "/dev/ttyX").count();
+    let elsewhere = self::report(&text.replace("id = 'hall-1'", "id = 'hall-9'"));
+    assert_eq!((of_port, elsewhere.findings), (1, Vec::new()));
+    assert_eq!(report.to_json()["links"][1]["hosts"], json!(["hall-1"]));
+    assert_eq!(report.to_json()["links"][0]["hosts"], json!([]));
+    // Without a fleet there are no ids.
+    let alone = self::report(&format!("{GOOD}[plc.b]\nlink = 'tcp://10.0.0.3'\nstation = 2\ntag.x = 'R0'\n"));
+    let [link] = &alone.links[..] else { panic!("{alone}") };
+    assert_eq!((&link.id, link.plcs), (&None, 2));
+}
+
+#[test]
 fn faults_of_the_file_are_findings() {
     let report = report("[mqtt]\nurl = 'x'\n");
     assert_eq!((report.count(Severity::Fault), report.count(Severity::Warning)), (1, 0));
@@ -93,7 +127,7 @@ fn faults_of_the_file_are_findings() {
     assert_eq!(missing.count(Severity::Fault), 1);
     assert!(missing.to_string().starts_with("fault: the file cannot be read: "), "{missing}");
     let fleet = findings(&format!("{GOOD}[fleet]\nid = 'a'\n"));
-    assert_eq!(fleet, [format!("fault: fleet: {FLEET_RULE}")]);
+    assert_eq!(fleet, ["fault: line 6, fleet: it needs the section nats: its server holds the leases"]);
     let many = findings(&GOOD.replace("'R5'", "{ at = 'R0-R100', class = 'x' }"));
     assert_eq!(many, ["fault: line 4, plc.mixer.tag.level.class: there is no class `x`"]);
 }

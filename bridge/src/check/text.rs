@@ -12,8 +12,10 @@ impl fmt::Display for Report {
         if !self.plans.is_empty() {
             writeln!(f, "{}", plans(&self.plans))?;
         }
-        if !self.links.is_empty() {
-            writeln!(f, "{}", links(&self.links))?;
+        match (self.links.is_empty(), self.is_fleet) {
+            (true, _) => {}
+            (false, true) => writeln!(f, "{}", fleet_links(&self.links))?,
+            (false, false) => writeln!(f, "{}", links(&self.links))?,
         }
         if !self.outputs.is_empty() {
             let mut columns = Columns::new(["OUTPUT", "SERVER", "TOPIC", "COMMANDS"]);
@@ -97,6 +99,23 @@ fn links(links: &[LinkLoad]) -> Columns<5> {
             format!("{:.1}", link.requests_per_second),
             format!("{:.0}", link.bytes_per_second),
             format!("{:.1} %", link.load * 100.0),
+        ]);
+    }
+    columns
+}
+
+/// The links of a fleet, with the members that can reach them.
+fn fleet_links(links: &[LinkLoad]) -> Columns<6> {
+    let mut columns = Columns::new(["ID", "LINK", "HOSTS", "PLCS", "REQUESTS/S", "LOAD"]).right([3, 4, 5]);
+    for link in links {
+        let hosts = if link.hosts.is_empty() { "all".to_owned() } else { link.hosts.join(",") };
+        columns.row([
+            cut(link.id.as_deref().unwrap_or("-"), 16),
+            cut(&link.link, 20),
+            cut(&hosts, 12),
+            link.plcs.to_string(),
+            format!("{:.1}", link.requests_per_second),
+            format!("{:.0} %", link.load * 100.0),
         ]);
     }
     columns

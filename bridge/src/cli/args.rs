@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use fatek::Endpoint;
-use fatek_bridge::config::{Name, Period};
+use fatek_bridge::config::{Environment, Name, Period};
 
 /// Daemon that carries data of FATEK / FACON PLCs to MQTT, NATS, Prometheus and a web page
 #[derive(Debug, Parser)]
@@ -21,7 +21,7 @@ pub(super) struct Cli {
 const AFTER_HELP: &str = "\
 Environment:
   FATEK_BRIDGE_CONFIG         the FILE of run, check and print-config
-  FATEK_BRIDGE_ID             in place of bridge.id
+  FATEK_BRIDGE_ID             in place of bridge.id, without --id
   FATEK_BRIDGE_HTTP           in place of bridge.http
   FATEK_BRIDGE_HTTP_TOKEN     in place of the content of bridge.token_file
   FATEK_BRIDGE_MQTT_PASSWORD  in place of the content of mqtt.password_file
@@ -89,11 +89,32 @@ pub(super) enum Command {
 #[command(after_help = "Examples:
   fatek-bridge run plant.toml
   fatek-bridge run plant.toml --log debug
+  fatek-bridge run plant.toml --id hall-2
   FATEK_BRIDGE_MQTT_PASSWORD=secret fatek-bridge run plant.toml")]
 pub(super) struct RunArgs {
+    #[command(flatten)]
+    pub(super) file: FileArgs,
+}
+
+/// The configuration.
+#[derive(Debug, Args)]
+pub(super) struct FileArgs {
     /// Configuration
     #[arg(env = "FATEK_BRIDGE_CONFIG", hide_env_values = true, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(super) config: PathBuf,
+    /// Name of this bridge, in place of bridge.id and FATEK_BRIDGE_ID
+    ///
+    /// In a fleet it is the name of the member, so that all members can have one file. Without any it is the name of
+    /// the host.
+    #[arg(long, value_name = "NAME", value_parser = name)]
+    pub(super) id: Option<Name>,
+}
+
+impl FileArgs {
+    /// The variables of this process, with the options.
+    pub(super) fn environment(&self) -> Environment {
+        Environment::with_id(self.id.as_ref())
+    }
 }
 
 /// Check a configuration: plans, load of the links, missing files, doubtful settings
@@ -107,14 +128,15 @@ pub(super) struct RunArgs {
   fatek-bridge check plant.toml --format json
 
 JSON: object with file; plans, each with plc, station, link, class, every_ms,
-tags, requests, bytes and time_ms; links, each with link, plcs,
+tags, requests, bytes and time_ms; links, each with link, id, hosts, plcs,
 requests_per_second, bytes_per_second and load_percent; outputs, each with name,
 server, topic and commands; findings, each with severity, line, key and text.
+Of a link, hosts are the members of a fleet that can reach it; none: all can.
 
 Exit status: 0 without faults, 1 with warnings and --strict, 2 with faults.")]
 pub(super) struct CheckArgs {
     #[command(flatten)]
-    pub(super) file: RunArgs,
+    pub(super) file: FileArgs,
     /// Time of a request on a network, and response time of a PLC on a serial line
     #[arg(long, value_name = "TIME", default_value = "5ms", value_parser = time)]
     pub(super) round_trip: Duration,
@@ -167,9 +189,8 @@ pub(super) struct DemoArgs {
 #[command(after_help = "Examples:
   fatek-bridge print-config plant.toml")]
 pub(super) struct PrintArgs {
-    /// Configuration
-    #[arg(env = "FATEK_BRIDGE_CONFIG", hide_env_values = true, value_name = "FILE", value_hint = ValueHint::FilePath)]
-    pub(super) config: PathBuf,
+    #[command(flatten)]
+    pub(super) file: FileArgs,
 }
 
 /// Convert tables of tags to sections of a configuration

@@ -1,24 +1,23 @@
 //! The commands. The error of each is that of a write to stdout.
 
 use std::io;
-use std::path::Path;
 use std::process::ExitCode;
 
 use fatek_bridge::check::{Report, Severity};
-use fatek_bridge::config::{self, Config, Environment, Name};
+use fatek_bridge::config::{self, Config, Name};
 use fatek_bridge::demo::{self, Demo, SILENT_PLC};
 use fatek_bridge::import::{self, Target};
 use tokio::runtime::Runtime;
 
-use super::args::{CheckArgs, DemoArgs, Format, ImportArgs};
+use super::args::{CheckArgs, DemoArgs, FileArgs, Format, ImportArgs};
 use super::{STATUS_USAGE, complain, print};
 use crate::printable::excerpt;
 
 /// The status of a failure.
 const STATUS_FAILED: u8 = 1;
 
-pub(super) fn run(path: &Path) -> io::Result<ExitCode> {
-    let config = match Config::load(path) {
+pub(super) fn run(file: &FileArgs) -> io::Result<ExitCode> {
+    let config = match Config::read(&file.config, &file.environment()) {
         Ok(config) => config,
         Err(error) => return Ok(complain(&error.to_string(), STATUS_USAGE)),
     };
@@ -38,7 +37,7 @@ fn end(runtime: Runtime, result: Result<(), fatek_bridge::run::RunError>) -> Exi
 }
 
 pub(super) fn check(args: &CheckArgs) -> io::Result<ExitCode> {
-    let report = Report::of(&args.file.config, &Environment::of_process(), args.round_trip);
+    let report = Report::of(&args.file.config, &args.file.environment(), args.round_trip);
     match args.format {
         Format::Table => print(&report.to_string())?,
         Format::Json => print(&format!("{:#}", report.to_json()))?,
@@ -84,8 +83,8 @@ pub(super) fn demo(args: &DemoArgs) -> io::Result<ExitCode> {
     }
 }
 
-pub(super) fn print_config(path: &Path) -> io::Result<ExitCode> {
-    match config::print(path, &Environment::of_process()) {
+pub(super) fn print_config(file: &FileArgs) -> io::Result<ExitCode> {
+    match config::print(&file.config, &file.environment()) {
         Ok(text) => print(&text).map(|()| ExitCode::SUCCESS),
         Err(error) => Ok(complain(&error.to_string(), STATUS_USAGE)),
     }

@@ -3,7 +3,7 @@
 //! | variable | what |
 //! |---|---|
 //! | `FATEK_BRIDGE_CONFIG` | the file, where the command line names none |
-//! | `FATEK_BRIDGE_ID` | in place of `bridge.id` |
+//! | `FATEK_BRIDGE_ID` | in place of `bridge.id`, unless the option `--id` takes it |
 //! | `FATEK_BRIDGE_HTTP` | in place of `bridge.http` |
 //! | `FATEK_BRIDGE_HTTP_TOKEN` | in place of the content of `bridge.token_file` |
 //! | `FATEK_BRIDGE_MQTT_PASSWORD` | in place of the content of `mqtt.password_file` |
@@ -17,10 +17,12 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use super::values::Name;
+
 /// The variables besides those of secrets, which [`Secret`](crate::secret::Secret) reads.
 #[derive(Clone, Debug, Default)]
 pub struct Environment {
-    /// `FATEK_BRIDGE_ID`.
+    /// `--id`, else `FATEK_BRIDGE_ID`.
     pub id: Option<String>,
     /// `FATEK_BRIDGE_HTTP`.
     pub http: Option<String>,
@@ -48,6 +50,13 @@ impl Environment {
             credentials: set("CREDENTIALS_DIRECTORY").map(PathBuf::from),
             state,
         }
+    }
+
+    /// The environment of this process, with the id that the command line gives.
+    #[must_use]
+    pub fn with_id(id: Option<&Name>) -> Self {
+        let environment = Self::of_process();
+        Self { id: id.map(Name::to_string).or(environment.id), ..environment }
     }
 
     /// The path of a secret or certificate: in the folder of credentials if it is there, else beside the

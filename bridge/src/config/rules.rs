@@ -38,8 +38,11 @@ pub(super) fn check(sections: &Sections, source: &Source<'_>, faults: &mut Vec<C
         }
     }
     if let Some(FleetSection { lease, weight, .. }) = fleet {
-        if !(Duration::from_secs(1)..=Duration::from_secs(60)).contains(&lease.0) {
-            faults.push(source.fault(&["fleet", "lease"], "a lease is 1s to 1m"));
+        if !source.has_key(&["nats"]) {
+            faults.push(source.fault(&["fleet"], "it needs the section nats: its server holds the leases"));
+        }
+        if !(Duration::from_millis(500)..=Duration::from_secs(60)).contains(&lease.0) {
+            faults.push(source.fault(&["fleet", "lease"], "a lease is 500ms to 1m"));
         }
         if !(1..=1000).contains(weight) {
             faults.push(source.fault(&["fleet", "weight"], "a weight is 1 to 1000"));

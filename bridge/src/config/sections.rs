@@ -180,16 +180,16 @@ pub(crate) const NATS_PASSWORD_VARIABLE: &str = "FATEK_BRIDGE_NATS_PASSWORD";
 #[serde(deny_unknown_fields, expecting = "a table")]
 pub struct StdoutSection {}
 
-/// Several bridges share the PLCs. This version checks the section and does not run it.
+/// Several bridges share the PLCs, through the server of the section `nats`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, expecting = "a table")]
 pub struct FleetSection {
-    /// The name of the fleet, in place of that of the bridge in topics.
+    /// The name of the fleet, in place of that of the bridge in topics. `bridge.id` is then that of the member.
     pub id: Name,
     /// The bucket of the leases.
     #[serde(default = "default_bucket")]
     pub bucket: Name,
-    /// The time after which the links of a silent bridge are taken over, 1s to 1m.
+    /// The time after which the links of a silent bridge are taken over, 500ms to 1m.
     #[serde(default = "default_lease")]
     pub lease: Period,
     /// The share of this bridge, in comparison with the others: 1 to 1000.

@@ -49,6 +49,17 @@ impl<'t> Source<'t> {
         }
     }
 
+    /// Returns whether it has a key of this path.
+    pub(super) fn has_key(&self, path: &[&str]) -> bool {
+        let Some((last, tables)) = path.split_last() else { return false };
+        let mut table = Some(&self.root);
+        for name in tables {
+            let found = table.and_then(|table| table.iter().find(|(key, _)| key.get_ref() == name));
+            table = found.and_then(|(_, value)| value.get_ref().as_table());
+        }
+        table.is_some_and(|table| table.keys().any(|key| key.get_ref() == last))
+    }
+
     /// The section of this name; `None` if it is missing or has faults, which are added to the others.
     ///
     /// After a fault its key is left out and the others are checked, so that all faults are found.

@@ -8,6 +8,9 @@ const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
 /// A PLC, without which no configuration is complete.
 const PLC: &str = "[plc.mixer]\nlink = 'tcp://10.0.0.3'\nstation = 1\ntag.level = 'R5'\n";
 
+/// The server of a fleet.
+const NATS: &str = "[nats]\nurl = 'nats://h'\n";
+
 /// Writes a configuration and reads it.
 fn read_with(text: &str, environment: &Environment) -> (tempfile::TempDir, Result<Config, ConfigError>) {
     let folder = tempfile::tempdir().unwrap();
@@ -63,19 +66,81 @@ fn the_minimal_example_has_the_defaults() {
 }
 
 #[test]
-fn a_fleet_is_checked_and_not_run() {
-    let text = format!("[fleet]\nid = 'plant-a'\nbucket = 'fatek_leases'\nlease = '3s'\nweight = 1\n{PLC}");
-    let fleet = read(&text).fleet.unwrap();
+fn a_fleet_has_defaults_and_bounds() {
+    let text = format!("[fleet]\nid = 'plant-a'\nbucket = 'fatek_leases'\nlease = '3s'\nweight = 1\n{NATS}{PLC}");
+    let config = read(&text);
+    let fleet = config.fleet.clone().unwrap();
     assert_eq!((fleet.id.as_str(), fleet.lease.0, fleet.weight), ("plant-a", Duration::from_secs(3), 1));
-    let (folder, _) = read_with(&text, &Environment::default());
-    let error = Config::load(&folder.path().join("plant.toml")).unwrap_err().to_string();
-    assert!(error.ends_with(&format!("plant.toml: fleet: {FLEET_RULE}")), "{error}");
-    let defaults = read(&format!("[fleet]\nid = 'plant-a'\n{PLC}")).fleet.unwrap();
-    assert_eq!(defaults, fleet);
+    assert_eq!((config.topic_id().as_str(), read(PLC).topic_id()), ("plant-a", &BridgeSection::default().id));
+    assert_eq!(read(&format!("[fleet]\nid = 'plant-a'\n{NATS}{PLC}")).fleet.unwrap(), fleet);
+    for lease in ["500ms", "1m"] {
+        read(&text.replace("3s", lease));
+    }
     assert_eq!(
-        faults(&format!("{PLC}[fleet]\nlease = '500ms'\nid = 'a'\nweight = 0\n")),
-        ["line 6, fleet.lease: a lease is 1s to 1m", "line 8, fleet.weight: a weight is 1 to 1000"]
+        faults(&format!("{PLC}[fleet]\nlease = '499ms'\nid = 'a'\nweight = 0\n")),
+        [
+            "line 5, fleet: it needs the section nats: its server holds the leases",
+            "line 6, fleet.lease: a lease is 500ms to 1m",
+            "line 8, fleet.weight: a weight is 1 to 1000"
+        ]
     );
+    assert_eq!(faults(&text.replace("nats://h", "h")).len(), 1, "a section with a fault is there");
+}
+
+#[test]
+fn each_plc_of_a_fleet_has_one_owner() {
+    const PORT: &str = "[bus.line1]\nlink = 'serial:/dev/ttyS0'\nstations = { a = 1, b = 2 }\n";
+    let fleet = format!("[fleet]\nid = 'a'\n{NATS}");
+    let of = |text: &str| faults(&format!("{fleet}{PLC}{text}"));
+    let one_host = "bus.line1.host: a serial port has one host: in a fleet, `host` names the member";
+    assert_eq!(of(PORT), [format!("line 9, {one_host}")]);
+    assert_eq!(
+        of(&format!("{PORT}only = ['x', 'y']\n")),
+        [format!("line 12, {}", one_host.replacen("host", "only", 1))]
+    );
+    assert_eq!(of(&format!("{PORT}host = 'a b'\n")), [format!("line 12, bus.line1.host: {}", values::NAME_RULE)]);
+    for text in [
+        format!("{PORT}host = 'x'\n"),
+        format!("{PORT}only = ['x']\n"),
+        // A port of the same name on another host.
+        format!("{PORT}host = 'x'\n{}host = 'y'\n", PORT.replace("line1", "line2").replace("a = 1, b", "c")),
+        "[plc.b]\nlink = 'tcp://10.0.0.4'\nstation = 1\nonly = ['x', 'y']\n".to_owned(),
+        "[plc.b]\nlink = 'tcp://10.0.0.3:500'\nstation = 2\n".to_owned(),
+    ] {
+        read(&format!("{fleet}{PLC}{text}"));
+    }
+    for (text, fault) in [
+        (
+            "[plc.b]\nlink = 'tcp://10.0.0.3'\nstation = 2\nonly = ['x']\n",
+            "line 12, plc.b.only: mixer has this link with other hosts: a link has one owner",
+        ),
+        (
+            "[plc.b]\nlink = 'tcp://10.0.0.3?copies=2'\nstation = 2\n",
+            "line 10, plc.b.link: mixer has this address with other options: in a fleet, they have one link",
+        ),
+        (
+            "[bus.mixer]\nlink = 'tcp://10.0.0.4'\nstations = { b = 1 }\n",
+            "line 9, bus.mixer: a PLC of another link has this name: in a fleet, a link has the name of its bus or \
+             its PLC",
+        ),
+    ] {
+        assert_eq!(of(text), [fault]);
+        read(&format!("{PLC}{text}"));
+    }
+    read(&format!("{PLC}{PORT}only = ['a b', 'y']\n"));
+    assert_eq!(
+        faults(&format!("{PLC}{PORT}host = 'x'\n[plc.c]\nlink = 'serial:/dev/ttyS0'\nstation = 3\nhost = 'y'\n")),
+        ["line 8, bus.line1.host: c has this port on another host: that needs the section fleet"]
+    );
+}
+
+#[test]
+fn an_option_takes_the_place_of_the_id_also_in_a_reload() {
+    let id = Name::parse("hall-3").unwrap();
+    let environment = Environment::with_id(Some(&id));
+    let (_folder, config) = read_with(&format!("[bridge]\nid = 'x'\n{PLC}"), &environment);
+    let config = config.unwrap();
+    assert_eq!((&config.bridge.id, &config.reload().unwrap().bridge.id), (&id, &id));
 }
 
 #[test]

@@ -37,13 +37,12 @@ pub(super) async fn reload(bridge: &Bridge, outputs: &mut Outputs) -> Result<(),
 
 async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError> {
     let old = bridge.config();
-    let path = old.path.clone();
     let (registry, pool, poller) = (bridge.registry.clone(), bridge.pool.clone(), bridge.poller.clone());
     let (runtime, commands) = (tokio::runtime::Handle::current(), bridge.commands.clone());
     // Files are read and thousands of tags planned: that blocks.
     let applied = tokio::task::spawn_blocking(move || {
         let _runtime = runtime.enter();
-        let mut config = Config::load(&path)?;
+        let mut config = old.reload()?;
         let needs_restart = keep_fixed(&mut config, &old, commands.is_some());
         // No output writes a tag that its new section does not let it write, or its old one.
         allow(commands.as_ref(), |output| config.takes_commands(output) && old.takes_commands(output));

@@ -149,7 +149,8 @@ fn examples_are_valid_and_faults_are_not() {
     }
     assert!(cases.len() >= 3, "{}", cases.len());
     cases.push((PLC.to_owned(), true));
-    let fleet = "[fleet]\nid = 'plant-a'\nbucket = 'fatek_leases'\nlease = '3s'\nweight = 1\n";
+    let fleet =
+        "[nats]\nurl = 'nats://h'\n[fleet]\nid = 'plant-a'\nbucket = 'fatek_leases'\nlease = '3s'\nweight = 1\n";
     cases.push((format!("{PLC}{fleet}"), true));
     for fault in [
         "[outputs]\n",
