@@ -16,6 +16,8 @@ use crate::registry::Place;
 pub struct Batch {
     /// The name of the PLC.
     pub plc: Arc<str>,
+    /// In a fleet: the fencing token of the owner that has read them; 0 without a fleet. Another one is a gap.
+    pub revision: u64,
     /// Counts the batches of the PLC. It grows by one, and by more only when the bridge has started anew.
     pub seq: u64,
     /// The time of the reply, in milliseconds since 1970, UTC; of stale samples, the time when they became so.
@@ -27,11 +29,13 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// The message of an output: `{"seq":…,"ts":…,"d":{…}}`, of a replay with `"hist":true`.
+    /// The message of an output: `{"seq":…,"ts":…,"d":{…}}`, of a replay with `"hist":true`, in a fleet with
+    /// `"rev":…`.
     #[must_use]
     pub fn message(&self, replay: bool) -> Bytes {
         let hist = if replay { r#""hist":true,"# } else { "" };
-        let mut message = format!(r#"{{"seq":{},"ts":{},{hist}"d":"#, self.seq, self.ts).into_bytes();
+        let rev = if self.revision == 0 { String::new() } else { format!(r#""rev":{},"#, self.revision) };
+        let mut message = format!(r#"{{"seq":{},{rev}"ts":{},{hist}"d":"#, self.seq, self.ts).into_bytes();
         message.extend_from_slice(&self.data);
         message.push(b'}');
         message.into()
@@ -45,7 +49,9 @@ impl Batch {
 }
 
 /// The memory of a batch besides its data.
-const OVERHEAD: usize = 128;
+const OVERHEAD: usize = 136;
+/// Sequence numbers begin with this multiple of the time: a run makes fewer batches.
+pub const SEQS_A_MILLISECOND: u64 = 1000;
 
 /// Milliseconds since 1970; 0 before.
 #[must_use]
@@ -59,6 +65,7 @@ pub fn milliseconds(time: SystemTime) -> u64 {
 #[derive(Debug)]
 pub struct Batcher {
     plc: Arc<str>,
+    revision: u64,
     seq: u64,
     /// The open batch: its time, its samples, and its data without the brace at the end.
     ts: u64,
@@ -72,7 +79,7 @@ impl Batcher {
     /// `first_seq`: of the first batch. Larger than all of an earlier run of the bridge.
     #[must_use]
     pub fn new(plc: Arc<str>, first_seq: u64) -> Self {
-        Self { plc, seq: first_seq, ts: 0, samples: 0, data: Vec::new(), in_batch: Vec::new() }
+        Self { plc, revision: 0, seq: first_seq, ts: 0, samples: 0, data: Vec::new(), in_batch: Vec::new() }
     }
 
     /// Returns whether a batch is open.
@@ -87,7 +94,13 @@ impl Batcher {
     pub fn push(&mut self, place: &Place, sample: &Sample, now: u64) -> Option<Batch> {
         let ts = if let Quality::Stale(_) = sample.quality { now } else { milliseconds(sample.at.time) };
         let is_repeated = self.in_batch.get(place.index).is_some_and(|batch| *batch == self.seq.saturating_add(1));
-        let ended = if self.is_open() && (self.ts != ts || is_repeated) { self.end() } else { None };
+        let is_other = self.ts != ts || is_repeated || self.revision != place.revision;
+        let ended = if self.is_open() && is_other { self.end() } else { None };
+        if self.revision != place.revision {
+            self.revision = place.revision;
+            // Behind those of the owners before, as far as the clocks of the members agree.
+            self.seq = self.seq.max(now.saturating_mul(SEQS_A_MILLISECOND));
+        }
         self.ts = ts;
         self.samples = self.samples.saturating_add(1);
         if self.in_batch.len() <= place.index {
@@ -113,8 +126,14 @@ impl Batcher {
         let mut data = Vec::with_capacity(self.data.len().saturating_add(1));
         data.append(&mut self.data);
         data.push(b'}');
-        let batch =
-            Batch { plc: self.plc.clone(), seq: self.seq, ts: self.ts, samples: self.samples, data: data.into() };
+        let batch = Batch {
+            plc: self.plc.clone(),
+            revision: self.revision,
+            seq: self.seq,
+            ts: self.ts,
+            samples: self.samples,
+            data: data.into(),
+        };
         self.seq = self.seq.saturating_add(1);
         self.samples = 0;
         Some(batch)

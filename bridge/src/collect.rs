@@ -8,7 +8,7 @@ use fatek::poll::{Poller, Sample};
 use futures::{FutureExt, StreamExt};
 use tokio::time::timeout;
 
-use crate::batch::{Batch, Batcher, milliseconds};
+use crate::batch::{Batch, Batcher, SEQS_A_MILLISECOND, milliseconds};
 use crate::buffer::Buffer;
 use crate::liveness::Liveness;
 use crate::registry::{Plcs, Registry};
@@ -45,7 +45,7 @@ impl Collector {
     /// `liveness`: gets the signs of life.
     #[must_use]
     pub fn new(registry: Registry, buffer: Buffer, liveness: Liveness) -> Self {
-        let first_seq = milliseconds(SystemTime::now()).saturating_mul(1000);
+        let first_seq = milliseconds(SystemTime::now()).saturating_mul(SEQS_A_MILLISECOND);
         Self {
             registry,
             batchers: Vec::new(),

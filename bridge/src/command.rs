@@ -329,6 +329,13 @@ impl Commands {
             return counted(failure.reply(&request));
         }
         let plan = rules::check(&request, plc, &self.gate, &*registry.read(), clock.now().wall);
+        if let Err(refusal @ Refusal::FormerOwner) = &plan {
+            // This member does not execute it.
+            return counted(Reply::unknown(
+                Some(&request.id),
+                format!("{refusal}: the one before may have executed it"),
+            ));
+        }
         let (digest, id) = (request.digest(), request.id);
         let received = Received { key: Key { plc: plc.into(), id: id.clone() }, digest, plan };
         let (sender, reply) = oneshot::channel();

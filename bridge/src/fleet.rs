@@ -113,6 +113,8 @@ pub struct Closing {
     pub link: Arc<str>,
     /// The token of the ownership that ends.
     pub token: LinkToken,
+    /// `true` if it is not handed over: the store did not answer in time, and perhaps no member gets it soon.
+    pub is_lost: bool,
     done: Option<oneshot::Sender<()>>,
 }
 

@@ -28,6 +28,7 @@
 mod api;
 mod assets;
 mod events;
+mod fleet;
 mod guard;
 mod health;
 mod history;
@@ -124,6 +125,7 @@ fn router(shared: Shared, guard: Guard) -> Router {
         .route("/api/tags", get(api::tags))
         .route("/api/history", get(api::history))
         .route("/api/status", get(api::status))
+        .route("/api/fleet", get(fleet::fleet))
         .with_state(shared)
         .layer(from_fn_with_state(guard, guard::check))
 }

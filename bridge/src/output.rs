@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::buffer::Cursor;
 use crate::command::Commands;
-use crate::config::Name;
+use crate::config::{Config, Name};
 use crate::registry::Registry;
 
 /// A kind of output. A bridge has at most one of each.
@@ -39,11 +39,37 @@ impl OutputKind {
     }
 }
 
+/// The names of a bridge at its outputs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BridgeNames {
+    /// In topics: that of the bridge, or of its fleet.
+    pub id: Name,
+    /// In a fleet: that of this member.
+    pub member: Option<Name>,
+}
+
+impl BridgeNames {
+    /// The names of the bridge of a configuration.
+    #[must_use]
+    pub fn of(config: &Config) -> Self {
+        let member = config.fleet.as_ref().map(|_| config.bridge.id.clone());
+        Self { id: config.topic_id().clone(), member }
+    }
+
+    /// A name that no other bridge has: clients of a server need one.
+    fn unique(&self) -> String {
+        match &self.member {
+            None => self.id.to_string(),
+            Some(member) => format!("{}-{member}", self.id),
+        }
+    }
+}
+
 /// The parts of the bridge that the output to a server uses.
 #[derive(Debug)]
 pub struct OutputParts {
-    /// The name of the bridge.
-    pub id: Name,
+    /// The names of the bridge.
+    pub names: BridgeNames,
     /// The PLCs.
     pub registry: Registry,
     /// The batches.

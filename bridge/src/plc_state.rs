@@ -28,6 +28,12 @@ impl PlcState {
         Self::new(station, &plc.station.link().state(), round_trip)
     }
 
+    /// The state of a PLC that a member of a fleet has lost, so that perhaps none polls it.
+    #[must_use]
+    pub fn without_member() -> Self {
+        Self { online: false, why: Some("fleet: no member polls it".to_owned()), round_trip: None }
+    }
+
     fn new(station: StationState, link: &LinkState, round_trip: Option<Duration>) -> Self {
         let why = match (link, station) {
             (LinkState::Down { error, .. }, _) => Some(format!("link: {error}")),

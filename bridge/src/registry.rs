@@ -17,6 +17,7 @@ use fatek::{Pool, Station};
 
 pub use self::change::Changes;
 use self::change::Staged;
+use crate::batch::Batch;
 
 /// A PLC that is polled.
 #[derive(Clone, Debug)]
@@ -31,6 +32,38 @@ pub struct PolledPlc {
     pub ids: Vec<TagId>,
     /// The scan classes of its tags, in the same order.
     pub classes: Vec<ScanClass>,
+    /// In a fleet: the fencing token of the ownership; 0 without a fleet, and for a link that no other member has.
+    pub revision: u64,
+    /// When this bridge began to poll it with this link, in milliseconds since 1970.
+    pub since: u64,
+}
+
+/// A PLC of the configuration that this bridge does not poll: in a fleet, another member does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Elsewhere {
+    /// Another member polls it, or will.
+    Member,
+    /// This bridge has lost it, and perhaps no member polls it: so it is offline until one does.
+    Lost,
+}
+
+/// The PLCs of a plant that a bridge polls.
+#[derive(Clone, Copy, Debug)]
+pub enum Share<'a> {
+    /// All.
+    All,
+    /// In a fleet: those with a fencing token here.
+    Owned(&'a HashMap<Arc<str>, u64>),
+}
+
+impl Share<'_> {
+    /// The fencing token of a PLC, 0 without a fleet; `None`: another member polls it.
+    fn revision(&self, plc: &str) -> Option<u64> {
+        match self {
+            Self::All => Some(0),
+            Self::Owned(revisions) => revisions.get(plc).copied(),
+        }
+    }
 }
 
 /// PLC and name of a tag in the poller.
@@ -42,6 +75,8 @@ pub struct Place {
     pub tag: Arc<str>,
     /// The place of the tag among those of its PLC, from 0; another after a reload.
     pub index: usize,
+    /// In a fleet: the fencing token of the ownership; 0 without a fleet.
+    pub revision: u64,
 }
 
 /// All PLCs that are polled. Cheap to clone.
@@ -61,6 +96,8 @@ pub struct Registry {
 pub struct Plcs {
     plcs: BTreeMap<Arc<str>, PolledPlc>,
     places: HashMap<TagId, Place>,
+    /// In a fleet: all other PLCs of the configuration.
+    elsewhere: HashMap<Arc<str>, Elsewhere>,
     generation: u64,
 }
 
@@ -84,6 +121,13 @@ impl Registry {
         self.plcs.read().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Returns whether a batch is of an ownership before the present one, in a fleet. Its values are history.
+    #[must_use]
+    pub fn is_former(&self, batch: &Batch) -> bool {
+        let is_other = |plc: &PolledPlc| plc.revision != batch.revision;
+        batch.revision != 0 && self.read().get(&batch.plc).is_none_or(is_other)
+    }
+
     /// Returns whether a configuration is being applied: the poller may have tags that are not here yet.
     #[must_use]
     pub fn is_applying(&self) -> bool {
@@ -105,18 +149,91 @@ impl Registry {
     /// # Errors
     /// [`AddError`] if a tag cannot be polled; then nothing was changed.
     pub fn apply(&self, plant: &Plant, pool: &Pool, poller: &PollerHandle) -> Result<Changes, AddError> {
+        self.apply_share(plant, Share::All, pool, poller)
+    }
+
+    /// Polls a share of the PLCs of a plant, and no others. Returns what was changed.
+    ///
+    /// # Errors
+    /// [`AddError`] if a tag cannot be polled; then nothing was changed.
+    pub fn apply_share(
+        &self,
+        plant: &Plant,
+        share: Share<'_>,
+        pool: &Pool,
+        poller: &PollerHandle,
+    ) -> Result<Changes, AddError> {
         let _apply = self.apply.lock().unwrap_or_else(PoisonError::into_inner);
         let _applying = Applying::new(&self.is_applying);
+        let staged = self.stage(plant, plant.plcs(), share, pool, poller)?;
+        let mut plcs = self.plcs.write().unwrap_or_else(PoisonError::into_inner);
+        let gone: Vec<Arc<str>> = plcs.plcs.keys().filter(|name| !staged.has(name)).cloned().collect();
+        let mut changes = staged.commit(&mut plcs);
+        gone.iter().for_each(|name| plcs.remove(name, &mut changes));
+        let others = plant.plcs().filter(|plc| !plcs.plcs.contains_key(plc.name()));
+        let known = |name: &str| plcs.elsewhere.get(name).copied().unwrap_or(Elsewhere::Member);
+        plcs.elsewhere = others.map(|plc| (plc.name().into(), known(plc.name()))).collect();
+        Ok(changes)
+    }
+
+    /// Polls PLCs of a plant that this member of a fleet has got, besides those that it polls.
+    ///
+    /// # Errors
+    /// [`AddError`] if a tag cannot be polled; then nothing was changed.
+    pub fn take(
+        &self,
+        plant: &Plant,
+        owned: &HashMap<Arc<str>, u64>,
+        pool: &Pool,
+        poller: &PollerHandle,
+    ) -> Result<(), AddError> {
+        let _apply = self.apply.lock().unwrap_or_else(PoisonError::into_inner);
+        let _applying = Applying::new(&self.is_applying);
+        let new = owned.keys().filter_map(|name| plant.plc(name));
+        let staged = self.stage(plant, new, Share::Owned(owned), pool, poller)?;
+        staged.commit(&mut self.plcs.write().unwrap_or_else(PoisonError::into_inner));
+        Ok(())
+    }
+
+    /// Ends polling of PLCs that this member of a fleet has lost.
+    pub fn give_up<'n>(&self, plcs: impl IntoIterator<Item = (&'n Arc<str>, Elsewhere)>) {
+        let _apply = self.apply.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut registry = self.plcs.write().unwrap_or_else(PoisonError::into_inner);
+        for (name, elsewhere) in plcs {
+            if registry.plcs.contains_key(name) {
+                registry.remove(name, &mut Changes::default());
+                registry.elsewhere.insert(name.clone(), elsewhere);
+            }
+        }
+        registry.generation = registry.generation.saturating_add(1);
+    }
+
+    /// Forgets of those PLCs that they were lost which another member has.
+    pub fn settle(&self, has_member: impl Fn(&str) -> bool) {
+        let mut registry = self.plcs.write().unwrap_or_else(PoisonError::into_inner);
+        let lost = registry.elsewhere.iter_mut().filter(|(name, _)| has_member(name));
+        lost.for_each(|(_, elsewhere)| *elsewhere = Elsewhere::Member);
+    }
+
+    /// Adds tags of PLCs to the poller.
+    fn stage<'p>(
+        &self,
+        plant: &Plant,
+        plcs: impl Iterator<Item = &'p PlantPlc>,
+        share: Share<'_>,
+        pool: &Pool,
+        poller: &PollerHandle,
+    ) -> Result<Staged, AddError> {
         let mut staged = Staged::default();
-        for plc in plant.plcs() {
+        for plc in plcs {
+            let Some(revision) = share.revision(plc.name()) else { continue };
             let old = self.read().get(plc.name()).cloned();
-            if let Err(error) = staged.add(plant, plc, old.as_ref(), pool, poller) {
+            if let Err(error) = staged.add(plant, plc, revision, old.as_ref(), pool, poller) {
                 staged.undo();
                 return Err(AddError { plc: plc.name().to_owned(), error });
             }
         }
-        let mut plcs = self.plcs.write().unwrap_or_else(PoisonError::into_inner);
-        Ok(staged.commit(&mut plcs))
+        Ok(staged)
     }
 }
 
@@ -152,6 +269,28 @@ impl Plcs {
     #[must_use]
     pub fn get(&self, name: &str) -> Option<&PolledPlc> {
         self.plcs.get(name)
+    }
+
+    /// In a fleet: what is known of a PLC that this bridge does not poll; `None`: it polls it, or the configuration
+    /// does not have it.
+    #[must_use]
+    pub fn elsewhere(&self, name: &str) -> Option<Elsewhere> {
+        self.elsewhere.get(name).copied()
+    }
+
+    /// Ends polling of a PLC, and counts what is removed.
+    fn remove(&mut self, name: &str, changes: &mut Changes) {
+        let Some(old) = self.plcs.remove(name) else { return };
+        old.polled.stop();
+        old.ids.iter().for_each(|id| drop(self.places.remove(id)));
+        changes.plcs_removed = changes.plcs_removed.saturating_add(1);
+        changes.tags_removed = changes.tags_removed.saturating_add(old.ids.len());
+    }
+
+    /// Returns whether this bridge has lost a PLC, and no member is known to have got it.
+    #[must_use]
+    pub fn has_lost(&self) -> bool {
+        self.elsewhere.values().any(|elsewhere| *elsewhere == Elsewhere::Lost)
     }
 
     /// The place of a tag.

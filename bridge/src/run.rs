@@ -10,14 +10,19 @@
 //!           closing: outputs say goodbye, the buffer is written to disk, links are closed
 //! ```
 //!
+//! A member of a fleet polls the PLCs that the fleet gives to it; see [`fleet`]. It gives them to the others before
+//! it drains.
+//!
 //! A part that panics ends the bridge with an error, so that the service manager starts it anew: a bridge that
 //! runs without its collector would look alive.
 
 mod drain;
+pub mod fleet;
 mod outputs;
 mod reload;
 mod service;
 
+use std::collections::HashMap;
 use std::io;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
@@ -27,6 +32,7 @@ use fatek::poll::{Poller, PollerHandle};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
+use self::fleet::{Membership, OwnedLinks};
 use self::outputs::Outputs;
 pub use self::reload::ReloadError;
 use self::service::Service;
@@ -36,11 +42,12 @@ use crate::collect::Collector;
 use crate::command::{Commands, NoFolder};
 use crate::config::Config;
 use crate::file_limit;
+use crate::fleet::FleetError;
 use crate::http::{self, BindError};
 use crate::liveness::Liveness;
 use crate::output::{Health, OutputKind};
 use crate::present;
-use crate::registry::{AddError, Registry};
+use crate::registry::{AddError, Registry, Share};
 
 /// The bridge that runs, for outputs, page and metrics. Cheap to clone.
 #[derive(Clone, Debug)]
@@ -62,6 +69,10 @@ pub struct Bridge {
     pub liveness: Liveness,
     /// When it was started.
     pub started: Instant,
+    /// The membership in a fleet, if there is one.
+    pub fleet: Option<Membership>,
+    /// Held while the configuration or the share of a member of a fleet changes.
+    changing: Arc<tokio::sync::Mutex<()>>,
 }
 
 /// An error that ends the bridge.
@@ -79,6 +90,9 @@ pub enum RunError {
     /// The address of the page cannot be bound.
     #[error(transparent)]
     Bind(#[from] BindError),
+    /// The fleet cannot be joined, or its store cannot be used any more.
+    #[error(transparent)]
+    Fleet(#[from] FleetError),
     /// A signal handler cannot be installed.
     #[error("cannot start: {0}")]
     Start(#[from] io::Error),
@@ -142,10 +156,24 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let service = Service::new();
     let poller = Poller::new();
     let buffer = open_buffer(&config).await?;
-    let (registry, pool) = (Registry::default(), Pool::new());
+    let owned = OwnedLinks::default();
+    let is_member = config.fleet.is_some();
+    let (registry, pool) = (Registry::default(), if is_member { owned.pool() } else { Pool::new() });
     let listener = http::bind(config.bridge.http)?;
     // Before the commands: a pulse that an earlier run has not ended needs its PLC.
-    let changes = registry.apply(&config.plant, &pool, &poller.handle())?;
+    let none = HashMap::new();
+    let share = if is_member { Share::Owned(&none) } else { Share::All };
+    let changes = registry.apply_share(&config.plant, share, &pool, &poller.handle())?;
+    let joined = if is_member {
+        fleet::check(&config.plant)?;
+        fleet::join(&config, owned)?
+    } else {
+        None
+    };
+    let (membership, mut fleet_task, events) = match joined {
+        Some((membership, events, task)) => (Some(membership), Some(task), Some(events)),
+        None => (None, None, None),
+    };
     let commands = Commands::start_for(&config, registry.clone(), pool.clone()).await?;
     let liveness = Liveness::new();
     let bridge = Bridge {
@@ -157,8 +185,14 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         outputs: config.outputs().into_iter().map(|output| Arc::new(Health::new(output))).collect(),
         liveness: liveness.clone(),
         started: Instant::now(),
+        fleet: membership.clone(),
+        changing: Arc::default(),
         config: Arc::new(RwLock::new(Arc::new(config))),
     };
+    let mut share = membership.clone().zip(events).map(|(membership, events)| {
+        let bridge = bridge.clone();
+        tokio::spawn(fleet::run(bridge, membership, events))
+    });
     let mut collector = tokio::spawn(Collector::new(bridge.registry.clone(), buffer, liveness).run(poller));
     let mut present = tokio::spawn(present::run(bridge.buffer.clone(), bridge.registry.clone()));
     let mut availability = tokio::spawn(availability::run(bridge.registry.clone()));
@@ -188,10 +222,22 @@ pub async fn run(config: Config) -> Result<(), RunError> {
             _ = &mut availability => break Err(RunError::Panicked("log of the PLCs")),
             () = bridge.buffer.ended() => break Err(RunError::Panicked("buffer")),
             () = commands_ended(bridge.commands.as_ref()) => break Err(RunError::Panicked("commands")),
+            result = fleet::end_of(&mut fleet_task) => {
+                fleet_task = None;
+                break Err(fleet::ended(result));
+            }
+            result = fleet::end_of(&mut share) => {
+                share = None;
+                break Err(fleet::ended_share(result));
+            }
             () = service.stay_alive(&bridge.liveness) => {}
         }
     };
     service.stopping();
+    if let Some((membership, task)) = membership.zip(fleet_task) {
+        fleet::leave(&bridge, &membership, task, &mut signals).await;
+    }
+    drop(share);
     present.abort();
     // Links that close are no news.
     availability.abort();

@@ -2,11 +2,15 @@
 //!
 //! | levels | what |
 //! |---|---|
-//! | `PREFIX BRIDGE state` | whether the bridge runs |
+//! | `PREFIX BRIDGE state` | whether the bridge runs; without a fleet |
+//! | `PREFIX FLEET members MEMBER state` | whether a member of a fleet runs |
 //! | `PREFIX BRIDGE PLC state` | whether the PLC answers |
 //! | `PREFIX BRIDGE PLC data` | batches |
 //! | `PREFIX BRIDGE PLC cmd` | commands |
 //! | `PREFIX BRIDGE PLC cmd reply` | results of commands that name no other topic |
+//!
+//! In a fleet, the name of the fleet is in the place of that of the bridge: a PLC has the same topics, whichever
+//! member polls it.
 
 use crate::config::Name;
 
@@ -15,19 +19,33 @@ use crate::config::Name;
 pub struct Topics {
     base: String,
     separator: char,
+    /// The id of the member of a fleet.
+    member: Option<Name>,
 }
 
 impl Topics {
     /// Topics of MQTT.
     #[must_use]
     pub fn mqtt(prefix: &Name, bridge: &Name) -> Self {
-        Self { base: format!("{prefix}/{bridge}"), separator: '/' }
+        Self { base: format!("{prefix}/{bridge}"), separator: '/', member: None }
     }
 
     /// Subjects of NATS.
     #[must_use]
     pub fn nats(prefix: &Name, bridge: &Name) -> Self {
-        Self { base: format!("{prefix}.{bridge}"), separator: '.' }
+        Self { base: format!("{prefix}.{bridge}"), separator: '.', member: None }
+    }
+
+    /// The same topics for a member of a fleet, whose state has a topic of its own.
+    #[must_use]
+    pub fn with_member(self, member: Option<Name>) -> Self {
+        Self { member, ..self }
+    }
+
+    /// Returns whether these are the topics of a fleet.
+    #[must_use]
+    pub fn is_fleet(&self) -> bool {
+        self.member.is_some()
     }
 
     /// The levels that all topics of the bridge begin with.
@@ -36,10 +54,14 @@ impl Topics {
         &self.base
     }
 
-    /// The state of the bridge.
+    /// The state of the bridge, or of this member of a fleet.
     #[must_use]
     pub fn bridge_state(&self) -> String {
-        format!("{}{}state", self.base, self.separator)
+        let Self { base, separator, member } = self;
+        match member {
+            None => format!("{base}{separator}state"),
+            Some(member) => format!("{base}{separator}members{separator}{member}{separator}state"),
+        }
     }
 
     /// The state of a PLC.
@@ -107,7 +129,7 @@ impl Topics {
     }
 
     fn of_plc(&self, plc: &str, last: &str) -> String {
-        let Self { base, separator } = self;
+        let Self { base, separator, member: _ } = self;
         format!("{base}{separator}{plc}{separator}{last}")
     }
 }
@@ -132,6 +154,14 @@ mod tests {
         assert_eq!(nats.replies("mixer"), "fatek.hall-2.mixer.cmd.reply");
         assert_eq!(mqtt.plc_of_commands("fatek/hall-2/mixer/cmd"), Some("mixer"));
         assert_eq!(nats.plc_of_state("fatek.hall-2.mixer.state"), Some("mixer"));
+        let member = mqtt.clone().with_member(Some(Name::constant("pc-1")));
+        assert_eq!(member.bridge_state(), "fatek/hall-2/members/pc-1/state");
+        assert_eq!((member.is_fleet(), member.data("mixer")), (true, mqtt.data("mixer")));
+        // A PLC of the name `members` has other topics than any member.
+        assert_eq!(
+            (mqtt.plc_of_state(&member.bridge_state()), mqtt.plc_state("members").as_str()),
+            (None, "fatek/hall-2/members/state")
+        );
         assert_eq!((mqtt.plc_of_state("fatek/hall-2/state"), mqtt.plc_of_state("fatek/hall-2/a/cmd")), (None, None));
         for other in [
             "fatek/hall-2/mixer/data",

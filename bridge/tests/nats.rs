@@ -20,7 +20,7 @@ use fatek_bridge::batch::Batch;
 use fatek_bridge::buffer::Buffer;
 use fatek_bridge::command::{CommandSettings, Commands, Storage};
 use fatek_bridge::config::{Config, NatsSection};
-use fatek_bridge::output::{Health, OutputKind, OutputParts, nats};
+use fatek_bridge::output::{BridgeNames, Health, OutputKind, OutputParts, nats};
 use fatek_bridge::registry::Registry;
 use futures::StreamExt as _;
 use serde_json::{Value, json};
@@ -60,7 +60,7 @@ impl Output {
         let health = Arc::new(Health::new(OutputKind::Nats));
         let stop = CancellationToken::new();
         let parts = OutputParts {
-            id: config.bridge.id,
+            names: BridgeNames::of(&config),
             registry,
             cursor: buffer.cursor(0),
             health: health.clone(),
@@ -73,7 +73,7 @@ impl Output {
 
     fn push(&self, plc: &str, seq: u64) {
         let data = json!({ "level": seq }).to_string().into();
-        self.buffer.push(Batch { plc: plc.into(), seq, ts: seq, samples: 1, data });
+        self.buffer.push(Batch { plc: plc.into(), revision: 0, seq, ts: seq, samples: 1, data });
     }
 
     async fn until(&self, what: &str, is_true: impl Fn(&Self) -> bool) {
@@ -132,7 +132,7 @@ async fn batches_arrive_once_and_in_order_while_the_server_is_killed() {
                     seq += 1;
                     for plc in plcs {
                         let data = json!({ "level": seq }).to_string().into();
-                        buffer.push(Batch { plc: plc.into(), seq, ts: seq, samples: 1, data });
+                        buffer.push(Batch { plc: plc.into(), revision: 0, seq, ts: seq, samples: 1, data });
                     }
                 }
                 tokio::time::sleep(Duration::from_millis(5)).await;
@@ -243,7 +243,7 @@ async fn batches_that_the_stream_refuses_are_kept() {
     assert_eq!(seqs(&server.stored("FATEK").await), all(&["mixer"], 8));
     // One that is too large for the stream is given up, and counted.
     let data = json!({ "name": "x".repeat(2000) }).to_string().into();
-    output.buffer.push(Batch { plc: "mixer".into(), seq: 9, ts: 9, samples: 1, data });
+    output.buffer.push(Batch { plc: "mixer".into(), revision: 0, seq: 9, ts: 9, samples: 1, data });
     output.push("mixer", 10);
     output.drained().await;
     assert_eq!((output.health.skipped(), output.health.delivered().0), (1, 9));

@@ -7,7 +7,7 @@ use futures::StreamExt;
 use super::*;
 
 fn place(tag: &str, index: usize) -> Place {
-    Place { plc: "mixer".into(), tag: tag.into(), index }
+    Place { plc: "mixer".into(), tag: tag.into(), index, revision: 0 }
 }
 
 fn json(batch: &Batch) -> serde_json::Value {

@@ -123,7 +123,7 @@ fn settings(dir: &Path) -> BufferSettings {
 
 fn batch(seq: u64) -> Batch {
     let data = format!("{{\"level\":{seq},\"text\":\"{}\"}}", "x".repeat(300)).into();
-    Batch { plc: "mixer".into(), seq, ts: seq, samples: 2, data }
+    Batch { plc: "mixer".into(), revision: 0, seq, ts: seq, samples: 2, data }
 }
 
 async fn wait_until(what: &str, condition: impl Fn() -> bool) {

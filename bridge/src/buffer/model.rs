@@ -213,7 +213,7 @@ impl World {
         let seq = self.next_seq;
         self.next_seq += 1;
         let data = vec![b'x'; self.rng.usize(..MAX_DATA)].into();
-        let batch = Batch { plc: "mixer".into(), seq, ts: 0, samples: 1, data };
+        let batch = Batch { plc: "mixer".into(), revision: 0, seq, ts: 0, samples: 1, data };
         let position = self.log.push(batch, self.now);
         assert_eq!(self.truth.insert(position, seq), None, "positions are not used again");
         for output in &mut self.outputs {

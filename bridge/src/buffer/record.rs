@@ -9,10 +9,11 @@
 //! | 24–31 | sequence number |
 //! | 32–39 | time of the reply |
 //! | 40–43 | number of samples |
-//! | 44–45 | length of the name of the PLC |
-//! | 46– | name of the PLC, and then the data |
+//! | 44–45 | length of the name of the PLC; the highest bit is set if there is a revision |
+//! | 46– | name of the PLC, the revision of 8 bytes if there is one, and then the data |
 //!
-//! Numbers are little-endian. redb has checksums, but it does not verify them when it reads a page. So each
+//! Numbers are little-endian. Only batches of a fleet have a revision: the others are as before there were fleets.
+//! redb has checksums, but it does not verify them when it reads a page. So each
 //! record has its own, and one that does not match is never delivered.
 
 use std::collections::HashMap;
@@ -25,13 +26,18 @@ use super::log::Slot;
 use crate::batch::Batch;
 
 const HEADER: usize = 46;
+/// The length of a revision.
+const REVISION: usize = 8;
+/// In the length of the name: a revision follows the name.
+const HAS_REVISION: u16 = 0x8000;
 static CHECKSUM: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISCSI);
 /// The names that a decoder keeps, so that batches of one PLC share theirs.
 const MAX_NAMES: usize = 4096;
 
 /// The length of the record of a batch.
 pub(super) fn size(batch: &Batch) -> usize {
-    HEADER.saturating_add(batch.plc.len()).saturating_add(batch.data.len())
+    let revision = if batch.revision == 0 { 0 } else { REVISION };
+    HEADER.saturating_add(batch.plc.len()).saturating_add(revision).saturating_add(batch.data.len())
 }
 
 /// Appends the record of a batch.
@@ -45,8 +51,14 @@ pub(super) fn encode(slot: &Slot, out: &mut Vec<u8>) {
         out.extend_from_slice(&number.to_le_bytes());
     }
     out.extend_from_slice(&batch.samples.to_le_bytes());
-    out.extend_from_slice(&u16::try_from(name.len()).unwrap_or(u16::MAX).to_le_bytes());
+    // Names have at most 64 characters.
+    let length = u16::try_from(name.len()).unwrap_or(u16::MAX) & !HAS_REVISION;
+    let has_revision = batch.revision != 0;
+    out.extend_from_slice(&(if has_revision { length | HAS_REVISION } else { length }).to_le_bytes());
     out.extend_from_slice(name);
+    if has_revision {
+        out.extend_from_slice(&batch.revision.to_le_bytes());
+    }
     out.extend_from_slice(&batch.data);
     let checksum = CHECKSUM.checksum(out.get(start.saturating_add(4)..).unwrap_or_default());
     if let Some(place) = out.get_mut(start..start.saturating_add(4)) {
@@ -82,10 +94,14 @@ impl Decoder {
             return None;
         }
         let number = |at| field(record, at).map(u64::from_le_bytes);
-        let data = HEADER.saturating_add(u16::from_le_bytes(field(record, 44)?).into());
+        let name_length = u16::from_le_bytes(field(record, 44)?);
+        let name_end = HEADER.saturating_add((name_length & !HAS_REVISION).into());
+        let has_revision = name_length & HAS_REVISION != 0;
+        let data = if has_revision { name_end.saturating_add(REVISION) } else { name_end };
         let end = start.saturating_add(length);
         let batch = Batch {
-            plc: self.name(std::str::from_utf8(record.get(HEADER..data)?).ok()?),
+            plc: self.name(std::str::from_utf8(record.get(HEADER..name_end)?).ok()?),
+            revision: if has_revision { number(name_end)? } else { 0 },
             seq: number(24)?,
             ts: number(32)?,
             samples: u32::from_le_bytes(field(record, 40)?),
@@ -117,7 +133,8 @@ mod tests {
 
     fn slot(position: u64) -> Slot {
         let data = format!("{{\"level\":{position}}}").into();
-        let batch = Batch { plc: "mixer".into(), seq: position + 7, ts: 1_700_000_000_000, samples: 3, data };
+        let (plc, revision) = ("mixer".into(), u64::MAX - position);
+        let batch = Batch { plc, revision, seq: position + 7, ts: 1_700_000_000_000, samples: 3, data };
         Slot { position, pushed: position * 10, batch: Arc::new(batch) }
     }
 
@@ -139,6 +156,17 @@ mod tests {
         let expected: Vec<Slot> = (1..=3).map(slot).collect();
         assert_eq!(read, expected);
         assert!(Arc::ptr_eq(&read[0].batch.plc, &read[2].batch.plc));
+    }
+
+    #[test]
+    fn a_batch_without_a_revision_has_no_room_for_one() {
+        let mut chunk = Vec::new();
+        let with = slot(1);
+        let without = Slot { batch: Arc::new(Batch { revision: 0, ..(*with.batch).clone() }), ..with.clone() };
+        [&without, &with, &without].into_iter().for_each(|slot| encode(slot, &mut chunk));
+        assert_eq!(size(&without.batch), HEADER + 5 + without.batch.data.len());
+        assert_eq!(chunk.len(), 2 * size(&without.batch) + size(&with.batch));
+        assert_eq!(Decoder::default().decode(&chunk.into()), [without.clone(), with, without]);
     }
 
     #[test]

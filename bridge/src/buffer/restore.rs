@@ -163,7 +163,8 @@ mod tests {
     fn positions_and_sequence_numbers_grow_over_a_start() {
         let (mut log, _) = continue_log(restored(), &["mqtt"], LIMITS, DISK, 5_000_000);
         assert!(log.next_seqs()["mixer"] > 77);
-        let batch = crate::batch::Batch { plc: "mixer".into(), seq: 1, ts: 1, samples: 1, data: "{}".into() };
+        let batch =
+            crate::batch::Batch { plc: "mixer".into(), revision: 0, seq: 1, ts: 1, samples: 1, data: "{}".into() };
         assert!(log.push(batch, 100_000) > 60);
     }
 

@@ -120,6 +120,10 @@ pub(super) enum Refusal {
     PulseValue,
     #[error("pulse: an earlier pulse of the tag has not ended")]
     PulseOpen,
+    #[error("pulse: members of a fleet take none: one that fails would leave the output on")]
+    PulseInFleet,
+    #[error("fleet: it was sent before this member had the PLC, or within 1 s after that")]
+    FormerOwner,
     #[error("changed: the configuration of the tag has changed")]
     Changed,
     #[error("rate: more than {per_second} commands per second for this PLC")]

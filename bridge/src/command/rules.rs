@@ -19,22 +19,36 @@ use crate::registry::Plcs;
 pub(super) const MAX_AGE: Duration = Duration::from_secs(10);
 /// The largest time that its `ts` is ahead of the clock of the bridge.
 pub(super) const MAX_AHEAD: Duration = Duration::from_secs(5);
+/// The same in a fleet. A command may reach two owners: the later one knows it by a `ts` before its ownership, as far
+/// as clocks agree.
+const MAX_AHEAD_IN_FLEET: Duration = Duration::from_secs(1);
 
 /// The PLCs of the configuration that applies now.
 pub(super) trait Catalog {
     /// The PLC of this name.
     fn plc(&self, name: &str) -> Option<&PlantPlc>;
+
+    /// In a fleet: when this member has got the PLC, in milliseconds since 1970; `None`: no other member can have it.
+    fn owned_since(&self, plc: &str) -> Option<u64>;
 }
 
 impl Catalog for Plcs {
     fn plc(&self, name: &str) -> Option<&PlantPlc> {
         self.get(name).map(|polled| &polled.plc)
     }
+
+    fn owned_since(&self, plc: &str) -> Option<u64> {
+        self.get(plc).filter(|polled| polled.revision != 0).map(|polled| polled.since)
+    }
 }
 
 impl Catalog for Plant {
     fn plc(&self, name: &str) -> Option<&PlantPlc> {
         Self::plc(self, name)
+    }
+
+    fn owned_since(&self, _: &str) -> Option<u64> {
+        None
     }
 }
 
@@ -84,12 +98,16 @@ pub(super) fn check(
 ) -> Result<Plan, Refusal> {
     gate.check()?;
     let (plc, tag, rule) = writable(plc, &request.tag, catalog)?;
+    let owned_since = catalog.owned_since(plc.name());
+    if rule.pulse.is_some() && owned_since.is_some() {
+        return Err(Refusal::PulseInFleet);
+    }
     let at = tag.tag();
     let values = at.values_seed().deserialize(&request.value).map_err(|error| Refusal::Value(error.to_string()))?;
     let (plc, name) = (plc.name().into(), tag.name().into());
     let plan = Plan { plc, name, tag: at, values, pulse: rule.pulse, gate: gate.clone(), ts: request.ts };
     plan.check_values(&rule)?;
-    plan.check_time(now)?;
+    plan.check_time(now, owned_since)?;
     Ok(plan)
 }
 
@@ -115,7 +133,7 @@ impl Plan {
             return Err(Refusal::Changed);
         }
         self.check_values(&rule)?;
-        self.check_time(now)
+        self.check_time(now, catalog.owned_since(&self.plc))
     }
 
     /// The time until it is too old.
@@ -123,16 +141,20 @@ impl Plan {
         MAX_AGE.saturating_sub(Duration::from_millis(now.saturating_sub(self.ts)))
     }
 
-    fn check_time(&self, now: u64) -> Result<(), Refusal> {
+    fn check_time(&self, now: u64, owned_since: Option<u64>) -> Result<(), Refusal> {
+        let max_ahead = if owned_since.is_some() { MAX_AHEAD_IN_FLEET } else { MAX_AHEAD };
         let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
         let (age, ahead) = (now.saturating_sub(self.ts), self.ts.saturating_sub(now));
         if age > millis(MAX_AGE) {
             return Err(Refusal::Old { age: age.div_ceil(1000), max: MAX_AGE.as_secs() });
         }
-        if ahead > millis(MAX_AHEAD) {
-            return Err(Refusal::Future { ahead: ahead.div_ceil(1000), max: MAX_AHEAD.as_secs() });
+        if ahead > millis(max_ahead) {
+            return Err(Refusal::Future { ahead: ahead.div_ceil(1000), max: max_ahead.as_secs() });
         }
-        Ok(())
+        match owned_since {
+            Some(since) if self.ts <= since.saturating_add(millis(max_ahead)) => Err(Refusal::FormerOwner),
+            Some(_) | None => Ok(()),
+        }
     }
 
     fn check_values(&self, rule: &WriteRule) -> Result<(), Refusal> {
@@ -288,6 +310,39 @@ tag.level = "R70:i16"
             "old: its ts is 11 s before the clock of the bridge, and 10 s are allowed"
         );
         assert!(result("valve", "true", -5_001).unwrap_err().starts_with("future: its ts is 6 s ahead"));
+    }
+
+    /// A PLC that this member of a fleet has got at a time.
+    struct Owned(Plant, u64);
+
+    impl Catalog for Owned {
+        fn plc(&self, name: &str) -> Option<&PlantPlc> {
+            self.0.plc(name)
+        }
+
+        fn owned_since(&self, _: &str) -> Option<u64> {
+            Some(self.1)
+        }
+    }
+
+    #[test]
+    fn a_member_of_a_fleet_executes_no_command_that_the_owner_before_may_have() {
+        let owned = Owned(Plant::from_toml(PLANT).unwrap(), 500_000);
+        let result = |tag: &str, ts: u64, now: u64| {
+            let request = Request { id: "1".into(), tag: tag.to_owned(), value: true.into(), ts };
+            check(&request, "mixer", &Gate::new(true), &owned, now)
+        };
+        // An owner before has ended by 500,000. It takes a `ts` that is 1 s ahead.
+        let plan = result("valve", 501_001, 501_500).unwrap();
+        assert_eq!(result("valve", 501_000, 501_500).err(), Some(Refusal::FormerOwner));
+        assert_eq!(result("valve", 499_999, 500_100).err(), Some(Refusal::FormerOwner));
+        let future = result("valve", 502_501, 501_500).unwrap_err();
+        assert_eq!(future.to_string(), "future: its ts is 2 s ahead of the clock of the bridge, and 1 s are allowed");
+        // While it waited, the PLC had another owner.
+        let again = Owned(owned.0.clone(), 501_400);
+        assert_eq!(plan.check_again(&again, 501_500), Err(Refusal::FormerOwner));
+        assert_eq!(plan.check_again(&owned, 501_500), Ok(()));
+        assert_eq!(result("start", 501_400, 501_500).err(), Some(Refusal::PulseInFleet));
     }
 
     #[test]

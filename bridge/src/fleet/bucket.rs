@@ -138,7 +138,8 @@ async fn open_now(section: &NatsSection, id: &Name, bucket: &Name) -> Result<Ope
 }
 
 async fn connect(section: &NatsSection, id: &Name) -> Result<(Connection, Context), OpenError> {
-    let connection = Connection::open(section, id).await.map_err(|error| OpenError::Other(error.to_string()))?;
+    let connection =
+        Connection::open(section, id.as_str()).await.map_err(|error| OpenError::Other(error.to_string()))?;
     let context = ContextBuilder::new().timeout(OPEN).build(connection.client().clone());
     Ok((connection, context))
 }

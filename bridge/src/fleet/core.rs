@@ -239,6 +239,9 @@ pub(super) struct Core {
     actions: VecDeque<Action>,
     /// `true` if the gate was open at the last call.
     was_open: bool,
+    /// The naive variant of rule 1: the gates are open from the reply on.
+    #[cfg(test)]
+    counts_from_reply: bool,
     is_missing: bool,
     is_leaving: bool,
     has_left: bool,
@@ -290,11 +293,19 @@ impl Core {
             next_request: 0,
             actions: VecDeque::new(),
             was_open: false,
+            #[cfg(test)]
+            counts_from_reply: false,
             is_missing: false,
             is_leaving: false,
             has_left: false,
             failure: None,
         }
+    }
+
+    /// Breaks rule 1: the simulation must find that.
+    #[cfg(test)]
+    pub(super) fn count_from_reply(&mut self) {
+        self.counts_from_reply = true;
     }
 
     /// Handles an input at a time, which never goes back.

@@ -349,12 +349,15 @@ impl Driver {
     }
 
     fn close(&mut self, link: Arc<str>, token: LinkToken) {
-        if let Some(gate) = self.gates.remove(&link) {
+        let gate = self.gates.remove(&link);
+        // The gate of a link that is handed over is open until now.
+        let is_lost = gate.as_ref().is_none_or(|gate| !gate.is_open());
+        if let Some(gate) = gate {
             gate.revoke();
         }
-        tracing::debug!(%link, %token, "fleet: closing");
+        tracing::debug!(%link, %token, is_lost, "fleet: closing");
         let (done, closed) = oneshot::channel();
-        let _ = self.events.send(Event::Close(Closing { link: link.clone(), token, done: Some(done) }));
+        let _ = self.events.send(Event::Close(Closing { link: link.clone(), token, is_lost, done: Some(done) }));
         self.closings.push(Box::pin(async move {
             // Dropped: it is closed, too.
             let _ = closed.await;

@@ -5,6 +5,7 @@
 
 mod bridge;
 mod commands;
+mod fleet;
 mod plcs;
 mod tags;
 
@@ -55,6 +56,7 @@ impl Collector for Metrics {
         let mut writer = Writer { encoder };
         bridge::write(&mut writer, &self.shared)?;
         commands::write(&mut writer, &self.shared)?;
+        fleet::write(&mut writer, &self.shared)?;
         plcs::write(&mut writer, &self.shared)?;
         tags::write(&mut writer, &self.shared)
     }
@@ -63,6 +65,10 @@ impl Collector for Metrics {
 /// Writes metrics with their samples.
 struct Writer<'e> {
     encoder: DescriptorEncoder<'e>,
+}
+
+fn as_u64(count: usize) -> u64 {
+    u64::try_from(count).unwrap_or(u64::MAX)
 }
 
 /// Labels with their values.

@@ -6,6 +6,7 @@ use fatek::link::LinkState;
 use fatek::plant::PlantPlc;
 use serde::Serialize;
 
+use super::fleet::FleetForm;
 use super::rates::Rates;
 use super::view::{Grade, View};
 use crate::command::CommandStats;
@@ -27,6 +28,8 @@ pub(super) struct Status {
     outputs: Vec<OutputStatus>,
     /// `null` if no output takes commands.
     commands: Option<CommandStatus>,
+    /// `null` without a fleet.
+    fleet: Option<FleetForm>,
 }
 
 /// Commands of all PLCs since the start.
@@ -153,6 +156,7 @@ impl Memory {
             buffer: buffer(bridge),
             outputs: self.outputs(bridge),
             commands: bridge.commands.as_ref().map(|commands| sum(&commands.stats())),
+            fleet: FleetForm::of(bridge),
         }
     }
 

@@ -49,7 +49,7 @@ use self::credentials::Credentials;
 use self::delivery::Delivery;
 use self::discovery::Discovery;
 use self::session::{Carried, End, OFFLINE, Session};
-use super::{Health, OutputParts};
+use super::{BridgeNames, Health, OutputParts};
 use crate::backoff::Backoff;
 use crate::batch::milliseconds;
 use crate::command::Commands;
@@ -82,11 +82,11 @@ struct Shared {
 /// Delivers batches, states and discovery messages until it is stopped. It connects again after each loss.
 /// `former`: the section before a reload. The messages that the broker keeps under its names are cleared.
 pub async fn run(section: MqttSection, former: Option<MqttSection>, parts: OutputParts) {
-    let OutputParts { id, registry, cursor, health, commands, stop } = parts;
-    let (topics, discovery) = names(&section, &id, commands.is_some());
-    let former = former.map(|section| names(&section, &id, false));
+    let OutputParts { names: bridge, registry, cursor, health, commands, stop } = parts;
+    let (topics, discovery) = names(&section, &bridge, commands.is_some());
+    let former = former.map(|section| names(&section, &bridge, false));
     let client = Client {
-        id: format!("{}-{id}", section.prefix),
+        id: format!("{}-{}", section.prefix, bridge.unique()),
         will_topic: topics.bridge_state(),
         will: Bytes::from_static(OFFLINE),
     };
@@ -140,9 +140,9 @@ pub async fn run(section: MqttSection, former: Option<MqttSection>, parts: Outpu
 }
 
 /// The names of the messages of a section. `writes`: commands are taken.
-fn names(section: &MqttSection, id: &Name, writes: bool) -> (Topics, Option<Discovery>) {
-    let topics = Topics::mqtt(&section.prefix, id);
-    let bridge = [section.prefix.as_str(), id.as_str()];
+fn names(section: &MqttSection, names: &BridgeNames, writes: bool) -> (Topics, Option<Discovery>) {
+    let topics = Topics::mqtt(&section.prefix, &names.id).with_member(names.member.clone());
+    let bridge = [section.prefix.as_str(), names.id.as_str()];
     let discovery = |prefix: Name| Discovery::new(prefix, topics.clone(), bridge, writes);
     let discovery = section.home_assistant.clone().map(discovery);
     (topics, discovery)

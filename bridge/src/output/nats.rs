@@ -48,7 +48,10 @@ const GOOD: Duration = Duration::from_secs(5);
 #[derive(Debug)]
 struct Shared {
     section: NatsSection,
-    bridge: Name,
+    /// The name of its connections.
+    client: String,
+    /// The first level of the ids of messages.
+    id: Name,
     topics: Topics,
     registry: Registry,
     health: Arc<Health>,
@@ -58,19 +61,29 @@ struct Shared {
 
 /// Delivers batches and states, and takes commands, until it is stopped. It connects again after each loss.
 pub async fn run(section: NatsSection, parts: OutputParts) {
-    let OutputParts { id, registry, cursor, health, commands, stop } = parts;
-    let topics = Topics::nats(&section.prefix, &id);
+    let OutputParts { names, registry, cursor, health, commands, stop } = parts;
+    let client = names.unique();
+    let topics = Topics::nats(&section.prefix, &names.id).with_member(names.member);
     if section.write && commands.is_none() {
         tracing::warn!("nats: write = true applies after a restart of the bridge");
     }
     let commands = commands.filter(|_| section.write);
-    let shared = Shared { section, bridge: id, topics, registry, health: health.clone(), commands, stop: stop.clone() };
+    let shared = Shared {
+        section,
+        client,
+        id: names.id,
+        topics,
+        registry,
+        health: health.clone(),
+        commands,
+        stop: stop.clone(),
+    };
     let mut carried = Carried::new(Delivery::new(cursor, health.clone()));
     let mut backoff = Backoff::default();
     let mut was_connected = false;
     while !stop.is_cancelled() {
         let opened = tokio::select! {
-            opened = Connection::open(&shared.section, &shared.bridge) => opened,
+            opened = Connection::open(&shared.section, &shared.client) => opened,
             () = stop.cancelled() => return,
         };
         match opened {

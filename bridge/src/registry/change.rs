@@ -4,12 +4,14 @@ use std::collections::{BTreeMap, HashMap};
 use std::error::Error;
 use std::fmt;
 use std::sync::Arc;
+use std::time::SystemTime;
 
 use fatek::Pool;
 use fatek::plant::{Plant, PlantPlc, PlantTag};
 use fatek::poll::{PolledStation, PollerHandle, ScanClass, TagId};
 
 use super::{Place, Plcs, PolledPlc, default_class};
+use crate::batch::milliseconds;
 
 /// The number of PLCs and tags that a configuration has changed. Tags of new and removed PLCs are counted, too.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -64,11 +66,16 @@ impl Staged {
         &mut self,
         plant: &Plant,
         plc: &PlantPlc,
+        revision: u64,
         old: Option<&PolledPlc>,
         pool: &Pool,
         poller: &PollerHandle,
     ) -> Result<(), Box<dyn Error + Send + Sync>> {
-        let is_same = |old: &&PolledPlc| old.plc.endpoint() == plc.endpoint() && old.plc.station() == plc.station();
+        let is_same = |old: &&PolledPlc| {
+            let (before, after) = (&old.plc, plc);
+            // Each ownership has a link of its own.
+            before.endpoint() == after.endpoint() && before.station() == after.station() && old.revision == revision
+        };
         let (is, kept) = match (old, old.filter(is_same)) {
             (None, _) => (Kind::New, None),
             (Some(_), None) => (Kind::Moved, None),
@@ -102,6 +109,8 @@ impl Staged {
                 polled: polled.clone(),
                 ids: Vec::new(),
                 classes: classes.clone(),
+                revision,
+                since: kept.map_or_else(|| milliseconds(SystemTime::now()), |kept| kept.since),
             },
             is,
             added: Vec::new(),
@@ -125,19 +134,27 @@ impl Staged {
         }
     }
 
-    /// Puts the staged PLCs in the place of the others, and ends polling of what is gone.
+    /// Returns whether it has a PLC of this name.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.plcs.contains_key(name)
+    }
+
+    /// Puts the staged PLCs in the place of those with their names, and ends polling of the tags that these have no
+    /// more.
     pub(super) fn commit(self, plcs: &mut Plcs) -> Changes {
         let mut changes = Changes::default();
-        let mut old_plcs = std::mem::take(&mut plcs.plcs);
-        plcs.places.clear();
         plcs.generation = plcs.generation.saturating_add(1);
         for (name, StagedPlc { plc, is, added }) in self.plcs {
-            let place = |(index, tag): (usize, &PlantTag)| Place { plc: name.clone(), tag: tag.name().into(), index };
+            let revision = plc.revision;
+            let place =
+                |(index, tag): (usize, &PlantTag)| Place { plc: name.clone(), tag: tag.name().into(), index, revision };
+            let old = plcs.plcs.remove(&name);
+            old.iter().flat_map(|old| &old.ids).for_each(|id| drop(plcs.places.remove(id)));
             plcs.places.extend(plc.ids.iter().copied().zip(plc.plc.tags().enumerate().map(place)));
             let kept = plc.ids.len().saturating_sub(added.len());
             changes.tags_kept = changes.tags_kept.saturating_add(kept);
             changes.tags_added = changes.tags_added.saturating_add(added.len());
-            let old_tags = old_plcs.get(&name).map_or(0, |old| old.ids.len());
+            let old_tags = old.as_ref().map_or(0, |old| old.ids.len());
             changes.tags_removed = changes.tags_removed.saturating_add(old_tags.saturating_sub(kept));
             let counter = match is {
                 Kind::New => Some(&mut changes.plcs_added),
@@ -145,7 +162,7 @@ impl Staged {
                 Kind::Kept => None,
             };
             counter.into_iter().for_each(|counter| *counter = counter.saturating_add(1));
-            if let Some(old) = old_plcs.remove(&name) {
+            if let Some(old) = old {
                 match is {
                     Kind::New | Kind::Moved => old.polled.stop(),
                     Kind::Kept => old.ids.iter().filter(|id| !plcs.places.contains_key(id)).for_each(|id| {
@@ -153,12 +170,8 @@ impl Staged {
                     }),
                 }
             }
+            plcs.elsewhere.remove(&name);
             plcs.plcs.insert(name, plc);
-        }
-        for old in old_plcs.into_values() {
-            old.polled.stop();
-            changes.plcs_removed = changes.plcs_removed.saturating_add(1);
-            changes.tags_removed = changes.tags_removed.saturating_add(old.ids.len());
         }
         changes
     }

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Bridge;
 use crate::config::Config;
-use crate::output::{OutputKind, OutputParts, mqtt, nats, stdout};
+use crate::output::{BridgeNames, OutputKind, OutputParts, mqtt, nats, stdout};
 
 /// The time in which an output must end: it says goodbye to its server.
 const GOODBYE: Duration = Duration::from_secs(2);
@@ -99,7 +99,7 @@ impl Outputs {
         let commands = bridge.commands.as_ref().filter(|_| takes_commands);
         let stop = CancellationToken::new();
         let parts = OutputParts {
-            id: config.bridge.id.clone(),
+            names: BridgeNames::of(&config),
             registry: bridge.registry.clone(),
             cursor,
             health: health.clone(),
@@ -107,7 +107,9 @@ impl Outputs {
             stop: stop.clone(),
         };
         let abort = match (output, config.mqtt.clone(), config.nats.clone()) {
-            (OutputKind::Stdout, _, _) => self.tasks.spawn(stdout::run(parts.cursor, parts.health, parts.stop)),
+            (OutputKind::Stdout, _, _) => {
+                self.tasks.spawn(stdout::run(parts.cursor, parts.health, parts.registry, parts.stop))
+            }
             (OutputKind::Mqtt, Some(section), _) => {
                 let former = old.and_then(|old| old.mqtt.clone());
                 self.tasks.spawn(mqtt::run(section, former, parts))

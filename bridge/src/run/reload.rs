@@ -1,10 +1,11 @@
 //! Reload: the configuration is read again, and the difference is applied.
 
 use super::outputs::Outputs;
-use super::{AddError, Bridge};
+use super::{AddError, Bridge, fleet};
 use crate::command::Commands;
-use crate::config::{Config, ConfigError};
+use crate::config::{Config, ConfigError, FleetSection};
 use crate::output::OutputKind;
+use crate::registry::Share;
 
 /// A configuration that is not in force: the one before still is.
 #[derive(Debug, thiserror::Error)]
@@ -36,7 +37,10 @@ pub(super) async fn reload(bridge: &Bridge, outputs: &mut Outputs) -> Result<(),
 }
 
 async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError> {
+    // The share of a member of a fleet is of one configuration.
+    let _changing = bridge.changing.lock().await;
     let old = bridge.config();
+    let membership = bridge.fleet.clone();
     let (registry, pool, poller) = (bridge.registry.clone(), bridge.pool.clone(), bridge.poller.clone());
     let (runtime, commands) = (tokio::runtime::Handle::current(), bridge.commands.clone());
     // Files are read and thousands of tags planned: that blocks.
@@ -46,7 +50,15 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
         let needs_restart = keep_fixed(&mut config, &old, commands.is_some());
         // No output writes a tag that its new section does not let it write, or its old one.
         allow(commands.as_ref(), |output| config.takes_commands(output) && old.takes_commands(output));
-        let applied = registry.apply(&config.plant, &pool, &poller);
+        let owned = match &membership {
+            Some(membership) => {
+                fleet::check(&config.plant)?;
+                Some(membership.owned_plcs(&config.plant))
+            }
+            None => None,
+        };
+        let share = owned.as_ref().map_or(Share::All, Share::Owned);
+        let applied = registry.apply_share(&config.plant, share, &pool, &poller);
         let in_force = if applied.is_ok() { &config } else { &*old };
         allow(commands.as_ref(), |output| in_force.takes_commands(output));
         let changes = applied?;
@@ -54,6 +66,9 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
     });
     let (config, changes, needs_restart, old) = applied.await.map_err(|_| ReloadError::Panicked)??;
     bridge.set_config(config);
+    if let Some(membership) = &bridge.fleet {
+        membership.configure(&bridge.config());
+    }
     let restarted = outputs.restart_changed(bridge, &old, &bridge.config()).await;
     tracing::info!("reloaded; {changes}");
     restarted.iter().for_each(|output| tracing::info!(output = output.name(), "the output was started anew"));
@@ -76,6 +91,17 @@ fn keep_fixed(config: &mut Config, old: &Config, takes_commands: bool) -> Vec<&'
     if config.bridge != old.bridge {
         config.bridge = old.bridge.clone();
         differ.push("section bridge");
+    }
+    if let (Some(fleet), Some(before)) = (&mut config.fleet, &old.fleet) {
+        // The weight alone can change.
+        let kept = FleetSection { weight: fleet.weight, ..before.clone() };
+        if *fleet != kept {
+            *fleet = kept;
+            differ.push("section fleet, but for its weight,");
+        }
+    } else if config.fleet.is_some() != old.fleet.is_some() {
+        config.fleet.clone_from(&old.fleet);
+        differ.push("section fleet, which is new or gone,");
     }
     if config.mqtt.is_some() != old.mqtt.is_some() {
         config.mqtt.clone_from(&old.mqtt);

@@ -24,7 +24,7 @@ pub(crate) fn settings(dir: &Path) -> BufferSettings {
 pub(crate) fn batch(seq: u64) -> Batch {
     let length = usize::try_from(seq % 37).unwrap() * 10;
     let data = format!("{{\"level\":{seq},\"text\":\"{}\"}}", "x".repeat(length));
-    Batch { plc: "mixer".into(), seq, ts: 1_700_000_000_000 + seq, samples: 2, data: data.into() }
+    Batch { plc: "mixer".into(), revision: 0, seq, ts: 1_700_000_000_000 + seq, samples: 2, data: data.into() }
 }
 
 /// A number of the environment.

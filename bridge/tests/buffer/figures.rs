@@ -15,6 +15,7 @@ fn batch(seq: u64) -> Batch {
     let data = (0..SAMPLES).map(|tag| format!("\"tag{tag}\":{}", seq % 1000)).collect::<Vec<_>>().join(",");
     Batch {
         plc: format!("plc{}", seq % PLCS).as_str().into(),
+        revision: 0,
         seq,
         ts: seq,
         samples: SAMPLES,

@@ -88,6 +88,11 @@ impl Bridge {
         }
     }
 
+    /// The lines of stdout, for a caller that takes them by itself.
+    pub fn take_lines(&mut self) -> Receiver<String> {
+        std::mem::replace(&mut self.lines, channel().1)
+    }
+
     /// The next line of stdout; `None` at its end.
     pub fn line(&self) -> Option<String> {
         match self.lines.recv_timeout(PATIENCE) {

@@ -12,8 +12,8 @@ use fatek::{Poller, Pool};
 use fatek_bridge::batch::{Batch, milliseconds};
 use fatek_bridge::buffer::Buffer;
 use fatek_bridge::command::{CommandSettings, Commands, Storage};
-use fatek_bridge::config::{MqttSection, Name};
-use fatek_bridge::output::Health;
+use fatek_bridge::config::MqttSection;
+use fatek_bridge::output::{BridgeNames, Health};
 use fatek_bridge::output::{OutputKind, OutputParts, mqtt};
 use fatek_bridge::registry::Registry;
 use futures::StreamExt as _;
@@ -65,9 +65,9 @@ impl Output {
         let buffer = Buffer::in_memory(2, 1 << 30);
         let health = Arc::new(Health::new(OutputKind::Mqtt));
         let stop = CancellationToken::new();
-        let id: Name = serde_json::from_value(json!("hall-2")).unwrap();
+        let names = BridgeNames { id: serde_json::from_value(json!("hall-2")).unwrap(), member: None };
         let cursor = buffer.cursor(0);
-        let parts = OutputParts { id, registry, cursor, health: health.clone(), commands, stop: stop.clone() };
+        let parts = OutputParts { names, registry, cursor, health: health.clone(), commands, stop: stop.clone() };
         let task = tokio::spawn(mqtt::run(section, former, parts));
         Self { buffer, health, stop, task, pushed: 0 }
     }
@@ -82,7 +82,7 @@ impl Output {
             let (plc, seq) = (PLCS[usize::try_from(self.pushed % 3).unwrap()], self.pushed / 3);
             let data = json!({ "n": "x".repeat(length) }).to_string().into();
             let ts = milliseconds(SystemTime::now());
-            self.buffer.push(Batch { plc: plc.into(), seq, ts, samples: 1, data });
+            self.buffer.push(Batch { plc: plc.into(), revision: 0, seq, ts, samples: 1, data });
             self.pushed += 1;
         }
     }

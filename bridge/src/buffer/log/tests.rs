@@ -6,7 +6,7 @@ use crate::buffer::jobs::{DiskLimits, Job};
 use crate::buffer::restore::continue_log;
 
 fn batch(seq: u64) -> Batch {
-    Batch { plc: "mixer".into(), seq, ts: seq, samples: 1, data: "{\"level\":1}".into() }
+    Batch { plc: "mixer".into(), revision: 0, seq, ts: seq, samples: 1, data: "{\"level\":1}".into() }
 }
 
 fn log(outputs: usize, memory: usize) -> Log {

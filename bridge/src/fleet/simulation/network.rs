@@ -5,7 +5,6 @@
 //! are lost with the connection alone.
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 
 use super::store::Change;
 use super::world::{Event, World};
@@ -231,12 +230,8 @@ impl World {
     pub(super) fn send(&mut self, node: usize, start: u32, request: u64, operation: Operation, timeout: u64) {
         let local = self.local(node);
         let at = self.true_time(node, local + timeout);
-        let is_renewal = own_renewal(node, start, &operation);
         let Some(process) = self.process(node, start) else { return };
         process.requests.insert(request);
-        if let Some(session) = is_renewal {
-            process.renewals.insert(request, session);
-        }
         self.at(at, Event::Timeout { node, start, request });
         let Some(connection) = self.nodes[node].connection else { return };
         // A request over a connection of an earlier life reaches nothing.
@@ -315,28 +310,18 @@ impl World {
             }
             return;
         }
-        let (local, variant) = (self.local(node), self.variant);
         let Some(process) = self.process(node, start) else { return };
         if !process.requests.remove(&request) {
             return;
         }
-        let renewal = process.renewals.remove(&request);
-        let is_stored = matches!(outcome, Outcome::Stored(_));
         self.note(|| format!("node {node} gets {outcome:?} for {request}"));
         self.feed(node, start, Input::Reply { request, outcome });
-        if let Some(session) = renewal.filter(|_| is_stored && variant == Variant::DeadlineFromReply)
-            && let Some(process) = self.process(node, start)
-            && let Some(until) = process.gates.get_mut(&session).filter(|until| **until > 0)
-        {
-            *until = (*until).max(local + LEASE - LEASE / 10);
-        }
         self.moment(node, 0);
     }
 
     pub(super) fn timeout(&mut self, node: usize, start: u32, request: u64) {
         let Some(process) = self.process(node, start) else { return };
         if process.requests.remove(&request) {
-            process.renewals.remove(&request);
             self.note(|| format!("node {node} has no reply for {request}"));
             self.feed(node, start, Input::Reply { request, outcome: Outcome::Unknown });
         }
@@ -346,14 +331,6 @@ impl World {
     pub(super) fn wall(&self) -> u64 {
         self.now + self.wall_step
     }
-}
-
-/// The session that a request creates or renews, if it is one of the sender.
-fn own_renewal(node: usize, start: u32, operation: &Operation) -> Option<Arc<str>> {
-    let Operation::Put { key, value, .. } = operation else { return None };
-    let Some(Key::Session(session)) = Key::parse(key) else { return None };
-    let is_own = session.starts_with(&format!("n{node}s{start}-"));
-    (is_own && value != DEAD).then(|| session.into())
 }
 
 /// Returns whether a request fences the session of another process.

@@ -110,8 +110,6 @@ pub(super) struct Process {
     pub(super) owned: BTreeMap<Arc<str>, Owner>,
     /// Requests without a reply or a timeout.
     pub(super) requests: BTreeSet<u64>,
-    /// The renewals among them, for the variant that counts from the reply.
-    pub(super) renewals: BTreeMap<u64, Arc<str>>,
     wake_at: Option<u64>,
     pub(super) is_leaving: bool,
     pub(super) has_left: bool,
@@ -376,12 +374,15 @@ impl World {
             config: "c".to_owned(),
             weight: self.nodes[node].weight,
         };
+        let mut core = Core::new(settings, member.clone());
+        if self.variant == Variant::DeadlineFromReply {
+            core.count_from_reply();
+        }
         self.nodes[node].process = Some(Process {
-            core: Core::new(settings, member.clone()),
+            core,
             gates: BTreeMap::new(),
             owned: BTreeMap::new(),
             requests: BTreeSet::new(),
-            renewals: BTreeMap::new(),
             wake_at: None,
             is_leaving: false,
             has_left: false,

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 
 use prometheus_client::registry::Unit;
 
-use super::Writer;
+use super::{Writer, as_u64};
 use crate::buffer::CursorStats;
 use crate::http::Shared;
 use crate::http::hub::MAX_STREAMS;
@@ -120,8 +120,4 @@ fn refused_plcs(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
 
 fn labels<'l>(output: &'l str, plc: &'l str) -> super::Labels<'l> {
     vec![("output", output), ("plc", plc)]
-}
-
-fn as_u64(count: usize) -> u64 {
-    u64::try_from(count).unwrap_or(u64::MAX)
 }

@@ -92,8 +92,42 @@ function outputItem(output) {
   };
 }
 
+const FLEET_MARKS = { active: "good", draining: "stale", joining: "stale", connecting: "bad", failed: "bad", left: "idle" };
+
+/** Items of the fleet: all of it first, then its members. */
+function fleetItems({ fleet, member, state, failure, open_for_ms: openFor, links, members, warnings }) {
+  const whole = {
+    name: fleet,
+    mark: FLEET_MARKS[state] ?? "idle",
+    state: state === "active" ? "" : state,
+    part: null,
+    facts: [
+      `${format.count(links.own)} of ${format.counted(links.all, "link")} here`,
+      links.without_owner > 0 && `${format.count(links.without_owner)} without owner`,
+      openFor === null && "sends nothing to its PLCs",
+    ],
+    why: failure ?? warnings.join("; "),
+  };
+  const each = members.map(other => ({
+    name: other.member,
+    mark: other.draining || other.silent_for_ms > 1000 ? "stale" : "good",
+    state: [other.member === member && "this bridge", other.draining && "drained"].filter(Boolean).join(", "),
+    part: links.all > 0 ? other.links / links.all : 0,
+    partState: "good",
+    facts: [
+      format.counted(other.links, "link"),
+      other.weight !== 1 && `weight ${other.weight}`,
+      other.silent_for_ms > 1000 && `silent for ${format.age(other.silent_for_ms)}`,
+      `version ${other.version}`,
+    ],
+    why: null,
+  }));
+  return [whole, ...each];
+}
+
 export class Aside {
   constructor() {
+    this.fleet = new ItemList("fleet", "");
     this.links = new ItemList("links", "No link yet");
     this.outputs = new ItemList("outputs", "No output is configured");
     [this.buffer, this.commands] = ["buffer", "commands"].map(id => {
@@ -113,6 +147,8 @@ export class Aside {
     this.outputs.show(status.outputs.map(outputItem));
     this.#showBuffer(status.buffer);
     this.#showCommands(status.commands);
+    document.getElementById("fleet-section").hidden = status.fleet === null;
+    if (status.fleet !== null) this.fleet.show(fleetItems(status.fleet));
     this.#showOverview(status);
     format.setText(this.title, status.id);
     format.setText(this.uptime, `Running for ${format.age(status.uptime_seconds * 1000).replace(".0", "")}`);

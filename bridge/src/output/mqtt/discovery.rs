@@ -8,7 +8,7 @@
 //!
 //! All entities of a PLC take their values from its batches. A tag that a batch lacks keeps its value, and so do
 //! all tags with a batch that is a replay; a tag that is stale or bad becomes unknown. An entity is available while
-//! the bridge and the PLC are online.
+//! the bridge and the PLC are online; in a fleet, while the PLC is.
 
 use bytes::Bytes;
 use fatek::plant::{PlantPlc, PlantTag, WriteRule};
@@ -61,6 +61,14 @@ impl Discovery {
         matches!(levels[..], [prefix, _, node, _, "config"] if prefix == self.prefix.as_str() && node == self.node)
     }
 
+    /// The PLC of a discovery topic of the bridge; `None`: it is not such a topic.
+    pub(super) fn plc_of(&self, topic: &str) -> Option<String> {
+        if !self.is_own(topic) {
+            return None;
+        }
+        first_of_joined(topic.split('/').nth(3)?)
+    }
+
     /// The messages of a PLC, with their topics.
     pub(super) fn messages(&self, plc: &PlantPlc) -> Vec<(String, Bytes)> {
         plc.tags().flat_map(|tag| self.entities(plc.name(), tag)).collect()
@@ -88,6 +96,13 @@ impl Discovery {
         let id = joined(&[plc, tag.name()]);
         let topic = format!("{}/{component}/{}/{id}/config", self.prefix, self.node);
         let available = "{{ 'online' if value_json is defined and value_json.online else 'offline' }}";
+        let plc_state = json!({ "topic": self.topics.plc_state(plc), "value_template": available });
+        // A PLC of a fleet is available also without the member that has sent this.
+        let availability = if self.topics.is_fleet() {
+            vec![plc_state]
+        } else {
+            vec![json!({ "topic": self.topics.bridge_state(), "value_template": available }), plc_state]
+        };
         let mut message = json!({
             "name": tag.name(),
             "unique_id": format!("{}_-{id}", self.node),
@@ -97,10 +112,7 @@ impl Discovery {
                 "manufacturer": "FATEK",
             },
             "origin": { "name": "fatek-bridge", "sw_version": env!("CARGO_PKG_VERSION") },
-            "availability": [
-                { "topic": self.topics.bridge_state(), "value_template": available },
-                { "topic": self.topics.plc_state(plc), "value_template": available },
-            ],
+            "availability": availability,
             "availability_mode": "all",
             "qos": 1,
         });
@@ -234,6 +246,22 @@ fn step(tag: Tag) -> f64 {
 fn joined(names: &[&str]) -> String {
     let escaped: Vec<String> = names.iter().map(|name| name.replace('_', "__")).collect();
     escaped.join("_-")
+}
+
+/// The first of several names that were [`joined`].
+fn first_of_joined(text: &str) -> Option<String> {
+    let mut name = String::new();
+    let mut rest = text.chars();
+    loop {
+        match (rest.next()?, &rest) {
+            ('_', after) if after.as_str().starts_with('_') => {
+                rest.next();
+                name.push('_');
+            }
+            ('_', _) => return Some(name),
+            (other, _) => name.push(other),
+        }
+    }
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use fatek::plant::PlantTag;
 use super::discovery::Discovery;
 use super::retained::{Priority, Retained};
 use crate::plc_state::PlcState;
-use crate::registry::{PolledPlc, Registry};
+use crate::registry::{Elsewhere, PolledPlc, Registry};
 use crate::topic::Topics;
 
 /// The PLCs as they were published.
@@ -59,7 +59,16 @@ impl PublishedPlcs {
             });
             self.plcs.insert(name, Published { state, tags });
         }
-        gone.keys().for_each(|name| retained.remove_owner(name));
+        for name in gone.keys() {
+            match plcs.elsewhere(name) {
+                None => retained.remove_owner(name),
+                Some(Elsewhere::Member) => retained.forget_owner(name),
+                Some(Elsewhere::Lost) => {
+                    retained.forget_owner(name);
+                    retained.announce(topics.plc_state(name), PlcState::without_member().to_json());
+                }
+            }
+        }
     }
 
     fn is_changed(state: &PlcState, plc: &PolledPlc) -> bool {

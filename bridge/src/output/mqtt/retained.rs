@@ -39,6 +39,8 @@ struct Wanted {
     priority: Priority,
     /// Empty: to be cleared.
     payload: Bytes,
+    /// `true`: it is sent on this connection alone, and is then no concern of this bridge.
+    is_announcement: bool,
 }
 
 impl Retained {
@@ -53,8 +55,30 @@ impl Retained {
         };
         queue.insert(topic.clone());
         self.last.remove(&topic);
-        self.messages.insert(topic, Wanted { owner: owner.cloned(), priority, payload });
+        self.messages.insert(topic, Wanted { owner: owner.cloned(), priority, payload, is_announcement: false });
         true
+    }
+
+    /// Sends a state once, if this connection lasts: in a fleet, the next one may be of another member.
+    pub(super) fn announce(&mut self, topic: String, payload: Bytes) {
+        self.set(topic.clone(), payload, Priority::First, None);
+        if let Some(message) = self.messages.get_mut(&topic) {
+            message.is_announcement = true;
+        }
+    }
+
+    /// Leaves all messages of a PLC as they are at the broker: another member of the fleet has them now.
+    pub(super) fn forget_owner(&mut self, owner: &Arc<str>) {
+        let Self { messages, first, between, last } = self;
+        messages.retain(|topic, known| {
+            let is_kept = known.owner.as_ref() != Some(owner);
+            if !is_kept {
+                for queue in [&mut *first, &mut *between, &mut *last] {
+                    queue.remove(topic);
+                }
+            }
+            is_kept
+        });
     }
 
     /// Wants exactly these messages of a priority of a PLC: others of it are cleared.
@@ -82,6 +106,7 @@ impl Retained {
             owner: None,
             priority: Priority::Between,
             payload: Bytes::new(),
+            is_announcement: false,
         });
         known.payload = Bytes::new();
         self.first.remove(&topic);
@@ -99,6 +124,13 @@ impl Retained {
 
     /// Queues all messages: the connection is new.
     pub(super) fn queue_all(&mut self) {
+        let Self { messages, first, .. } = self;
+        messages.retain(|topic, known| {
+            if known.is_announcement {
+                first.remove(topic);
+            }
+            !known.is_announcement
+        });
         for (topic, known) in &self.messages {
             match known.priority {
                 Priority::First if known.payload.is_empty() => self.last.insert(topic.clone()),
@@ -118,6 +150,11 @@ impl Retained {
         }
     }
 
+    /// Returns whether states wait to be sent.
+    pub(super) fn has_states(&self) -> bool {
+        !self.first.is_empty()
+    }
+
     /// Takes a message to be sent; an empty payload clears it.
     pub(super) fn take(&mut self, priority: Priority) -> Option<(String, Bytes)> {
         let topic = match priority {
@@ -131,7 +168,8 @@ impl Retained {
     /// Notes the acknowledgement of a message. One that was cleared is forgotten, unless it is wanted again.
     pub(super) fn acknowledged(&mut self, topic: &str) {
         let is_queued = self.between.contains(topic) || self.last.contains(topic);
-        if !is_queued && !self.is_wanted(topic) {
+        let is_announced = self.messages.get(topic).is_some_and(|known| known.is_announcement);
+        if is_announced && !self.first.contains(topic) || !is_queued && !self.is_wanted(topic) {
             self.messages.remove(topic);
         }
     }
@@ -203,6 +241,41 @@ mod tests {
         retained.acknowledged("ha/1");
         assert!(retained.is_wanted("ha/1"));
         assert_eq!(all(&mut retained), ["ha/1=1"]);
+    }
+
+    #[test]
+    fn a_plc_that_goes_to_another_member_keeps_its_messages() {
+        let mut retained = Retained::default();
+        let state = |retained: &mut Retained, text: &'static str| {
+            retained.set("a/state".to_owned(), text.into(), Priority::First, Some(&plc("a")))
+        };
+        state(&mut retained, "on");
+        retained.replace(&plc("a"), Priority::Between, vec![("ha/a/1".to_owned(), "1".into())]);
+        retained.forget_owner(&plc("a"));
+        assert_eq!(all(&mut retained), [""; 0]);
+        retained.queue_all();
+        assert_eq!(all(&mut retained), [""; 0]);
+
+        // One that was lost is announced as offline, once.
+        state(&mut retained, "on");
+        retained.forget_owner(&plc("a"));
+        retained.announce("a/state".to_owned(), "off".into());
+        assert_eq!(all(&mut retained), ["a/state=off"]);
+        retained.queue_wanted(Priority::First);
+        assert_eq!(all(&mut retained), ["a/state=off"]);
+        retained.acknowledged("a/state");
+        retained.queue_wanted(Priority::First);
+        assert_eq!(all(&mut retained), [""; 0]);
+
+        // Not on the next connection: another member may have published its state by then.
+        retained.announce("a/state".to_owned(), "off".into());
+        retained.queue_all();
+        assert_eq!(all(&mut retained), [""; 0]);
+        // It comes back.
+        retained.announce("a/state".to_owned(), "off".into());
+        assert!(state(&mut retained, "on"));
+        retained.queue_all();
+        assert_eq!(all(&mut retained), ["a/state=on"]);
     }
 
     #[test]

@@ -28,6 +28,8 @@ use crate::buffer::Entry;
 const MAX_WAITING: usize = 64 << 10;
 /// The time between two looks at the states of the PLCs.
 const TICK: Duration = Duration::from_secs(1);
+/// The time after which a member of a fleet publishes the states of its PLCs again.
+const REPEAT_STATES: Duration = Duration::from_secs(10);
 /// After this time the broker has sent all retained messages of an earlier run.
 const EARLIER_RUN: Duration = Duration::from_secs(10);
 /// The time in which Home Assistant makes its entities. Values that come before are lost for it.
@@ -71,6 +73,8 @@ pub(super) struct Session<'a> {
     last_received: Instant,
     last_sent: Instant,
     last_ping: Instant,
+    /// When all states were queued last.
+    last_states: Instant,
     /// When the subscriptions for messages of an earlier run end.
     earlier_run_ends: Option<Instant>,
     /// When the output ends, acknowledged or not.
@@ -127,6 +131,7 @@ impl<'a> Session<'a> {
             last_received: now,
             last_sent: now,
             last_ping: now,
+            last_states: now,
             earlier_run_ends: Some(now + EARLIER_RUN),
             closes: None,
             is_last_state_known: false,
@@ -253,6 +258,7 @@ impl<'a> Session<'a> {
         }
         let Some(Entry { position, batch, replay }) = self.carried.delivery.take(Instant::now()) else { return false };
         let topic = Bytes::from(self.shared.topics.data(&batch.plc));
+        let replay = replay || self.shared.registry.is_former(&batch);
         let message = Message { topic, payload: batch.message(replay), retain: false, correlation: None };
         self.publish(&message, Item::Batch(position));
         true
@@ -384,6 +390,10 @@ impl<'a> Session<'a> {
         correlation: Option<Bytes>,
     ) {
         if let Some((commands, plc)) = self.shared.commands.clone().zip(self.shared.topics.plc_of_commands(topic)) {
+            if self.shared.registry.read().elsewhere(plc).is_some() {
+                // The member that polls it executes and answers.
+                return;
+            }
             let discovery = self.shared.discovery.as_ref().map(Discovery::prefix);
             let reply_to = ReplyTo::new(&self.shared.topics, discovery, plc, response, correlation);
             // The result of a new one would come after the end of the session.
@@ -402,7 +412,7 @@ impl<'a> Session<'a> {
             self.carried.retained.queue_wanted(Priority::Between);
         } else if retain && !payload.is_empty() && self.shared.is_own_retained(topic) {
             // Of a PLC or a tag that went while the bridge was not running or not connected.
-            if !self.carried.retained.is_wanted(topic) {
+            if !self.carried.retained.is_wanted(topic) && !self.shared.is_of_another_member(topic) {
                 self.carried.retained.clear(topic.to_owned());
             }
         }
@@ -435,6 +445,7 @@ impl<'a> Session<'a> {
         self.carried.delivery.give_up(now);
         if self.closes.is_none() {
             self.refresh(false);
+            self.repeat_states(now);
         }
         Ok(())
     }
@@ -445,8 +456,19 @@ impl<'a> Session<'a> {
         plcs.refresh(registry, topics, discovery.as_ref(), retained, anew);
     }
 
+    /// In a fleet: publishes all states from time to time. A member that was cut off may publish late that a PLC is
+    /// offline, which another one polls by then.
+    fn repeat_states(&mut self, now: Instant) {
+        if self.shared.topics.is_fleet() && now.duration_since(self.last_states) >= REPEAT_STATES {
+            self.last_states = now;
+            self.carried.retained.queue_wanted(Priority::First);
+        }
+    }
+
     fn begin_close(&mut self) {
         self.closes = Some(Instant::now() + GOODBYE);
+        // PLCs that the last member of a fleet has given up are offline.
+        self.refresh(false);
         let topic = self.shared.topics.bridge_state();
         self.carried.retained.set(topic, Bytes::from_static(OFFLINE), Priority::First, None);
     }
@@ -456,7 +478,8 @@ impl<'a> Session<'a> {
         let is_replying = self.window.iter().any(|item| matches!(item, Item::Reply(_)))
             || !self.carried.replies.is_empty()
             || !self.carried.commands.is_empty();
-        self.is_last_state_known && !is_replying || self.closes.is_some_and(|at| at <= Instant::now())
+        let is_told = self.is_last_state_known && !self.carried.retained.has_states();
+        is_told && !is_replying || self.closes.is_some_and(|at| at <= Instant::now())
     }
 
     /// Ends the connection. Unless the broker has the last state, it publishes the will instead.

@@ -11,7 +11,7 @@ use futures::FutureExt as _;
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
 
-use crate::config::{Name, NatsSection};
+use crate::config::NatsSection;
 use crate::secret::SecretError;
 use crate::tls::{TlsError, TlsFiles};
 
@@ -53,14 +53,14 @@ pub(crate) enum OpenError {
 
 impl Connection {
     /// Opens a connection, with the present content of the files.
-    pub(crate) async fn open(section: &NatsSection, bridge: &Name) -> Result<Self, OpenError> {
+    pub(crate) async fn open(section: &NatsSection, name: &str) -> Result<Self, OpenError> {
         let files = section.clone();
         let options = tokio::task::spawn_blocking(move || options(&files)).await;
         // An error: it was aborted, since the runtime ends.
         let options = options.map_err(|error| OpenError::Connect(error.to_string()))??;
         let (sender, lost) = mpsc::unbounded_channel();
         let options = options
-            .name(format!("fatek-bridge {bridge}"))
+            .name(format!("fatek-bridge {name}"))
             .connection_timeout(CONNECT_TIMEOUT)
             .ping_interval(PING)
             .client_capacity(QUEUE)

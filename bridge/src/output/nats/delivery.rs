@@ -247,7 +247,7 @@ mod tests {
         fn new(batches: u64) -> Self {
             let buffer = Buffer::in_memory(1, 64 << 20);
             for seq in 1..=batches {
-                buffer.push(Batch { plc: "mixer".into(), seq, ts: seq, samples: 2, data: "{}".into() });
+                buffer.push(Batch { plc: "mixer".into(), revision: 0, seq, ts: seq, samples: 2, data: "{}".into() });
             }
             let mut delivery = Delivery::new(buffer.cursor(0), Arc::new(Health::new(OutputKind::Nats)));
             delivery.begin();

@@ -25,6 +25,7 @@ use super::{Shared, replies, stream};
 use crate::batch::milliseconds;
 use crate::buffer::Entry;
 use crate::plc_state::PlcState;
+use crate::registry::Elsewhere;
 
 /// The time for an acknowledgement, and for a request to the stream.
 const ACK_TIMEOUT: Duration = Duration::from_secs(5);
@@ -163,7 +164,11 @@ impl<'a> Session<'a> {
     /// Sends the batches that may be sent.
     async fn send_batches(&mut self) {
         while let Some(Entry { batch, replay, .. }) = self.carried.delivery.take() {
-            let id = format!("{}.{}.{}", self.shared.bridge, batch.plc, batch.seq);
+            let id = match batch.revision {
+                0 => format!("{}.{}.{}", self.shared.id, batch.plc, batch.seq),
+                revision => format!("{}.{}.{revision}.{}", self.shared.id, batch.plc, batch.seq),
+            };
+            let replay = replay || self.shared.registry.is_former(&batch);
             let message = PublishMessage::build()
                 .payload(batch.message(replay))
                 .message_id(id)
@@ -183,6 +188,10 @@ impl<'a> Session<'a> {
     fn take_command(&mut self, message: Message) {
         let (Some(commands), topics) = (self.shared.commands.clone(), &self.shared.topics) else { return };
         let Some(plc) = topics.plc_of_commands(&message.subject).map(str::to_owned) else { return };
+        if self.shared.registry.read().elsewhere(&plc).is_some() {
+            // The member that polls it executes and answers.
+            return;
+        }
         let subject = replies::subject(topics, &plc, message.reply.as_deref());
         let mut command: Boxed<(String, Bytes)> = Box::pin(async move {
             let reply = commands.execute(&plc, &message.payload, false).await;
@@ -213,11 +222,18 @@ impl<'a> Session<'a> {
             }
             states.insert(name, state);
         }
-        self.states = states;
+        let before = std::mem::replace(&mut self.states, states);
+        let lost = before.into_keys().filter(|name| self.is_lost(name));
+        messages.extend(lost.map(|name| (self.shared.topics.plc_state(&name), PlcState::without_member().to_json())));
         for (subject, message) in messages {
             publish(self.connection.client(), subject, message).await?;
         }
         Ok(())
+    }
+
+    /// Returns whether this member of a fleet has lost a PLC, so that perhaps none polls it.
+    fn is_lost(&self, plc: &str) -> bool {
+        self.shared.registry.read().elsewhere(plc) == Some(Elsewhere::Lost)
     }
 
     /// Gives replies of commands that run, and the state of a bridge that is not connected.

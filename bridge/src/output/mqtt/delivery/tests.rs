@@ -31,7 +31,7 @@ impl Case {
     }
 
     fn push(&self, plc: &str, seq: u64) {
-        self.buffer.push(Batch { plc: plc.into(), seq, ts: seq, samples: 2, data: "{}".into() });
+        self.buffer.push(Batch { plc: plc.into(), revision: 0, seq, ts: seq, samples: 2, data: "{}".into() });
     }
 
     /// Sends all that may be sent.

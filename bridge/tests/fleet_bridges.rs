@@ -1,0 +1,268 @@
+//! Bridges that share PLCs, as processes, with a real nats-server: takeover, handover, loss of the store, commands.
+//!
+//! `FATEK_FLEET_KILLS` sets how often a bridge is killed (100 in a campaign, 2 otherwise).
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use fatek::discrete;
+use fatek::register;
+use fatek::sim::{Bus, Plc, Server};
+use fatek::wire::Framing;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use common::bridge::{Bridge, PATIENCE, write_config};
+use common::nats::NatsServer;
+
+const LEASE: Duration = Duration::from_secs(1);
+const PLCS: usize = 6;
+
+/// A batch that a bridge has written to stdout, and when.
+#[derive(Debug)]
+struct Line {
+    bridge: &'static str,
+    at: Instant,
+    batch: Value,
+}
+
+impl Line {
+    fn plc(&self) -> &str {
+        self.batch["plc"].as_str().unwrap()
+    }
+
+    fn number(&self, key: &str) -> u64 {
+        self.batch[key].as_u64().unwrap_or_else(|| panic!("{key} is missing: {}", self.batch))
+    }
+}
+
+/// Simulated PLCs, a server, and the bridges' configuration.
+struct Fleet {
+    nats: NatsServer,
+    plcs: Vec<(Server, Plc)>,
+    folder: TempDir,
+    lines: (Sender<Line>, Receiver<Line>),
+}
+
+impl Fleet {
+    /// `None`: nats-server is missing.
+    async fn new() -> Option<Self> {
+        let folder = TempDir::new().unwrap();
+        let nats = NatsServer::start(folder.path())?;
+        let mut plcs = Vec::new();
+        for _ in 0..PLCS {
+            let plc = Plc::new();
+            let bus = Bus::new().with_station(1, plc.clone()).unwrap();
+            plcs.push((Server::bind("127.0.0.1:0", bus, Framing::Ascii).await.unwrap(), plc));
+        }
+        let fleet = Self { nats, plcs, folder, lines: channel() };
+        fleet.init().await;
+        Some(fleet)
+    }
+
+    async fn init(&self) {
+        let path = write_config(self.folder.path(), &self.config());
+        let config = fatek_bridge::config::Config::load(&path).unwrap();
+        let fleet = config.fleet.unwrap();
+        fatek_bridge::fleet::init(&config.nats.unwrap(), &fleet.id, &fleet.bucket).await.unwrap();
+    }
+
+    fn config(&self) -> String {
+        let mut text = format!(
+            "[bridge]\nhttp = '127.0.0.1:0'\nbuffer = {{ dir = 'buffer' }}\n[stdout]\n\
+             [nats]\nurl = 'nats://127.0.0.1:{}'\nwrite = true\n\
+             [fleet]\nid = 'plant-a'\nbucket = 'leases'\nlease = '{LEASE:?}'\n\
+             [class.fast]\nevery = '50ms'\n",
+            self.nats.port()
+        );
+        for (n, (server, _)) in self.plcs.iter().enumerate() {
+            text.push_str(&format!(
+                "[plc.mixer{n}]\nlink = 'tcp://{}'\nstation = 1\n\
+                 tag.level = {{ at = 'R5', class = 'fast', write = {{}} }}\n\
+                 tag.start = {{ at = 'M5', class = 'fast', write = {{ pulse = '50ms' }} }}\n",
+                server.local_addr()
+            ));
+        }
+        text
+    }
+
+    fn start(&self, id: &'static str) -> Bridge {
+        let folder = self.folder.path().join(id);
+        std::fs::create_dir_all(&folder).unwrap();
+        let config = write_config(&folder, &self.config());
+        let mut bridge = Bridge::start_with(&config, &folder, &[("FATEK_BRIDGE_ID", id)]);
+        let (lines, all) = (bridge.take_lines(), self.lines.0.clone());
+        std::thread::spawn(move || {
+            for line in lines {
+                let batch = serde_json::from_str(&line).unwrap();
+                if all.send(Line { bridge: id, at: Instant::now(), batch }).is_err() {
+                    return;
+                }
+            }
+        });
+        bridge
+    }
+
+    /// The batches that have come until a condition of the last owner and batch time of each PLC holds.
+    fn until(&self, what: &str, is_true: impl Fn(&BTreeMap<String, Line>) -> bool) -> Vec<Line> {
+        let (begin, mut taken, mut last) = (Instant::now(), Vec::new(), BTreeMap::new());
+        while !is_true(&last) {
+            assert!(begin.elapsed() < PATIENCE, "{what}: {last:#?}");
+            let Ok(line) = self.lines.1.recv_timeout(Duration::from_millis(10)) else { continue };
+            if let Some(before) = last.insert(line.plc().to_owned(), line) {
+                taken.push(before);
+            }
+        }
+        taken.extend(last.into_values());
+        taken.sort_by_key(|line| line.at);
+        taken
+    }
+
+    /// Waits until each PLC is polled by one of these, and each of them polls one.
+    fn shared_by(&self, bridges: &[&str]) -> Vec<Line> {
+        self.until(&format!("all are polled by {bridges:?}"), |last| {
+            last.len() == PLCS
+                && last.values().all(|line| bridges.contains(&line.bridge))
+                && bridges.iter().all(|bridge| last.values().any(|line| line.bridge == *bridge))
+        })
+    }
+
+    /// Drops all batches that have come.
+    fn forget(&self) {
+        while self.lines.1.try_recv().is_ok() {}
+    }
+}
+
+/// The last owner of each PLC.
+fn owners(lines: &[Line]) -> BTreeMap<String, &'static str> {
+    lines.iter().map(|line| (line.plc().to_owned(), line.bridge)).collect()
+}
+
+/// Asserts that the fencing tokens of each PLC rise, that each is of one bridge, and that ids differ.
+fn check_order(lines: &[Line]) {
+    let mut last: BTreeMap<&str, (u64, u64, &str)> = BTreeMap::new();
+    for line in lines.iter().filter(|line| line.batch["hist"].is_null()) {
+        let (rev, seq) = (line.number("rev"), line.number("seq"));
+        if let Some((before, last_seq, bridge)) = last.insert(line.plc(), (rev, seq, line.bridge)) {
+            assert!(rev > before || rev == before && bridge == line.bridge && seq > last_seq, "{before} then {line:?}");
+            assert!(seq > last_seq, "the sequence goes on: {last_seq} then {line:?}");
+        }
+    }
+}
+
+fn now() -> u64 {
+    u64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_millis()).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn plcs_are_shared_taken_over_and_handed_over() {
+    let Some(fleet) = Fleet::new().await else { return };
+    let kills: usize = std::env::var("FATEK_FLEET_KILLS").ok().map_or(2, |text| text.parse().unwrap());
+    let mut first = fleet.start("hall-1");
+    let mut second = fleet.start("hall-2");
+    check_order(&fleet.shared_by(&["hall-1", "hall-2"]));
+
+    let mut longest = Duration::ZERO;
+    for kill in 0..kills {
+        let (victim, other) = if kill % 2 == 0 { (&mut first, "hall-2") } else { (&mut second, "hall-1") };
+        victim.signal("KILL");
+        let begin = Instant::now();
+        victim.wait();
+        let lines = fleet.shared_by(&[other]);
+        longest = longest.max(begin.elapsed());
+        check_order(&lines);
+        *victim = fleet.start(if kill % 2 == 0 { "hall-1" } else { "hall-2" });
+        check_order(&fleet.shared_by(&["hall-1", "hall-2"]));
+    }
+    println!(
+        "{kills} kills: the last PLC is polled again within {:.2} leases",
+        longest.as_secs_f64() / LEASE.as_secs_f64()
+    );
+
+    // One that ends in order hands its PLCs over at once.
+    first.signal("TERM");
+    let begin = Instant::now();
+    let lines = fleet.shared_by(&["hall-2"]);
+    println!("handed over within {:?}", begin.elapsed());
+    assert!(first.wait().success(), "{}", first.log());
+    check_order(&lines);
+    let mut longest = Duration::ZERO;
+    let mut last: BTreeMap<&str, Instant> = BTreeMap::new();
+    for line in &lines {
+        if let Some(before) = last.insert(line.plc(), line.at) {
+            longest = longest.max(line.at - before);
+        }
+    }
+    println!("the longest pause of a PLC is {longest:?}");
+    assert!(longest < LEASE, "it did not wait for the end of the lease");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bridges_pause_without_the_store_and_stop_when_it_was_deleted() {
+    let Some(mut fleet) = Fleet::new().await else { return };
+    let mut bridges = [fleet.start("hall-1"), fleet.start("hall-2")];
+    fleet.shared_by(&["hall-1", "hall-2"]);
+    fleet.nats.kill();
+    for bridge in &bridges {
+        bridge.wait_for_log("the store did not answer in time");
+    }
+    std::thread::sleep(LEASE / 4);
+    fleet.forget();
+    std::thread::sleep(LEASE);
+    assert_eq!(fleet.lines.1.try_recv().map(|line| line.batch).ok(), None, "no PLC is polled");
+    fleet.nats.run();
+    check_order(&fleet.shared_by(&["hall-1", "hall-2"]));
+
+    let client = fleet.nats.client().await;
+    async_nats::jetstream::new(client).delete_stream("KV_leases").await.unwrap();
+    bridges.iter().for_each(|bridge| bridge.wait_for_log("does not exist"));
+    fleet.init().await;
+    for bridge in &mut bridges {
+        assert!(!bridge.wait().success(), "{}", bridge.log());
+        assert!(bridge.log().contains("was deleted and made again"), "{}", bridge.log());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_is_executed_by_the_owner_alone() {
+    let Some(fleet) = Fleet::new().await else { return };
+    let bridges = [fleet.start("hall-1"), fleet.start("hall-2")];
+    let owners = owners(&fleet.shared_by(&["hall-1", "hall-2"]));
+    bridges.iter().for_each(|bridge| bridge.wait_for_log("nats: connected"));
+    // A command from before the ownership is not executed: see below.
+    tokio::time::sleep(Duration::from_millis(1100)).await;
+    let client = fleet.nats.client().await;
+    let inbox = client.new_inbox();
+    let mut replies = client.subscribe(inbox.clone()).await.unwrap();
+    let mut send = async |plc: &str, command: Value| {
+        let subject = format!("fatek.plant-a.{plc}.cmd");
+        client.publish_with_reply(subject, inbox.clone(), command.to_string().into()).await.unwrap();
+        let reply = tokio::time::timeout(PATIENCE, futures::StreamExt::next(&mut replies)).await.unwrap().unwrap();
+        // The other one is silent.
+        let other = tokio::time::timeout(Duration::from_millis(200), futures::StreamExt::next(&mut replies)).await;
+        assert!(other.is_err(), "two replies: {other:?}");
+        serde_json::from_slice::<Value>(&reply.payload).unwrap()
+    };
+    for (n, (plc, _)) in owners.iter().enumerate() {
+        let reply = send(plc, json!({ "id": format!("a{n}"), "tag": "level", "value": n + 7, "ts": now() })).await;
+        assert_eq!(reply["result"], "ok", "{reply}");
+        assert_eq!(fleet.plcs[n].1.read(register!("R5")), u16::try_from(n + 7).unwrap().into());
+    }
+    let reply = send("mixer0", json!({ "id": "p", "tag": "start", "value": true, "ts": now() })).await;
+    assert!(reply["result"] == "refused" && reply["why"].as_str().unwrap().starts_with("pulse: "), "{reply}");
+    assert_eq!(fleet.plcs[0].1.read(discrete!("M5")), false.into());
+
+    // The new owner does not execute again what the one before may have executed.
+    let victim = owners["mixer0"];
+    let mut bridges = BTreeMap::from([("hall-1", &bridges[0]), ("hall-2", &bridges[1])]);
+    let sent = now();
+    bridges.remove(victim).unwrap().signal("KILL");
+    fleet.forget();
+    fleet.shared_by(&bridges.keys().copied().collect::<Vec<_>>());
+    let reply = send("mixer0", json!({ "id": "a0", "tag": "level", "value": 99, "ts": sent })).await;
+    assert_eq!(reply["result"], "unknown", "{reply}");
+    assert_eq!(fleet.plcs[0].1.read(register!("R5")), 7_u16.into());
+}
