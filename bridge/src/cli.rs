@@ -1,9 +1,11 @@
 //! The command line.
 //!
-//! Exit statuses: 0, done; 1, it failed; 2, faults of the command line or of the configuration.
+//! Exit statuses: 0, done; 1, it failed; 2, faults of the command line or of the configuration; 3, the store of the
+//! fleet was deleted or set back.
 
 mod args;
 mod commands;
+mod fleet;
 mod log;
 
 use std::io::{self, Write as _};
@@ -15,8 +17,14 @@ use clap::error::ErrorKind;
 use self::args::{Cli, Command};
 use crate::printable::printable;
 
+/// The status of a member whose store was deleted or set back: it must not be started again by a program.
+const STATUS_STORE: u8 = 3;
+
 /// The status of faults of the command line or of the configuration.
 const STATUS_USAGE: u8 = 2;
+
+/// The status of a failure.
+const STATUS_FAILED: u8 = 1;
 
 /// Runs the command of the arguments.
 pub(crate) fn main() -> ExitCode {
@@ -34,12 +42,13 @@ pub(crate) fn main() -> ExitCode {
         Command::PrintConfig(args) => commands::print_config(&args.file),
         Command::Import(args) => commands::import(&args),
         Command::Schema => commands::schema(),
+        Command::Fleet(args) => fleet::run(&args.command),
     };
     match done {
         Ok(status) => status,
         // The reader of stdout has closed it on purpose, as `head` does.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
-        Err(error) => complain(&format!("cannot write to stdout: {error}"), 1),
+        Err(error) => complain(&format!("cannot write to stdout: {error}"), STATUS_FAILED),
     }
 }
 

@@ -44,7 +44,7 @@ pub use self::bucket::{InitError, Initialized, init};
 pub use self::core::{Member, StoreFault};
 pub use self::driver::{Events, Fleet, FleetError, FleetSettings, FleetTask};
 pub use self::gate::{Gate, boot_time};
-pub use self::operator::{OrderError, drain, move_link, observe};
+pub use self::operator::{Observation, OrderError, drain, move_link, observe};
 pub use self::spec::{PlantLinks, config_hash, link_of, links, member};
 pub(crate) use self::spec::{hosts, is_serial};
 pub use self::status::{FleetStatus, LinkStatus, MemberState, MemberStatus};

@@ -50,11 +50,12 @@ fn the_readme_has_the_minimal_example() {
 #[test]
 fn commands_and_options_in_the_documentation_exist() {
     let mut count = 0;
-    for name in ["README.md", "docs/setup.md"] {
+    for name in ["README.md", "docs/setup.md", "docs/fleet.md"] {
         for line in blocks(&read(name), "sh").into_iter().flat_map(str::lines) {
             let Some(arguments) = line.strip_prefix("fatek-bridge ") else { continue };
-            let command = arguments.split(' ').next().unwrap();
-            let (status, help) = fatek_bridge(&[command, "--help"]);
+            let words = if arguments.starts_with("fleet ") { 2 } else { 1 };
+            let command: Vec<&str> = arguments.split(' ').take(words).chain(["--help"]).collect();
+            let (status, help) = fatek_bridge(&command);
             assert_eq!(status, Some(0), "{line}");
             for option in arguments.split(' ').filter(|word| word.starts_with("--")) {
                 assert!(help.contains(option), "{line}: {help}");
@@ -65,7 +66,7 @@ fn commands_and_options_in_the_documentation_exist() {
     assert!(count >= 5, "{count}");
     let (_, help) = fatek_bridge(&["--help"]);
     let documentation = read("docs/setup.md");
-    for command in ["run", "check", "print-config", "import", "demo", "schema"] {
+    for command in ["run", "check", "print-config", "import", "demo", "schema", "fleet"] {
         assert!(help.contains(&format!("\n  {command} ")), "{command}");
         assert!(documentation.contains(&format!("**`{command}")), "{command}");
     }

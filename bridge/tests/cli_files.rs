@@ -57,10 +57,25 @@ fn the_status_of_a_check_tells_faults_and_warnings() {
     assert!(code == Some(2) && output.contains("fault: line 1, plc: there is no PLC"), "{output}");
     let fleet = format!("{GOOD}[fleet]\nid = 'a'\n");
     let (code, output) = status(&fleet, &[]);
-    assert!(code == Some(2) && output.contains("fault: fleet: a fleet is not supported yet"), "{output}");
+    assert!(code == Some(2) && output.contains("fault: line 6, fleet: it needs the section nats"), "{output}");
     let run = run(&["run", shown(&write_config(folder.path(), &fleet))]);
     assert_eq!(run.status.code(), Some(2));
-    assert!(self::text(&run.stderr).contains("plant.toml: fleet: a fleet is not supported yet"));
+    assert!(self::text(&run.stderr).contains("plant.toml: line 6, fleet: it needs the section nats"));
+}
+
+#[test]
+fn an_option_gives_the_id_before_the_variable() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write_config(folder.path(), &format!("{GOOD}[bridge]\nid = 'x'\n"));
+    let printed = |more: &[&str]| {
+        let mut command = command(&[&["print-config", shown(&path)], more].concat());
+        let output = command.env("FATEK_BRIDGE_ID", "of-variable").output().unwrap();
+        text(&output.stdout).to_owned()
+    };
+    assert!(printed(&[]).contains("id = \"of-variable\""), "{}", printed(&[]));
+    assert!(printed(&["--id", "hall-3"]).contains("id = \"hall-3\""));
+    let refused = run(&["check", shown(&path), "--id", "a/b"]);
+    assert_eq!(refused.status.code(), Some(2));
 }
 
 #[test]

@@ -280,11 +280,18 @@ async fn an_operator_drains_members_and_moves_links() {
         fleet::move_link(&nats, &admin, &bucket, &plc7, Some(&name(member))).await.unwrap();
         until("the link is moved", &board, || owner("plc7").as_deref() == Some(member)).await;
     }
-    let observer = Member { id: "admin".into(), version: String::new(), config: "c".to_owned(), weight: 1 };
-    let status = fleet::observe(&nats, &bucket, LEASE, observer, links(20)).await.unwrap();
-    let members: Vec<&str> = status.members.iter().map(|member| &*member.id).collect();
+    let seen = fleet::observe(&nats, &admin, &bucket, "c", links(20)).await.unwrap();
+    let members: Vec<&str> = seen.members.iter().map(|member| &*member.id).collect();
     assert_eq!(members, ["hall-1", "hall-2"], "the observer is none");
-    let plc7 = status.links.iter().find(|link| &*link.link == "plc7").unwrap();
-    assert_eq!((plc7.owner.as_deref(), plc7.target.as_deref()), (Some("hall-2"), Some("hall-2")));
+    let find = |seen: &fleet::Observation, id: &str| seen.links.iter().find(|link| *link.link == *id).unwrap().clone();
+    let (first, plc0) = (find(&seen, "plc7"), find(&seen, "plc0"));
+    assert_eq!((first.owner.as_deref(), first.target.as_deref()), (Some("hall-2"), Some("hall-2")));
+    assert_eq!(seen.moved, BTreeMap::from([("plc7".to_owned(), "hall-2".to_owned())]));
+    // Times are those of the server: that of a link goes on, that of a session is short.
+    tokio::time::sleep(LEASE).await;
+    let seen = fleet::observe(&nats, &admin, &bucket, "c", links(20)).await.unwrap();
+    let longer = |before: &fleet::LinkStatus| find(&seen, &before.link).owned_for - before.owned_for;
+    assert!(longer(&first) >= LEASE && longer(&plc0) >= LEASE, "{first:?} {plc0:?} {seen:?}");
+    assert!(seen.members.iter().all(|member| member.silent_for < LEASE && member.lease == LEASE), "{seen:?}");
     drop(nodes);
 }

@@ -6,15 +6,14 @@ use std::process::ExitCode;
 use fatek_bridge::check::{Report, Severity};
 use fatek_bridge::config::{self, Config, Name};
 use fatek_bridge::demo::{self, Demo, SILENT_PLC};
+use fatek_bridge::fleet::FleetError;
 use fatek_bridge::import::{self, Target};
+use fatek_bridge::run::RunError;
 use tokio::runtime::Runtime;
 
 use super::args::{CheckArgs, DemoArgs, FileArgs, Format, ImportArgs};
-use super::{STATUS_USAGE, complain, print};
+use super::{STATUS_FAILED, STATUS_STORE, STATUS_USAGE, complain, print};
 use crate::printable::excerpt;
-
-/// The status of a failure.
-const STATUS_FAILED: u8 = 1;
 
 pub(super) fn run(file: &FileArgs) -> io::Result<ExitCode> {
     let config = match Config::read(&file.config, &file.environment()) {
@@ -27,13 +26,17 @@ pub(super) fn run(file: &FileArgs) -> io::Result<ExitCode> {
 }
 
 /// Ends the runtime, and returns the status of the bridge.
-fn end(runtime: Runtime, result: Result<(), fatek_bridge::run::RunError>) -> ExitCode {
+fn end(runtime: Runtime, result: Result<(), RunError>) -> ExitCode {
     // Without a limit, a write to a pipe that is not read would hold up the end.
     runtime.shutdown_timeout(std::time::Duration::from_millis(100));
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => complain(&error.to_string(), STATUS_FAILED),
+        Err(error) => complain(&error.to_string(), status_of(&error)),
     }
+}
+
+fn status_of(error: &RunError) -> u8 {
+    if matches!(error, RunError::Fleet(FleetError::Store(_))) { STATUS_STORE } else { STATUS_FAILED }
 }
 
 pub(super) fn check(args: &CheckArgs) -> io::Result<ExitCode> {
@@ -123,4 +126,19 @@ fn target(args: &ImportArgs) -> Result<Target, String> {
 
 pub(super) fn schema() -> io::Result<ExitCode> {
     print(&format!("{:#}", config::schema())).map(|()| ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use fatek_bridge::fleet::StoreFault;
+
+    use super::*;
+
+    #[test]
+    fn a_store_that_was_set_back_has_a_status_of_its_own() {
+        let store = StoreFault::Recreated { before: 1, now: 2 };
+        assert_eq!(status_of(&RunError::Fleet(store.into())), 3);
+        assert_eq!(status_of(&RunError::Fleet(FleetError::NoStore("x".to_owned()))), 1);
+        assert_eq!(status_of(&RunError::Panicked("x")), 1);
+    }
 }

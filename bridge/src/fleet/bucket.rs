@@ -52,6 +52,10 @@ pub(super) struct Opened {
     pub(super) created: u64,
     /// Its last revision before the watch began.
     pub(super) last_revision: u64,
+    /// Its replicas.
+    pub(super) replicas: usize,
+    /// The time of the server when the watch began: nanoseconds since 1970.
+    pub(super) server_time: u64,
 }
 
 /// All entries, and then their changes.
@@ -71,6 +75,8 @@ pub(super) struct Entry {
     pub(super) key: String,
     pub(super) value: Option<String>,
     pub(super) revision: u64,
+    /// The time at which the server stored it: nanoseconds since 1970.
+    pub(super) stored_at: u64,
 }
 
 /// The next of a watch.
@@ -125,16 +131,16 @@ async fn open_now(section: &NatsSection, id: &Name, bucket: &Name) -> Result<Ope
     };
     let info = stream.cached_info();
     check(info)?;
-    let (created, last_revision) = (created(info), info.state.last_sequence);
+    let (created, last_revision, replicas) = (created(info), info.state.last_sequence, info.config.num_replicas);
     let prefix = prefix(bucket);
-    let watch = Watch::new(&stream, &prefix).await?;
+    let (watch, server_time) = Watch::new(&stream, &prefix).await?;
     // It may have been made again since.
     let again = stream.get_info().await.map_err(|error| OpenError::Other(with_sources(&error)))?;
     if self::created(&again) != created {
         return Err(OpenError::Other("the store was made again meanwhile".to_owned()));
     }
     let store = Store { context, stream, prefix };
-    Ok(Opened { bucket: Bucket { connection, store }, watch, created, last_revision })
+    Ok(Opened { bucket: Bucket { connection, store }, watch, created, last_revision, replicas, server_time })
 }
 
 async fn connect(section: &NatsSection, id: &Name) -> Result<(Connection, Context), OpenError> {
@@ -157,7 +163,12 @@ fn is_missing(kind: &GetStreamErrorKind) -> bool {
 }
 
 fn created(info: &Info) -> u64 {
-    u64::try_from(info.created.unix_timestamp_nanos()).unwrap_or(0)
+    since_1970(info.created.unix_timestamp_nanos())
+}
+
+/// Nanoseconds since 1970; a time before that is 0.
+fn since_1970(nanoseconds: i128) -> u64 {
+    u64::try_from(nanoseconds).unwrap_or(0)
 }
 
 /// Checks the rules that the protocol needs.
@@ -296,7 +307,8 @@ fn is_wrong_revision(error: &PublishError) -> bool {
 }
 
 impl Watch {
-    async fn new(stream: &Stream, prefix: &str) -> Result<Self, OpenError> {
+    /// Begins a watch. Returns the time of the server at which it began, too.
+    async fn new(stream: &Stream, prefix: &str) -> Result<(Self, u64), OpenError> {
         let config = pull::Config {
             description: Some("watch of fatek-bridge".to_owned()),
             ack_policy: AckPolicy::None,
@@ -310,9 +322,11 @@ impl Watch {
         let consumer = stream.create_consumer(config).await;
         let consumer = consumer.map_err(|error| OpenError::Other(with_sources(&error)))?;
         let is_complete = consumer.cached_info().num_pending == 0;
+        let server_time = since_1970(consumer.cached_info().created.unix_timestamp_nanos());
         let messages = consumer.stream().max_messages_per_batch(BATCH).messages().await;
         let messages = messages.map_err(|error| OpenError::Other(with_sources(&error)))?;
-        Ok(Self { messages, prefix: prefix.to_owned(), is_complete, has_told: false, last: 0 })
+        let prefix = prefix.to_owned();
+        Ok((Self { messages, prefix, is_complete, has_told: false, last: 0 }, server_time))
     }
 
     /// The next entry. Cancel-safe.
@@ -335,10 +349,10 @@ impl Watch {
         }
         self.last = info.consumer_sequence;
         self.is_complete |= info.pending == 0;
-        let revision = info.stream_sequence;
+        let (revision, stored_at) = (info.stream_sequence, since_1970(info.published.unix_timestamp_nanos()));
         let is_value = message.headers.as_ref().is_none_or(|headers| headers.get(OPERATION).is_none());
         let value = is_value.then(|| String::from_utf8_lossy(&message.payload).into_owned());
         let key = message.subject.strip_prefix(&self.prefix).unwrap_or_default().to_owned();
-        Ok(Seen::Entry(Entry { key, value, revision }))
+        Ok(Seen::Entry(Entry { key, value, revision, stored_at }))
     }
 }

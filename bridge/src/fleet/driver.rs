@@ -256,7 +256,7 @@ impl Driver {
                 self.link = Link::Connecting(Box::pin(async move { bucket::open(&nats, &id, &bucket).await }));
             }
             Step::Opened(opened) => {
-                let Opened { bucket, watch, created, last_revision } = *opened;
+                let Opened { bucket, watch, created, last_revision, .. } = *opened;
                 tracing::info!("fleet: connected to {}", self.settings.nats.url);
                 (self.was_connected, self.last_failure) = (true, None);
                 self.link = Link::Open(Box::new(Open { bucket, watch, heard: Instant::now() }));

@@ -55,6 +55,8 @@ pub struct MemberStatus {
     pub weight: u32,
     /// `true` if it gives its links to other members.
     pub is_draining: bool,
+    /// Its lease.
+    pub lease: Duration,
     /// The time since its session was last seen to be renewed: more than a third of a lease is a delay.
     pub silent_for: Duration,
     /// The number of links that it owns.

@@ -255,6 +255,7 @@ impl Core {
             config: value.config.clone(),
             weight: value.weight,
             is_draining: value.draining,
+            lease: std::time::Duration::from_nanos(value.lease()),
             silent_for: std::time::Duration::from_nanos(now.saturating_sub(since)),
             links: self.links.values().filter(|link| link.is_of(session)).count(),
         };

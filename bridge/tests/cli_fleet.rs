@@ -1,0 +1,228 @@
+//! The commands of a fleet, with a real nats-server. Members are the protocol alone: no PLC is asked.
+
+mod common;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::time::{Duration, Instant};
+
+use fatek_bridge::config::{Config, Environment, Name};
+use fatek_bridge::fleet::{self, Event, Fleet, FleetSettings, FleetTask, PlantLinks};
+use serde_json::Value;
+use tokio::task::JoinHandle;
+
+use common::bridge::write_config;
+use common::nats::{NatsServer, PATIENCE};
+
+const LEASE: Duration = Duration::from_millis(1500);
+
+const PLANT: &str = "\
+    [fleet]\nid = 'plant-a'\nbucket = 'leases'\nlease = '1500ms'\n\
+    [class]\nfast = { every = '1s' }\n\
+    [bus.port]\nlink = 'serial:/dev/ttyX'\nstations = { pump = 1 }\nhost = 'hall-1'\n\
+    [plc.gate]\nlink = 'tcp://127.0.0.2:9'\nstation = 1\nonly = ['hall-2', 'hall-3']\n";
+
+/// Writes a configuration with this number of PLCs that all members reach.
+fn config(folder: &Path, port: u16, plcs: usize) -> PathBuf {
+    let plcs = (0..plcs).map(|n| format!("[plc.plc{n}]\nlink = 'tcp://127.0.0.1:{}'\nstation = 1\n", 1000 + n));
+    let text = format!("[nats]\nurl = 'nats://127.0.0.1:{port}'\n{PLANT}{}", plcs.collect::<String>());
+    write_config(folder, &text)
+}
+
+fn run(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_fatek-bridge"));
+    for variable in ["RUST_LOG", "STATE_DIRECTORY", "FATEK_BRIDGE_ID", "FATEK_BRIDGE_CONFIG"] {
+        command.env_remove(variable);
+    }
+    command.args(arguments).output().unwrap()
+}
+
+/// Runs a command of a fleet. Returns its status and what it prints.
+fn fleet(command: &str, path: &Path, more: &[&str]) -> (i32, String) {
+    let output = run(&[&["fleet", command, path.to_str().unwrap()], more].concat());
+    let text = [output.stdout, output.stderr].concat();
+    (output.status.code().unwrap(), String::from_utf8(text).unwrap())
+}
+
+fn status(path: &Path) -> Value {
+    let (code, text) = fleet("status", path, &["--json"]);
+    assert_eq!(code, 0, "{text}");
+    serde_json::from_str(&text).unwrap()
+}
+
+/// Waits until the status of the fleet is as it is expected.
+async fn until(what: &str, path: &Path, is_true: impl Fn(&Value) -> bool) -> Value {
+    let begin = Instant::now();
+    loop {
+        let shown = status(path);
+        if is_true(&shown) {
+            return shown;
+        }
+        assert!(begin.elapsed() < PATIENCE, "{what}: {shown:#}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+struct Member {
+    fleet: Fleet,
+    task: FleetTask,
+    events: JoinHandle<()>,
+}
+
+impl Member {
+    fn start(path: &Path, id: &str) -> Self {
+        let environment = Environment { id: Some(id.to_owned()), ..Environment::default() };
+        let config = Config::read(path, &environment).unwrap();
+        let settings = FleetSettings {
+            nats: config.nats.clone().unwrap(),
+            bucket: Name::parse("leases").unwrap(),
+            lease: LEASE,
+            member: fleet::member(&config),
+            links: PlantLinks::of(&config.plant).specs().to_vec(),
+        };
+        let (fleet, mut events, task) = Fleet::start(settings).unwrap();
+        let events = tokio::spawn(async move {
+            while let Some(event) = events.recv().await {
+                match event {
+                    Event::Owned(_) => {}
+                    Event::Close(closing) => closing.closed(),
+                }
+            }
+        });
+        Self { fleet, task, events }
+    }
+
+    /// Ends it as SIGKILL would.
+    fn kill(&self) {
+        self.task.abort();
+        self.events.abort();
+    }
+}
+
+fn owners<'v>(shown: &'v Value, owner: &str) -> Vec<&'v str> {
+    let links = shown["links"].as_array().unwrap().iter();
+    links.filter(|link| link["owner"] == owner).filter_map(|link| link["link"].as_str()).collect()
+}
+
+fn link<'v>(shown: &'v Value, name: &str) -> &'v Value {
+    shown["links"].as_array().unwrap().iter().find(|link| link["link"] == name).unwrap()
+}
+
+fn state<'v>(shown: &'v Value, member: &str) -> Option<&'v str> {
+    shown["members"].as_array().unwrap().iter().find(|found| found["member"] == member)?["state"].as_str()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_store_is_made_once_and_its_loss_is_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(mut server) = NatsServer::start(folder.path()) else { return };
+    let path = config(folder.path(), server.port(), 1);
+    let url = format!("error: nats://127.0.0.1:{}: ", server.port());
+    for command in ["status", "drain", "move"] {
+        let more: &[&str] = match command {
+            "drain" => &["hall-1"],
+            "move" => &["plc0", "hall-1"],
+            _ => &[],
+        };
+        let missing = format!("{url}the store leases does not exist: fatek-bridge fleet init makes it\n");
+        assert_eq!(fleet(command, &path, more), (1, missing), "{command}");
+    }
+    let (code, text) = fleet("init", &path, &[]);
+    assert!(code == 0 && text.starts_with("The store leases was made, with 1 replica.\n"), "{text}");
+    let there = "The store leases is there already: nothing has changed.\n";
+    assert_eq!(fleet("init", &path, &[]), (0, there.to_owned()));
+    let (code, text) = fleet("status", &path, &[]);
+    assert!(code == 0 && text.contains("\nwarning: no member runs\n"), "{text}");
+
+    // Orders for members that do not run.
+    let (code, text) = fleet("drain", &path, &["hall-1"]);
+    assert_eq!((code, &*text), (0, "hall-1 gets no links when it is started: it does not run now.\n"));
+    let (_, text) = fleet("status", &path, &[]);
+    assert!(text.contains("\nhall-1 gets no links when it is started: fleet drain --undo ends that\n"), "{text}");
+    let (code, text) = fleet("move", &path, &["plc0", "hall-9"]);
+    assert_eq!((code, &*text), (0, "plc0 goes to hall-9 when that is started: it does not run now.\n"));
+
+    for (command, more, error) in [
+        ("move", &["plc9", "hall-1"][..], "there is no link plc9 (known: gate plc0 port): a link has the name of its"),
+        ("move", &["port", "hall-2"], "port is a serial port of hall-1: it cannot be moved"),
+        ("move", &["gate", "hall-1"], "hall-1 does not reach gate: `only` has hall-2, hall-3"),
+        ("move", &["plc0"], "the following required arguments were not provided"),
+        ("move", &["plc0", "a/b"], "invalid value 'a/b'"),
+    ] {
+        let (code, text) = fleet(command, &path, more);
+        assert!(code == 2 && text.contains(error), "{more:?}: {text}");
+    }
+    let alone = write_config(&tempfile::tempdir().unwrap().keep(), "[plc.a]\nlink = 'tcp://h'\nstation = 1\n");
+    let (code, text) = fleet("status", &alone, &[]);
+    assert!(code == 2 && text.ends_with("plant.toml: it has no section fleet\n"), "{text}");
+    std::fs::remove_dir_all(alone.parent().unwrap()).unwrap();
+
+    server.kill();
+    for command in ["init", "status"] {
+        let (code, text) = fleet(command, &path, &[]);
+        assert!(code == 1 && text.starts_with(&url) && text.lines().count() == 1, "{command}: {text}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_operator_sees_and_changes_who_owns_what() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(server) = NatsServer::start(folder.path()) else { return };
+    let path = config(folder.path(), server.port(), 20);
+    assert_eq!(fleet("init", &path, &[]).0, 0);
+    let hall_1 = Member::start(&path, "hall-1");
+    let hall_2 = Member::start(&path, "hall-2");
+    let is_settled = |shown: &Value| {
+        let count = |id| owners(shown, id).len();
+        shown["counts"]["without_owner"] == 0 && count("hall-1") + count("hall-2") == 22 && count("hall-1") > 3
+    };
+    let shown = until("all are owned", &path, is_settled).await;
+    assert_eq!(shown["warnings"], Value::Array(Vec::new()), "{shown:#}");
+    assert_eq!((&shown["fleet"], &shown["replicas"]), (&Value::from("plant-a"), &Value::from(1)));
+    assert_eq!((state(&shown, "hall-1"), state(&shown, "hall-2")), (Some("active"), Some("active")));
+    assert!(owners(&shown, "hall-1").contains(&"port") && owners(&shown, "hall-2").contains(&"gate"), "{shown:#}");
+    let gate = link(&shown, "gate").clone();
+    assert!(gate["rev"].as_u64().unwrap() > 0 && gate["owned_for_ms"].as_u64().unwrap() < 60_000, "{gate}");
+    let (_, table) = fleet("status", &path, &[]);
+    for part in ["MEMBER  STATE   LINKS", "\nhall-1  active", "\nport   hall-1      -      -\n", "\ngate   hall-2  "] {
+        assert!(table.contains(part), "{part}:\n{table}");
+    }
+
+    let count = |member: &Value| member["links"].as_u64().unwrap();
+    assert_eq!(shown["members"].as_array().unwrap().iter().map(count).sum::<u64>(), 22);
+
+    let (_, text) = fleet("drain", &path, &["hall-1"]);
+    assert!(text.starts_with("hall-1 gives its links to the others."), "{text}");
+    let is_drained = |shown: &Value| owners(shown, "hall-1") == ["port"] && state(shown, "hall-1") == Some("draining");
+    let shown = until("hall-1 has given all away", &path, is_drained).await;
+    assert_eq!(shown["drained"], serde_json::json!(["hall-1"]));
+    let later = link(&shown, "gate");
+    assert!(later["rev"] == gate["rev"] && later["owned_for_ms"].as_u64() > gate["owned_for_ms"].as_u64(), "{later}");
+    assert_eq!(fleet("drain", &path, &["hall-1", "--undo"]).1, "hall-1 gets links again.\n");
+    until("it has its share again", &path, is_settled).await;
+
+    for member in ["hall-1", "hall-2"] {
+        assert_eq!(fleet("move", &path, &["plc7", member]), (0, format!("plc7 goes to {member}.\n")));
+        let shown = until("it is moved", &path, |shown| link(shown, "plc7")["owner"] == member).await;
+        assert_eq!(link(&shown, "plc7")["moved"], member);
+    }
+    assert_eq!(fleet("move", &path, &["plc7", "--undo"]).0, 0);
+    until("it is placed again", &path, |shown| link(shown, "plc7")["moved"] == Value::Null).await;
+
+    // A file with another plant.
+    let other = tempfile::tempdir().unwrap();
+    let shown = status(&config(other.path(), server.port(), 19));
+    let warnings = shown["warnings"].to_string();
+    assert!(warnings.contains("hall-1 has the configuration ") && warnings.contains("hall-2 has the"), "{warnings}");
+
+    // Without another member, nothing marks a session as dead.
+    hall_2.fleet.leave();
+    until("hall-2 has left", &path, |shown| state(shown, "hall-2").is_none()).await;
+    assert_eq!(
+        fleet("drain", &path, &["hall-1"]).1,
+        "hall-1 keeps its links: there is no other member to take them.\n"
+    );
+    hall_1.kill();
+    let shown = until("hall-1 is silent", &path, |shown| state(shown, "hall-1") == Some("silent")).await;
+    assert!(shown["warnings"].to_string().contains("no member runs"), "{shown:#}");
+}
