@@ -11,7 +11,7 @@ use fatek_bridge::fleet::{self, Event, Fleet, FleetSettings, FleetTask, PlantLin
 use serde_json::Value;
 use tokio::task::JoinHandle;
 
-use common::bridge::write_config;
+use common::bridge::{Bridge, write_config};
 use common::nats::{NatsServer, PATIENCE};
 
 const LEASE: Duration = Duration::from_millis(1500);
@@ -162,6 +162,42 @@ async fn the_store_is_made_once_and_its_loss_is_explained() {
         let (code, text) = fleet(command, &path, &[]);
         assert!(code == 1 && text.starts_with(&url) && text.lines().count() == 1, "{command}: {text}");
     }
+}
+
+/// Without a status of its own, seen to fail with `Some(1)`: systemd started the member again, and that took the new
+/// store for that of its fleet.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_member_ends_with_a_status_that_tells_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(server) = NatsServer::start(folder.path()) else { return };
+    let path = config(folder.path(), server.port(), 1);
+    let text = format!("[bridge]\nhttp = '127.0.0.1:0'\n{}", std::fs::read_to_string(&path).unwrap());
+    write_config(folder.path(), &text);
+    let start = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_fatek-bridge"));
+        command.args(["run", path.to_str().unwrap(), "--id", "hall-2"]).env("STATE_DIRECTORY", folder.path());
+        Bridge::spawn(command)
+    };
+    let mut without_store = start();
+    assert_eq!(without_store.wait().code(), Some(1));
+    assert!(without_store.log().contains("fatek-bridge fleet init makes it"), "{}", without_store.log());
+
+    assert_eq!(fleet("init", &path, &[]).0, 0);
+    let mut member = start();
+    until("it runs", &path, |shown| state(shown, "hall-2") == Some("active")).await;
+    let context = async_nats::jetstream::new(server.client().await);
+    context.delete_stream("KV_leases").await.unwrap();
+    assert_eq!(fleet("init", &path, &[]).0, 0);
+    assert_eq!(member.wait().code(), Some(3), "{}", member.log());
+    assert!(member.log().contains("error: the store was "), "{}", member.log());
+
+    // A start accepts the store as it is.
+    let mut again = start();
+    until("it runs again", &path, |shown| state(shown, "hall-2") == Some("active")).await;
+    again.signal("TERM");
+    assert_eq!(again.wait().code(), Some(0), "{}", again.log());
+    let unit = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/packaging/fatek-bridge.service")).unwrap();
+    assert!(unit.contains("\nRestartPreventExitStatus=2 3\n"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
