@@ -192,7 +192,8 @@ impl Buffer {
     }
 
     /// Waits until the users of an output need the present values of all tags: it has delivered its last replay
-    /// and has no late batch left, or it has asked for them. Several such events count as one. Cancel-safe.
+    /// and has no late batch left, but for those that its server refuses, or it has asked for them. Several such
+    /// events count as one. Cancel-safe.
     pub async fn present_values_wanted(&self) {
         self.shared.present.notified().await;
     }
@@ -260,8 +261,19 @@ impl Cursor {
         let now = self.shared.now();
         let mut state = self.shared.lock();
         state.log.acknowledge(self.output, position);
-        let has_caught_up = state.log.has_caught_up(self.output, now);
+        let has_caught_up = state.log.has_caught_up(self.output, 0, now);
         drop(state);
+        if has_caught_up {
+            self.want_present_values();
+        }
+    }
+
+    /// Notes that all batches before this position are acknowledged, or kept by the output because its server
+    /// refuses them. An output that has caught up but for these ones needs the present values of all tags:
+    /// [`acknowledge`](Self::acknowledge) does not notice that, since the kept ones are not acknowledged.
+    pub fn settled_before(&self, position: u64) {
+        let now = self.shared.now();
+        let has_caught_up = self.shared.lock().log.has_caught_up(self.output, position, now);
         if has_caught_up {
             self.want_present_values();
         }

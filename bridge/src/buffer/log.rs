@@ -87,7 +87,7 @@ pub(super) struct CursorState {
     /// Batches before this position may have been sent.
     pub(super) sent: u64,
     pub(super) dropped: u64,
-    /// The position behind the last replay, until it is delivered and the output has caught up.
+    /// The position behind the last replay, until it is settled and the output has caught up.
     pub(super) replays_end: Option<u64>,
     pub(super) ahead: ReadAhead,
 }
@@ -237,10 +237,12 @@ impl Log {
     }
 
     /// Returns whether an output has caught up since the last call: it has sent replays, the last of them is
-    /// acknowledged, and no batch that it lacks is late.
-    pub(super) fn has_caught_up(&mut self, output: usize, now: u64) -> bool {
+    /// settled, and no batch that it lacks is late. Batches before the position `settled` are settled without an
+    /// acknowledgement: an output keeps some of them, which its server refuses.
+    pub(super) fn has_caught_up(&mut self, output: usize, settled: u64, now: u64) -> bool {
         let Some(cursor) = self.cursors.get(output) else { return false };
-        if cursor.replays_end.is_none_or(|end| cursor.acknowledged < end) {
+        let settled = settled.min(cursor.sent).max(cursor.acknowledged);
+        if cursor.replays_end.is_none_or(|end| settled < end) {
             return false;
         }
         let begin = self.slots.partition_point(|slot| slot.position < cursor.sent);

@@ -58,24 +58,43 @@ fn an_output_has_caught_up_when_its_last_replay_is_acknowledged() {
     // Without a replay there is nothing to catch up with.
     assert_eq!(send(&mut log, 1, 0), [false]);
     log.acknowledge(0, 1);
-    assert!(!log.has_caught_up(0, 0));
+    assert!(!log.has_caught_up(0, 0, 0));
     // Two of three late batches are sent: the third is missing.
     assert_eq!(send(&mut log, 2, late(0)), [true, true]);
     log.acknowledge(0, 2);
-    assert!(!log.has_caught_up(0, late(0)), "the third is not acknowledged");
+    assert!(!log.has_caught_up(0, 0, late(0)), "the third is not acknowledged");
     log.acknowledge(0, 3);
-    assert!(!log.has_caught_up(0, late(0)), "the fourth is late");
+    assert!(!log.has_caught_up(0, 0, late(0)), "the fourth is late");
     log.push(batch(5), late(0));
     assert_eq!(send(&mut log, 1, late(0)), [true]);
     log.acknowledge(0, 4);
-    assert!(log.has_caught_up(0, late(0)), "the fifth is news");
-    assert!(!log.has_caught_up(0, late(0)) && !log.has_caught_up(1, late(0)), "once, and of this output");
+    assert!(log.has_caught_up(0, 0, late(0)), "the fifth is news");
+    assert!(!log.has_caught_up(0, 0, late(0)) && !log.has_caught_up(1, 0, late(0)), "once, and of this output");
     // After a loss, batches that may have been sent are replays.
     assert_eq!(send(&mut log, 1, late(0)), [false]);
     log.rewind(0);
     assert_eq!(send(&mut log, 1, late(0)), [true]);
     log.acknowledge(0, 5);
-    assert!(log.has_caught_up(0, late(0)));
+    assert!(log.has_caught_up(0, 0, late(0)));
+}
+
+#[test]
+fn an_output_has_caught_up_but_for_the_batches_that_it_keeps() {
+    let mut log = Log::in_memory(1, Limits { memory: 1 << 20, max_age: None });
+    (1..=4).for_each(|seq| {
+        log.push(batch(seq), 0);
+    });
+    let late = LATE_AFTER + 1;
+    let read = log.read(0, 3);
+    assert_eq!(replays(&mut log, read, late), [true; 3]);
+    // The first is kept, the second is acknowledged, and the third is in flight.
+    assert!(!log.has_caught_up(0, 3, late));
+    assert!(!log.has_caught_up(0, u64::MAX, late), "the fourth is late");
+    let read = log.read(0, 1);
+    assert_eq!(replays(&mut log, read, late), [true]);
+    assert!(!log.has_caught_up(0, 4, late));
+    assert!(log.has_caught_up(0, 5, late) && !log.has_caught_up(0, 5, late), "once");
+    assert_eq!(log.stats()[0].lag, 4, "nothing is acknowledged");
 }
 
 /// Sends batches, and tells which ones are replays.

@@ -115,7 +115,11 @@ impl Delivery {
             State::Probing(_) => return None,
         }
         // The next ones may have been parked, and one of them be an attempt that is due.
-        let entry = self.refusals.take().or_else(|| self.take_next()).or_else(|| self.refusals.take())?;
+        let Some(entry) = self.refusals.take().or_else(|| self.take_next()).or_else(|| self.refusals.take()) else {
+            // Perhaps the last ones were parked.
+            self.note_settled();
+            return None;
+        };
         self.in_flight.insert(entry.position, InFlight { entry: entry.clone(), sent: now });
         Some(entry)
     }
@@ -163,6 +167,7 @@ impl Delivery {
             // Some were dropped, and others come as replays.
             self.want_present_values();
         }
+        self.note_settled();
     }
 
     /// Notes that a batch is given up: the broker can never take it.
@@ -172,6 +177,7 @@ impl Delivery {
         if let Some(InFlight { entry, .. }) = self.in_flight.remove(&position) {
             self.refusals.skipped(&entry.batch.plc, now);
         }
+        self.note_settled();
     }
 
     /// Notes that a batch was refused. It is sent again, unless its PLC is given up.
@@ -192,6 +198,7 @@ impl Delivery {
         }
         dropped.iter().for_each(|entry| self.drop_batch(entry));
         self.health.set_refusal(self.refusals.summary());
+        self.note_settled();
     }
 
     /// Gives up PLCs that were refused for long, or that take too much room, while others are taken.
@@ -264,3 +271,14 @@ impl Delivery {
 
 #[cfg(test)]
 mod tests;
+    /// Tells the buffer which batches wait for nothing, or for an end of the refusal of their PLC alone. They are
+    /// behind one that is not acknowledged.
+    fn note_settled(&self) {
+        if self.refusals.is_empty() || self.refusals.has_ready() {
+            return;
+        }
+        let is_awaited = |batch: &&InFlight| !self.refusals.is_refused(&batch.entry.batch.plc);
+        let first = self.in_flight.values().find(is_awaited).map(|batch| batch.entry.position);
+        self.cursor.settled_before(first.unwrap_or(u64::MAX));
+    }
+

@@ -112,11 +112,26 @@ impl Refusals {
 
     /// A batch that is sent before all others: an attempt, or a ready one.
     pub(super) fn take(&mut self) -> Option<Entry> {
+    /// Returns whether no PLC is refused, and no batch is ready.
+    pub(super) fn is_empty(&self) -> bool {
+        self.plcs.is_empty() && self.ready.is_empty()
+    }
+
+    /// Returns whether batches of PLCs that are taken again wait to be sent.
+    pub(super) fn has_ready(&self) -> bool {
+        !self.ready.is_empty()
+    }
+
+    /// Returns whether the batches of a PLC are refused.
+    pub(super) fn is_refused(&self, plc: &Arc<str>) -> bool {
+        self.plcs.contains_key(plc)
+    }
+
         if let Some(attempt) = self.take_attempt() {
             return Some(attempt);
         }
         while let Some(entry) = self.ready.pop_front() {
-            if !self.plcs.contains_key(&entry.batch.plc) {
+            if !self.is_refused(&entry.batch.plc) {
                 return Some(entry);
             }
             // It was refused again.

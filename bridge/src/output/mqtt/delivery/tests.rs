@@ -355,3 +355,42 @@ fn the_time_of_a_refused_plc_begins_anew_with_a_connection() {
     case.round(&["mixer"], Duration::from_secs(1));
     assert_eq!(case.dropped("mixer"), 1);
 }
+
+/// Without it, the present values of the boiler waited until the mixer was taken or given up: for up to 10 minutes.
+#[test]
+fn present_values_wait_for_no_refused_plc() {
+    let mut case = Case::of(&["mixer", "boiler"], 4);
+    assert_eq!(case.send(), [1, 2, 3, 4]);
+    [1, 3].into_iter().for_each(|position| case.refused(position));
+    // An outage.
+    case.delivery.lost(Loss::Other);
+    assert_eq!(case.send(), [2, 1, 4], "the first is an attempt");
+    case.taken(2);
+    let wanted = |case: &Case| case.buffer.present_values_wanted().now_or_never().is_some();
+    assert!(!wanted(&case), "the fourth has no answer");
+    case.taken(4);
+    assert!(wanted(&case), "the others are refused, or attempts");
+    case.refused(1);
+    for seq in 5..10 {
+        case.push("boiler", seq);
+        let sent = case.send();
+        sent.into_iter().for_each(|position| case.taken(position));
+        case.wait();
+        assert_eq!(case.send(), [1]);
+        case.refused(1);
+    }
+    assert!(!wanted(&case), "once");
+    // The last one of the next outage is of the refused PLC.
+    case.delivery.lost(Loss::Other);
+    assert_eq!(case.send(), [1]);
+    case.refused(1);
+    assert!(wanted(&case));
+    // As soon as it is taken, its batches come as replays, and then its present values.
+    case.wait();
+    assert_eq!(case.send(), [1]);
+    case.taken(1);
+    assert!(wanted(&case));
+    assert_eq!(case.send(), [3]);
+    case.taken(3);
+    assert_eq!((case.lag(), wanted(&case)), (0, false));
+}
