@@ -216,6 +216,21 @@ impl Delivery {
         }
     }
 
+    /// Returns whether the batches of a PLC are refused.
+    pub(super) fn has_refused(&self) -> bool {
+        !self.refusals.is_empty()
+    }
+
+    /// Notes which PLCs are configured: a removed one is no failure of the output any more. Its batches are kept as
+    /// before.
+    pub(super) fn configured(&mut self, is_configured: impl Fn(&str) -> bool) {
+        let changed = self.refusals.configured(&is_configured);
+        changed.iter().for_each(|plc| self.health.set_plc_refused(plc, is_configured(plc)));
+        if !changed.is_empty() {
+            self.health.set_refusal(self.refusals.summary());
+        }
+    }
+
     /// Drops a batch of a PLC that is given up.
     fn drop_batch(&mut self, entry: &Entry) {
         self.health.count_plc_dropped(&entry.batch.plc);
@@ -261,16 +276,6 @@ impl Delivery {
         self.cursor.rewind();
     }
 
-    /// Settles a batch, and acknowledges those at the front in the buffer.
-    fn settle(&mut self, position: u64, how: Settled) {
-        if let Some(last) = self.prefix.settle(position, how) {
-            self.cursor.acknowledge(last);
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests;
     /// Tells the buffer which batches wait for nothing, or for an end of the refusal of their PLC alone. They are
     /// behind one that is not acknowledged.
     fn note_settled(&self) {
@@ -282,3 +287,13 @@ mod tests;
         self.cursor.settled_before(first.unwrap_or(u64::MAX));
     }
 
+    /// Settles a batch, and acknowledges those at the front in the buffer.
+    fn settle(&mut self, position: u64, how: Settled) {
+        if let Some(last) = self.prefix.settle(position, how) {
+            self.cursor.acknowledge(last);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -71,6 +71,8 @@ struct Refused {
     parked: BTreeMap<u64, Entry>,
     /// `true`: nothing is parked any more.
     is_given_up: bool,
+    /// `true`: a reload has removed it from the configuration.
+    is_removed: bool,
 }
 
 /// The next attempt of a PLC.
@@ -110,8 +112,6 @@ impl Refusals {
         self.parked >= MAX_PARKED || self.bytes >= MAX_BYTES
     }
 
-    /// A batch that is sent before all others: an attempt, or a ready one.
-    pub(super) fn take(&mut self) -> Option<Entry> {
     /// Returns whether no PLC is refused, and no batch is ready.
     pub(super) fn is_empty(&self) -> bool {
         self.plcs.is_empty() && self.ready.is_empty()
@@ -127,6 +127,8 @@ impl Refusals {
         self.plcs.contains_key(plc)
     }
 
+    /// A batch that is sent before all others: an attempt, or a ready one.
+    pub(super) fn take(&mut self) -> Option<Entry> {
         if let Some(attempt) = self.take_attempt() {
             return Some(attempt);
         }
@@ -176,6 +178,7 @@ impl Refusals {
             next: Next::InFlight,
             parked: BTreeMap::new(),
             is_given_up: false,
+            is_removed: false,
         });
         // Others that were sent before the first refusal are no attempts.
         if refused.next == Next::InFlight {
@@ -279,12 +282,28 @@ impl Refusals {
         }
     }
 
-    /// The refused PLCs in a sentence, with the reason of the first; `None` without any.
+    /// Notes which PLCs a reload has removed, or brought back. Batches of a removed one are kept as those of others,
+    /// and the PLC is forgotten with the last of them. Returns the names of those whose state is another now.
+    pub(super) fn configured(&mut self, is_configured: impl Fn(&str) -> bool) -> Vec<Arc<str>> {
+        let mut changed = Vec::new();
+        for (plc, refused) in &mut self.plcs {
+            let is_removed = !is_configured(plc);
+            if std::mem::replace(&mut refused.is_removed, is_removed) != is_removed {
+                changed.push(plc.clone());
+            }
+        }
+        let is_awaited = |refused: &Refused| refused.next == Next::InFlight || !refused.parked.is_empty();
+        self.plcs.retain(|_, refused| !refused.is_removed || is_awaited(refused));
+        changed
+    }
+
+    /// The refused PLCs of the configuration in a sentence, with the reason of the first; `None` without any.
     pub(super) fn summary(&self) -> Option<String> {
-        let (plc, refused) = self.plcs.first_key_value()?;
-        Some(match self.plcs.len() {
-            1 => format!("batches of {plc}: {}", refused.why),
-            many => format!("batches of {plc} and {} more PLCs: {}", many.saturating_sub(1), refused.why),
+        let mut configured = self.plcs.iter().filter(|(_, refused)| !refused.is_removed);
+        let (plc, refused) = configured.next()?;
+        Some(match configured.count() {
+            0 => format!("batches of {plc}: {}", refused.why),
+            more => format!("batches of {plc} and {more} more PLCs: {}", refused.why),
         })
     }
 

@@ -452,8 +452,12 @@ impl<'a> Session<'a> {
 
     fn refresh(&mut self, anew: bool) {
         let Shared { registry, topics, discovery, .. } = self.shared;
-        let Carried { plcs, retained, .. } = &mut *self.carried;
+        let Carried { delivery, plcs, retained, .. } = &mut *self.carried;
         plcs.refresh(registry, topics, discovery.as_ref(), retained, anew);
+        if delivery.has_refused() {
+            let configured = registry.read();
+            delivery.configured(|plc| configured.get(plc).is_some());
+        }
     }
 
     /// In a fleet: publishes all states from time to time. A member that was cut off may publish late that a PLC is

@@ -394,3 +394,40 @@ fn present_values_wait_for_no_refused_plc() {
     case.taken(3);
     assert_eq!((case.lag(), wanted(&case)), (0, false));
 }
+
+/// Without it, the failure of the output named the PLC for ever: no batch of it came that the broker could take.
+#[test]
+fn a_removed_plc_is_no_failure_any_more() {
+    let mut case = Case::of(&["mixer", "boiler", "silo"], 3);
+    case.round(&["mixer", "silo"], Duration::ZERO);
+    let failure = |case: &Case| case.delivery.health.failure();
+    let is_refused = |case: &Case| case.delivery.health.refused_plcs()["mixer"].is_refused;
+    let all = |case: &mut Case, plcs: &[&str]| case.delivery.configured(|plc| plcs.contains(&plc));
+    all(&mut case, &["boiler", "mixer", "silo"]);
+    assert_eq!(failure(&case).unwrap(), "batches of mixer and 1 more PLCs: not authorized");
+    all(&mut case, &["boiler", "silo"]);
+    assert_eq!(failure(&case).unwrap(), "batches of silo: not authorized");
+    assert!(!is_refused(&case));
+    all(&mut case, &["boiler"]);
+    assert_eq!((failure(&case), case.lag()), (None, 3), "the batches are kept");
+    // A further refusal does not bring it back, but a reload does.
+    assert_eq!(case.round(&["mixer", "silo"], Duration::from_secs(1)), 2);
+    all(&mut case, &["boiler"]);
+    assert_eq!(failure(&case), None);
+    all(&mut case, &["boiler", "mixer"]);
+    assert_eq!(failure(&case).unwrap(), "batches of mixer: not authorized");
+    assert!(is_refused(&case));
+    all(&mut case, &["boiler"]);
+    // It is given up as others, and forgotten.
+    for seq in 4.. {
+        case.push("boiler", seq);
+        case.round(&["mixer", "silo"], Duration::from_secs(60));
+        all(&mut case, &["boiler"]);
+        if case.lag() == 0 {
+            break;
+        }
+        assert!(seq < 20, "it is never given up");
+    }
+    assert_eq!((case.dropped("mixer"), failure(&case)), (1, None));
+    assert!(!case.delivery.has_refused());
+}
