@@ -391,9 +391,13 @@ impl Core {
     }
 
     /// Fails all calls: there will be no other connection.
-    pub(crate) fn abort(&mut self, error: &Arc<io::Error>) {
+    pub(crate) fn abort(&mut self, error: &Arc<io::Error>, now: Instant) {
         self.stats.count_link(|link| add(&mut link.disconnects, 1));
-        let active = self.exchange.end().and_then(|active| active.outgoing.into_call());
+        let active = self.exchange.end();
+        if let Some(active) = &active {
+            self.stats.add_bus_time(now.saturating_duration_since(active.began));
+        }
+        let active = active.and_then(|active| active.outgoing.into_call());
         for call in active.into_iter().chain(self.resynced.take()).chain(self.scheduler.drain_all()) {
             let sent = call.slot.was_sent();
             let endpoint = self.name.to_string();
@@ -402,8 +406,8 @@ impl Core {
     }
 
     /// Fails all calls, and begins anew as without a connection.
-    pub(crate) fn runtime_ended(&mut self, error: &Arc<io::Error>) {
-        self.abort(error);
+    pub(crate) fn runtime_ended(&mut self, error: &Arc<io::Error>, now: Instant) {
+        self.abort(error, now);
         self.connection.closed();
         self.exchange.forget();
         self.mute.reset();

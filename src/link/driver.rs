@@ -185,7 +185,7 @@ impl Driver {
         self.sent_until = None;
         self.read_armed = false;
         let error = Arc::new(io::Error::other("the runtime of the link's task has ended"));
-        self.core.runtime_ended(&error);
+        self.core.runtime_ended(&error, Instant::now());
         self.state.set(LinkState::Down { error });
     }
 
@@ -492,7 +492,7 @@ impl Driver {
         if self.connector.reopens() {
             self.core.disconnected(&error, now);
         } else {
-            self.core.abort(&error);
+            self.core.abort(&error, now);
             self.ending = true;
         }
         self.state.set(LinkState::Down { error });

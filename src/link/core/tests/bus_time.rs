@@ -75,3 +75,25 @@ fn a_broadcast_counts_with_its_gap_and_a_withheld_request_does_not() {
         assert_eq!(bus_time(&link) - before, counts * MS, "cut: {partly}");
     }
 }
+
+/// Without it, neither counted: a link over a stream that cannot be opened again had a load of 0 when its peer closed
+/// in the middle of a request.
+#[test]
+fn an_exchange_that_ends_with_its_link_or_runtime_counts() {
+    for runtime in [false, true] {
+        let mut link = link();
+        let _call = link.call(1, read(1));
+        link.expect_send();
+        link.advance(7 * MS);
+        let error = Arc::new(std::io::ErrorKind::ConnectionReset.into());
+        match runtime {
+            false => link.core.abort(&error, link.now),
+            true => link.core.runtime_ended(&error, link.now),
+        }
+        assert_eq!(bus_time(&link), 7 * MS, "runtime: {runtime}");
+        // Nothing is on the line any more.
+        link.advance(7 * MS);
+        link.core.abort(&error, link.now);
+        assert_eq!(bus_time(&link), 7 * MS, "runtime: {runtime}");
+    }
+}
