@@ -89,10 +89,9 @@ impl Batcher {
     }
 
     /// Adds a sample. Returns the batch that ends before it. Places must not change while a batch is open.
-    ///
-    /// `now`: the time of a sample that is stale, whose own time is that of the last value.
-    pub fn push(&mut self, place: &Place, sample: &Sample, now: u64) -> Option<Batch> {
-        let ts = if let Quality::Stale(_) = sample.quality { now } else { milliseconds(sample.at.time) };
+    pub fn push(&mut self, place: &Place, sample: &Sample) -> Option<Batch> {
+        // Of a stale sample, `at` is the time of the last value.
+        let ts = milliseconds(sample.stale_since.unwrap_or(sample.at).time);
         let is_repeated = self.in_batch.get(place.index).is_some_and(|batch| *batch == self.seq.saturating_add(1));
         let is_other = self.ts != ts || is_repeated || self.revision != place.revision;
         let ended = if self.is_open() && is_other { self.end() } else { None };

@@ -30,6 +30,9 @@ pub struct Sample {
     pub quality: Quality,
     /// The time of the reply with the values; of a bad sample, when it became bad.
     pub at: Stamp,
+    /// When the values became stale: the time of the first failure since they were read, or of their age;
+    /// `None` of a good or bad sample. Reports of a stale tag that follow have the same time.
+    pub stale_since: Option<Stamp>,
     /// The last cycle of the tag's scan class that has read the tag or failed to, counted from 1; 0 before
     /// the first one. Samples of one station, class and cycle belong together.
     pub cycle: u64,

@@ -29,7 +29,7 @@ use super::latency::LatencyEstimator;
 use super::plan_cache::PlanCache;
 use super::stats::{ClassStats, Counters};
 use super::tag_state::TagState;
-use super::{PollError, Quality, Reason, Sample, Stamp, TagId};
+use super::{PollError, Reason, Sample, Stamp, TagId};
 use crate::capabilities::Refused;
 use crate::error::{Error, ErrorCode};
 use crate::link::{Proof, Shape};
@@ -181,13 +181,13 @@ impl StationPoller {
         self.context.tag_map.values().map(TagState::sample).collect()
     }
 
-    /// Reports the current sample of each tag that was read or has failed: in the order of their times, and
-    /// stale ones last.
+    /// Reports the current sample of each tag that was read or has failed: in the order of their times, a stale one
+    /// by the time since when it is stale.
     pub(super) fn report_all(&mut self, now: Stamp, samples: &mut Vec<Sample>) {
         self.age_now(now, samples);
         let mut current = Vec::new();
         self.context.tag_map.values_mut().for_each(|state| state.report_again(now.instant, &mut current));
-        current.sort_by_key(|sample| (matches!(sample.quality, Quality::Stale(_)), sample.at.instant));
+        current.sort_by_key(|sample| sample.stale_since.unwrap_or(sample.at).instant);
         samples.append(&mut current);
     }
 

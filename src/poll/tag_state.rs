@@ -20,7 +20,7 @@ use crate::tag::{Tag, TagValue};
 /// ```
 ///
 /// Invariant: there are values if and only if the quality is good or stale. They are the last
-/// values read, and `at` is the time of their reply.
+/// values read, and `at` is the time of their reply. There is a `stale_since` if and only if the quality is stale.
 #[derive(Debug)]
 pub(super) struct TagState {
     /// Its values are the last ones read.
@@ -47,7 +47,8 @@ struct LastReport {
 impl TagState {
     pub(super) fn new(id: TagId, tag: PollTag, group: Option<u64>, now: Stamp) -> Self {
         let PollTag { name, tag, policy } = tag;
-        let sample = Sample { id, name, quality: Quality::Bad(Reason::NotYetRead), at: now, cycle: 0, values: None };
+        let quality = Quality::Bad(Reason::NotYetRead);
+        let sample = Sample { id, name, quality, at: now, stale_since: None, cycle: 0, values: None };
         Self { sample, tag, group, policy, last_report: None, probe_at: None, cycle: 0 }
     }
 
@@ -89,6 +90,7 @@ impl TagState {
         }
         self.sample.quality = Quality::Good;
         self.sample.at = at;
+        self.sample.stale_since = None;
         self.probe_at = None;
         self.report_if_due(at.instant, samples);
     }
@@ -96,7 +98,7 @@ impl TagState {
     /// Marks the tag as not read. It keeps values that are younger than `bad_age`.
     pub(super) fn set_failed(&mut self, reason: Reason, now: Stamp, bad_age: Duration, samples: &mut Vec<Sample>) {
         if self.sample.values.is_some() && self.sample.at.age(now.instant) < bad_age {
-            self.sample.quality = Quality::Stale(reason);
+            self.set_stale(reason, now);
         } else {
             self.set_bad(reason, now);
         }
@@ -131,7 +133,7 @@ impl TagState {
         let before = self.sample.quality.clone();
         match before {
             Quality::Good if age >= bad_age => self.set_bad(Reason::Overdue, now),
-            Quality::Good if age >= stale_age => self.sample.quality = Quality::Stale(Reason::Overdue),
+            Quality::Good if age >= stale_age => self.set_stale(Reason::Overdue, now),
             Quality::Stale(reason) if age >= bad_age => self.set_bad(reason, now),
             Quality::Good | Quality::Stale(_) | Quality::Bad(_) => return,
         }
@@ -143,8 +145,14 @@ impl TagState {
         self.sample.clone()
     }
 
+    fn set_stale(&mut self, reason: Reason, now: Stamp) {
+        self.sample.quality = Quality::Stale(reason);
+        self.sample.stale_since.get_or_insert(now);
+    }
+
     fn set_bad(&mut self, reason: Reason, now: Stamp) {
         self.sample.quality = Quality::Bad(reason);
+        self.sample.stale_since = None;
         self.sample.values = None;
         self.sample.at = now;
     }

@@ -29,7 +29,8 @@ impl Serialize for Stamp {
 impl Serialize for Sample {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let reason = self.quality.reason();
-        let mut form = serializer.serialize_struct("Sample", if reason.is_some() { 7 } else { 6 })?;
+        let fields = 6_usize.saturating_add(reason.is_some().into()).saturating_add(self.stale_since.is_some().into());
+        let mut form = serializer.serialize_struct("Sample", fields)?;
         form.serialize_field("id", &self.id)?;
         form.serialize_field("name", &*self.name)?;
         form.serialize_field("value", &ValuesForm(self.values()))?;
@@ -39,6 +40,10 @@ impl Serialize for Sample {
             None => form.skip_field("reason")?,
         }
         form.serialize_field("at", &self.at)?;
+        match &self.stale_since {
+            Some(since) => form.serialize_field("stale_since", since)?,
+            None => form.skip_field("stale_since")?,
+        }
         form.serialize_field("cycle", &self.cycle)?;
         form.end()
     }

@@ -59,6 +59,32 @@ fn a_value_is_stale_after_a_failure_and_bad_when_too_old() {
     assert!(rig.latest(id).is_good());
 }
 
+/// With the time of the last failure, a batch of stale values got a new time in each cycle.
+#[test]
+fn a_stale_sample_has_the_time_since_when_it_is_stale() {
+    let mut rig = TestRig::new(1);
+    rig.plc.timeout = ms(50);
+    rig.add(every(100).stale_after(ms(1000)).bad_after(ms(60_000)), &["R0"]);
+    rig.run(ms(50));
+    let good = rig.new_samples();
+    assert_eq!((kinds(&good), good[0].stale_since), (vec!["good"], None));
+    rig.plc.silent = true;
+    rig.run(ms(500));
+    let stale = rig.new_samples();
+    assert!(stale.len() >= 3 && kinds(&stale).iter().all(|kind| *kind == "stale: failed"), "{:?}", kinds(&stale));
+    for sample in &stale {
+        let since = sample.stale_since.expect("it is stale");
+        assert_eq!(
+            (since.instant - rig.start, sample.at),
+            (ms(150), good[0].at),
+            "the end of the first failed request"
+        );
+    }
+    rig.plc.silent = false;
+    rig.run(ms(1000));
+    assert!(rig.new_samples().iter().all(|sample| sample.is_good() && sample.stale_since.is_none()));
+}
+
 #[test]
 fn a_value_is_overdue_while_a_reply_takes_long() {
     let mut rig = TestRig::new(1);
@@ -71,6 +97,8 @@ fn a_value_is_overdue_while_a_reply_takes_long() {
     let samples = rig.new_samples();
     assert_eq!(kinds(&samples), ["stale: overdue", "bad: overdue", "good"]);
     assert_eq!(samples[1].at.instant - rig.start, ms(605));
+    let since = samples.iter().map(|sample| sample.stale_since.map(|since| since.instant - rig.start));
+    assert_eq!(since.collect::<Vec<_>>(), [Some(ms(255)), None, None]);
 }
 
 #[test]

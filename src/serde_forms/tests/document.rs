@@ -154,9 +154,11 @@ fn values(examples: &mut Remaining) {
 fn samples(examples: &mut Remaining) {
     let time = SystemTime::UNIX_EPOCH + Duration::from_millis(1_795_331_353_250);
     let at = Stamp { instant: Instant::now(), time };
+    let stale_since = Stamp { time: time + 1500 * MS, ..at };
     let sample = |id, name: &str, quality, values: &[TagValue]| Sample {
         id: TagId(id),
         name: name.into(),
+        stale_since: matches!(quality, Quality::Stale(_)).then_some(stale_since),
         quality,
         at,
         cycle: 12,
