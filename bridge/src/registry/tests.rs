@@ -91,3 +91,73 @@ async fn a_plant_that_cannot_be_polled_changes_nothing() {
     assert_eq!(parts.2.handle().snapshot().len(), 4);
     assert_eq!(parts.0.read().places.len(), 4);
 }
+
+fn owned(plcs: &[(&str, u64)]) -> HashMap<Arc<str>, u64> {
+    plcs.iter().map(|(name, revision)| ((*name).into(), *revision)).collect()
+}
+
+fn revisions(registry: &Registry) -> Vec<(String, u64)> {
+    registry.read().iter().map(|plc| (plc.plc.name().to_owned(), plc.revision)).collect()
+}
+
+#[tokio::test]
+async fn a_member_polls_its_share_alone() {
+    let (registry, pool, poller) = (Registry::default(), Pool::new(), Poller::new());
+    let (plant, handle) = (Plant::from_toml(BEFORE).unwrap(), poller.handle());
+    let none = HashMap::new();
+    registry.apply_share(&plant, Share::Owned(&none), &pool, &handle).unwrap();
+    assert_eq!((revisions(&registry), handle.snapshot().len()), (vec![], 0));
+    assert_eq!(registry.read().elsewhere("mixer"), Some(Elsewhere::Member));
+    assert_eq!(registry.read().elsewhere("kettle"), None, "the configuration does not have it");
+
+    registry.take(&plant, &owned(&[("mixer", 7)]), &pool, &handle).unwrap();
+    registry.take(&plant, &owned(&[("boiler", 9)]), &pool, &handle).unwrap();
+    assert_eq!(revisions(&registry), [("boiler".to_owned(), 9), ("mixer".to_owned(), 7)]);
+    let (first, boiler) = (ids(&registry, "mixer"), ids(&registry, "boiler"));
+    assert_eq!(registry.read().place(first[0]).unwrap().revision, 7);
+    assert_eq!((registry.read().elsewhere("mixer"), registry.read().places.len()), (None, 4));
+
+    // A reload keeps the share, and with it the tags that are the same.
+    let changed = Plant::from_toml(&BEFORE.replace("tag.alarm = { at = 'M7'", "tag.alarm = { at = 'M8'")).unwrap();
+    let share = owned(&[("mixer", 7), ("boiler", 9)]);
+    let changes = registry.apply_share(&changed, Share::Owned(&share), &pool, &handle).unwrap();
+    assert_eq!((changes.tags_added, changes.tags_removed, changes.tags_kept), (1, 1, 3));
+    assert_eq!((ids(&registry, "boiler"), ids(&registry, "mixer")[0]), (boiler.clone(), first[0]));
+
+    let mixer: Arc<str> = "mixer".into();
+    registry.give_up([(&mixer, Elsewhere::Lost)]);
+    assert_eq!((registry.read().elsewhere("mixer"), registry.read().has_lost()), (Some(Elsewhere::Lost), true));
+    assert_eq!((registry.read().places.len(), handle.snapshot().len()), (1, 1));
+    registry.settle(|plc| plc == "mixer");
+    assert_eq!(registry.read().elsewhere("mixer"), Some(Elsewhere::Member));
+
+    // The next ownership has other tags in the poller: samples of the one before have no place.
+    registry.take(&plant, &owned(&[("mixer", 12)]), &pool, &handle).unwrap();
+    assert!(ids(&registry, "mixer").iter().all(|id| !first.contains(id)));
+    assert_eq!((registry.read().elsewhere("mixer"), ids(&registry, "boiler")), (None, boiler));
+
+    // A reload with another token in between does the same.
+    let before = ids(&registry, "mixer");
+    let share = owned(&[("mixer", 15), ("boiler", 9)]);
+    let changes = registry.apply_share(&plant, Share::Owned(&share), &pool, &handle).unwrap();
+    assert_eq!((changes.plcs_moved, changes.tags_added, changes.tags_kept), (1, 3, 1));
+    assert!(ids(&registry, "mixer").iter().all(|id| !before.contains(id)));
+    let gone = Plant::from_toml(&BEFORE.replace("[plc.mixer]", "[plc.kettle]")).unwrap();
+    registry.apply_share(&gone, Share::Owned(&owned(&[("boiler", 9)])), &pool, &handle).unwrap();
+    let plcs = registry.read();
+    assert_eq!((plcs.elsewhere("mixer"), plcs.elsewhere("kettle")), (None, Some(Elsewhere::Member)));
+    assert_eq!((plcs.places.len(), handle.snapshot().len()), (1, 1));
+}
+
+#[tokio::test]
+async fn a_batch_of_an_earlier_ownership_is_history() {
+    let (registry, pool, poller) = (Registry::default(), Pool::new(), Poller::new());
+    let (plant, handle) = (Plant::from_toml(BEFORE).unwrap(), poller.handle());
+    registry.apply_share(&plant, Share::Owned(&owned(&[("mixer", 7), ("boiler", 0)])), &pool, &handle).unwrap();
+    let batch = |plc: &str, revision| Batch { plc: plc.into(), revision, seq: 1, ts: 1, samples: 1, data: "{}".into() };
+    assert!(!registry.is_former(&batch("mixer", 7)) && registry.is_former(&batch("mixer", 5)));
+    assert!(!registry.is_former(&batch("boiler", 0)), "a pinned link has no token");
+    let mixer: Arc<str> = "mixer".into();
+    registry.give_up([(&mixer, Elsewhere::Member)]);
+    assert!(registry.is_former(&batch("mixer", 7)), "another member may have newer values");
+}
