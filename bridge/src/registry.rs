@@ -287,10 +287,9 @@ impl Plcs {
         changes.tags_removed = changes.tags_removed.saturating_add(old.ids.len());
     }
 
-    /// Returns whether this bridge has lost a PLC, and no member is known to have got it.
-    #[must_use]
-    pub fn has_lost(&self) -> bool {
-        self.elsewhere.values().any(|elsewhere| *elsewhere == Elsewhere::Lost)
+    /// The PLCs that this bridge has lost, and no member is known to have got.
+    pub fn lost(&self) -> impl Iterator<Item = &Arc<str>> {
+        self.elsewhere.iter().filter(|(_, elsewhere)| **elsewhere == Elsewhere::Lost).map(|(name, _)| name)
     }
 
     /// The place of a tag.

@@ -4,7 +4,7 @@
 
 mod common;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -16,6 +16,8 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use common::bridge::{Bridge, PATIENCE, write_config};
+use common::mosquitto::Mosquitto;
+use common::mqtt_subscriber::Subscriber;
 use common::nats::NatsServer;
 
 const LEASE: Duration = Duration::from_secs(1);
@@ -71,8 +73,13 @@ impl Fleet {
     }
 
     fn config(&self) -> String {
+        self.config_with("[stdout]\n")
+    }
+
+    /// The configuration, with these outputs.
+    fn config_with(&self, outputs: &str) -> String {
         let mut text = format!(
-            "[bridge]\nhttp = '127.0.0.1:0'\nbuffer = {{ dir = 'buffer' }}\n[stdout]\n\
+            "[bridge]\nhttp = '127.0.0.1:0'\nbuffer = {{ dir = 'buffer' }}\n{outputs}\
              [nats]\nurl = 'nats://127.0.0.1:{}'\nwrite = true\n\
              [fleet]\nid = 'plant-a'\nbucket = 'leases'\nlease = '{LEASE:?}'\n\
              [class.fast]\nevery = '50ms'\n",
@@ -265,4 +272,72 @@ async fn a_command_is_executed_by_the_owner_alone() {
     let reply = send("mixer0", json!({ "id": "a0", "tag": "level", "value": 99, "ts": sent })).await;
     assert_eq!(reply["result"], "unknown", "{reply}");
     assert_eq!(fleet.plcs[0].1.read(register!("R5")), 7_u16.into());
+}
+
+/// Retained messages are those of the owner: a member leaves those of PLCs that another one polls as they are.
+///
+/// While PLCs were announced as offline only if the member had published them before, one that it had for less than a
+/// second stayed online without the store.
+#[tokio::test(flavor = "multi_thread")]
+async fn states_at_the_broker_are_those_of_the_owner() {
+    let Some(mosquitto) = Mosquitto::start() else { return };
+    let Some(mut fleet) = Fleet::new().await else { return };
+    let outputs = format!("[mqtt]\nurl = '{}'\nhome_assistant = 'ha'\n", mosquitto.url());
+    let start = |id: &'static str, fleet: &Fleet| {
+        let folder = fleet.folder.path().join(id);
+        std::fs::create_dir_all(&folder).unwrap();
+        let config = write_config(&folder, &fleet.config_with(&outputs));
+        Bridge::start_with(&config, &folder, &[("FATEK_BRIDGE_ID", id)])
+    };
+    let mut all = Subscriber::start(&mosquitto, "#").await;
+    let mut bridges = vec![start("hall-1", &fleet), start("hall-2", &fleet)];
+    let (mut states, mut entities): (BTreeMap<String, Value>, BTreeMap<String, Value>) = Default::default();
+    let mut note = |all: &mut Subscriber| {
+        while let Ok((topic, content, _)) = all.messages.try_recv() {
+            if topic.starts_with("ha/") {
+                entities.insert(topic, content);
+            } else if topic.ends_with("/state") {
+                states.insert(topic.strip_prefix("fatek/plant-a/").unwrap().to_owned(), content);
+            }
+        }
+        let online = states.iter().filter(|(_, state)| state["online"] == true).map(|(topic, _)| topic.clone());
+        let online: BTreeSet<String> = online.collect();
+        let known = entities.values().filter(|entity| !entity.is_null()).count();
+        (online, known)
+    };
+    let plcs = (0..PLCS).map(|n| format!("mixer{n}/state"));
+    let expected = |members: &[&str]| -> BTreeSet<String> {
+        plcs.clone().chain(members.iter().map(|member| format!("members/{member}/state"))).collect()
+    };
+    let mut until = async |all: &mut Subscriber, what: &str, states: &BTreeSet<String>, entities: usize| {
+        let begin = Instant::now();
+        loop {
+            let seen = note(all);
+            if seen == (states.clone(), entities) {
+                return;
+            }
+            assert!(begin.elapsed() < PATIENCE, "{what}: {seen:?}");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    let both = expected(&["hall-1", "hall-2"]);
+    until(&mut all, "both run", &both, 2 * PLCS).await;
+    // The time in which messages of an earlier run are cleared.
+    tokio::time::sleep(Duration::from_secs(11)).await;
+    until(&mut all, "none clears those of the other", &both, 2 * PLCS).await;
+
+    let mut first = bridges.remove(0);
+    first.signal("TERM");
+    assert!(first.wait().success(), "{}", first.log());
+    until(&mut all, "one has all", &expected(&["hall-2"]), 2 * PLCS).await;
+
+    // Without the store none polls, and the states say so.
+    fleet.nats.kill();
+    until(&mut all, "no PLC is online", &["members/hall-2/state".to_owned()].into(), 2 * PLCS).await;
+    fleet.nats.run();
+    until(&mut all, "one has all again", &expected(&["hall-2"]), 2 * PLCS).await;
+
+    // The last one leaves.
+    bridges[0].signal("TERM");
+    until(&mut all, "all are offline", &BTreeSet::new(), 2 * PLCS).await;
 }

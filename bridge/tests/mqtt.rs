@@ -6,84 +6,24 @@ mod common;
 
 use std::time::{Duration, Instant, SystemTime};
 
-use common::bridge::{Bridge, PATIENCE, write_config};
+use common::bridge::{Bridge, write_config};
 use common::deliveries::Deliveries;
 use common::mosquitto::Mosquitto;
 use common::mqtt_output::Output;
 use common::mqtt_proxy::Proxy;
+use common::mqtt_subscriber::Subscriber;
 use fatek::register;
 use fatek::sim::{Bus, Plc, Server};
 use fatek::wire::Framing;
 use fatek_bridge::batch::milliseconds;
 use rcgen::{BasicConstraints, CertificateParams, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair};
-use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::{AsyncClient, Event, Incoming, MqttOptions};
 use serde_json::{Value, json};
 use tempfile::TempDir;
-use tokio::sync::mpsc;
-use tokio::time::{sleep, timeout};
+use tokio::time::sleep;
 
 /// A number that a variable of the environment scales up.
 fn scale(variable: &str, short: u64) -> u64 {
     std::env::var(variable).map_or(short, |text| text.parse().unwrap())
-}
-
-/// A client that receives messages of a filter: topic, content, and whether the broker had kept it.
-struct Subscriber {
-    messages: mpsc::UnboundedReceiver<(String, Value, bool)>,
-    task: tokio::task::JoinHandle<()>,
-}
-
-impl Subscriber {
-    /// Subscribes, also again after the broker was restarted.
-    async fn start(mosquitto: &Mosquitto, filter: &str) -> Self {
-        // Each has its own id.
-        let id = format!("subscriber-{}", fastrand::u64(..));
-        let mut options = MqttOptions::new(id, "127.0.0.1", mosquitto.port());
-        options.set_keep_alive(Duration::from_secs(5));
-        let (client, mut events) = AsyncClient::new(options, 10);
-        let (sender, messages) = mpsc::unbounded_channel();
-        let (subscribed, mut is_subscribed) = mpsc::unbounded_channel();
-        let filter = filter.to_owned();
-        let task = tokio::spawn(async move {
-            loop {
-                match events.poll().await {
-                    Ok(Event::Incoming(Incoming::ConnAck(_))) => {
-                        client.subscribe(filter.clone(), QoS::AtLeastOnce).await.unwrap();
-                    }
-                    Ok(Event::Incoming(Incoming::SubAck(_))) => drop(subscribed.send(())),
-                    Ok(Event::Incoming(Incoming::Publish(publish))) => {
-                        let topic = String::from_utf8(publish.topic.to_vec()).unwrap();
-                        let content = serde_json::from_slice(&publish.payload).unwrap_or(Value::Null);
-                        let _ = sender.send((topic, content, publish.retain));
-                    }
-                    Ok(_) => {}
-                    Err(_) => sleep(Duration::from_millis(50)).await,
-                }
-            }
-        });
-        is_subscribed.recv().await.unwrap();
-        Self { messages, task }
-    }
-
-    /// Waits for a message for which this holds.
-    async fn wait_for(&mut self, what: &str, holds: impl Fn(&str, &Value) -> bool) -> (String, Value, bool) {
-        let waiting = async {
-            loop {
-                let message = self.messages.recv().await.unwrap();
-                if holds(&message.0, &message.1) {
-                    return message;
-                }
-            }
-        };
-        timeout(PATIENCE, waiting).await.unwrap_or_else(|_| panic!("{what}: not within {PATIENCE:?}"))
-    }
-}
-
-impl Drop for Subscriber {
-    fn drop(&mut self) {
-        self.task.abort();
-    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

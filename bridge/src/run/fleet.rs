@@ -217,7 +217,7 @@ pub(super) async fn run(bridge: Bridge, membership: Membership, mut events: Even
 
 /// Forgets that PLCs were lost which other members have got.
 fn settle(bridge: &Bridge, membership: &Membership) {
-    if !bridge.registry.read().has_lost() {
+    if bridge.registry.read().lost().next().is_none() {
         return;
     }
     let status = membership.status();

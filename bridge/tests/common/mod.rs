@@ -8,6 +8,7 @@ pub mod mosquitto;
 pub mod mqtt_broker;
 pub mod mqtt_output;
 pub mod mqtt_proxy;
+pub mod mqtt_subscriber;
 pub mod nats;
 pub mod openmetrics;
 pub mod plc;

@@ -1,6 +1,6 @@
 //! The PLCs of the registry as retained messages: their states, and their discovery. No I/O.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use fatek::plant::PlantTag;
@@ -17,6 +17,8 @@ pub(super) struct PublishedPlcs {
     plcs: HashMap<Arc<str>, Published>,
     /// The generation of the registry that they are from; `None` before the first.
     generation: Option<u64>,
+    /// PLCs that were announced as lost on this connection.
+    lost: HashSet<Arc<str>>,
 }
 
 #[derive(Debug)]
@@ -62,12 +64,16 @@ impl PublishedPlcs {
         for name in gone.keys() {
             match plcs.elsewhere(name) {
                 None => retained.remove_owner(name),
-                Some(Elsewhere::Member) => retained.forget_owner(name),
-                Some(Elsewhere::Lost) => {
-                    retained.forget_owner(name);
-                    retained.announce(topics.plc_state(name), PlcState::without_member().to_json());
-                }
+                Some(Elsewhere::Member | Elsewhere::Lost) => retained.forget_owner(name),
             }
+        }
+        if anew {
+            self.lost.clear();
+        }
+        self.lost.retain(|name| plcs.elsewhere(name) == Some(Elsewhere::Lost));
+        // Also those that were polled for so short a time that their states were not published.
+        for name in plcs.lost().filter(|name| self.lost.insert(Arc::clone(name))) {
+            retained.announce(topics.plc_state(name), PlcState::without_member().to_json());
         }
     }
 

@@ -3,7 +3,7 @@
 //! One task sends and waits for answers, commands and the clock, each independent of the others. A server that is
 //! slow with its acknowledgements fills the window; commands and states are not held up by that.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::future::{Future, IntoFuture as _};
 use std::pin::Pin;
 use std::sync::Arc;
@@ -71,6 +71,8 @@ pub(super) struct Session<'a> {
     preparing: Option<Boxed<Result<(), String>>>,
     subscriber: Option<Subscriber>,
     states: HashMap<Arc<str>, PlcState>,
+    /// PLCs that were published as lost.
+    lost: HashSet<Arc<str>>,
     ticks: u32,
 }
 
@@ -94,6 +96,7 @@ impl<'a> Session<'a> {
             preparing: None,
             subscriber: None,
             states: HashMap::new(),
+            lost: HashSet::new(),
             ticks: 0,
         }
     }
@@ -222,18 +225,20 @@ impl<'a> Session<'a> {
             }
             states.insert(name, state);
         }
-        let before = std::mem::replace(&mut self.states, states);
-        let lost = before.into_keys().filter(|name| self.is_lost(name));
-        messages.extend(lost.map(|name| (self.shared.topics.plc_state(&name), PlcState::without_member().to_json())));
+        self.states = states;
+        messages.extend(self.lost(is_all));
         for (subject, message) in messages {
             publish(self.connection.client(), subject, message).await?;
         }
         Ok(())
     }
 
-    /// Returns whether this member of a fleet has lost a PLC, so that perhaps none polls it.
-    fn is_lost(&self, plc: &str) -> bool {
-        self.shared.registry.read().elsewhere(plc) == Some(Elsewhere::Lost)
+    /// The states of PLCs that this member of a fleet has lost, so that perhaps none polls them: those that are news.
+    fn lost(&mut self, is_all: bool) -> Vec<(String, Bytes)> {
+        let plcs = self.shared.registry.read();
+        self.lost.retain(|name| plcs.elsewhere(name) == Some(Elsewhere::Lost));
+        let news = plcs.lost().filter(|name| self.lost.insert(Arc::clone(name)) || is_all);
+        news.map(|name| (self.shared.topics.plc_state(name), PlcState::without_member().to_json())).collect()
     }
 
     /// Gives replies of commands that run, and the state of a bridge that is not connected.
