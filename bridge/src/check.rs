@@ -18,6 +18,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
+pub use self::files::TOKEN_RULE;
 pub use self::load::{ClassPlan, LinkLoad};
 use crate::config::{Config, ConfigError, Environment};
 use crate::topic::Topics;

@@ -131,3 +131,16 @@ fn a_filter_is_applied_and_a_bad_one_refused() {
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8(output.stderr).unwrap().starts_with("error: --log: "));
 }
+
+/// Without the warning, a user took the page for protected.
+#[test]
+fn a_token_without_effect_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = CONFIG.replace("[bridge]\n", "[bridge]\ntoken_file = 'token'\n");
+    let bridge = Bridge::spawn(command(&write_config(folder.path(), &text), &[]));
+    bridge.wait_for_log("started");
+    assert!(bridge.log().contains("WARN") && bridge.log().contains("bridge.token_file: it has no effect"));
+    let bridge = Bridge::spawn(command(&config(folder.path()), &[]));
+    bridge.wait_for_log("started");
+    assert!(!bridge.log().contains("token_file"), "{}", bridge.log());
+}

@@ -13,10 +13,17 @@ use crate::config::{Config, Environment};
 use crate::secret::{Secret, SecretError};
 use crate::tls::TlsFiles;
 
+/// The effect of a token.
+pub const TOKEN_RULE: &str = "it has no effect yet: no request over HTTP writes anything, and reading needs no token";
+
 /// Adds what is missing. Files are read, and nothing is opened or made.
 pub(super) fn check(config: &Config, environment: &Environment, findings: &mut Vec<Finding>) {
     let Config { bridge, mqtt, nats, .. } = config;
-    secret("bridge.token_file", bridge.token_file.as_deref(), bridge.token(), environment, findings);
+    let token = bridge.token();
+    if let Ok(Some(_)) = token {
+        findings.push(finding(Severity::Warning, "bridge.token_file", TOKEN_RULE));
+    }
+    secret("bridge.token_file", bridge.token_file.as_deref(), token, environment, findings);
     if let Some(mqtt) = mqtt {
         secret("mqtt.password_file", mqtt.password_file.as_deref(), mqtt.password(), environment, findings);
         let files = [&mqtt.ca_file, &mqtt.cert_file, &mqtt.key_file];

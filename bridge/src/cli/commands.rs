@@ -3,7 +3,7 @@
 use std::io;
 use std::process::ExitCode;
 
-use fatek_bridge::check::{Report, Severity};
+use fatek_bridge::check::{Report, Severity, TOKEN_RULE};
 use fatek_bridge::config::{self, Config, Name};
 use fatek_bridge::demo::{self, Demo, SILENT_PLC};
 use fatek_bridge::fleet::FleetError;
@@ -20,6 +20,10 @@ pub(super) fn run(file: &FileArgs) -> io::Result<ExitCode> {
         Ok(config) => config,
         Err(error) => return Ok(complain(&error.to_string(), STATUS_USAGE)),
     };
+    // A token that cannot be read is no reason to stop, since nothing uses it.
+    if !matches!(config.bridge.token(), Ok(None)) {
+        tracing::warn!("bridge.token_file: {TOKEN_RULE}");
+    }
     let runtime = Runtime::new()?;
     let result = runtime.block_on(fatek_bridge::run::run(config));
     Ok(end(runtime, result))
