@@ -116,6 +116,7 @@ async fn metrics_are_openmetrics_without_values_of_old_readings() {
     assert_eq!(value(r#"fatek_class_tags{plc="mixer",class="fast"}"#), 5.0);
     assert_eq!(value(r#"fatek_class_period_seconds{plc="mixer",class="fast"}"#), 0.4);
     assert_eq!(value(&format!(r#"fatek_link_up{{link="{}"}}"#, sim.link())), 1.0);
+    assert_eq!(value(&format!(r#"fatek_link_withheld_requests_total{{link="{}"}}"#, sim.link())), 0.0);
     assert_eq!(value(r#"fatek_pool_links{state="up"}"#), 1.0);
     assert_eq!(value(r#"fatek_output_connected{output="stdout"}"#), 1.0);
     assert!(value(r#"fatek_output_samples_total{output="stdout"}"#) > 0.0);

@@ -107,7 +107,7 @@ fn classes(to: &mut Writer<'_>, shared: &Shared, plcs: &[&PolledPlc]) -> fmt::Re
 }
 
 /// Counters of a link.
-const LINK_COUNTERS: [Counter<LinkStats>; 11] = [
+const LINK_COUNTERS: [Counter<LinkStats>; 12] = [
     ("connects", "Connections opened", |link| link.connects),
     ("disconnects", "Connections lost", |link| link.disconnects),
     ("connect_failures", "Attempts to connect that failed", |link| link.connect_failures),
@@ -119,6 +119,7 @@ const LINK_COUNTERS: [Counter<LinkStats>; 11] = [
     ("late_datagrams", "Datagrams that came to the port of an earlier request", |link| link.late_datagrams),
     ("echoes", "Echoes of requests from an RS-485 adapter", |link| link.echoes),
     ("long_gaps", "Times that the frame gap became long", |link| link.long_gaps),
+    ("withheld_requests", "Requests not sent, since this member of a fleet did not own the link", |link| link.withheld),
 ];
 
 fn links(to: &mut Writer<'_>, shared: &Shared) -> fmt::Result {
