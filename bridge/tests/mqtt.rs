@@ -12,9 +12,9 @@ use common::mosquitto::Mosquitto;
 use common::mqtt_output::Output;
 use common::mqtt_proxy::Proxy;
 use common::mqtt_subscriber::Subscriber;
-use fatek::register;
 use fatek::sim::{Bus, Plc, Server};
 use fatek::wire::Framing;
+use fatek::{element, register};
 use fatek_bridge::batch::milliseconds;
 use rcgen::{BasicConstraints, CertificateParams, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair};
 use serde_json::{Value, json};
@@ -278,6 +278,83 @@ async fn batches_that_the_broker_does_not_authorize_are_kept() {
     output.wait_until_delivered().await;
     assert_eq!(output.health.delivered(), (20, 20));
     output.stop().await;
+}
+
+/// mosquitto 2.0 answers a PUBLISH of an MQTT 5 client that its rules refuse with the reason 0x87 (not authorized), and
+/// goes on. Older clients are told that it was taken.
+///
+/// With present values that wait for the refused PLC, the present alarm of the boiler did not come within 30 s.
+#[tokio::test(flavor = "multi_thread")]
+async fn rules_that_refuse_one_plc_hold_up_no_other() {
+    rules_that_refuse_one_plc("max_queued_messages 1000\n").await;
+}
+
+/// mosquitto 2.0.11 ends the connection then, after its answer. With an attempt on each connection, there were four
+/// connections a second, and fewer than 20 batches of the boiler came as news: the next one did not within 30 s.
+#[tokio::test(flavor = "multi_thread")]
+async fn refusals_that_end_the_connection_hold_up_no_other() {
+    rules_that_refuse_one_plc("max_queued_messages 0\n").await;
+}
+
+/// The rules of a broker refuse the mixer, over an outage, until they are corrected.
+async fn rules_that_refuse_one_plc(limit: &str) {
+    let rules_folder = TempDir::new().unwrap();
+    let rules = rules_folder.path().join("acl");
+    let (states, data) = ("topic readwrite fatek/+/+/state\ntopic readwrite fatek/+/state\n", "topic read #\n");
+    std::fs::write(&rules, format!("{states}{data}topic write fatek/+/boiler/data\n")).unwrap();
+    let lines = format!("allow_anonymous true\nacl_file {}\n{limit}", rules.display());
+    let Some(mut mosquitto) = Mosquitto::start_with(&lines) else { return };
+    let plant = [Plc::new(), Plc::new()];
+    let bus = Bus::new().with_station(1, plant[0].clone()).unwrap().with_station(2, plant[1].clone()).unwrap();
+    let server = Server::bind("127.0.0.1:0", bus, Framing::Ascii).await.unwrap();
+    let folder = TempDir::new().unwrap();
+    let text = format!(
+        "[bridge]\nid = 'hall-2'\nhttp = '127.0.0.1:0'\n[mqtt]\nurl = '{}'\n\
+         [class]\nfast = {{ every = '200ms' }}\n[template.tank]\n\
+         level = {{ at = 'R5', class = 'fast' }}\nalarm = {{ at = 'M7', class = 'fast', on_change = true }}\n\
+         [bus.line]\nlink = 'tcp://{}'\nuse = ['tank']\nstations = {{ mixer = 1, boiler = 2 }}\n",
+        mosquitto.url(),
+        server.local_addr()
+    );
+    let mut subscriber = Subscriber::start(&mosquitto, "fatek/+/+/data").await;
+    let mut bridge = Bridge::start(&write_config(folder.path(), &text), folder.path());
+    bridge.wait_for_log("the batches of this PLC are kept");
+    assert!(bridge.log().contains("plc=\"mixer\"") && bridge.log().contains("(0x87)"), "{}", bridge.log());
+    assert!(mosquitto.log().contains("Denied PUBLISH"), "{}", mosquitto.log());
+    let is_of = |topic: &str, plc: &str| topic == format!("fatek/hall-2/{plc}/data");
+    let is_news = |topic: &str, batch: &Value| is_of(topic, "boiler") && batch["hist"].is_null();
+    for _ in 0..20 {
+        subscriber.wait_for("news of the boiler", is_news).await;
+    }
+    // An outage in which the alarm of the boiler changes: its batch is late when it is sent.
+    mosquitto.kill();
+    plant[1].write(element!("M7"), true).unwrap();
+    sleep(Duration::from_secs(6)).await;
+    mosquitto.launch();
+    let is_present = |topic: &str, batch: &Value, plc: &str| {
+        is_of(topic, plc) && batch["hist"].is_null() && batch["d"]["alarm"].is_boolean()
+    };
+    let (_, batch, _) =
+        subscriber.wait_for("the present alarm", |topic, batch| is_present(topic, batch, "boiler")).await;
+    assert_eq!(batch["d"]["alarm"], true, "{batch}");
+    // The rules are corrected, and mosquitto reads them: nothing was lost.
+    std::fs::write(&rules, format!("{states}{data}topic write fatek/+/+/data\n")).unwrap();
+    mosquitto.signal("HUP");
+    let (_, first, _) = subscriber.wait_for("the mixer", |topic, _| is_of(topic, "mixer")).await;
+    assert!(first["hist"] == true && first["d"]["alarm"] == false, "the first batch of all: {first}");
+    let mut seq = first["seq"].as_u64().unwrap();
+    loop {
+        let (_, batch, _) = subscriber.wait_for("the mixer", |topic, _| is_of(topic, "mixer")).await;
+        seq += 1;
+        assert_eq!(batch["seq"], seq, "each once, in order");
+        if batch["hist"].is_null() {
+            break;
+        }
+    }
+    bridge.wait_for_log("the broker takes the batches of this PLC again");
+    println!("{} connections", bridge.log().matches("mqtt: connected").count());
+    bridge.signal("TERM");
+    assert!(bridge.wait().success(), "{}", bridge.log());
 }
 
 /// Waits until the output says this, and that it is not connected.

@@ -101,6 +101,12 @@ impl Mosquitto {
         }
     }
 
+    /// Sends it a signal, such as `HUP`: it reads its rules again.
+    pub fn signal(&self, name: &str) {
+        let pid = self.child.as_ref().unwrap().id().to_string();
+        assert!(Command::new("kill").args(["-s", name, &pid]).status().unwrap().success(), "kill -s {name}");
+    }
+
     /// Its log.
     pub fn log(&self) -> String {
         std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()

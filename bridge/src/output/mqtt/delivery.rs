@@ -259,7 +259,7 @@ impl Delivery {
     }
 
     /// Notes that the connection was lost: all that was neither taken nor given up is sent again.
-    pub(super) fn lost(&mut self, loss: Loss) {
+    pub(super) fn lost(&mut self, loss: Loss, now: Instant) {
         if let Loss::Guilty(position) = loss {
             self.health.count_skipped();
             self.settle(position, Settled::GivenUp);
@@ -272,7 +272,7 @@ impl Delivery {
         self.prefix.rewind();
         self.queue.clear();
         self.in_flight.clear();
-        self.refusals.rewind();
+        self.refusals.rewind(now);
         self.cursor.rewind();
     }
 

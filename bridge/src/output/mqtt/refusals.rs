@@ -12,7 +12,11 @@
 //! growing delays; when it is taken, the others follow. After [`HOLD`], in which others were taken, the PLC is
 //! given up: its batches are dropped, but for one at a time that is an attempt. If none of any PLC is taken, all
 //! are kept: then the broker refuses the output, and the buffer decides. A new connection begins with all of them
-//! kept.
+//! kept, and an attempt for each.
+//!
+//! Some brokers close the connection after a refusal: mosquitto 2.0 with `max_queued_messages 0`. After such a loss
+//! everything goes on as on one connection, and the PLCs have attempts in turn: else each connection would end with
+//! its first attempt, and always that of the same PLC.
 //!
 //! Invariants:
 //! - the batches of a PLC are sent in their order;
@@ -30,8 +34,9 @@ use crate::buffer::Entry;
 /// The time for which the batches of a refused PLC are kept while those of others are taken. A pause of others that
 /// is longer does not count.
 pub(super) const HOLD: Duration = Duration::from_secs(600);
-/// The time between two attempts, if the second one comes before its time.
-const SHORTEST: Duration = Duration::from_secs(1);
+/// The time between two attempts, if the second one comes before its time; and the time after a refusal within which
+/// the end of a connection counts as its effect.
+pub(super) const SHORTEST: Duration = Duration::from_secs(1);
 /// The batches that are parked, of all PLCs.
 pub(super) const MAX_PARKED: usize = 16_384;
 /// Their bytes.
@@ -251,16 +256,41 @@ impl Refusals {
         given_up
     }
 
-    /// Forgets all batches, which are read again, and lets each PLC have an attempt: the connection is another, and
-    /// perhaps the broker. So the time for which batches are kept begins anew.
-    pub(super) fn rewind(&mut self) {
+    /// Forgets all batches, which are read again. Lets each PLC have an attempt: the connection is another, and perhaps
+    /// the broker. So the time for which batches are kept begins anew, unless a refusal has ended the connection.
+    pub(super) fn rewind(&mut self, now: Instant) {
         self.ready.clear();
         (self.parked, self.bytes) = (0, 0);
+        self.plcs.values_mut().for_each(|refused| refused.parked.clear());
+        if let Some(delay) = self.delay_after_refusal(now) {
+            self.take_turns(now, delay);
+            return;
+        }
         self.taken = None;
         for refused in self.plcs.values_mut() {
-            refused.parked.clear();
             refused.next = Next::Due;
             refused.is_given_up = false;
+        }
+    }
+
+    /// The time until the next attempt, if a refusal has just ended a connection.
+    fn delay_after_refusal(&self, now: Instant) -> Option<Duration> {
+        let recent = self.plcs.values().filter(|refused| now.duration_since(refused.last) < SHORTEST);
+        let delay = |refused: &Refused| match refused.next {
+            Next::At(at) => at.duration_since(now).max(SHORTEST),
+            Next::Due | Next::InFlight => SHORTEST,
+        };
+        recent.map(delay).max()
+    }
+
+    /// Gives the PLCs attempts one after another. The PLC whose last one was longest ago is first.
+    fn take_turns(&mut self, now: Instant, delay: Duration) {
+        let mut plcs: Vec<&mut Refused> = self.plcs.values_mut().collect();
+        plcs.sort_by_key(|refused| refused.last);
+        let mut at = now;
+        for refused in plcs {
+            at += delay;
+            refused.next = Next::At(at);
         }
     }
 

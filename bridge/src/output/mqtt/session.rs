@@ -512,7 +512,7 @@ impl<'a> Session<'a> {
             (End::Lost(error), [_, ..]) if error.blames_a_message() => Loss::Suspect,
             (End::Lost(_) | End::Stopped, _) => Loss::Other,
         };
-        self.carried.delivery.lost(loss);
+        self.carried.delivery.lost(loss, Instant::now());
         let replies: Vec<Message> = items.into_iter().filter_map(Item::into_reply).collect();
         replies.into_iter().for_each(|reply| self.carried.push_reply(reply));
     }

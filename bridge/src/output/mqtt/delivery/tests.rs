@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use futures::FutureExt as _;
 
-use super::super::refusals::{HOLD, MAX_PARKED};
+use super::super::refusals::{HOLD, MAX_PARKED, SHORTEST};
 use super::*;
 use crate::batch::Batch;
 use crate::buffer::Buffer;
@@ -62,6 +62,12 @@ impl Case {
         self.delivery.refused(position, "not authorized", self.now);
     }
 
+    /// Loses the connection, and not because of a refusal.
+    fn lost(&mut self, loss: Loss) {
+        self.now += SHORTEST;
+        self.delivery.lost(loss, self.now);
+    }
+
     /// Lets the time pass until the next attempt, and returns how long that takes.
     fn wait(&mut self) -> Duration {
         let due = self.delivery.due().expect("it waits");
@@ -115,7 +121,7 @@ fn after_a_loss_the_unacknowledged_batches_come_again() {
     case.send();
     case.taken(1);
     case.taken(3);
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     // The third as well: batches are acknowledged as a prefix.
     assert_eq!(case.send(), [2, 3, 4]);
     assert_eq!(case.delivery.health.skipped(), 0);
@@ -125,7 +131,7 @@ fn after_a_loss_the_unacknowledged_batches_come_again() {
 fn a_batch_that_was_only_fetched_is_no_replay_after_a_loss() {
     let mut case = Case::new(3);
     assert_eq!([case.send_one(), case.send_one()], [(1, false), (2, false)]);
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     assert_eq!([case.send_one(), case.send_one(), case.send_one()], [(1, true), (2, true), (3, false)]);
 }
 
@@ -246,7 +252,7 @@ fn the_next_connection_tries_a_refused_plc_at_once() {
     assert_eq!(case.send(), [1, 2, 3, 4]);
     case.refused(1);
     case.taken(2);
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     // The second was taken.
     assert_eq!((case.send(), case.delivery.due()), (vec![4, 1], None));
     case.taken(1);
@@ -261,11 +267,11 @@ fn a_batch_that_ends_the_connection_is_found_and_given_up() {
     assert_eq!(case.send(), [1, 2, 3, 4]);
     case.taken(1);
     // The second or the third.
-    case.delivery.lost(Loss::Suspect);
+    case.lost(Loss::Suspect);
     assert_eq!((case.lag(), case.delivery.health.skipped()), (3, 0));
     assert_eq!(case.send(), [2], "one at a time");
     assert!(case.delivery.is_probing_in_flight());
-    case.delivery.lost(Loss::Guilty(2));
+    case.lost(Loss::Guilty(2));
     assert_eq!((case.lag(), case.delivery.health.skipped()), (2, 1));
     assert_eq!(case.send(), [3]);
     case.taken(3);
@@ -276,7 +282,7 @@ fn a_batch_that_ends_the_connection_is_found_and_given_up() {
 fn twice_as_many_batches_are_sent_with_each_that_is_taken() {
     let mut case = Case::new(1000);
     case.send();
-    case.delivery.lost(Loss::Suspect);
+    case.lost(Loss::Suspect);
     let mut limits = Vec::new();
     while let State::Probing(limit) = case.delivery.state {
         let sent = case.send();
@@ -291,13 +297,13 @@ fn twice_as_many_batches_are_sent_with_each_that_is_taken() {
 fn after_losses_without_progress_one_batch_is_sent_at_a_time() {
     let mut case = Case::new(3);
     assert_eq!(case.send(), [1, 2, 3]);
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     assert_eq!(case.send(), [1, 2, 3], "once is no pattern");
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     assert_eq!(case.send(), [1]);
     case.taken(1);
     assert_eq!(case.send(), [2, 3]);
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     assert_eq!((case.send(), case.delivery.health.skipped()), (vec![2], 0));
 }
 
@@ -320,15 +326,15 @@ fn a_batch_that_ends_the_connection_is_given_up_behind_a_refused_one() {
     let mut case = Case::of(&["mixer", "boiler"], 4);
     assert_eq!(case.send(), [1, 2, 3, 4]);
     case.refused(1);
-    case.delivery.lost(Loss::Suspect);
+    case.lost(Loss::Suspect);
     assert_eq!(case.send(), [2]);
-    case.delivery.lost(Loss::Guilty(2));
+    case.lost(Loss::Guilty(2));
     assert_eq!(case.send(), [4]);
     case.taken(4);
     assert_eq!(case.send(), [1]);
     case.refused(1);
     // Nor is one sent again that was taken.
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     assert_eq!(case.send(), [1]);
     case.taken(1);
     assert_eq!(case.send(), [3]);
@@ -343,7 +349,7 @@ fn the_time_of_a_refused_plc_begins_anew_with_a_connection() {
     case.round(&["mixer"], Duration::ZERO);
     case.push("boiler", 3);
     case.round(&["mixer"], Duration::from_secs(120));
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     // The broker is away, and then takes those of the boiler.
     case.push("boiler", 4);
     case.round(&["mixer"], HOLD - Duration::from_secs(60));
@@ -363,7 +369,7 @@ fn present_values_wait_for_no_refused_plc() {
     assert_eq!(case.send(), [1, 2, 3, 4]);
     [1, 3].into_iter().for_each(|position| case.refused(position));
     // An outage.
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     assert_eq!(case.send(), [2, 1, 4], "the first is an attempt");
     case.taken(2);
     let wanted = |case: &Case| case.buffer.present_values_wanted().now_or_never().is_some();
@@ -381,7 +387,7 @@ fn present_values_wait_for_no_refused_plc() {
     }
     assert!(!wanted(&case), "once");
     // The last one of the next outage is of the refused PLC.
-    case.delivery.lost(Loss::Other);
+    case.lost(Loss::Other);
     assert_eq!(case.send(), [1]);
     case.refused(1);
     assert!(wanted(&case));
@@ -430,4 +436,62 @@ fn a_removed_plc_is_no_failure_any_more() {
     }
     assert_eq!((case.dropped("mixer"), failure(&case)), (1, None));
     assert!(!case.delivery.has_refused());
+}
+
+/// mosquitto 2.0 with `max_queued_messages 0`. Without the delays, each connection ended with its first attempt, four
+/// of them a second, and without the time that goes on nothing was ever given up.
+#[test]
+fn refusals_that_end_the_connection_hold_up_no_other_plc() {
+    let mut case = Case::of(&["mixer", "boiler", "silo"], 3);
+    let refused = ["mixer", "silo"];
+    let second = Duration::from_secs(1);
+    let (mut losses, mut tried, mut seq) = (0_u64, [0_u64; 2], 3);
+    // Sends until a batch is refused, which ends the connection.
+    let mut round = |case: &mut Case, refused: &[&str]| {
+        case.now += second;
+        case.delivery.resume(case.now);
+        case.delivery.give_up(case.now);
+        loop {
+            if case.delivery.needs_batches() {
+                let _ = case.delivery.fetch().now_or_never();
+            }
+            let Some(entry) = case.delivery.take(case.now) else { return };
+            if let Some(plc) = refused.iter().position(|plc| **plc == *entry.batch.plc) {
+                losses += 1;
+                tried[plc] += 1;
+                case.refused(entry.position);
+                case.delivery.lost(Loss::Other, case.now);
+                return;
+            }
+            case.taken(entry.position);
+        }
+    };
+    for time in 1..HOLD.as_secs() + 30 {
+        round(&mut case, &refused);
+        seq += 1;
+        ["mixer", "boiler", "silo"].into_iter().for_each(|plc| case.push(plc, seq));
+        if time == 60 {
+            assert_eq!((case.dropped("mixer"), case.delivery.health.skipped()), (0, 0));
+            assert!(case.delivery.health.delivered().0 >= 50, "{:?}", case.delivery.health);
+        }
+    }
+    assert!(case.dropped("mixer") > 0 && case.dropped("silo") > 0, "they are given up");
+    assert!(case.lag() <= 100, "{}", case.lag());
+    // The silo is taken, and the mixer after it.
+    while case.delivery.health.refused_plcs()["silo"].is_refused {
+        assert!(seq < 700, "it is never tried");
+        round(&mut case, &refused[..1]);
+        seq += 1;
+        ["mixer", "silo"].into_iter().for_each(|plc| case.push(plc, seq));
+    }
+    while case.delivery.health.refused_plcs()["mixer"].is_refused {
+        assert!(seq < 800, "it is never tried");
+        round(&mut case, &[]);
+        seq += 1;
+        case.push("mixer", seq);
+    }
+    (0..3).for_each(|_| round(&mut case, &[]));
+    assert_eq!(case.lag(), 0);
+    println!("{losses} losses; attempts of each: {tried:?}");
+    assert!(losses <= HOLD.as_secs() / 4 && tried[0].abs_diff(tried[1]) < losses / 4, "{losses} {tried:?}");
 }
