@@ -77,14 +77,15 @@ impl Collector {
             {
                 samples.push(sample);
             }
+            let now = milliseconds(SystemTime::now());
             let registry = self.registry.clone();
             // Locked until all batches are ended: their places stay as they are.
             let plcs = registry.read();
-            self.take_early(&plcs);
+            self.take_early(&plcs, now);
             for sample in samples.drain(..) {
                 match sample {
                     Ok(sample) => {
-                        if let Some(early) = self.take(sample, &plcs) {
+                        if let Some(early) = self.take(sample, &plcs, now) {
                             self.keep(early);
                         }
                     }
@@ -99,9 +100,9 @@ impl Collector {
     }
 
     /// Takes the samples of an earlier round whose tags the registry has got since, in their order.
-    fn take_early(&mut self, plcs: &Plcs) {
+    fn take_early(&mut self, plcs: &Plcs, now: u64) {
         for sample in std::mem::take(&mut self.early) {
-            if let Some(early) = self.take(sample, plcs) {
+            if let Some(early) = self.take(sample, plcs, now) {
                 self.keep(early);
             }
         }
@@ -115,14 +116,14 @@ impl Collector {
     }
 
     /// Adds a sample to the batch of its PLC. Returns it if its tag has no place.
-    fn take(&mut self, sample: Sample, plcs: &Plcs) -> Option<Sample> {
+    fn take(&mut self, sample: Sample, plcs: &Plcs, now: u64) -> Option<Sample> {
         let Some(place) = plcs.place(sample.id) else { return Some(sample) };
         let number = self.batcher_of(&place.plc);
         let Some(batcher) = self.batchers.get_mut(number) else { return Some(sample) };
         if !batcher.is_open() {
             self.open.push(number);
         }
-        let ended = batcher.push(place, &sample);
+        let ended = batcher.push(place, &sample, now);
         ended.into_iter().for_each(|batch| self.push(batch));
         None
     }
