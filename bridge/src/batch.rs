@@ -100,7 +100,7 @@ impl Batcher {
         if self.revision != place.revision {
             self.revision = place.revision;
             // Behind those of the owners before, as far as the clocks of the members agree.
-            self.seq = self.seq.max(now.saturating_mul(SEQS_A_MILLISECOND));
+            self.seq = self.seq.max(ts.saturating_mul(SEQS_A_MILLISECOND));
         }
         self.ts = ts;
         self.samples = self.samples.saturating_add(1);

@@ -81,16 +81,21 @@ async fn a_stale_sample_has_no_value_and_two_times() {
 async fn another_ownership_begins_another_batch_with_its_token() {
     let samples = samples(&["R5:i16", "M7"], 2).await;
     let of = |revision| Place { revision, ..place("level", 0) };
+    let at = |millis: u64| {
+        let mut sample = samples[0].clone();
+        sample.at.time = SystemTime::UNIX_EPOCH + Duration::from_millis(millis);
+        sample
+    };
     let mut batcher = Batcher::new("mixer".into(), 7);
-    batcher.push(&of(0), &samples[0], 1000);
-    let first = batcher.push(&of(41), &samples[0], 2000).unwrap();
+    batcher.push(&of(0), &at(1000));
+    let first = batcher.push(&of(41), &at(2000)).unwrap();
     assert_eq!((first.revision, first.seq, json(&first).get("rev")), (0, 7, None));
-    let second = batcher.push(&of(44), &samples[0], 2001).unwrap();
+    let second = batcher.push(&of(44), &at(2001)).unwrap();
     assert_eq!((second.revision, second.seq), (41, 2_000_000));
     assert_eq!(json(&second)["rev"], 41);
     let third = batcher.end().unwrap();
     assert_eq!((third.revision, third.seq), (44, 2_001_000));
     // A clock that was set back: the number grows all the same.
-    batcher.push(&of(46), &samples[0], 5);
+    batcher.push(&of(46), &at(5));
     assert_eq!(batcher.end().unwrap().seq, 2_001_001);
 }
