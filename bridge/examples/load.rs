@@ -6,22 +6,20 @@
 //!
 //! The age is the time between the reply of the PLC and the arrival at the subscriber.
 
-use std::error::Error;
+mod common;
+
 use std::io::{BufRead as _, BufReader};
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use clap::{Parser, ValueEnum};
-use fatek::register;
-use fatek::sim::{Model, Plc};
 use futures::StreamExt as _;
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::{AsyncClient, Event, Incoming, MqttOptions};
 use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 
-type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
+use common::{Process, Result, cpu_time, free_port, memory, nats_server, program, serve, start_plcs, start_server};
 
 /// Measures the bridge with simulated PLCs
 #[derive(Debug, Parser)]
@@ -62,16 +60,6 @@ enum Output {
     Nats,
 }
 
-/// A process that is ended with this program.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// A message at the subscriber.
 struct Arrival {
     samples: usize,
@@ -81,47 +69,20 @@ struct Arrival {
 #[tokio::main]
 async fn main() -> Result<()> {
     let args = Args::parse();
-    if args.serve { serve(&args).await } else { measure(args).await }
-}
-
-/// Serves the PLCs and prints their addresses, one a line.
-async fn serve(args: &Args) -> Result<()> {
-    let mut servers = Vec::new();
-    let mut plcs = Vec::new();
-    for _ in 0..args.plcs {
-        let plc = Plc::with_model(Model::largest());
-        let server = plc.serve("127.0.0.1:0").await?;
-        println!("{}", server.local_addr());
-        servers.push(server);
-        plcs.push(plc);
-    }
-    for count in 0_u16.. {
-        tokio::time::sleep(Duration::from_millis(50)).await;
-        for plc in &plcs {
-            plc.write(register!("R0"), count)?;
-        }
-    }
-    Ok(())
+    if args.serve { serve(args.plcs).await } else { measure(args).await }
 }
 
 async fn measure(args: Args) -> Result<()> {
     let folder = tempfile::tempdir()?;
-    let mut command = Command::new(std::env::current_exe()?);
-    command.args(["--serve", "--plcs", &args.plcs.to_string()]).stdout(Stdio::piped());
-    let mut plcs = Process(command.spawn()?);
-    let stdout = plcs.0.stdout.take().ok_or("no stdout of the PLCs")?;
-    let addresses: Vec<String> = BufReader::new(stdout).lines().take(args.plcs).collect::<std::io::Result<_>>()?;
+    let (_plcs, addresses) = start_plcs(args.plcs)?;
     let port = free_port()?;
-    let _server = start_server(args.output, port, folder.path())?;
+    let _server = start_output(args.output, port, folder.path())?;
     let config = folder.path().join("plant.toml");
     std::fs::write(&config, configuration(&args, &addresses, port))?;
     let (sender, mut arrivals) = unbounded_channel();
     subscribe(args.output, port, sender.clone()).await?;
 
-    let program = match &args.bridge {
-        Some(program) => program.clone(),
-        None => std::env::current_exe()?.parent().and_then(Path::parent).ok_or("no folder")?.join("fatek-bridge"),
-    };
+    let program = program(args.bridge.as_deref())?;
     let mut command = Command::new(program);
     command.arg("run").arg(&config).env("STATE_DIRECTORY", folder.path()).stdout(Stdio::piped());
     let mut bridge = Process(command.spawn()?);
@@ -193,8 +154,8 @@ fn configuration(args: &Args, addresses: &[String], port: u16) -> String {
     text
 }
 
-fn start_server(output: Output, port: u16, folder: &Path) -> Result<Option<Process>> {
-    let mut command = match output {
+fn start_output(output: Output, port: u16, folder: &Path) -> Result<Option<Process>> {
+    let command = match output {
         Output::Stdout => return Ok(None),
         Output::Mqtt => {
             let config = folder.join("mosquitto.conf");
@@ -206,22 +167,9 @@ fn start_server(output: Output, port: u16, folder: &Path) -> Result<Option<Proce
             command.arg("-c").arg(config);
             command
         }
-        Output::Nats => {
-            let mut command = Command::new("nats-server");
-            command.args(["-js", "-a", "127.0.0.1", "-p", &port.to_string(), "-sd"]).arg(folder.join("nats"));
-            command
-        }
+        Output::Nats => nats_server(port, folder),
     };
-    let path = format!("{}:/usr/sbin", std::env::var("PATH").unwrap_or_default());
-    let server = Process(command.env("PATH", path).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?);
-    let until = Instant::now() + Duration::from_secs(10);
-    while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
-        if Instant::now() > until {
-            return Err("the server does not start".into());
-        }
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    Ok(Some(server))
+    start_server(command, port).map(Some)
 }
 
 async fn subscribe(output: Output, port: u16, arrivals: UnboundedSender<Arrival>) -> Result<()> {
@@ -264,24 +212,4 @@ fn arrival(message: &[u8]) -> Arrival {
     let ts = ts.unwrap_or_else(|| panic!("a message without a time: {text}"));
     let samples = text.matches("value_").count();
     Arrival { samples, age: now.saturating_sub(Duration::from_millis(ts)) }
-}
-
-fn free_port() -> Result<u16> {
-    Ok(TcpListener::bind("127.0.0.1:0")?.local_addr()?.port())
-}
-
-/// The processor time of a process, in steps of 10 ms.
-fn cpu_time(process: u32) -> Result<Duration> {
-    let stat = std::fs::read_to_string(format!("/proc/{process}/stat"))?;
-    // Behind the name, which may have blanks: state, and 10 fields before the times of user and system.
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
-    let ticks = |at: usize| -> Result<u64> { Ok(fields.get(at).ok_or("no time of the process")?.parse()?) };
-    Ok(Duration::from_millis((ticks(11)? + ticks(12)?) * 10))
-}
-
-/// The memory of a process, in bytes.
-fn memory(process: u32) -> Result<u64> {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status"))?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).ok_or("no memory of the process")?;
-    Ok(line.trim().trim_end_matches(" kB").parse::<u64>()? * 1024)
 }
