@@ -9,7 +9,7 @@ use std::time::{Duration, Instant, SystemTime};
 use common::bridge::{Bridge, write_config};
 use common::deliveries::Deliveries;
 use common::mosquitto::Mosquitto;
-use common::mqtt_output::Output;
+use common::mqtt_output::{Output, PolledPlant};
 use common::mqtt_proxy::Proxy;
 use common::mqtt_subscriber::Subscriber;
 use fatek::sim::{Bus, Plc, Server};
@@ -267,7 +267,8 @@ async fn batches_that_the_broker_does_not_authorize_are_kept() {
     std::fs::write(&rules, "topic write fatek/+/+/state\ntopic write fatek/+/state\n").unwrap();
     let lines = format!("allow_anonymous true\nacl_file {}\n", rules.display());
     let Some(mut mosquitto) = Mosquitto::start_with(&lines) else { return };
-    let mut output = Output::start(&mosquitto.url(), json!({}));
+    let plant = PolledPlant::of_batches().await;
+    let mut output = Output::start_with(&mosquitto.url(), json!({}), plant.registry.clone(), None);
     output.push(20);
     output.wait_for("refusal", |output| output.health.refused() > 0).await;
     assert!(output.health.failure().unwrap().contains("not authorized"), "{:?}\n{}", output.health, mosquitto.log());

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use common::deliveries::Deliveries;
 use common::mqtt_broker::{Action, Broker, Received};
-use common::mqtt_output::{Output, batch};
+use common::mqtt_output::{Output, PolledPlant, batch};
 use fatek_bridge::batch::milliseconds;
 use serde_json::{Value, json};
 use tokio::time::sleep;
@@ -213,7 +213,9 @@ async fn batches_without_a_subscriber_are_counted_or_kept() {
 
     let broker = Broker::start().await;
     broker.behave(on_batch(|_| Action::AckWith(0x10)));
-    let mut output = Output::start(&broker.url(), json!({ "require_subscribers": true }));
+    let plant = PolledPlant::of_batches().await;
+    let mut output =
+        Output::start_with(&broker.url(), json!({ "require_subscribers": true }), plant.registry.clone(), None);
     output.push(90);
     output.wait_for("failure", |output| output.health.failure().is_some()).await;
     assert!(output.health.failure().unwrap().contains("no subscriber"));
@@ -230,7 +232,8 @@ async fn batches_without_a_subscriber_are_counted_or_kept() {
 async fn refused_batches_are_kept_and_are_no_hot_loop() {
     let broker = Broker::start().await;
     broker.behave(on_batch(|_| Action::AckWith(0x87)));
-    let mut output = Output::start(&broker.url(), json!({}));
+    let plant = PolledPlant::of_batches().await;
+    let mut output = Output::start_with(&broker.url(), json!({}), plant.registry.clone(), None);
     output.push(50);
     sleep(Duration::from_secs(4)).await;
     let attempts = broker.batches().len() - 50;
@@ -253,7 +256,8 @@ async fn a_refused_plc_holds_up_no_other() {
     let broker = Broker::start().await;
     let is_mixer = |received: &Received| received.topic == "fatek/hall-2/mixer/data";
     broker.behave(move |received| if is_mixer(received) { Action::AckWith(0x87) } else { Action::Ack });
-    let mut output = Output::start(&broker.url(), json!({}));
+    let plant = PolledPlant::of_batches().await;
+    let mut output = Output::start_with(&broker.url(), json!({}), plant.registry.clone(), None);
     output.push(300);
     output.wait_for("the others", |output| output.health.delivered().0 == 200).await;
     let failure = output.health.failure().unwrap();

@@ -147,6 +147,12 @@ pub struct PolledPlant {
 }
 
 impl PolledPlant {
+    /// PLCs of the names of [`PLCS`], without tags.
+    pub async fn of_batches() -> Self {
+        let plc = |(station, name)| format!("[plc.{name}]\nlink = 'LINK'\nstation = {station}\n");
+        Self::start(&(1..).zip(PLCS).map(plc).collect::<String>()).await
+    }
+
     /// Polls PLCs. `LINK` in the text is replaced by the address of the server.
     pub async fn start(text: &str) -> Self {
         let plcs = [Plc::new(), Plc::new()];
