@@ -89,9 +89,7 @@ impl Batcher {
     }
 
     /// Adds a sample. Returns the batch that ends before it. Places must not change while a batch is open.
-    ///
-    /// `now`: the time with which the sequence numbers of a new owner begin.
-    pub fn push(&mut self, place: &Place, sample: &Sample, now: u64) -> Option<Batch> {
+    pub fn push(&mut self, place: &Place, sample: &Sample) -> Option<Batch> {
         // Of a stale sample, `at` is the time of the last value.
         let ts = milliseconds(sample.stale_since.unwrap_or(sample.at).time);
         let is_repeated = self.in_batch.get(place.index).is_some_and(|batch| *batch == self.seq.saturating_add(1));

@@ -77,15 +77,14 @@ impl Collector {
             {
                 samples.push(sample);
             }
-            let now = milliseconds(SystemTime::now());
             let registry = self.registry.clone();
             // Locked until all batches are ended: their places stay as they are.
             let plcs = registry.read();
-            self.take_early(&plcs, now);
+            self.take_early(&plcs);
             for sample in samples.drain(..) {
                 match sample {
                     Ok(sample) => {
-                        if let Some(early) = self.take(sample, &plcs, now) {
+                        if let Some(early) = self.take(sample, &plcs) {
                             self.keep(early);
                         }
                     }
@@ -100,9 +99,9 @@ impl Collector {
     }
 
     /// Takes the samples of an earlier round whose tags the registry has got since, in their order.
-    fn take_early(&mut self, plcs: &Plcs, now: u64) {
+    fn take_early(&mut self, plcs: &Plcs) {
         for sample in std::mem::take(&mut self.early) {
-            if let Some(early) = self.take(sample, plcs, now) {
+            if let Some(early) = self.take(sample, plcs) {
                 self.keep(early);
             }
         }
@@ -116,14 +115,14 @@ impl Collector {
     }
 
     /// Adds a sample to the batch of its PLC. Returns it if its tag has no place.
-    fn take(&mut self, sample: Sample, plcs: &Plcs, now: u64) -> Option<Sample> {
+    fn take(&mut self, sample: Sample, plcs: &Plcs) -> Option<Sample> {
         let Some(place) = plcs.place(sample.id) else { return Some(sample) };
         let number = self.batcher_of(&place.plc);
         let Some(batcher) = self.batchers.get_mut(number) else { return Some(sample) };
         if !batcher.is_open() {
             self.open.push(number);
         }
-        let ended = batcher.push(place, &sample, now);
+        let ended = batcher.push(place, &sample);
         ended.into_iter().for_each(|batch| self.push(batch));
         None
     }

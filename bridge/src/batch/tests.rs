@@ -40,9 +40,9 @@ async fn samples_of_one_time_make_one_batch_and_a_repeated_tag_ends_it() {
     let mut batcher = Batcher::new("mixer".into(), 7);
     assert!(batcher.end().is_none());
     for (index, sample) in samples.iter().enumerate() {
-        assert!(batcher.push(&place(["level", "alarm", "pair"][index], index), sample, 0).is_none());
+        assert!(batcher.push(&place(["level", "alarm", "pair"][index], index), sample).is_none());
     }
-    let first = batcher.push(&place("level", 0), &samples[0], 0).unwrap();
+    let first = batcher.push(&place("level", 0), &samples[0]).unwrap();
     assert_eq!((first.seq, first.samples), (7, 3));
     let ts = milliseconds(at.time);
     let data = json!({ "level": 0, "alarm": false, "pair": [0, 0] });
@@ -64,13 +64,13 @@ async fn a_stale_sample_has_no_value_and_two_times() {
     let (good, stale) = (&samples[0], &samples[1]);
     assert!(matches!(stale.quality, Quality::Stale(_)), "{stale:?}");
     let mut batcher = Batcher::new("mixer".into(), 1);
-    batcher.push(&place("level", 0), good, 0);
+    batcher.push(&place("level", 0), good);
     let (then, since) = (milliseconds(good.at.time), milliseconds(stale.stale_since.unwrap().time));
     assert!(since >= then + 300, "{then} {since}");
-    let first = batcher.push(&place("level", 0), stale, 0).unwrap();
+    let first = batcher.push(&place("level", 0), stale).unwrap();
     assert_eq!(first.ts, then);
     // It is reported again.
-    let second = batcher.push(&place("level", 0), stale, 0).unwrap();
+    let second = batcher.push(&place("level", 0), stale).unwrap();
     assert_eq!((second.ts, batcher.end().unwrap().ts), (since, since));
     let level = &json(&second)["d"]["level"];
     assert_eq!((&level["q"], &level["ts"]), (&json!("stale"), &json!(then)), "{level}");
