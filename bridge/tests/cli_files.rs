@@ -169,7 +169,8 @@ fn secrets_are_found_in_files_and_variables() {
         assert!(!text(&output.stdout).contains("hunter2"));
         lines.map(|line| line.split(": ").nth(1).unwrap().to_owned()).collect::<Vec<_>>()
     };
-    let secrets = ["bridge.token_file", "mqtt.password_file", "nats.creds_file"];
+    // A token has no effect yet.
+    let secrets = ["mqtt.password_file", "nats.creds_file"];
     assert_eq!(faults(&mut command(&["check", shown(&path)])), secrets);
     let mut variables = command(&["check", shown(&path)]);
     variables.env("FATEK_BRIDGE_HTTP_TOKEN", "hunter2").env("FATEK_BRIDGE_MQTT_PASSWORD", "hunter2");

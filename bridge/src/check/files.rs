@@ -19,11 +19,14 @@ pub const TOKEN_RULE: &str = "it has no effect yet: no request over HTTP writes 
 /// Adds what is missing. Files are read, and nothing is opened or made.
 pub(super) fn check(config: &Config, environment: &Environment, findings: &mut Vec<Finding>) {
     let Config { bridge, mqtt, nats, .. } = config;
+    // A token that cannot be read is no fault, since nothing uses it.
     let token = bridge.token();
-    if let Ok(Some(_)) = token {
+    if !matches!(token, Ok(None)) {
         findings.push(finding(Severity::Warning, "bridge.token_file", TOKEN_RULE));
     }
-    secret("bridge.token_file", bridge.token_file.as_deref(), token, environment, findings);
+    if token.is_ok() {
+        secret("bridge.token_file", bridge.token_file.as_deref(), token, environment, findings);
+    }
     if let Some(mqtt) = mqtt {
         secret("mqtt.password_file", mqtt.password_file.as_deref(), mqtt.password(), environment, findings);
         let files = [&mqtt.ca_file, &mqtt.cert_file, &mqtt.key_file];
