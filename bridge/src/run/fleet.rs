@@ -323,7 +323,9 @@ fn close(bridge: &Bridge, membership: &Membership, plant: &Plant, closings: Vec<
 pub(super) fn check(plant: &Plant) -> Result<(), AddError> {
     let poller = fatek::Poller::new();
     let registry = crate::registry::Registry::default();
-    registry.apply_share(plant, Share::All, &Pool::new(), &poller.handle()).map(drop)
+    // Its gates are closed: a pool without gates would connect, and send requests to PLCs of other members.
+    let pool = OwnedLinks::default().pool();
+    registry.apply_share(plant, Share::All, &pool, &poller.handle()).map(drop)
 }
 
 /// Ends the commands that are under way, and gives all links to the other members. A second signal ends the wait.
