@@ -31,7 +31,19 @@ const NEVER: Duration = Duration::from_secs(24 * 3600);
 pub(crate) struct Connection {
     client: Client,
     lost: mpsc::UnboundedReceiver<String>,
-    runtime: Option<Runtime>,
+    _runtime: Background,
+}
+
+/// A runtime that may be dropped in a task: its tasks are aborted, and not waited for.
+#[derive(Debug)]
+struct Background(Option<Runtime>);
+
+impl Drop for Background {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.0.take() {
+            runtime.shutdown_background();
+        }
+    }
 }
 
 /// A connection that cannot be opened.
@@ -52,7 +64,7 @@ pub(crate) enum OpenError {
 }
 
 impl Connection {
-    /// Opens a connection, with the present content of the files.
+    /// Opens a connection, with the present content of the files. Cancel-safe.
     pub(crate) async fn open(section: &NatsSection, name: &str) -> Result<Self, OpenError> {
         let files = section.clone();
         let options = tokio::task::spawn_blocking(move || options(&files)).await;
@@ -88,6 +100,8 @@ impl Connection {
             .build()
             .map_err(OpenError::Runtime)?;
         let connecting = runtime.spawn(async move { options.connect(url).await });
+        // This future may be dropped while it waits.
+        let runtime = Background(Some(runtime));
         let connected = tokio::time::timeout(CONNECT_TIMEOUT * 2, connecting).await;
         let client = match connected {
             Ok(Ok(Ok(client))) => Ok(client),
@@ -95,13 +109,7 @@ impl Connection {
             Ok(Err(error)) => Err(error.to_string()),
             Err(_) => Err("no answer".to_owned()),
         };
-        match client {
-            Ok(client) => Ok(Self { client, lost, runtime: Some(runtime) }),
-            Err(error) => {
-                runtime.shutdown_background();
-                Err(OpenError::Connect(error))
-            }
-        }
+        client.map(|client| Self { client, lost, _runtime: runtime }).map_err(OpenError::Connect)
     }
 
     pub(crate) fn client(&self) -> &Client {
@@ -115,14 +123,6 @@ impl Connection {
         let more = self.lost.recv().now_or_never().flatten();
         let why = [why, more].into_iter().flatten().find(|why| why != LOST);
         why.unwrap_or_else(|| LOST.to_owned())
-    }
-}
-
-impl Drop for Connection {
-    fn drop(&mut self) {
-        if let Some(runtime) = self.runtime.take() {
-            runtime.shutdown_background();
-        }
     }
 }
 
@@ -176,4 +176,24 @@ pub(crate) fn with_sources(error: &dyn std::error::Error) -> String {
         source = cause.source();
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::net::TcpListener;
+
+    use super::*;
+
+    /// Seen without the cure: "Cannot drop a runtime in a context where blocking is not allowed". A member of a fleet
+    /// that was to leave while it connected ended with a panic.
+    #[tokio::test]
+    async fn opening_may_be_given_up() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let url = format!("nats://{}", listener.local_addr().unwrap());
+        let section: NatsSection = toml::from_str(&format!("url = '{url}'")).unwrap();
+        tokio::select! {
+            opened = Connection::open(&section, "hall-1") => panic!("{opened:?}"),
+            accepted = listener.accept() => assert!(accepted.is_ok()),
+        }
+    }
 }
