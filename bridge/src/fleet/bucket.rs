@@ -3,6 +3,8 @@
 //! A connection here does not reconnect by itself, so that all that is known of the store is known of one
 //! connection. The watch is a pull consumer, whose entries have consecutive numbers: a gap ends it.
 
+mod snapshot;
+
 use std::time::Duration;
 
 use async_nats::header::NATS_EXPECTED_LAST_SUBJECT_SEQUENCE;
@@ -14,6 +16,7 @@ use async_nats::jetstream::{self, ErrorCode};
 use async_nats::{HeaderMap, HeaderValue};
 use futures::StreamExt as _;
 
+use self::snapshot::Snapshot;
 use super::core::{Operation, Outcome};
 use crate::config::{Name, NatsSection};
 use crate::output::nats::connection::{Connection, with_sources};
@@ -62,8 +65,7 @@ pub(super) struct Opened {
 pub(super) struct Watch {
     messages: pull::Stream,
     prefix: String,
-    /// The entries that were there when it began, and have not come yet.
-    is_complete: bool,
+    snapshot: Snapshot,
     has_told: bool,
     /// The number of the last entry.
     last: u64,
@@ -133,12 +135,19 @@ async fn open_now(section: &NatsSection, id: &Name, bucket: &Name) -> Result<Ope
     check(info)?;
     let (created, last_revision, replicas) = (created(info), info.state.last_sequence, info.config.num_replicas);
     let prefix = prefix(bucket);
-    let (watch, server_time) = Watch::new(&stream, &prefix).await?;
+    let (mut watch, server_time) = Watch::new(&stream, &prefix).await?;
+    let listed = stream.info_with_subjects(format!("{prefix}>")).await;
+    let mut listed = listed.map_err(|error| OpenError::Other(with_sources(&error)))?;
     // It may have been made again since.
-    let again = stream.get_info().await.map_err(|error| OpenError::Other(with_sources(&error)))?;
-    if self::created(&again) != created {
+    if self::created(&listed.info) != created {
         return Err(OpenError::Other("the store was made again meanwhile".to_owned()));
     }
+    let (mut keys, end) = (Vec::new(), listed.info.state.last_sequence);
+    while let Some(subject) = listed.next().await {
+        let (subject, _) = subject.map_err(|error| OpenError::Other(with_sources(&error)))?;
+        keys.extend(subject.strip_prefix(&prefix).map(str::to_owned));
+    }
+    watch.snapshot = Snapshot::new(keys, end);
     let store = Store { context, stream, prefix };
     Ok(Opened { bucket: Bucket { connection, store }, watch, created, last_revision, replicas, server_time })
 }
@@ -321,12 +330,11 @@ impl Watch {
         };
         let consumer = stream.create_consumer(config).await;
         let consumer = consumer.map_err(|error| OpenError::Other(with_sources(&error)))?;
-        let is_complete = consumer.cached_info().num_pending == 0;
         let server_time = since_1970(consumer.cached_info().created.unix_timestamp_nanos());
         let messages = consumer.stream().max_messages_per_batch(BATCH).messages().await;
         let messages = messages.map_err(|error| OpenError::Other(with_sources(&error)))?;
         let prefix = prefix.to_owned();
-        Ok((Self { messages, prefix, is_complete, has_told: false, last: 0 }, server_time))
+        Ok((Self { messages, prefix, snapshot: Snapshot::default(), has_told: false, last: 0 }, server_time))
     }
 
     /// The next entry. Cancel-safe.
@@ -334,7 +342,7 @@ impl Watch {
     /// # Errors
     /// The watch has ended: entries may be missing.
     pub(super) async fn next(&mut self) -> Result<Seen, String> {
-        if self.is_complete && !self.has_told {
+        if !self.has_told && self.snapshot.is_complete() {
             self.has_told = true;
             return Ok(Seen::Complete);
         }
@@ -348,11 +356,11 @@ impl Watch {
             return Err(format!("the watch lacks entries after number {}", self.last));
         }
         self.last = info.consumer_sequence;
-        self.is_complete |= info.pending == 0;
         let (revision, stored_at) = (info.stream_sequence, since_1970(info.published.unix_timestamp_nanos()));
         let is_value = message.headers.as_ref().is_none_or(|headers| headers.get(OPERATION).is_none());
         let value = is_value.then(|| String::from_utf8_lossy(&message.payload).into_owned());
         let key = message.subject.strip_prefix(&self.prefix).unwrap_or_default().to_owned();
+        self.snapshot.delivered(&key, revision);
         Ok(Seen::Entry(Entry { key, value, revision, stored_at }))
     }
 }
