@@ -119,6 +119,11 @@ impl Bridge {
         assert!(status.success(), "kill -s {name}");
     }
 
+    /// Its status, if it has ended.
+    pub fn ended(&mut self) -> Option<ExitStatus> {
+        self.child.try_wait().unwrap()
+    }
+
     /// Waits until it has ended.
     pub fn wait(&mut self) -> ExitStatus {
         let until = Instant::now() + PATIENCE;

@@ -1,5 +1,8 @@
-//! A nats-server of Debian on loopback, with JetStream, started by the test.
+//! A nats-server on loopback, with JetStream, started by the test.
+//!
+//! `FATEK_NATS_SERVER` is the path of another program than that of the system.
 
+use std::ffi::OsString;
 use std::fmt::Write as _;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -32,6 +35,10 @@ pub struct Stored {
     pub message: Value,
 }
 
+fn program() -> OsString {
+    std::env::var_os("FATEK_NATS_SERVER").unwrap_or_else(|| "nats-server".into())
+}
+
 impl NatsServer {
     /// Starts a server, whose data is in a folder. `None`: the program is missing, and the test is skipped.
     pub fn start(folder: &Path) -> Option<Self> {
@@ -47,7 +54,7 @@ impl NatsServer {
 
     /// A server that is not started yet.
     pub fn stopped(folder: &Path, extra: &str) -> Option<Self> {
-        if Command::new("nats-server").arg("--version").stdout(Stdio::null()).status().is_err() {
+        if Command::new(program()).arg("--version").stdout(Stdio::null()).status().is_err() {
             assert!(std::env::var_os("FATEK_BRIDGE_REQUIRE_SERVERS").is_none(), "nats-server is not installed");
             println!("skipped: nats-server is not installed");
             return None;
@@ -65,7 +72,7 @@ impl NatsServer {
         let path = self.folder.join("nats.conf");
         std::fs::write(&path, config).unwrap();
         let log = std::fs::File::options().create(true).append(true).open(self.folder.join("nats.log")).unwrap();
-        let mut command = Command::new("nats-server");
+        let mut command = Command::new(program());
         command.arg("-c").arg(&path).stdin(Stdio::null()).stdout(log.try_clone().unwrap()).stderr(log);
         self.child = Some(command.spawn().unwrap());
         let until = Instant::now() + PATIENCE;

@@ -1,0 +1,54 @@
+//! Faults of a fleet of real processes with a real nats-server: no PLC gets a request of a former owner.
+//!
+//! Three to five processes of the bridge share ten PLCs, with a lease of 500 ms. Each has a proxy of its own on the
+//! way to NATS. Faults come alone and several at once, at random times and just about renewals, deadlines, takes and
+//! releases. An oracle beside the PLCs knows which process has sent each request, and by which token. After each
+//! round of faults all links are polled again, and each member has its share.
+//!
+//! | variable | content |
+//! |---|---|
+//! | `FATEK_FLEET_FAULTS` | the number of faults: 1000 in a campaign, 12 otherwise |
+//! | `FATEK_FLEET_SEED` | the seed of the first round, which is printed for each: the same faults come again |
+//! | `FATEK_NATS_SERVER` | the path of another nats-server than that of the system |
+//!
+//! ```text
+//! FATEK_FLEET_FAULTS=1000 cargo test --release --test fleet_faults campaign -- --nocapture
+//! FATEK_FLEET_FAULTS=300 cargo test --release --features naive-fleet --test fleet_faults naive -- --nocapture
+//! ```
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod campaign;
+mod fleet;
+mod frames;
+mod harness;
+mod inject;
+mod member;
+mod oracle;
+mod plan;
+mod plcs;
+mod processes;
+mod proxy;
+mod recorder;
+mod store;
+mod view;
+
+use campaign::Settings;
+
+fn number(name: &str) -> Option<u64> {
+    std::env::var(name).ok().map(|value| value.parse().unwrap_or_else(|_| panic!("{name} is a number")))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_campaign_of_faults_has_no_request_of_a_former_owner() {
+    let faults = usize::try_from(number("FATEK_FLEET_FAULTS").unwrap_or(12)).unwrap();
+    let seed = number("FATEK_FLEET_SEED").unwrap_or(1);
+    let settings = Settings { seed, faults, ends_early: false, variables: Vec::new() };
+    let Some(outcome) = campaign::run(&settings).await else { return };
+    println!("{}", outcome.table());
+    assert_eq!(outcome.judged.wrong(), 0, "{:#?}", outcome.judged.faults);
+    assert!(outcome.problems.is_empty(), "{:#?}", outcome.problems);
+    // Else this test shows nothing.
+    assert!(outcome.judged.requests > 20 * faults as u64 && outcome.judged.used > 10, "{:?}", outcome.judged);
+}
