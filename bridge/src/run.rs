@@ -228,7 +228,10 @@ pub async fn run(config: Config) -> Result<(), RunError> {
             }
             result = fleet::end_of(&mut share) => {
                 share = None;
-                break Err(fleet::ended_share(result));
+                // It ends when the fleet has ended, and that is the reason. Their tasks end in either order.
+                if !matches!(result, Ok(Ok(()))) {
+                    break Err(fleet::ended_share(result));
+                }
             }
             () = service.stay_alive(&bridge.liveness) => {}
         }

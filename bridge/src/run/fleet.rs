@@ -364,7 +364,7 @@ pub(super) fn ended(result: Result<Result<(), FleetError>, JoinError>) -> RunErr
     }
 }
 
-/// The error of the task that polls the share of a member.
+/// The error of the task that polls the share of a member, unless it has ended with the fleet.
 pub(super) fn ended_share(result: Result<Result<(), AddError>, JoinError>) -> RunError {
     match result {
         Ok(Err(error)) => RunError::Add(error),
