@@ -49,7 +49,8 @@ async fn print(station: &Station, round: u32) -> Result<(), fatek::Error> {
     let counter = station.read_registers32(register32!("DR100"), 1).await?;
     let lamps = station.read_discretes(discrete!("Y0"), 4).await?;
     let mixed = station.read_mixed(&[element!("R0"), element!("Y0"), element!("DR100")]).await?;
-    println!("{round}: R0..R2 = {levels:?}  DR100 = {counter:?}  Y0..Y3 = {lamps:?}");
+    println!("{round}: R0..R2 = {levels:?}  DR100 = {counter:?}");
+    println!("   Y0..Y3 = {lamps:?}");
     println!("   R0, Y0, DR100 in one scan = {mixed:?}");
     Ok(())
 }
