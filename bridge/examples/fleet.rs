@@ -52,6 +52,9 @@ struct Args {
     serve: bool,
 }
 
+/// The time for anything.
+const PATIENCE: Duration = Duration::from_secs(60);
+
 /// A batch of a PLC, by a member.
 struct Arrival {
     member: usize,
@@ -62,7 +65,11 @@ struct Arrival {
 #[tokio::main]
 async fn main() -> Result<()> {
     let args = Args::parse();
-    if args.serve { serve(args.plcs).await } else { Bench::start(args)?.measure() }
+    if args.serve {
+        return serve(args.plcs).await;
+    }
+    // An error has several lines.
+    Bench::start(args)?.measure().inspect_err(|error| eprintln!("{error}"))
 }
 
 struct Bench {
@@ -209,9 +216,8 @@ impl Bench {
     fn until(&mut self, what: &str, holds: impl Fn(&Self) -> bool) -> Result<()> {
         let begin = Instant::now();
         while !holds(self) {
-            if begin.elapsed() > Duration::from_secs(120) {
-                let log = std::fs::read_to_string(self.folder.path().join("member-0/log"))?;
-                return Err(format!("{what}: not within 2 minutes; the log of member 0:\n{log}").into());
+            if begin.elapsed() > PATIENCE {
+                return Err(format!("{what}: not within {PATIENCE:?}; {}", self.state()?).into());
             }
             // Thousands come in a second.
             self.pass(Duration::from_millis(5));
@@ -224,6 +230,21 @@ impl Bench {
             self.pause = self.pause.max(arrival.at.saturating_duration_since(before.at));
         }
         self.last.insert(arrival.plc, arrival);
+    }
+
+    /// The members as the store has them, how many PLCs each of them polls, and the ends of their logs.
+    fn state(&self) -> Result<String> {
+        let plant = self.folder.path().join("plant.toml");
+        let status = Command::new(&self.program).args(["fleet", "status"]).arg(plant).output()?;
+        let head = |text: &str| text.lines().take(self.args.members + 2).collect::<Vec<_>>().join("\n");
+        let mut text = format!("the fleet:\n{}\n", head(&String::from_utf8_lossy(&status.stdout)));
+        for member in 0..self.args.members {
+            let log = std::fs::read_to_string(self.folder.path().join(format!("member-{member}/log")))?;
+            let end: Vec<&str> = log.lines().rev().take(8).collect();
+            let polled = self.plcs_of(member).len();
+            text += &format!("member {member} polls {polled}; the end of its log, backwards:\n{}\n", end.join("\n"));
+        }
+        Ok(text)
     }
 
     fn plcs_of(&self, member: usize) -> Vec<usize> {
