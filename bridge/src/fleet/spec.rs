@@ -22,6 +22,7 @@ const HASH_BYTES: usize = 16;
 pub struct PlantLinks {
     links: Vec<LinkSpec>,
     of_plc: HashMap<Arc<str>, Arc<str>>,
+    plcs: HashMap<Arc<str>, Vec<Arc<str>>>,
 }
 
 impl PlantLinks {
@@ -37,7 +38,9 @@ impl PlantLinks {
             let Some((id, first)) = id_of(plcs).zip(plcs.first()) else { continue };
             let id: Arc<str> = id.into();
             found.links.push(LinkSpec { id: id.clone(), reach: reach(first) });
-            found.of_plc.extend(plcs.iter().map(|plc| (plc.name().into(), id.clone())));
+            let names: Vec<Arc<str>> = plcs.iter().map(|plc| plc.name().into()).collect();
+            found.of_plc.extend(names.iter().map(|name| (name.clone(), id.clone())));
+            found.plcs.insert(id, names);
         }
         found.links.sort_by(|left, right| left.id.cmp(&right.id));
         found
@@ -47,6 +50,12 @@ impl PlantLinks {
     #[must_use]
     pub fn specs(&self) -> &[LinkSpec] {
         &self.links
+    }
+
+    /// The PLCs of a link; none of one that the plant does not have.
+    #[must_use]
+    pub fn plcs_of(&self, link: &str) -> &[Arc<str>] {
+        self.plcs.get(link).map_or(&[], Vec::as_slice)
     }
 
     /// The id of the link of a PLC; `None` without such a PLC.
@@ -194,9 +203,11 @@ mod tests {
             [("mixer", "mixer"), ("gate2", "gate1"), ("gate1", "gate1"), ("pump2", "line1"), ("pump3", "line2")]
         {
             assert_eq!(found.link_of(plc).map(|id| &**id), Some(link), "{plc}");
+            assert!(found.plcs_of(link).iter().any(|name| **name == *plc), "{plc}");
             assert_eq!(link_of(&plant, plc).as_deref(), Some(link));
         }
         assert_eq!(found.link_of("line1"), None);
+        assert_eq!((found.plcs_of("gate1").len(), found.plcs_of("gate2").len()), (2, 0));
     }
 
     /// Members of different versions compare it, so its algorithm must not change without need.

@@ -80,7 +80,8 @@ impl Membership {
     /// The fencing tokens of the PLCs of a plant whose links this member owns. Their links are opened with the
     /// gates of these ownerships from now on.
     pub(super) fn owned_plcs(&self, plant: &Plant) -> HashMap<Arc<str>, u64> {
-        self.owned.plcs(plant, &PlantLinks::of(plant))
+        let links = PlantLinks::of(plant);
+        self.owned.plcs(plant, &links, links.specs().iter().map(|link| &link.id))
     }
 
     /// Applies a configuration to the fleet.
@@ -106,6 +107,8 @@ struct OwnedState {
 struct Owned {
     token: LinkToken,
     gate: Gate,
+    /// That of the configuration, and those of configurations before it.
+    endpoints: Vec<Endpoint>,
 }
 
 impl OwnedLinks {
@@ -127,38 +130,38 @@ impl OwnedLinks {
     }
 
     fn insert(&self, ownership: &Ownership) {
-        let owned = Owned { token: ownership.token, gate: ownership.gate.clone() };
+        let owned = Owned { token: ownership.token, gate: ownership.gate.clone(), endpoints: Vec::new() };
         self.0.write().unwrap_or_else(PoisonError::into_inner).links.insert(ownership.link.clone(), owned);
     }
 
-    /// Ends the ownership of links. Returns the endpoints of each: that of the configuration, and those of
-    /// configurations before it.
-    fn remove<'l>(&self, links: impl Iterator<Item = &'l Arc<str>>) -> HashMap<Arc<str>, Vec<Endpoint>> {
+    /// Ends the ownership of a link. Returns its endpoints.
+    fn remove(&self, link: &str) -> Vec<Endpoint> {
         let mut owned = self.0.write().unwrap_or_else(PoisonError::into_inner);
-        let OwnedState { links: known, endpoints } = &mut *owned;
-        let mut removed: HashMap<Arc<str>, Vec<Endpoint>> = links.map(|link| (link.clone(), Vec::new())).collect();
-        known.retain(|link, _| !removed.contains_key(link));
-        endpoints.retain(|endpoint, link| match removed.get_mut(link) {
-            Some(of_link) => {
-                of_link.push(endpoint.clone());
-                false
-            }
-            None => true,
-        });
+        let removed = owned.links.remove(link).map(|owned| owned.endpoints).unwrap_or_default();
+        removed.iter().for_each(|endpoint| drop(owned.endpoints.remove(endpoint)));
         removed
     }
 
-    /// The PLCs of a plant whose links are owned, with their tokens.
-    fn plcs(&self, plant: &Plant, links: &PlantLinks) -> HashMap<Arc<str>, u64> {
+    /// The PLCs of links of a plant that are owned, with their tokens.
+    fn plcs<'l>(
+        &self,
+        plant: &Plant,
+        links: &PlantLinks,
+        of: impl Iterator<Item = &'l Arc<str>>,
+    ) -> HashMap<Arc<str>, u64> {
         let mut owned = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let OwnedState { links: known, endpoints } = &mut *owned;
         let mut plcs = HashMap::new();
-        for plc in plant.plcs() {
-            let Some((link, owned)) = links.link_of(plc.name()).and_then(|link| known.get_key_value(link)) else {
-                continue;
-            };
-            endpoints.entry(plc.endpoint().clone()).or_insert_with(|| link.clone());
-            plcs.insert(plc.name().into(), owned.token.revision);
+        for link in of {
+            let Some(owned) = known.get_mut(link) else { continue };
+            for plc in links.plcs_of(link).iter().filter_map(|name| plant.plc(name)) {
+                let endpoint = plc.endpoint();
+                if !endpoints.contains_key(endpoint) {
+                    endpoints.insert(endpoint.clone(), link.clone());
+                    owned.endpoints.push(endpoint.clone());
+                }
+                plcs.insert(plc.name().into(), owned.token.revision);
+            }
         }
         plcs
     }
@@ -257,14 +260,15 @@ impl Changes {
     async fn apply(self, bridge: &Bridge, membership: &Membership) -> Result<(), AddError> {
         let config = bridge.config();
         if !self.closings.is_empty() {
-            close(bridge, membership, &config.plant, self.closings);
+            close(bridge, membership, self.closings);
         }
         if self.owned.is_empty() {
             return Ok(());
         }
         self.owned.iter().for_each(|ownership| membership.owned.insert(ownership));
         membership.counters.taken.fetch_add(count(self.owned.len()), Ordering::Relaxed);
-        let mut plcs = membership.owned.plcs(&config.plant, &membership.links());
+        let of = self.owned.iter().map(|ownership| &ownership.link);
+        let mut plcs = membership.owned.plcs(&config.plant, &membership.links(), of);
         plcs.retain(|plc, _| bridge.registry.read().get(plc).is_none());
         for plc in plcs.keys().filter_map(|name| config.plant.plc(name)) {
             // One that was opened without an ownership, such as for the end of a pulse, has a closed gate.
@@ -287,7 +291,7 @@ fn count(links: usize) -> u64 {
 }
 
 /// Ends polling of links, closes them, and tells that to the fleet.
-fn close(bridge: &Bridge, membership: &Membership, plant: &Plant, closings: Vec<Closing>) {
+fn close(bridge: &Bridge, membership: &Membership, closings: Vec<Closing>) {
     let lost = closings.iter().filter(|closing| closing.is_lost).count();
     membership.counters.lost.fetch_add(count(lost), Ordering::Relaxed);
     if lost > 0 {
@@ -297,15 +301,12 @@ fn close(bridge: &Bridge, membership: &Membership, plant: &Plant, closings: Vec<
     let status = membership.status();
     let is_alone = status.members.iter().all(|member| member.id == status.id || member.is_draining);
     let of_closing = |closing: &Closing| if closing.is_lost || is_alone { Elsewhere::Lost } else { Elsewhere::Member };
-    let closing: HashMap<&str, Elsewhere> =
-        closings.iter().map(|closing| (&*closing.link, of_closing(closing))).collect();
-    let of_plc = |name: &str| closing.get(&**links.link_of(name)?).copied();
-    let names: Vec<(Arc<str>, Elsewhere)> =
-        plant.plcs().filter_map(|plc| Some((plc.name().into(), of_plc(plc.name())?))).collect();
-    bridge.registry.give_up(names.iter().map(|(name, elsewhere)| (name, *elsewhere)));
-    let mut endpoints = membership.owned.remove(closings.iter().map(|closing| &closing.link));
+    bridge.registry.give_up(closings.iter().flat_map(|closing| {
+        let elsewhere = of_closing(closing);
+        links.plcs_of(&closing.link).iter().map(move |name| (name, elsewhere))
+    }));
     for closing in closings {
-        let endpoints = endpoints.remove(&closing.link).unwrap_or_default();
+        let endpoints = membership.owned.remove(&closing.link);
         let pool = bridge.pool.clone();
         tokio::spawn(async move {
             for endpoint in &endpoints {
