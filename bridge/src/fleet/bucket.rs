@@ -2,19 +2,28 @@
 //!
 //! A connection here does not reconnect by itself, so that all that is known of the store is known of one
 //! connection. The watch is a pull consumer, whose entries have consecutive numbers: a gap ends it.
+//!
+//! Revisions are consecutive, too, but for entries that were replaced or removed before they were delivered. A consumer
+//! of nats-server 2.9 was seen to skip an entry that is in the store, under load: a link that its owner had released
+//! stayed free, since no other member knew. So a revision that was not delivered is looked up, and one that is in the
+//! store ends the watch.
 
 mod snapshot;
 
+use std::pin::Pin;
 use std::time::Duration;
 
 use async_nats::header::NATS_EXPECTED_LAST_SUBJECT_SEQUENCE;
 use async_nats::jetstream::consumer::{AckPolicy, DeliverPolicy, pull};
 use async_nats::jetstream::context::{Context, ContextBuilder, CreateStreamErrorKind, GetStreamErrorKind};
 use async_nats::jetstream::context::{PublishError, PublishErrorKind};
-use async_nats::jetstream::stream::{Config, DiscardPolicy, Info, LastRawMessageErrorKind, StorageType, Stream};
+use async_nats::jetstream::stream::{
+    Config, DiscardPolicy, Info, LastRawMessageErrorKind, RawMessageErrorKind, StorageType, Stream,
+};
 use async_nats::jetstream::{self, ErrorCode};
 use async_nats::{HeaderMap, HeaderValue};
 use futures::StreamExt as _;
+use futures::stream::FuturesUnordered;
 
 use self::snapshot::Snapshot;
 use super::core::{Operation, Outcome};
@@ -27,6 +36,8 @@ const OPEN: Duration = Duration::from_secs(10);
 const BATCH: usize = 200;
 /// The server forgets a watch that is not read for this time.
 const INACTIVE: Duration = Duration::from_secs(60);
+/// The revisions in a row that are looked up. If more are missing, the watch is begun again.
+const MAX_MISSING: u64 = 1000;
 /// The header of an entry that is not a value.
 const OPERATION: &str = "KV-Operation";
 /// The replicas of the store in a cluster.
@@ -69,7 +80,15 @@ pub(super) struct Watch {
     has_told: bool,
     /// The number of the last entry.
     last: u64,
+    /// The highest revision that was delivered, at least the last one when the watch began.
+    newest: u64,
+    stream: Stream,
+    /// Lookups of revisions that were not delivered.
+    lookups: FuturesUnordered<Lookup>,
 }
+
+/// Returns a revision, and whether the store lacks it.
+type Lookup = Pin<Box<dyn Future<Output = (u64, bool)> + Send>>;
 
 /// An entry of a watch.
 #[derive(Debug)]
@@ -147,7 +166,7 @@ async fn open_now(section: &NatsSection, id: &Name, bucket: &Name) -> Result<Ope
         let (subject, _) = subject.map_err(|error| OpenError::Other(with_sources(&error)))?;
         keys.extend(subject.strip_prefix(&prefix).map(str::to_owned));
     }
-    watch.snapshot = Snapshot::new(keys, end);
+    (watch.snapshot, watch.newest) = (Snapshot::new(keys, end), end);
     let store = Store { context, stream, prefix };
     Ok(Opened { bucket: Bucket { connection, store }, watch, created, last_revision, replicas, server_time })
 }
@@ -334,7 +353,17 @@ impl Watch {
         let messages = consumer.stream().max_messages_per_batch(BATCH).messages().await;
         let messages = messages.map_err(|error| OpenError::Other(with_sources(&error)))?;
         let prefix = prefix.to_owned();
-        Ok((Self { messages, prefix, snapshot: Snapshot::default(), has_told: false, last: 0 }, server_time))
+        let watch = Self {
+            messages,
+            prefix,
+            snapshot: Snapshot::default(),
+            has_told: false,
+            last: 0,
+            newest: 0,
+            stream: stream.clone(),
+            lookups: FuturesUnordered::new(),
+        };
+        Ok((watch, server_time))
     }
 
     /// The next entry. Cancel-safe.
@@ -346,10 +375,19 @@ impl Watch {
             self.has_told = true;
             return Ok(Seen::Complete);
         }
-        let message = match self.messages.next().await {
-            Some(Ok(message)) => message,
-            Some(Err(error)) => return Err(with_sources(&error)),
-            None => return Err("the watch has ended".to_owned()),
+        let message = loop {
+            tokio::select! {
+                message = self.messages.next() => match message {
+                    Some(Ok(message)) => break message,
+                    Some(Err(error)) => return Err(with_sources(&error)),
+                    None => return Err("the watch has ended".to_owned()),
+                },
+                Some((revision, is_gone)) = self.lookups.next(), if !self.lookups.is_empty() => {
+                    if !is_gone {
+                        return Err(format!("the watch lacks revision {revision}"));
+                    }
+                }
+            }
         };
         let info = message.info().map_err(|error| error.to_string())?;
         if info.consumer_sequence != self.last + 1 {
@@ -361,6 +399,26 @@ impl Watch {
         let value = is_value.then(|| String::from_utf8_lossy(&message.payload).into_owned());
         let key = message.subject.strip_prefix(&self.prefix).unwrap_or_default().to_owned();
         self.snapshot.delivered(&key, revision);
+        self.look_up_missing(revision)?;
         Ok(Seen::Entry(Entry { key, value, revision, stored_at }))
+    }
+
+    /// Looks up the revisions before this one that were not delivered.
+    fn look_up_missing(&mut self, revision: u64) -> Result<(), String> {
+        let newest = self.newest;
+        self.newest = newest.max(revision);
+        let missing = newest.saturating_add(1)..revision;
+        if missing.end.saturating_sub(missing.start) > MAX_MISSING {
+            return Err(format!("the watch lacks the entries after revision {newest}"));
+        }
+        for revision in missing {
+            let stream = self.stream.clone();
+            self.lookups.push(Box::pin(async move {
+                let found = stream.get_raw_message(revision).await;
+                let is_gone = matches!(&found, Err(error) if error.kind() == RawMessageErrorKind::NoMessageFound);
+                (revision, is_gone)
+            }));
+        }
+        Ok(())
     }
 }

@@ -312,6 +312,7 @@ fn close(bridge: &Bridge, membership: &Membership, closings: Vec<Closing>) {
             for endpoint in &endpoints {
                 pool.close_endpoint(endpoint).await;
             }
+            tracing::debug!(link = %closing.link, token = %closing.token, "fleet: closed");
             closing.closed();
         });
     }
