@@ -17,6 +17,7 @@
 //! | `driver` | runs the core: store, clock and rest of the bridge |
 //! | `gate` | the check in front of each write to a PLC |
 //! | `keys` | keys and values in the bucket |
+//! | `naive` | naive variants that a test must see fail, with the feature `naive-fleet` alone |
 //! | `operator` | orders by hand, and a look at the fleet without joining it |
 //! | `placement` | the member that is to own a link |
 //! | `status` | the state of the fleet, as a member sees it |
@@ -28,6 +29,8 @@ mod core;
 mod driver;
 mod gate;
 mod keys;
+#[cfg(feature = "naive-fleet")]
+mod naive;
 mod operator;
 mod placement;
 #[cfg(test)]

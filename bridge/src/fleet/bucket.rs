@@ -305,6 +305,15 @@ impl Store {
         Outcome::Unknown
     }
 
+    /// Stores a value without a condition, and returns its revision.
+    #[cfg(feature = "naive-fleet")]
+    pub(super) async fn put_always(&self, key: &str, value: String) -> Outcome {
+        let Ok(ack) = self.context.publish(format!("{}{key}", self.prefix), value.into()).await else {
+            return Outcome::Unknown;
+        };
+        ack.await.map_or(Outcome::Unknown, |ack| Outcome::Stored(ack.sequence))
+    }
+
     /// Stores a value without a condition: an order of an operator.
     pub(super) async fn set(&self, key: &str, value: String) -> Result<(), String> {
         let subject = format!("{}{key}", self.prefix);

@@ -309,7 +309,16 @@ impl Driver {
             match action {
                 Action::Request { request, operation, timeout: limit } => {
                     let Link::Open(open) = &self.link else { continue };
-                    let performing = open.bucket.store().perform(operation);
+                    let store = open.bucket.store();
+                    #[cfg(feature = "naive-fleet")]
+                    let own = self.core.session_name().cloned();
+                    let performing = async move {
+                        #[cfg(feature = "naive-fleet")]
+                        if let Some(outcome) = super::naive::perform(&store, &operation, own.as_deref()).await {
+                            return outcome;
+                        }
+                        store.perform(operation).await
+                    };
                     let limit = Duration::from_nanos(limit);
                     self.requests.push(Box::pin(async move {
                         (request, timeout(limit, performing).await.unwrap_or(Outcome::Unknown))

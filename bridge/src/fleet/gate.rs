@@ -42,6 +42,10 @@ impl Gate {
     /// Returns whether a request may be written now. Asked before each write; the answer is void afterwards.
     #[must_use]
     pub fn is_open(&self) -> bool {
+        #[cfg(feature = "naive-fleet")]
+        if super::naive::has_no_deadline() {
+            return self.is_open_at(0);
+        }
         self.is_open_at(boot_time())
     }
 
