@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use async_nats::jetstream::{self, stream::Config as StoreConfig};
 use fatek_bridge::config::{Config, Name, NatsSection};
 use fatek_bridge::fleet;
 use tokio::sync::{Mutex, broadcast};
@@ -15,7 +16,7 @@ use super::plan::LEASE;
 use super::plcs::Plcs;
 use super::processes::Processes;
 use super::proxy::{Moment, Proxy, Sessions};
-use super::recorder::Recorder;
+use super::recorder::{Recorder, STREAM, make_store};
 
 /// The links. By their names, each of the first three, four and five members is to own some of them.
 pub(crate) const LINKS: [&str; 10] =
@@ -40,34 +41,44 @@ pub(crate) struct Fleet {
     former: Mutex<Vec<Proxy>>,
     oracle: Mutex<Oracle>,
     nats: NatsSection,
-    variables: Vec<(String, String)>,
+    /// The configuration of the store.
+    store: StoreConfig,
+    naive: Option<&'static str>,
+    /// Expiry by the server, for the variant that relies on it.
+    #[cfg(feature = "naive-fleet")]
+    pub(crate) expiry: Option<super::ttl::Expiry>,
 }
 
 impl Fleet {
     /// A fleet with its store and without members. `None`: there is no server on this machine.
-    pub(crate) async fn new(variables: Vec<(String, String)>) -> Option<Self> {
+    pub(crate) async fn new(naive: Option<&'static str>) -> Option<Self> {
         let folder = tempfile::tempdir().unwrap();
         let server = NatsServer::start(folder.path())?;
         let processes = Processes::default();
         let plcs = Plcs::start(LINKS.len(), processes.clone());
-        let url = format!("nats://127.0.0.1:{}", server.port());
+        let port = server.port();
+        let url = format!("nats://127.0.0.1:{port}");
         let direct = write_config(folder.path(), &plant(&plcs, &url, ""));
         let nats = Config::load(&direct).unwrap().nats.unwrap();
-        init(&nats).await;
-        let recorder = Recorder::start(server.port()).await;
+        let store = make_first_store(&nats, &server).await;
+        let recorder = Recorder::start(port).await;
+        let sessions = Sessions::default();
         Some(Self {
+            #[cfg(feature = "naive-fleet")]
+            expiry: naive.filter(|naive| *naive == "ttl").map(|_| super::ttl::Expiry::start(port, sessions.clone())),
             folder,
             server: Mutex::new(server),
             recorder: Mutex::new(recorder),
             plcs,
             processes,
-            sessions: Sessions::default(),
+            sessions,
             moments: broadcast::channel(1024).0,
             members: (0..5).map(|_| Mutex::new(None)).collect(),
             former: Mutex::default(),
             oracle: Mutex::new(Oracle::new(LINKS.map(str::to_owned).into())),
             nats,
-            variables,
+            store,
+            naive,
         })
     }
 
@@ -82,8 +93,8 @@ impl Fleet {
         let state = self.folder.path().join(&id);
         std::fs::create_dir_all(&state).unwrap();
         let config = write_config(&state, &plant(&self.plcs, &proxy.url(), FLEET));
-        let (processes, variables) = (&self.processes, &*self.variables);
-        *place = Some(Member::start(Start { id: &id, number, config: &config, proxy, processes, variables }));
+        let (processes, naive) = (&self.processes, self.naive);
+        *place = Some(Member::start(Start { id: &id, number, config: &config, proxy, processes, naive }));
     }
 
     /// Empties the place of a member whose process has ended.
@@ -98,9 +109,9 @@ impl Fleet {
         self.members[member].lock().await.as_ref().map(|member| member.number)
     }
 
-    /// An operator makes the store.
-    pub(crate) async fn init(&self) {
-        init(&self.nats).await;
+    /// An operator makes the store again.
+    pub(crate) async fn make_store(&self) {
+        make_store(self.server.lock().await.client().await, self.store.clone()).await;
     }
 
     pub(crate) async fn move_link(&self, link: usize, member: Option<usize>) -> Result<(), fleet::OrderError> {
@@ -225,12 +236,13 @@ fn plant(plcs: &Plcs, url: &str, fleet: &str) -> String {
     text
 }
 
-async fn init(nats: &NatsSection) {
-    let begin = Instant::now();
-    while let Err(error) = fleet::init(nats, &name("admin"), &name("leases")).await {
-        assert!(begin.elapsed() < PATIENCE, "{error}");
-        tokio::time::sleep(LEASE / 10).await;
-    }
+/// Makes the store as `fatek-bridge fleet init` does, and makes it anew with republished entries.
+async fn make_first_store(nats: &NatsSection, server: &NatsServer) -> StoreConfig {
+    fleet::init(nats, &name("admin"), &name("leases")).await.unwrap();
+    let context = jetstream::new(server.client().await);
+    let config = context.get_stream(STREAM).await.unwrap().cached_info().config.clone();
+    context.delete_stream(STREAM).await.unwrap();
+    make_store(server.client().await, config).await
 }
 
 pub(crate) fn id_of(member: usize) -> String {

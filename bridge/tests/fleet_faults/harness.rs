@@ -15,7 +15,7 @@ use super::oracle::Oracle;
 use super::plcs::Plcs;
 use super::processes::Processes;
 use super::proxy::{Proxy, Sessions};
-use super::recorder::Recorder;
+use super::recorder::{Recorder, make_store};
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -62,7 +62,7 @@ async fn a_stale_request_of_a_real_process_is_found() {
         max_messages_per_subject: 1,
         ..Default::default()
     };
-    context.create_stream(stream).await.unwrap();
+    make_store(server.client().await, stream).await;
     let recorder = Recorder::start(server.port()).await;
     let take = async |session: &'static str| {
         context.publish("$KV.leases.l.plc1", session.into()).await.unwrap().await.unwrap();

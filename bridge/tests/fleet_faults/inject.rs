@@ -101,6 +101,10 @@ pub(crate) async fn inject(fleet: &Fleet, round: Round, planned: &Planned) -> Re
             fleet.server.lock().await.kill();
             sleep(*down).await;
             block_in_place(|| fleet.server.blocking_lock().run());
+            #[cfg(feature = "naive-fleet")]
+            if let Some(expiry) = &fleet.expiry {
+                expiry.step(LEASE.mul_f64(2.0 * fastrand::f64()));
+            }
             fleet.recorder.lock().await.resume(false).await;
         }
         Fault::Delete { again } => delete(fleet, round, *again).await?,

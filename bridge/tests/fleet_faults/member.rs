@@ -33,17 +33,20 @@ pub(crate) struct Start<'a> {
     pub(crate) config: &'a Path,
     pub(crate) proxy: Proxy,
     pub(crate) processes: &'a Processes,
-    pub(crate) variables: &'a [(String, String)],
+    /// A naive variant of the protocol.
+    pub(crate) naive: Option<&'a str>,
 }
 
 impl Member {
     pub(crate) fn start(start: Start<'_>) -> Self {
-        let Start { id, number, config, proxy, processes, variables } = start;
+        let Start { id, number, config, proxy, processes, naive } = start;
         let state = config.parent().unwrap();
         let clock = state.join("clock");
         let mut command = Command::new(env!("CARGO_BIN_EXE_fatek-bridge"));
         command.arg("run").arg(config).args(["--id", id]).env("STATE_DIRECTORY", state).env_remove("RUST_LOG");
-        command.envs(variables.iter().map(|(name, value)| (name, value)));
+        // Such as fatek_bridge=debug,fatek=debug.
+        command.envs(std::env::var("FATEK_FLEET_LOG").map(|filter| ("RUST_LOG", filter)));
+        command.env_remove("FATEK_FLEET_NAIVE").envs(naive.map(|naive| ("FATEK_FLEET_NAIVE", naive)));
         set_clock(&clock, 0);
         if let Some(library) = faketime() {
             fake_clock(&mut command, &library, &clock);

@@ -18,7 +18,7 @@ const SHOWN: usize = 20;
 /// The ownerships and the requests of one link.
 #[derive(Debug, Default)]
 struct Link {
-    entries: BTreeMap<Token, (String, Instant)>,
+    entries: BTreeMap<Token, Entry>,
     /// The end of the time in which the first request of an ownership came.
     first: BTreeMap<Token, Instant>,
     last_arrival: Option<Instant>,
@@ -37,7 +37,7 @@ pub(crate) struct Judged {
     pub(crate) late: u64,
     /// Requests of a process that had no ownership of the link at any time before.
     pub(crate) unowned: u64,
-    /// Requests of connections whose process was not found.
+    /// Connections whose process was not found: it closed them at once.
     pub(crate) unknown: u64,
     /// Connections whose process was found by its end.
     pub(crate) by_end: u64,
@@ -73,8 +73,12 @@ impl Oracle {
     pub(crate) fn add(&mut self, entries: Vec<Entry>) {
         for entry in entries {
             let Some(link) = self.names.iter().position(|name| *name == entry.link) else { continue };
-            self.judged.ownerships += u64::from(!entry.session.is_empty());
-            self.links[link].entries.insert(entry.token, (entry.session, entry.stored));
+            let known = self.links[link].entries.get(&entry.token);
+            self.judged.ownerships += u64::from(known.is_none() && !entry.session.is_empty());
+            // Of two with different times, the one with the exact time.
+            if known.is_none_or(|known| known.after < known.stored) {
+                self.links[link].entries.insert(entry.token, entry);
+            }
         }
     }
 
@@ -96,11 +100,7 @@ impl Oracle {
                 }
                 let token = self.links[connection.link].token(&connection, sessions);
                 self.tokens.insert(arrival.connection, token);
-                if connection.process.is_none() {
-                    self.judged.unknown += 1;
-                    self.tell(format!("{}: a request of an unknown process", self.names[connection.link]));
-                    continue;
-                }
+                self.judged.unknown += u64::from(connection.process.is_none());
             }
             let token = self.tokens.get(&arrival.connection).copied().flatten();
             let link = &mut self.links[connection.link];
@@ -121,13 +121,13 @@ impl Oracle {
             });
             let newer = (std::ops::Bound::Excluded(token), std::ops::Bound::Unbounded);
             let stale = link.first.range(newer).find(|(_, first)| **first < arrival.after);
-            let late = link.entries.range(newer).find(|(_, (_, stored))| *stored < arrival.after);
+            let late = link.entries.range(newer).find(|(_, entry)| entry.stored < arrival.after);
             let text = match (stale, late) {
                 (Some((newer, first)), _) => {
                     self.judged.stale += 1;
                     format!("stale: {:?} after the first request of {newer:?}", arrival.after - *first)
                 }
-                (None, Some((newer, (session, stored)))) => {
+                (None, Some((newer, Entry { session, stored, .. }))) => {
                     self.judged.late += 1;
                     format!("late: {:?} after {newer:?} ({session:?}) was stored", arrival.after - *stored)
                 }
@@ -142,7 +142,7 @@ impl Oracle {
 
     /// The processes that own the links by the newest entries.
     pub(crate) fn owners(&self, sessions: &BTreeMap<String, usize>) -> Vec<Option<usize>> {
-        let owner = |link: &Link| sessions.get(&link.entries.last_key_value()?.1.0).copied();
+        let owner = |link: &Link| sessions.get(&link.entries.last_key_value()?.1.session).copied();
         self.links.iter().map(owner).collect()
     }
 
@@ -154,13 +154,15 @@ impl Oracle {
 }
 
 impl Link {
-    /// The newest ownership of the process of a connection when it was made.
+    /// The newest ownership of the process of a connection when it was made. One of an unknown process counts as one
+    /// of the newest owner.
     fn token(&self, connection: &Connection, sessions: &BTreeMap<String, usize>) -> Option<Token> {
-        let process = connection.process?;
-        let is_own = |session: &String, stored: Instant| {
-            sessions.get(session) == Some(&process) && stored <= connection.accepted
+        let is_of = |session: &String| match connection.process {
+            Some(process) => sessions.get(session) == Some(&process),
+            None => !session.is_empty(),
         };
-        let mut own = self.entries.iter().rev().filter(|(_, (session, stored))| is_own(session, *stored));
+        let is_own = |entry: &Entry| entry.after <= connection.accepted && is_of(&entry.session);
+        let mut own = self.entries.iter().rev().filter(|(_, entry)| is_own(entry));
         own.next().map(|(token, _)| *token)
     }
 }
@@ -168,7 +170,7 @@ impl Link {
 impl Link {
     /// The last entries with their processes, and their times after another time.
     fn history(&self, time: Instant, sessions: &BTreeMap<String, usize>) -> String {
-        let entry = |(token, (session, stored)): (&Token, &(String, Instant))| {
+        let entry = |(token, Entry { session, stored, .. }): (&Token, &Entry)| {
             let process = sessions.get(session);
             let after = stored.saturating_duration_since(time).as_secs_f64() - (time - *stored).as_secs_f64();
             format!("{}.{} of {process:?} at {:+.1} ms", token.epoch, token.revision, after * 1e3)
@@ -180,6 +182,6 @@ impl Link {
 impl Judged {
     /// Requests that must not have been.
     pub(crate) fn wrong(&self) -> u64 {
-        self.stale + self.late + self.unowned + self.unknown
+        self.stale + self.late + self.unowned
     }
 }

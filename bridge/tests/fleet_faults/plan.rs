@@ -128,8 +128,11 @@ pub(crate) fn draw(seed: u64, members: usize, links: usize) -> Vec<Planned> {
     }
     let count = [1, 2, 3, 3, 4, 4, 5, 6][rng.usize(..8)];
     let mut faults: Vec<Planned> = Vec::new();
+    // Faults of one member at once are worse than faults of many.
+    let worst = rng.usize(..members);
     while faults.len() < count {
-        let planned = Planned { member: rng.usize(..members), fault: fault(&mut rng, links), moment: moment(&mut rng) };
+        let member = if rng.bool() { worst } else { rng.usize(..members) };
+        let planned = Planned { member, fault: fault(&mut rng, links), moment: moment(&mut rng) };
         let is_server = |planned: &Planned| matches!(planned.fault, Fault::Server { .. });
         if !is_server(&planned) || !faults.iter().any(is_server) {
             faults.push(planned);
@@ -180,7 +183,8 @@ fn fault(rng: &mut fastrand::Rng, links: usize) -> Fault {
         }
         54..=65 => {
             // Requests, replies, both, or entries of the watch alone.
-            let of = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]][rng.usize(..4)];
+            let of =
+                [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]][rng.usize(..5)];
             let [up, down, entries] = of.map(|of| part(rng, 0.05, 1.5).mul_f64(of));
             Fault::Delay { time: part(rng, 1.0, 5.0), up, down, entries }
         }

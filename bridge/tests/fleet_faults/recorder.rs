@@ -1,14 +1,17 @@
 //! Records all entries of links in the store, by a connection of its own to the server.
 //!
-//! The store has the last entry of each key alone, so they are read as they come. After a restart of the server the
-//! recorder is there long before members take anything, which they do a lease after they are connected.
+//! The store has the last entry of each key alone, and an entry that is replaced soon may be delivered to no consumer.
+//! So the server republishes them. A consumer delivers those that were stored while the recorder was not connected.
+//! After a restart of the server it is there long before members take anything, which they do a lease after they are
+//! connected.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime};
 
+use async_nats::jetstream;
 use async_nats::jetstream::consumer::{AckPolicy, DeliverPolicy, pull};
-use async_nats::jetstream::{self, stream::Stream};
+use async_nats::jetstream::stream::{Config, Republish, Stream};
 use futures::StreamExt as _;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -16,6 +19,10 @@ use tokio::task::JoinHandle;
 /// The stream of the store.
 pub(crate) const STREAM: &str = "KV_leases";
 const PREFIX: &str = "$KV.leases.";
+/// The server sends each entry of a link to this subject, too, when it stores it.
+const LIVE: &str = "live.";
+/// The longest time on the way of a republished entry.
+const LAG: Duration = Duration::from_millis(500);
 
 /// A token of an ownership: of two, the greater one is newer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -32,6 +39,9 @@ pub(crate) struct Entry {
     /// Empty: it was released.
     pub(crate) session: String,
     pub(crate) token: Token,
+    /// It was stored after this time.
+    pub(crate) after: Instant,
+    /// It was stored before this time.
     pub(crate) stored: Instant,
 }
 
@@ -70,6 +80,7 @@ impl Recorder {
             self.last.send_replace(0);
         }
         let (client, stream) = open(self.port).await;
+        let mut live = follow(&client).await;
         let from = *self.last.borrow() + 1;
         let config = pull::Config {
             ack_policy: AckPolicy::None,
@@ -84,13 +95,26 @@ impl Recorder {
         let (state, last) = (self.state.clone(), self.last.clone());
         self.task = Some(tokio::spawn(async move {
             // It ends with the server, and is resumed then.
-            while let Some(Ok(message)) = messages.next().await {
-                let info = message.info().unwrap();
-                let (revision, published) = (info.stream_sequence, info.published.unix_timestamp_nanos());
-                let key = message.subject.strip_prefix(PREFIX).unwrap_or_default();
-                let value = String::from_utf8_lossy(&message.payload);
-                state.lock().unwrap().add(key, &value, revision, published);
-                last.send_replace(revision);
+            loop {
+                tokio::select! {
+                    message = messages.next() => {
+                        let Some(Ok(message)) = message else { break };
+                        let info = message.info().unwrap();
+                        let (revision, published) = (info.stream_sequence, info.published.unix_timestamp_nanos());
+                        let key = message.subject.strip_prefix(PREFIX).unwrap_or_default();
+                        let value = String::from_utf8_lossy(&message.payload);
+                        state.lock().unwrap().add(key, &value, revision, published);
+                        last.send_replace(revision);
+                    }
+                    message = live.next() => {
+                        let Some(message) = message else { break };
+                        let link = message.subject.strip_prefix(LIVE).unwrap_or_default();
+                        let header = |name| message.headers.as_ref().unwrap().get(name).unwrap().as_str();
+                        let value = String::from_utf8_lossy(&message.payload);
+                        let revision = header("Nats-Sequence").parse().unwrap();
+                        state.lock().unwrap().add_live(&format!("l.{link}"), &value, revision);
+                    }
+                }
             }
             drop(client);
         }));
@@ -125,9 +149,20 @@ impl State {
         if !self.seen.insert((revision, published)) {
             return;
         }
+        let stored = instant_of(published);
+        self.push(key, value, revision, (stored, stored));
+    }
+
+    /// Adds an entry that was stored just now: nats-server 2.9 does not tell the time.
+    fn add_live(&mut self, key: &str, value: &str, revision: u64) {
+        let now = Instant::now();
+        self.push(key, value, revision, (now - LAG, now));
+    }
+
+    fn push(&mut self, key: &str, value: &str, revision: u64, (after, stored): (Instant, Instant)) {
         if let Some(link) = key.strip_prefix("l.") {
-            let (token, stored) = (Token { epoch: self.epoch, revision }, instant_of(published));
-            self.entries.push(Entry { link: link.to_owned(), session: value.to_owned(), token, stored });
+            let token = Token { epoch: self.epoch, revision };
+            self.entries.push(Entry { link: link.to_owned(), session: value.to_owned(), token, after, stored });
         }
     }
 }
@@ -153,4 +188,19 @@ async fn open(port: u16) -> (async_nats::Client, Stream) {
         }
     };
     tokio::time::timeout(Duration::from_secs(30), opening).await.expect("the server has no store")
+}
+
+/// Makes the store as a member needs it, and lets the server republish its entries of links.
+pub(crate) async fn make_store(client: async_nats::Client, config: Config) -> Config {
+    let republish = Republish { source: format!("{PREFIX}l.>"), destination: format!("{LIVE}>"), headers_only: false };
+    let config = Config { republish: Some(republish), ..config };
+    jetstream::new(client).create_stream(config.clone()).await.unwrap();
+    config
+}
+
+/// Subscribes to the entries that the server republishes.
+async fn follow(client: &async_nats::Client) -> async_nats::Subscriber {
+    let live = client.subscribe(format!("{LIVE}>")).await.unwrap();
+    client.flush().await.unwrap();
+    live
 }

@@ -14,6 +14,8 @@ use super::recorder::STREAM;
 
 /// The exit status of a bridge whose store was deleted or set back.
 const STORE_STATUS: i32 = 3;
+/// The begin of the reason. A member may find out by revisions, too, that a store was made again.
+const WHY: &str = "fleet: the store was ";
 /// The time from the loss of the store to the last request, beside the lease: the way of a request.
 const MARGIN: Duration = Duration::from_millis(50);
 
@@ -26,9 +28,9 @@ pub(crate) async fn delete(fleet: &Fleet, round: Round, again: Duration) -> Resu
     jetstream::new(client).delete_stream(STREAM).await.unwrap();
     let deleted = Instant::now();
     sleep(again).await;
-    fleet.init().await;
+    fleet.make_store().await;
     fleet.recorder.lock().await.resume(true).await;
-    let ended = all_end(fleet, round, None, "deleted and made again").await;
+    let ended = all_end(fleet, round, None).await;
     let last = fleet.plcs.last().into_iter().flatten().max();
     if let Some(after) =
         last.map(|last| last.saturating_duration_since(deleted)).filter(|after| *after > LEASE + MARGIN)
@@ -72,18 +74,18 @@ pub(crate) async fn set_back(
         fleet.start(member).await;
     }
     fleet.recorder.lock().await.resume(true).await;
-    all_end(fleet, round, is_fresh.then_some(member), "set back").await
+    all_end(fleet, round, is_fresh.then_some(member)).await
 }
 
 /// Waits until all members but one have ended, and ends that one.
-async fn all_end(fleet: &Fleet, round: Round, fresh: Option<usize>, why: &str) -> Result<(), String> {
+async fn all_end(fleet: &Fleet, round: Round, fresh: Option<usize>) -> Result<(), String> {
     let mut problem = Ok(());
     for member in (0..round.members).filter(|member| Some(*member) != fresh) {
         let mut place = fleet.members[member].lock().await;
         let Some(process) = place.as_mut() else { continue };
         let status = process.wait().await;
         let log = process.log();
-        if status.and_then(|status| status.code()) != Some(STORE_STATUS) || !log.contains(why) {
+        if status.and_then(|status| status.code()) != Some(STORE_STATUS) || !log.contains(WHY) {
             let tail: Vec<&str> = log.lines().rev().take(8).collect();
             problem = Err(format!("{} ended by {status:?}, its log backwards: {tail:#?}", id_of(member)));
             block_in_place(|| process.kill());

@@ -25,7 +25,8 @@ impl Scene {
     fn entry(&mut self, epoch: u32, revision: u64, session: &str, stored: u64) {
         let token = Token { epoch, revision };
         let (link, session) = ("plc".to_owned(), session.to_owned());
-        let entry = Entry { link, session, token, stored: self.at(stored) };
+        let stored = self.at(stored);
+        let entry = Entry { link, session, token, after: stored, stored };
         self.oracle.add(vec![entry]);
     }
 
